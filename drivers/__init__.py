@@ -1,0 +1,1 @@
+"""Encoders over serial and CAN, the recorder and the simulated test bench."""
