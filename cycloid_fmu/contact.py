@@ -1,0 +1,856 @@
+"""Contact of gear and pins: gaps, Hertz force, equilibrium, play and sensitivities, as compiled kernels on plain arrays.
+
+The flank is the curve parallel, at the generating pin's radius r, to the path of the generating pin's centre in the
+gear, T(α) = R e^{iα} - e e^{i z_p α}: so the gap of a pin is the signed distance of its axis from T, plus r, less the
+pin's radius, and its foot on T and on the flank are the same α (design.md section 4, turned by -90° so that tooth 0
+begins at +x). A point is a complex number in the comments and a pair (x, y) in the code.
+
+The unknown is x, the output's deviation from the ideal drive: gear angle -θ/z_c + x with the pin ring fixed, or ring
+angle θ/z_p + x with the gear held. Torque is what the environment puts on the output; force times moment arm balances it.
+
+Contacts are rows of an array, two for each disc, slice and pin: the conjugate tooth, and the tooth across the nearest
+root, which a pin may touch as well. The columns are named below.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+(
+    FOOT, FOOT_RATE, GAP, ARM, ARM_RATE, CURVATURE, CURVATURE_RATE, FORCE, STIFFNESS, FORCE_BY_CURVATURE, AT, COLUMNS,
+) = range(12)  # fmt: skip
+
+# The scalar errors, in the order of the sensitivities' first columns.
+SCALAR_ERRORS = (
+    "centre_distance_x", "centre_distance_y", "misalignment_xz", "misalignment_yz", "eccentricity",
+    "pin_circle_radius", "pin_radius", "isometric", "offset",
+)  # fmt: skip
+
+TOUCHING = 2e-10  # m: an interference below this counts as touching (design.md section 3)
+_FOOT_STEP = 1e-9  # m: Newton's last step along the flank; the gap is then good to its square over the curvature radius
+_ROTATION_STEP = 1e-12  # rad: last step of the play's ends
+_LINEAR_STEP = 1e-9  # rad: below this Newton's last step of an equilibrium is made with the stiffnesses at hand
+_CLEAR = 5e-7  # m: a pin predicted to be this clear is not solved again within one equilibrium
+_COUNTED = 0.01  # a pin counts as in contact above this share of the most loaded pin's force
+
+
+class Drive(NamedTuple):
+    """The contact problem as numbers and arrays, SI.
+
+    Attributes
+    ----------
+    circle_radius, generating_radius, generating_eccentricity
+        R, r and e of the flank that was made, m.
+    eccentricity
+        The crank's own eccentricity, m.
+    teeth
+        z_c; there is one pin more.
+    ring
+        Whether the pin ring is the output (the gear held) instead of the gear (the ring fixed).
+    pin_x, pin_y, pin_radius
+        Axis and radius of each pin in the ring's frame, shape (pins,), m.
+    tooth_turn
+        Rotation of each tooth about the gear's centre, shape (discs, teeth), rad.
+    crank_phase
+        Angle of each disc's crank ahead of disc 0's, shape (discs,), rad.
+    centre_x, centre_y
+        Offset of the gear's centre in each slice, shape (slices,), m.
+    slice_z
+        Distance of each slice's middle from mid-width, shape (slices,), m.
+    slice_width
+        m.
+    compliance_gear, compliance_pin
+        (1 - ν²)/E, 1/Pa.
+    largest_log_radius
+        Limit of the flank's curvature radius in Hertz's logarithm, m; infinite for the law as printed.
+    root_phase
+        Phase from a root within which both its teeth are tried, rad.
+    root_margin
+        How far neighbouring teeth may stand apart at their root, m.
+    """
+
+    circle_radius: float
+    generating_radius: float
+    generating_eccentricity: float
+    eccentricity: float
+    teeth: int
+    ring: bool
+    pin_x: np.ndarray
+    pin_y: np.ndarray
+    pin_radius: np.ndarray
+    tooth_turn: np.ndarray
+    crank_phase: np.ndarray
+    centre_x: np.ndarray
+    centre_y: np.ndarray
+    slice_z: np.ndarray
+    slice_width: float
+    compliance_gear: float
+    compliance_pin: float
+    largest_log_radius: float
+    root_phase: float
+    root_margin: float
+
+
+@njit(cache=True, error_model="numpy")
+def contact_rows(drive):
+    """Return the empty contact array of a drive, shape (discs x slices x pins x 2, columns)."""
+    contacts = np.zeros((drive.crank_phase.size * drive.centre_x.size * drive.pin_x.size * 2, COLUMNS))
+    contacts[:, GAP] = np.inf
+    contacts[:, FOOT] = np.nan
+    return contacts
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _poses(drive, theta, x, disc):
+    """Crank angle of a disc and the rotations of ring and gear, at disc 0's crank angle θ and deviation x."""
+    phase = drive.crank_phase[disc]
+    if drive.ring:
+        return theta + phase, theta / (drive.teeth + 1) + x, -phase / drive.teeth
+    return theta + phase, 0.0, x - (theta + phase) / drive.teeth
+
+
+@njit(cache=True, error_model="numpy")
+def _tangency(px, py, alpha, R, e, teeth):
+    """Tangency f(α) = (P - T)·T', its derivative, and P, B = T'/(i e^{iα}) and P - T turned by -α."""
+    pins = teeth + 1
+    ca, sa = math.cos(alpha), math.sin(alpha)
+    c, s = math.cos(teeth * alpha), math.sin(teeth * alpha)
+    qx, qy = px * ca + py * sa, py * ca - px * sa
+    bx, by = R - e * pins * c, -e * pins * s
+    dx, dy = qx - (R - e * c), qy + e * s
+    cx, cy = R - e * pins * pins * c, -e * pins * pins * s
+    return dy * bx - dx * by, -(dx * cx + dy * cy) - (bx * bx + by * by), qx, qy, bx, by, dx, dy
+
+
+@njit(cache=True, error_model="numpy")
+def _foot(px, py, start, lower, upper, R, e, teeth):
+    """Tangent point to P on the tooth between two roots, downhill from `start`: whether there is one, α, `_tangency`."""
+    low, high = lower, upper
+    low_known = high_known = False
+    alpha = min(max(start, lower), upper)
+    state = _tangency(px, py, alpha, R, e, teeth)
+    for _ in range(80):
+        f, slope, bx, by = state[0], state[1], state[4], state[5]
+        if slope < 0.0:
+            step = -f / slope
+            if abs(step) * math.sqrt(bx * bx + by * by) < _FOOT_STEP:
+                return True, alpha, state
+        else:
+            step = math.copysign(0.15 * (upper - lower), f)
+        if f > 0.0:
+            low, low_known = alpha, True
+        else:
+            high, high_known = alpha, True
+        if low >= high:
+            return False, alpha, state
+        alpha += step
+        if alpha <= low:
+            alpha = 0.5 * (low + high) if low_known else lower
+        elif alpha >= high:
+            alpha = 0.5 * (low + high) if high_known else upper
+        state = _tangency(px, py, alpha, R, e, teeth)
+    return True, alpha, state
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _frame(drive, theta, x, disc, slice_):
+    """Pose of one slice: turn of pins into the gear's frame (cos, sin), the gear's centre, and the ring's rotation."""
+    crank, ring, gear = _poses(drive, theta, x, disc)
+    ox = drive.eccentricity * math.cos(crank) + drive.centre_x[slice_]
+    oy = drive.eccentricity * math.sin(crank) + drive.centre_y[slice_]
+    cg, sg = math.cos(gear), math.sin(gear)
+    # O_c seen from the gear's frame
+    return math.cos(ring - gear), math.sin(ring - gear), ox * cg + oy * sg, oy * cg - ox * sg, crank - ring
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _on_tooth(px, py, turn):
+    """P in the frame of a tooth turned by a small angle."""
+    c = 1.0 - 0.5 * turn * turn
+    s = turn * (1.0 - turn * turn / 6.0)
+    return px * c + py * s, py * c - px * s
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _write_contact(drive, contacts, row, alpha, state, conjugate, ox, oy, pin_radius, x):
+    """Gap, moment arm and their rates at the foot α of a pin; returns the signed distance of its axis from T."""
+    _, slope, qx, qy, bx, by, dx, dy = state
+    speed2 = bx * bx + by * by
+    speed = math.sqrt(speed2)
+    distance = (dx * bx + dy * by) / speed
+    sign = -1.0
+    if drive.ring:
+        ca, sa = math.cos(alpha), math.sin(alpha)
+        qx, qy = qx + ox * ca + oy * sa, qy + oy * ca - ox * sa
+        sign = 1.0
+    # With Q the lever of the rotation in the foot's frame, the gap falls by the arm for each radian.
+    arm = sign * (qy * bx - qx * by) / speed
+    lever = (qx * bx + qy * by) / speed
+    # 1 + κ s, because (P - T)·T'' = -κ s |T'|²
+    stretch = -slope / speed2
+    kappa = _path_curvature(drive.circle_radius, drive.generating_eccentricity, drive.teeth, bx, speed)
+    contacts[row, FOOT] = alpha - conjugate
+    contacts[row, FOOT_RATE] = sign * lever / (speed * stretch)
+    contacts[row, GAP] = distance + drive.generating_radius - pin_radius
+    contacts[row, ARM] = arm
+    contacts[row, ARM_RATE] = lever - lever * lever * kappa / stretch
+    flank = 1.0 / (1.0 - drive.generating_radius * kappa)
+    contacts[row, CURVATURE] = kappa * flank
+    contacts[row, CURVATURE_RATE] = (
+        -drive.circle_radius * drive.teeth * by * ((drive.teeth + 2) / speed - 3.0 * kappa) / speed2 * flank * flank
+    )
+    contacts[row, AT] = x
+    return distance
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _path_curvature(R, e, teeth, bx, speed):
+    """Curvature of T, > 0 convex: R²(1 + z_p K² - K (z_p + 1) cos z_c α)/|T'|³, with cos from B."""
+    pins = teeth + 1
+    ez = e * pins
+    return (R * R + ez * ez * pins - (pins + 1) * R * (R - bx)) / (speed * speed * speed)
+
+
+@njit(cache=True, error_model="numpy")
+def place(drive, theta, x, contacts, cold, clear):
+    """Solve the contact of every pin at crank angle θ and deviation x, into `contacts`.
+
+    Parameters
+    ----------
+    cold
+        Whether to start from the conjugate points instead of from what `contacts` holds of a neighbouring state.
+    clear
+        Rows whose gap, predicted from the last solution, is above this are left as they are (m; infinite: none is).
+    """
+    teeth = drive.teeth
+    R, e = drive.circle_radius, drive.generating_eccentricity
+    pins = teeth + 1
+    pitch, pin_pitch = 2.0 * math.pi / teeth, 2.0 * math.pi / pins
+    k = e * pins / R
+    root_radius = R * (1.0 - k) ** 2 / max(pins * k - 1.0, 1e-9)
+    speed_at_root = R * (1.0 - k)
+    for disc in range(drive.crank_phase.size):
+        for slice_ in range(drive.centre_x.size):
+            ct, st, ox, oy, crank = _frame(drive, theta, x, disc, slice_)
+            first = (disc * drive.centre_x.size + slice_) * pins * 2
+            for pin in range(pins):
+                row = first + 2 * pin
+                if not cold:
+                    dx = x - contacts[row, AT]
+                    ahead = contacts[row, GAP] - dx * (contacts[row, ARM] + 0.5 * dx * contacts[row, ARM_RATE])
+                    other = contacts[row + 1, GAP] - dx * (
+                        contacts[row + 1, ARM] + 0.5 * dx * contacts[row + 1, ARM_RATE]
+                    )
+                    if min(ahead, other) > clear:
+                        continue
+                px = drive.pin_x[pin] * ct - drive.pin_y[pin] * st - ox
+                py = drive.pin_x[pin] * st + drive.pin_y[pin] * ct - oy
+                conjugate = pin * pin_pitch + crank / teeth
+                tooth = math.floor(conjugate / pitch)
+                number = int(tooth) % teeth
+                qx, qy = _on_tooth(px, py, drive.tooth_turn[disc, number])
+                along = conjugate / pitch - tooth
+                lower, upper = tooth * pitch, (tooth + 1.0) * pitch
+                near = 2.0 * math.pi * min(along, 1.0 - along) < drive.root_phase
+                root, inwards = (lower, 1.0) if along < 0.5 else (upper, -1.0)
+                start = conjugate + contacts[row, FOOT] + contacts[row, FOOT_RATE] * (x - contacts[row, AT])
+                if cold or not lower <= start <= upper:
+                    # Near a root the way downhill from the conjugate point may miss the contact farther in.
+                    start = root + inwards * drive.root_phase / teeth if near else conjugate
+                found, alpha, state = _foot(qx, qy, start, lower, upper, R, e, teeth)
+                distance = math.inf
+                contacts[row, AT] = x
+                if found:
+                    distance = _write_contact(
+                        drive, contacts, row, alpha, state, conjugate, ox, oy, drive.pin_radius[pin], x
+                    )
+                else:
+                    contacts[row, GAP] = math.inf
+                    contacts[row, FOOT] = math.nan
+                row += 1
+                contacts[row, AT] = x
+                contacts[row, GAP] = math.inf
+                # Within the root's curvature radius a point has one foot only, so none on the other tooth, unless the
+                # foot is so close to the root that the step between the two teeth decides.
+                if not near or (
+                    distance < root_radius - drive.root_margin and abs(alpha - root) * speed_at_root > drive.root_margin
+                ):
+                    contacts[row, FOOT] = math.nan
+                    continue
+                beyond = tooth - inwards
+                lower, upper = beyond * pitch, (beyond + 1.0) * pitch
+                start = conjugate + contacts[row, FOOT]
+                if cold or not lower < start < upper:
+                    start = root - inwards * drive.root_phase / teeth
+                qx, qy = _on_tooth(px, py, drive.tooth_turn[disc, int(beyond) % teeth])
+                found, alpha, state = _foot(qx, qy, start, lower, upper, R, e, teeth)
+                if found and lower < alpha < upper:
+                    _write_contact(drive, contacts, row, alpha, state, conjugate, ox, oy, drive.pin_radius[pin], x)
+                else:
+                    contacts[row, FOOT] = math.nan
+
+
+@njit(cache=True, error_model="numpy")
+def hertz(approach, curvature, pin_radius, width, compliance_gear, compliance_pin, largest_log_radius, guess=0.0):
+    """Force, stiffness and half width of Hertz's line contact at a given approach.
+
+    δ = (2F/πb)[V_c(ln(4|ρ_c|/a) - ½) + V_p(ln(4 R_rp/a) - ½)], a = sqrt(4 F ρ* (V_c + V_p)/(πb)) and
+    ρ* = 1/|1/R_rp + 1/ρ_c|, solved for F (loaded-contact-wear and error-surface papers; design.md section 4).
+
+    Parameters
+    ----------
+    approach
+        δ > 0, m.
+    curvature
+        1/ρ_c of the flank, > 0 convex, 1/m.
+    pin_radius, width
+        m.
+    compliance_gear, compliance_pin
+        (1 - ν²)/E, 1/Pa.
+    largest_log_radius
+        |ρ_c| in the logarithm is at most this, m.
+    guess
+        A force to start from, N; 0 where there is none.
+
+    Returns
+    -------
+    force, stiffness, half_width, by_curvature
+        N, N/m, m, and the force's derivative by the flank's curvature, N·m.
+    """
+    both = compliance_gear + compliance_pin
+    equivalent = 1.0 / max(abs(1.0 / pin_radius + curvature), 1e-9)
+    log_radius = min(1.0 / max(abs(curvature), 1e-12), largest_log_radius)
+    # With κ = (V_c + V_p)/(πb) the law reads δ = κ F (H - ln F).
+    kappa = both / (math.pi * width)
+    share = compliance_gear / both
+    h = (
+        2.0 * (share * math.log(4.0 * log_radius) + (1.0 - share) * math.log(4.0 * pin_radius))
+        - 1.0
+        - math.log(4.0 * equivalent * kappa)
+    )
+    target = approach / kappa
+    force = target / max(h - math.log(target) + 2.0, 2.0) if guess <= 0.0 else guess
+    for _ in range(30):
+        q = max(h - math.log(force), 1.5)
+        following = (target - force) / (q - 1.0)
+        if following <= 0.0:
+            following = 0.5 * force
+        change = abs(following - force)
+        force = following
+        # The next step would be about the square of this one.
+        if change <= 1e-7 * force:
+            break
+    # Beyond H - ln F = 2 (half width near the radii) the law bends over; it is continued along its tangent there.
+    limit = math.exp(h - 2.0) if q < 3.0 else math.inf
+    if target >= 2.0 * limit:
+        force = target - limit
+        return force, 1.0 / kappa, math.sqrt(4.0 * force * equivalent * kappa), 0.0
+    q = h - math.log(force)
+    bending = 1.0 / (1.0 / pin_radius + curvature)
+    if log_radius < largest_log_radius:
+        bending -= 2.0 * share / curvature
+    return (
+        force,
+        1.0 / (kappa * (q - 1.0)),
+        math.sqrt(4.0 * force * equivalent * kappa),
+        -force * bending / (q - 1.0),
+    )
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _rotational_stiffness(contacts, row):
+    """Change of one contact's torque F L for each radian: of its approach, its arm and its flank's curvature."""
+    arm = contacts[row, ARM]
+    curved = contacts[row, FORCE_BY_CURVATURE] * contacts[row, CURVATURE_RATE] * contacts[row, FOOT_RATE]
+    return contacts[row, STIFFNESS] * arm * arm + contacts[row, FORCE] * contacts[row, ARM_RATE] + curved * arm
+
+
+@njit(cache=True, error_model="numpy")
+def _load(drive, x, contacts):
+    """Forces of all rows at deviation x; returns the torque that balances them and its derivative by x."""
+    torque = stiffness = 0.0
+    pins = drive.teeth + 1
+    for row in range(contacts.shape[0]):
+        gap, last = contacts[row, GAP], contacts[row, FORCE]
+        contacts[row, FORCE] = 0.0
+        contacts[row, STIFFNESS] = 0.0
+        if gap >= 0.0 or contacts[row, AT] != x:
+            continue
+        force, k, _, by_curvature = hertz(
+            -gap, contacts[row, CURVATURE], drive.pin_radius[row // 2 % pins], drive.slice_width,
+            drive.compliance_gear, drive.compliance_pin, drive.largest_log_radius, last,
+        )  # fmt: skip
+        arm = contacts[row, ARM]
+        contacts[row, FORCE] = force
+        contacts[row, STIFFNESS] = k
+        contacts[row, FORCE_BY_CURVATURE] = by_curvature
+        torque += force * arm
+        stiffness += _rotational_stiffness(contacts, row)
+    return torque, stiffness
+
+
+@njit(cache=True, error_model="numpy")
+def _to_touch(contacts, x, direction):
+    """Rotation from x, in `direction` (±1), at which the first flank touches, to second order."""
+    best = math.inf
+    for row in range(contacts.shape[0]):
+        gap = contacts[row, GAP]
+        if not gap < math.inf:
+            continue
+        arm, rate = direction * contacts[row, ARM], contacts[row, ARM_RATE]
+        if arm <= 0.0 and not (gap > 1e-9 and rate > 0.0):
+            continue
+        inside = arm * arm + 2.0 * rate * gap
+        if inside < 0.0:
+            if gap > 0.0:
+                continue
+            inside = 0.0
+        best = min(best, 2.0 * gap / (arm + math.sqrt(inside)))
+    return best
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def equilibrium(drive, theta, torque, x, contacts, cold):
+    """Deviation at which the contacts balance a torque other than zero.
+
+    Parameters
+    ----------
+    drive
+        The contact problem.
+    theta
+        Crank angle, rad.
+    torque
+        Torque of the environment on the output, N·m.
+    x
+        Starting deviation, rad.
+    contacts
+        Contact rows, overwritten with the solution.
+    cold
+        Whether `contacts` holds nothing of a neighbouring state.
+
+    Returns
+    -------
+    x, stiffness
+        Deviation (rad) and its torsional stiffness (N·m/rad).
+    """
+    return _balance(drive, theta, torque, 1.0, 0.0, 0.0, x, contacts, cold)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def behind_compliance(drive, theta, flange, compliance, x, contacts, cold):
+    """Deviation ξ of the contacts when the flange stands at ξ + c M(ξ); returns ξ and the contacts' stiffness."""
+    return _balance(drive, theta, 0.0, compliance, flange, 1.0, x, contacts, cold)
+
+
+@njit(cache=True, error_model="numpy")
+def _balance(drive, theta, torque, load, flange, hold, x, contacts, cold):
+    """Solve load (torque - M(x)) + hold (flange - x) = 0 by Newton's method inside a bracket."""
+    place(drive, theta, x, contacts, cold, math.inf)
+    low, high = -math.inf, math.inf
+    stiffness = 0.0
+    for _ in range(100):
+        balance, stiffness = _load(drive, x, contacts)
+        short = load * (torque - balance) + hold * (flange - x)
+        slope = load * stiffness + hold
+        if short > 0.0:
+            low = x
+        else:
+            high = x
+        if slope > 0.0 and (hold > 0.0 or balance * torque > 0.0):
+            step = short / slope
+        else:
+            direction = math.copysign(1.0, short)
+            step = direction * (max(_to_touch(contacts, x, direction), 0.0) + 1e-6)
+            if abs(step) > 1e-3:
+                step = direction * 1e-3
+            if stiffness > 0.0 and abs(short) < abs(step) * stiffness:
+                step = short / stiffness
+        if abs(step) < _LINEAR_STEP:
+            x += step
+            for row in range(contacts.shape[0]):
+                if contacts[row, FORCE] > 0.0:
+                    contacts[row, FORCE] += contacts[row, STIFFNESS] * contacts[row, ARM] * step
+                    contacts[row, GAP] -= contacts[row, ARM] * step
+            break
+        if not low < x + step < high:
+            step = 0.5 * (low + high) - x
+        x += step
+        place(drive, theta, x, contacts, False, _CLEAR)
+    return x, stiffness
+
+
+@njit(cache=True, error_model="numpy")
+def _smallest_gap(contacts, step):
+    """Smallest gap after a small rotation, to first order, and its row."""
+    best, active = math.inf, 0
+    for row in range(contacts.shape[0]):
+        gap = contacts[row, GAP] - contacts[row, ARM] * step
+        if gap < best:
+            best, active = gap, row
+    return best, active
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def play(drive, theta, x, contacts, cold):
+    """Ends of the free rotation with the crank locked, and by how much there is none.
+
+    The middle is the rotation with the largest smallest gap (gaps are linearised and solved again until that changes
+    no more); from there each end is where the first flank touches.
+
+    Parameters
+    ----------
+    drive, theta, contacts, cold
+        As in `equilibrium`.
+    x
+        Starting deviation, rad.
+
+    Returns
+    -------
+    low, high, interference
+        Deviations (rad) between which the output is free, and the interference (m, ≥ 0). Below `TOUCHING` of
+        interference both ends are the same; where there is no free position they are NaN.
+    """
+    place(drive, theta, x, contacts, cold, math.inf)
+    lowest, highest = -math.inf, math.inf
+    gap = 0.0
+    for _ in range(100):
+        gap, active = _smallest_gap(contacts, 0.0)
+        if contacts[active, ARM] > 0.0:
+            highest = x
+        else:
+            lowest = x
+        # The linearised gaps' largest minimum lies where a falling and a rising gap cross.
+        step, falling, rising = 0.0, -1, -1
+        for _ in range(200):
+            _, active = _smallest_gap(contacts, step)
+            if active in (falling, rising):
+                break
+            if contacts[active, ARM] > 0.0:
+                falling = active
+            else:
+                rising = active
+            if falling < 0:
+                step += 1e-4
+            elif rising < 0:
+                step -= 1e-4
+            else:
+                step = (contacts[falling, GAP] - contacts[rising, GAP]) / (
+                    contacts[falling, ARM] - contacts[rising, ARM]
+                )
+        better, _ = _smallest_gap(contacts, step)
+        if better - gap < 1e-15:
+            break
+        if abs(step) > 1e-3:
+            step = math.copysign(1e-3, step)
+        if not lowest < x + step < highest:
+            step = 0.5 * (lowest + highest) - x
+        x += step
+        place(drive, theta, x, contacts, False, math.inf)
+    if gap < -TOUCHING:
+        return math.nan, math.nan, -gap
+    if gap <= 0.0:
+        return x, x, 0.0
+    low = _first_touch(drive, theta, x, contacts, -1.0)
+    place(drive, theta, x, contacts, False, math.inf)
+    return low, _first_touch(drive, theta, x, contacts, 1.0), 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def _first_touch(drive, theta, x, contacts, direction):
+    for _ in range(50):
+        step = min(_to_touch(contacts, x, direction), 1e-3)
+        x += direction * step
+        if abs(step) < _ROTATION_STEP:
+            break
+        place(drive, theta, x, contacts, False, math.inf)
+    return x
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def load_sharing(drive, contacts, pin_force, pin_pressure):
+    """Force and largest pressure of each pin, from solved contact rows.
+
+    Parameters
+    ----------
+    drive, contacts
+        The contact problem and its solution.
+    pin_force, pin_pressure
+        Overwritten, shape (discs, pins): force summed over slices (N), largest p = 2F/(πab) (Pa).
+
+    Returns
+    -------
+    contact_count, max_contact_pressure
+        Pins that carry more than 1 % of the most loaded pin's force; Pa.
+    """
+    pins, slices = drive.teeth + 1, drive.centre_x.size
+    pin_force[:] = 0.0
+    pin_pressure[:] = 0.0
+    for row in range(contacts.shape[0]):
+        force = contacts[row, FORCE]
+        if force <= 0.0:
+            continue
+        disc, pin = row // (2 * pins * slices), row // 2 % pins
+        equivalent = 1.0 / max(abs(1.0 / drive.pin_radius[pin] + contacts[row, CURVATURE]), 1e-9)
+        both = drive.compliance_gear + drive.compliance_pin
+        half_width = math.sqrt(4.0 * force * equivalent * both / (math.pi * drive.slice_width))
+        pressure = 2.0 * force / (math.pi * half_width * drive.slice_width)
+        pin_force[disc, pin] += force
+        pin_pressure[disc, pin] = max(pin_pressure[disc, pin], pressure)
+    threshold = _COUNTED * pin_force.max()
+    count = 0
+    for force in pin_force.flat:
+        if force > threshold:
+            count += 1
+    return count, pin_pressure.max()
+
+
+class _Local(NamedTuple):
+    """One contact seen from the housing: what turns a displacement of the pin's axis into changes of gap and arm."""
+
+    normal_x: float
+    normal_y: float
+    lever_x: float  # the pin's axis seen from the centre that the output turns about
+    lever_y: float
+    gear_x: float  # the pin's axis seen from the gear's centre
+    gear_y: float
+    slide: float  # tangential speed of the axis over the flank for each radian of the output
+    bend: float  # curvature of the gap along the tangent
+    speed: float  # |T'| at the foot
+    foot: float  # rotation of the foot for each metre of slide
+    facing: float  # cosine and sine of the normal's angle from the foot's radius
+    leaning: float
+    turning: float  # rotation of the normal against the foot's radius for each metre of slide
+
+
+@njit(cache=True, error_model="numpy")
+def _local(drive, theta, x, contacts, row):
+    pins, slices = drive.teeth + 1, drive.centre_x.size
+    disc, slice_, pin = row // (2 * pins * slices), row // (2 * pins) % slices, row // 2 % pins
+    crank, ring, gear = _poses(drive, theta, x, disc)
+    alpha = pin * 2.0 * math.pi / pins + (crank - ring) / drive.teeth + contacts[row, FOOT]
+    tooth = int(math.floor(alpha * drive.teeth / (2.0 * math.pi))) % drive.teeth
+    c, s = math.cos(drive.teeth * alpha), math.sin(drive.teeth * alpha)
+    ez = drive.generating_eccentricity * pins
+    bx, by = drive.circle_radius - ez * c, -ez * s
+    speed = math.sqrt(bx * bx + by * by)
+    facing, leaning = bx / speed, by / speed
+    angle = alpha + gear + drive.tooth_turn[disc, tooth]
+    ca, sa = math.cos(angle), math.sin(angle)
+    nx, ny = ca * facing - sa * leaning, sa * facing + ca * leaning
+    cr, sr = math.cos(ring), math.sin(ring)
+    lx = drive.pin_x[pin] * cr - drive.pin_y[pin] * sr
+    ly = drive.pin_x[pin] * sr + drive.pin_y[pin] * cr
+    gx = lx - drive.eccentricity * math.cos(crank) - drive.centre_x[slice_]
+    gy = ly - drive.eccentricity * math.sin(crank) - drive.centre_y[slice_]
+    sign = 1.0
+    if not drive.ring:
+        lx, ly, sign = gx, gy, -1.0
+    kappa = _path_curvature(drive.circle_radius, drive.generating_eccentricity, drive.teeth, bx, speed)
+    stretch = 1.0 + kappa * (contacts[row, GAP] + drive.pin_radius[pin] - drive.generating_radius)
+    slide = sign * (lx * nx + ly * ny)
+    return _Local(
+        nx, ny, lx, ly, gx, gy, slide, kappa / stretch, speed, 1.0 / (speed * stretch), facing, leaning,
+        (kappa - 1.0 / speed) / stretch,
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _displaced(contacts, row, local, vx, vy, wx, wy):
+    """Change of the contact's torque when its pin's axis moves by v relative to the gear.
+
+    w is v's own change with the output's rotation. The torque is F L, so its change is dF L + F dL, with
+    dL = -(n·w + (t·P_x)(t·v) κ/(1 + κ s)).
+    """
+    normal = vx * local.normal_x + vy * local.normal_y
+    tangent = vy * local.normal_x - vx * local.normal_y
+    turned = wx * local.normal_x + wy * local.normal_y
+    mixed = turned + local.slide * tangent * local.bend
+    curved = contacts[row, FORCE_BY_CURVATURE] * contacts[row, CURVATURE_RATE] * tangent * local.foot
+    return (curved - contacts[row, STIFFNESS] * normal) * contacts[row, ARM] - contacts[row, FORCE] * mixed
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def crank_side(drive, theta, x, contacts):
+    """What the crank feels: its torque, and how its rotation moves the output at constant torque.
+
+    With the elastic energy U(θ, φ_b) the environment's torque is ∂U/∂φ_b and the crank's is ∂U/∂θ at fixed φ_b.
+
+    Returns
+    -------
+    crank_torque, output_rate
+        ∂U/∂θ (N·m) and dφ_b/dθ at constant torque (1; NaN without contact).
+    """
+    pins, slices = drive.teeth + 1, drive.centre_x.size
+    crank_torque = coupling = stiffness = 0.0
+    for row in range(contacts.shape[0]):
+        force = contacts[row, FORCE]
+        if force <= 0.0:
+            continue
+        local = _local(drive, theta, x, contacts, row)
+        crank = theta + drive.crank_phase[row // (2 * pins * slices)]
+        # The gear's centre moves by e i e^{iθ}, so the pin's axis by the opposite of it.
+        vx, vy = drive.eccentricity * math.sin(crank), -drive.eccentricity * math.cos(crank)
+        wx, wy = (0.0, 0.0) if drive.ring else (vy, -vx)
+        crank_torque -= force * (vx * local.normal_x + vy * local.normal_y)
+        coupling += _displaced(contacts, row, local, vx, vy, wx, wy)
+        stiffness += _rotational_stiffness(contacts, row)
+    return crank_torque, -coupling / stiffness if stiffness > 0.0 else math.nan
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _larger_circle(drive, contacts, row, pin, local):
+    """Change of the contact's torque with R: the flank moves along the foot's radius, its foot and curvature change."""
+    R, teeth, speed = drive.circle_radius, drive.teeth, local.speed
+    ez = drive.generating_eccentricity * (teeth + 1)
+    along = R - speed * local.facing  # e z_p cos(z_c α)
+    distance = contacts[row, GAP] + drive.pin_radius[pin] - drive.generating_radius
+    foot = local.leaning * (1.0 + distance / speed) * local.foot
+    bend = R * R + ez * ez * (teeth + 1) - (teeth + 2) * R * along
+    path = (2.0 * R - (teeth + 2) * along) / speed**3 - 3.0 * bend * (R - along) / speed**5
+    flank = 1.0 / (1.0 - drive.generating_radius * bend / speed**3)
+    curvature = path * flank * flank + contacts[row, CURVATURE_RATE] * foot
+    force = contacts[row, STIFFNESS] * local.facing + contacts[row, FORCE_BY_CURVATURE] * curvature
+    return force * contacts[row, ARM] - contacts[row, FORCE] * local.leaning * local.turning * local.slide
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def sensitivities(drive, theta, x, contacts, out):
+    """Derivatives of the deviation at constant torque by every error, by the implicit function of the equilibrium.
+
+    dx/dp = -(∂M/∂p)/(∂M/∂x) (design.md section 4), with the arms' own change included.
+
+    Parameters
+    ----------
+    drive, theta, x, contacts
+        A solved equilibrium.
+    out
+        Overwritten, shape (9 + 3 pins + discs x teeth,): `SCALAR_ERRORS`; radial, tangential and radius error of each
+        pin; turn of each tooth, disc by disc. rad/m, and rad/rad for the misalignments and turns.
+
+    Returns
+    -------
+    stiffness
+        ∂M/∂x, N·m/rad.
+    """
+    pins, slices = drive.teeth + 1, drive.centre_x.size
+    scalars = len(SCALAR_ERRORS)
+    radial, tangential, radius = scalars, scalars + pins, scalars + 2 * pins
+    pitch = scalars + 3 * pins
+    out[:] = 0.0
+    stiffness = 0.0
+    for row in range(contacts.shape[0]):
+        force = contacts[row, FORCE]
+        if force <= 0.0:
+            continue
+        disc, slice_, pin = row // (2 * pins * slices), row // (2 * pins) % slices, row // 2 % pins
+        local = _local(drive, theta, x, contacts, row)
+        stiffness += _rotational_stiffness(contacts, row)
+        z = drive.slice_z[slice_]
+        crank, ring, _ = _poses(drive, theta, x, disc)
+        # The gear's centre moves, so the pin's axis by the opposite; in the housing's frame unless the gear turns.
+        turn = 0.0 if drive.ring else 1.0
+        along_x = _displaced(contacts, row, local, -1.0, 0.0, 0.0, turn)
+        along_y = _displaced(contacts, row, local, 0.0, -1.0, -turn, 0.0)
+        out[0] += along_x
+        out[1] += along_y
+        out[2] += along_x * z
+        out[3] += along_y * z
+        out[4] += along_x * math.cos(crank) + along_y * math.sin(crank)
+        # The pin moves with the ring.
+        direction = pin * 2.0 * math.pi / pins + ring
+        c, s = math.cos(direction), math.sin(direction)
+        sign = 1.0 if drive.ring else -1.0
+        outwards = _displaced(contacts, row, local, c, s, -sign * s, sign * c)
+        out[5] += outwards
+        out[radial + pin] += outwards
+        out[tangential + pin] += _displaced(contacts, row, local, -s, c, -sign * c, -sign * s)
+        thicker = contacts[row, STIFFNESS] * contacts[row, ARM]
+        out[6] += thicker
+        out[radius + pin] += thicker
+        out[7] -= thicker
+        out[8] += _larger_circle(drive, contacts, row, pin, local)
+        tooth = int(
+            math.floor((pin * 2.0 * math.pi / pins + (crank - ring) / drive.teeth + contacts[row, FOOT])
+                       * drive.teeth / (2.0 * math.pi))
+        ) % drive.teeth  # fmt: skip
+        wx, wy = (local.lever_x, local.lever_y) if drive.ring else (-local.gear_x, -local.gear_y)
+        out[pitch + disc * drive.teeth + tooth] += _displaced(contacts, row, local, local.gear_y, -local.gear_x, wx, wy)
+    for column in range(out.size):
+        out[column] = -out[column] / stiffness
+    return stiffness
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def sweep(
+    drive, thetas, torques, with_play, deviation, stiffness, count, pressure, force, pin_pressure, low, high, gap
+):
+    """Solve every crank angle at every torque; each angle starts from its neighbour's solution.
+
+    Parameters
+    ----------
+    thetas, torques
+        Crank angles (rad), shape (angles,); torques (N·m), shape (torques,). At torque 0 the deviation is the middle
+        of the play.
+    with_play
+        Whether to compute the play (one solution an angle, whatever the torques).
+    deviation, stiffness, count, pressure
+        Overwritten, shape (torques, angles): x (rad), N·m/rad, pins in contact, Pa.
+    force, pin_pressure
+        Overwritten, shape (torques, angles, discs, pins): N, Pa.
+    low, high, gap
+        Overwritten, shape (angles,): ends of the play (rad) and interference (m), as `play` returns them.
+    """
+    contacts = contact_rows(drive)
+    cold = True
+    x = 0.0
+    if with_play:
+        for i in range(thetas.size):
+            low[i], high[i], gap[i] = play(drive, thetas[i], x, contacts, cold)
+            cold = math.isnan(low[i])
+            x = 0.0 if cold else 0.5 * (low[i] + high[i])
+    for k in range(torques.size):
+        cold, x = True, 0.0
+        for i in range(thetas.size):
+            free = False
+            if torques[k] == 0.0:
+                start, end, _ = play(drive, thetas[i], x, contacts, cold)
+                free = not math.isnan(start)
+                x = 0.5 * (start + end) if free else x
+                cold = False
+            if free:
+                deviation[k, i] = x
+                stiffness[k, i] = 0.0
+                count[k, i] = 0
+                pressure[k, i] = 0.0
+                force[k, i] = 0.0
+                pin_pressure[k, i] = 0.0
+                continue
+            x, stiffness[k, i] = equilibrium(drive, thetas[i], torques[k], x, contacts, cold)
+            cold = False
+            deviation[k, i] = x
+            count[k, i], pressure[k, i] = load_sharing(drive, contacts, force[k, i], pin_pressure[k, i])
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def sweep_sensitivities(drive, thetas, torque, deviation, errors, by_angle, by_torque):
+    """Solve every crank angle at one torque, with the derivatives of the deviation.
+
+    Parameters
+    ----------
+    thetas, torque
+        Crank angles (rad), shape (angles,); torque (N·m), not 0.
+    deviation, errors, by_angle, by_torque
+        Overwritten: x (rad), shape (angles,); rows of `sensitivities`, shape (angles, columns); the output angle's
+        derivatives by crank angle (1) and torque (rad/(N·m)), shape (angles,).
+    """
+    contacts = contact_rows(drive)
+    x = 0.0
+    for i in range(thetas.size):
+        x, _ = equilibrium(drive, thetas[i], torque, x, contacts, i == 0)
+        deviation[i] = x
+        by_torque[i] = 1.0 / sensitivities(drive, thetas[i], x, contacts, errors[i])
+        _, by_angle[i] = crank_side(drive, thetas[i], x, contacts)

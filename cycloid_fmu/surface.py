@@ -1,0 +1,279 @@
+"""The error surface: what really was made and assembled, beyond the nominal pair.
+
+Signs and names are those of design.md section 3; the file is netCDF, format `cycloid-surface/1`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu import edge
+from cycloid_fmu.contact import SCALAR_ERRORS
+from cycloid_fmu.pair import Pair, parse_pair
+
+Array = NDArray[np.float64]
+FORMAT = "cycloid-surface/1"
+ORIGINS = ("nominal", "sampled", "measured", "identified", "worn")
+PATTERNS = ("pin_radial", "pin_tangential", "tooth_cumulative_pitch")
+ANGLES = ("misalignment_xz", "misalignment_yz")
+DESCRIPTIONS = {
+    "centre_distance_x": "offset of the gear's centre along +x",
+    "centre_distance_y": "offset of the gear's centre along +y",
+    "misalignment_xz": "tilt of the gear's axis about mid-width, its +z end towards +x",
+    "misalignment_yz": "tilt of the gear's axis about mid-width, its +z end towards +y",
+    "eccentricity": "error of the crank's eccentricity, > 0 longer",
+    "pin_circle_radius": "error of the pin circle's radius, > 0 larger",
+    "pin_radius": "error of all pins' radius, > 0 thicker",
+    "isometric": "isometric modification really made beyond the nominal, > 0 material removed",
+    "offset": "offset modification really made beyond the nominal, > 0 material added",
+    "pin_radial": "radial position error of each pin, > 0 outwards",
+    "pin_tangential": "tangential position error of each pin, > 0 counter-clockwise, as arc length",
+    "pin_radius_deviation": "radius error of each pin, > 0 thicker",
+    "tooth_cumulative_pitch": "cumulative pitch error of each tooth, > 0 counter-clockwise, at the pin circle radius",
+}
+
+
+@dataclass(frozen=True)
+class ErrorSurface:
+    """Errors of one pair, SI; the scalars' names and signs are those of the pair file's `[errors]`.
+
+    Attributes
+    ----------
+    pin_radial, pin_tangential, pin_radius_deviation
+        Shape (pins,), m.
+    tooth_cumulative_pitch
+        Shape (discs, teeth), m at the pin circle radius.
+    origin
+        One of `ORIGINS`.
+    pair_text
+        The pair file's text that this surface belongs to.
+    covariance_of, covariance
+        Names of fitted parameters, shape (parameters,), and their covariance, shape (parameters, parameters).
+    attributes
+        Further provenance (seed, turns, data checksum), written as attributes of the file.
+    """
+
+    pin_radial: Array
+    pin_tangential: Array
+    pin_radius_deviation: Array
+    tooth_cumulative_pitch: Array
+    centre_distance_x: float = 0.0
+    centre_distance_y: float = 0.0
+    misalignment_xz: float = 0.0
+    misalignment_yz: float = 0.0
+    eccentricity: float = 0.0
+    pin_circle_radius: float = 0.0
+    pin_radius: float = 0.0
+    isometric: float = 0.0
+    offset: float = 0.0
+    origin: str = "nominal"
+    pair_text: str = ""
+    covariance_of: tuple[str, ...] = ()
+    covariance: Array | None = None
+    attributes: Mapping[str, Any] = field(default_factory=dict)
+
+
+def nominal_surface(pair: Pair) -> ErrorSurface:
+    """Return the surface without errors of a pair."""
+    g = pair.pair
+    return ErrorSurface(
+        pin_radial=np.zeros(g.pins),
+        pin_tangential=np.zeros(g.pins),
+        pin_radius_deviation=np.zeros(g.pins),
+        tooth_cumulative_pitch=np.zeros((g.discs, g.gear_teeth)),
+        pair_text=pair.text,
+    )
+
+
+def _pattern(value: Any, count: int) -> Array:
+    """Values of a pattern error: from {order: (amplitude, phase)}, or one each."""
+    if isinstance(value, dict):
+        index = np.arange(count)
+        waves = [a * np.cos(2.0 * np.pi * k * index / count - phase) for k, (a, phase) in value.items()]
+        return np.sum(waves, axis=0) if waves else np.zeros(count)
+    return np.array(value, dtype=float) if len(value) else np.zeros(count)
+
+
+def surface_of_pair(pair: Pair) -> ErrorSurface:
+    """Return the surface with the errors that the pair file itself states."""
+    g, stated = pair.pair, pair.errors
+    pitch = stated.tooth_cumulative_pitch
+    rows = pitch if isinstance(pitch, tuple) and pitch and isinstance(pitch[0], tuple) else (pitch,) * g.discs
+    return dataclasses.replace(
+        nominal_surface(pair),
+        pin_radial=_pattern(stated.pin_radial, g.pins),
+        pin_tangential=_pattern(stated.pin_tangential, g.pins),
+        pin_radius_deviation=_pattern(stated.pin_radius_each, g.pins),
+        tooth_cumulative_pitch=np.array([_pattern(row, g.gear_teeth) for row in rows]),
+        **{name: getattr(stated, name) for name in SCALAR_ERRORS},
+    )
+
+
+_STRUCTURED = re.compile(rf"({'|'.join(PATTERNS)})_([1-9]\d*)_(cos|sin)")
+
+
+def structured_names(orders: Iterable[int]) -> list[str]:
+    """Names of the structured errors: the scalars, then cosine and sine part of each pattern at the given orders."""
+    waves = [f"{pattern}_{order}_{part}" for pattern in PATTERNS for order in orders for part in ("cos", "sin")]
+    return [*SCALAR_ERRORS, *waves]
+
+
+def unit_of(name: str) -> str:
+    """SI unit of a structured error: "rad" for the misalignments, "m" for the others."""
+    return "rad" if name in ANGLES else "m"
+
+
+def _wave(pair: Pair, name: str) -> tuple[str, Array]:
+    match = _STRUCTURED.fullmatch(name)
+    if match is None:
+        raise ValueError(f'"{name}" is not a structured error')
+    pattern, order, part = match[1], int(match[2]), match[3]
+    count = pair.pair.gear_teeth if pattern == "tooth_cumulative_pitch" else pair.pair.pins
+    if 2 * order > count:
+        raise ValueError(f'"{name}": the order must be at most half of {count}')
+    argument = 2.0 * np.pi * order * np.arange(count) / count
+    return pattern, np.cos(argument) if part == "cos" else np.sin(argument)
+
+
+def structured_value(pair: Pair, surface: ErrorSurface, name: str) -> float:
+    """Value of a structured error in a surface (m or rad); tooth patterns are averaged over the discs."""
+    if name in SCALAR_ERRORS:
+        return float(getattr(surface, name))
+    pattern, wave = _wave(pair, name)
+    return float((getattr(surface, pattern) * wave).mean() / np.mean(wave**2)) if wave.any() else 0.0
+
+
+def with_structured(pair: Pair, surface: ErrorSurface, values: Mapping[str, float]) -> ErrorSurface:
+    """Return a surface in which the named structured errors have the given values (m or rad) and all else is kept.
+
+    Raises
+    ------
+    ValueError
+        If a name is not a structured error of this pair.
+    """
+    changes: dict[str, Any] = {}
+    for name, value in values.items():
+        if name in SCALAR_ERRORS:
+            changes[name] = float(value)
+            continue
+        pattern, wave = _wave(pair, name)
+        held = changes.get(pattern, getattr(surface, pattern))
+        changes[pattern] = held + (value - structured_value(pair, surface, name)) * wave
+    return dataclasses.replace(surface, **changes)
+
+
+def structured_columns(pair: Pair, names: Iterable[str]) -> Array:
+    """Linear map from structured errors to the columns of `contact.sensitivities`, shape (columns, names)."""
+    g = pair.pair
+    scalars = len(SCALAR_ERRORS)
+    starts = {"pin_radial": scalars, "pin_tangential": scalars + g.pins, "tooth_cumulative_pitch": scalars + 3 * g.pins}
+    columns = []
+    for name in names:
+        column = np.zeros(scalars + 3 * g.pins + g.discs * g.gear_teeth)
+        if name in SCALAR_ERRORS:
+            column[SCALAR_ERRORS.index(name)] = 1.0
+        else:
+            pattern, wave = _wave(pair, name)
+            if pattern == "tooth_cumulative_pitch":
+                wave = np.tile(wave, g.discs) / g.pin_circle_radius
+            column[starts[pattern] : starts[pattern] + wave.size] = wave
+        columns.append(column)
+    return np.array(columns).T
+
+
+def write_surface(surface: ErrorSurface, path: str | os.PathLike[str]) -> None:
+    """Write a surface file (netCDF, `cycloid-surface/1`), whole or not at all."""
+    import xarray as xr
+
+    pin, tooth = ("pin",), ("disc", "tooth")
+    data: dict[str, Any] = {name: ((), float(getattr(surface, name))) for name in SCALAR_ERRORS}
+    for name in ("pin_radial", "pin_tangential", "pin_radius_deviation"):
+        data[name] = (pin, getattr(surface, name))
+    data["tooth_cumulative_pitch"] = (tooth, surface.tooth_cumulative_pitch)
+    coordinates: dict[str, Any] = {}
+    if surface.covariance is not None:
+        data["covariance"] = (("parameter", "parameter_"), surface.covariance)
+        coordinates["parameter"] = np.array(surface.covariance_of, dtype=object)
+    dataset = xr.Dataset(data, coordinates)
+    for name, text in DESCRIPTIONS.items():
+        dataset[name].attrs.update(units=unit_of(name), long_name=text)
+    dataset.attrs.update(surface.attributes, format=FORMAT, origin=surface.origin, pair=surface.pair_text)
+    with edge.written_whole(path) as temporary:
+        dataset.to_netcdf(temporary, engine="h5netcdf")
+
+
+def read_surface(path: str | os.PathLike[str]) -> ErrorSurface:
+    """Read a surface file.
+
+    Raises
+    ------
+    edge.InputError
+        If it can't be read, is of another format, lacks a variable, holds a wrong unit, size or a value not finite.
+    """
+    import xarray as xr
+
+    edge.existing(path)
+    try:
+        with xr.open_dataset(path, engine="h5netcdf") as opened:
+            data = opened.load()
+    except Exception as problem:
+        raise edge.InputError(f"{path}: this is not a netCDF file ({type(problem).__name__}).") from None
+    edge.check_format(data.attrs.get("format"), FORMAT, str(path))
+    pair = parse_pair(data.attrs.get("pair", ""), f"{path} (its pair)")
+    origin = data.attrs.get("origin")
+    if origin not in ORIGINS:
+        raise edge.InputError(f'{path}: origin = "{origin}": it must be one of {", ".join(ORIGINS)}.')
+    blank = nominal_surface(pair)
+    values: dict[str, Any] = {}
+    for name in DESCRIPTIONS:
+        if name not in data:
+            raise edge.InputError(f"{path}: the variable {name} is missing.")
+        given, unit = data[name], data[name].attrs.get("units")
+        if unit != unit_of(name):
+            raise edge.InputError(f'{path}: {name} has the unit "{unit}"; it must be "{unit_of(name)}".')
+        shape = np.shape(getattr(blank, name))
+        if given.shape != shape:
+            raise edge.InputError(f"{path}: {name} has the shape {given.shape}; its pair needs {shape}.")
+        if not np.isfinite(given.values).all():
+            raise edge.InputError(f"{path}: {name} holds a value that is not finite.")
+        values[name] = given.values.astype(float) if shape else float(given)
+    kept = {k: v for k, v in data.attrs.items() if k not in ("format", "origin", "pair")}
+    covariance = data["covariance"].values.astype(float) if "covariance" in data else None
+    names = tuple(str(n) for n in data["parameter"].values) if covariance is not None else ()
+    return ErrorSurface(
+        **values,
+        origin=origin,
+        pair_text=pair.text,
+        covariance=covariance,
+        covariance_of=names,
+        attributes=kept,
+    )
+
+
+def check_surface(pair: Pair, surface: ErrorSurface, pair_source: str, surface_source: str) -> None:
+    """Refuse a surface that was made for another pair: geometry, modification and material must be the same.
+
+    Raises
+    ------
+    edge.InputError
+        Naming the first field that differs, both values and both files.
+    """
+    other = parse_pair(surface.pair_text, f"{surface_source} (its pair)")
+    for table in ("pair", "modification", "material"):
+        mine, theirs = getattr(pair, table), getattr(other, table)
+        for name in type(mine).model_fields:
+            if name in ("rated_torque", "contact_law"):
+                continue
+            if getattr(mine, name) != getattr(theirs, name):
+                raise edge.InputError(
+                    f"{surface_source}: this surface belongs to another pair: [{table}] {name} is "
+                    f"{getattr(theirs, name)} there and {getattr(mine, name)} in {pair_source}."
+                )

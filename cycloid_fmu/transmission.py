@@ -1,0 +1,228 @@
+"""Transmission error, backlash, torsional stiffness, load sharing and contact pressure over a crank sweep."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cycloid_fmu import contact
+from cycloid_fmu.pair import Pair
+from cycloid_fmu.surface import ErrorSurface, structured_columns
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+Array = NDArray[np.float64]
+FORMAT = "cycloid-analysis/1"
+
+
+@dataclass(frozen=True)
+class Transmission:
+    """Results of a crank sweep, SI.
+
+    Attributes
+    ----------
+    torque, crank_angle
+        Shapes (torques,) and (angles,): N·m on the output, rad.
+    transmission_error, torsional_stiffness, contact_count, max_contact_pressure
+        Shape (torques, angles): rad at the output, N·m/rad, pins, Pa.
+    pin_force, pin_pressure
+        Shape (torques, angles, discs, pins): N, Pa.
+    play_low, play_high, backlash, interference
+        Shape (angles,): deviations between which the output is free (rad), their difference (rad; NaN without a free
+        position), and by how much there is none (m).
+    """
+
+    torque: Array
+    crank_angle: Array
+    transmission_error: Array
+    torsional_stiffness: Array
+    contact_count: NDArray[np.int64]
+    max_contact_pressure: Array
+    pin_force: Array
+    pin_pressure: Array
+    play_low: Array
+    play_high: Array
+    interference: Array
+
+    @property
+    def backlash(self) -> Array:
+        return self.play_high - self.play_low
+
+
+def drive_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> contact.Drive:
+    """Return the contact problem of a pair with an error surface.
+
+    Parameters
+    ----------
+    pair, surface
+        The nominal pair and its errors.
+    slices
+        Slices across the face width, each independent and taken at its middle; 1 where nothing varies across it.
+    """
+    g, material = pair.pair, pair.material
+    direction = 2.0 * np.pi * np.arange(g.pins) / g.pins
+    radius = g.pin_circle_radius + surface.pin_circle_radius + surface.pin_radial
+    angle = direction + surface.pin_tangential / g.pin_circle_radius
+    z = g.face_width * ((np.arange(slices) + 0.5) / slices - 0.5)
+    circle = pair.generating_circle_radius + surface.offset
+    return contact.Drive(
+        circle_radius=circle,
+        generating_radius=pair.generating_pin_radius + surface.isometric,
+        generating_eccentricity=g.eccentricity,
+        eccentricity=g.eccentricity + surface.eccentricity,
+        teeth=g.gear_teeth,
+        ring=g.output == "ring",
+        pin_x=radius * np.cos(angle),
+        pin_y=radius * np.sin(angle),
+        pin_radius=g.pin_radius + surface.pin_radius + surface.pin_radius_deviation,
+        tooth_turn=np.ascontiguousarray(surface.tooth_cumulative_pitch / g.pin_circle_radius),
+        crank_phase=2.0 * np.pi * np.arange(g.discs) / g.discs,
+        centre_x=surface.centre_distance_x + surface.misalignment_xz * z,
+        centre_y=surface.centre_distance_y + surface.misalignment_yz * z,
+        slice_z=z,
+        slice_width=g.face_width / slices,
+        compliance_gear=material.gear.compliance,
+        compliance_pin=material.pin.compliance,
+        largest_log_radius=g.pin_circle_radius if g.contact_law == "capped" else math.inf,
+        root_phase=_root_phase(pair, surface, circle),
+        root_margin=1e-6 + 1.5 * float(np.ptp(surface.tooth_cumulative_pitch, axis=1).max()),
+    )
+
+
+def _root_phase(pair: Pair, surface: ErrorSurface, circle: float) -> float:
+    """Phase from a root within which a pin may stand before the neighbouring tooth, rad.
+
+    The pin's axis strays from the flank's generating path by the modifications and errors, and by the rotation that
+    they allow; the phase is where the path has run three times that far.
+    """
+    g, m = pair.pair, pair.modification
+    stray = (
+        abs(m.offset + surface.offset) + abs(m.isometric + surface.isometric) + abs(surface.pin_circle_radius)
+        + abs(surface.pin_radius) + abs(surface.eccentricity)
+        + math.hypot(surface.centre_distance_x, surface.centre_distance_y)
+        + math.hypot(surface.misalignment_xz, surface.misalignment_yz) * g.face_width
+        + float(np.abs(surface.pin_radial).max() + np.abs(surface.pin_tangential).max())
+        + float(np.abs(surface.pin_radius_deviation).max() + np.abs(surface.tooth_cumulative_pitch).max())
+    )  # fmt: skip
+    turning = circle / (g.eccentricity * g.gear_teeth)
+    reach = 3.0 * (1.0 + turning) * stray + 5e-5
+    k = g.eccentricity * g.pins / circle
+    phase = np.linspace(0.0, 0.9 * np.pi, 200)
+    speed = circle / g.gear_teeth * np.sqrt(1.0 + k * k - 2.0 * k * np.cos(phase))
+    path = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(phase))])
+    return float(np.interp(reach, path, phase))
+
+
+def solve(
+    pair: Pair,
+    surface: ErrorSurface,
+    torque: ArrayLike,
+    crank_angle: ArrayLike,
+    slices: int = 1,
+    *,
+    with_play: bool = True,
+) -> Transmission:
+    """Solve the loaded contact at every torque and crank angle.
+
+    Parameters
+    ----------
+    pair, surface
+        The nominal pair and its errors.
+    torque
+        Torques of the environment on the output, N·m; at 0 the transmission error is the middle of the play.
+    crank_angle
+        Crank angles, rad; neighbours should be neighbours in the array, each solution starts from the one before.
+    slices
+        Slices across the face width.
+    with_play
+        Whether to compute play, backlash and interference; NaN otherwise.
+    """
+    drive = drive_of(pair, surface, slices)
+    torques = np.atleast_1d(np.asarray(torque, dtype=float))
+    angles = np.atleast_1d(np.asarray(crank_angle, dtype=float))
+    if not (np.isfinite(torques).all() and np.isfinite(angles).all()):
+        raise ValueError("torque and crank_angle must be finite")
+    loads, places = (torques.size, angles.size), (torques.size, angles.size, pair.pair.discs, pair.pair.pins)
+    deviation, stiffness, pressure = (np.empty(loads) for _ in range(3))
+    count = np.empty(loads, dtype=np.int64)
+    force, pin_pressure = np.empty(places), np.empty(places)
+    low, high, gap = (np.full(angles.size, np.nan) for _ in range(3))
+    contact.sweep(
+        drive, angles, torques, with_play, deviation, stiffness, count, pressure, force, pin_pressure, low, high, gap
+    )
+    return Transmission(
+        torques, angles, deviation, stiffness, count, pressure, force, pin_pressure, low, high, gap
+    )  # fmt: skip
+
+
+def error_sensitivity(
+    pair: Pair, surface: ErrorSurface, torque: float, crank_angle: ArrayLike, names: list[str], slices: int = 1
+) -> tuple[Array, Array, Array]:
+    """Transmission error at one torque with its derivatives by structured errors, crank angle and torque.
+
+    Returns
+    -------
+    transmission_error, jacobian, further
+        Shapes (angles,), (angles, names) in rad/m (rad/rad for angles), and (angles, 2): derivatives by crank angle
+        (rad/rad) and torque (rad/(N·m)).
+    """
+    drive = drive_of(pair, surface, slices)
+    angles = np.atleast_1d(np.asarray(crank_angle, dtype=float))
+    columns = structured_columns(pair, names)
+    raw = np.empty((angles.size, columns.shape[0]))
+    deviation, by_angle, by_torque = (np.empty(angles.size) for _ in range(3))
+    contact.sweep_sensitivities(drive, angles, float(torque), deviation, raw, by_angle, by_torque)
+    return deviation, raw @ columns, np.stack([by_angle - 1.0 / pair.ratio, by_torque], axis=1)
+
+
+_LABELS = {
+    "transmission_error": ("rad", "transmission error at the output"),
+    "backlash": ("rad", "backlash: free rotation of the output with the crank locked"),
+    "interference": ("m", "interference where no free position exists"),
+    "torsional_stiffness": ("N*m/rad", "torsional stiffness at the output"),
+    "contact_count": ("1", "pins that carry more than 1 % of the most loaded pin's force"),
+    "max_contact_pressure": ("Pa", "largest contact pressure"),
+    "pin_force": ("N", "force of each pin"),
+    "pin_pressure": ("Pa", "largest contact pressure of each pin"),
+    "torque": ("N*m", "torque of the environment on the output"),
+    "crank_angle": ("rad", "crank angle"),
+}
+
+
+def analyze(
+    pair: Pair, surface: ErrorSurface, torque: ArrayLike, crank_angle: ArrayLike, slices: int = 1
+) -> xr.Dataset:
+    """Return the labelled dataset of a crank sweep (format `cycloid-analysis/1`, design.md section 5)."""
+    import xarray as xr
+
+    result = solve(pair, surface, torque, crank_angle, slices)
+    grid = ("torque", "crank_angle")
+    pins = (*grid, "disc", "pin")
+    each = np.ones((result.torque.size, 1))
+    dataset = xr.Dataset(
+        {
+            "transmission_error": (grid, result.transmission_error),
+            "backlash": (grid, each * result.backlash),
+            "interference": (grid, each * result.interference),
+            "torsional_stiffness": (grid, result.torsional_stiffness),
+            "contact_count": (grid, result.contact_count),
+            "max_contact_pressure": (grid, result.max_contact_pressure),
+            "pin_force": (pins, result.pin_force),
+            "pin_pressure": (pins, result.pin_pressure),
+        },
+        {
+            "torque": result.torque,
+            "crank_angle": result.crank_angle,
+            "disc": np.arange(pair.pair.discs),
+            "pin": np.arange(pair.pair.pins),
+        },
+    )
+    for name, (unit, text) in _LABELS.items():
+        dataset[name].attrs.update(units=unit, long_name=text)
+    dataset.attrs.update(format=FORMAT, pair=pair.text, slices=slices, surface=surface.origin)
+    return dataset
