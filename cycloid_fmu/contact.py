@@ -415,7 +415,7 @@ def _to_touch(contacts, x, direction):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def equilibrium(drive, theta, torque, x, contacts, cold):
-    """Deviation at which the contacts balance a torque other than zero.
+    """Deviation at which the contacts balance a torque (other than zero, where there is play).
 
     Parameters
     ----------
@@ -460,15 +460,12 @@ def _balance(drive, theta, torque, load, flange, hold, x, contacts, cold):
             low = x
         else:
             high = x
-        if slope > 0.0 and (hold > 0.0 or balance * torque > 0.0):
+        if slope > 0.0:
             step = short / slope
         else:
             direction = math.copysign(1.0, short)
             step = direction * (max(_to_touch(contacts, x, direction), 0.0) + 1e-6)
-            if abs(step) > 1e-3:
-                step = direction * 1e-3
-            if stiffness > 0.0 and abs(short) < abs(step) * stiffness:
-                step = short / stiffness
+        step = min(max(step, -1e-3), 1e-3)
         if abs(step) < _LINEAR_STEP:
             x += step
             for row in range(contacts.shape[0]):
@@ -671,6 +668,25 @@ def _displaced(contacts, row, local, vx, vy, wx, wy):
     mixed = turned + local.slide * tangent * local.bend
     curved = contacts[row, FORCE_BY_CURVATURE] * contacts[row, CURVATURE_RATE] * tangent * local.foot
     return (curved - contacts[row, STIFFNESS] * normal) * contacts[row, ARM] - contacts[row, FORCE] * mixed
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def touch_rate(drive, theta, x, contacts, direction):
+    """How fast the crank moves an unloaded output that it pushes, dφ_b/dθ (1), NaN without a flank in `direction`.
+
+    The flank with the smallest gap among those that stop a rotation in `direction` (±1) stays in contact.
+    """
+    pins, slices = drive.teeth + 1, drive.centre_x.size
+    best, touching = math.inf, -1
+    for row in range(contacts.shape[0]):
+        if contacts[row, ARM] * direction > 0.0 and contacts[row, GAP] < best:
+            best, touching = contacts[row, GAP], row
+    if touching < 0:
+        return math.nan
+    local = _local(drive, theta, x, contacts, touching)
+    crank = theta + drive.crank_phase[touching // (2 * pins * slices)]
+    rate = drive.eccentricity * (math.sin(crank) * local.normal_x - math.cos(crank) * local.normal_y)
+    return rate / contacts[touching, ARM]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

@@ -218,6 +218,22 @@ class Pair(Config):
                     )
         return self
 
+    def numbers(self) -> dict[str, Any]:
+        """Return the nominal pair as plain numbers, SI, for JSON; `Pair.from_numbers` reads them back."""
+        return self.model_dump(include={"pair", "modification", "material", "text"})
+
+    @classmethod
+    def from_numbers(cls, numbers: dict[str, Any]) -> Pair:
+        """Return the pair of `numbers`, which were checked when they were written: no units to parse, no time lost."""
+        material = {side: Material.model_construct(**values) for side, values in numbers["material"].items()}
+        return cls.model_construct(
+            pair=Geometry.model_construct(**numbers["pair"]),
+            modification=Modification.model_construct(**numbers["modification"]),
+            material=Materials.model_construct(**material),
+            errors=Errors(),
+            text=numbers["text"],
+        )
+
     @property
     def ratio(self) -> float:
         """Signed ratio φ_a/φ_b of the ideal drive: -z_c with the gear as output, +z_p with the ring."""

@@ -1,0 +1,222 @@
+"""The command `cycloid-fmu`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from cycloid_fmu import edge
+
+app = typer.Typer(
+    no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich",
+    help="Cycloid-pin gear drives: transmission error, backlash, load sharing, and FMUs made from them.",
+)  # fmt: skip
+
+PairFile = Annotated[Path, typer.Argument(metavar="PAIR.toml", help="The gear pair (format cycloid-pair/1).")]
+SurfaceFile = Annotated[
+    Path | None,
+    typer.Option("--surface", metavar="S.nc", help="Error surface; without it the errors that the pair file states."),
+]
+PlotFile = Annotated[Path | None, typer.Option("--plot", metavar="FILE.png|pdf", help="Draw the result.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the result for scripts: SI, names as in the files.")]
+
+
+def _load(pair_file: Path, surface_file: Path | None) -> tuple[Any, Any]:
+    from cycloid_fmu.pair import read_pair
+    from cycloid_fmu.surface import check_surface, read_surface, surface_of_pair
+
+    pair = read_pair(pair_file)
+    if surface_file is None:
+        return pair, surface_of_pair(pair)
+    surface = read_surface(surface_file)
+    check_surface(pair, surface, str(pair_file), str(surface_file))
+    return pair, surface
+
+
+def _tilted(surface: Any) -> bool:
+    return bool(surface.misalignment_xz != 0.0 or surface.misalignment_yz != 0.0)
+
+
+def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
+    """Print a table for people; numbers are set to the right."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left")
+    for number, column in enumerate(columns):
+        table.add_column(column, justify="left" if number == 0 else "right")
+    for row in rows:
+        table.add_row(*row)
+    Console().print(table)
+
+
+@app.command()
+def analyze(
+    pair_file: PairFile,
+    torque: Annotated[list[str], typer.Option(help='Torque on the output, such as "-181 N*m"; may be repeated.')],
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the dataset (netCDF).")] = None,
+    surface_file: SurfaceFile = None,
+    angles: Annotated[int, typer.Option(min=1, help="Crank angles, evenly from 0, end excluded.")] = 360,
+    turns: Annotated[int, typer.Option(min=1, help="Crank turns that they span.")] = 1,
+    slices: Annotated[
+        int | None,
+        typer.Option(min=1, help="Slices across the face; 1 (20 with misalignment) unless given.", show_default=False),
+    ] = None,
+    plot: PlotFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Transmission error, backlash, stiffness, load sharing and pressure over a crank sweep.
+
+    Example: [cyan]cycloid-fmu analyze pair.toml --torque "-181 N*m" --torque "181 N*m" -o out.nc --plot out.png[/]
+    """
+    from cycloid_fmu import plots
+    from cycloid_fmu.transmission import analyze as analyze_pair
+
+    loads = [edge.quantity_option(t, "N*m", "--torque") for t in torque]
+    if plot is not None:
+        plots.check_path(plot)
+    pair, surface = _load(pair_file, surface_file)
+    angle = np.linspace(0.0, 2.0 * np.pi * turns, angles, endpoint=False)
+    data = analyze_pair(pair, surface, loads, angle, slices or (20 if _tilted(surface) else 1))
+    if output is not None:
+        with edge.written_whole(output) as temporary:
+            data.to_netcdf(temporary, engine="h5netcdf")
+    if plot is not None:
+        plots.save(plots.plot_analysis(data), plot)
+    if as_json:
+        typer.echo(edge.json_text({str(k): v.values for k, v in {**data.coords, **data.data_vars}.items()}))
+        return
+    rows = []
+    for load in data["torque"].values:
+        one = data.sel(torque=load)
+        te, pressure = one["transmission_error"].values * plots.ARCSEC, one["max_contact_pressure"].values * 1e-6
+        backlash = one["backlash"].values * plots.ARCSEC
+        free = not np.isnan(backlash).any()
+        count = one["contact_count"].values
+        rows.append(
+            [
+                f"{load:g} N·m", f"{te.mean():.4f}″", f"{np.ptp(te):.4f}″",
+                f"{backlash.mean():.4f}″" if free else "interference",
+                f"{np.ptp(backlash):.4f}″" if free else f"{one['interference'].values.max() * 1e6:.3f} µm",
+                f"{pressure.max():.1f} MPa", f"{count.min()}–{count.max()}",
+            ]
+        )  # fmt: skip
+    columns = ["torque", "TE mean", "TE peak-peak", "backlash mean", "peak-peak", "largest pressure", "pins"]
+    print_table(f"{pair_file.name}, {angles} crank angles over {turns} turn(s)", columns, rows)
+
+
+surface_app = typer.Typer(no_args_is_help=True, help="Make error surfaces.")
+app.add_typer(surface_app, name="surface")
+
+
+@surface_app.command()
+def nominal(
+    pair_file: PairFile,
+    output: Annotated[Path, typer.Option("-o", "--output", help="The surface file (netCDF).")],
+    plot: PlotFile = None,
+) -> None:
+    """Write the surface that the pair file itself describes: nominal flanks with the errors it states.
+
+    Example: [cyan]cycloid-fmu surface nominal pair.toml -o surface.nc[/]
+    """
+    from cycloid_fmu import plots
+    from cycloid_fmu.surface import write_surface
+
+    _, surface = _load(pair_file, None)
+    write_surface(surface, output)
+    if plot is not None:
+        plots.save(plots.plot_surface(surface), plot)
+
+
+@app.command()
+def build(
+    pair_file: PairFile,
+    output: Annotated[Path, typer.Option("-o", "--output", help="The FMU file.")],
+    surface_file: SurfaceFile = None,
+) -> None:
+    """Build an FMI 2.0 Co-Simulation FMU of the drive.
+
+    Example: [cyan]cycloid-fmu build pair.toml --surface identified.nc -o drive.fmu[/]
+    """
+    from cycloid_fmu.fmu.build import build_fmu
+
+    if output.suffix != ".fmu":
+        raise edge.InputError(f"--output {output}: the name must end in .fmu.")
+    pair, surface = _load(pair_file, surface_file)
+    build_fmu(pair, surface, output)
+
+
+FmuFile = Annotated[Path, typer.Argument(metavar="DRIVE.fmu", help="An FMU made by cycloid-fmu build.")]
+
+
+@app.command()
+def inspect(fmu_file: FmuFile, as_json: AsJson = False) -> None:
+    """List the variables of an FMU and check it against the standard.
+
+    Example: [cyan]cycloid-fmu inspect drive.fmu[/]
+    """
+    from cycloid_fmu.fmu.run import described
+
+    description, problems = described(fmu_file)
+    if as_json:
+        typer.echo(edge.json_text({"variables": description, "problems": problems}))
+    else:
+        rows = [[str(v[k]) for k in ("name", "causality", "unit", "start", "description")] for v in description]
+        print_table(fmu_file.name, ["variable", "causality", "unit", "start", "meaning"], rows)
+        typer.echo("\n".join(problems) or "fmpy's validation finds nothing to object to.")
+    if problems:
+        raise typer.Exit(edge.FAILED)
+
+
+@app.command()
+def simulate(
+    fmu_file: FmuFile,
+    torque: Annotated[str, typer.Option(help='Torque on the output, such as "100 N*m".')],
+    turns: Annotated[float, typer.Option(help="Crank turns; below zero turns backwards.")] = 1.0,
+    speed: Annotated[str, typer.Option(help="Crank speed.")] = "600 rpm",
+    samples: Annotated[int, typer.Option(min=2, help="Samples for each crank turn.")] = 360,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the results (CSV).")] = None,
+    plot: PlotFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Turn the crank of an FMU at constant speed and torque (with fmpy).
+
+    Example: [cyan]cycloid-fmu simulate drive.fmu --torque "100 N*m" --turns 2 -o run.csv --plot run.png[/]
+    """
+    from cycloid_fmu import plots
+    from cycloid_fmu.fmu.run import turn_crank
+
+    load = edge.quantity_option(torque, "N*m", "--torque")
+    crank_speed = edge.quantity_option(speed, "rad/s", "--speed")
+    if crank_speed <= 0.0:
+        raise edge.InputError(f'--speed = "{speed}": it must be above zero; turn backwards with --turns below zero.')
+    if turns == 0.0:
+        raise edge.InputError("--turns = 0: it must not be zero.")
+    if plot is not None:
+        plots.check_path(plot)
+    results = turn_crank(fmu_file, load, turns, crank_speed, samples)
+    if output is not None:
+        with edge.written_whole(output) as temporary, temporary.open("w", encoding="utf-8") as file:
+            names = list(results)
+            np.savetxt(file, np.column_stack([results[n] for n in names]), delimiter=",", header=",".join(names),
+                       comments="", fmt="%.12g")  # fmt: skip
+    if plot is not None:
+        plots.save(plots.plot_simulation(results), plot)
+    if as_json:
+        typer.echo(edge.json_text(results))
+        return
+    te = results["transmission_error"] * plots.ARCSEC
+    print_table(
+        fmu_file.name, ["figure", "value"],
+        [["TE mean", f"{te.mean():.4f}″"], ["TE peak-peak", f"{np.ptp(te):.4f}″"],
+         ["backlash mean", f"{results['backlash'].mean() * plots.ARCSEC:.4f}″"],
+         ["largest pressure", f"{results['max_contact_pressure'].max() * 1e-6:.1f} MPa"]],
+    )  # fmt: skip
+
+
+def main() -> None:
+    """Run the command line."""
+    edge.run(lambda: app)

@@ -1,0 +1,1 @@
+"""The FMU: the model behind every slave, the slave and the builder."""

@@ -1,0 +1,62 @@
+"""From a pair and its error surface to an FMU file."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from cycloid_fmu import __version__, edge
+from cycloid_fmu.pair import Pair
+from cycloid_fmu.surface import DESCRIPTIONS, ErrorSurface, write_surface
+
+_SCRIPT = Path(__file__).with_name("cycloid_drive.py")
+
+
+def build_fmu(pair: Pair, surface: ErrorSurface, path: str | os.PathLike[str]) -> None:
+    """Write an FMI 2.0 Co-Simulation FMU of the drive, whole or not at all.
+
+    Parameters
+    ----------
+    pair, surface
+        The nominal pair and its errors; the surface file lies in the FMU's `resources/`.
+    path
+        The FMU file.
+
+    Raises
+    ------
+    edge.InputError
+        If the folder does not exist.
+    """
+    from pythonfmu import FmuBuilder
+
+    from cycloid_fmu.fmu.slave import ARRAYS, NUMBERS
+
+    target = Path(path)
+    with tempfile.TemporaryDirectory(prefix="cycloid-fmu-") as folder, edge.written_whole(target) as temporary:
+        place = Path(folder)
+        numbers = {"package_version": __version__, "pair": pair.numbers()}
+        (place / NUMBERS).write_text(json.dumps(numbers, indent=1), encoding="utf-8")
+        with (place / ARRAYS).open("wb") as file:
+            np.savez(file, allow_pickle=False, **{name: getattr(surface, name) for name in DESCRIPTIONS})
+        write_surface(surface, place / "surface.nc")
+        script = Path(shutil.copy(_SCRIPT, place))
+        built = place / "built.fmu"
+        try:
+            FmuBuilder.build_FMU(
+                script,
+                dest=built,
+                project_files=[place / NUMBERS, place / ARRAYS, place / "surface.nc"],
+                canGetAndSetFMUstate=True,
+                canSerializeFMUstate=True,
+            )
+        finally:
+            # The builder leaves the script's folder and module behind, and the next build would find the old one.
+            sys.path[:] = [p for p in sys.path if p != str(place)]
+            sys.modules.pop(script.stem, None)
+        shutil.copyfile(built, temporary)

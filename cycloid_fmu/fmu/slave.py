@@ -1,0 +1,191 @@
+"""The FMI 2.0 Co-Simulation slave, on pythonfmu; names, units and meaning of its variables: design.md section 7."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+from pythonfmu import DefaultExperiment, Fmi2Slave
+from pythonfmu.enums import Fmi2Causality, Fmi2Initial, Fmi2Variability
+from pythonfmu.variables import Integer, Real
+
+from cycloid_fmu import __version__
+from cycloid_fmu.fmu.model import DriveModel
+from cycloid_fmu.pair import LARGEST_DEVIATION, LARGEST_MISALIGNMENT, Pair
+from cycloid_fmu.surface import DESCRIPTIONS, PATTERNS, ErrorSurface, unit_of
+
+NUMBERS, ARRAYS = "pair.json", "surface.npz"
+
+# unit: exponents of SI base units, then display units with their factor
+_UNITS: dict[str, tuple[dict[str, int], dict[str, float]]] = {
+    "rad": ({"rad": 1}, {"deg": 180 / np.pi, "arcmin": 10800 / np.pi, "arcsec": 648000 / np.pi}),
+    "rad/s": ({"rad": 1, "s": -1}, {"rev/min": 30 / np.pi, "deg/s": 180 / np.pi}),
+    "N.m": ({"kg": 1, "m": 2, "s": -2}, {}),
+    "N.m/rad": ({"kg": 1, "m": 2, "s": -2, "rad": -1}, {"N.m/arcmin": np.pi / 10800}),
+    "rad/(N.m)": ({"kg": -1, "m": -2, "s": 2, "rad": 1}, {"arcsec/(N.m)": 648000 / np.pi}),
+    "Pa": ({"kg": 1, "m": -1, "s": -2}, {"MPa": 1e-6}),
+    "m": ({"m": 1}, {"um": 1e6, "mm": 1e3}),
+}
+
+
+class CycloidDrive(Fmi2Slave):
+    """Cycloid-pin gear drive with its manufacturing and assembly errors."""
+
+    author = "cycloid-fmu"
+    license = "MIT"
+    description = "Cycloid-pin gear drive: transmission error, backlash and load sharing from its error surface"
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(**kwargs)
+        self.version = __version__
+        self.default_experiment = DefaultExperiment(start_time=0.0, stop_time=1.0, step_size=1e-3)
+        resources = Path(self.resources)
+        numbers = json.loads((resources / NUMBERS).read_text(encoding="utf-8"))
+        if numbers["package_version"] != __version__:
+            raise RuntimeError(
+                f"this FMU was built with cycloid-fmu {numbers['package_version']}, installed is {__version__}; build "
+                "the FMU again or install that version"
+            )
+        with np.load(resources / ARRAYS) as arrays:
+            surface = ErrorSurface(
+                **{name: arrays[name] if arrays[name].shape else float(arrays[name]) for name in DESCRIPTIONS}
+            )
+        self.model = model = DriveModel(Pair.from_numbers(numbers["pair"]), surface)
+        self._attributes: dict[str, dict[str, str]] = {}
+        self._depends: dict[str, tuple[str, ...]] = {}
+
+        inputs = ("flange_a.phi", "flange_a.w", "flange_b.tau")
+        self._add("flange_a.phi", "rad", "crank angle, counter-clockwise", "crank_angle", display="deg")
+        self._add("flange_a.w", "rad/s", "crank speed", "crank_speed", display="rev/min")
+        self._add("flange_b.tau", "N.m", "torque of the environment on the output, counter-clockwise", "torque")
+        angle_and_torque = (inputs[0], inputs[2])
+        for name, unit, text, attribute, display, least, depends in (
+            ("flange_b.phi", "rad", "output angle", "output_angle", "deg", None, angle_and_torque),
+            ("flange_b.w", "rad/s", "output speed at the present torque", "output_speed", "rev/min", None, inputs),
+            ("flange_a.tau", "N.m", "torque that the crank must be given", "crank_torque", None, None, angle_and_torque),
+            ("transmission_error", "rad", "output angle less crank angle/ratio", "transmission_error", "arcsec", None,
+             angle_and_torque),
+            ("backlash", "rad", "free rotation of the output with the crank locked; 0 where there is none", "backlash",
+             "arcsec", 0.0, inputs[:1]),
+            ("torsional_stiffness", "N.m/rad", "torsional stiffness at the output", "torsional_stiffness",
+             "N.m/arcmin", 0.0, angle_and_torque),
+            ("max_contact_pressure", "Pa", "largest contact pressure", "max_contact_pressure", "MPa", 0.0,
+             angle_and_torque),
+        ):  # fmt: skip
+            self._add(name, unit, text, attribute, display=display, least=least, depends=depends)
+        count = Integer(
+            "contact_count", causality=Fmi2Causality.output, variability=Fmi2Variability.discrete,
+            description="pins that carry more than 1 % of the most loaded pin's force",
+            getter=lambda: model.contact_count,
+        )  # fmt: skip
+        self.register_variable(count, nested=False)
+        self._attributes["contact_count"] = {"min": "0", "max": str(model.pair.pair.pins * model.pair.pair.discs)}
+        self._depends["contact_count"] = angle_and_torque
+
+        for name in model.errors:
+            unit = unit_of(name)
+            limit = LARGEST_MISALIGNMENT if unit == "rad" else LARGEST_DEVIATION
+            pattern = next((p for p in PATTERNS if name.startswith(p + "_")), name)
+            text = DESCRIPTIONS[pattern]
+            if pattern != name:
+                order, part = name.removeprefix(pattern + "_").split("_")
+                text += f": {'cosine' if part == 'cos' else 'sine'} part of order {order}"
+            self._add(name, unit, text, None, display="arcsec" if unit == "rad" else "um", least=-limit, most=limit)
+        self._add("friction_torque", "N.m", "dry friction at the output", "friction_torque", least=0.0, parameter=True)
+        self._add("series_compliance", "rad/(N.m)", "compliance of the rest of the chain", "series_compliance",
+                  display="arcsec/(N.m)", least=0.0, parameter=True)  # fmt: skip
+        self._getters = [v.getter for v in self.vars.values()]
+        self._setters = [v.setter for v in self.vars.values()]
+
+    def _add(
+        self,
+        name: str,
+        unit: str,
+        text: str,
+        attribute: str | None,
+        *,
+        display: str | None = None,
+        least: float | None = None,
+        most: float | None = None,
+        depends: tuple[str, ...] | None = None,
+        parameter: bool = False,
+    ) -> None:
+        """Register a real variable: an output where it depends on inputs, a parameter, else an input."""
+        model = self.model
+        setter: Callable[[float], None] | None
+        if attribute is None:
+            getter, setter = (lambda: model.errors[name]), (lambda v: model.set_error(name, v))
+        else:
+            getter, setter = (lambda: getattr(model, attribute)), (lambda v: setattr(model, attribute, v))
+        variability, initial = Fmi2Variability.continuous, None
+        if depends is not None:
+            causality, setter = Fmi2Causality.output, None
+            self._depends[name] = depends
+        elif parameter or attribute is None:
+            causality, variability, initial = Fmi2Causality.parameter, Fmi2Variability.tunable, Fmi2Initial.exact
+        else:
+            causality = Fmi2Causality.input
+        variable = Real(
+            name, causality=causality, variability=variability, initial=initial, description=text, getter=getter,
+            setter=setter,
+        )  # fmt: skip
+        self.register_variable(variable, nested=False)
+        attributes = {"unit": unit, "displayUnit": display, "min": least, "max": most}
+        self._attributes[name] = {k: str(v) for k, v in attributes.items() if v is not None}
+
+    def exit_initialization_mode(self) -> None:
+        """Settle at the initial inputs, without history."""
+        self.model.forget_history()
+        self.model.advance()
+
+    def do_step(self, current_time: float, step_size: float) -> bool:
+        """Move to the inputs' present values; the drive is quasi-static, so the step's length does not matter."""
+        self.model.advance()
+        return True
+
+    def get_real(self, vrs: Sequence[int]) -> list[float]:
+        """Return values by reference (pythonfmu's own checks each type in Python, which costs more than the physics)."""
+        getters = self._getters
+        return [getters[v]() for v in vrs]
+
+    def set_real(self, vrs: Sequence[int], values: Sequence[float]) -> None:
+        """Set values by reference."""
+        setters = self._setters
+        for v, value in zip(vrs, values, strict=True):
+            setters[v](value)
+
+    def _get_fmu_state(self) -> dict[str, Any]:
+        return self.model.state()
+
+    def _set_fmu_state(self, state: dict[str, Any]) -> None:
+        self.model.restore(state)
+
+    def to_xml(self, model_options: dict[str, str] | None = None) -> Element:
+        """Return the model description with what pythonfmu leaves out: units, limits, dependencies, initial unknowns."""
+        root = super().to_xml(model_options or {})
+        units = Element("UnitDefinitions")
+        for unit, (base, displays) in _UNITS.items():
+            node = SubElement(units, "Unit", name=unit)
+            SubElement(node, "BaseUnit", {k: str(v) for k, v in base.items()})
+            for display, factor in displays.items():
+                SubElement(node, "DisplayUnit", name=display, factor=repr(float(factor)))
+        root.insert(1, units)
+        index: dict[str, str] = {}
+        for number, variable in enumerate(root.iter("ScalarVariable"), start=1):
+            name = variable.get("name", "")
+            index[name] = str(number)
+            variable[0].attrib.update(self._attributes.get(name, {}))
+        structure = root.find("ModelStructure")
+        assert structure is not None
+        structure.clear()
+        errors = [*self.model.errors, "series_compliance"]
+        for section, parameters in (("Outputs", []), ("InitialUnknowns", errors)):
+            node = SubElement(structure, section)
+            for name in sorted(self._depends, key=lambda n: int(index[n])):
+                known = sorted(int(index[n]) for n in (*self._depends[name], *parameters))
+                SubElement(node, "Unknown", index=index[name], dependencies=" ".join(map(str, known)))
+        return root

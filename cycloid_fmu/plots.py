@@ -1,0 +1,114 @@
+"""Plots of what this package computes; every function returns a matplotlib figure, saved by `save`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu import edge
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+ARCSEC = 648000.0 / np.pi
+FORMATS = (".png", ".pdf")
+
+
+def check_path(path: str | os.PathLike[str]) -> Path:
+    """Refuse a plot file that can't be written, before anything is computed."""
+    target = Path(path)
+    if target.suffix.lower() not in FORMATS:
+        raise edge.InputError(f"--plot {path}: the name must end in {' or '.join(FORMATS)}.")
+    if not target.parent.is_dir():
+        raise edge.InputError(f"--plot {path}: the folder {target.parent} does not exist.")
+    return target
+
+
+def save(figure: Figure, path: str | os.PathLike[str]) -> None:
+    """Write a figure as PNG or PDF by its name's ending, whole or not at all."""
+    with edge.written_whole(check_path(path)) as temporary:
+        figure.savefig(temporary, dpi=150)
+
+
+def new_figure(rows: int = 1, columns: int = 1, **options: object) -> tuple[Figure, NDArray[np.object_]]:
+    """Return a figure that needs no screen, and its axes as a flat array."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(4.8 * columns + 1.2, 2.3 * rows + 0.8), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(rows, columns, **options))
+    for axis in axes.flat:
+        axis.grid(alpha=0.3)
+        for side in ("top", "right"):
+            axis.spines[side].set_visible(False)
+    return figure, axes.ravel()
+
+
+def plot_analysis(data: xr.Dataset) -> Figure:
+    """Transmission error, backlash, contacting pins and largest pressure over the crank, and the load of each pin."""
+    figure, axes = new_figure(3, 2)
+    angle = np.degrees(data["crank_angle"].values)
+    panels: Mapping[str, tuple[str, float]] = {
+        "transmission_error": ("transmission error [arcsec]", ARCSEC),
+        "backlash": ("backlash [arcsec]", ARCSEC),
+        "contact_count": ("pins in contact", 1.0),
+        "max_contact_pressure": ("largest pressure [MPa]", 1e-6),
+        "torsional_stiffness": ("stiffness [N·m/arcmin]", np.pi / 10800.0),
+    }
+    single = ("backlash",)
+    for axis, (name, (label, factor)) in zip(axes, panels.items(), strict=False):
+        for torque in data["torque"].values[: 1 if name in single else None]:
+            values = data[name].sel(torque=torque).values * factor
+            axis.plot(angle, values, lw=1.2, label=f"{torque:g} N·m")
+        axis.set(xlabel="crank angle [°]", ylabel=label)
+        if np.isnan(data[name].values).all():
+            axis.text(0.5, 0.5, "no free position (interference)", ha="center", transform=axis.transAxes)
+    axes[0].legend(fontsize=8, frameon=False)
+    forces = data["pin_force"].isel(torque=0, disc=0)
+    image = axes[5].pcolormesh(angle, data["pin"].values, forces.values.T, cmap="viridis", shading="nearest")
+    torque = data["torque"].values[0]
+    axes[5].set(xlabel="crank angle [°]", ylabel="pin", title=f"force of each pin, {torque:g} N·m, disc 0")
+    axes[5].title.set_fontsize(9)
+    figure.colorbar(image, ax=axes[5], label="N")
+    return figure
+
+
+def plot_surface(surface: object) -> Figure:
+    """Position and radius errors of the pins and the cumulative pitch of the teeth."""
+    from cycloid_fmu.surface import ErrorSurface
+
+    assert isinstance(surface, ErrorSurface)
+    figure, axes = new_figure(2)
+    for name, label in (("pin_radial", "radial"), ("pin_tangential", "tangential"), ("pin_radius_deviation", "radius")):
+        axes[0].plot(getattr(surface, name) * 1e6, "o-", ms=3, lw=1, label=label)
+    axes[0].set(xlabel="pin", ylabel="error [µm]")
+    axes[0].legend(fontsize=8, frameon=False)
+    for disc, pitch in enumerate(surface.tooth_cumulative_pitch):
+        axes[1].plot(pitch * 1e6, "o-", ms=3, lw=1, label=f"disc {disc}")
+    axes[1].set(xlabel="tooth", ylabel="cumulative pitch [µm]")
+    axes[1].legend(fontsize=8, frameon=False)
+    return figure
+
+
+def plot_simulation(results: Mapping[str, NDArray[np.float64]]) -> Figure:
+    """Output angle's error, backlash and largest pressure of an FMU's run over time."""
+    figure, axes = new_figure(3, sharex=True)
+    time = results["time"]
+    for axis, (name, label, factor) in zip(
+        axes,
+        (
+            ("transmission_error", "transmission error [arcsec]", ARCSEC),
+            ("backlash", "backlash [arcsec]", ARCSEC),
+            ("max_contact_pressure", "largest pressure [MPa]", 1e-6),
+        ),
+        strict=True,
+    ):
+        axis.plot(time, results[name] * factor, lw=1.2)
+        axis.set(ylabel=label)
+    axes[-1].set(xlabel="time [s]")
+    return figure
