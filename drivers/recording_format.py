@@ -248,7 +248,9 @@ class RecordingWriter:
         try:
             os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         except FileExistsError:
-            raise edge.InputError(f"{path}: this file exists and recordings are not overwritten; name another.") from None
+            raise edge.InputError(
+                f"{path}: this file exists and recordings are not overwritten; name another."
+            ) from None
         except OSError as problem:
             raise edge.InputError(f"{path}: {problem.strerror or problem}.") from None
         self._file = pa.OSFile(str(path), "wb")
