@@ -12,6 +12,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Sequence
+from ctypes import c_double, c_uint32
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self, TypeAlias
@@ -107,7 +108,7 @@ def simulate_motion(output_angle: OutputAngle, run: BenchRun) -> Motion:
         Angles, torque and noise.
     """
     step = 2 * math.pi / run.samples_per_turn
-    angle = step * np.arange(-run.lead_in, run.samples - run.lead_in)
+    angle = step * np.arange(-run.lead_in, run.samples - run.lead_in, dtype=np.float64)
     if run.direction == "backward":
         angle = step * (run.turns * run.samples_per_turn - 1) - angle
     torque = np.full(run.samples, float(run.torque))
@@ -117,7 +118,7 @@ def simulate_motion(output_angle: OutputAngle, run: BenchRun) -> Motion:
     random = np.random.default_rng(run.seed)
     return Motion(
         run,
-        np.arange(run.samples) * (step / run.speed),
+        np.arange(run.samples, dtype=np.float64) * (step / run.speed),
         angle + run.noise * random.standard_normal(run.samples),
         output + run.noise * random.standard_normal(run.samples),
         torque + run.torque_noise * random.standard_normal(run.samples),
@@ -162,8 +163,6 @@ def fmu_output_angle(path: str | os.PathLike[str], step: float = 1e-3) -> Output
             modelIdentifier=description.coSimulation.modelIdentifier,
             instanceName="bench",
         )
-        from ctypes import c_double, c_uint32
-
         inputs = (c_uint32 * 2)(references["flange_a.phi"], references["flange_b.tau"])
         given, result = (c_double * 2)(), (c_double * 1)()
         outputs = (c_uint32 * 1)(references["flange_b.phi"])

@@ -109,7 +109,7 @@ class DbcSensor(Encoder):
             direction=self.config.direction,
             zero=0.0,
             zero_reference=self.config.zero_reference,
-            identity=f"{self.config.signal} of {self.config.message} (0x{self._message.frame_id:X}), {self.config.file}",
+            identity=f"{self.config.file}: {self.config.signal} of {self.config.message}, 0x{self._message.frame_id:X}",
             time_source=f"host clock: the CAN interface's stamp of the {stamp} ({self.bus.interface})",
         )
         return self

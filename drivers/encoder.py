@@ -62,7 +62,7 @@ class ChannelConfig(edge.Config):
 
 
 class AngleConfig(ChannelConfig):
-    """What every angle channel says: counts per turn (0 x: the device says it) and the angle shown at zero, rad."""
+    """What every angle channel says: counts per turn (absent: the device says it) and the angle shown at zero, rad."""
 
     counts_per_turn: Annotated[int, pydantic.Field(gt=0)] | None = None
     zero: edge.Angle = 0.0
@@ -78,11 +78,13 @@ class Wiring:
 
     def bus(self, name: str, channel: str) -> BusConfig:
         """Return the bus of this name; an `edge.InputError` names the channel that wants it where there is none."""
-        return _named(self.buses, name, "bus", channel, self.source)
+        found: BusConfig = _named(self.buses, name, "bus", channel, self.source)
+        return found
 
     def port(self, name: str, channel: str) -> PortConfig:
         """Return the port of this name; an `edge.InputError` names the channel that wants it where there is none."""
-        return _named(self.ports, name, "port", channel, self.source)
+        found: PortConfig = _named(self.ports, name, "port", channel, self.source)
+        return found
 
 
 def _named(table: Mapping[str, Any], name: str, kind: str, channel: str, source: str) -> Any:
@@ -203,7 +205,7 @@ def counts_to_value(
     counts: npt.NDArray[np.int64], counts_per_turn: int, direction: int, zero: float
 ) -> npt.NDArray[np.float64]:
     """Return the angle in rad, counter-clockwise positive: direction * 2 pi counts / counts per turn - zero."""
-    return direction * (2 * math.pi / counts_per_turn) * counts - zero
+    return np.asarray(direction * (2 * math.pi / counts_per_turn) * counts - zero, np.float64)
 
 
 def extract_bits(

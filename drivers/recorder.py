@@ -38,7 +38,7 @@ class Conditions(edge.Config):
     load: edge.Torque | None = None
     speed: edge.Speed | None = None
     direction: Literal["forward", "backward"] | None = None
-    temperature: Annotated[float, edge._reader("K")] | None = None
+    temperature: Annotated[float, pydantic.BeforeValidator(lambda value: edge.parse_quantity(value, "K"))] | None = None
     note: str | None = None
 
 
@@ -46,8 +46,8 @@ class _BenchFile(edge.Config):
     ratio: float | None = None
     pair: str = ""
     conditions: Conditions = Conditions()
-    bus: dict[str, BusConfig] = {}
-    port: dict[str, PortConfig] = {}
+    bus: dict[str, BusConfig] = pydantic.Field(default_factory=dict)
+    port: dict[str, PortConfig] = pydantic.Field(default_factory=dict)
     channel: dict[str, dict[str, Any]]
 
     @pydantic.field_validator("ratio")
@@ -209,7 +209,7 @@ def record(
         If interrupted; the file is closed and whole.
     """
     epoch = time.time()
-    start = datetime.datetime.fromtimestamp(epoch, datetime.timezone.utc).isoformat()
+    start = datetime.datetime.fromtimestamp(epoch, datetime.UTC).isoformat()
     header = Header(tuple(e.channel for e in encoders), conditions or {}, ratio, pair, start)
     counts = {e.channel.name: 0 for e in encoders}
     active, failures, said = list(encoders), [], 0
