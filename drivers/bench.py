@@ -433,6 +433,15 @@ class Amt21Bench:
         12 or 14.
     speed_factor
         Speed of time.
+
+    Attributes
+    ----------
+    url
+        The port to record.
+    answered
+        The sample each address answered, question by question, wrong answers left out.
+    corrupt, mute
+        Numbers of the questions answered with a flipped bit, and addresses that no longer answer.
     """
 
     def __init__(
@@ -447,6 +456,7 @@ class Amt21Bench:
         self._factor = speed_factor
         self.answered: dict[int, list[int]] = {a: [] for a in addresses}
         self.corrupt: set[int] = set()
+        self.mute: set[int] = set()
 
     def __enter__(self) -> Self:
         """Open the pseudo-terminal."""
@@ -498,7 +508,7 @@ class Amt21Bench:
                 return
             with contextlib.suppress(OSError):
                 for address in os.read(self._bench, 64):
-                    if address not in words:
+                    if address not in words or address in self.mute:
                         continue
                     now = time.monotonic()
                     begun = now if begun is None else begun
