@@ -26,7 +26,7 @@ from drivers.encoder import (
     encoder_class,
     opened,
 )
-from drivers.recording_format import Event, Header, RecordingWriter, Samples
+from drivers.recording_format import Event, Header, RecordingWriter, Samples, check_new
 
 BENCH_FORMAT = "cycloid-bench/1"
 _WAIT = 0.05
@@ -262,5 +262,6 @@ def record(
 def record_bench(bench: Bench | str | os.PathLike[str], path: str | os.PathLike[str], **stops: Any) -> Recorded:
     """Record a bench, or the one of a `BENCH.toml`; `stops` are `record`'s `duration`, `samples`, `idle` and so on."""
     wired = bench if isinstance(bench, Bench) else read_bench(bench)
+    check_new(path)  # before any device is set going
     with open_encoders(wired) as encoders:
         return record(encoders, path, ratio=wired.ratio, pair=wired.pair, conditions=wired.conditions, **stops)

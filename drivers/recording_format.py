@@ -221,6 +221,12 @@ def _schema(header: Header) -> pa.Schema:
     return pa.schema(fields, metadata=metadata)
 
 
+def check_new(path: str | os.PathLike[str]) -> None:
+    """Refuse, with an `edge.InputError`, a path at which there is something already: no recording is overwritten."""
+    if Path(path).exists():
+        raise edge.InputError(f"{path}: this file exists and recordings are not overwritten; name another.")
+
+
 class RecordingWriter:
     """A recording being written: every batch is with the operating system when `write` returns.
 
@@ -248,9 +254,8 @@ class RecordingWriter:
         try:
             os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         except FileExistsError:
-            raise edge.InputError(
-                f"{path}: this file exists and recordings are not overwritten; name another."
-            ) from None
+            check_new(path)
+            raise
         except OSError as problem:
             raise edge.InputError(f"{path}: {problem.strerror or problem}.") from None
         self._file = pa.OSFile(str(path), "wb")

@@ -26,7 +26,9 @@ def channel(name):
     return Channel(name, name, "canopen", "rad", 1 << 22, 1, 0.0, "absolute", "node 1", "SYNC")
 
 
-HEADER = Header(tuple(map(channel, NAMES)), {"load": 20.0, "direction": "forward"}, -39.0, "pair", "2025-01-01T00:00:00Z")
+HEADER = Header(
+    tuple(map(channel, NAMES)), {"load": 20.0, "direction": "forward"}, -39.0, "pair", "2025-01-01T00:00:00Z"
+)
 
 
 def block(name, first, n):
@@ -59,7 +61,9 @@ def test_what_is_written_is_read(tmp_path_factory, given_batches):
     with RecordingWriter(path, HEADER) as writer:
         for name, rows, said in given_batches:
             t, v, c, s = zip(*rows, strict=True) if rows else ((), (), (), ())
-            samples = Samples.checked(name, t, v, counts=np.array(c, np.int64), time_device=t, status=np.array(s, np.uint8))
+            samples = Samples.checked(
+                name, t, v, counts=np.array(c, np.int64), time_device=t, status=np.array(s, np.uint8)
+            )
             writer.write(samples, [Event(when, name, text) for when, text in said])
     recording = read_recording(path)
     assert recording.problems == ()
@@ -154,7 +158,10 @@ def test_what_is_recorded_is_not_overwritten(tmp_path):
         (b"", "empty"),
         (b"time [s],torque [N*m]\n", "not a recording"),
         (pa.schema([]).serialize().to_pybytes(), "names no format"),
-        (pa.schema([], {"format": "cycloid-recording/9"}).serialize().to_pybytes(), 'this version reads "cycloid-recording/1"'),
+        (
+            pa.schema([], {"format": "cycloid-recording/9"}).serialize().to_pybytes(),
+            'this version reads "cycloid-recording/1"',
+        ),
     ],
 )
 def test_what_is_no_recording_is_refused_in_one_sentence(tmp_path, content, said):
