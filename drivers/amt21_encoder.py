@@ -35,7 +35,7 @@ from drivers.encoder import (
 )
 from drivers.recording_format import CHECKSUM, GAP, ROLLOVER, Channel, Event, Samples
 
-ANSWER_SECONDS = 0.05  # far above the encoder's microseconds: it covers a USB adapter's latency
+ANSWER_SECONDS = 0.1  # far above the encoder's microseconds: it covers a USB adapter and a busy machine
 BLOCK_SECONDS = 0.05
 _ODD, _EVEN = 0xAAAA, 0x5555
 

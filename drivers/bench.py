@@ -34,7 +34,6 @@ OutputAngle: TypeAlias = Callable[[FloatArray, FloatArray], FloatArray]
 UDP_SAMPLES_PER_SECOND = 2000.0  # four datagrams each; the kernel drops what a reader doesn't take in time
 _INPUT_NODE, _OUTPUT_NODE = 1, 2
 _TORQUE_ID, _TORQUE_SCALE = 0x2A0, 0.0001
-_MEASURING_RANGE = 1 << 32
 _TORQUE_DBC = f"""VERSION ""
 NS_ :
 BS_:
@@ -215,6 +214,11 @@ def _write(path: str | os.PathLike[str], text: str) -> Path:
     return Path(path)
 
 
+def _turns(counts_per_turn: int) -> int:
+    """Return how many turns a 32-bit position tells apart, as 0x6502 (16 bits) can say it."""
+    return min((1 << 32) // counts_per_turn, 1 << 15)
+
+
 def _object_dictionary(node: int, identifier: int, counts_per_turn: int) -> canopen.ObjectDictionary:
     """Return what a CiA 406 encoder answers by SDO, its TPDO1 sent on every SYNC."""
     dictionary = canopen.ObjectDictionary()
@@ -231,7 +235,6 @@ def _object_dictionary(node: int, identifier: int, counts_per_turn: int) -> cano
             made.add_member(variable(entry, index, kind, value, sub))
         dictionary.add_object(made)
 
-    turns = _MEASURING_RANGE // counts_per_turn
     dictionary.add_object(variable("device type", 0x1000, UNSIGNED32, 0x00020196))
     dictionary.add_object(variable("error register", 0x1001, UNSIGNED8, 0))
     dictionary.add_object(variable("heartbeat time", 0x1017, UNSIGNED16, 0, access="rw"))
@@ -251,7 +254,7 @@ def _object_dictionary(node: int, identifier: int, counts_per_turn: int) -> cano
     dictionary.add_object(variable("position", POSITION, UNSIGNED32, 0))
     dictionary.add_object(variable("operating status", 0x6500, UNSIGNED16, 0))
     dictionary.add_object(variable("counts per turn", COUNTS_PER_TURN, UNSIGNED32, counts_per_turn))
-    dictionary.add_object(variable("turns", TURNS, UNSIGNED16, min(turns, 0xFFFF)))
+    dictionary.add_object(variable("turns", TURNS, UNSIGNED16, _turns(counts_per_turn)))
     return dictionary
 
 
@@ -306,9 +309,8 @@ class CanBench:
         self.motion = motion
         self.bus_config = BusConfig(interface=interface, channel=channel)
         self.counts_per_turn = {_INPUT_NODE: input_counts_per_turn, _OUTPUT_NODE: output_counts_per_turn}
-        self._interval = motion.run.samples and 2 * math.pi / motion.run.samples_per_turn / motion.run.speed
         if speed_factor is not None:
-            self._interval /= speed_factor
+            self._interval = 2 * math.pi / motion.run.samples_per_turn / motion.run.speed / speed_factor
         else:
             self._interval = 0.0 if interface == "virtual" else 1 / UDP_SAMPLES_PER_SECOND
         self._drop = drop or {}
@@ -342,6 +344,8 @@ class CanBench:
         self._changed.set()
         self._thread.join()
         self._network.disconnect()
+        if kind is None and self._failure is not None:
+            raise self._failure
 
     def wait(self, timeout: float | None = None) -> bool:
         """Wait for the end of the motion and return whether it came; raise what broke the bench, if so."""
@@ -381,13 +385,18 @@ class CanBench:
         finally:
             self._done.set()
 
+    def _positions(self, node: int, angle: FloatArray) -> np.ndarray[Any, np.dtype[np.uint32]]:
+        """Return what the object 0x6004 of a node shows at these angles."""
+        resolution = self.counts_per_turn[node]
+        return (quantised(angle, resolution) % (resolution * _turns(resolution))).astype("<u4")
+
     def _send(self) -> None:
         """Send all samples: SYNC, then what it latched."""
         motion = self.motion
         payloads = {
             SYNC_ID: (np.arange(len(motion.time)) % SYNC_COUNTER_MAX + 1).astype("u1"),
-            0x180 + _INPUT_NODE: quantised(motion.input_angle, self.counts_per_turn[_INPUT_NODE]).astype("<u4"),
-            0x180 + _OUTPUT_NODE: quantised(motion.output_angle, self.counts_per_turn[_OUTPUT_NODE]).astype("<u4"),
+            0x180 + _INPUT_NODE: self._positions(_INPUT_NODE, motion.input_angle),
+            0x180 + _OUTPUT_NODE: self._positions(_OUTPUT_NODE, motion.output_angle),
             _TORQUE_ID: np.rint(motion.torque / _TORQUE_SCALE).astype("<i4"),
         }
         raw = [

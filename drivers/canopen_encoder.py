@@ -97,6 +97,8 @@ class CanopenEncoder(Encoder):
         step = kind if 1 <= kind <= 240 else None
         length = self._mapping()
         self._counts_per_turn = self.config.counts_per_turn or self._object(COUNTS_PER_TURN, 0)
+        if self._counts_per_turn == 0:
+            raise EncoderProtocolError(f"{self._where} says 0 counts per turn (0x6501); write counts_per_turn.")
         # The position has 0x6501 * 0x6502 values, or all 2^bits where the node does not say its turns.
         turns = self._object(TURNS, 0, 0)
         self._modulus = min(self._counts_per_turn * turns, 1 << self._bits) if turns else 1 << self._bits
@@ -141,7 +143,7 @@ class CanopenEncoder(Encoder):
         offset, found = 0, False
         for entry in range(1, self._object(0x1A00, 0) + 1):
             index, _, bits = struct.unpack(">HBB", struct.pack(">I", self._object(0x1A00, entry)))
-            if index == POSITION:
+            if index == POSITION and 0 < bits <= 32:
                 self._start, self._bits, found = offset, bits, True
             offset += bits
         if not found or offset > 64 or offset % 8:

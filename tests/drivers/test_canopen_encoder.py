@@ -75,6 +75,13 @@ def test_a_32_bit_position_that_rolls_over_stays_continuous(tmp_path, bus_name):
     assert np.flatnonzero(samples.status & rf.ROLLOVER).tolist() == [48, 96, 144]
 
 
+def test_a_coarse_encoder_rolls_over_at_the_turns_it_says(tmp_path, bus_name):
+    # 64 counts a turn: 0x6502 can say 32,768 of the 2^26 turns of 32 bits; just below zero the position is 2^21 - 1.
+    motion = simulate_motion(lambda angle, torque: -angle, BenchRun(torque=0.0, turns=1, samples_per_turn=24))
+    recording = recorded(tmp_path, bus_name, motion, output_counts_per_turn=64)
+    np.testing.assert_array_equal(recording.samples["output_angle"].counts, quantised(motion.output_angle, 64))
+
+
 def test_a_missing_pdo_is_a_gap_of_its_channel_alone(tmp_path, bus_name):
     motion = simulate_motion(ideal, BenchRun(torque=5.0, turns=2))
     recording = recorded(tmp_path, bus_name, motion, expected=10**9, drop={OUTPUT: {50, 51, 100}})
