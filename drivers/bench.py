@@ -1,0 +1,533 @@
+"""The simulated test bench: a motion that a function or an FMU says, in the same frames and bytes as a real one's."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import math
+import os
+import select
+import shutil
+import struct
+import threading
+import time
+from collections.abc import Callable, Sequence
+from ctypes import c_double, c_uint32
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal, Self, TypeAlias
+
+import can
+import canopen
+import numpy as np
+from canopen.objectdictionary import UNSIGNED8, UNSIGNED16, UNSIGNED32, ODRecord, ODVariable
+
+from cycloid_fmu import edge
+from drivers.amt21_encoder import check_bits
+from drivers.can_hub import SYNC_COUNTER_MAX, SYNC_ID, open_bus
+from drivers.canopen_encoder import COUNTS_PER_TURN, POSITION, TURNS
+from drivers.encoder import BusConfig
+from drivers.recording_format import FloatArray, IntArray
+
+OutputAngle: TypeAlias = Callable[[FloatArray, FloatArray], FloatArray]
+
+UDP_SAMPLES_PER_SECOND = 2000.0  # four datagrams each; the kernel drops what a reader doesn't take in time
+_INPUT_NODE, _OUTPUT_NODE = 1, 2
+_TORQUE_ID, _TORQUE_SCALE = 0x2A0, 0.0001
+_TORQUE_DBC = f"""VERSION ""
+NS_ :
+BS_:
+BU_: bench
+
+BO_ {_TORQUE_ID} torque: 4 bench
+ SG_ torque : 0|32@1- ({_TORQUE_SCALE},0) [-200000|200000] "Nm" bench
+"""
+
+
+@dataclasses.dataclass(frozen=True)
+class BenchRun:
+    """One run of the bench at a constant torque.
+
+    Attributes
+    ----------
+    torque
+        What the environment puts on the output, N*m, counter-clockwise positive; keeps its sign in both directions.
+    turns
+        Crank turns.
+    samples_per_turn
+        Samples each crank turn, evenly from crank angle 0, end excluded.
+    direction
+        "forward": the crank angle grows; "backward": the same angles from the last to the first.
+    speed
+        Crank speed, rad/s: it gives the time.
+    noise, torque_noise
+        Standard deviation of each encoder's reading, rad, and of the torque's, N*m.
+    seed
+        Of the noise.
+    lead_in
+        Samples before the first, at the same spacing, while the drive settles on its flank; recorded as all others.
+    """
+
+    torque: float
+    turns: int = 39
+    samples_per_turn: int = 96
+    direction: Literal["forward", "backward"] = "forward"
+    speed: float = 2 * math.pi
+    noise: float = 0.0
+    torque_noise: float = 0.0
+    seed: int = 0
+    lead_in: int = 0
+
+    @property
+    def samples(self) -> int:
+        """Number of samples, lead-in included."""
+        return self.turns * self.samples_per_turn + self.lead_in
+
+
+@dataclasses.dataclass(frozen=True)
+class Motion:
+    """What the sensors see, noise included: time s, angles rad, torque N*m, arrays of shape (n,), and of which run."""
+
+    run: BenchRun
+    time: FloatArray
+    input_angle: FloatArray
+    output_angle: FloatArray
+    torque: FloatArray
+
+
+def simulate_motion(output_angle: OutputAngle, run: BenchRun) -> Motion:
+    """Move a drive through a run.
+
+    Parameters
+    ----------
+    output_angle
+        Returns the output angles, rad, for crank angles, rad, and torques, N*m, all of shape (n,) in the order of time;
+        `fmu_output_angle` gives that of an FMU.
+    run
+        Angles, torque and noise.
+    """
+    step = 2 * math.pi / run.samples_per_turn
+    angle = step * np.arange(-run.lead_in, run.samples - run.lead_in, dtype=np.float64)
+    if run.direction == "backward":
+        angle = step * (run.turns * run.samples_per_turn - 1) - angle
+    torque = np.full(run.samples, float(run.torque))
+    output = np.asarray(output_angle(angle, torque), np.float64)
+    if output.shape != angle.shape:
+        raise ValueError(f"output_angle returned the shape {output.shape} for angles of shape {angle.shape}")
+    random = np.random.default_rng(run.seed)
+    return Motion(
+        run,
+        np.arange(run.samples, dtype=np.float64) * (step / run.speed),
+        angle + run.noise * random.standard_normal(run.samples),
+        output + run.noise * random.standard_normal(run.samples),
+        torque + run.torque_noise * random.standard_normal(run.samples),
+    )
+
+
+def fmu_output_angle(path: str | os.PathLike[str], step: float = 1e-3) -> OutputAngle:
+    """Return the output angle that an FMI 2.0 co-simulation FMU of a drive gives, one step of it a sample.
+
+    Parameters
+    ----------
+    path
+        The FMU: inputs `flange_a.phi`, `flange_b.tau`, output `flange_b.phi`.
+    step
+        Communication step, s.
+
+    Raises
+    ------
+    edge.InputError
+        If it is no such FMU.
+    """
+    from fmpy import extract, read_model_description
+    from fmpy.fmi2 import FMU2Slave, fmi2True
+
+    edge.existing(path)
+    try:
+        description = read_model_description(str(path))
+    except Exception as problem:  # fmpy raises what its XML reader and checks raise
+        said = str(problem).splitlines()[0] if str(problem) else type(problem).__name__
+        raise edge.InputError(f"{path}: this is not an FMU: {said}.") from None
+    references = {v.name: v.valueReference for v in description.modelVariables}
+    missing = [n for n in ("flange_a.phi", "flange_b.tau", "flange_b.phi") if n not in references]
+    if description.fmiVersion != "2.0" or description.coSimulation is None or missing:
+        what = f"it has no variable {missing[0]}" if missing else f"FMI {description.fmiVersion}"
+        raise edge.InputError(f"{path}: the bench needs an FMI 2.0 co-simulation FMU of a drive; {what}.")
+
+    def output_angle(angle: FloatArray, torque: FloatArray) -> FloatArray:
+        folder = extract(str(path))
+        fmu = FMU2Slave(
+            guid=description.guid,
+            unzipDirectory=folder,
+            modelIdentifier=description.coSimulation.modelIdentifier,
+            instanceName="bench",
+        )
+        inputs = (c_uint32 * 2)(references["flange_a.phi"], references["flange_b.tau"])
+        given, result = (c_double * 2)(), (c_double * 1)()
+        outputs = (c_uint32 * 1)(references["flange_b.phi"])
+        output = np.empty(len(angle))
+        try:
+            fmu.instantiate()
+            try:
+                fmu.setupExperiment(startTime=0.0)
+                fmu.enterInitializationMode()
+                if len(angle):
+                    fmu.setReal(list(inputs), [float(angle[0]), float(torque[0])])
+                fmu.exitInitializationMode()
+                component, set_real, do_step, get_real = fmu.component, fmu.fmi2SetReal, fmu.fmi2DoStep, fmu.fmi2GetReal
+                for i, (phi, tau) in enumerate(zip(angle.tolist(), torque.tolist(), strict=True)):
+                    given[0], given[1] = phi, tau
+                    set_real(component, inputs, 2, given)
+                    do_step(component, i * step, step, fmi2True)
+                    get_real(component, outputs, 1, result)
+                    output[i] = result[0]
+                fmu.terminate()
+            finally:
+                fmu.freeInstance()
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+        return output
+
+    return output_angle
+
+
+def quantised(angle: FloatArray, counts_per_turn: int) -> IntArray:
+    """Return the nearest counts of angles in rad, not yet rolled over, shape (n,)."""
+    return np.rint(angle * (counts_per_turn / (2 * math.pi))).astype(np.int64)
+
+
+def _conditions(run: BenchRun) -> str:
+    return (
+        f'[conditions]\nload = "{edge.format_quantity(run.torque, "N*m", "N*m")}"\n'
+        f'speed = "{edge.format_quantity(run.speed, "rad/s", "rad/s")}"\ndirection = "{run.direction}"\n'
+    )
+
+
+def _head(ratio: float | None, pair: str) -> str:
+    shown = f"ratio = {float(ratio)!r}\n" if ratio is not None else ""
+    return f'format = "cycloid-bench/1"\n{shown}pair = {edge.json_text(pair)}\n\n'
+
+
+def _write(path: str | os.PathLike[str], text: str) -> Path:
+    with edge.written_whole(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return Path(path)
+
+
+def _turns(counts_per_turn: int) -> int:
+    """Return how many turns a 32-bit position tells apart, as 0x6502 (16 bits) can say it."""
+    return min((1 << 32) // counts_per_turn, 1 << 15)
+
+
+def _object_dictionary(node: int, identifier: int, counts_per_turn: int) -> canopen.ObjectDictionary:
+    """Return what a CiA 406 encoder answers by SDO, its TPDO1 sent on every SYNC."""
+    dictionary = canopen.ObjectDictionary()
+
+    def variable(name: str, index: int, kind: int, value: int, sub: int = 0, access: str = "ro") -> ODVariable:
+        made = ODVariable(name, index, sub)
+        made.data_type, made.default, made.access_type = kind, value, access
+        return made
+
+    def record(name: str, index: int, entries: Sequence[tuple[str, int, int]]) -> None:
+        made = ODRecord(name, index)
+        made.add_member(variable("entries", index, UNSIGNED8, len(entries)))
+        for sub, (entry, kind, value) in enumerate(entries, 1):
+            made.add_member(variable(entry, index, kind, value, sub))
+        dictionary.add_object(made)
+
+    dictionary.add_object(variable("device type", 0x1000, UNSIGNED32, 0x00020196))
+    dictionary.add_object(variable("error register", 0x1001, UNSIGNED8, 0))
+    dictionary.add_object(variable("heartbeat time", 0x1017, UNSIGNED16, 0, access="rw"))
+    record(
+        "identity",
+        0x1018,
+        [
+            ("vendor", UNSIGNED32, 0),
+            ("product", UNSIGNED32, 0x406),
+            ("revision", UNSIGNED32, 1),
+            ("serial", UNSIGNED32, node),
+        ],
+    )
+    record("TPDO1", 0x1800, [("identifier", UNSIGNED32, identifier), ("transmission type", UNSIGNED8, 1)])
+    record("TPDO1 mapping", 0x1A00, [("position", UNSIGNED32, POSITION << 16 | 32)])
+    dictionary.add_object(variable("operating parameters", 0x6000, UNSIGNED16, 0))
+    dictionary.add_object(variable("position", POSITION, UNSIGNED32, 0))
+    dictionary.add_object(variable("operating status", 0x6500, UNSIGNED16, 0))
+    dictionary.add_object(variable("counts per turn", COUNTS_PER_TURN, UNSIGNED32, counts_per_turn))
+    dictionary.add_object(variable("turns", TURNS, UNSIGNED16, _turns(counts_per_turn)))
+    return dictionary
+
+
+class _StampedNetwork(canopen.Network):  # type: ignore[misc]
+    """A network whose service frames carry the time of day, as the bus is told to keep the stamps it is given."""
+
+    NOTIFIER_CYCLE = 0.02
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        message = can.Message(
+            timestamp=time.time(),
+            arbitration_id=can_id,
+            is_extended_id=can_id > 0x7FF,
+            data=data,
+            is_remote_frame=remote,
+        )
+        with self.send_lock:
+            self.bus.send(message)
+
+
+class CanBench:
+    """A bench on a CAN bus: two CiA 406 nodes, a torque transducer and a controller that sends SYNC with counter.
+
+    A context manager. Once both nodes are told to operate, a thread sends the motion, four frames a sample; it ends
+    with the motion or when a node is told to stop. On the virtual bus the frames carry the motion's own time.
+
+    Parameters
+    ----------
+    motion
+        What to send.
+    interface, channel
+        The bus as python-can opens it.
+    input_counts_per_turn, output_counts_per_turn
+        Resolution, powers of two; the 32-bit position counts turns too and rolls over.
+    speed_factor
+        1: at the motion's own speed, 10: ten times as fast; None: as fast as the bus carries it without loss.
+    drop
+        Samples by identifier (0x80, 0x181, 0x182, 0x2A0) whose frames are not sent, to see what a recorder makes of it.
+    """
+
+    def __init__(
+        self,
+        motion: Motion,
+        *,
+        interface: str = "virtual",
+        channel: str = "bench",
+        input_counts_per_turn: int = 1 << 22,
+        output_counts_per_turn: int = 1 << 25,
+        speed_factor: float | None = None,
+        drop: dict[int, set[int]] | None = None,
+    ) -> None:
+        self.motion = motion
+        self.bus_config = BusConfig(interface=interface, channel=channel)
+        self.counts_per_turn = {_INPUT_NODE: input_counts_per_turn, _OUTPUT_NODE: output_counts_per_turn}
+        if speed_factor is not None:
+            self._interval = 2 * math.pi / motion.run.samples_per_turn / motion.run.speed / speed_factor
+        else:
+            self._interval = 0.0 if interface == "virtual" else 1 / UDP_SAMPLES_PER_SECOND
+        self._drop = drop or {}
+        self._changed = threading.Event()
+        self._stopping = threading.Event()
+        self._done = threading.Event()
+        self._failure: Exception | None = None
+        self.sent = 0
+
+    def __enter__(self) -> Self:
+        """Put the nodes on the bus."""
+        options: dict[str, Any] = {"preserve_timestamps": True} if self.bus_config.interface == "virtual" else {}
+        self._bus = open_bus(self.bus_config, **options)
+        self._network = _StampedNetwork(self._bus)
+        self._network.connect()
+        self._nodes = []
+        for node, resolution in self.counts_per_turn.items():
+            local = self._network.create_node(node, _object_dictionary(node, 0x180 + node, resolution))
+            local.nmt.state = "INITIALISING"
+            local.nmt.state = "PRE-OPERATIONAL"
+            self._nodes.append(local)
+        self._network.subscribe(0, lambda *_: self._changed.set())
+        self._thread = threading.Thread(target=self._run, name="bench", daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stopping.set()
+        self._changed.set()
+        self._thread.join()
+        self._network.disconnect()
+        if kind is None and self._failure is not None:
+            raise self._failure
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait for the end of the motion and return whether it came; raise what broke the bench, if so."""
+        ended = self._done.wait(timeout)
+        if self._failure is not None:
+            raise self._failure
+        return ended
+
+    def write_wiring(self, path: str | os.PathLike[str], *, ratio: float | None = None, pair: str = "") -> Path:
+        """Write the `BENCH.toml` that records this bench, and torque.dbc beside it; return its path."""
+        bus = self.bus_config
+        angles = "".join(
+            f'[channel.{name}]\nprotocol = "canopen"\nbus = "can0"\nnode = {node}\nsigned = true\n\n'
+            for name, node in (("input_angle", _INPUT_NODE), ("output_angle", _OUTPUT_NODE))
+        )
+        _write(Path(path).with_name("torque.dbc"), _TORQUE_DBC)
+        return _write(
+            path,
+            f"{_head(ratio, pair)}{_conditions(self.motion.run)}\n[bus.can0]\n"
+            f"interface = {edge.json_text(bus.interface)}\nchannel = {edge.json_text(bus.channel)}\n\n{angles}"
+            '[channel.torque]\nprotocol = "dbc"\nbus = "can0"\nfile = "torque.dbc"\nmessage = "torque"\n'
+            'signal = "torque"\nsync = true\n',
+        )
+
+    def _operational(self) -> bool:
+        return all(node.nmt.state == "OPERATIONAL" for node in self._nodes)
+
+    def _run(self) -> None:
+        try:
+            while not self._stopping.is_set() and not self._operational():
+                self._changed.wait()
+                self._changed.clear()
+            if not self._stopping.is_set():
+                self._send()
+        except Exception as problem:  # told by wait(): nobody else sees a thread's end
+            self._failure = problem
+        finally:
+            self._done.set()
+
+    def _positions(self, node: int, angle: FloatArray) -> np.ndarray[Any, np.dtype[np.uint32]]:
+        """Return what the object 0x6004 of a node shows at these angles."""
+        resolution = self.counts_per_turn[node]
+        return (quantised(angle, resolution) % (resolution * _turns(resolution))).astype("<u4")
+
+    def _send(self) -> None:
+        """Send all samples: SYNC, then what it latched."""
+        motion = self.motion
+        payloads = {
+            SYNC_ID: (np.arange(len(motion.time)) % SYNC_COUNTER_MAX + 1).astype("u1"),
+            0x180 + _INPUT_NODE: self._positions(_INPUT_NODE, motion.input_angle),
+            0x180 + _OUTPUT_NODE: self._positions(_OUTPUT_NODE, motion.output_angle),
+            _TORQUE_ID: np.rint(motion.torque / _TORQUE_SCALE).astype("<i4"),
+        }
+        raw = [
+            (identifier, array.tobytes(), array.itemsize, self._drop.get(identifier, set()))
+            for identifier, array in payloads.items()
+        ]
+        begun = time.time()
+        stamps = (begun + motion.time).tolist()
+        send, interval = self._bus.send, self._interval
+        for i, stamp in enumerate(stamps):
+            if self._stopping.is_set() or (self._changed.is_set() and not self._operational()):
+                return
+            if interval:
+                wait = begun + i * interval - time.time()
+                if wait > 0 and self._stopping.wait(wait):
+                    return
+            for identifier, data, size, dropped in raw:
+                if i not in dropped:
+                    send(
+                        can.Message(
+                            timestamp=stamp,
+                            arbitration_id=identifier,
+                            is_extended_id=False,
+                            data=data[i * size : (i + 1) * size],
+                        )
+                    )
+            self.sent = i + 1
+
+
+class Amt21Bench:
+    """A bench of two AMT21 encoders on one RS-485 line, which is a pseudo-terminal: record `url`.
+
+    A context manager. The motion begins with the first question and runs at its own speed times `speed_factor`; each
+    answer is the position at that moment. The torque is not on this line.
+
+    Parameters
+    ----------
+    motion
+        What moves.
+    addresses
+        Address of the input's and the output's encoder.
+    bits
+        12 or 14.
+    speed_factor
+        Speed of time.
+
+    Attributes
+    ----------
+    url
+        The port to record.
+    answered
+        The sample each address answered, question by question, wrong answers left out.
+    corrupt, mute
+        Numbers of the questions answered with a flipped bit, and addresses that no longer answer.
+    """
+
+    def __init__(
+        self,
+        motion: Motion,
+        *,
+        addresses: tuple[int, int] = (0x54, 0x58),
+        bits: Literal[12, 14] = 14,
+        speed_factor: float = 1.0,
+    ) -> None:
+        self.motion, self.addresses, self.bits = motion, addresses, bits
+        self._factor = speed_factor
+        self.answered: dict[int, list[int]] = {a: [] for a in addresses}
+        self.corrupt: set[int] = set()
+        self.mute: set[int] = set()
+
+    def __enter__(self) -> Self:
+        """Open the pseudo-terminal."""
+        import tty
+
+        self._bench, self._line = os.openpty()
+        tty.setraw(self._line)
+        self.url = os.ttyname(self._line)
+        self._wake_read, self._wake = os.pipe()
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="bench", daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        os.write(self._wake, b"x")
+        self._thread.join()
+        for descriptor in (self._bench, self._line, self._wake_read, self._wake):
+            os.close(descriptor)
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait for the end of the motion and return whether it came."""
+        return self._done.wait(timeout)
+
+    def write_wiring(self, path: str | os.PathLike[str], *, ratio: float | None = None, pair: str = "") -> Path:
+        """Write the `BENCH.toml` that records this bench and return its path."""
+        channels = "".join(
+            f'\n[channel.{name}]\nprotocol = "amt21"\nport = "rs485"\naddress = {address}\nbits = {self.bits}\n'
+            for name, address in zip(("input_angle", "output_angle"), self.addresses, strict=True)
+        )
+        head = f"{_head(ratio, pair)}{_conditions(self.motion.run)}"
+        return _write(path, f"{head}\n[port.rs485]\nurl = {edge.json_text(self.url)}\n{channels}")
+
+    def _run(self) -> None:
+        counts = 1 << self.bits
+        angles = (self.motion.input_angle, self.motion.output_angle)
+        words = {
+            address: check_bits((quantised(a, counts) % counts << (14 - self.bits)).astype(np.uint16)).tolist()
+            for address, a in zip(self.addresses, angles, strict=True)
+        }
+        times = self.motion.time
+        begun: float | None = None
+        asked = 0
+        while True:
+            ready, _, _ = select.select([self._bench, self._wake_read], [], [])
+            if self._wake_read in ready:
+                return
+            with contextlib.suppress(OSError):
+                for address in os.read(self._bench, 64):
+                    if address not in words or address in self.mute:
+                        continue
+                    now = time.monotonic()
+                    begun = now if begun is None else begun
+                    i = int(np.searchsorted(times, (now - begun) * self._factor, side="right")) - 1
+                    if i >= len(times) - 1:
+                        self._done.set()
+                    word = words[address][i]
+                    if asked in self.corrupt:
+                        word ^= 1
+                    else:
+                        self.answered[address].append(i)
+                    asked += 1
+                    os.write(self._bench, struct.pack("<H", word))

@@ -1,0 +1,265 @@
+"""What every encoder is: an interface, its errors, the arithmetic of counts and the registry of protocols."""
+
+from __future__ import annotations
+
+import abc
+import contextlib
+import importlib.metadata
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+import numpy as np
+import numpy.typing as npt
+import pydantic
+
+from cycloid_fmu import edge
+from drivers import recording_format as rf
+from drivers.recording_format import Channel, Event, Samples
+
+ENTRY_POINTS = "cycloid.encoders"
+
+
+class EncoderError(Exception):
+    """An encoder or its bus does not do what it should; the text is one sentence that names channel and place."""
+
+
+class EncoderTimeout(EncoderError):  # noqa: N818
+    """The device does not answer."""
+
+
+class EncoderProtocolError(EncoderError):
+    """The device answers something that its protocol does not allow."""
+
+
+class EncoderConnectionError(EncoderError):
+    """The bus or port can't be opened, or it broke."""
+
+
+class BusConfig(edge.Config):
+    """A CAN bus as python-can opens it: interface ("socketcan", "virtual", "udp_multicast" …), channel, bit rate."""
+
+    interface: str
+    channel: str
+    bitrate: Annotated[int, pydantic.Field(gt=0)] | None = None
+
+
+class PortConfig(edge.Config):
+    """A serial port as pyserial opens it: a device such as "/dev/ttyUSB0" or any of pyserial's URLs, and baud rate."""
+
+    url: str
+    baud_rate: Annotated[int, pydantic.Field(gt=0)] = 2_000_000
+
+
+class ChannelConfig(edge.Config):
+    """What every channel of a `BENCH.toml` says; the protocols add their keys."""
+
+    protocol: str
+    direction: Literal[1, -1] = 1
+    zero_reference: Literal["absolute", "incremental"] = "absolute"
+
+
+class AngleConfig(ChannelConfig):
+    """What every angle channel says: counts per turn (absent: the device says it) and the angle shown at zero, rad."""
+
+    counts_per_turn: Annotated[int, pydantic.Field(gt=0)] | None = None
+    zero: edge.Angle = 0.0
+
+
+class Wiring:
+    """Buses and ports of a `BENCH.toml` by name, the folder that its file names are relative to, and its name."""
+
+    def __init__(
+        self, buses: Mapping[str, BusConfig], ports: Mapping[str, PortConfig], folder: Path, source: str
+    ) -> None:
+        self.buses, self.ports, self.folder, self.source = buses, ports, folder, source
+
+    def bus(self, name: str, channel: str) -> BusConfig:
+        """Return the bus of this name; an `edge.InputError` names the channel that wants it where there is none."""
+        found: BusConfig = _named(self.buses, name, "bus", channel, self.source)
+        return found
+
+    def port(self, name: str, channel: str) -> PortConfig:
+        """Return the port of this name; an `edge.InputError` names the channel that wants it where there is none."""
+        found: PortConfig = _named(self.ports, name, "port", channel, self.source)
+        return found
+
+
+def _named(table: Mapping[str, Any], name: str, kind: str, channel: str, source: str) -> Any:
+    if name not in table:
+        there = ", ".join(f'"{k}"' for k in table) or "none"
+        raise edge.InputError(
+            f'{source}: [channel.{channel}] {kind} = "{name}": there is no [{kind}.{name}]; the file has {there}.'
+        )
+    return table[name]
+
+
+class Encoder(abc.ABC):
+    """A sensor that yields time-stamped samples in blocks; a context manager that opens and closes it.
+
+    `start` is called once all channels of a bench are open, so that none misses what the first one sets going.
+    """
+
+    configuration: ClassVar[type[ChannelConfig]]
+    channel: Channel
+
+    @classmethod
+    @abc.abstractmethod
+    def from_config(cls, name: str, config: Any, wiring: Wiring) -> Encoder:
+        """Return the encoder that a `[channel.name]` of a `BENCH.toml` describes, not yet opened.
+
+        Raises
+        ------
+        edge.InputError
+            If it names a bus, port or file that isn't there.
+        """
+
+    @abc.abstractmethod
+    def __enter__(self) -> Self:
+        """Open it; from now on `channel` says what it is.
+
+        Raises
+        ------
+        EncoderError
+            If bus, port or device do not answer or answer nonsense.
+        """
+
+    @abc.abstractmethod
+    def close(self) -> None:
+        """Give bus or port back; closing twice does no harm."""
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def start(self) -> None:  # noqa: B027
+        """Let the device send, where it has to be told."""
+
+    @abc.abstractmethod
+    def read(self, timeout: float) -> Samples | None:
+        """Return all samples that came since the last call, `time_host` in seconds since 1970.
+
+        Parameters
+        ----------
+        timeout
+            Seconds to wait for the first sample; 0 to take what is there.
+
+        Returns
+        -------
+        Samples or None
+            None when nothing came.
+
+        Raises
+        ------
+        EncoderError
+            If the device is gone for good; what is recoverable is an event and a status bit.
+        """
+
+    @abc.abstractmethod
+    def events(self) -> list[Event]:
+        """Return what happened since the last call, `time` in seconds since 1970, and forget it."""
+
+
+def role_of(name: str) -> str:
+    """Return the role of a channel of this name."""
+    return name if name in rf.ROLES else "other"
+
+
+def unwrap(
+    raw: npt.NDArray[np.int64], modulus: int, previous: int | None = None, *, signed: bool = False
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+    """Make counts that roll over continuous, each step taken the short way round.
+
+    Parameters
+    ----------
+    raw
+        Counts as sent, shape (n,), any representative modulo `modulus`.
+    modulus
+        Counts at which the device starts again from 0.
+    previous
+        Continuous count of the sample before, None at the beginning.
+    signed
+        Whether the first count is taken in [-modulus/2, modulus/2) instead of [0, modulus): an encoder that stands a
+        little below zero then begins at -1 and not a whole range above it.
+
+    Returns
+    -------
+    counts, rolled
+        Continuous counts, and which samples lie beyond a rollover of the raw counts, both of shape (n,).
+    """
+    residue = raw % modulus
+    if previous is None:
+        first = int(residue[0]) if len(residue) else 0
+        previous = first - modulus if signed and first >= modulus - modulus // 2 else first
+    before = np.concatenate([[previous % modulus], residue[:-1]]) if len(residue) else residue
+    step = residue - before
+    half = modulus // 2
+    short = (step + half) % modulus - half
+    return previous + np.cumsum(short), short != step
+
+
+def counts_to_value(
+    counts: npt.NDArray[np.int64], counts_per_turn: int, direction: int, zero: float
+) -> npt.NDArray[np.float64]:
+    """Return the angle in rad, counter-clockwise positive: direction * 2 pi counts / counts per turn - zero."""
+    return np.asarray(direction * (2 * math.pi / counts_per_turn) * counts - zero, np.float64)
+
+
+def extract_bits(
+    payloads: npt.NDArray[np.uint8], start: int, length: int, *, signed: bool, little_endian: bool = True
+) -> npt.NDArray[np.int64]:
+    """Return an integer field of frames of up to eight bytes.
+
+    Parameters
+    ----------
+    payloads
+        Frames, shape (n, 8), zero-padded behind.
+    start
+        Little-endian (CiA 301 mappings, DBC "@1"): lowest bit of the field, counted from byte 0's lowest. Big-endian:
+        highest bit of the field, counted from byte 0's highest.
+    length
+        Bits, 1 to 64 (a 64-bit unsigned field wraps at 2^63).
+    signed
+        Whether the field is in two's complement.
+    little_endian
+        Order of the bytes.
+    """
+    words = np.ascontiguousarray(payloads).view("<u8" if little_endian else ">u8").reshape(-1).astype(np.uint64)
+    left = 64 - start - length if little_endian else start
+    words = words << np.uint64(left)
+    if signed:
+        return words.view(np.int64) >> np.int64(64 - length)
+    return (words >> np.uint64(64 - length)).view(np.int64)
+
+
+def protocols() -> dict[str, importlib.metadata.EntryPoint]:
+    """Return the registered protocols by name: the entry points of the group `cycloid.encoders`."""
+    return {e.name: e for e in importlib.metadata.entry_points(group=ENTRY_POINTS)}
+
+
+def encoder_class(protocol: object, channel: str, source: str) -> type[Encoder]:
+    """Return the class that speaks a protocol; an `edge.InputError` names channel and file where none does."""
+    known = protocols()
+    if protocol is None:
+        raise edge.InputError(f"{source}: [channel.{channel}] protocol is missing.")
+    if not isinstance(protocol, str) or protocol not in known:
+        raise edge.InputError(
+            f'{source}: [channel.{channel}] protocol = "{protocol}": no such protocol is installed; '
+            f"there are {', '.join(sorted(known)) or 'none'}."
+        )
+    loaded: type[Encoder] = known[protocol].load()
+    return loaded
+
+
+@contextlib.contextmanager
+def opened(encoders: list[Encoder]) -> Iterator[list[Encoder]]:
+    """Open all encoders, then start all; close all at the end, whatever happens."""
+    with contextlib.ExitStack() as stack:
+        for encoder in encoders:
+            stack.enter_context(encoder)
+        for encoder in encoders:
+            encoder.start()
+        yield encoders

@@ -1,0 +1,442 @@
+"""The bench recording, `cycloid-recording/1`: an Arrow IPC stream that survives a kill at any byte.
+
+No bus library stands behind this module: it is what a recorder writes and an evaluation reads.
+
+A file is a schema, record batches and an end mark. Every batch holds samples of one channel as they came, in the
+columns `channel` (dictionary of the channels' names), `time_host`, `time_device`, `counts`, `value` and `status`.
+The schema's metadata, UTF-8 text, are `format`, `channels` (a JSON list of objects, the fields of `Channel`),
+`conditions` (a JSON object, SI numbers and text), `ratio` (JSON number or null), `pair` and `start` (ISO 8601, UTC).
+Each batch's custom metadata are `sequence` (decimal, from 0), `events` (a JSON list of {time, channel, text}) and
+`crc32` (eight hexadecimal digits).
+
+The CRC-32 is that of zlib and PNG, over these bytes in this order: `sequence` and `events` as stored, the channel's
+name in UTF-8, then the columns `time_host`, `time_device`, `counts`, `value`, `status` as little-endian arrays without
+padding, where a column that is null contributes nothing.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import sys
+import zlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from cycloid_fmu import edge
+
+FORMAT = "cycloid-recording/1"
+GAP, CHECKSUM, RESET, DUPLICATE, OUT_OF_ORDER, ROLLOVER = 1, 2, 4, 8, 16, 32
+ROLES = ("input_angle", "output_angle", "torque", "other")
+
+FloatArray: TypeAlias = npt.NDArray[np.float64]
+IntArray: TypeAlias = npt.NDArray[np.int64]
+ByteArray: TypeAlias = npt.NDArray[np.uint8]
+
+_END_OF_STREAM = b"\xff\xff\xff\xff\x00\x00\x00\x00"
+
+
+@dataclasses.dataclass(frozen=True)
+class Channel:
+    """One measured quantity and where it comes from.
+
+    Attributes
+    ----------
+    name
+        Unique in the recording: "input_angle", "output_angle", "torque" or another.
+    role
+        What an evaluation takes it for: the name where it is one of these three, else "other".
+    protocol
+        Name of the protocol that delivered it.
+    unit
+        SI unit of the values: "rad", "N*m" or another.
+    counts_per_turn
+        Counts of one turn; None where the channel has no counts.
+    direction
+        +1 where the counts grow with the angle counter-clockwise, -1 where they fall.
+    zero
+        Value, in `unit`, that the sensor shows (with its direction) when the shaft is at zero; already subtracted.
+    zero_reference
+        "absolute": the zero is the same in every recording; "incremental": each recording has its own.
+    identity
+        What the device says it is.
+    time_source
+        What event `time_host` marks and whose clock it is.
+    """
+
+    name: str
+    role: str
+    protocol: str
+    unit: str
+    counts_per_turn: int | None
+    direction: int
+    zero: float
+    zero_reference: str
+    identity: str
+    time_source: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Event:
+    """Something that happened to a channel: `time` in seconds on the host's clock, as the samples' `time_host`."""
+
+    time: float
+    channel: str
+    text: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Samples:
+    """Samples of one channel, arrays of shape (n,).
+
+    Attributes
+    ----------
+    channel
+        The channel's name.
+    time_host
+        Seconds: in a recording since its `start`, fresh from an encoder since 1970.
+    time_device
+        Seconds on the device's own clock, or None where it has none.
+    counts
+        Unwrapped counts as the device sent them, or None where it sends none.
+    value
+        SI value: continuous radians of an angle, newton metres of a torque.
+    status
+        Bits: 1 gap before, 2 checksum failed (before), 4 reset, 8 duplicate, 16 out of order, 32 rollover.
+    """
+
+    channel: str
+    time_host: FloatArray
+    time_device: FloatArray | None
+    counts: IntArray | None
+    value: FloatArray
+    status: ByteArray
+
+    @classmethod
+    def checked(
+        cls,
+        channel: str,
+        time_host: npt.ArrayLike,
+        value: npt.ArrayLike,
+        *,
+        time_device: npt.ArrayLike | None = None,
+        counts: npt.ArrayLike | None = None,
+        status: npt.ArrayLike | None = None,
+    ) -> Samples:
+        """Return samples of these arrays, converted; no `status` means that nothing is wrong.
+
+        Raises
+        ------
+        ValueError
+            If an array isn't one-dimensional and of the same length as the others.
+        """
+        host = np.asarray(time_host, np.float64)
+        made = cls(
+            channel,
+            host,
+            None if time_device is None else np.asarray(time_device, np.float64),
+            None if counts is None else np.asarray(counts, np.int64),
+            np.asarray(value, np.float64),
+            np.zeros(host.shape, np.uint8) if status is None else np.asarray(status, np.uint8),
+        )
+        shapes = {name: a.shape for name in _COLUMNS if (a := getattr(made, name)) is not None}
+        if len(host.shape) != 1 or len(set(shapes.values())) != 1:
+            raise ValueError(f"the samples of {channel} must be one-dimensional and of one length, not {shapes}")
+        return made
+
+    def __len__(self) -> int:
+        return len(self.time_host)
+
+
+@dataclasses.dataclass(frozen=True)
+class Header:
+    """What a recording says about itself: channels, conditions (SI), signed ratio, pair's name, start in UTC."""
+
+    channels: tuple[Channel, ...]
+    conditions: Mapping[str, float | str]
+    ratio: float | None
+    pair: str
+    start: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Recording:
+    """A recording that was read.
+
+    Attributes
+    ----------
+    header
+        Channels and conditions.
+    samples
+        Samples of every channel by its name, in the order of the file; length 0 where a channel has none.
+    events
+        All events in the order of the file, `time` in seconds since the start.
+    problems
+        One sentence for each thing wrong with the file; empty where it is whole.
+    """
+
+    header: Header
+    samples: Mapping[str, Samples]
+    events: tuple[Event, ...]
+    problems: tuple[str, ...]
+
+
+_COLUMNS: Mapping[str, tuple[pa.DataType, str, bool]] = {
+    "time_host": (pa.float64(), "<f8", False),
+    "time_device": (pa.float64(), "<f8", True),
+    "counts": (pa.int64(), "<i8", True),
+    "value": (pa.float64(), "<f8", False),
+    "status": (pa.uint8(), "u1", False),
+}
+
+
+def batch_checksum(sequence: int, events: str, samples: Samples) -> str:
+    """Return the CRC-32 of a batch as eight hexadecimal digits; the module's text defines the bytes."""
+    crc = zlib.crc32(f"{sequence}{events}{samples.channel}".encode())
+    for name, (_, kind, _) in _COLUMNS.items():
+        array = getattr(samples, name)
+        if array is not None:
+            crc = zlib.crc32(np.ascontiguousarray(array, kind).tobytes(), crc)
+    return f"{crc:08x}"
+
+
+def _schema(header: Header) -> pa.Schema:
+    metadata = {
+        "format": FORMAT,
+        "channels": json.dumps([dataclasses.asdict(c) for c in header.channels]),
+        "conditions": json.dumps(dict(header.conditions)),
+        "ratio": json.dumps(header.ratio),
+        "pair": header.pair,
+        "start": header.start,
+    }
+    fields = [pa.field("channel", pa.dictionary(pa.int16(), pa.string()), nullable=False)]
+    fields += [pa.field(name, kind, nullable=nullable) for name, (kind, _, nullable) in _COLUMNS.items()]
+    return pa.schema(fields, metadata=metadata)
+
+
+def check_new(path: str | os.PathLike[str]) -> None:
+    """Refuse, with an `edge.InputError`, a path at which there is something already: no recording is overwritten."""
+    if Path(path).exists():
+        raise edge.InputError(f"{path}: this file exists and recordings are not overwritten; name another.")
+
+
+class RecordingWriter:
+    """A recording being written: every batch is with the operating system when `write` returns.
+
+    A kill loses at most the batch being written (a power cut: what the operating system still holds).
+
+    Parameters
+    ----------
+    path
+        New file; what is recorded is never overwritten.
+    header
+        Channels and conditions.
+
+    Raises
+    ------
+    edge.InputError
+        If the file exists or can't be created.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], header: Header) -> None:
+        self._names = [c.name for c in header.channels]
+        self._dictionary = pa.array(self._names, pa.string())
+        self._schema = _schema(header)
+        self._sequence = 0
+        self._whole = True
+        try:
+            os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        except FileExistsError:
+            check_new(path)
+            raise
+        except OSError as problem:
+            raise edge.InputError(f"{path}: {problem.strerror or problem}.") from None
+        self._file = pa.OSFile(str(path), "wb")
+        self._stream = pa.ipc.new_stream(self._file, self._schema)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def write(self, samples: Samples, events: Sequence[Event] = ()) -> None:
+        """Append samples of one channel and what happened meanwhile; no samples, events only, is a batch too.
+
+        Raises
+        ------
+        ValueError
+            If the header has no such channel.
+        OSError
+            If the disk does not take them; the batches before stay readable.
+        """
+        index = self._names.index(samples.channel)
+        said = json.dumps([dataclasses.asdict(e) for e in events])
+        metadata = {
+            "sequence": str(self._sequence),
+            "events": said,
+            "crc32": batch_checksum(self._sequence, said, samples),
+        }
+        n = len(samples)
+        columns = [pa.DictionaryArray.from_arrays(pa.array(np.full(n, index, np.int16)), self._dictionary)]
+        for name, (kind, _, _) in _COLUMNS.items():
+            array = getattr(samples, name)
+            columns.append(pa.nulls(n, kind) if array is None else pa.array(array, kind))
+        batch = pa.RecordBatch.from_arrays(columns, schema=self._schema)
+        self._whole = False
+        self._stream.write_batch(batch, custom_metadata=metadata)
+        self._file.flush()
+        self._whole = True
+        self._sequence += 1
+
+    def close(self) -> None:
+        """End the stream; after a failed write the end mark is left out, so that the file says it is cut."""
+        if self._file.closed:
+            return
+        if self._whole:
+            self._stream.close()
+        self._file.close()
+
+
+def _header(metadata: Mapping[bytes, bytes] | None, source: str) -> Header:
+    text = {k.decode(): v.decode() for k, v in (metadata or {}).items()}
+    if "format" not in text:
+        raise edge.InputError(f"{source}: this is an Arrow stream but not a recording; it names no format.")
+    if text["format"] != FORMAT:
+        raise edge.InputError(f'{source}: format = "{text["format"]}": this version reads "{FORMAT}".')
+    try:
+        return Header(
+            tuple(Channel(**c) for c in json.loads(text["channels"])),
+            json.loads(text["conditions"]),
+            json.loads(text["ratio"]),
+            text["pair"],
+            text["start"],
+        )
+    except (KeyError, TypeError, ValueError) as problem:
+        raise edge.InputError(f"{source}: the recording's header can't be understood ({problem}).") from None
+
+
+def _batch(batch: pa.RecordBatch, metadata: Mapping[bytes, bytes] | None) -> tuple[int, Samples, tuple[Event, ...]]:
+    """Return sequence number, samples and events of a batch; ValueError says why it can't be trusted."""
+    text = {k.decode(): v.decode() for k, v in (metadata or {}).items()}
+    if not {"sequence", "events", "crc32"} <= text.keys():
+        raise ValueError("it has no sequence number, events or CRC-32")
+    batch.validate(full=True)
+    sequence, said = int(text["sequence"]), json.loads(text["events"])
+    events = tuple(Event(**e) for e in said)
+    names = batch.column(0).unique().to_pylist()
+    if len(names) > 1:
+        raise ValueError(f"it mixes the channels {', '.join(names)}")
+    arrays = {
+        name: None if batch.column(name).null_count else np.asarray(batch.column(name).to_numpy(zero_copy_only=False))
+        for name in _COLUMNS
+    }
+    if names:
+        samples = Samples(channel=names[0], **arrays)  # type: ignore[arg-type]
+        candidates = [samples]
+    else:  # an empty batch has no row that names its channel: it is the one the CRC-32 fits
+        candidates = [Samples(channel=name, **arrays) for name in batch.column(0).dictionary.to_pylist()]  # type: ignore[arg-type]
+    for samples in candidates:
+        if batch_checksum(sequence, text["events"], samples) == text["crc32"]:
+            return sequence, samples, events
+    raise ValueError("its CRC-32 is wrong")
+
+
+def _joined(name: str, blocks: Sequence[Samples]) -> Samples:
+    def column(attribute: str, kind: str) -> npt.NDArray[Any]:
+        return np.concatenate([np.zeros(0, kind), *(getattr(b, attribute) for b in blocks)]).astype(kind)
+
+    def has(attribute: str) -> bool:
+        return bool(blocks) and all(getattr(b, attribute) is not None for b in blocks)
+
+    return Samples(
+        name,
+        column("time_host", "f8"),
+        column("time_device", "f8") if has("time_device") else None,
+        column("counts", "i8") if has("counts") else None,
+        column("value", "f8"),
+        column("status", "u1"),
+    )
+
+
+def read_recording(path: str | os.PathLike[str]) -> Recording:
+    """Read a recording, however it ended.
+
+    All complete batches of a cut file are returned and the cut is a sentence in `problems`. A batch whose CRC-32 is
+    wrong is left out; the next sample of each channel that may have lost samples so is marked "gap before".
+
+    Parameters
+    ----------
+    path
+        A `.arrows` file; it may still be growing.
+
+    Raises
+    ------
+    edge.InputError
+        If the file can't be read, is no recording or has another format.
+    """
+    source = str(path)
+    edge.existing(path)
+    if Path(path).stat().st_size == 0:
+        raise edge.InputError(f"{source}: the file is empty; it was cut before the header of a recording.")
+    problems: list[str] = []
+    events: list[Event] = []
+    with pa.memory_map(source) as file:
+        try:
+            reader = pa.ipc.open_stream(file)
+        except (pa.ArrowException, OSError):
+            raise edge.InputError(f"{source}: this is not a recording, or it was cut within its header.") from None
+        header = _header(reader.schema.metadata, source)
+        expected = _schema(header)
+        if not reader.schema.equals(expected):
+            raise edge.InputError(f"{source}: the columns are not those of {FORMAT}: {', '.join(reader.schema.names)}.")
+        blocks: dict[str, list[Samples]] = {c.name: [] for c in header.channels}
+        lost: set[str] = set()
+        number, next_sequence = -1, 0
+        while True:
+            number += 1
+            try:
+                batch, metadata = reader.read_next_batch_with_custom_metadata()
+            except StopIteration:
+                break
+            except (pa.ArrowException, OSError):
+                problems.append(f"{source}: it is cut or damaged after {number} complete batches; these were read.")
+                break
+            try:
+                sequence, samples, said = _batch(batch, metadata)
+            except (ValueError, TypeError, pa.ArrowException) as problem:
+                problems.append(f"{source}: batch {number} was left out: {problem}.")
+                lost = set(blocks)
+                next_sequence += 1
+                continue
+            if sequence != next_sequence:
+                problems.append(f"{source}: batch {number} has sequence number {sequence}, not {next_sequence}.")
+                lost = set(blocks)
+            next_sequence = sequence + 1
+            events.extend(said)
+            if len(samples):
+                if samples.channel in lost:
+                    status = samples.status.copy()
+                    status[0] |= GAP
+                    samples = dataclasses.replace(samples, status=status)
+                    lost.discard(samples.channel)
+                blocks[samples.channel].append(samples)
+        if not any("is cut" in p for p in problems):
+            end = file.tell()
+            file.seek(max(0, end - len(_END_OF_STREAM)))
+            if file.read(len(_END_OF_STREAM)) != _END_OF_STREAM:
+                problems.append(f"{source}: it was not closed; all {number} batches were read.")
+        return Recording(header, {n: _joined(n, b) for n, b in blocks.items()}, tuple(events), tuple(problems))
+
+
+if sys.byteorder != "little":  # Arrow buffers and the checksum are little-endian
+    raise ImportError("cycloid recordings are written and read on little-endian machines only")

@@ -1,0 +1,110 @@
+"""AMT21 over a real pair of pseudo-terminals, and the datasheet's check bits."""
+
+import math
+import os
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers import recording_format as rf
+from drivers.amt21_encoder import check_bits, checked_position
+from drivers.bench import Amt21Bench, BenchRun, simulate_motion
+from drivers.encoder import EncoderConnectionError, EncoderTimeout
+from drivers.recorder import open_encoders, record_bench
+from drivers.recording_format import read_recording
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals")
+
+
+@pytest.mark.parametrize(("word", "position"), [(0x61AB, 0x21AB), (0xF9E4, 0x39E4)])
+def test_the_datasheets_examples(word, position):
+    found, good = checked_position(np.array([word], np.uint16))
+    assert good.tolist() == [True]
+    assert found.tolist() == [position]
+    assert check_bits(np.array([position], np.uint16)).tolist() == [word]
+
+
+@given(st.integers(0, 0x3FFF), st.integers(0, 15))
+def test_check_bits_confirm_every_position_and_catch_every_single_flipped_bit(position, bit):
+    word = check_bits(np.array([position], np.uint16))
+    found, good = checked_position(word)
+    assert good.all()
+    assert found[0] == position
+    assert not checked_position(word ^ np.uint16(1 << bit))[1].any()
+
+
+@pytest.mark.parametrize("bits", [12, 14])
+def test_the_recording_is_the_commanded_motion(tmp_path, bits):
+    run = BenchRun(torque=5.0, turns=2, samples_per_turn=200, speed=8 * math.pi)
+    motion = simulate_motion(lambda angle, torque: -angle / 39, run)
+    path = tmp_path / "run.arrows"
+    with Amt21Bench(motion, bits=bits) as bench:
+        toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
+        record_bench(toml, path, stop=lambda: bench.wait(0.0))
+    recording = read_recording(path)
+    assert recording.problems == recording.events == ()
+    half_a_count = math.pi / (1 << bits)
+    for name, address in zip(("input_angle", "output_angle"), bench.addresses, strict=True):
+        samples = recording.samples[name]
+        answered = np.array(bench.answered[address])[1:]  # the first answer told the encoder's presence
+        commanded = getattr(motion, name)[answered[: len(samples)]]
+        assert len(samples) > 100
+        assert np.max(np.abs(samples.value - commanded)) <= half_a_count * (1 + 1e-6)
+        assert np.all(np.diff(samples.time_host) > 0)
+        assert not np.any(samples.status & ~np.uint8(rf.ROLLOVER))
+
+
+def test_a_word_with_wrong_check_bits_is_never_an_angle(tmp_path):
+    run = BenchRun(torque=5.0, turns=1, samples_per_turn=100, speed=8 * math.pi)
+    motion = simulate_motion(lambda angle, torque: angle / 40, run)
+    path = tmp_path / "run.arrows"
+    with Amt21Bench(motion) as bench:
+        bench.corrupt = {22, 24, 31}
+        toml = bench.write_wiring(tmp_path / "BENCH.toml")
+        record_bench(toml, path, stop=lambda: bench.wait(0.0))
+    recording = read_recording(path)
+    marked = {n: np.flatnonzero(s.status & rf.CHECKSUM) for n, s in recording.samples.items()}
+    # Questions 0 and 1 find the encoders; then input and output are asked in turn: 22 and 24 are the input's.
+    assert marked["input_angle"].tolist() == [10]
+    assert marked["output_angle"].tolist() == [14]
+    for samples in recording.samples.values():
+        np.testing.assert_array_equal(samples.status & rf.GAP > 0, samples.status & rf.CHECKSUM > 0)
+        assert np.max(np.abs(np.diff(samples.value))) < 1.0
+    lost = [e for e in recording.events if "wrong check bits" in e.text]
+    assert sum(int(e.text.split()[0]) for e in lost) == 3
+
+
+def test_an_address_without_an_encoder_is_named(tmp_path):
+    motion = simulate_motion(lambda angle, torque: angle / 40, BenchRun(torque=5.0, turns=1))
+    with Amt21Bench(motion) as bench:
+        toml = bench.write_wiring(tmp_path / "BENCH.toml")
+        toml.write_text(toml.read_text().replace("address = 88", "address = 92"))
+        with pytest.raises(EncoderTimeout, match="output_angle: AMT21 at address 0x5C"), open_encoders(toml):
+            pass
+
+
+def test_a_port_that_is_not_there_is_named(tmp_path):
+    motion = simulate_motion(lambda angle, torque: angle / 40, BenchRun(torque=5.0, turns=1))
+    with Amt21Bench(motion) as bench:
+        toml = bench.write_wiring(tmp_path / "BENCH.toml")
+    toml.write_text(toml.read_text().replace(bench.url, "/dev/pts/987654"))
+    with pytest.raises(EncoderConnectionError, match="/dev/pts/987654"), open_encoders(toml):
+        pass
+
+
+def test_an_encoder_that_falls_silent_is_an_event(tmp_path):
+    motion = simulate_motion(lambda angle, torque: angle / 40, BenchRun(torque=5.0, turns=1, speed=2 * math.pi))
+    path = tmp_path / "run.arrows"
+    with Amt21Bench(motion) as bench:
+        toml = bench.write_wiring(tmp_path / "BENCH.toml")
+
+        def progress(counts):
+            if counts["output_angle"] > 20:
+                bench.mute = {bench.addresses[1]}
+
+        record_bench(toml, path, duration=0.6, progress=progress)
+    recording = read_recording(path)
+    assert any(e.channel == "output_angle" and "no answer" in e.text for e in recording.events)
+    assert len(recording.samples["input_angle"]) > len(recording.samples["output_angle"])

@@ -1,0 +1,244 @@
+"""The command line from end to end, over processes, and what it says to bad input."""
+
+import os
+import re
+import select
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+
+from cycloid_fmu import edge
+from drivers.bench import BenchRun, CanBench, fmu_output_angle, simulate_motion
+from drivers.can_hub import open_bus
+from drivers.encoder import BusConfig
+from drivers.recorder import read_bench
+from drivers.recording_format import read_recording
+
+ROOT = Path(__file__).parents[2]
+ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+GROUP = "239.74.163.77"
+
+
+def start(folder, *arguments):
+    return subprocess.Popen(
+        [sys.executable, "-m", "drivers.cli", *map(str, arguments)],
+        cwd=folder,
+        env=ENVIRONMENT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def run(folder, *arguments):
+    process = start(folder, *arguments)
+    out, err = process.communicate(timeout=40)
+    return process.returncode, out, err
+
+
+def line_of(stream, seconds):
+    """Return the next line that a process says."""
+    ready, _, _ = select.select([stream], [], [], seconds)
+    assert ready, f"nothing said for {seconds} s"
+    return stream.readline()
+
+
+def grown(path, size, seconds):
+    """Wait until a file has more than `size` bytes."""
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        if path.exists() and path.stat().st_size > size:
+            return
+        time.sleep(0.01)
+    pytest.fail(f"{path.name} did not grow beyond {size} bytes in {seconds} s")
+
+
+def multicast_works():
+    try:
+        config = BusConfig(interface="udp_multicast", channel=GROUP)
+        with open_bus(config) as one, open_bus(config) as other:
+            one.send(can.Message(arbitration_id=1, is_extended_id=False))
+            return other.recv(1.0) is not None
+    except Exception:
+        return False
+
+
+needs_multicast = pytest.mark.skipif(not multicast_works(), reason="this machine's network carries no UDP multicast")
+
+
+def test_simulate_record_export(tmp_path):
+    code, out, err = run(
+        tmp_path, "simulate", "--bus", "virtual", "--ratio", "-39", "--torque", "-20 N*m", "--turns", 2,
+        "--direction", "backward", "--noise", "0.3 arcsec", "-o", "run.arrows",
+    )  # fmt: skip
+    assert code == 0, err
+    assert "192 input_angle, 192 output_angle, 192 torque; 0 events" in out
+    code, out, err = run(tmp_path, "export", "run.arrows", "-o", "run.csv")
+    assert (code, out) == (0, "run.csv: 192 rows\n"), err
+    lines = (tmp_path / "run.csv").read_text().splitlines()
+    assert lines[0] == "time [s],input_angle [rad],output_angle [rad],torque [N*m]"
+    time_s, angle, output, torque = np.loadtxt(lines[1:], delimiter=",").T
+    assert time_s[0] == 0
+    assert np.all(np.diff(angle) < 0)
+    np.testing.assert_allclose(output, -angle / 39, atol=1e-5)
+    np.testing.assert_allclose(torque, -20, atol=1e-3)
+
+
+@needs_multicast
+def test_a_bench_in_another_process_is_recorded_without_loss(tmp_path):
+    simulation = start(
+        tmp_path, "simulate", "--ratio", "-39", "--torque", "20 N*m", "--turns", 20, "--channel", GROUP
+    )  # fmt: skip
+    assert "BENCH.toml" in line_of(simulation.stderr, 20)
+    code, out, err = run(tmp_path, "record", "BENCH.toml", "-o", "run.arrows", "--idle", "1 s")
+    simulation.communicate(timeout=20)
+    assert code == 0, err
+    assert simulation.returncode == 0
+    assert "1920 input_angle, 1920 output_angle, 1920 torque; 0 events" in out
+    samples = read_recording(tmp_path / "run.arrows").samples
+    np.testing.assert_array_equal(samples["input_angle"].time_host, samples["output_angle"].time_host)
+    np.testing.assert_allclose(np.diff(samples["input_angle"].value), 2 * np.pi / 96, atol=4e-6)
+
+
+@needs_multicast
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 130), (signal.SIGKILL, -9)])
+def test_a_recorder_that_is_stopped_keeps_what_came(tmp_path, number, code):
+    simulation = start(
+        tmp_path, "simulate", "--ratio", "-39", "--torque", "20 N*m", "--turns", 4000, "--channel", GROUP,
+        "--speed-factor", 5,
+    )  # fmt: skip
+    try:
+        assert "BENCH.toml" in line_of(simulation.stderr, 20)
+        path = tmp_path / "run.arrows"
+        recorder = start(tmp_path, "record", "BENCH.toml", "-o", path)
+        grown(path, 20_000, 20)
+        recorder.send_signal(number)
+        _, err = recorder.communicate(timeout=20)
+        assert recorder.returncode == code, err
+    finally:
+        simulation.kill()
+        simulation.communicate()
+    recording = read_recording(path)
+    assert "Traceback" not in err
+    assert len(recording.problems) == (number == signal.SIGKILL)
+    for samples in recording.samples.values():
+        assert len(samples) > 20
+    np.testing.assert_allclose(np.diff(recording.samples["input_angle"].value), 2 * np.pi / 96, atol=4e-6)
+
+
+def test_an_fmu_moves_the_bench(tmp_path):
+    (tmp_path / "gear.py").write_text(GEAR)
+    subprocess.run([sys.executable, "-m", "pythonfmu", "build", "-f", "gear.py"], cwd=tmp_path, check=True)
+    run_of = BenchRun(torque=20.0, turns=1, samples_per_turn=24)
+    motion = simulate_motion(fmu_output_angle(tmp_path / "Gear.fmu"), run_of)
+    np.testing.assert_allclose(motion.output_angle, -motion.input_angle / 39 + 20e-6, atol=1e-15)
+
+
+GEAR = """
+from pythonfmu import Fmi2Causality, Fmi2Slave, Real
+
+
+class Gear(Fmi2Slave):
+    def __init__(self, **options):
+        super().__init__(**options)
+        self.angle = self.torque = self.output = 0.0
+        for name, attribute, causality in (
+            ("flange_a.phi", "angle", Fmi2Causality.input),
+            ("flange_b.tau", "torque", Fmi2Causality.input),
+            ("flange_b.phi", "output", Fmi2Causality.output),
+        ):
+            self.register_variable(Real(
+                name, causality=causality,
+                getter=lambda a=attribute: getattr(self, a), setter=lambda v, a=attribute: setattr(self, a, v),
+            ))
+
+    def do_step(self, current_time, step_size):
+        self.output = -self.angle / 39 + 1e-6 * self.torque
+        return True
+"""
+
+
+@pytest.fixture
+def wiring(tmp_path, bus_name):
+    motion = simulate_motion(lambda angle, torque: -angle / 39, BenchRun(torque=20.0, turns=1))
+    return CanBench(motion, channel=bus_name).write_wiring(tmp_path / "BENCH.toml", ratio=-39)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('"cycloid-bench/1"', '"cycloid-bench/2"', r'format = "cycloid-bench/2": this version reads "cycloid-bench/1"'),
+        ('format = "cycloid-bench/1"\n', "", "format is missing"),
+        ("ratio = -39.0", "ratio = 0", "ratio = 0: write the signed ratio"),
+        ("ratio = -39.0", "ration = -39.0", "ration is not a key known here"),
+        ('load = "20 N*m"', 'load = "20 parsec"', r'\[conditions\] load = "20 parsec": the unit "parsec" measures'),
+        ('load = "20 N*m"', "load = 20", r"\[conditions\] load = 20: write one number"),
+        ('protocol = "canopen"', 'protocol = "carrier pigeon"', r'protocol = "carrier pigeon": no such protocol is'),
+        ('protocol = "dbc"\n', "", r"\[channel.torque\] protocol is missing"),
+        ('bus = "can0"\nnode = 1', 'bus = "can7"\nnode = 1', r'\[channel.input_angle\] bus = "can7": there is no'),
+        ("node = 1", "node = 128", r"\[channel.input_angle\]: node = 128: it should be less than or equal to 127"),
+        ("node = 1", "nodes = 1", r"\[channel.input_angle\]: node is missing"),
+        ("node = 1", "node = 1\ncolour = 3", r"\[channel.input_angle\]: colour is not a key known here"),
+        ("node = 1", 'node = 1\nzero = "3 mm"', r'\[channel.input_angle\]: zero = "3 mm": the unit "mm" measures'),
+        ("node = 1", "node = 1\ndirection = 0", r"\[channel.input_angle\]: direction = 0: it should be 1 or -1"),
+        ('signal = "torque"', 'signal = "force"', r'\[channel.torque\] signal = "force": .* it has torque'),
+        ('message = "torque"', 'message = "force"', r'\[channel.torque\] message = "force": .* has no such message'),
+        ('file = "torque.dbc"', 'file = "none.dbc"', r"none.dbc: No such file"),
+        ('signal = "torque"', 'signal = "torque"\nunit = "mm"', r'unit = "mm": the unit "mm" measures'),
+        ("[bus.can0]", "[bus.can0]\nbitrate = -1", r"\[bus.can0\] bitrate = -1: it should be greater than 0"),
+        ("[bus.can0]", "[bus.can0", "this is not TOML"),
+    ],
+)  # fmt: skip
+def test_bad_wiring_is_refused_in_a_sentence_that_names_file_and_field(wiring, old, new, said):
+    text = wiring.read_text()
+    assert old in text
+    wiring.write_text(text.replace(old, new, 1))
+    with pytest.raises(edge.InputError) as problem:
+        read_bench(wiring)
+    first = str(problem.value).splitlines()[0]
+    assert re.search(said, first), first
+    assert str(wiring.parent) in first
+    assert first.endswith(".")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["record", "none.toml", "-o", "run.arrows"], "none.toml: No such file or directory."),
+        (["record", "BENCH.toml", "-o", "run.arrows", "--idle", "2"], '--idle = "2": write one number'),
+        (["record", "BENCH.toml", "-o", "BENCH.toml"], "BENCH.toml: this file exists and recordings"),
+        (["simulate", "--torque", "20 N*m"], "--fmu or --ratio is missing"),
+        (["simulate", "--torque", "20 mm", "--ratio", "-39"], '--torque = "20 mm": the unit "mm" measures'),
+        (["simulate", "--torque", "20 N*m", "--ratio", "-39", "--bus", "virtual"], "--bus = virtual: this bus ends"),
+        (["simulate", "--torque", "20 N*m", "--fmu", "BENCH.toml"], "BENCH.toml: this is not an FMU"),
+        (["export", "BENCH.toml", "-o", "run.csv"], "BENCH.toml: this is not a recording"),
+        (["export", "run.arrows", "-o", "run.xls"], "--output = run.xls: the file must end in .csv"),
+    ],
+)  # fmt: skip
+def test_bad_input_exits_2_with_one_sentence(tmp_path, wiring, arguments, said):
+    before = wiring.read_text()
+    code, out, err = run(tmp_path, *arguments)
+    assert code == 2
+    assert said in err
+    assert out == ""
+    assert "Traceback" not in err
+    assert wiring.read_text() == before
+
+
+@pytest.mark.parametrize("command", ["record", "simulate", "export", "list"])
+def test_help_shows_an_example(tmp_path, command):
+    code, out, _ = run(tmp_path, command, "--help")
+    assert code == 0
+    assert f"cycloid-bench {command}" in " ".join(out.split())
+
+
+def test_list_names_the_protocols(tmp_path):
+    code, out, err = run(tmp_path, "list")
+    assert code == 0, err
+    assert "protocols: amt21, canopen, dbc" in out

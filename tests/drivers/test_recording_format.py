@@ -1,0 +1,217 @@
+"""The recording: what goes in comes out, and a cut or a kill costs no complete batch."""
+
+import dataclasses
+import os
+import signal
+import subprocess
+import sys
+import time
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cycloid_fmu import edge
+from drivers import recording_format as rf
+from drivers.recording_format import Channel, Event, Header, RecordingWriter, Samples, read_recording
+
+NAMES = ("input_angle", "output_angle", "torque")
+
+
+def channel(name):
+    return Channel(name, name, "canopen", "rad", 1 << 22, 1, 0.0, "absolute", "node 1", "SYNC")
+
+
+HEADER = Header(
+    tuple(map(channel, NAMES)), {"load": 20.0, "direction": "forward"}, -39.0, "pair", "2025-01-01T00:00:00Z"
+)
+
+
+def block(name, first, n):
+    time_host = np.arange(first, first + n, dtype=float)
+    return Samples.checked(name, time_host, time_host / 7, counts=np.arange(first, first + n))
+
+
+def write(path, batches):
+    with RecordingWriter(path, HEADER) as writer:
+        for samples in batches:
+            writer.write(samples)
+    return path
+
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+batches = st.lists(
+    st.tuples(
+        st.sampled_from(NAMES),
+        st.lists(st.tuples(finite, finite, st.integers(-(2**63), 2**63 - 1), st.integers(0, 63)), max_size=5),
+        st.lists(st.tuples(finite, st.text(max_size=20)), max_size=2),
+    ),
+    max_size=6,
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(batches)
+def test_what_is_written_is_read(tmp_path_factory, given_batches):
+    path = tmp_path_factory.mktemp("r") / "run.arrows"
+    with RecordingWriter(path, HEADER) as writer:
+        for name, rows, said in given_batches:
+            t, v, c, s = zip(*rows, strict=True) if rows else ((), (), (), ())
+            samples = Samples.checked(
+                name, t, v, counts=np.array(c, np.int64), time_device=t, status=np.array(s, np.uint8)
+            )
+            writer.write(samples, [Event(when, name, text) for when, text in said])
+    recording = read_recording(path)
+    assert recording.problems == ()
+    assert recording.header == HEADER
+    assert recording.events == tuple(Event(t, n, x) for n, _, said in given_batches for t, x in said)
+    for name in NAMES:
+        rows = [row for n, block_rows, _ in given_batches if n == name for row in block_rows]
+        samples = recording.samples[name]
+        assert samples.time_host.tolist() == [r[0] for r in rows]
+        assert samples.value.tolist() == [r[1] for r in rows]
+        assert samples.status.tolist() == [r[3] for r in rows]
+        if rows:
+            assert samples.counts.tolist() == [r[2] for r in rows]
+
+
+def test_the_file_is_a_plain_arrow_stream_with_the_documented_checksum(tmp_path):
+    path = write(tmp_path / "run.arrows", [block("torque", 0, 3)])
+    with pa.ipc.open_stream(path.read_bytes()) as reader:
+        batch, metadata = reader.read_next_batch_with_custom_metadata()
+    columns = batch.to_pydict()
+    assert columns["channel"] == ["torque"] * 3
+    assert columns["time_device"] == [None] * 3
+    said = {k.decode(): v for k, v in metadata.items()}
+    packed = np.array(columns["time_host"], "<f8").tobytes() + np.array(columns["counts"], "<i8").tobytes()
+    packed += np.array(columns["value"], "<f8").tobytes() + bytes(columns["status"])
+    assert said["crc32"].decode() == f"{zlib.crc32(said['sequence'] + said['events'] + b'torque' + packed):08x}"
+
+
+def test_a_file_cut_at_any_byte_of_its_last_two_batches_loses_no_complete_batch(tmp_path):
+    all_batches = [block(NAMES[i % 3], 10 * i, 4) for i in range(6)]
+    ends = [len(write(tmp_path / f"{n}.arrows", all_batches[:n]).read_bytes()) - 8 for n in (4, 5, 6)]
+    data = (tmp_path / "6.arrows").read_bytes()
+    cut = tmp_path / "cut.arrows"
+    for length in range(ends[0], len(data)):
+        cut.write_bytes(data[:length])
+        recording = read_recording(cut)
+        complete = 4 + sum(length >= end for end in ends[1:])
+        assert sum(map(len, recording.samples.values())) == 4 * complete
+        assert len(recording.problems) == 1, "a cut is always stated"
+        for name in NAMES:
+            expected = np.concatenate([b.value for b in all_batches[:complete] if b.channel == name])
+            np.testing.assert_array_equal(recording.samples[name].value, expected)
+
+
+def test_a_flipped_bit_in_the_data_costs_its_batch_alone_and_is_stated(tmp_path):
+    path = write(tmp_path / "run.arrows", [block("torque", 0, 4), block("torque", 1000, 4), block("torque", 2000, 4)])
+    data = bytearray(path.read_bytes())
+    where = data.index(np.float64(1002.0).tobytes())
+    data[where] ^= 1
+    path.write_bytes(data)
+    recording = read_recording(path)
+    assert recording.samples["torque"].time_host.tolist() == [0, 1, 2, 3, 2000, 2001, 2002, 2003]
+    assert recording.samples["torque"].status.tolist() == [0, 0, 0, 0, rf.GAP, 0, 0, 0]
+    assert "batch 1 was left out: its CRC-32 is wrong" in recording.problems[0]
+
+
+def test_a_missing_batch_is_stated(tmp_path):
+    path = tmp_path / "run.arrows"
+    with RecordingWriter(path, HEADER) as writer:
+        writer.write(block("torque", 0, 2))
+        writer._sequence += 1
+        writer.write(block("torque", 9, 2))
+    recording = read_recording(path)
+    assert recording.problems == (f"{path}: batch 1 has sequence number 2, not 1.",)
+    assert recording.samples["torque"].status.tolist() == [0, 0, rf.GAP, 0]
+
+
+def test_an_empty_recording_is_readable(tmp_path):
+    recording = read_recording(write(tmp_path / "run.arrows", []))
+    assert recording.problems == ()
+    assert [len(s) for s in recording.samples.values()] == [0, 0, 0]
+
+
+def test_events_without_samples_are_kept(tmp_path):
+    path = tmp_path / "run.arrows"
+    with RecordingWriter(path, HEADER) as writer:
+        writer.write(Samples.checked("torque", [], []), [Event(1.5, "torque", "cable pulled")])
+    assert read_recording(path).events == (Event(1.5, "torque", "cable pulled"),)
+
+
+def test_what_is_recorded_is_not_overwritten(tmp_path):
+    path = write(tmp_path / "run.arrows", [block("torque", 0, 2)])
+    before = path.read_bytes()
+    with pytest.raises(edge.InputError, match="not overwritten"):
+        RecordingWriter(path, HEADER)
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "empty"),
+        (b"time [s],torque [N*m]\n", "not a recording"),
+        (pa.schema([]).serialize().to_pybytes(), "names no format"),
+        (
+            pa.schema([], {"format": "cycloid-recording/9"}).serialize().to_pybytes(),
+            'this version reads "cycloid-recording/1"',
+        ),
+    ],
+)
+def test_what_is_no_recording_is_refused_in_one_sentence(tmp_path, content, said):
+    path = tmp_path / "run.arrows"
+    path.write_bytes(content)
+    with pytest.raises(edge.InputError, match=said) as problem:
+        read_recording(path)
+    assert str(problem.value).startswith(f"{path}: ")
+    assert "\n" not in str(problem.value)
+
+
+def test_samples_of_unequal_length_are_refused():
+    with pytest.raises(ValueError, match="one length"):
+        Samples.checked("torque", [0.0, 1.0], [0.0])
+
+
+WRITE_FOREVER = """
+import sys
+from tests.drivers.test_recording_format import HEADER, NAMES, block
+from drivers.recording_format import RecordingWriter
+with RecordingWriter(sys.argv[1], HEADER) as writer:
+    for i in range(10**9):
+        writer.write(block(NAMES[i % 3], 16 * (i // 3), 16))
+        print(i + 1, flush=True)
+"""
+
+
+def test_a_recorder_killed_leaves_every_flushed_batch_readable(tmp_path):
+    path = tmp_path / "run.arrows"
+    root = Path(__file__).parents[2]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(root), os.environ.get("PYTHONPATH", "")])}
+    process = subprocess.Popen(
+        [sys.executable, "-c", WRITE_FOREVER, path], cwd=root, env=environment, stdout=subprocess.PIPE, text=True
+    )
+    deadline = time.monotonic() + 30
+    flushed = 0
+    while flushed < 200 and time.monotonic() < deadline:
+        flushed = int(process.stdout.readline())
+    process.send_signal(signal.SIGKILL)
+    flushed = max([flushed, *(int(n) for n in process.stdout.read().split("\n")[:-1])])
+    process.wait()
+    recording = read_recording(path)
+    assert sum(map(len, recording.samples.values())) >= 16 * flushed
+    assert len(recording.problems) == 1
+    for samples in recording.samples.values():
+        np.testing.assert_array_equal(samples.counts, np.arange(len(samples)))
+
+
+def test_header_fields_survive(tmp_path):
+    header = dataclasses.replace(HEADER, ratio=None, pair="Zykloid µ", conditions={})
+    with RecordingWriter(tmp_path / "run.arrows", header):
+        pass
+    assert read_recording(tmp_path / "run.arrows").header == header
