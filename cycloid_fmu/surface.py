@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -120,7 +120,7 @@ def surface_of_pair(pair: Pair) -> ErrorSurface:
 _STRUCTURED = re.compile(rf"({'|'.join(PATTERNS)})_([1-9]\d*)_(cos|sin)")
 
 
-def structured_names(orders: Iterable[int]) -> list[str]:
+def structured_names(orders: Collection[int]) -> list[str]:
     """Names of the structured errors: the scalars, then cosine and sine part of each pattern at the given orders."""
     waves = [f"{pattern}_{order}_{part}" for pattern in PATTERNS for order in orders for part in ("cos", "sin")]
     return [*SCALAR_ERRORS, *waves]

@@ -162,22 +162,27 @@ def solve(
 
 def error_sensitivity(
     pair: Pair, surface: ErrorSurface, torque: float, crank_angle: ArrayLike, names: list[str], slices: int = 1
-) -> tuple[Array, Array, Array]:
-    """Transmission error at one torque with its derivatives by structured errors, crank angle and torque.
+) -> tuple[Array, Array, Array, Array]:
+    """Transmission error at one torque with its derivatives by errors, crank angle and torque.
 
     Returns
     -------
-    transmission_error, jacobian, further
-        Shapes (angles,), (angles, names) in rad/m (rad/rad for angles), and (angles, 2): derivatives by crank angle
-        (rad/rad) and torque (rad/(N·m)).
+    transmission_error
+        Shape (angles,), rad.
+    jacobian
+        By the structured errors of `names`, shape (angles, names), rad/m (rad/rad for angles).
+    each
+        By every single error, columns as in `contact.sensitivities`.
+    further
+        By crank angle (rad/rad) and torque (rad/(N·m)), shape (angles, 2).
     """
     drive = drive_of(pair, surface, slices)
     angles = np.atleast_1d(np.asarray(crank_angle, dtype=float))
     columns = structured_columns(pair, names)
-    raw = np.empty((angles.size, columns.shape[0]))
+    each = np.empty((angles.size, columns.shape[0]))
     deviation, by_angle, by_torque = (np.empty(angles.size) for _ in range(3))
-    contact.sweep_sensitivities(drive, angles, float(torque), deviation, raw, by_angle, by_torque)
-    return deviation, raw @ columns, np.stack([by_angle - 1.0 / pair.ratio, by_torque], axis=1)
+    contact.sweep_sensitivities(drive, angles, float(torque), deviation, each, by_angle, by_torque)
+    return deviation, each @ columns, each, np.stack([by_angle - 1.0 / pair.ratio, by_torque], axis=1)
 
 
 _LABELS = {
