@@ -22,7 +22,6 @@ from cycloid_fmu import edge
 from cycloid_fmu.contact import SCALAR_ERRORS
 from cycloid_fmu.pair import Pair
 from cycloid_fmu.surface import (
-    ANGLES,
     ErrorSurface,
     structured_names,
     structured_value,
@@ -47,7 +46,6 @@ PREFERENCE = (
 )  # fmt: skip
 TOLERANCE = {"m": 5e-6, "rad": 1e-4}  # standard deviation that an error has before anything is measured
 KNOWN = 0.2  # an error counts as known where the data leave less than this share of its tolerance
-SCATTERED = ("pin_radial", "pin_tangential", "tooth_cumulative_pitch")
 _CONFIDENCE = 0.95
 
 
@@ -285,9 +283,9 @@ def identify(
     prior = surface_of_pair(pair)
     names = structured_names([k for k in ORDERS if 2 * k < pair.pair.gear_teeth])
     _, parts = _scatter_columns(pair)
-    state = _State(prior, np.zeros(data.offsets.shape[1]), 0.0)
     linear = _linearise(pair, prior, data, names, 0.0)
-    state = dataclasses.replace(state, offsets=_first_offsets(data, linear.model))
+    zeros = np.linalg.lstsq(data.offsets, data.measured - linear.model, rcond=None)[0]
+    state = _State(prior, zeros, 0.0, np.zeros(linear.scatter.shape[1]))
 
     chosen: list[str] = []
     for attempt in range(3):
@@ -309,8 +307,7 @@ def identify(
         weight = data.weight[:, None]
         keep = [names.index(n) for n in chosen]
         fixed = weight * np.column_stack([_nuisance_columns(data, linear), linear.structured[:, keep]])
-        u = _scatter_values(pair, prior, state, chosen)
-        residual = data.weight * (data.measured - linear.model - data.offsets @ state.offsets + linear.scatter @ u)
+        residual = data.weight * (data.measured - linear.model - data.offsets @ state.offsets + linear.scatter @ state.scatter)
         factor, scatter = _components(residual, fixed, weight * linear.scatter, parts, scatter)
         progress("fitting with the scatter of pins and teeth")
         state = _fit(pair, data, chosen, state, {n: s / factor for n, s in scatter.items()}, parts)
@@ -320,24 +317,18 @@ def identify(
 
 @dataclass(frozen=True)
 class _State:
+    """Where the fit stands: the surface with the scatter in it, the bench's zeros, and the scatter by itself."""
+
     surface: ErrorSurface
     offsets: Array
     crank: float
-    scatter: Array | None = None
-
-
-def _first_offsets(data: _Data, model: Array) -> Array:
-    return np.linalg.lstsq(data.offsets, data.measured - model, rcond=None)[0]
+    scatter: Array
 
 
 def _information(data: _Data, linear: _Linear, names: Sequence[str]) -> Array:
     columns = np.column_stack([_nuisance_columns(data, linear), linear.structured * _scale(names)])
     columns = data.weight[:, None] * columns
     return columns.T @ columns
-
-
-def _scatter_values(pair: Pair, prior: ErrorSurface, state: _State, chosen: Sequence[str]) -> Array:
-    return np.zeros(2 * pair.pair.pins + pair.pair.discs * pair.pair.gear_teeth) if state.scatter is None else state.scatter
 
 
 def _with_scatter(surface: ErrorSurface, scatter: Array, parts: dict[str, slice]) -> ErrorSurface:
@@ -352,9 +343,7 @@ def _fit(
     import lmfit
 
     prior = surface_of_pair(pair)
-    base = {n: structured_value(pair, prior, n) for n in chosen}
-    held = state.scatter if state.scatter is not None else np.zeros(max(p.stop for p in parts.values()))
-    plain = _with_scatter(state.surface, -held, parts)
+    plain = _with_scatter(state.surface, -state.scatter, parts)
     scale = _scale(chosen)
     spread = np.concatenate([np.full(p.stop - p.start, deviations.get(n, 0.0)) for n, p in parts.items()])
     free = spread > 1e-9
@@ -362,7 +351,7 @@ def _fit(
         np.array([structured_value(pair, plain, n) for n in chosen]) / scale,
         state.offsets / 1e-4,
         [state.crank / 1e-2] if data.fit_crank else [],
-        (held[free] / spread[free]) if free.any() else [],
+        state.scatter[free] / spread[free],
     ])  # fmt: skip
     parameters = lmfit.Parameters()
     labels = [f"p{i}" for i in range(start.size)]
@@ -391,7 +380,7 @@ def _fit(
         at = unpack(values)
         linear = linear_at(values, at)
         differences = data.weight * (data.measured - linear.model - data.offsets @ at.offsets)
-        return np.concatenate([differences, values[values.size - np.count_nonzero(free) :]]) if free.any() else differences
+        return np.concatenate([differences, values[values.size - np.count_nonzero(free) :]])
 
     def jacobian(given: Any) -> Array:
         values = np.array([given[label].value for label in labels])
@@ -400,16 +389,11 @@ def _fit(
         blocks = [linear.structured * scale, data.offsets * 1e-4]
         if data.fit_crank:
             blocks.append(linear.by_angle[:, None] * 1e-2)
-        if free.any():
-            blocks.append(linear.scatter[:, free] * spread[free])
+        blocks.append(linear.scatter[:, free] * spread[free])
         columns = -data.weight[:, None] * np.column_stack(blocks)
-        if free.any():
-            below = np.zeros((np.count_nonzero(free), start.size))
-            below[:, start.size - below.shape[0] :] = np.eye(below.shape[0])
-            columns = np.vstack([columns, below])
-        return columns
+        scattered = np.count_nonzero(free)
+        return np.vstack([columns, np.eye(scattered, start.size, start.size - scattered)])
 
-    del base
     fit = lmfit.minimize(
         residual, parameters, method="leastsq", Dfun=jacobian, col_deriv=False, xtol=1e-6, ftol=1e-8, calc_covar=False
     )
@@ -439,8 +423,7 @@ def _result(
     covariance = linalg.inv(information)[: len(chosen), : len(chosen)] * np.outer(scale, scale)
     error = np.sqrt(np.diag(covariance))
     prior = surface_of_pair(pair)
-    held = state.scatter if state.scatter is not None else np.zeros(spread.size)
-    plain = _with_scatter(state.surface, -held, parts)
+    plain = _with_scatter(state.surface, -state.scatter, parts)
     quantile = float(stats.norm.ppf(0.5 + 0.5 * _CONFIDENCE))
     singular, combinations, reasons = _weakness(data, linear, names, chosen, factor)
     parameters = []
@@ -548,5 +531,3 @@ def write_identification(result: Identification, path: str | os.PathLike[str]) -
     with edge.written_whole(path) as temporary:
         temporary.write_text(edge.json_text(as_json(result)), encoding="utf-8")
 
-
-_ = ANGLES

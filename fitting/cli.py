@@ -1,0 +1,152 @@
+"""The command `cycloid-fit`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cycloid_fmu import edge
+
+app = typer.Typer(
+    no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich",
+    help="Measured transmission errors: curves, and the errors of the drive behind them.",
+)  # fmt: skip
+
+Recordings = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings, .arrows or .csv.")]
+PairFile = Annotated[Path, typer.Option("--pair", metavar="PAIR.toml", help="The nominal gear pair.")]
+PlotFile = Annotated[Path | None, typer.Option("--plot", metavar="FILE.png|pdf", help="Draw the result.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the result for scripts: SI, names as in the files.")]
+
+
+@app.command()
+def curve(
+    files: Recordings,
+    pair_file: PairFile,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the curves (netCDF).")] = None,
+    plot: PlotFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Transmission error curves over one output turn, averaged over turns, one for each recording.
+
+    Example: [cyan]cycloid-fit curve 20Nm.arrows 200Nm.arrows --pair pair.toml -o curves.nc --plot curves.png[/]
+    """
+    import numpy as np
+
+    from cycloid_fmu import plots
+    from cycloid_fmu.cli import print_table
+    from cycloid_fmu.pair import read_pair
+    from fitting.curve import curves_dataset, noise_of, transmission_error_curve, write_curves
+    from fitting.plots import label_of, plot_curves
+    from fitting.recording import read_bench_recording
+
+    if plot is not None:
+        plots.check_path(plot)
+    pair = read_pair(pair_file)
+    curves = [transmission_error_curve(read_bench_recording(f), pair.ratio) for f in files]
+    if output is not None:
+        write_curves(curves, output)
+    if plot is not None:
+        plots.save(plot_curves(curves), plot)
+    if as_json:
+        data = curves_dataset(curves)
+        typer.echo(edge.json_text({str(k): v.values for k, v in {**data.coords, **data.data_vars}.items()}))
+        return
+    rows = []
+    for file, one in zip(files, curves, strict=True):
+        error = one.transmission_error * plots.ARCSEC
+        rows.append(
+            [file.name, label_of(one), str(one.input_angle.size), f"{one.sample_count.mean():.1f}",
+             f"{error.mean():.3f}", f"{np.ptp(error):.3f}", f"{noise_of(one) * plots.ARCSEC:.3f}"]
+        )  # fmt: skip
+    print_table(
+        "Transmission error [arcsec]",
+        ["recording", "load", "points", "turns", "mean", "peak-peak", "noise"],
+        rows,
+    )
+    _say_notes([note for one in curves for note in one.notes])
+
+
+def _say_notes(notes: list[str]) -> None:
+    for note in notes:
+        typer.echo(note, err=True)
+
+
+@app.command()
+def identify(
+    files: Recordings,
+    pair_file: PairFile,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the identification (JSON).")] = None,
+    surface_file: Annotated[
+        Path | None, typer.Option("--surface", metavar="S.nc", help="Write the identified error surface (netCDF).")
+    ] = None,
+    plot: PlotFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Fit the drive's errors to recordings at one or more loads, and say what the data can't tell.
+
+    Example: [cyan]cycloid-fit identify *.arrows --pair pair.toml -o fit.json --surface identified.nc --plot fit.png[/]
+    """
+    from rich.console import Console
+
+    from cycloid_fmu import plots
+    from cycloid_fmu.pair import read_pair
+    from cycloid_fmu.surface import write_surface
+    from fitting.curve import transmission_error_curve
+    from fitting.identify import as_json as content
+    from fitting.identify import identify as fit
+    from fitting.identify import write_identification
+    from fitting.plots import plot_identification
+    from fitting.recording import read_bench_recording
+
+    if plot is not None:
+        plots.check_path(plot)
+    pair = read_pair(pair_file)
+    curves = [transmission_error_curve(read_bench_recording(f), pair.ratio) for f in files]
+    console = Console(stderr=True)
+    with console.status("reading") as status:
+        result = fit(curves, pair, lambda step: status.update(f"{step} …"))
+    if output is not None:
+        write_identification(result, output)
+    if surface_file is not None:
+        write_surface(result.surface, surface_file)
+    if plot is not None:
+        plots.save(plot_identification(curves, result), plot)
+    if as_json:
+        typer.echo(edge.json_text(content(result)))
+        return
+    print_identification(result)
+    _say_notes([note for one in curves for note in one.notes])
+
+
+def print_identification(result: object, truth: dict[str, float] | None = None) -> None:
+    """Print identified errors with their 95 % intervals, what is held and why; beside the truth where it is known."""
+    from cycloid_fmu.cli import print_table
+    from cycloid_fmu.plots import ARCSEC
+    from fitting.identify import Identification
+
+    assert isinstance(result, Identification)
+    scale = {"m": (1e6, "µm"), "rad": (1e3, "mrad")}
+    rows, held = [], []
+    for p in result.parameters:
+        factor, unit = scale[p.unit]
+        true = [] if truth is None else [f"{truth.get(p.name, 0.0) * factor:.3f}"]
+        if p.held is None:
+            low, high = (v * factor for v in p.interval)
+            rows.append([f"{p.name} [{unit}]".replace("[", "\\["), *true, f"{p.value * factor:.3f}", f"{low:.3f} … {high:.3f}"])
+        else:
+            held.append([p.name, p.held])
+    known = [] if truth is None else ["true"]
+    print_table("Identified errors", ["error", *known, "identified", "95 % interval"], rows)
+    print_table("Held, because the data can't tell", ["error", "why"], held)
+    scatter = ", ".join(f"{n} {v * 1e6:.2f} µm" for n, v in result.scatter.items())
+    typer.echo(
+        f"Residual {result.residual * ARCSEC:.3f}″ rms, noise {result.noise * ARCSEC:.3f}″; "
+        f"scatter beyond these errors: {scatter}."
+    )
+
+
+def main() -> None:
+    """Run the command line."""
+    edge.run(lambda: app)

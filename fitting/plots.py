@@ -1,0 +1,74 @@
+"""Plots of measured and fitted transmission errors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu.plots import ARCSEC, new_figure
+from fitting.curve import Curve
+from fitting.identify import Identification
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+
+def label_of(curve: Curve) -> str:
+    """Load and direction of a curve, as plots name it."""
+    return f"{curve.torque:+.4g} N·m, {'forward' if curve.direction > 0 else 'backward'}"
+
+
+def plot_curves(curves: Sequence[Curve]) -> Figure:
+    """Transmission error over one output turn, and over the crank turn, of every curve."""
+    figure, axes = new_figure(2)
+    for curve in curves:
+        error = curve.transmission_error * ARCSEC
+        axes[0].plot(np.degrees(curve.input_angle / abs(curve.ratio)), error, lw=0.8, label=label_of(curve))
+        axes[1].plot(np.degrees(np.mod(curve.input_angle, 2.0 * np.pi)), error, ".", ms=1.5)
+    axes[0].set(xlabel="output turn [°]", ylabel="transmission error [arcsec]")
+    axes[1].set(xlabel="crank angle, all turns folded [°]", ylabel="transmission error [arcsec]")
+    axes[0].legend(fontsize=8, frameon=False, ncols=2)
+    return figure
+
+
+def plot_comparison(
+    curves: Sequence[Curve], simulated: Sequence[Array], said: str, *, crank_turns: float = 3.0
+) -> Figure:
+    """Measured and simulated transmission error on one axis, what is left between them below.
+
+    Parameters
+    ----------
+    curves
+        Measured curves.
+    simulated
+        Simulated transmission error at the same angles, with the bench's zeros, rad.
+    said
+        What the simulation is called in the legend.
+    crank_turns
+        How much of the upper axis is shown; the residual below shows the whole output turn.
+    """
+    figure, axes = new_figure(2)
+    for number, (curve, model) in enumerate(zip(curves, simulated, strict=True)):
+        turns = curve.input_angle / (2.0 * np.pi)
+        shown = turns <= crank_turns
+        colour = f"C{number}"
+        axes[0].plot(turns[shown], curve.transmission_error[shown] * ARCSEC, ".", ms=3, color=colour, alpha=0.5)
+        axes[0].plot(turns[shown], model[shown] * ARCSEC, lw=1.2, color=colour, label=label_of(curve))
+        left = (curve.transmission_error - model) * ARCSEC
+        axes[1].plot(turns, left, lw=0.5, color=colour, label=f"{np.sqrt(np.mean(left**2)):.2f}″ rms")
+    axes[0].set(xlabel="crank turns", ylabel="transmission error [arcsec]", title=f"points: measured; lines: {said}")
+    axes[0].title.set_fontsize(10)
+    axes[1].set(xlabel="crank turns", ylabel="measured - simulated [arcsec]")
+    for axis in axes:
+        axis.legend(fontsize=8, frameon=False, ncols=4)
+    return figure
+
+
+def plot_identification(curves: Sequence[Curve], result: Identification) -> Figure:
+    """Measured and fitted transmission errors with their residual."""
+    return plot_comparison(curves, result.fitted_curves, "fitted")
