@@ -31,7 +31,7 @@ SCALAR_ERRORS = (
 )  # fmt: skip
 
 TOUCHING = 2e-10  # m: an interference below this counts as touching (design.md section 3)
-_FOOT_STEP = 1e-9  # m: Newton's last step along the flank; the gap is then good to its square over the curvature radius
+_FOOT_STEP = 1e-11  # m: Newton's last step along the flank; near a root the moment arm errs by a thousand times that
 _ROTATION_STEP = 1e-12  # rad: last step of the play's ends
 _LINEAR_STEP = 1e-9  # rad: below this Newton's last step of an equilibrium is made with the stiffnesses at hand
 _CLEAR = 5e-7  # m: a pin predicted to be this clear is not solved again within one equilibrium
@@ -334,6 +334,7 @@ def hertz(approach, curvature, pin_radius, width, compliance_gear, compliance_pi
     )
     target = approach / kappa
     force = target / max(h - math.log(target) + 2.0, 2.0) if guess <= 0.0 else guess
+    q = change = 0.0
     for _ in range(30):
         q = max(h - math.log(force), 1.5)
         following = (target - force) / (q - 1.0)
@@ -345,7 +346,7 @@ def hertz(approach, curvature, pin_radius, width, compliance_gear, compliance_pi
         if change <= 1e-7 * force:
             break
     # Beyond H - ln F = 2 (half width near the radii) the law bends over; it is continued along its tangent there.
-    limit = math.exp(h - 2.0) if q < 3.0 else math.inf
+    limit = math.exp(h - 2.0) if q < 3.0 or change > 1e-6 * force else math.inf
     if target >= 2.0 * limit:
         force = target - limit
         return force, 1.0 / kappa, math.sqrt(4.0 * force * equivalent * kappa), 0.0

@@ -32,7 +32,7 @@ _UNITS: dict[str, tuple[dict[str, int], dict[str, float]]] = {
 }
 
 
-class CycloidDrive(Fmi2Slave):
+class DriveSlave(Fmi2Slave):
     """Cycloid-pin gear drive with its manufacturing and assembly errors."""
 
     author = "cycloid-fmu"

@@ -1,0 +1,197 @@
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from conftest import CASES, PAIR, make_pair
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cycloid_fmu import contact
+from cycloid_fmu.pair import parse_pair, read_pair
+from cycloid_fmu.surface import (
+    nominal_surface,
+    structured_names,
+    structured_value,
+    surface_of_pair,
+    with_structured,
+)
+from cycloid_fmu.transmission import drive_of, error_sensitivity, solve
+
+STEEL = (1 - 0.3**2) / 206e9
+
+
+@given(
+    force=st.floats(1e-3, 2e4), curvature=st.floats(-330.0, 500.0), radius=st.floats(1e-3, 2e-2),
+    width=st.floats(1e-3, 5e-2), ratio=st.floats(0.3, 3.0), guess=st.sampled_from([0.0, 1.0, 1e4]),
+)  # fmt: skip
+def test_force_and_approach_are_inverse(force, curvature, radius, width, ratio, guess):
+    """The papers' δ(F), written out here, and the kernel's F(δ)."""
+    if 1 / radius + curvature < 1.0 or abs(curvature) < 1e-3:
+        return
+    gear, pin = STEEL, ratio * STEEL
+    equivalent = 1 / (1 / radius + curvature)
+    half = math.sqrt(4 * force * equivalent * (gear + pin) / (math.pi * width))
+    if half > 0.1 * min(radius, 1 / abs(curvature)):
+        return  # far outside Hertz's assumptions
+    log_radius = min(1 / abs(curvature), 0.064)
+    approach = (2 * force / (math.pi * width)) * (
+        gear * (math.log(4 * log_radius / half) - 0.5) + pin * (math.log(4 * radius / half) - 0.5)
+    )
+    found, stiffness, half_width, _ = contact.hertz(approach, curvature, radius, width, gear, pin, 0.064, guess)
+    assert found == pytest.approx(force, rel=1e-10)
+    assert half_width == pytest.approx(half, rel=1e-9)
+    step = 1e-5 * approach
+    ends = [contact.hertz(approach + s, curvature, radius, width, gear, pin, 0.064, 0.0)[0] for s in (-step, step)]
+    assert stiffness == pytest.approx((ends[1] - ends[0]) / (2 * step), rel=1e-6)
+
+
+def test_force_grows_without_end():
+    """Beyond the law's validity the force is continued, so that the search for an equilibrium always ends."""
+    approach = np.geomspace(1e-9, 1.0, 400)
+    force = [contact.hertz(a, 100.0, 3e-3, 1e-2, STEEL, STEEL, 0.064, 0.0)[0] for a in approach]
+    assert (np.diff(force) > 0).all()
+
+
+def test_moment_arm_of_the_ideal_pair():
+    """L = e z_c sin φ/S."""
+    drive = drive_of(make_pair(), nominal_surface(make_pair()))
+    contacts = contact.contact_rows(drive)
+    theta = 0.3
+    contact.place(drive, theta, 0.0, contacts, True, np.inf)
+    phi = 2 * np.pi * np.arange(40) / 40 - theta
+    k = 1.3 * 40 / 64
+    arm = 1.3e-3 * 39 * np.sin(phi) / np.sqrt(1 + k * k - 2 * k * np.cos(phi))
+    assert contacts[::2, contact.ARM] == pytest.approx(arm, abs=1e-12)
+
+
+def test_linear_check_of_the_load_sharing():
+    """Equal stiffness: F_i = T L_i/Σ L² over the pushing pins, with 20 pins at crank angle 0.3 rad.
+
+    The 2.560 N for each N·m that design.md section 9 states for e = 1.3 mm belongs to e = 1.0 mm; 1.3 mm gives 1.974 N.
+    """
+    for eccentricity, peak in (("1.0 mm", 2.560), ("1.3 mm", 1.974)):
+        pair = make_pair(eccentricity=eccentricity)
+        drive = drive_of(pair, nominal_surface(pair))
+        contacts = contact.contact_rows(drive)
+        contact.place(drive, 0.3, 0.0, contacts, True, np.inf)
+        arm = contacts[::2, contact.ARM]
+        arm = arm[arm > 0]
+        assert arm.size == 20
+        assert (arm / (arm**2).sum()).max() == pytest.approx(peak, abs=5e-4)
+
+
+@pytest.mark.parametrize("output", ["gear", "ring"])
+@pytest.mark.parametrize(
+    ("case", "slices"), [("errors-39-40", 1), ("two-discs-39-40", 1), ("misaligned-31-32", 5), ("interference-21-22", 1)]
+)
+def test_sensitivities_are_the_derivatives(case, slices, output):
+    text = (CASES / f"{case}.toml").read_text().replace("[pair]", f'[pair]\noutput = "{output}"')
+    pair = parse_pair(text, case)
+    surface = surface_of_pair(pair)
+    names = structured_names((1, 2, 3))
+    angles = np.random.default_rng(1).uniform(0.0, 200.0, 6)
+    _, jacobian, _, further = error_sensitivity(pair, surface, -150.0, angles, names, slices)
+
+    def deviation(surface, torque=-150.0, angles=angles):
+        return solve(pair, surface, torque, angles, slices, with_play=False).transmission_error[0]
+
+    for column, name in enumerate(names):
+        if name.startswith("misalignment") and slices == 1:
+            assert not jacobian[:, column].any()
+            continue
+        step = 4e-7 if name.startswith("misalignment") else 4e-9
+        value = structured_value(pair, surface, name)
+        ends = [deviation(with_structured(pair, surface, {name: value + s})) for s in (-step, step)]
+        wanted = (ends[1] - ends[0]) / (2 * step)
+        assert jacobian[:, column] == pytest.approx(wanted, abs=2e-3 * np.abs(wanted).max()), name
+    by_angle = (deviation(surface, angles=angles + 1e-7) - deviation(surface, angles=angles - 1e-7)) / 2e-7
+    assert further[:, 0] == pytest.approx(by_angle, abs=2e-3 * np.abs(by_angle).max())
+    by_torque = (deviation(surface, -149.99) - deviation(surface, -150.01)) / 0.02
+    assert further[:, 1] == pytest.approx(by_torque, rel=1e-4)
+
+
+@pytest.mark.parametrize(("case", "output"), [("error-free-39-40", "gear"), ("errors-39-40", "gear"), ("errors-39-40", "ring")])
+def test_forces_balance_the_torque_and_the_crank_gets_the_power(case, output):
+    """Σ F L = T at each angle; over a whole turn of the output the crank's work is what the output takes, T Δφ_b.
+
+    It is so to 3e-4: a pin loads and unloads at different curvatures of the flank, so Hertz's force has no potential.
+    """
+    pair = parse_pair((CASES / f"{case}.toml").read_text().replace("[pair]", f'[pair]\noutput = "{output}"'), case)
+    drive = drive_of(pair, surface_of_pair(pair))
+    contacts = contact.contact_rows(drive)
+    x, cold, work = 0.0, True, 0.0
+    angles = np.linspace(0.0, 2 * np.pi * abs(pair.ratio), 39 * 300, endpoint=False)
+    for theta in angles:
+        x, _ = contact.equilibrium(drive, theta, 120.0, x, contacts, cold)
+        cold = False
+        balance = contacts[:, contact.FORCE] @ contacts[:, contact.ARM]
+        assert balance == pytest.approx(120.0, rel=1e-6)
+        work += contact.crank_side(drive, theta, x, contacts)[0] * (angles[1] - angles[0])
+    assert work == pytest.approx(-120.0 * 2 * np.pi * np.sign(pair.ratio), rel=5e-4)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 10**6), size=st.floats(0.0, 5e-6), clearance=st.floats(2e-5, 1e-4),
+    torque=st.floats(1.0, 500.0), sign=st.sampled_from([-1.0, 1.0]), teeth=st.integers(6, 120),
+)  # fmt: skip
+def test_any_pair_balances_from_any_start(seed, size, clearance, torque, sign, teeth):
+    """Warm or cold, forwards or backwards through the crank angles: the same equilibrium.
+
+    Only where pins clear the roots: a pin forced into a root whose two teeth stand apart has more than one.
+    """
+    pair = make_pair(
+        gear_teeth=teeth, pins=teeth + 1, eccentricity=f"{0.7 * 64 / (teeth + 1):.6f} mm",
+        pin_radius=f"{0.4 * 64 / (teeth + 1):.6f} mm",
+    )  # fmt: skip
+    rng = np.random.default_rng(seed)
+    surface = dataclasses.replace(
+        nominal_surface(pair),
+        pin_radial=rng.normal(0.0, size, teeth + 1),
+        pin_tangential=rng.normal(0.0, size, teeth + 1),
+        tooth_cumulative_pitch=rng.normal(0.0, 0.3 * size, (1, teeth)),
+        centre_distance_x=rng.normal(0.0, size),
+        pin_radius=-clearance,
+    )
+    angles = rng.uniform(0.0, 2 * np.pi) + np.linspace(0.0, 0.4, 12)
+    there = solve(pair, surface, sign * torque, angles)
+    back = solve(pair, surface, sign * torque, angles[::-1])
+    alone = [solve(pair, surface, sign * torque, a, with_play=False).transmission_error[0, 0] for a in angles]
+    assert there.transmission_error[0] == pytest.approx(back.transmission_error[0, ::-1], abs=1e-9)
+    assert there.transmission_error[0] == pytest.approx(alone, abs=1e-9)
+    assert (np.isnan(there.backlash) == (there.interference > 0)).all()
+    free = ~np.isnan(there.backlash)
+    assert (there.backlash[free] >= 0.0).all()
+    assert there.backlash[free] == pytest.approx(back.backlash[::-1][free], abs=1e-9)
+    if sign > 0:
+        assert (there.transmission_error[0][free] >= there.play_high[free] - 1e-10).all()
+
+
+def test_equivalent_errors():
+    """Design.md section 3: isometric as -pin radius; a centre offset as the pins' displacement by its opposite."""
+    pair = read_pair(CASES / "errors-39-40.toml")
+    base = surface_of_pair(pair)
+    angles = np.linspace(0.0, 6.0, 40)
+
+    def te(**changes):
+        values = {n: structured_value(pair, base, n) + d for n, d in changes.items()}
+        return solve(pair, with_structured(pair, base, values), 120.0, angles, with_play=False).transmission_error[0]
+
+    assert te(isometric=5e-6) == pytest.approx(te(pin_radius=-5e-6), abs=5e-10)
+    moved = te(pin_radial_1_cos=-5e-6, pin_tangential_1_sin=5e-6)
+    assert te(centre_distance_x=5e-6) == pytest.approx(moved, abs=1e-8)
+    assert te(pin_circle_radius=5e-6) == pytest.approx(te(offset=-5e-6), abs=2e-7)
+
+
+def test_two_discs_cancel_an_order_one_pin_error():
+    """Design.md section 3: two discs opposite each other cancel what gives one disc 24″."""
+    def amplitude(discs):
+        pair = make_pair(PAIR + '[modification]\noffset = "-70 um"\nisometric = "-25 um"\n', discs=discs)
+        surface = with_structured(pair, nominal_surface(pair), {"pin_radial_1_cos": 1e-5})
+        angles = np.linspace(0.0, 2 * np.pi, 360, endpoint=False)
+        te = solve(pair, surface, 100.0 * discs, angles, with_play=False).transmission_error[0]
+        return np.abs(np.fft.rfft(te))[1] / 180 * 648000 / np.pi
+
+    assert amplitude(1) == pytest.approx(24.3, abs=2.5)
+    assert amplitude(2) < 0.1
