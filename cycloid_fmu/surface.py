@@ -258,6 +258,10 @@ def read_surface(path: str | os.PathLike[str]) -> ErrorSurface:
     )
 
 
+def _shown(value: Any) -> str:
+    return f"{value:.9g}" if isinstance(value, float) else str(value)
+
+
 def check_surface(pair: Pair, surface: ErrorSurface, pair_source: str, surface_source: str) -> None:
     """Refuse a surface that was made for another pair: geometry, modification and material must be the same.
 
@@ -275,5 +279,5 @@ def check_surface(pair: Pair, surface: ErrorSurface, pair_source: str, surface_s
             if getattr(mine, name) != getattr(theirs, name):
                 raise edge.InputError(
                     f"{surface_source}: this surface belongs to another pair: [{table}] {name} is "
-                    f"{getattr(theirs, name)} there and {getattr(mine, name)} in {pair_source}."
+                    f"{_shown(getattr(theirs, name))} there and {_shown(getattr(mine, name))} in {pair_source}."
                 )

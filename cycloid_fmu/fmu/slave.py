@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import ctypes
+import functools
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, cast
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
@@ -30,6 +32,24 @@ _UNITS: dict[str, tuple[dict[str, int], dict[str, float]]] = {
     "Pa": ({"kg": 1, "m": -1, "s": -2}, {"MPa": 1e-6}),
     "m": ({"m": 1}, {"um": 1e6, "mm": 1e3}),
 }
+
+
+_Method = TypeVar("_Method", bound=Callable[..., Any])
+
+
+def _kept_alive(method: _Method) -> _Method:
+    """Keep the slave alive after an exception: pythonfmu 0.7.0 then gives its references back twice."""
+
+    @functools.wraps(method)
+    def guarded(self: DriveSlave, *arguments: Any) -> Any:
+        try:
+            return method(self, *arguments)
+        except Exception:
+            for kept in (self, type(self), self.log_queue):
+                ctypes.pythonapi.Py_IncRef(ctypes.py_object(kept))
+            raise
+
+    return cast(_Method, guarded)
 
 
 class DriveSlave(Fmi2Slave):
@@ -137,30 +157,36 @@ class DriveSlave(Fmi2Slave):
         attributes = {"unit": unit, "displayUnit": display, "min": least, "max": most}
         self._attributes[name] = {k: str(v) for k, v in attributes.items() if v is not None}
 
+    @_kept_alive
     def exit_initialization_mode(self) -> None:
         """Settle at the initial inputs, without history."""
         self.model.forget_history()
         self.model.advance()
 
+    @_kept_alive
     def do_step(self, current_time: float, step_size: float) -> bool:
         """Move to the inputs' present values; the drive is quasi-static, so the step's length does not matter."""
         self.model.advance()
         return True
 
+    @_kept_alive
     def get_real(self, vrs: Sequence[int]) -> list[float]:
         """Return values by reference (pythonfmu's own checks each type in Python, which costs more than the physics)."""
         getters = self._getters
         return [getters[v]() for v in vrs]
 
+    @_kept_alive
     def set_real(self, vrs: Sequence[int], values: Sequence[float]) -> None:
         """Set values by reference."""
         setters = self._setters
         for v, value in zip(vrs, values, strict=True):
             setters[v](value)
 
+    @_kept_alive
     def _get_fmu_state(self) -> dict[str, Any]:
         return self.model.state()
 
+    @_kept_alive
     def _set_fmu_state(self, state: dict[str, Any]) -> None:
         self.model.restore(state)
 
