@@ -1,4 +1,4 @@
-"""Contact of gear and pins: gaps, Hertz force, equilibrium, play and sensitivities, as compiled kernels on plain arrays.
+"""Contact of gear and pins: gaps, Hertz force, equilibrium, play and sensitivities, compiled, on plain arrays.
 
 The flank is the curve parallel, at the generating pin's radius r, to the path of the generating pin's centre in the
 gear, T(α) = R e^{iα} - e e^{i z_p α}: so the gap of a pin is the signed distance of its axis from T, plus r, less the
@@ -6,7 +6,7 @@ pin's radius, and its foot on T and on the flank are the same α (design.md sect
 begins at +x). A point is a complex number in the comments and a pair (x, y) in the code.
 
 The unknown is x, the output's deviation from the ideal drive: gear angle -θ/z_c + x with the pin ring fixed, or ring
-angle θ/z_p + x with the gear held. Torque is what the environment puts on the output; force times moment arm balances it.
+angle θ/z_p + x with the gear held. Torque is what the environment puts on the output; force times arm balances it.
 
 Contacts are rows of an array, two for each disc, slice and pin: the conjugate tooth, and the tooth across the nearest
 root, which a pin may touch as well. The columns are named below.
@@ -15,10 +15,15 @@ root, which a pin may touch as well. The columns are named below.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+_Tangency = tuple[float, float, float, float, float, float, float, float]
 
 (
     FOOT, FOOT_RATE, GAP, ARM, ARM_RATE, CURVATURE, CURVATURE_RATE, FORCE, STIFFNESS, FORCE_BY_CURVATURE, AT, COLUMNS,
@@ -36,6 +41,17 @@ _ROTATION_STEP = 1e-12  # rad: last step of the play's ends
 _LINEAR_STEP = 1e-9  # rad: below this Newton's last step of an equilibrium is made with the stiffnesses at hand
 _CLEAR = 5e-7  # m: a pin predicted to be this clear is not solved again within one equilibrium
 _COUNTED = 0.01  # a pin counts as in contact above this share of the most loaded pin's force
+
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+def _compiled(function: _Function) -> _Function:
+    return cast(_Function, njit(cache=True, error_model="numpy", nogil=True)(function))
+
+
+def _inlined(function: _Function) -> _Function:
+    return cast(_Function, njit(cache=True, error_model="numpy", inline="always")(function))
 
 
 class Drive(NamedTuple):
@@ -79,14 +95,14 @@ class Drive(NamedTuple):
     eccentricity: float
     teeth: int
     ring: bool
-    pin_x: np.ndarray
-    pin_y: np.ndarray
-    pin_radius: np.ndarray
-    tooth_turn: np.ndarray
-    crank_phase: np.ndarray
-    centre_x: np.ndarray
-    centre_y: np.ndarray
-    slice_z: np.ndarray
+    pin_x: Array
+    pin_y: Array
+    pin_radius: Array
+    tooth_turn: Array
+    crank_phase: Array
+    centre_x: Array
+    centre_y: Array
+    slice_z: Array
     slice_width: float
     compliance_gear: float
     compliance_pin: float
@@ -95,8 +111,8 @@ class Drive(NamedTuple):
     root_margin: float
 
 
-@njit(cache=True, error_model="numpy")
-def contact_rows(drive):
+@_compiled
+def contact_rows(drive: Drive) -> Array:
     """Return the empty contact array of a drive, shape (discs x slices x pins x 2, columns)."""
     contacts = np.zeros((drive.crank_phase.size * drive.centre_x.size * drive.pin_x.size * 2, COLUMNS))
     contacts[:, GAP] = np.inf
@@ -104,8 +120,8 @@ def contact_rows(drive):
     return contacts
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def _poses(drive, theta, x, disc):
+@_inlined
+def _poses(drive: Drive, theta: float, x: float, disc: int) -> tuple[float, float, float]:
     """Crank angle of a disc and the rotations of ring and gear, at disc 0's crank angle θ and deviation x."""
     phase = drive.crank_phase[disc]
     if drive.ring:
@@ -113,8 +129,8 @@ def _poses(drive, theta, x, disc):
     return theta + phase, 0.0, x - (theta + phase) / drive.teeth
 
 
-@njit(cache=True, error_model="numpy")
-def _tangency(px, py, alpha, R, e, teeth):
+@_compiled
+def _tangency(px: float, py: float, alpha: float, R: float, e: float, teeth: int) -> _Tangency:
     """Tangency f(α) = (P - T)·T', its derivative, and P, B = T'/(i e^{iα}) and P - T turned by -α."""
     pins = teeth + 1
     ca, sa = math.cos(alpha), math.sin(alpha)
@@ -126,9 +142,11 @@ def _tangency(px, py, alpha, R, e, teeth):
     return dy * bx - dx * by, -(dx * cx + dy * cy) - (bx * bx + by * by), qx, qy, bx, by, dx, dy
 
 
-@njit(cache=True, error_model="numpy")
-def _foot(px, py, start, lower, upper, R, e, teeth):
-    """Tangent point to P on the tooth between two roots, downhill from `start`: whether there is one, α, `_tangency`."""
+@_compiled
+def _foot(
+    px: float, py: float, start: float, lower: float, upper: float, R: float, e: float, teeth: int
+) -> tuple[bool, float, _Tangency]:
+    """Tangent point to P on the tooth between two roots, downhill from `start`: is there one, α and `_tangency`."""
     low, high = lower, upper
     low_known = high_known = False
     alpha = min(max(start, lower), upper)
@@ -156,8 +174,8 @@ def _foot(px, py, start, lower, upper, R, e, teeth):
     return True, alpha, state
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def _frame(drive, theta, x, disc, slice_):
+@_inlined
+def _frame(drive: Drive, theta: float, x: float, disc: int, slice_: int) -> tuple[float, float, float, float, float]:
     """Pose of one slice: turn of pins into the gear's frame (cos, sin), the gear's centre, and the ring's rotation."""
     crank, ring, gear = _poses(drive, theta, x, disc)
     ox = drive.eccentricity * math.cos(crank) + drive.centre_x[slice_]
@@ -167,16 +185,27 @@ def _frame(drive, theta, x, disc, slice_):
     return math.cos(ring - gear), math.sin(ring - gear), ox * cg + oy * sg, oy * cg - ox * sg, crank - ring
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def _on_tooth(px, py, turn):
+@_inlined
+def _on_tooth(px: float, py: float, turn: float) -> tuple[float, float]:
     """P in the frame of a tooth turned by a small angle."""
     c = 1.0 - 0.5 * turn * turn
     s = turn * (1.0 - turn * turn / 6.0)
     return px * c + py * s, py * c - px * s
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def _write_contact(drive, contacts, row, alpha, state, conjugate, ox, oy, pin_radius, x):
+@_inlined
+def _write_contact(
+    drive: Drive,
+    contacts: Array,
+    row: int,
+    alpha: float,
+    state: _Tangency,
+    conjugate: float,
+    ox: float,
+    oy: float,
+    pin_radius: float,
+    x: float,
+) -> float:
     """Gap, moment arm and their rates at the foot α of a pin; returns the signed distance of its axis from T."""
     _, slope, qx, qy, bx, by, dx, dy = state
     speed2 = bx * bx + by * by
@@ -207,16 +236,16 @@ def _write_contact(drive, contacts, row, alpha, state, conjugate, ox, oy, pin_ra
     return distance
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def _path_curvature(R, e, teeth, bx, speed):
+@_inlined
+def _path_curvature(R: float, e: float, teeth: int, bx: float, speed: float) -> float:
     """Curvature of T, > 0 convex: R²(1 + z_p K² - K (z_p + 1) cos z_c α)/|T'|³, with cos from B."""
     pins = teeth + 1
     ez = e * pins
     return (R * R + ez * ez * pins - (pins + 1) * R * (R - bx)) / (speed * speed * speed)
 
 
-@njit(cache=True, error_model="numpy")
-def place(drive, theta, x, contacts, cold, clear):
+@_compiled
+def place(drive: Drive, theta: float, x: float, contacts: Array, cold: bool, clear: float) -> None:
     """Solve the contact of every pin at crank angle θ and deviation x, into `contacts`.
 
     Parameters
@@ -294,8 +323,17 @@ def place(drive, theta, x, contacts, cold, clear):
                     contacts[row, FOOT] = math.nan
 
 
-@njit(cache=True, error_model="numpy")
-def hertz(approach, curvature, pin_radius, width, compliance_gear, compliance_pin, largest_log_radius, guess=0.0):
+@_compiled
+def hertz(
+    approach: float,
+    curvature: float,
+    pin_radius: float,
+    width: float,
+    compliance_gear: float,
+    compliance_pin: float,
+    largest_log_radius: float,
+    guess: float = 0.0,
+) -> tuple[float, float, float, float]:
     """Force, stiffness and half width of Hertz's line contact at a given approach.
 
     δ = (2F/πb)[V_c(ln(4|ρ_c|/a) - ½) + V_p(ln(4 R_rp/a) - ½)], a = sqrt(4 F ρ* (V_c + V_p)/(πb)) and
@@ -362,16 +400,16 @@ def hertz(approach, curvature, pin_radius, width, compliance_gear, compliance_pi
     )
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def _rotational_stiffness(contacts, row):
+@_inlined
+def _rotational_stiffness(contacts: Array, row: int) -> float:
     """Change of one contact's torque F L for each radian: of its approach, its arm and its flank's curvature."""
     arm = contacts[row, ARM]
     curved = contacts[row, FORCE_BY_CURVATURE] * contacts[row, CURVATURE_RATE] * contacts[row, FOOT_RATE]
     return contacts[row, STIFFNESS] * arm * arm + contacts[row, FORCE] * contacts[row, ARM_RATE] + curved * arm
 
 
-@njit(cache=True, error_model="numpy")
-def _load(drive, x, contacts):
+@_compiled
+def _load(drive: Drive, x: float, contacts: Array) -> tuple[float, float]:
     """Forces of all rows at deviation x; returns the torque that balances them and its derivative by x."""
     torque = stiffness = 0.0
     pins = drive.teeth + 1
@@ -394,8 +432,8 @@ def _load(drive, x, contacts):
     return torque, stiffness
 
 
-@njit(cache=True, error_model="numpy")
-def _to_touch(contacts, x, direction):
+@_compiled
+def _to_touch(contacts: Array, x: float, direction: float) -> float:
     """Rotation from x, in `direction` (±1), at which the first flank touches, to second order."""
     best = math.inf
     for row in range(contacts.shape[0]):
@@ -414,8 +452,10 @@ def _to_touch(contacts, x, direction):
     return best
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def equilibrium(drive, theta, torque, x, contacts, cold):
+@_compiled
+def equilibrium(
+    drive: Drive, theta: float, torque: float, x: float, contacts: Array, cold: bool
+) -> tuple[float, float]:
     """Deviation at which the contacts balance a torque (other than zero, where there is play).
 
     Parameters
@@ -441,14 +481,26 @@ def equilibrium(drive, theta, torque, x, contacts, cold):
     return _balance(drive, theta, torque, 1.0, 0.0, 0.0, x, contacts, cold)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def behind_compliance(drive, theta, flange, compliance, x, contacts, cold):
+@_compiled
+def behind_compliance(
+    drive: Drive, theta: float, flange: float, compliance: float, x: float, contacts: Array, cold: bool
+) -> tuple[float, float]:
     """Deviation ξ of the contacts when the flange stands at ξ + c M(ξ); returns ξ and the contacts' stiffness."""
     return _balance(drive, theta, 0.0, compliance, flange, 1.0, x, contacts, cold)
 
 
-@njit(cache=True, error_model="numpy")
-def _balance(drive, theta, torque, load, flange, hold, x, contacts, cold):
+@_compiled
+def _balance(
+    drive: Drive,
+    theta: float,
+    torque: float,
+    load: float,
+    flange: float,
+    hold: float,
+    x: float,
+    contacts: Array,
+    cold: bool,
+) -> tuple[float, float]:
     """Solve load (torque - M(x)) + hold (flange - x) = 0 by Newton's method inside a bracket."""
     place(drive, theta, x, contacts, cold, math.inf)
     low, high = -math.inf, math.inf
@@ -481,8 +533,8 @@ def _balance(drive, theta, torque, load, flange, hold, x, contacts, cold):
     return x, stiffness
 
 
-@njit(cache=True, error_model="numpy")
-def _smallest_gap(contacts, step):
+@_compiled
+def _smallest_gap(contacts: Array, step: float) -> tuple[float, int]:
     """Smallest gap after a small rotation, to first order, and its row."""
     best, active = math.inf, 0
     for row in range(contacts.shape[0]):
@@ -492,8 +544,8 @@ def _smallest_gap(contacts, step):
     return best, active
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def play(drive, theta, x, contacts, cold):
+@_compiled
+def play(drive: Drive, theta: float, x: float, contacts: Array, cold: bool) -> tuple[float, float, float]:
     """Ends of the free rotation with the crank locked, and by how much there is none.
 
     The middle is the rotation with the largest smallest gap (gaps are linearised and solved again until that changes
@@ -557,8 +609,8 @@ def play(drive, theta, x, contacts, cold):
     return low, _first_touch(drive, theta, x, contacts, 1.0), 0.0
 
 
-@njit(cache=True, error_model="numpy")
-def _first_touch(drive, theta, x, contacts, direction):
+@_compiled
+def _first_touch(drive: Drive, theta: float, x: float, contacts: Array, direction: float) -> float:
     for _ in range(50):
         step = min(_to_touch(contacts, x, direction), 1e-3)
         x += direction * step
@@ -568,8 +620,8 @@ def _first_touch(drive, theta, x, contacts, direction):
     return x
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def load_sharing(drive, contacts, pin_force, pin_pressure):
+@_compiled
+def load_sharing(drive: Drive, contacts: Array, pin_force: Array, pin_pressure: Array) -> tuple[int, float]:
     """Force and largest pressure of each pin, from solved contact rows.
 
     Parameters
@@ -624,13 +676,13 @@ class _Local(NamedTuple):
     turning: float  # rotation of the normal against the foot's radius for each metre of slide
 
 
-@njit(cache=True, error_model="numpy")
-def _local(drive, theta, x, contacts, row):
+@_compiled
+def _local(drive: Drive, theta: float, x: float, contacts: Array, row: int) -> _Local:
     pins, slices = drive.teeth + 1, drive.centre_x.size
     disc, slice_, pin = row // (2 * pins * slices), row // (2 * pins) % slices, row // 2 % pins
     crank, ring, gear = _poses(drive, theta, x, disc)
     alpha = pin * 2.0 * math.pi / pins + (crank - ring) / drive.teeth + contacts[row, FOOT]
-    tooth = int(math.floor(alpha * drive.teeth / (2.0 * math.pi))) % drive.teeth
+    tooth = math.floor(alpha * drive.teeth / (2.0 * math.pi)) % drive.teeth
     c, s = math.cos(drive.teeth * alpha), math.sin(drive.teeth * alpha)
     ez = drive.generating_eccentricity * pins
     bx, by = drive.circle_radius - ez * c, -ez * s
@@ -656,8 +708,8 @@ def _local(drive, theta, x, contacts, row):
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def _displaced(contacts, row, local, vx, vy, wx, wy):
+@_inlined
+def _displaced(contacts: Array, row: int, local: _Local, vx: float, vy: float, wx: float, wy: float) -> float:
     """Change of the contact's torque when its pin's axis moves by v relative to the gear.
 
     w is v's own change with the output's rotation. The torque is F L, so its change is dF L + F dL, with
@@ -671,8 +723,8 @@ def _displaced(contacts, row, local, vx, vy, wx, wy):
     return (curved - contacts[row, STIFFNESS] * normal) * contacts[row, ARM] - contacts[row, FORCE] * mixed
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def touch_rate(drive, theta, x, contacts, direction):
+@_compiled
+def touch_rate(drive: Drive, theta: float, x: float, contacts: Array, direction: float) -> float:
     """How fast the crank moves an unloaded output that it pushes, dφ_b/dθ (1), NaN without a flank in `direction`.
 
     The flank with the smallest gap among those that stop a rotation in `direction` (±1) stays in contact.
@@ -690,8 +742,8 @@ def touch_rate(drive, theta, x, contacts, direction):
     return rate / contacts[touching, ARM]
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def crank_side(drive, theta, x, contacts):
+@_compiled
+def crank_side(drive: Drive, theta: float, x: float, contacts: Array) -> tuple[float, float]:
     """What the crank feels: its torque, and how its rotation moves the output at constant torque.
 
     With the elastic energy U(θ, φ_b) the environment's torque is ∂U/∂φ_b and the crank's is ∂U/∂θ at fixed φ_b.
@@ -718,8 +770,8 @@ def crank_side(drive, theta, x, contacts):
     return crank_torque, -coupling / stiffness if stiffness > 0.0 else math.nan
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def _larger_circle(drive, contacts, row, pin, local):
+@_inlined
+def _larger_circle(drive: Drive, contacts: Array, row: int, pin: int, local: _Local) -> float:
     """Change of the contact's torque with R: the flank moves along the foot's radius, its foot and curvature change."""
     R, teeth, speed = drive.circle_radius, drive.teeth, local.speed
     ez = drive.generating_eccentricity * (teeth + 1)
@@ -734,8 +786,8 @@ def _larger_circle(drive, contacts, row, pin, local):
     return force * contacts[row, ARM] - contacts[row, FORCE] * local.leaning * local.turning * local.slide
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def sensitivities(drive, theta, x, contacts, out):
+@_compiled
+def sensitivities(drive: Drive, theta: float, x: float, contacts: Array, out: Array) -> float:
     """Derivatives of the deviation at constant torque by every error, by the implicit function of the equilibrium.
 
     dx/dp = -(∂M/∂p)/(∂M/∂x) (design.md section 4), with the arms' own change included.
@@ -790,10 +842,8 @@ def sensitivities(drive, theta, x, contacts, out):
         out[radius + pin] += thicker
         out[7] -= thicker
         out[8] += _larger_circle(drive, contacts, row, pin, local)
-        tooth = int(
-            math.floor((pin * 2.0 * math.pi / pins + (crank - ring) / drive.teeth + contacts[row, FOOT])
-                       * drive.teeth / (2.0 * math.pi))
-        ) % drive.teeth  # fmt: skip
+        foot = pin * 2.0 * math.pi / pins + (crank - ring) / drive.teeth + contacts[row, FOOT]
+        tooth = math.floor(foot * drive.teeth / (2.0 * math.pi)) % drive.teeth
         wx, wy = (local.lever_x, local.lever_y) if drive.ring else (-local.gear_x, -local.gear_y)
         out[pitch + disc * drive.teeth + tooth] += _displaced(contacts, row, local, local.gear_y, -local.gear_x, wx, wy)
     for column in range(out.size):
@@ -801,10 +851,22 @@ def sensitivities(drive, theta, x, contacts, out):
     return stiffness
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@_compiled
 def sweep(
-    drive, thetas, torques, with_play, deviation, stiffness, count, pressure, force, pin_pressure, low, high, gap
-):
+    drive: Drive,
+    thetas: Array,
+    torques: Array,
+    with_play: bool,
+    deviation: Array,
+    stiffness: Array,
+    count: NDArray[np.int64],
+    pressure: Array,
+    force: Array,
+    pin_pressure: Array,
+    low: Array,
+    high: Array,
+    gap: Array,
+) -> None:
     """Solve every crank angle at every torque; each angle starts from its neighbour's solution.
 
     Parameters
@@ -852,8 +914,10 @@ def sweep(
             count[k, i], pressure[k, i] = load_sharing(drive, contacts, force[k, i], pin_pressure[k, i])
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def sweep_sensitivities(drive, thetas, torque, deviation, errors, by_angle, by_torque):
+@_compiled
+def sweep_sensitivities(
+    drive: Drive, thetas: Array, torque: float, deviation: Array, errors: Array, by_angle: Array, by_torque: Array
+) -> None:
     """Solve every crank angle at one torque, with the derivatives of the deviation.
 
     Parameters

@@ -225,11 +225,11 @@ class Pair(Config):
     @classmethod
     def from_numbers(cls, numbers: dict[str, Any]) -> Pair:
         """Return the pair of `numbers`, which were checked when they were written: no units to parse, no time lost."""
-        material = {side: Material.model_construct(**values) for side, values in numbers["material"].items()}
+        gear, pin = (Material.model_construct(**numbers["material"][side]) for side in ("gear", "pin"))
         return cls.model_construct(
             pair=Geometry.model_construct(**numbers["pair"]),
             modification=Modification.model_construct(**numbers["modification"]),
-            material=Materials.model_construct(**material),
+            material=Materials.model_construct(gear=gear, pin=pin),
             errors=Errors(),
             text=numbers["text"],
         )

@@ -36,12 +36,12 @@ def save(figure: Figure, path: str | os.PathLike[str]) -> None:
         figure.savefig(temporary, dpi=150)
 
 
-def new_figure(rows: int = 1, columns: int = 1, **options: object) -> tuple[Figure, NDArray[np.object_]]:
+def new_figure(rows: int = 1, columns: int = 1, *, sharex: bool = False) -> tuple[Figure, NDArray[np.object_]]:
     """Return a figure that needs no screen, and its axes as a flat array."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(4.8 * columns + 1.2, 2.3 * rows + 0.8), layout="constrained")
-    axes = np.atleast_1d(figure.subplots(rows, columns, **options))
+    figure = Figure(figsize=(9.0 if columns == 1 else 4.8 * columns + 1.2, 2.4 * rows + 0.8), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(rows, columns, sharex=sharex))
     for axis in axes.flat:
         axis.grid(alpha=0.3)
         for side in ("top", "right"):

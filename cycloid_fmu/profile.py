@@ -63,7 +63,7 @@ def flank_curvature(pair: Pair, alpha: ArrayLike) -> Array:
     path = (1.0 + g.pins * k * k - k * (g.pins + 1) * c) / (
         pair.generating_circle_radius * (1.0 + k * k - 2.0 * k * c) ** 1.5
     )
-    return path / (1.0 - pair.generating_pin_radius * path)
+    return np.asarray(path / (1.0 - pair.generating_pin_radius * path))
 
 
 def equal_arc_parameters(pair: Pair, count: int) -> Array:
@@ -74,4 +74,4 @@ def equal_arc_parameters(pair: Pair, count: int) -> Array:
     edges = np.linspace(0.0, 2.0 * np.pi / pair.pair.gear_teeth, 200 * max(count, 20) + 1)
     arc = np.concatenate([[0.0], np.cumsum(np.hypot(*(np.diff(v) for v in flank_points(pair, edges))))])
     middles = (np.arange(count) + 0.5) / count * arc[-1]
-    return np.interp(middles, arc, edges)
+    return np.asarray(np.interp(middles, arc, edges))

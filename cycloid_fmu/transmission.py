@@ -51,6 +51,7 @@ class Transmission:
 
     @property
     def backlash(self) -> Array:
+        """Free rotation of the output with the crank locked, shape (angles,), rad; NaN without a free position."""
         return self.play_high - self.play_low
 
 

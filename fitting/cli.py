@@ -134,7 +134,9 @@ def print_identification(result: object, truth: dict[str, float] | None = None) 
         true = [] if truth is None else [f"{truth.get(p.name, 0.0) * factor:.3f}"]
         if p.held is None:
             low, high = (v * factor for v in p.interval)
-            rows.append([f"{p.name} [{unit}]".replace("[", "\\["), *true, f"{p.value * factor:.3f}", f"{low:.3f} … {high:.3f}"])
+            rows.append(
+                [f"{p.name} [{unit}]".replace("[", "\\["), *true, f"{p.value * factor:.3f}", f"{low:.3f} … {high:.3f}"]
+            )
         else:
             held.append([p.name, p.held])
     known = [] if truth is None else ["true"]

@@ -46,6 +46,7 @@ PREFERENCE = (
 )  # fmt: skip
 TOLERANCE = {"m": 5e-6, "rad": 1e-4}  # standard deviation that an error has before anything is measured
 KNOWN = 0.2  # an error counts as known where the data leave less than this share of its tolerance
+NO_SCATTER = 1e-8  # m: a scatter below this changes nothing that a bench can see
 _CONFIDENCE = 0.95
 
 
@@ -278,24 +279,26 @@ def identify(
     """
     for curve in curves:
         if abs(curve.torque) < 1e-3 * max(abs(c.torque) for c in curves) or curve.torque == 0.0:
-            raise edge.InputError(f"{curve.source}: the mean torque is {curve.torque:g} N·m; the fit needs loaded curves.")
+            raise edge.InputError(
+                f"{curve.source}: the mean torque is {curve.torque:g} N·m; the fit needs loaded curves."
+            )
     data = _data(curves)
     prior = surface_of_pair(pair)
     names = structured_names([k for k in ORDERS if 2 * k < pair.pair.gear_teeth])
     _, parts = _scatter_columns(pair)
     linear = _linearise(pair, prior, data, names, 0.0)
-    zeros = np.linalg.lstsq(data.offsets, data.measured - linear.model, rcond=None)[0]
+    zeros: Array = np.linalg.lstsq(data.offsets, data.measured - linear.model, rcond=None)[0].astype(float)
     state = _State(prior, zeros, 0.0, np.zeros(linear.scatter.shape[1]))
 
     chosen: list[str] = []
-    for attempt in range(3):
+    for _ in range(3):
         progress("choosing what the data can tell")
         again = choose(_information(data, linear, names), names, _nuisance_columns(data, linear).shape[1])
         if not again:
             raise edge.InputError("the data tell none of the structured errors apart; record more loads or more turns.")
-        if again == chosen:
+        if set(again) == set(chosen):
             break
-        chosen = again
+        chosen = [n for n in names if n in again]
         progress(f"fitting {len(chosen)} errors")
         state = _fit(pair, data, chosen, state, {}, parts)
         linear = _linearise(pair, state.surface, data, names, state.crank)
@@ -307,8 +310,12 @@ def identify(
         weight = data.weight[:, None]
         keep = [names.index(n) for n in chosen]
         fixed = weight * np.column_stack([_nuisance_columns(data, linear), linear.structured[:, keep]])
-        residual = data.weight * (data.measured - linear.model - data.offsets @ state.offsets + linear.scatter @ state.scatter)
+        residual = data.weight * (
+            data.measured - linear.model - data.offsets @ state.offsets + linear.scatter @ state.scatter
+        )
         factor, scatter = _components(residual, fixed, weight * linear.scatter, parts, scatter)
+        if max(scatter.values()) < NO_SCATTER:
+            break
         progress("fitting with the scatter of pins and teeth")
         state = _fit(pair, data, chosen, state, {n: s / factor for n, s in scatter.items()}, parts)
         linear = _linearise(pair, state.surface, data, names, state.crank)
@@ -346,7 +353,7 @@ def _fit(
     plain = _with_scatter(state.surface, -state.scatter, parts)
     scale = _scale(chosen)
     spread = np.concatenate([np.full(p.stop - p.start, deviations.get(n, 0.0)) for n, p in parts.items()])
-    free = spread > 1e-9
+    free = spread > NO_SCATTER
     start = np.concatenate([
         np.array([structured_value(pair, plain, n) for n in chosen]) / scale,
         state.offsets / 1e-4,
@@ -391,7 +398,7 @@ def _fit(
             blocks.append(linear.by_angle[:, None] * 1e-2)
         blocks.append(linear.scatter[:, free] * spread[free])
         columns = -data.weight[:, None] * np.column_stack(blocks)
-        scattered = np.count_nonzero(free)
+        scattered = int(np.count_nonzero(free))
         return np.vstack([columns, np.eye(scattered, start.size, start.size - scattered)])
 
     fit = lmfit.minimize(
@@ -530,4 +537,3 @@ def write_identification(result: Identification, path: str | os.PathLike[str]) -
     """Write an identification file, whole or not at all."""
     with edge.written_whole(path) as temporary:
         temporary.write_text(edge.json_text(as_json(result)), encoding="utf-8")
-

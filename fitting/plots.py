@@ -57,15 +57,16 @@ def plot_comparison(
         turns = curve.input_angle / (2.0 * np.pi)
         shown = turns <= crank_turns
         colour = f"C{number}"
-        axes[0].plot(turns[shown], curve.transmission_error[shown] * ARCSEC, ".", ms=3, color=colour, alpha=0.5)
-        axes[0].plot(turns[shown], model[shown] * ARCSEC, lw=1.2, color=colour, label=label_of(curve))
         left = (curve.transmission_error - model) * ARCSEC
-        axes[1].plot(turns, left, lw=0.5, color=colour, label=f"{np.sqrt(np.mean(left**2)):.2f}″ rms")
-    axes[0].set(xlabel="crank turns", ylabel="transmission error [arcsec]", title=f"points: measured; lines: {said}")
-    axes[0].title.set_fontsize(10)
+        label = f"{label_of(curve)}: {np.sqrt(np.mean(left**2)):.2f}″ rms left"
+        axes[0].plot(turns[shown], curve.transmission_error[shown] * ARCSEC, ".", ms=4, color=colour, alpha=0.5)
+        axes[0].plot(turns[shown], model[shown] * ARCSEC, lw=1.2, color=colour, label=label)
+        axes[1].plot(turns, left, ".", ms=1.5, color=colour, alpha=0.6)
+    axes[0].set(ylabel="transmission error [arcsec]")
     axes[1].set(xlabel="crank turns", ylabel="measured - simulated [arcsec]")
-    for axis in axes:
-        axis.legend(fontsize=8, frameon=False, ncols=4)
+    handles, labels = axes[0].get_legend_handles_labels()
+    title = f"points: measured, lines: {said}"
+    figure.legend(handles, labels, loc="outside upper center", ncols=2, fontsize=9, frameon=False, title=title)
     return figure
 
 

@@ -11,6 +11,7 @@ import hashlib
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -143,9 +144,7 @@ def _from_csv(path: str | os.PathLike[str]) -> BenchRecording:
         if name not in COLUMNS:
             continue
         if not bracket or not unit.endswith("]"):
-            raise edge.InputError(
-                f'{path}: the column "{cell.strip()}" has no unit; write it in brackets, such as "{name} [{COLUMNS[name]}]".'
-            )
+            raise edge.InputError(f'{path}: the column "{cell.strip()}" has no unit; write "{name} [{COLUMNS[name]}]".')
         try:
             scales[name] = (position, edge.unit_scale(unit[:-1].strip(), COLUMNS[name]))
         except ValueError as problem:
@@ -160,7 +159,7 @@ def _from_csv(path: str | os.PathLike[str]) -> BenchRecording:
         table = np.loadtxt(lines[1:], delimiter=",", usecols=columns, ndmin=2)
     except ValueError:
         raise edge.InputError(f"{path}: {_first_bad_cell(lines, scales)}") from None
-    data = {name: table[:, i] * scale for i, (name, (_, scale)) in enumerate(scales.items())}
+    data: dict[str, Any] = {name: table[:, i] * scale for i, (name, (_, scale)) in enumerate(scales.items())}
     for name in ("input_angle", "output_angle"):
         data[name] = _continuous(data[name])
     return BenchRecording(
@@ -213,5 +212,7 @@ def one_direction(recording: BenchRecording) -> tuple[int, BenchRecording]:
     if moving.all():
         return direction, recording
     kept = {n: getattr(recording, n)[moving] for n in (*COLUMNS, "status")}
-    note = f"{recording.source}: {np.count_nonzero(~moving)} samples in which the crank stood or moved back were left out."
+    note = (
+        f"{recording.source}: {np.count_nonzero(~moving)} samples in which the crank stood or moved back were left out."
+    )
     return direction, dataclasses.replace(recording, **kept, notes=(*recording.notes, note))

@@ -52,8 +52,10 @@ def series(value: float | list | dict, count: int) -> np.ndarray:
     if not isinstance(value, dict):
         return np.broadcast_to(np.asarray(value, float), count)
     turn = 2 * np.pi * np.arange(count) / count
-    return sum(amplitude * np.cos(int(name.removeprefix("order_")) * turn - phase)
-               for name, (amplitude, phase) in value.items())
+    return sum(
+        amplitude * np.cos(int(name.removeprefix("order_")) * turn - phase)
+        for name, (amplitude, phase) in value.items()
+    )
 
 
 class Pair:
@@ -210,8 +212,15 @@ def bisect(still: Callable[[float], bool], start: float, end: float) -> float:
     return 0.5 * (start + end)
 
 
-def solve(pair: dict, crank_angle: float, torque: float, points: int = 200, slices: int = 1, halvings: int = 30,
-          with_play: bool = True) -> dict:
+def solve(
+    pair: dict,
+    crank_angle: float,
+    torque: float,
+    points: int = 200,
+    slices: int = 1,
+    halvings: int = 30,
+    with_play: bool = True,
+) -> dict:
     """Solve one loaded crank angle (section 4, Contact; section 3 for signs and definitions).
 
     Parameters
@@ -244,6 +253,11 @@ def solve(pair: dict, crank_angle: float, torque: float, points: int = 200, slic
     force, pressure = gears.hertz(contacts)
     pin_force = np.zeros((gears.discs, gears.pins))
     np.add.at(pin_force, (contacts.body // slices, contacts.pin), force)
-    return {"transmission_error": psi, "backlash": upper - lower, "interference": max(0.0, -room),
-            "max_contact_pressure": float(np.max(pressure, initial=0.0)),
-            "contact_count": int(np.sum(pin_force > 0.01 * np.max(pin_force))), "pin_force": pin_force}
+    return {
+        "transmission_error": psi,
+        "backlash": upper - lower,
+        "interference": max(0.0, -room),
+        "max_contact_pressure": float(np.max(pressure, initial=0.0)),
+        "contact_count": int(np.sum(pin_force > 0.01 * np.max(pin_force))),
+        "pin_force": pin_force,
+    }

@@ -44,7 +44,7 @@ class DriveModel:
         self.errors = {name: structured_value(pair, surface, name) for name in structured_names(ORDERS)}
         self._stated = dict(self.errors)
         self._ratio = pair.ratio
-        # Everything repeats after one turn of the gear in the ring; a reduced angle keeps its digits at any crank angle.
+        # Everything repeats after one turn of the gear in the ring; a reduced angle keeps its digits.
         self._period = 2.0 * math.pi * (pair.pair.gear_teeth if pair.pair.output == "gear" else pair.pair.pins)
         self._output_angle: float | None = None
         self._rebuild()

@@ -52,7 +52,7 @@ def _kept_alive(method: _Method) -> _Method:
     return cast(_Method, guarded)
 
 
-class DriveSlave(Fmi2Slave):
+class DriveSlave(Fmi2Slave):  # type: ignore[misc]
     """Cycloid-pin gear drive with its manufacturing and assembly errors."""
 
     author = "cycloid-fmu"
@@ -71,9 +71,8 @@ class DriveSlave(Fmi2Slave):
                 "the FMU again or install that version"
             )
         with np.load(resources / ARRAYS) as arrays:
-            surface = ErrorSurface(
-                **{name: arrays[name] if arrays[name].shape else float(arrays[name]) for name in DESCRIPTIONS}
-            )
+            values: dict[str, Any] = {n: arrays[n] if arrays[n].shape else float(arrays[n]) for n in DESCRIPTIONS}
+            surface = ErrorSurface(**values)
         self.model = model = DriveModel(Pair.from_numbers(numbers["pair"]), surface)
         self._attributes: dict[str, dict[str, str]] = {}
         self._depends: dict[str, tuple[str, ...]] = {}
@@ -86,7 +85,7 @@ class DriveSlave(Fmi2Slave):
         for name, unit, text, attribute, display, least, depends in (
             ("flange_b.phi", "rad", "output angle", "output_angle", "deg", None, angle_and_torque),
             ("flange_b.w", "rad/s", "output speed at the present torque", "output_speed", "rev/min", None, inputs),
-            ("flange_a.tau", "N.m", "torque that the crank must be given", "crank_torque", None, None, angle_and_torque),
+            ("flange_a.tau", "N.m", "torque to give the crank", "crank_torque", None, None, angle_and_torque),
             ("transmission_error", "rad", "output angle less crank angle/ratio", "transmission_error", "arcsec", None,
              angle_and_torque),
             ("backlash", "rad", "free rotation of the output with the crank locked; 0 where there is none", "backlash",
@@ -171,7 +170,7 @@ class DriveSlave(Fmi2Slave):
 
     @_kept_alive
     def get_real(self, vrs: Sequence[int]) -> list[float]:
-        """Return values by reference (pythonfmu's own checks each type in Python, which costs more than the physics)."""
+        """Return values by reference (pythonfmu's own checks types, which costs more than the physics)."""
         getters = self._getters
         return [getters[v]() for v in vrs]
 
@@ -191,8 +190,8 @@ class DriveSlave(Fmi2Slave):
         self.model.restore(state)
 
     def to_xml(self, model_options: dict[str, str] | None = None) -> Element:
-        """Return the model description with what pythonfmu leaves out: units, limits, dependencies, initial unknowns."""
-        root = super().to_xml(model_options or {})
+        """Return the model description with what pythonfmu leaves out: units, limits, dependencies, unknowns."""
+        root: Element = super().to_xml(model_options or {})
         units = Element("UnitDefinitions")
         for unit, (base, displays) in _UNITS.items():
             node = SubElement(units, "Unit", name=unit)

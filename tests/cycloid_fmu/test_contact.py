@@ -3,7 +3,7 @@ import math
 
 import numpy as np
 import pytest
-from conftest import CASES, PAIR, make_pair
+from common import CASES, PAIR, make_pair
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -83,7 +83,8 @@ def test_linear_check_of_the_load_sharing():
 
 @pytest.mark.parametrize("output", ["gear", "ring"])
 @pytest.mark.parametrize(
-    ("case", "slices"), [("errors-39-40", 1), ("two-discs-39-40", 1), ("misaligned-31-32", 5), ("interference-21-22", 1)]
+    ("case", "slices"),
+    [("errors-39-40", 1), ("two-discs-39-40", 1), ("misaligned-31-32", 5), ("interference-21-22", 1)],
 )
 def test_sensitivities_are_the_derivatives(case, slices, output):
     text = (CASES / f"{case}.toml").read_text().replace("[pair]", f'[pair]\noutput = "{output}"')
@@ -111,7 +112,9 @@ def test_sensitivities_are_the_derivatives(case, slices, output):
     assert further[:, 1] == pytest.approx(by_torque, rel=1e-4)
 
 
-@pytest.mark.parametrize(("case", "output"), [("error-free-39-40", "gear"), ("errors-39-40", "gear"), ("errors-39-40", "ring")])
+@pytest.mark.parametrize(
+    ("case", "output"), [("error-free-39-40", "gear"), ("errors-39-40", "gear"), ("errors-39-40", "ring")]
+)
 def test_forces_balance_the_torque_and_the_crank_gets_the_power(case, output):
     """Σ F L = T at each angle; over a whole turn of the output the crank's work is what the output takes, T Δφ_b.
 
@@ -186,6 +189,7 @@ def test_equivalent_errors():
 
 def test_two_discs_cancel_an_order_one_pin_error():
     """Design.md section 3: two discs opposite each other cancel what gives one disc 24″."""
+
     def amplitude(discs):
         pair = make_pair(PAIR + '[modification]\noffset = "-70 um"\nisometric = "-25 um"\n', discs=discs)
         surface = with_structured(pair, nominal_surface(pair), {"pin_radial_1_cos": 1e-5})

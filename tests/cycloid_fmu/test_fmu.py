@@ -12,7 +12,7 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
-from conftest import CASES, PAIR
+from common import CASES, PAIR
 from fmpy.fmi2 import FMU2Slave
 from fmpy.validation import validate_fmu
 
@@ -215,7 +215,19 @@ def test_commands_build_inspect_simulate(command, tmp_path):
     seen = command("cycloid-fmu", "inspect", "d.fmu", "--json")
     assert seen.returncode == 0
     assert json.loads(seen.stdout)["problems"] == []
-    run = command("cycloid-fmu", "simulate", "d.fmu", "--torque=-181 N*m", "--samples", "100", "-o", "r.csv", "--plot", "r.png", "--json")
+    run = command(
+        "cycloid-fmu",
+        "simulate",
+        "d.fmu",
+        "--torque=-181 N*m",
+        "--samples",
+        "100",
+        "-o",
+        "r.csv",
+        "--plot",
+        "r.png",
+        "--json",
+    )
     assert run.returncode == 0, run.stderr
     error = np.array(json.loads(run.stdout)["transmission_error"]) * 206265
     assert error.mean() == pytest.approx(-4.5015, abs=2e-3)

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from conftest import CASES, PAIR, make_pair
+from common import CASES, PAIR, make_pair
 
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.pair import parse_pair, read_pair
@@ -167,9 +167,10 @@ def test_many_turns_cost_no_accuracy():
 
 
 def test_an_error_set_is_an_error_built_in():
-    pair = make_pair(PAIR + '[modification]\noffset = "-70 um"\nisometric = "-25 um"\n')
-    built = make_pair(PAIR + '[modification]\noffset = "-70 um"\nisometric = "-25 um"\n'
-                      '[errors]\npin_tangential = { order_2 = ["3 um", "90 deg"] }\ncentre_distance_y = "2 um"\n')  # fmt: skip
+    text = PAIR + '[modification]\noffset = "-70 um"\nisometric = "-25 um"\n'
+    pair = make_pair(text)
+    stated = '[errors]\npin_tangential = { order_2 = ["3 um", "90 deg"] }\ncentre_distance_y = "2 um"\n'
+    built = make_pair(text + stated)
     model, wanted = DriveModel(pair, nominal_surface(pair)), DriveModel(built, surface_of_pair(built))
     step(model, 0.1, 50.0)
     model.set_error("pin_tangential_2_sin", 3e-6)

@@ -1,7 +1,7 @@
 import json
 
 import pytest
-from conftest import CASES, PAIR, make_pair
+from common import CASES, PAIR, make_pair
 
 from cycloid_fmu import edge
 from cycloid_fmu.pair import Pair, parse_pair, read_pair

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from conftest import PAIR, make_pair
+from common import PAIR, make_pair
 
 from cycloid_fmu import contact
 from cycloid_fmu.pair import parse_pair, smallest_convex_radius

@@ -5,7 +5,7 @@ import json
 import brute_force
 import numpy as np
 import pytest
-from conftest import ARCSEC, CASES, PAIR, make_pair
+from common import ARCSEC, CASES, PAIR, make_pair
 
 from cycloid_fmu.pair import parse_pair, read_pair
 from cycloid_fmu.surface import nominal_surface, surface_of_pair, with_structured

@@ -1,0 +1,34 @@
+"""What several tests share: the data, the 39/40 pair and field units."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from cycloid_fmu.pair import parse_pair
+
+DATA = Path(__file__).parent / "data"
+CASES = DATA / "reference-cases"
+BENCH = DATA / "reference-bench"
+EXAMPLES = Path(__file__).parent.parent / "examples"
+ARCSEC = np.pi / 648000
+
+PAIR = """format = "cycloid-pair/1"
+[pair]
+gear_teeth = 39
+pins = 40
+pin_circle_radius = "64 mm"
+pin_radius = "3 mm"
+eccentricity = "1.3 mm"
+face_width = "10 mm"
+"""
+
+
+def make_pair(text=PAIR, **keys):
+    """The error-free 39/40 pair with other keys of its [pair] table."""
+    lines = text.splitlines()
+    at = lines.index("[pair]") + 1
+    for key, value in keys.items():
+        lines = [line for line in lines if not line.startswith(f"{key} =")]
+        lines.insert(at, f"{key} = {json.dumps(value)}")
+    return parse_pair("\n".join(lines) + "\n", "test.toml")

@@ -1,0 +1,81 @@
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cycloid_fmu import edge
+from fitting.curve import noise_of, transmission_error_curve, write_curves
+from fitting.recording import BenchRecording
+
+
+def recorded(angle, error, ratio=-39.0, torque=50.0):
+    n = angle.size
+    return BenchRecording(
+        np.arange(n) * 1e-3, angle, angle / ratio + error, np.full(n, torque), np.zeros(n, np.uint8), True, True, ratio,
+        "run.arrows", "0",
+    )  # fmt: skip
+
+
+@given(
+    turns=st.floats(0.3, 3.5), forwards=st.booleans(), start=st.floats(-300, 300), each=st.integers(5, 60),
+)  # fmt: skip
+def test_a_known_curve_comes_back_at_the_angles_where_it_was_measured(turns, forwards, start, each):
+    """Orders of the output that repeat after its turn, whatever the start, direction, length and sampling."""
+    period = 2 * np.pi * 39
+    samples = max(3, int(turns * 39 * each))
+    angle = start + (1 if forwards else -1) * np.linspace(0, turns * period, samples)
+
+    def known(phi):
+        return 1e-4 * np.cos(39 * phi / 39 + 1) + 3e-5 * np.sin(40 * phi / 39) + 2e-5
+
+    curve = transmission_error_curve(recorded(angle, known(angle)), -39.0)
+    assert curve.direction == (1 if forwards else -1)
+    assert (np.diff(curve.input_angle) > 0).all()
+    assert curve.sample_count.sum() == samples
+    spacing = 2 * np.pi / each
+    # What falls into one point lies within one spacing; its mean error is the error at its mean angle to second order.
+    assert curve.transmission_error == pytest.approx(known(curve.input_angle), abs=1.5e-4 * spacing**2 + 1e-12)
+
+
+def test_turns_are_averaged_with_their_standard_error():
+    rng = np.random.default_rng(0)
+    angle = np.arange(39 * 40 * 16) * 2 * np.pi / 40
+    curve = transmission_error_curve(recorded(angle, rng.normal(0, 1e-6, angle.size)), -39.0)
+    assert set(curve.sample_count) == {16}
+    assert np.sqrt(np.mean(curve.standard_error**2)) == pytest.approx(1e-6 / 4, rel=0.05)
+    assert curve.transmission_error.std() == pytest.approx(1e-6 / 4, rel=0.1)
+    assert noise_of(curve) == pytest.approx(1e-6 / 4, rel=0.05)
+
+
+def test_noise_of_a_single_turn_is_found_beside_the_curve():
+    rng = np.random.default_rng(0)
+    angle = np.arange(39 * 96) * 2 * np.pi / 96
+    smooth = 1e-4 * np.cos(angle)
+    curve = transmission_error_curve(recorded(angle, smooth + rng.normal(0, 2e-6, angle.size)), -39.0)
+    assert np.isnan(curve.standard_error).all()
+    assert noise_of(curve) == pytest.approx(2e-6, rel=0.1)
+
+
+@pytest.mark.parametrize("ratio", [39.0, -40.0, -38.0])
+def test_a_wrong_ratio_is_refused(ratio):
+    angle = np.linspace(0, 245, 4000)
+    with pytest.raises(edge.InputError, match="check the pair"):
+        transmission_error_curve(recorded(angle, 0.0), ratio)
+
+
+def test_no_motion_is_refused():
+    with pytest.raises(edge.InputError, match="does not turn"):
+        transmission_error_curve(recorded(np.zeros(10), 0.0), -39.0)
+
+
+def test_curve_file(tmp_path):
+    long = transmission_error_curve(recorded(np.arange(39 * 48) * 2 * np.pi / 48, 1e-5), -39.0)
+    short = transmission_error_curve(recorded(-np.arange(100) * 2 * np.pi / 48, 2e-5, torque=-50.0), -39.0)
+    write_curves([long, short], tmp_path / "c.nc")
+    with xr.open_dataset(tmp_path / "c.nc") as data:
+        assert data.attrs["format"] == "cycloid-curve/1"
+        assert data["direction"].values.tolist() == [1, -1]
+        assert data["transmission_error"].attrs["units"] == "rad"
+        assert data["transmission_error"].values[0] == pytest.approx(np.full(39 * 48, 1e-5))
+        assert np.isnan(data["transmission_error"].values[1]).sum() == 39 * 48 - 100

@@ -1,0 +1,30 @@
+"""The main job, as the README's first command runs it."""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+
+from common import EXAMPLES
+
+
+def test_from_the_bench_to_the_fmu_and_back(tmp_path):
+    run = subprocess.run(
+        [sys.executable, str(EXAMPLES / "bench_to_fmu.py")], cwd=tmp_path, capture_output=True, text=True, timeout=300
+    )
+    assert run.returncode == 0, run.stderr
+    out = tmp_path / "bench_to_fmu_out"
+    fit = json.loads((out / "identification.json").read_text())
+    truth = {"centre_distance_x": 4e-6, "centre_distance_y": -3e-6, "eccentricity": 2e-6, "pin_radius": -1e-6}
+    for name, value in truth.items():
+        found = fit["parameters"][name]
+        low, high = found["interval"]
+        assert low <= value <= high or abs(found["value"] - value) < 0.3e-6, name
+    assert {n for n, p in fit["parameters"].items() if p["held"]} >= {"isometric", "offset", "misalignment_xz"}
+    left = re.search(r"differ by ([\d.]+)″ rms", run.stdout)
+    assert left is not None
+    assert float(left[1]) < 0.6  # the encoder's noise is 0.5″
+    assert (out / "comparison.png").stat().st_size > 50000
+    assert len(list(out.glob("*.arrows"))) == 4
+    shutil.rmtree(out)
