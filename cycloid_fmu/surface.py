@@ -24,6 +24,12 @@ FORMAT = "cycloid-surface/1"
 ORIGINS = ("nominal", "sampled", "measured", "identified", "worn")
 PATTERNS = ("pin_radial", "pin_tangential", "tooth_cumulative_pitch")
 ANGLES = ("misalignment_xz", "misalignment_yz")
+DEVIATIONS = {"gear_deviation": ("disc", "tooth", "profile", "width"), "pin_deviation": ("pin", "angle", "width")}
+_DEVIATION_TEXTS = {
+    "gear_deviation": "normal deviation of each element of the flanks, > 0 material added",
+    "pin_deviation": "normal deviation of each element of the pins, > 0 material added",
+}
+LARGEST_ELEMENT = 5e-4
 DESCRIPTIONS = {
     "centre_distance_x": "offset of the gear's centre along +x",
     "centre_distance_y": "offset of the gear's centre along +y",
@@ -51,6 +57,14 @@ class ErrorSurface:
         Shape (pins,), m.
     tooth_cumulative_pitch
         Shape (discs, teeth), m at the pin circle radius.
+    gear_deviation
+        Normal deviation of each element of the flanks, > 0 material added, shape (discs, teeth, profile, width), m; or
+        None where the flanks are nominal. Elements are of equal arc length from a tooth's first root to its second
+        (`profile.equal_arc_parameters`) and of equal width from -z to +z; values stand at their middles.
+    pin_deviation
+        Normal deviation of each element of the pins, > 0 material added, shape (pins, angle, width), m; or None.
+        Elements are of equal angle over the half of the pin that faces the pin circle's centre: the angle runs
+        counter-clockwise about the pin's axis from -90° to +90° of the direction to that centre.
     origin
         One of `ORIGINS`.
     pair_text
@@ -74,6 +88,8 @@ class ErrorSurface:
     pin_radius: float = 0.0
     isometric: float = 0.0
     offset: float = 0.0
+    gear_deviation: Array | None = None
+    pin_deviation: Array | None = None
     origin: str = "nominal"
     pair_text: str = ""
     covariance_of: tuple[str, ...] = ()
@@ -198,12 +214,17 @@ def write_surface(surface: ErrorSurface, path: str | os.PathLike[str]) -> None:
     for name in ("pin_radial", "pin_tangential", "pin_radius_deviation"):
         data[name] = (pin, getattr(surface, name))
     data["tooth_cumulative_pitch"] = (tooth, surface.tooth_cumulative_pitch)
+    for name, dimensions in DEVIATIONS.items():
+        if (elements := getattr(surface, name)) is not None:
+            data[name] = (dimensions, elements)
     coordinates: dict[str, Any] = {}
     if surface.covariance is not None:
         data["covariance"] = (("parameter", "parameter_"), surface.covariance)
         coordinates["parameter"] = np.array(surface.covariance_of, dtype=object)
     dataset = xr.Dataset(data, coordinates)
-    for name, text in DESCRIPTIONS.items():
+    for name, text in {**DESCRIPTIONS, **_DEVIATION_TEXTS}.items():
+        if name not in dataset:
+            continue
         dataset[name].attrs.update(units=unit_of(name), long_name=text)
     dataset.attrs.update(surface.attributes, format=FORMAT, origin=surface.origin, pair=surface.pair_text)
     with edge.written_whole(path) as temporary:
@@ -245,6 +266,9 @@ def read_surface(path: str | os.PathLike[str]) -> ErrorSurface:
         if not np.isfinite(given.values).all():
             raise edge.InputError(f"{path}: {name} holds a value that is not finite.")
         values[name] = given.values.astype(float) if shape else float(given)
+    for name, dimensions in DEVIATIONS.items():
+        if name in data:
+            values[name] = _checked_deviation(data[name], name, dimensions, blank, str(path))
     kept = {k: v for k, v in data.attrs.items() if k not in ("format", "origin", "pair")}
     covariance = data["covariance"].values.astype(float) if "covariance" in data else None
     names = tuple(str(n) for n in data["parameter"].values) if covariance is not None else ()
@@ -260,6 +284,27 @@ def read_surface(path: str | os.PathLike[str]) -> ErrorSurface:
 
 def _shown(value: Any) -> str:
     return f"{value:.9g}" if isinstance(value, float) else str(value)
+
+
+def _checked_deviation(given: Any, name: str, dimensions: tuple[str, ...], blank: ErrorSurface, source: str) -> Array:
+    """Check one array of deviations as it was read; the profile, angle and width may have any number of elements."""
+    if given.dims != dimensions:
+        raise edge.InputError(f"{source}: {name} has the dimensions {given.dims}; it must have {dimensions}.")
+    if given.attrs.get("units") != "m":
+        raise edge.InputError(f'{source}: {name} has the unit "{given.attrs.get("units")}"; it must be "m".')
+    sizes = {"disc": blank.tooth_cumulative_pitch.shape[0], "tooth": blank.tooth_cumulative_pitch.shape[1],
+             "pin": blank.pin_radial.size}  # fmt: skip
+    for dimension, size in zip(dimensions, given.shape, strict=True):
+        if size == 0 or size != sizes.get(dimension, size):
+            raise edge.InputError(f"{source}: {name} has {size} of {dimension}; its pair needs {sizes[dimension]}.")
+    values = given.values.astype(float)
+    if not np.isfinite(values).all():
+        raise edge.InputError(f"{source}: {name} holds a value that is not finite.")
+    if np.abs(values).max() > LARGEST_ELEMENT:
+        raise edge.InputError(
+            f"{source}: {name} reaches {np.abs(values).max() * 1e3:.4g} mm; deviations must lie within half a millimetre."
+        )
+    return values
 
 
 def check_surface(pair: Pair, surface: ErrorSurface, pair_source: str, surface_source: str) -> None:
