@@ -67,7 +67,8 @@ def test_set_step_get(benchmark, fmu):
 
 def test_ready_in_a_fresh_process(benchmark, fmu):
     def ready():
-        return json.loads(subprocess.run([sys.executable, "-c", START, str(fmu)], capture_output=True, check=True).stdout)
+        run = subprocess.run([sys.executable, "-c", START, str(fmu)], capture_output=True, check=True)
+        return json.loads(run.stdout)
 
     ready()  # fills numba's cache
     inside = []

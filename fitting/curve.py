@@ -129,14 +129,14 @@ def transmission_error_curve(recording: BenchRecording, ratio: float) -> Curve:
 def noise_of(curve: Curve) -> float:
     """Noise of one point of a curve, rad: from the turns' scatter, or, after one turn, from neighbours' differences.
 
-    The second differences of smooth values vanish and those of noise have √6 times its deviation; the median is not
+    The sixth differences of smooth values vanish and those of noise have √924 times its deviation; the median is not
     moved by the corners where pins come into contact.
     """
     repeated = curve.sample_count > 1
     if np.count_nonzero(repeated) > 20:
         return float(np.sqrt(np.mean(curve.standard_error[repeated] ** 2)))
-    second = np.diff(curve.transmission_error, 2)
-    return float(np.median(np.abs(second)) / 0.6745 / np.sqrt(6.0)) if second.size else 0.0
+    differences = np.diff(curve.transmission_error, 6)
+    return float(np.median(np.abs(differences)) / 0.6745 / np.sqrt(924.0)) if differences.size else 0.0
 
 
 def curves_dataset(curves: Sequence[Curve]) -> xr.Dataset:

@@ -110,6 +110,13 @@ class DriveModel:
         """Make the next step start without history: at zero torque from the middle of the play."""
         self._output_angle = None
 
+    def _settle(self) -> float:
+        """Return the output angle, solved without history where no step was made yet."""
+        if self._output_angle is None:
+            self.advance()
+        assert self._output_angle is not None
+        return self._output_angle
+
     def advance(self) -> None:
         """Move to the inputs' present values, from the state before."""
         self._forget()
@@ -140,22 +147,17 @@ class DriveModel:
     @property
     def output_angle(self) -> float:
         """φ_b, rad."""
-        if self._output_angle is None:
-            self.advance()
-        assert self._output_angle is not None
-        return self._output_angle
+        return self._settle()
 
     @property
     def transmission_error(self) -> float:
         """φ_b - φ_a/ratio, rad."""
-        if self._output_angle is None:
-            self.advance()
+        self._settle()
         return self._deviation
 
     def _crank_side(self) -> tuple[float, float]:
         if self._crank is None:
-            if self._output_angle is None:
-                self.advance()
+            self._settle()
             if self._stiffness > 0.0:
                 self._crank = contact.crank_side(self._drive, self._theta, self._x, self._contacts)
             else:
@@ -183,24 +185,21 @@ class DriveModel:
     @property
     def backlash(self) -> float:
         """Free rotation of the output with the crank locked, rad; 0 where there is none."""
-        if self._output_angle is None:
-            self.advance()
+        self._settle()
         low, high, interference = self._solve_play()
         return high - low if interference == 0.0 else 0.0
 
     @property
     def torsional_stiffness(self) -> float:
         """Stiffness at the flange, the compliance in series included, N·m/rad."""
-        if self._output_angle is None:
-            self.advance()
+        self._settle()
         if self._stiffness <= 0.0:
             return 0.0
         return 1.0 / (1.0 / self._stiffness + self.series_compliance)
 
     def _load_sharing(self) -> tuple[int, float]:
         if self._sharing is None:
-            if self._output_angle is None:
-                self.advance()
+            self._settle()
             if self._stiffness > 0.0:
                 self._sharing = contact.load_sharing(self._drive, self._contacts, self._pin_force, self._pin_pressure)
             else:

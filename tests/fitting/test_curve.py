@@ -50,8 +50,8 @@ def test_turns_are_averaged_with_their_standard_error():
 
 def test_noise_of_a_single_turn_is_found_beside_the_curve():
     rng = np.random.default_rng(0)
-    angle = np.arange(39 * 96) * 2 * np.pi / 96
-    smooth = 1e-4 * np.cos(angle)
+    angle = np.arange(39 * 24) * 2 * np.pi / 24
+    smooth = 1e-4 * np.cos(2 * angle)
     curve = transmission_error_curve(recorded(angle, smooth + rng.normal(0, 2e-6, angle.size)), -39.0)
     assert np.isnan(curve.standard_error).all()
     assert noise_of(curve) == pytest.approx(2e-6, rel=0.1)
