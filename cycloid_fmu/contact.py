@@ -39,6 +39,7 @@ TOUCHING = 2e-10  # m: an interference below this counts as touching (design.md 
 _FOOT_STEP = 1e-11  # m: Newton's last step along the flank; near a root the moment arm errs by a thousand times that
 _ROTATION_STEP = 1e-12  # rad: last step of the play's ends
 _LINEAR_STEP = 1e-9  # rad: below this Newton's last step of an equilibrium is made with the stiffnesses at hand
+_INTERPOLATED = 1e-9  # m: what interpolation across slices may err on a clear pin's gap
 _CLEAR = 5e-7  # m: a pin predicted to be this clear is not solved again within one equilibrium
 _COUNTED = 0.01  # a pin counts as in contact above this share of the most loaded pin's force
 
@@ -87,6 +88,15 @@ class Drive(NamedTuple):
         Phase from a root within which both its teeth are tried, rad.
     root_margin
         How far neighbouring teeth may stand apart at their root, m.
+    flank_alpha, flank_x, flank_y
+        Profile parameter (rad) and points (m) of tooth 0 at its ends and its elements' middles, shape (elements + 2,).
+    gear_deviation
+        Normal deviation at those points, shape (discs, slices, teeth, elements + 2), m; size 0 where flanks and pins
+        are nominal. Between the points it is linear in the parameter.
+    pin_deviation
+        Normal deviation at the middles of each pin's elements of equal angle, shape (slices, pins, elements), m.
+    largest_deviation
+        Sum of the largest deviations of gear and pins, m.
     """
 
     circle_radius: float
@@ -109,6 +119,12 @@ class Drive(NamedTuple):
     largest_log_radius: float
     root_phase: float
     root_margin: float
+    flank_alpha: Array
+    flank_x: Array
+    flank_y: Array
+    gear_deviation: Array
+    pin_deviation: Array
+    largest_deviation: float
 
 
 @_compiled
@@ -175,17 +191,6 @@ def _foot(
 
 
 @_inlined
-def _frame(drive: Drive, theta: float, x: float, disc: int, slice_: int) -> tuple[float, float, float, float, float]:
-    """Pose of one slice: turn of pins into the gear's frame (cos, sin), the gear's centre, and the ring's rotation."""
-    crank, ring, gear = _poses(drive, theta, x, disc)
-    ox = drive.eccentricity * math.cos(crank) + drive.centre_x[slice_]
-    oy = drive.eccentricity * math.sin(crank) + drive.centre_y[slice_]
-    cg, sg = math.cos(gear), math.sin(gear)
-    # O_c seen from the gear's frame
-    return math.cos(ring - gear), math.sin(ring - gear), ox * cg + oy * sg, oy * cg - ox * sg, crank - ring
-
-
-@_inlined
 def _on_tooth(px: float, py: float, turn: float) -> tuple[float, float]:
     """P in the frame of a tooth turned by a small angle."""
     c = 1.0 - 0.5 * turn * turn
@@ -198,34 +203,41 @@ def _write_contact(
     drive: Drive,
     contacts: Array,
     row: int,
+    foot: float,
     alpha: float,
     state: _Tangency,
-    conjugate: float,
+    height: float,
     ox: float,
     oy: float,
     pin_radius: float,
     x: float,
-) -> float:
-    """Gap, moment arm and their rates at the foot α of a pin; returns the signed distance of its axis from T."""
+) -> None:
+    """Write gap, moment arm and their rates where the pin is nearest the flank's point α, raised by `height`.
+
+    The foot is that of the pin on the nominal flank, as an offset from the conjugate point; α is the same place unless
+    deviations move the contact along the flank.
+    """
     _, slope, qx, qy, bx, by, dx, dy = state
     speed2 = bx * bx + by * by
     speed = math.sqrt(speed2)
-    distance = (dx * bx + dy * by) / speed
+    # The common normal runs from the flank's point, r inside T, to the pin's axis.
+    wx, wy = dx + drive.generating_radius * bx / speed, dy + drive.generating_radius * by / speed
+    distance = math.sqrt(wx * wx + wy * wy)
+    nx, ny = wx / distance, wy / distance
     sign = -1.0
     if drive.ring:
         ca, sa = math.cos(alpha), math.sin(alpha)
         qx, qy = qx + ox * ca + oy * sa, qy + oy * ca - ox * sa
         sign = 1.0
     # With Q the lever of the rotation in the foot's frame, the gap falls by the arm for each radian.
-    arm = sign * (qy * bx - qx * by) / speed
-    lever = (qx * bx + qy * by) / speed
+    lever = qx * nx + qy * ny
     # 1 + κ s, because (P - T)·T'' = -κ s |T'|²
     stretch = -slope / speed2
     kappa = _path_curvature(drive.circle_radius, drive.generating_eccentricity, drive.teeth, bx, speed)
-    contacts[row, FOOT] = alpha - conjugate
+    contacts[row, FOOT] = foot
     contacts[row, FOOT_RATE] = sign * lever / (speed * stretch)
-    contacts[row, GAP] = distance + drive.generating_radius - pin_radius
-    contacts[row, ARM] = arm
+    contacts[row, GAP] = distance - pin_radius - height
+    contacts[row, ARM] = sign * (qy * nx - qx * ny)
     contacts[row, ARM_RATE] = lever - lever * lever * kappa / stretch
     flank = 1.0 / (1.0 - drive.generating_radius * kappa)
     contacts[row, CURVATURE] = kappa * flank
@@ -233,7 +245,6 @@ def _write_contact(
         -drive.circle_radius * drive.teeth * by * ((drive.teeth + 2) / speed - 3.0 * kappa) / speed2 * flank * flank
     )
     contacts[row, AT] = x
-    return distance
 
 
 @_inlined
@@ -254,73 +265,275 @@ def place(drive: Drive, theta: float, x: float, contacts: Array, cold: bool, cle
         Whether to start from the conjugate points instead of from what `contacts` holds of a neighbouring state.
     clear
         Rows whose gap, predicted from the last solution, is above this are left as they are (m; infinite: none is).
+
+    Notes
+    -----
+    Across many slices of nominal flanks the gap of a pin is smooth: five slices are solved, and where they show that the
+    pin is clear everywhere the others are interpolated.
     """
+    pins, slices = drive.teeth + 1, drive.centre_x.size
+    stride = 2 * pins
+    few = slices < 8 or drive.gear_deviation.size > 0 or clear < math.inf
+    for disc in range(drive.crank_phase.size):
+        crank, ring, gear = _poses(drive, theta, x, disc)
+        ct, st = math.cos(ring - gear), math.sin(ring - gear)
+        cg, sg = math.cos(gear), math.sin(gear)
+        ox, oy = drive.eccentricity * math.cos(crank), drive.eccentricity * math.sin(crank)
+        for pin in range(pins):
+            first = disc * slices * stride + 2 * pin
+            px = drive.pin_x[pin] * ct - drive.pin_y[pin] * st
+            py = drive.pin_x[pin] * st + drive.pin_y[pin] * ct
+            heading = pin * 2.0 * math.pi / pins + ring - gear
+            conjugate = pin * 2.0 * math.pi / pins + (crank - ring) / drive.teeth
+            for step in range(slices if few else slices + 5):
+                slice_ = step if few else step * (slices - 1) // 4
+                if not few and step >= 5:
+                    if step == 5 and _interpolated(contacts, first, stride, slices, x):
+                        break
+                    slice_ = step - 5
+                ux, uy = ox + drive.centre_x[slice_], oy + drive.centre_y[slice_]
+                _place_row(
+                    drive, contacts, first + slice_ * stride, disc, slice_, pin, px, py, heading, conjugate,
+                    ux * cg + uy * sg, uy * cg - ux * sg, x, cold, clear,
+                )  # fmt: skip
+
+
+@_compiled
+def _interpolated(contacts: Array, first: int, stride: int, slices: int, x: float) -> bool:
+    """Fill a pin's rows from five solved ones, by the parabola through three; False where the pin needs all solved."""
+    last = slices - 1
+    middle = 2 * last // 4
+    for fifth in range(5):
+        row = first + (fifth * last // 4) * stride
+        if not contacts[row, GAP] > _CLEAR or contacts[row, GAP] == math.inf or contacts[row + 1, GAP] < math.inf:
+            return False
+    a, b, c = first, first + middle * stride, first + last * stride
+    for fifth in (1, 3):
+        slice_ = fifth * last // 4
+        wa, wb, wc = _parabola(slice_, middle, last)
+        row = first + slice_ * stride
+        guess = wa * contacts[a, GAP] + wb * contacts[b, GAP] + wc * contacts[c, GAP]
+        if abs(guess - contacts[row, GAP]) > _INTERPOLATED:
+            return False
+    smallest = math.inf
+    for slice_ in range(slices):
+        if slice_ * 4 % last == 0:
+            continue
+        wa, wb, wc = _parabola(slice_, middle, last)
+        row = first + slice_ * stride
+        for column in (FOOT, FOOT_RATE, GAP, ARM, ARM_RATE, CURVATURE, CURVATURE_RATE):
+            contacts[row, column] = wa * contacts[a, column] + wb * contacts[b, column] + wc * contacts[c, column]
+        contacts[row, AT] = x
+        contacts[row + 1, AT] = x
+        contacts[row + 1, GAP] = math.inf
+        contacts[row + 1, FOOT] = math.nan
+        smallest = min(smallest, contacts[row, GAP])
+    return smallest > _CLEAR
+
+
+@_inlined
+def _parabola(slice_: int, middle: int, last: int) -> tuple[float, float, float]:
+    """Weights of the first, middle and last slice in the parabola through them."""
+    return (
+        (slice_ - middle) * (slice_ - last) / (middle * last),
+        slice_ * (slice_ - last) / (middle * (middle - last)),
+        slice_ * (slice_ - middle) / (last * (last - middle)),
+    )
+
+
+@_inlined
+def _place_row(
+    drive: Drive,
+    contacts: Array,
+    row: int,
+    disc: int,
+    slice_: int,
+    pin: int,
+    px: float,
+    py: float,
+    heading: float,
+    conjugate: float,
+    ox: float,
+    oy: float,
+    x: float,
+    cold: bool,
+    clear: float,
+) -> None:
+    """Solve one pin in one slice: its contact with the conjugate tooth and with the one across the nearest root."""
+    if clear < math.inf:
+        dx = x - contacts[row, AT]
+        ahead = contacts[row, GAP] - dx * (contacts[row, ARM] + 0.5 * dx * contacts[row, ARM_RATE])
+        other = contacts[row + 1, GAP] - dx * (contacts[row + 1, ARM] + 0.5 * dx * contacts[row + 1, ARM_RATE])
+        if min(ahead, other) > clear:
+            return
     teeth = drive.teeth
     R, e = drive.circle_radius, drive.generating_eccentricity
-    pins = teeth + 1
-    pitch, pin_pitch = 2.0 * math.pi / teeth, 2.0 * math.pi / pins
-    k = e * pins / R
-    root_radius = R * (1.0 - k) ** 2 / max(pins * k - 1.0, 1e-9)
-    speed_at_root = R * (1.0 - k)
-    for disc in range(drive.crank_phase.size):
-        for slice_ in range(drive.centre_x.size):
-            ct, st, ox, oy, crank = _frame(drive, theta, x, disc, slice_)
-            first = (disc * drive.centre_x.size + slice_) * pins * 2
-            for pin in range(pins):
-                row = first + 2 * pin
-                if not cold:
-                    dx = x - contacts[row, AT]
-                    ahead = contacts[row, GAP] - dx * (contacts[row, ARM] + 0.5 * dx * contacts[row, ARM_RATE])
-                    other = contacts[row + 1, GAP] - dx * (
-                        contacts[row + 1, ARM] + 0.5 * dx * contacts[row + 1, ARM_RATE]
-                    )
-                    if min(ahead, other) > clear:
-                        continue
-                px = drive.pin_x[pin] * ct - drive.pin_y[pin] * st - ox
-                py = drive.pin_x[pin] * st + drive.pin_y[pin] * ct - oy
-                conjugate = pin * pin_pitch + crank / teeth
-                tooth = math.floor(conjugate / pitch)
-                number = int(tooth) % teeth
-                qx, qy = _on_tooth(px, py, drive.tooth_turn[disc, number])
-                along = conjugate / pitch - tooth
-                lower, upper = tooth * pitch, (tooth + 1.0) * pitch
-                near = 2.0 * math.pi * min(along, 1.0 - along) < drive.root_phase
-                root, inwards = (lower, 1.0) if along < 0.5 else (upper, -1.0)
-                start = conjugate + contacts[row, FOOT] + contacts[row, FOOT_RATE] * (x - contacts[row, AT])
-                if cold or not lower <= start <= upper:
-                    # Near a root the way downhill from the conjugate point may miss the contact farther in.
-                    start = root + inwards * drive.root_phase / teeth if near else conjugate
-                found, alpha, state = _foot(qx, qy, start, lower, upper, R, e, teeth)
-                distance = math.inf
-                contacts[row, AT] = x
-                if found:
-                    distance = _write_contact(
-                        drive, contacts, row, alpha, state, conjugate, ox, oy, drive.pin_radius[pin], x
-                    )
-                else:
-                    contacts[row, GAP] = math.inf
-                    contacts[row, FOOT] = math.nan
-                row += 1
-                contacts[row, AT] = x
-                contacts[row, GAP] = math.inf
-                # Within the root's curvature radius a point has one foot only, so none on the other tooth, unless the
-                # foot is so close to the root that the step between the two teeth decides.
-                if not near or (
-                    distance < root_radius - drive.root_margin and abs(alpha - root) * speed_at_root > drive.root_margin
-                ):
-                    contacts[row, FOOT] = math.nan
-                    continue
-                beyond = tooth - inwards
-                lower, upper = beyond * pitch, (beyond + 1.0) * pitch
-                start = conjugate + contacts[row, FOOT]
-                if cold or not lower < start < upper:
-                    start = root - inwards * drive.root_phase / teeth
-                qx, qy = _on_tooth(px, py, drive.tooth_turn[disc, int(beyond) % teeth])
-                found, alpha, state = _foot(qx, qy, start, lower, upper, R, e, teeth)
-                if found and lower < alpha < upper:
-                    _write_contact(drive, contacts, row, alpha, state, conjugate, ox, oy, drive.pin_radius[pin], x)
-                else:
-                    contacts[row, FOOT] = math.nan
+    pitch = 2.0 * math.pi / teeth
+    px, py = px - ox, py - oy
+    tooth = math.floor(conjugate / pitch)
+    turn = drive.tooth_turn[disc, int(tooth) % teeth]
+    qx, qy = _on_tooth(px, py, turn)
+    along = conjugate / pitch - tooth
+    lower, upper = tooth * pitch, (tooth + 1.0) * pitch
+    near = 2.0 * math.pi * min(along, 1.0 - along) < drive.root_phase
+    root, inwards = (lower, 1.0) if along < 0.5 else (upper, -1.0)
+    start = conjugate + contacts[row, FOOT] + contacts[row, FOOT_RATE] * (x - contacts[row, AT])
+    if cold or not lower <= start <= upper:
+        # Near a root the way downhill from the conjugate point may miss the contact farther in.
+        start = root + inwards * drive.root_phase / teeth if near else conjugate
+    found, alpha, state = _foot(qx, qy, start, lower, upper, R, e, teeth)
+    distance = math.inf
+    contacts[row, AT] = x
+    if found:
+        _, _, _, _, bx, by, dx, dy = state
+        distance = (dx * bx + dy * by) / math.sqrt(bx * bx + by * by)
+        if drive.gear_deviation.size == 0:
+            _write_contact(
+                drive, contacts, row, alpha - conjugate, alpha, state, 0.0, ox, oy, drive.pin_radius[pin], x
+            )
+        else:
+            _touch_raised(
+                drive, contacts, row, disc, slice_, pin, int(tooth), heading, turn, qx, qy, alpha, conjugate, ox, oy, x
+            )
+    else:
+        contacts[row, GAP] = math.inf
+        contacts[row, FOOT] = math.nan
+    row += 1
+    contacts[row, AT] = x
+    contacts[row, GAP] = math.inf
+    # Within the root's curvature radius a point has one foot only, so none on the other tooth, unless the foot is so
+    # close to the root that the step between the two teeth decides.
+    k = e * (teeth + 1) / R
+    if not near or (
+        distance < R * (1.0 - k) ** 2 / max((teeth + 1) * k - 1.0, 1e-9) - drive.root_margin
+        and abs(alpha - root) * R * (1.0 - k) > drive.root_margin
+    ):
+        contacts[row, FOOT] = math.nan
+        return
+    tooth -= inwards
+    lower, upper = tooth * pitch, (tooth + 1.0) * pitch
+    start = conjugate + contacts[row, FOOT]
+    if cold or not lower < start < upper:
+        start = root - inwards * drive.root_phase / teeth
+    turn = drive.tooth_turn[disc, int(tooth) % teeth]
+    qx, qy = _on_tooth(px, py, turn)
+    found, alpha, state = _foot(qx, qy, start, lower, upper, R, e, teeth)
+    if found and lower < alpha < upper:
+        if drive.gear_deviation.size == 0:
+            _write_contact(
+                drive, contacts, row, alpha - conjugate, alpha, state, 0.0, ox, oy, drive.pin_radius[pin], x
+            )
+        else:
+            _touch_raised(
+                drive, contacts, row, disc, slice_, pin, int(tooth), heading, turn, qx, qy, alpha, conjugate, ox, oy, x
+            )
+    else:
+        contacts[row, FOOT] = math.nan
+
+
+@_compiled
+def _touch_raised(
+    drive: Drive,
+    contacts: Array,
+    row: int,
+    disc: int,
+    slice_: int,
+    pin: int,
+    tooth: int,
+    heading: float,
+    turn: float,
+    px: float,
+    py: float,
+    alpha: float,
+    conjugate: float,
+    ox: float,
+    oy: float,
+    x: float,
+) -> None:
+    """Write the contact where surfaces with deviations come closest around the nominal flank's foot.
+
+    The elements are searched outwards from the foot until the nominal surfaces stand farther apart than any deviation
+    can make up for; the best point is then refined on the two pieces beside it, where deviations are linear.
+    """
+    foot = alpha - conjugate
+    pin_radius = drive.pin_radius[pin]
+    teeth = drive.teeth
+    base = tooth * 2.0 * math.pi / teeth
+    # The pin's axis, and the direction from it to the pin circle's centre, on tooth 0.
+    cb, sb = math.cos(base), math.sin(base)
+    gx, gy = px * cb + py * sb, py * cb - px * sb
+    facing = heading - turn - base
+    fx, fy = -math.cos(facing), -math.sin(facing)
+    points = drive.flank_alpha.size
+    middle = np.searchsorted(drive.flank_alpha, alpha - base)
+    middle = min(max(middle, 1), points - 2)
+    number = tooth % teeth
+    best, chosen = math.inf, middle
+    for direction in (-1, 1):
+        point = middle if direction < 0 else middle + 1
+        while 0 <= point < points:
+            vx, vy = drive.flank_x[point] - gx, drive.flank_y[point] - gy
+            nominal = math.sqrt(vx * vx + vy * vy) - pin_radius
+            if nominal - drive.largest_deviation > best:
+                break
+            raised = nominal - drive.gear_deviation[disc, slice_, number, point]
+            raised -= _pin_height(drive, slice_, pin, fx * vy - fy * vx, fx * vx + fy * vy)
+            if raised < best:
+                best, chosen = raised, point
+            point += direction
+    best, height, place_ = math.inf, 0.0, alpha
+    for piece in (chosen - 1, chosen):
+        if piece < 0 or piece + 1 >= points:
+            continue
+        a, b = drive.flank_alpha[piece], drive.flank_alpha[piece + 1]
+        ends = np.empty(2)
+        for end in range(2):
+            vx, vy = drive.flank_x[piece + end] - gx, drive.flank_y[piece + end] - gy
+            ends[end] = drive.gear_deviation[disc, slice_, number, piece + end] + _pin_height(
+                drive, slice_, pin, fx * vy - fy * vx, fx * vx + fy * vy
+            )
+        rise = (ends[1] - ends[0]) / (b - a)
+        at = 0.5 * (a + b)
+        low, high = a, b
+        gap = math.inf
+        for _ in range(8):
+            trial = _tangency(gx, gy, at, drive.circle_radius, drive.generating_eccentricity, teeth)
+            distance, fall, bend = _flank_distance(drive, trial)
+            gap = distance - pin_radius - ends[0] - rise * (at - a)
+            step = -(fall - rise) / bend if bend > 0.0 else math.copysign(b - a, rise - fall)
+            following = min(max(at + step, low), high)
+            if abs(following - at) < 1e-9 * (b - a):
+                break
+            at = following
+        if gap < best:
+            best, height, place_ = gap, ends[0] + rise * (at - a), base + at
+    _write_contact(
+        drive, contacts, row, foot, place_,
+        _tangency(px, py, place_, drive.circle_radius, drive.generating_eccentricity, teeth), height, ox, oy,
+        pin_radius, x,
+    )  # fmt: skip
+
+
+@_inlined
+def _flank_distance(drive: Drive, state: _Tangency) -> tuple[float, float, float]:
+    """Distance of a pin's axis from a point of the flank, and its first and second derivative by α (near the foot)."""
+    f, slope, _, _, bx, by, dx, dy = state
+    speed = math.sqrt(bx * bx + by * by)
+    wx, wy = dx + drive.generating_radius * bx / speed, dy + drive.generating_radius * by / speed
+    distance = math.sqrt(wx * wx + wy * wy)
+    kappa = _path_curvature(drive.circle_radius, drive.generating_eccentricity, drive.teeth, bx, speed)
+    shrink = (1.0 - drive.generating_radius * kappa) / distance
+    return distance, -f * shrink, -slope * shrink
+
+
+@_inlined
+def _pin_height(drive: Drive, slice_: int, pin: int, across: float, ahead: float) -> float:
+    """Deviation of a pin's surface in a direction given by its parts across and along that to the pin circle's centre."""
+    elements = drive.pin_deviation.shape[2]
+    place_ = (math.atan2(across, ahead) / math.pi + 0.5) * elements - 0.5
+    low = min(max(math.floor(place_), 0), elements - 2)
+    share = min(max(place_ - low, 0.0), 1.0)
+    return (1.0 - share) * drive.pin_deviation[slice_, pin, low] + share * drive.pin_deviation[slice_, pin, low + 1]
 
 
 @_compiled

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import contact
-from cycloid_fmu.pair import Pair
+from cycloid_fmu.pair import Modification, Pair
+from cycloid_fmu.profile import equal_arc_parameters, flank_points
 from cycloid_fmu.surface import ErrorSurface, structured_columns
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 FORMAT = "cycloid-analysis/1"
+ELEMENTS = 800  # along the profile, as in the error-surface paper, where a surface does not say
 
 
 @dataclass(frozen=True)
@@ -92,7 +94,55 @@ def drive_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> contact.Driv
         largest_log_radius=g.pin_circle_radius if g.contact_law == "capped" else math.inf,
         root_phase=_root_phase(pair, surface, circle),
         root_margin=1e-6 + 1.5 * float(np.ptp(surface.tooth_cumulative_pitch, axis=1).max()),
+        **_elements(pair, surface, z),
     )
+
+
+def _elements(pair: Pair, surface: ErrorSurface, z: Array) -> dict[str, Any]:
+    """Deviations of flanks and pins at the slices' middles, as `contact.Drive` takes them; empty where both are nominal."""
+    gear, pin = surface.gear_deviation, surface.pin_deviation
+    g = pair.pair
+    if gear is None and pin is None:
+        return {
+            "flank_alpha": np.empty(0), "flank_x": np.empty(0), "flank_y": np.empty(0),
+            "gear_deviation": np.empty((0, 0, 0, 0)), "pin_deviation": np.empty((0, 0, 0)), "largest_deviation": 0.0,
+        }  # fmt: skip
+    if gear is None:
+        gear = np.zeros((g.discs, g.gear_teeth, ELEMENTS, 1))
+    if pin is None:
+        pin = np.zeros((g.pins, 2, 1))
+    elements = gear.shape[2]
+    pitch = 2.0 * np.pi / g.gear_teeth
+    alpha = np.concatenate([[0.0], equal_arc_parameters(pair, elements), [pitch]])
+    made = pair.model_copy(
+        update={
+            "modification": Modification.model_construct(
+                isometric=pair.modification.isometric + surface.isometric, offset=pair.modification.offset + surface.offset
+            )
+        }
+    )
+    x, y = flank_points(made, alpha)
+    # The flank ends in its first and last element, half an element beyond their middles.
+    flanks = np.moveaxis(_across_width(gear, z, g.face_width), 3, 1)
+    flanks = np.concatenate([flanks[..., :1], flanks, flanks[..., -1:]], axis=3)
+    return {
+        "flank_alpha": alpha,
+        "flank_x": x,
+        "flank_y": y,
+        "gear_deviation": np.ascontiguousarray(flanks),
+        "pin_deviation": np.ascontiguousarray(np.moveaxis(_across_width(pin, z, g.face_width), 2, 0)),
+        "largest_deviation": float(gear.max() + pin.max()),
+    }
+
+
+def _across_width(deviation: Array, z: Array, face_width: float) -> Array:
+    """Values at heights z of elements along the last axis, linear between the elements' middles."""
+    count = deviation.shape[-1]
+    place = np.clip((z / face_width + 0.5) * count - 0.5, 0.0, count - 1.0)
+    low = np.minimum(place.astype(int), max(count - 2, 0))
+    high = np.minimum(low + 1, count - 1)
+    share = place - low
+    return np.asarray((1.0 - share) * deviation[..., low] + share * deviation[..., high])
 
 
 def _root_phase(pair: Pair, surface: ErrorSurface, circle: float) -> float:
@@ -109,6 +159,7 @@ def _root_phase(pair: Pair, surface: ErrorSurface, circle: float) -> float:
         + math.hypot(surface.misalignment_xz, surface.misalignment_yz) * g.face_width
         + float(np.abs(surface.pin_radial).max() + np.abs(surface.pin_tangential).max())
         + float(np.abs(surface.pin_radius_deviation).max() + np.abs(surface.tooth_cumulative_pitch).max())
+        + sum(float(np.abs(d).max()) for d in (surface.gear_deviation, surface.pin_deviation) if d is not None)
     )  # fmt: skip
     turning = circle / (g.eccentricity * g.gear_teeth)
     reach = 3.0 * (1.0 + turning) * stray + 5e-5
