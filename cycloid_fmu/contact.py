@@ -39,6 +39,7 @@ TOUCHING = 2e-10  # m: an interference below this counts as touching (design.md 
 _FOOT_STEP = 1e-11  # m: Newton's last step along the flank; near a root the moment arm errs by a thousand times that
 _ROTATION_STEP = 1e-12  # rad: last step of the play's ends
 _LINEAR_STEP = 1e-9  # rad: below this Newton's last step of an equilibrium is made with the stiffnesses at hand
+_BOUNDED = 2e-6  # m: in an equilibrium a gap above this need not be known exactly
 _INTERPOLATED = 1e-9  # m: what interpolation across slices may err on a clear pin's gap
 _CLEAR = 5e-7  # m: a pin predicted to be this clear is not solved again within one equilibrium
 _COUNTED = 0.01  # a pin counts as in contact above this share of the most loaded pin's force
@@ -200,7 +201,7 @@ def _on_tooth(px: float, py: float, turn: float) -> tuple[float, float]:
 
 @_inlined
 def _write_contact(
-    drive: Drive,
+    flank: tuple[float, float, float, int, bool],
     contacts: Array,
     row: int,
     foot: float,
@@ -217,15 +218,16 @@ def _write_contact(
     The foot is that of the pin on the nominal flank, as an offset from the conjugate point; α is the same place unless
     deviations move the contact along the flank.
     """
+    circle_radius, eccentricity, radius, teeth, ring = flank
     _, slope, qx, qy, bx, by, dx, dy = state
     speed2 = bx * bx + by * by
     speed = math.sqrt(speed2)
     # The common normal runs from the flank's point, r inside T, to the pin's axis.
-    wx, wy = dx + drive.generating_radius * bx / speed, dy + drive.generating_radius * by / speed
+    wx, wy = dx + radius * bx / speed, dy + radius * by / speed
     distance = math.sqrt(wx * wx + wy * wy)
     nx, ny = wx / distance, wy / distance
     sign = -1.0
-    if drive.ring:
+    if ring:
         ca, sa = math.cos(alpha), math.sin(alpha)
         qx, qy = qx + ox * ca + oy * sa, qy + oy * ca - ox * sa
         sign = 1.0
@@ -233,16 +235,16 @@ def _write_contact(
     lever = qx * nx + qy * ny
     # 1 + κ s, because (P - T)·T'' = -κ s |T'|²
     stretch = -slope / speed2
-    kappa = _path_curvature(drive.circle_radius, drive.generating_eccentricity, drive.teeth, bx, speed)
+    kappa = _path_curvature(circle_radius, eccentricity, teeth, bx, speed)
     contacts[row, FOOT] = foot
     contacts[row, FOOT_RATE] = sign * lever / (speed * stretch)
     contacts[row, GAP] = distance - pin_radius - height
     contacts[row, ARM] = sign * (qy * nx - qx * ny)
     contacts[row, ARM_RATE] = lever - lever * lever * kappa / stretch
-    flank = 1.0 / (1.0 - drive.generating_radius * kappa)
-    contacts[row, CURVATURE] = kappa * flank
+    inside = 1.0 / (1.0 - radius * kappa)
+    contacts[row, CURVATURE] = kappa * inside
     contacts[row, CURVATURE_RATE] = (
-        -drive.circle_radius * drive.teeth * by * ((drive.teeth + 2) / speed - 3.0 * kappa) / speed2 * flank * flank
+        -circle_radius * teeth * by * ((teeth + 2) / speed - 3.0 * kappa) / speed2 * inside * inside
     )
     contacts[row, AT] = x
 
@@ -256,7 +258,9 @@ def _path_curvature(R: float, e: float, teeth: int, bx: float, speed: float) -> 
 
 
 @_compiled
-def place(drive: Drive, theta: float, x: float, contacts: Array, cold: bool, clear: float) -> None:
+def place(
+    drive: Drive, theta: float, x: float, contacts: Array, cold: bool, clear: float, bounded: float = math.inf
+) -> None:
     """Solve the contact of every pin at crank angle θ and deviation x, into `contacts`.
 
     Parameters
@@ -265,14 +269,26 @@ def place(drive: Drive, theta: float, x: float, contacts: Array, cold: bool, cle
         Whether to start from the conjugate points instead of from what `contacts` holds of a neighbouring state.
     clear
         Rows whose gap, predicted from the last solution, is above this are left as they are (m; infinite: none is).
+    bounded
+        With deviations, rows whose gap is certainly above this get a bound below it instead of the gap itself (m).
 
     Notes
     -----
-    Across many slices of nominal flanks the gap of a pin is smooth: five slices are solved, and where they show that the
-    pin is clear everywhere the others are interpolated.
+    Across many slices of nominal flanks the gap of a pin is smooth: five slices are solved, and where they show that
+    the pin is clear everywhere the others are interpolated.
     """
-    pins, slices = drive.teeth + 1, drive.centre_x.size
+    teeth = drive.teeth
+    pins, slices = teeth + 1, drive.centre_x.size
     stride = 2 * pins
+    # Arrays are taken out of the tuple once: each use of it inside a loop would count their references.
+    pin_x, pin_y, pin_radius, tooth_turn = drive.pin_x, drive.pin_y, drive.pin_radius, drive.tooth_turn
+    centre_x, centre_y, root_phase = drive.centre_x, drive.centre_y, drive.root_phase
+    R, e = drive.circle_radius, drive.generating_eccentricity
+    flank = (R, e, drive.generating_radius, teeth, drive.ring)
+    pitch = 2.0 * math.pi / teeth
+    k = e * pins / R
+    root_radius = R * (1.0 - k) ** 2 / max(pins * k - 1.0, 1e-9) - drive.root_margin
+    root_margin = drive.root_margin / (R * (1.0 - k))
     few = slices < 8 or drive.gear_deviation.size > 0 or clear < math.inf
     for disc in range(drive.crank_phase.size):
         crank, ring, gear = _poses(drive, theta, x, disc)
@@ -281,21 +297,74 @@ def place(drive: Drive, theta: float, x: float, contacts: Array, cold: bool, cle
         ox, oy = drive.eccentricity * math.cos(crank), drive.eccentricity * math.sin(crank)
         for pin in range(pins):
             first = disc * slices * stride + 2 * pin
-            px = drive.pin_x[pin] * ct - drive.pin_y[pin] * st
-            py = drive.pin_x[pin] * st + drive.pin_y[pin] * ct
-            heading = pin * 2.0 * math.pi / pins + ring - gear
-            conjugate = pin * 2.0 * math.pi / pins + (crank - ring) / drive.teeth
+            px = pin_x[pin] * ct - pin_y[pin] * st
+            py = pin_x[pin] * st + pin_y[pin] * ct
+            conjugate = pin * 2.0 * math.pi / pins + (crank - ring) / teeth
             for step in range(slices if few else slices + 5):
                 slice_ = step if few else step * (slices - 1) // 4
                 if not few and step >= 5:
                     if step == 5 and _interpolated(contacts, first, stride, slices, x):
                         break
                     slice_ = step - 5
-                ux, uy = ox + drive.centre_x[slice_], oy + drive.centre_y[slice_]
-                _place_row(
-                    drive, contacts, first + slice_ * stride, disc, slice_, pin, px, py, heading, conjugate,
-                    ux * cg + uy * sg, uy * cg - ux * sg, x, cold, clear,
-                )  # fmt: skip
+                ux, uy = ox + centre_x[slice_], oy + centre_y[slice_]
+                row = first + slice_ * stride
+                cx, cy = ux * cg + uy * sg, uy * cg - ux * sg
+                wx, wy = px - cx, py - cy
+                if clear < math.inf:
+                    dx = x - contacts[row, AT]
+                    ahead = contacts[row, GAP] - dx * (contacts[row, ARM] + 0.5 * dx * contacts[row, ARM_RATE])
+                    other = contacts[row + 1, GAP] - dx * (
+                        contacts[row + 1, ARM] + 0.5 * dx * contacts[row + 1, ARM_RATE]
+                    )
+                    if min(ahead, other) > clear:
+                        continue
+                tooth = math.floor(conjugate / pitch)
+                turn = tooth_turn[disc, int(tooth) % teeth]
+                qx, qy = _on_tooth(wx, wy, turn)
+                along = conjugate / pitch - tooth
+                lower, upper = tooth * pitch, (tooth + 1.0) * pitch
+                near = 2.0 * math.pi * min(along, 1.0 - along) < root_phase
+                root, inwards = (lower, 1.0) if along < 0.5 else (upper, -1.0)
+                start = conjugate + contacts[row, FOOT] + contacts[row, FOOT_RATE] * (x - contacts[row, AT])
+                if cold or not lower <= start <= upper:
+                    # Near a root the way downhill from the conjugate point may miss the contact farther in.
+                    start = root + inwards * root_phase / teeth if near else conjugate
+                found, alpha, state = _foot(qx, qy, start, lower, upper, R, e, teeth)
+                distance = math.inf
+                contacts[row, AT] = x
+                if found:
+                    _, _, _, _, bx, by, dx, dy = state
+                    distance = (dx * bx + dy * by) / math.sqrt(bx * bx + by * by)
+                    _write_contact(
+                        flank, contacts, row, alpha - conjugate, alpha, state, 0.0, cx, cy, pin_radius[pin], x
+                    )
+                else:
+                    contacts[row, GAP] = math.inf
+                    contacts[row, FOOT] = math.nan
+                row += 1
+                contacts[row, AT] = x
+                contacts[row, GAP] = math.inf
+                # Within the root's curvature radius a point has one foot only, so none on the other tooth, unless the foot is so
+                # close to the root that the step between the two teeth decides.
+                if not near or (distance < root_radius and abs(alpha - root) > root_margin):
+                    contacts[row, FOOT] = math.nan
+                    continue
+                tooth -= inwards
+                lower, upper = tooth * pitch, (tooth + 1.0) * pitch
+                start = conjugate + contacts[row, FOOT]
+                if cold or not lower < start < upper:
+                    start = root - inwards * root_phase / teeth
+                turn = tooth_turn[disc, int(tooth) % teeth]
+                qx, qy = _on_tooth(wx, wy, turn)
+                found, alpha, state = _foot(qx, qy, start, lower, upper, R, e, teeth)
+                if found and lower < alpha < upper:
+                    _write_contact(
+                        flank, contacts, row, alpha - conjugate, alpha, state, 0.0, cx, cy, pin_radius[pin], x
+                    )
+                else:
+                    contacts[row, FOOT] = math.nan
+    if drive.gear_deviation.size > 0:
+        _raise(drive, theta, x, contacts, bounded)
 
 
 @_compiled
@@ -341,177 +410,101 @@ def _parabola(slice_: int, middle: int, last: int) -> tuple[float, float, float]
     )
 
 
-@_inlined
-def _place_row(
-    drive: Drive,
-    contacts: Array,
-    row: int,
-    disc: int,
-    slice_: int,
-    pin: int,
-    px: float,
-    py: float,
-    heading: float,
-    conjugate: float,
-    ox: float,
-    oy: float,
-    x: float,
-    cold: bool,
-    clear: float,
-) -> None:
-    """Solve one pin in one slice: its contact with the conjugate tooth and with the one across the nearest root."""
-    if clear < math.inf:
-        dx = x - contacts[row, AT]
-        ahead = contacts[row, GAP] - dx * (contacts[row, ARM] + 0.5 * dx * contacts[row, ARM_RATE])
-        other = contacts[row + 1, GAP] - dx * (contacts[row + 1, ARM] + 0.5 * dx * contacts[row + 1, ARM_RATE])
-        if min(ahead, other) > clear:
-            return
-    teeth = drive.teeth
-    R, e = drive.circle_radius, drive.generating_eccentricity
-    pitch = 2.0 * math.pi / teeth
-    px, py = px - ox, py - oy
-    tooth = math.floor(conjugate / pitch)
-    turn = drive.tooth_turn[disc, int(tooth) % teeth]
-    qx, qy = _on_tooth(px, py, turn)
-    along = conjugate / pitch - tooth
-    lower, upper = tooth * pitch, (tooth + 1.0) * pitch
-    near = 2.0 * math.pi * min(along, 1.0 - along) < drive.root_phase
-    root, inwards = (lower, 1.0) if along < 0.5 else (upper, -1.0)
-    start = conjugate + contacts[row, FOOT] + contacts[row, FOOT_RATE] * (x - contacts[row, AT])
-    if cold or not lower <= start <= upper:
-        # Near a root the way downhill from the conjugate point may miss the contact farther in.
-        start = root + inwards * drive.root_phase / teeth if near else conjugate
-    found, alpha, state = _foot(qx, qy, start, lower, upper, R, e, teeth)
-    distance = math.inf
-    contacts[row, AT] = x
-    if found:
-        _, _, _, _, bx, by, dx, dy = state
-        distance = (dx * bx + dy * by) / math.sqrt(bx * bx + by * by)
-        if drive.gear_deviation.size == 0:
-            _write_contact(
-                drive, contacts, row, alpha - conjugate, alpha, state, 0.0, ox, oy, drive.pin_radius[pin], x
-            )
-        else:
-            _touch_raised(
-                drive, contacts, row, disc, slice_, pin, int(tooth), heading, turn, qx, qy, alpha, conjugate, ox, oy, x
-            )
-    else:
-        contacts[row, GAP] = math.inf
-        contacts[row, FOOT] = math.nan
-    row += 1
-    contacts[row, AT] = x
-    contacts[row, GAP] = math.inf
-    # Within the root's curvature radius a point has one foot only, so none on the other tooth, unless the foot is so
-    # close to the root that the step between the two teeth decides.
-    k = e * (teeth + 1) / R
-    if not near or (
-        distance < R * (1.0 - k) ** 2 / max((teeth + 1) * k - 1.0, 1e-9) - drive.root_margin
-        and abs(alpha - root) * R * (1.0 - k) > drive.root_margin
-    ):
-        contacts[row, FOOT] = math.nan
-        return
-    tooth -= inwards
-    lower, upper = tooth * pitch, (tooth + 1.0) * pitch
-    start = conjugate + contacts[row, FOOT]
-    if cold or not lower < start < upper:
-        start = root - inwards * drive.root_phase / teeth
-    turn = drive.tooth_turn[disc, int(tooth) % teeth]
-    qx, qy = _on_tooth(px, py, turn)
-    found, alpha, state = _foot(qx, qy, start, lower, upper, R, e, teeth)
-    if found and lower < alpha < upper:
-        if drive.gear_deviation.size == 0:
-            _write_contact(
-                drive, contacts, row, alpha - conjugate, alpha, state, 0.0, ox, oy, drive.pin_radius[pin], x
-            )
-        else:
-            _touch_raised(
-                drive, contacts, row, disc, slice_, pin, int(tooth), heading, turn, qx, qy, alpha, conjugate, ox, oy, x
-            )
-    else:
-        contacts[row, FOOT] = math.nan
-
-
 @_compiled
-def _touch_raised(
-    drive: Drive,
-    contacts: Array,
-    row: int,
-    disc: int,
-    slice_: int,
-    pin: int,
-    tooth: int,
-    heading: float,
-    turn: float,
-    px: float,
-    py: float,
-    alpha: float,
-    conjugate: float,
-    ox: float,
-    oy: float,
-    x: float,
-) -> None:
-    """Write the contact where surfaces with deviations come closest around the nominal flank's foot.
+def _raise(drive: Drive, theta: float, x: float, contacts: Array, bounded: float) -> None:
+    """Move the contacts just solved on nominal surfaces to where the surfaces with deviations come closest.
 
-    The elements are searched outwards from the foot until the nominal surfaces stand farther apart than any deviation
-    can make up for; the best point is then refined on the two pieces beside it, where deviations are linear.
+    The elements are searched outwards from the nominal foot until the nominal surfaces stand farther apart than any
+    deviation can make up for; the best point is then refined on the two pieces beside it, where deviations are linear.
     """
-    foot = alpha - conjugate
-    pin_radius = drive.pin_radius[pin]
     teeth = drive.teeth
-    base = tooth * 2.0 * math.pi / teeth
-    # The pin's axis, and the direction from it to the pin circle's centre, on tooth 0.
-    cb, sb = math.cos(base), math.sin(base)
-    gx, gy = px * cb + py * sb, py * cb - px * sb
-    facing = heading - turn - base
-    fx, fy = -math.cos(facing), -math.sin(facing)
-    points = drive.flank_alpha.size
-    middle = np.searchsorted(drive.flank_alpha, alpha - base)
-    middle = min(max(middle, 1), points - 2)
-    number = tooth % teeth
-    best, chosen = math.inf, middle
-    for direction in (-1, 1):
-        point = middle if direction < 0 else middle + 1
-        while 0 <= point < points:
-            vx, vy = drive.flank_x[point] - gx, drive.flank_y[point] - gy
-            nominal = math.sqrt(vx * vx + vy * vy) - pin_radius
-            if nominal - drive.largest_deviation > best:
-                break
-            raised = nominal - drive.gear_deviation[disc, slice_, number, point]
-            raised -= _pin_height(drive, slice_, pin, fx * vy - fy * vx, fx * vx + fy * vy)
-            if raised < best:
-                best, chosen = raised, point
-            point += direction
-    best, height, place_ = math.inf, 0.0, alpha
-    for piece in (chosen - 1, chosen):
-        if piece < 0 or piece + 1 >= points:
+    pins, slices = teeth + 1, drive.centre_x.size
+    pitch = 2.0 * math.pi / teeth
+    flank = (
+        drive.circle_radius,
+        drive.generating_eccentricity,
+        drive.generating_radius,
+        teeth,
+        drive.ring,
+    )
+    ends = np.empty(2)
+    for row in range(contacts.shape[0]):
+        if contacts[row, AT] != x or not contacts[row, GAP] < math.inf:
             continue
-        a, b = drive.flank_alpha[piece], drive.flank_alpha[piece + 1]
-        ends = np.empty(2)
-        for end in range(2):
-            vx, vy = drive.flank_x[piece + end] - gx, drive.flank_y[piece + end] - gy
-            ends[end] = drive.gear_deviation[disc, slice_, number, piece + end] + _pin_height(
-                drive, slice_, pin, fx * vy - fy * vx, fx * vx + fy * vy
-            )
-        rise = (ends[1] - ends[0]) / (b - a)
-        at = 0.5 * (a + b)
-        low, high = a, b
-        gap = math.inf
-        for _ in range(8):
-            trial = _tangency(gx, gy, at, drive.circle_radius, drive.generating_eccentricity, teeth)
-            distance, fall, bend = _flank_distance(drive, trial)
-            gap = distance - pin_radius - ends[0] - rise * (at - a)
-            step = -(fall - rise) / bend if bend > 0.0 else math.copysign(b - a, rise - fall)
-            following = min(max(at + step, low), high)
-            if abs(following - at) < 1e-9 * (b - a):
-                break
-            at = following
-        if gap < best:
-            best, height, place_ = gap, ends[0] + rise * (at - a), base + at
-    _write_contact(
-        drive, contacts, row, foot, place_,
-        _tangency(px, py, place_, drive.circle_radius, drive.generating_eccentricity, teeth), height, ox, oy,
-        pin_radius, x,
-    )  # fmt: skip
+        if contacts[row, GAP] - drive.largest_deviation > bounded:
+            contacts[row, GAP] -= drive.largest_deviation
+            continue
+        disc, slice_, pin = row // (2 * pins * slices), row // (2 * pins) % slices, row // 2 % pins
+        crank, ring, gear = _poses(drive, theta, x, disc)
+        conjugate = pin * 2.0 * math.pi / pins + (crank - ring) / teeth
+        alpha = conjugate + contacts[row, FOOT]
+        tooth = math.floor(alpha / pitch)
+        if row % 2 == 0:
+            # The conjugate tooth's own end belongs to it.
+            tooth = math.floor(conjugate / pitch)
+        number = int(tooth) % teeth
+        base = tooth * pitch
+        # The pin's axis, and the direction from it to the pin circle's centre, on tooth 0.
+        ux = drive.eccentricity * math.cos(crank) + drive.centre_x[slice_]
+        uy = drive.eccentricity * math.sin(crank) + drive.centre_y[slice_]
+        cg, sg = math.cos(gear), math.sin(gear)
+        ox, oy = ux * cg + uy * sg, uy * cg - ux * sg
+        turned = ring - gear
+        ct, st = math.cos(turned), math.sin(turned)
+        px = drive.pin_x[pin] * ct - drive.pin_y[pin] * st - ox
+        py = drive.pin_x[pin] * st + drive.pin_y[pin] * ct - oy
+        px, py = _on_tooth(px, py, drive.tooth_turn[disc, number])
+        cb, sb = math.cos(base), math.sin(base)
+        gx, gy = px * cb + py * sb, py * cb - px * sb
+        facing = pin * 2.0 * math.pi / pins + turned - drive.tooth_turn[disc, number] - base
+        fx, fy = -math.cos(facing), -math.sin(facing)
+        pin_radius = drive.pin_radius[pin]
+        points = drive.flank_alpha.size
+        middle = np.searchsorted(drive.flank_alpha, alpha - base)
+        middle = min(max(middle, 1), points - 2)
+        best, chosen = math.inf, middle
+        for direction in (-1, 1):
+            point = middle if direction < 0 else middle + 1
+            while 0 <= point < points:
+                vx, vy = drive.flank_x[point] - gx, drive.flank_y[point] - gy
+                nominal = math.sqrt(vx * vx + vy * vy) - pin_radius
+                if nominal - drive.largest_deviation > best:
+                    break
+                raised = nominal - drive.gear_deviation[disc, slice_, number, point]
+                raised -= _pin_height(drive, slice_, pin, fx * vy - fy * vx, fx * vx + fy * vy)
+                if raised < best:
+                    best, chosen = raised, point
+                point += direction
+        best, height, place_ = math.inf, 0.0, alpha
+        for piece in (chosen - 1, chosen):
+            if piece < 0 or piece + 1 >= points:
+                continue
+            a, b = drive.flank_alpha[piece], drive.flank_alpha[piece + 1]
+            for end in range(2):
+                vx, vy = drive.flank_x[piece + end] - gx, drive.flank_y[piece + end] - gy
+                ends[end] = drive.gear_deviation[disc, slice_, number, piece + end] + _pin_height(
+                    drive, slice_, pin, fx * vy - fy * vx, fx * vx + fy * vy
+                )
+            rise = (ends[1] - ends[0]) / (b - a)
+            at = 0.5 * (a + b)
+            low, high = a, b
+            gap = math.inf
+            for _ in range(8):
+                trial = _tangency(gx, gy, at, drive.circle_radius, drive.generating_eccentricity, teeth)
+                distance, fall, bend = _flank_distance(drive, trial)
+                gap = distance - pin_radius - ends[0] - rise * (at - a)
+                step = -(fall - rise) / bend if bend > 0.0 else math.copysign(b - a, rise - fall)
+                following = min(max(at + step, low), high)
+                if abs(following - at) < 1e-9 * (b - a):
+                    break
+                at = following
+            if gap < best:
+                best, height, place_ = gap, ends[0] + rise * (at - a), base + at
+        _write_contact(
+            flank, contacts, row, contacts[row, FOOT], place_,
+            _tangency(px, py, place_, drive.circle_radius, drive.generating_eccentricity, teeth), height, ox, oy,
+            pin_radius, x,
+        )  # fmt: skip
 
 
 @_inlined
@@ -528,7 +521,7 @@ def _flank_distance(drive: Drive, state: _Tangency) -> tuple[float, float, float
 
 @_inlined
 def _pin_height(drive: Drive, slice_: int, pin: int, across: float, ahead: float) -> float:
-    """Deviation of a pin's surface in a direction given by its parts across and along that to the pin circle's centre."""
+    """Deviation of a pin's surface in a direction, by its parts across and along that to the pin circle's centre."""
     elements = drive.pin_deviation.shape[2]
     place_ = (math.atan2(across, ahead) / math.pi + 0.5) * elements - 0.5
     low = min(max(math.floor(place_), 0), elements - 2)
@@ -715,7 +708,7 @@ def _balance(
     cold: bool,
 ) -> tuple[float, float]:
     """Solve load (torque - M(x)) + hold (flange - x) = 0 by Newton's method inside a bracket."""
-    place(drive, theta, x, contacts, cold, math.inf)
+    place(drive, theta, x, contacts, cold, math.inf, _BOUNDED)
     low, high = -math.inf, math.inf
     stiffness = 0.0
     for _ in range(100):
@@ -742,7 +735,7 @@ def _balance(
         if not low < x + step < high:
             step = 0.5 * (low + high) - x
         x += step
-        place(drive, theta, x, contacts, False, _CLEAR)
+        place(drive, theta, x, contacts, False, _CLEAR, _BOUNDED)
     return x, stiffness
 
 

@@ -117,7 +117,8 @@ def _elements(pair: Pair, surface: ErrorSurface, z: Array) -> dict[str, Any]:
     made = pair.model_copy(
         update={
             "modification": Modification.model_construct(
-                isometric=pair.modification.isometric + surface.isometric, offset=pair.modification.offset + surface.offset
+                isometric=pair.modification.isometric + surface.isometric,
+                offset=pair.modification.offset + surface.offset,
             )
         }
     )
