@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
+from rich.console import Console
 
 from cycloid_fmu import edge
+
+if TYPE_CHECKING:
+    from cycloid_fmu.pair import Pair
+    from cycloid_fmu.surface import ErrorSurface
 
 app = typer.Typer(
     no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich",
@@ -24,7 +29,7 @@ PlotFile = Annotated[Path | None, typer.Option("--plot", metavar="FILE.png|pdf",
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result for scripts: SI, names as in the files.")]
 
 
-def _load(pair_file: Path, surface_file: Path | None) -> tuple[Any, Any]:
+def _load(pair_file: Path, surface_file: Path | None) -> tuple[Pair, ErrorSurface]:
     from cycloid_fmu.pair import read_pair
     from cycloid_fmu.surface import check_surface, read_surface, surface_of_pair
 
@@ -36,13 +41,15 @@ def _load(pair_file: Path, surface_file: Path | None) -> tuple[Any, Any]:
     return pair, surface
 
 
-def _tilted(surface: Any) -> bool:
-    return bool(surface.misalignment_xz != 0.0 or surface.misalignment_yz != 0.0)
+def _slices(surface: ErrorSurface) -> int:
+    """Slices that a surface needs: as many as it has elements across the width, 20 with misalignment, else 1."""
+    tilted = surface.misalignment_xz != 0.0 or surface.misalignment_yz != 0.0
+    elements = [d.shape[-1] for d in (surface.gear_deviation, surface.pin_deviation) if d is not None]
+    return max([20 if tilted else 1, *elements])
 
 
 def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
     """Print a table for people; numbers are set to the right."""
-    from rich.console import Console
     from rich.table import Table
 
     table = Table(title=title, title_justify="left")
@@ -63,7 +70,9 @@ def analyze(
     turns: Annotated[int, typer.Option(min=1, help="Crank turns that they span.")] = 1,
     slices: Annotated[
         int | None,
-        typer.Option(min=1, help="Slices across the face; 1 (20 with misalignment) unless given.", show_default=False),
+        typer.Option(
+            min=1, help="Slices across the face, with contact lines and element pressures.", show_default=False
+        ),
     ] = None,
     plot: PlotFile = None,
     as_json: AsJson = False,
@@ -72,40 +81,62 @@ def analyze(
 
     Example: [cyan]cycloid-fmu analyze pair.toml --torque "-181 N*m" --torque "181 N*m" -o out.nc --plot out.png[/]
     """
+    import os
+
+    from rich.progress import Progress
+
     from cycloid_fmu import plots
     from cycloid_fmu.transmission import analyze as analyze_pair
+    from cycloid_fmu.transmission import statistics
 
     loads = [edge.quantity_option(t, "N*m", "--torque") for t in torque]
     if plot is not None:
         plots.check_path(plot)
     pair, surface = _load(pair_file, surface_file)
     angle = np.linspace(0.0, 2.0 * np.pi * turns, angles, endpoint=False)
-    data = analyze_pair(pair, surface, loads, angle, slices or (20 if _tilted(surface) else 1))
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("crank angles", total=angles * len(loads))
+        data = analyze_pair(
+            pair,
+            surface,
+            loads,
+            angle,
+            slices or _slices(surface),
+            with_elements=slices is not None,
+            workers=os.cpu_count() or 1,
+            progress=lambda done: bar.advance(task, done),
+        )
     if output is not None:
         with edge.written_whole(output) as temporary:
             data.to_netcdf(temporary, engine="h5netcdf")
+    finished = data.sizes["crank_angle"]
+    if finished < angles:
+        typer.echo(f"Interrupted: {finished} of {angles} crank angles are done.", err=True)
+    if finished == 0:
+        raise typer.Exit(edge.INTERRUPTED)
     if plot is not None:
         plots.save(plots.plot_analysis(data), plot)
+        if slices is not None:
+            plots.save(plots.plot_lines(data), plot.with_stem(f"{plot.stem}-lines"))
     if as_json:
         typer.echo(edge.json_text({str(k): v.values for k, v in {**data.coords, **data.data_vars}.items()}))
-        return
-    rows = []
-    for load in data["torque"].values:
-        one = data.sel(torque=load)
-        te, pressure = one["transmission_error"].values * plots.ARCSEC, one["max_contact_pressure"].values * 1e-6
-        backlash = one["backlash"].values * plots.ARCSEC
-        free = not np.isnan(backlash).any()
-        count = one["contact_count"].values
-        rows.append(
-            [
-                f"{load:g} N·m", f"{te.mean():.4f}″", f"{np.ptp(te):.4f}″",
-                f"{backlash.mean():.4f}″" if free else "interference",
-                f"{np.ptp(backlash):.4f}″" if free else f"{one['interference'].values.max() * 1e6:.3f} µm",
-                f"{pressure.max():.1f} MPa", f"{count.min()}–{count.max()}",
-            ]
-        )  # fmt: skip
-    columns = ["torque", "TE mean", "TE peak-peak", "backlash mean", "peak-peak", "largest pressure", "pins"]
-    print_table(f"{pair_file.name}, {angles} crank angles over {turns} turn(s)", columns, rows)
+    else:
+        rows = []
+        figures = statistics(data)
+        for k, load in enumerate(data["torque"].values):
+            mte, ppte, mb, ppb = (figures[n][k] * plots.ARCSEC for n in ("MTE", "PPTE", "MB", "PPB"))
+            count = data["contact_count"].values[k]
+            deepest = data["interference"].values[k].max() * 1e6
+            backlash = [f"{mb:.4f}″", f"{ppb:.4f}″"] if deepest == 0.0 else ["interference", f"{deepest:.3f} µm"]
+            rows.append(
+                [f"{load:g} N·m", f"{mte:.4f}″", f"{ppte:.4f}″", *backlash, f"{figures['MCS'][k] * 1e-6:.1f} MPa",
+                 f"{count.min()}–{count.max()}"]
+            )  # fmt: skip
+        columns = ["torque", "MTE", "PPTE", "MB", "PPB", "MCS", "pins"]
+        print_table(f"{pair_file.name}, {finished} crank angles over {turns} turn(s)", columns, rows)
+        typer.echo("Mean and peak-to-peak transmission error and backlash, largest contact pressure, pins in contact.")
+    if finished < angles:
+        raise typer.Exit(edge.INTERRUPTED)
 
 
 surface_app = typer.Typer(no_args_is_help=True, help="Make error surfaces.")

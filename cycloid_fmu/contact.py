@@ -344,17 +344,17 @@ def place(
                 row += 1
                 contacts[row, AT] = x
                 contacts[row, GAP] = math.inf
-                # Within the root's curvature radius a point has one foot only, so none on the other tooth, unless the foot is so
-                # close to the root that the step between the two teeth decides.
+                # Within the root's curvature radius a point has one foot only, so none on the other tooth, unless the
+                # foot is so close to the root that the step between the two teeth decides.
                 if not near or (distance < root_radius and abs(alpha - root) > root_margin):
                     contacts[row, FOOT] = math.nan
                     continue
-                tooth -= inwards
-                lower, upper = tooth * pitch, (tooth + 1.0) * pitch
+                beyond = tooth - inwards
+                lower, upper = beyond * pitch, (beyond + 1.0) * pitch
                 start = conjugate + contacts[row, FOOT]
                 if cold or not lower < start < upper:
                     start = root - inwards * root_phase / teeth
-                turn = tooth_turn[disc, int(tooth) % teeth]
+                turn = tooth_turn[disc, int(beyond) % teeth]
                 qx, qy = _on_tooth(wx, wy, turn)
                 found, alpha, state = _foot(qx, qy, start, lower, upper, R, e, teeth)
                 if found and lower < alpha < upper:
@@ -1058,66 +1058,138 @@ def sensitivities(drive: Drive, theta: float, x: float, contacts: Array, out: Ar
 
 
 @_compiled
-def sweep(
+def sweep_play(drive: Drive, thetas: Array, first: int, last: int, low: Array, high: Array, gap: Array) -> None:
+    """Solve the play at crank angles `first` to `last`; each angle starts from its neighbour's solution.
+
+    Parameters
+    ----------
+    thetas
+        Crank angles, shape (angles,), rad.
+    low, high, gap
+        Overwritten from `first` to `last`, shape (angles,): ends of the play (rad) and interference (m), as `play`.
+    """
+    contacts = contact_rows(drive)
+    cold, x = True, 0.0
+    for i in range(first, last):
+        low[i], high[i], gap[i] = play(drive, thetas[i], x, contacts, cold)
+        cold = math.isnan(low[i])
+        x = 0.0 if cold else 0.5 * (low[i] + high[i])
+
+
+@_compiled
+def sweep_load(
     drive: Drive,
     thetas: Array,
-    torques: Array,
-    with_play: bool,
+    torque: float,
+    first: int,
+    last: int,
     deviation: Array,
     stiffness: Array,
     count: NDArray[np.int64],
     pressure: Array,
     force: Array,
     pin_pressure: Array,
-    low: Array,
-    high: Array,
-    gap: Array,
+    slice_force: NDArray[np.float32],
+    slice_direction: NDArray[np.float32],
+    gear_map: Array,
+    pin_map: Array,
 ) -> None:
-    """Solve every crank angle at every torque; each angle starts from its neighbour's solution.
+    """Solve crank angles `first` to `last` at one torque; each angle starts from its neighbour's solution.
 
     Parameters
     ----------
-    thetas, torques
-        Crank angles (rad), shape (angles,); torques (N·m), shape (torques,). At torque 0 the deviation is the middle
-        of the play.
-    with_play
-        Whether to compute the play (one solution an angle, whatever the torques).
+    thetas, torque
+        Crank angles (rad), shape (angles,); torque (N·m), at 0 the deviation is the middle of the play.
     deviation, stiffness, count, pressure
-        Overwritten, shape (torques, angles): x (rad), N·m/rad, pins in contact, Pa.
+        Overwritten from `first` to `last`, shape (angles,): x (rad), N·m/rad, pins in contact, Pa.
     force, pin_pressure
-        Overwritten, shape (torques, angles, discs, pins): N, Pa.
-    low, high, gap
-        Overwritten, shape (angles,): ends of the play (rad) and interference (m), as `play` returns them.
+        Overwritten likewise, shape (angles, discs, pins): N, Pa.
+    slice_force, slice_direction
+        Overwritten likewise, shape (angles, discs, pins, slices) or size 0: the contact lines, as force in each slice
+        (N) and direction of the contact about the pin's axis from that to the pin circle's centre (rad).
+    gear_map, pin_map
+        Raised to the largest pressure that each element has seen, shapes (discs, teeth, profile, slices) and (pins,
+        angle, slices), or size 0, Pa.
     """
     contacts = contact_rows(drive)
-    cold = True
-    x = 0.0
-    if with_play:
-        for i in range(thetas.size):
-            low[i], high[i], gap[i] = play(drive, thetas[i], x, contacts, cold)
-            cold = math.isnan(low[i])
-            x = 0.0 if cold else 0.5 * (low[i] + high[i])
-    for k in range(torques.size):
-        cold, x = True, 0.0
-        for i in range(thetas.size):
-            free = False
-            if torques[k] == 0.0:
-                start, end, _ = play(drive, thetas[i], x, contacts, cold)
-                free = not math.isnan(start)
-                x = 0.5 * (start + end) if free else x
-                cold = False
-            if free:
-                deviation[k, i] = x
-                stiffness[k, i] = 0.0
-                count[k, i] = 0
-                pressure[k, i] = 0.0
-                force[k, i] = 0.0
-                pin_pressure[k, i] = 0.0
-                continue
-            x, stiffness[k, i] = equilibrium(drive, thetas[i], torques[k], x, contacts, cold)
+    cold, x = True, 0.0
+    for i in range(first, last):
+        if torque == 0.0:
+            start, end, _ = play(drive, thetas[i], x, contacts, cold)
             cold = False
-            deviation[k, i] = x
-            count[k, i], pressure[k, i] = load_sharing(drive, contacts, force[k, i], pin_pressure[k, i])
+            if not math.isnan(start):
+                x = 0.5 * (start + end)
+                deviation[i], stiffness[i], count[i], pressure[i] = x, 0.0, 0, 0.0
+                force[i] = 0.0
+                pin_pressure[i] = 0.0
+                slice_force[i : i + 1] = 0.0
+                slice_direction[i : i + 1] = 0.0
+                continue
+        x, stiffness[i] = equilibrium(drive, thetas[i], torque, x, contacts, cold)
+        cold = False
+        deviation[i] = x
+        count[i], pressure[i] = load_sharing(drive, contacts, force[i], pin_pressure[i])
+        if slice_force.size > 0:
+            _lines(drive, thetas[i], x, contacts, slice_force[i], slice_direction[i], gear_map, pin_map)
+
+
+@_compiled
+def _lines(
+    drive: Drive,
+    theta: float,
+    x: float,
+    contacts: Array,
+    slice_force: NDArray[np.float32],
+    slice_direction: NDArray[np.float32],
+    gear_map: Array,
+    pin_map: Array,
+) -> None:
+    """Write the contact lines of one solved position and raise the elements' largest pressures."""
+    teeth = drive.teeth
+    pins, slices = teeth + 1, drive.centre_x.size
+    pitch = 2.0 * math.pi / teeth
+    elements, angles = gear_map.shape[2], pin_map.shape[1]
+    slice_force[:] = 0.0
+    slice_direction[:] = 0.0
+    arc = (drive.flank_alpha.size - 2) and math.hypot(
+        drive.flank_x[2] - drive.flank_x[1], drive.flank_y[2] - drive.flank_y[1]
+    )
+    for row in range(contacts.shape[0]):
+        force = contacts[row, FORCE]
+        if force <= 0.0:
+            continue
+        disc, slice_, pin = row // (2 * pins * slices), row // (2 * pins) % slices, row // 2 % pins
+        local = _local(drive, theta, x, contacts, row)
+        crank, ring, _ = _poses(drive, theta, x, disc)
+        inwards = pin * 2.0 * math.pi / pins + ring + math.pi
+        c, s = math.cos(inwards), math.sin(inwards)
+        # The contact lies from the pin's axis against the flank's normal.
+        direction = math.atan2(s * local.normal_x - c * local.normal_y, -c * local.normal_x - s * local.normal_y)
+        slice_force[disc, pin, slice_] += force
+        slice_direction[disc, pin, slice_] = direction
+        radius = drive.pin_radius[pin]
+        equivalent = 1.0 / max(abs(1.0 / radius + contacts[row, CURVATURE]), 1e-9)
+        both = drive.compliance_gear + drive.compliance_pin
+        half = math.sqrt(4.0 * force * equivalent * both / (math.pi * drive.slice_width))
+        pressure = 2.0 * force / (math.pi * half * drive.slice_width)
+        alpha = pin * 2.0 * math.pi / pins + (crank - ring) / teeth + contacts[row, FOOT]
+        tooth = math.floor(alpha / pitch)
+        point = np.searchsorted(drive.flank_alpha, alpha - tooth * pitch)
+        point = min(max(point, 1), drive.flank_alpha.size - 1)
+        share = (alpha - tooth * pitch - drive.flank_alpha[point - 1]) / (
+            drive.flank_alpha[point] - drive.flank_alpha[point - 1]
+        )
+        middle = point - 2.0 + share
+        reach = half / arc
+        for element in range(max(0, math.ceil(middle - reach)), min(elements, math.floor(middle + reach) + 1)):
+            seen = pressure * math.sqrt(max(1.0 - ((element - middle) / reach) ** 2, 0.0))
+            number = int(tooth) % teeth
+            gear_map[disc, number, element, slice_] = max(gear_map[disc, number, element, slice_], seen)
+        middle = (direction / math.pi + 0.5) * angles - 0.5
+        reach = half / radius / math.pi * angles
+        for element in range(max(0, math.ceil(middle - reach)), min(angles, math.floor(middle + reach) + 1)):
+            seen = pressure * math.sqrt(max(1.0 - ((element - middle) / reach) ** 2, 0.0))
+            pin_map[pin, element, slice_] = max(pin_map[pin, element, slice_], seen)
 
 
 @_compiled

@@ -78,6 +78,41 @@ def plot_analysis(data: xr.Dataset) -> Figure:
     return figure
 
 
+def plot_lines(data: xr.Dataset) -> Figure:
+    """Contact lines at one crank angle, the load around the pin circle, and the pressures that elements have seen."""
+    figure, axes = new_figure(2, 2)
+    torque = float(data["torque"].values[0])
+    one = data.isel(torque=0, disc=0)
+    forces = one["pin_force"].max("crank_angle").values
+    figure.delaxes(axes[0])
+    polar = figure.add_subplot(2, 2, 1, projection="polar")
+    around = 2.0 * np.pi * data["pin"].values / data.sizes["pin"]
+    polar.bar(around, one["pin_force"].isel(crank_angle=0).values, width=0.9 * around[1])
+    polar.plot(np.append(around, around[0]), np.append(forces, forces[0]), "k.", ms=3)
+    polar.set_title(f"force of each pin at the first crank angle, N\n(dots: largest), {torque:g} N·m", fontsize=9)
+    z = data["slice"].values * 1e3
+    line = one["slice_force"].isel(crank_angle=0)
+    for pin in np.argsort(-line.sum("slice").values)[:5]:
+        width = z[1] - z[0] if z.size > 1 else 1.0
+        axes[1].step(z, line.values[pin] / width, where="mid", label=f"pin {pin}")
+    axes[1].set(xlabel="across the face [mm]", ylabel="line load [N/mm]", title="contact lines, first crank angle")
+    axes[1].legend(fontsize=8, frameon=False)
+    flank = one["gear_element_pressure"].max("tooth").values * 1e-6
+    pins = data["pin_element_pressure"].isel(torque=0).max("pin").values * 1e-6
+    edges = [z.min() - 1e-9, z.max() + 1e-9]
+    for axis, image, extent, label in (
+        (axes[2], flank, [*edges, 0.0, 1.0], "tooth: share of the arc"),
+        (axes[3], pins, [*edges, -90.0, 90.0], "pin: angle from the centre [°]"),
+    ):
+        shown = axis.imshow(image, extent=extent, origin="lower", aspect="auto", cmap="magma", interpolation="nearest")
+        axis.set(xlabel="across the face [mm]", ylabel=label)
+        axis.grid(visible=False)
+        figure.colorbar(shown, ax=axis, label="largest pressure [MPa]")
+    axes[2].set_title("over all teeth and crank angles", fontsize=9)
+    axes[3].set_title("over all pins and crank angles", fontsize=9)
+    return figure
+
+
 def plot_surface(surface: object) -> Figure:
     """Position and radius errors of the pins and the cumulative pitch of the teeth."""
     from cycloid_fmu.surface import ErrorSurface

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +21,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 FORMAT = "cycloid-analysis/1"
-ELEMENTS = 800  # along the profile, as in the error-surface paper, where a surface does not say
+PROFILE_ELEMENTS = 800  # of a tooth, as in the error-surface paper, where a surface does not say
+ANGLE_ELEMENTS = 400  # of half a pin
+PART = 90  # crank angles that are solved in a row, each from its neighbour
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,12 @@ class Transmission:
     play_low, play_high, backlash, interference
         Shape (angles,): deviations between which the output is free (rad), their difference (rad; NaN without a free
         position), and by how much there is none (m).
+    slice_force, slice_direction
+        Shape (torques, angles, discs, pins, slices), or size 0: the instantaneous contact lines as force in each slice
+        (N) and direction of the contact about the pin's axis from that to the pin circle's centre (rad).
+    gear_element_pressure, pin_element_pressure
+        Shapes (torques, discs, teeth, profile, slices) and (torques, pins, angle, slices), or size 0: the largest
+        pressure that each element has seen, Pa.
     """
 
     torque: Array
@@ -50,6 +60,10 @@ class Transmission:
     play_low: Array
     play_high: Array
     interference: Array
+    slice_force: NDArray[np.float32]
+    slice_direction: NDArray[np.float32]
+    gear_element_pressure: Array
+    pin_element_pressure: Array
 
     @property
     def backlash(self) -> Array:
@@ -99,7 +113,7 @@ def drive_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> contact.Driv
 
 
 def _elements(pair: Pair, surface: ErrorSurface, z: Array) -> dict[str, Any]:
-    """Deviations of flanks and pins at the slices' middles, as `contact.Drive` takes them; empty where both are nominal."""
+    """Deviations of flanks and pins at the slices' middles for `contact.Drive`; empty where all is nominal."""
     gear, pin = surface.gear_deviation, surface.pin_deviation
     g = pair.pair
     if gear is None and pin is None:
@@ -108,32 +122,27 @@ def _elements(pair: Pair, surface: ErrorSurface, z: Array) -> dict[str, Any]:
             "gear_deviation": np.empty((0, 0, 0, 0)), "pin_deviation": np.empty((0, 0, 0)), "largest_deviation": 0.0,
         }  # fmt: skip
     if gear is None:
-        gear = np.zeros((g.discs, g.gear_teeth, ELEMENTS, 1))
+        gear = np.zeros((g.discs, g.gear_teeth, PROFILE_ELEMENTS, 1))
     if pin is None:
         pin = np.zeros((g.pins, 2, 1))
-    elements = gear.shape[2]
-    pitch = 2.0 * np.pi / g.gear_teeth
-    alpha = np.concatenate([[0.0], equal_arc_parameters(pair, elements), [pitch]])
-    made = pair.model_copy(
-        update={
-            "modification": Modification.model_construct(
-                isometric=pair.modification.isometric + surface.isometric,
-                offset=pair.modification.offset + surface.offset,
-            )
-        }
-    )
-    x, y = flank_points(made, alpha)
     # The flank ends in its first and last element, half an element beyond their middles.
     flanks = np.moveaxis(_across_width(gear, z, g.face_width), 3, 1)
     flanks = np.concatenate([flanks[..., :1], flanks, flanks[..., -1:]], axis=3)
     return {
-        "flank_alpha": alpha,
-        "flank_x": x,
-        "flank_y": y,
+        **_flank_points(pair, surface, gear.shape[2]),
         "gear_deviation": np.ascontiguousarray(flanks),
         "pin_deviation": np.ascontiguousarray(np.moveaxis(_across_width(pin, z, g.face_width), 2, 0)),
         "largest_deviation": float(gear.max() + pin.max()),
     }
+
+
+def _flank_points(pair: Pair, surface: ErrorSurface, elements: int) -> dict[str, Any]:
+    """Ends of tooth 0 and the middles of its elements on the flank that was made, as `contact.Drive` takes them."""
+    m = pair.modification
+    alpha = np.concatenate([[0.0], equal_arc_parameters(pair, elements), [2.0 * np.pi / pair.pair.gear_teeth]])
+    changed = Modification.model_construct(isometric=m.isometric + surface.isometric, offset=m.offset + surface.offset)
+    x, y = flank_points(pair.model_copy(update={"modification": changed}), alpha)
+    return {"flank_alpha": alpha, "flank_x": x, "flank_y": y}
 
 
 def _across_width(deviation: Array, z: Array, face_width: float) -> Array:
@@ -179,6 +188,9 @@ def solve(
     slices: int = 1,
     *,
     with_play: bool = True,
+    with_elements: bool = False,
+    workers: int = 1,
+    progress: Callable[[int], None] = lambda angles: None,
 ) -> Transmission:
     """Solve the loaded contact at every torque and crank angle.
 
@@ -194,23 +206,82 @@ def solve(
         Slices across the face width.
     with_play
         Whether to compute play, backlash and interference; NaN otherwise.
+    with_elements
+        Whether to keep the contact lines and the largest pressure of each element.
+    workers
+        Threads. The work is divided in the same way whatever their number, so the results are the same bits.
+    progress
+        Told how many crank angles (times loads) were just finished.
+
+    Raises
+    ------
+    Interrupted
+        At a KeyboardInterrupt; it holds the results of the crank angles that were finished.
     """
     drive = drive_of(pair, surface, slices)
+    g = pair.pair
     torques = np.atleast_1d(np.asarray(torque, dtype=float))
     angles = np.atleast_1d(np.asarray(crank_angle, dtype=float))
     if not (np.isfinite(torques).all() and np.isfinite(angles).all()):
         raise ValueError("torque and crank_angle must be finite")
-    loads, places = (torques.size, angles.size), (torques.size, angles.size, pair.pair.discs, pair.pair.pins)
-    deviation, stiffness, pressure = (np.empty(loads) for _ in range(3))
-    count = np.empty(loads, dtype=np.int64)
-    force, pin_pressure = np.empty(places), np.empty(places)
+    loads, places = (torques.size, angles.size), (torques.size, angles.size, g.discs, g.pins)
+    deviation, stiffness, pressure = (np.full(loads, np.nan) for _ in range(3))
+    count = np.zeros(loads, dtype=np.int64)
+    force, pin_pressure = np.zeros(places), np.zeros(places)
     low, high, gap = (np.full(angles.size, np.nan) for _ in range(3))
-    contact.sweep(
-        drive, angles, torques, with_play, deviation, stiffness, count, pressure, force, pin_pressure, low, high, gap
-    )
-    return Transmission(
-        torques, angles, deviation, stiffness, count, pressure, force, pin_pressure, low, high, gap
-    )  # fmt: skip
+    lines = (*places, slices) if with_elements else (torques.size, 0, 0, 0, 0)
+    slice_force, slice_direction = np.zeros(lines, np.float32), np.zeros(lines, np.float32)
+    profile = 0 if surface.gear_deviation is None else surface.gear_deviation.shape[2]
+    around = 0 if surface.pin_deviation is None else surface.pin_deviation.shape[1]
+    profile, around = profile or PROFILE_ELEMENTS, around or ANGLE_ELEMENTS
+    gear_shape, pin_shape = (g.discs, g.gear_teeth, profile, slices), (g.pins, around, slices)
+    if not with_elements:
+        gear_shape, pin_shape = (0, 0, 0, 0), (0, 0, 0)
+    elif drive.flank_alpha.size == 0:
+        drive = drive._replace(**_flank_points(pair, surface, profile))
+    gear_map, pin_map = np.zeros((torques.size, *gear_shape)), np.zeros((torques.size, *pin_shape))
+
+    def part(first: int) -> tuple[int, Array, Array]:
+        last = min(first + PART, angles.size)
+        gear, pins = np.zeros_like(gear_map), np.zeros_like(pin_map)
+        if with_play:
+            contact.sweep_play(drive, angles, first, last, low, high, gap)
+        for k, load in enumerate(torques):
+            contact.sweep_load(
+                drive, angles, load, first, last, deviation[k], stiffness[k], count[k], pressure[k], force[k],
+                pin_pressure[k], slice_force[k], slice_direction[k], gear[k], pins[k],
+            )  # fmt: skip
+        return last - first, gear, pins
+
+    def result(done: slice) -> Transmission:
+        return Transmission(
+            torques, angles[done], deviation[:, done], stiffness[:, done], count[:, done], pressure[:, done],
+            force[:, done], pin_pressure[:, done], low[done], high[done], gap[done], slice_force[:, done],
+            slice_direction[:, done], gear_map, pin_map,
+        )  # fmt: skip
+
+    finished = 0
+    with ThreadPoolExecutor(workers) as pool:
+        waiting = [pool.submit(part, first) for first in range(0, angles.size, PART)]
+        try:
+            for future in waiting:
+                size, gear, pins = future.result()
+                np.maximum(gear_map, gear, out=gear_map)
+                np.maximum(pin_map, pins, out=pin_map)
+                finished += size
+                progress(size * torques.size)
+        except KeyboardInterrupt:
+            pool.shutdown(cancel_futures=True)
+            raise Interrupted(result(slice(0, finished))) from None
+    return result(slice(None))
+
+
+class Interrupted(KeyboardInterrupt):
+    """A sweep was interrupted; `result` holds what was finished, from the first crank angle on."""
+
+    def __init__(self, result: Transmission) -> None:
+        super().__init__()
+        self.result = result
 
 
 def error_sensitivity(
@@ -247,40 +318,100 @@ _LABELS = {
     "max_contact_pressure": ("Pa", "largest contact pressure"),
     "pin_force": ("N", "force of each pin"),
     "pin_pressure": ("Pa", "largest contact pressure of each pin"),
+    "slice_force": ("N", "contact lines: force of each pin in each slice"),
+    "slice_direction": ("rad", "contact lines: direction about the pin's axis, from that to the pin circle's centre"),
+    "gear_element_pressure": ("Pa", "largest pressure that each element of the flanks has seen"),
+    "pin_element_pressure": ("Pa", "largest pressure that each element of the pins has seen"),
+    "slice": ("m", "middle of the slice from mid-width"),
+    "profile": ("1", "middle of the element along the tooth's arc, from its first root to its second"),
+    "angle": ("rad", "middle of the element about the pin's axis, from the direction to the pin circle's centre"),
     "torque": ("N*m", "torque of the environment on the output"),
     "crank_angle": ("rad", "crank angle"),
 }
 
 
 def analyze(
-    pair: Pair, surface: ErrorSurface, torque: ArrayLike, crank_angle: ArrayLike, slices: int = 1
+    pair: Pair,
+    surface: ErrorSurface,
+    torque: ArrayLike,
+    crank_angle: ArrayLike,
+    slices: int = 1,
+    *,
+    with_elements: bool = False,
+    workers: int = 1,
+    progress: Callable[[int], None] = lambda angles: None,
 ) -> xr.Dataset:
-    """Return the labelled dataset of a crank sweep (format `cycloid-analysis/1`, design.md section 5)."""
+    """Return the labelled dataset of a crank sweep (format `cycloid-analysis/1`, design.md section 5).
+
+    Parameters are those of `solve`. Interrupted, it returns the crank angles that were finished, and the attribute
+    `complete` is 0.
+    """
+    complete = 1
+    try:
+        result = solve(
+            pair, surface, torque, crank_angle, slices, with_elements=with_elements, workers=workers, progress=progress
+        )
+    except Interrupted as interrupted:
+        result, complete = interrupted.result, 0
+    data = dataset_of(pair, result)
+    data.attrs.update(pair=pair.text, slices=slices, surface=surface.origin, complete=complete)
+    return data
+
+
+def dataset_of(pair: Pair, result: Transmission) -> xr.Dataset:
+    """Return results as a labelled dataset with units."""
     import xarray as xr
 
-    result = solve(pair, surface, torque, crank_angle, slices)
+    g = pair.pair
     grid = ("torque", "crank_angle")
     pins = (*grid, "disc", "pin")
     each = np.ones((result.torque.size, 1))
-    dataset = xr.Dataset(
-        {
-            "transmission_error": (grid, result.transmission_error),
-            "backlash": (grid, each * result.backlash),
-            "interference": (grid, each * result.interference),
-            "torsional_stiffness": (grid, result.torsional_stiffness),
-            "contact_count": (grid, result.contact_count),
-            "max_contact_pressure": (grid, result.max_contact_pressure),
-            "pin_force": (pins, result.pin_force),
-            "pin_pressure": (pins, result.pin_pressure),
-        },
-        {
-            "torque": result.torque,
-            "crank_angle": result.crank_angle,
-            "disc": np.arange(pair.pair.discs),
-            "pin": np.arange(pair.pair.pins),
-        },
-    )
+    data: dict[str, Any] = {
+        "transmission_error": (grid, result.transmission_error),
+        "backlash": (grid, each * result.backlash),
+        "interference": (grid, each * result.interference),
+        "torsional_stiffness": (grid, result.torsional_stiffness),
+        "contact_count": (grid, result.contact_count),
+        "max_contact_pressure": (grid, result.max_contact_pressure),
+        "pin_force": (pins, result.pin_force),
+        "pin_pressure": (pins, result.pin_pressure),
+    }
+    coordinates: dict[str, Any] = {
+        "torque": result.torque,
+        "crank_angle": result.crank_angle,
+        "disc": np.arange(g.discs),
+        "pin": np.arange(g.pins),
+    }
+    if result.slice_force.size:
+        slices = result.slice_force.shape[-1]
+        profile, around = result.gear_element_pressure.shape[3], result.pin_element_pressure.shape[2]
+        data["slice_force"] = ((*pins, "slice"), result.slice_force)
+        data["slice_direction"] = ((*pins, "slice"), result.slice_direction)
+        data["gear_element_pressure"] = (("torque", "disc", "tooth", "profile", "slice"), result.gear_element_pressure)
+        data["pin_element_pressure"] = (("torque", "pin", "angle", "slice"), result.pin_element_pressure)
+        coordinates["slice"] = g.face_width * ((np.arange(slices) + 0.5) / slices - 0.5)
+        coordinates["tooth"] = np.arange(g.gear_teeth)
+        coordinates["profile"] = (np.arange(profile) + 0.5) / profile
+        coordinates["angle"] = np.pi * ((np.arange(around) + 0.5) / around - 0.5)
+    dataset = xr.Dataset(data, coordinates)
     for name, (unit, text) in _LABELS.items():
-        dataset[name].attrs.update(units=unit, long_name=text)
-    dataset.attrs.update(format=FORMAT, pair=pair.text, slices=slices, surface=surface.origin)
+        if name in dataset.variables:
+            dataset[name].attrs.update(units=unit, long_name=text)
+    dataset.attrs["format"] = FORMAT
     return dataset
+
+
+def statistics(data: xr.Dataset) -> dict[str, NDArray[np.float64]]:
+    """Return the error-surface paper's figures of an analysis, one value for each torque.
+
+    MTE and PPTE are the mean and peak-to-peak transmission error, MB and PPB those of the backlash (rad; NaN where
+    there is no free position), MCS the largest contact pressure (Pa).
+    """
+    error, backlash = data["transmission_error"].values, data["backlash"].values
+    return {
+        "MTE": error.mean(axis=1),
+        "PPTE": np.ptp(error, axis=1),
+        "MB": backlash.mean(axis=1),
+        "PPB": np.ptp(backlash, axis=1),
+        "MCS": data["max_contact_pressure"].values.max(axis=1),
+    }
