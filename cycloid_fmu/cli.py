@@ -41,13 +41,6 @@ def _load(pair_file: Path, surface_file: Path | None) -> tuple[Pair, ErrorSurfac
     return pair, surface
 
 
-def _slices(surface: ErrorSurface) -> int:
-    """Slices that a surface needs: as many as it has elements across the width, 20 with misalignment, else 1."""
-    tilted = surface.misalignment_xz != 0.0 or surface.misalignment_yz != 0.0
-    elements = [d.shape[-1] for d in (surface.gear_deviation, surface.pin_deviation) if d is not None]
-    return max([20 if tilted else 1, *elements])
-
-
 def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
     """Print a table for people; numbers are set to the right."""
     from rich.table import Table
@@ -87,7 +80,7 @@ def analyze(
 
     from cycloid_fmu import plots
     from cycloid_fmu.transmission import analyze as analyze_pair
-    from cycloid_fmu.transmission import statistics
+    from cycloid_fmu.transmission import slices_needed, statistics
 
     loads = [edge.quantity_option(t, "N*m", "--torque") for t in torque]
     if plot is not None:
@@ -101,7 +94,7 @@ def analyze(
             surface,
             loads,
             angle,
-            slices or _slices(surface),
+            slices or slices_needed(surface),
             with_elements=slices is not None,
             workers=os.cpu_count() or 1,
             progress=lambda done: bar.advance(task, done),

@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 FORMAT = "cycloid-analysis/1"
 PROFILE_ELEMENTS = 800  # of a tooth, as in the error-surface paper, where a surface does not say
 ANGLE_ELEMENTS = 400  # of half a pin
+SLICES_MISALIGNED = 20  # transmission error within 0.1 % to 0.5 mrad, by midpoints (design.md section 9)
 PART = 90  # crank angles that are solved in a row, each from its neighbour
 
 
@@ -69,6 +70,13 @@ class Transmission:
     def backlash(self) -> Array:
         """Free rotation of the output with the crank locked, shape (angles,), rad; NaN without a free position."""
         return self.play_high - self.play_low
+
+
+def slices_needed(surface: ErrorSurface) -> int:
+    """Return the slices that a surface needs: its elements across the width, 20 with misalignment, else 1."""
+    tilted = surface.misalignment_xz != 0.0 or surface.misalignment_yz != 0.0
+    elements = [int(d.shape[-1]) for d in (surface.gear_deviation, surface.pin_deviation) if d is not None]
+    return max([SLICES_MISALIGNED if tilted else 1, *elements])
 
 
 def drive_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> contact.Drive:

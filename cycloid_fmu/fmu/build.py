@@ -13,7 +13,7 @@ import numpy as np
 
 from cycloid_fmu import __version__, edge
 from cycloid_fmu.pair import Pair
-from cycloid_fmu.surface import DESCRIPTIONS, ErrorSurface, write_surface
+from cycloid_fmu.surface import DESCRIPTIONS, DEVIATIONS, ErrorSurface, write_surface
 
 _SCRIPT = Path(__file__).with_name("cycloid_drive.py")
 
@@ -43,7 +43,8 @@ def build_fmu(pair: Pair, surface: ErrorSurface, path: str | os.PathLike[str]) -
         numbers = {"package_version": __version__, "pair": pair.numbers()}
         (place / NUMBERS).write_text(json.dumps(numbers, indent=1), encoding="utf-8")
         with (place / ARRAYS).open("wb") as file:
-            np.savez(file, allow_pickle=False, **{name: getattr(surface, name) for name in DESCRIPTIONS})
+            arrays = {name: getattr(surface, name) for name in (*DESCRIPTIONS, *DEVIATIONS)}
+            np.savez(file, allow_pickle=False, **{n: a for n, a in arrays.items() if a is not None})
         write_surface(surface, place / "surface.nc")
         script = Path(shutil.copy(_SCRIPT, place))
         built = place / "built.fmu"

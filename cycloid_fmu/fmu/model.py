@@ -15,10 +15,9 @@ import numpy as np
 from cycloid_fmu import contact
 from cycloid_fmu.pair import Pair
 from cycloid_fmu.surface import ErrorSurface, structured_names, structured_value, with_structured
-from cycloid_fmu.transmission import drive_of
+from cycloid_fmu.transmission import drive_of, slices_needed
 
 ORDERS = (1, 2, 3)
-SLICES_MISALIGNED = 20
 
 
 class DriveModel:
@@ -52,8 +51,7 @@ class DriveModel:
     def _rebuild(self) -> None:
         changed = {n: v for n, v in self.errors.items() if v != self._stated[n]}
         surface = with_structured(self.pair, self.surface, changed)
-        tilted = surface.misalignment_xz != 0.0 or surface.misalignment_yz != 0.0
-        self._drive = drive_of(self.pair, surface, SLICES_MISALIGNED if tilted else 1)
+        self._drive = drive_of(self.pair, surface, slices_needed(surface))
         self._contacts = contact.contact_rows(self._drive)
         self._play_contacts = contact.contact_rows(self._drive)
         shape = (self.pair.pair.discs, self.pair.pair.pins)

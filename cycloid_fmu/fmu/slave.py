@@ -71,7 +71,7 @@ class DriveSlave(Fmi2Slave):  # type: ignore[misc]
                 "the FMU again or install that version"
             )
         with np.load(resources / ARRAYS) as arrays:
-            values: dict[str, Any] = {n: arrays[n] if arrays[n].shape else float(arrays[n]) for n in DESCRIPTIONS}
+            values: dict[str, Any] = {n: arrays[n] if arrays[n].shape else float(arrays[n]) for n in arrays.files}
             surface = ErrorSurface(**values)
         self.model = model = DriveModel(Pair.from_numbers(numbers["pair"]), surface)
         self._attributes: dict[str, dict[str, str]] = {}
