@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from common import ARCSEC, CASES
 
-from cycloid_fmu.pair import read_pair
+from cycloid_fmu.pair import parse_pair, read_pair
 from cycloid_fmu.surface import surface_of_pair
 from cycloid_fmu.transmission import error_sensitivity, solve
 
@@ -53,3 +53,13 @@ def test_sweep_with_all_derivatives(benchmark):
     error_sensitivity(pair, surface, -120.0, ANGLES[:3], names)
     benchmark(error_sensitivity, pair, surface, -120.0, ANGLES, names)
     benchmark.extra_info["µs a crank angle"] = round(benchmark.stats.stats.median / ANGLES.size * 1e6, 2)
+
+
+def test_a_hundred_slices_misaligned(benchmark):
+    """100 slices x 40 pins: below 1 ms a crank angle on one core is asked for."""
+    text = (CASES / "errors-39-40.toml").read_text().replace("[errors]", '[errors]\nmisalignment_xz = "0.3 mrad"')
+    pair = parse_pair(text, "tilted")
+    surface = surface_of_pair(pair)
+    solve(pair, surface, -120.0, ANGLES[:3], 100)
+    benchmark(solve, pair, surface, -120.0, ANGLES[::10], 100, with_play=False)
+    benchmark.extra_info["ms a crank angle"] = round(benchmark.stats.stats.median / 360 * 1e3, 3)
