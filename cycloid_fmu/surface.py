@@ -297,12 +297,13 @@ def _checked_deviation(given: Any, name: str, dimensions: tuple[str, ...], blank
     for dimension, size in zip(dimensions, given.shape, strict=True):
         if size == 0 or size != sizes.get(dimension, size):
             raise edge.InputError(f"{source}: {name} has {size} of {dimension}; its pair needs {sizes[dimension]}.")
-    values = given.values.astype(float)
+    values: Array = given.values.astype(float)
     if not np.isfinite(values).all():
         raise edge.InputError(f"{source}: {name} holds a value that is not finite.")
-    if np.abs(values).max() > LARGEST_ELEMENT:
+    largest = np.abs(values).max()
+    if largest > LARGEST_ELEMENT:
         raise edge.InputError(
-            f"{source}: {name} reaches {np.abs(values).max() * 1e3:.4g} mm; deviations must lie within half a millimetre."
+            f"{source}: {name} reaches {largest * 1e3:.4g} mm; deviations must lie within half a millimetre."
         )
     return values
 
