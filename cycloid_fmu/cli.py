@@ -112,10 +112,13 @@ surface_app = typer.Typer(no_args_is_help=True, help="Make error surfaces.")
 app.add_typer(surface_app, name="surface")
 
 
+SurfaceOutput = Annotated[Path, typer.Option("-o", "--output", help="The surface file (netCDF).")]
+
+
 @surface_app.command()
 def nominal(
     pair_file: PairFile,
-    output: Annotated[Path, typer.Option("-o", "--output", help="The surface file (netCDF).")],
+    output: SurfaceOutput,
     plot: PlotFile = None,
 ) -> None:
     """Write the surface that the pair file itself describes: nominal flanks with the errors it states.
@@ -125,7 +128,40 @@ def nominal(
     from cycloid_fmu import plots
     from cycloid_fmu.surface import write_surface
 
+    if plot is not None:
+        plots.check_path(plot)
     _, surface = _load(pair_file, None)
+    write_surface(surface, output)
+    if plot is not None:
+        plots.save(plots.plot_surface(surface), plot)
+
+
+@surface_app.command()
+def sampled(
+    pair_file: PairFile,
+    tolerances_file: Annotated[
+        Path, typer.Option("--tolerances", metavar="T.toml", help="The tolerances (format cycloid-tolerances/1).")
+    ],
+    seed: Annotated[int, typer.Option(help="The same seed draws the same drive.")],
+    output: SurfaceOutput,
+    profile: Annotated[int, typer.Option(min=1, help="Elements along a tooth's profile.")] = 200,
+    width: Annotated[int, typer.Option(min=1, help="Elements across the width.")] = 20,
+    angle: Annotated[int, typer.Option(min=1, help="Elements round the half of a pin.")] = 100,
+    plot: PlotFile = None,
+) -> None:
+    """Draw one drive that the tolerances allow; the errors that the pair file itself states are not part of it.
+
+    Example: [cyan]cycloid-fmu surface sampled pair.toml --tolerances tolerances.toml --seed 1 -o surface.nc[/]
+    """
+    from cycloid_fmu import plots
+    from cycloid_fmu.pair import read_pair
+    from cycloid_fmu.sampling import read_tolerances, sample_surface
+    from cycloid_fmu.surface import Elements, write_surface
+
+    if plot is not None:
+        plots.check_path(plot)
+    pair, tolerances = read_pair(pair_file), read_tolerances(tolerances_file)
+    surface = sample_surface(pair, tolerances, seed, Elements(profile, width, angle))
     write_surface(surface, output)
     if plot is not None:
         plots.save(plots.plot_surface(surface), plot)

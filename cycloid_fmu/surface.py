@@ -48,6 +48,20 @@ DESCRIPTIONS = {
 
 
 @dataclass(frozen=True)
+class Elements:
+    """How many elements a surface has: along a tooth's profile, across the width, and round the half of a pin."""
+
+    profile: int = 200
+    width: int = 20
+    angle: int = 100
+
+    def __post_init__(self) -> None:
+        for name in ("profile", "width", "angle"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} = {getattr(self, name)}: a surface has at least one element each way")
+
+
+@dataclass(frozen=True)
 class ErrorSurface:
     """Errors of one pair, SI; the scalars' names and signs are those of the pair file's `[errors]`.
 
