@@ -167,6 +167,55 @@ def sampled(
         plots.save(plots.plot_surface(surface), plot)
 
 
+@surface_app.command()
+def measured(
+    pair_file: PairFile,
+    points_file: Annotated[
+        Path,
+        typer.Option(
+            "--points", metavar="CMM.csv", help="Points of flanks and pins: body,disc,number,x [mm],y [mm],z [mm]."
+        ),
+    ],
+    output: SurfaceOutput,
+    profile: Annotated[int, typer.Option(min=1, help="Elements along a tooth's profile.")] = 50,
+    width: Annotated[int, typer.Option(min=1, help="Elements across the width.")] = 5,
+    angle: Annotated[int, typer.Option(min=1, help="Elements round the half of a pin.")] = 25,
+    plot: PlotFile = None,
+) -> None:
+    """Find the surface that coordinates of a measuring machine show: aligned, outliers left out, averaged.
+
+    Example: [cyan]cycloid-fmu surface measured pair.toml --points cmm.csv -o surface.nc --plot surface.png[/]
+    """
+    from cycloid_fmu import plots
+    from cycloid_fmu.measuring import measured_surface, read_points
+    from cycloid_fmu.pair import read_pair
+    from cycloid_fmu.surface import Elements, write_surface
+
+    if plot is not None:
+        plots.check_path(plot)
+    pair, points = read_pair(pair_file), read_points(points_file)
+    surface, report = measured_surface(pair, points, Elements(profile, width, angle))
+    write_surface(surface, output)
+    if plot is not None:
+        plots.save(plots.plot_surface(surface), plot)
+    rows = [
+        [
+            a.body, str(a.points), str(a.outliers), f"{a.x * 1e3:.4f} mm", f"{a.y * 1e3:.4f} mm",
+            f"{np.degrees(a.rotation):.5f}°", f"{a.rms * 1e6:.3f} µm", f"{a.scatter * 1e6:.3f} µm",
+        ]
+        for a in report.alignments
+    ]  # fmt: skip
+    columns = ["body", "points", "outliers", "shift x", "shift y", "rotation", "deviation rms", "scatter rms"]
+    print_table(points_file.name, columns, rows)
+    for outlier in report.outliers:
+        typer.echo(
+            f"{points_file.name}: line {outlier.line}: {outlier.place} lies {outlier.distance * 1e6:.1f} µm off its "
+            "neighbours and was left out."
+        )
+    for note in report.notes:
+        typer.echo(note)
+
+
 @app.command()
 def build(
     pair_file: PairFile,
