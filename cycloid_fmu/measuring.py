@@ -50,7 +50,7 @@ _MICRON = 1e-6
 _NEIGHBOURS = 8
 # A point is an outlier this many robust standard deviations (1.4826 of the median absolute one) off its neighbours,
 # and never closer to them than the floor: a noiseless, steep form has outliers of its own otherwise.
-_OUTLYING, _OUTLYING_FLOOR = 6.0, 2e-6
+_OUTLYING, _OUTLYING_FLOOR = 8.0, 2e-6
 _ROUGH_POINTS = 600
 
 
@@ -143,24 +143,14 @@ def read_points(path: str | os.PathLike[str]) -> MeasuredPoints:
     lines = edge.read_text(path).splitlines()
     if not lines:
         raise edge.InputError(f"{path}: the file is empty.")
-    places: dict[str, int] = {}
-    scales: dict[str, float] = {}
-    for position, cell in enumerate(next(csv.reader(lines[:1]))):
-        name, bracket, unit = cell.strip().partition("[")
-        name = name.strip()
-        places[name] = position
-        if name not in LENGTHS:
-            continue
-        if not bracket or not unit.endswith("]"):
-            raise edge.InputError(f'{path}: the column "{cell.strip()}" has no unit; write "{name} [mm]".')
-        try:
-            scales[name] = edge.unit_scale(unit[:-1].strip(), "m")
-        except ValueError as problem:
-            raise edge.InputError(f"{path}: the column {name}: {problem}.") from None
-    for name in ("body", "disc", "number", *LENGTHS):
-        if name not in places:
-            shown = f"{name} [mm]" if name in LENGTHS else name
-            raise edge.InputError(f'{path}: there is no column "{shown}" in the header.')
+    header = next(csv.reader(lines[:1]))
+    lengths = edge.unit_columns(header, dict.fromkeys(LENGTHS, "m"), str(path))
+    names = [cell.strip() for cell in header]
+    for name in ("body", "disc", "number"):
+        if name not in names:
+            raise edge.InputError(f'{path}: there is no column "{name}" in the header.')
+    places = {name: names.index(name) for name in ("body", "disc", "number")}
+    places.update({name: position for name, (position, _) in lengths.items()})
     rows: list[tuple[bool, int, int, float, float, float, int]] = []
     for line, row in enumerate(csv.reader(lines[1:]), start=2):
         if not row:
@@ -171,7 +161,7 @@ def read_points(path: str | os.PathLike[str]) -> MeasuredPoints:
         gear = cells["body"] == "gear"
         disc = _whole(cells["disc"] if gear else cells["disc"] or "0", "disc", line, path)
         number = _whole(cells["number"], "number", line, path)
-        x, y, z = (_finite(cells[name], name, line, path) * scales[name] for name in LENGTHS)
+        x, y, z = (_finite(cells[name], name, line, path) * lengths[name][1] for name in LENGTHS)
         rows.append((gear, disc, number, x, y, z, line))
     if not rows:
         raise edge.InputError(f"{path}: the file has no points.")
@@ -273,7 +263,7 @@ def outlying(surface: Integers, along: Array, z: Array, deviation: Array) -> tup
     Returns
     -------
     outlier, distance
-        A point's distance is from the median of its 8 nearest neighbours; it is an outlier beyond 6 robust standard
+        A point's distance is from the median of its 8 nearest neighbours; it is an outlier beyond 8 robust standard
         deviations of all such distances (1.4826 x their median size), and beyond 2 µm.
     """
     apart = 10.0 * (np.ptp(along) + np.ptp(z))
@@ -326,8 +316,8 @@ def _length(value: float) -> str:
     return f'"{value * factor:.4g} {unit}"'
 
 
-def _check_units(points: MeasuredPoints, mask: Booleans, pair: Pair, body: str) -> None:
-    """Refuse coordinates that can't be those of this pair, by their reach about their middle."""
+def _check_units(points: MeasuredPoints, mask: Booleans, pair: Pair, body: str) -> list[str]:
+    """Refuse coordinates that can't be those of this pair, by their reach about their middle; note a narrow trace."""
     g = pair.pair
     reach = g.pin_circle_radius + (0.0 if body == "gear" else g.pin_radius)
     for name in ("x", "y"):
@@ -347,11 +337,10 @@ def _check_units(points: MeasuredPoints, mask: Booleans, pair: Pair, body: str) 
             f"{points.source}: line {worst}: z is {_length(found)} from mid-width where the face ends at "
             f"{_length(reach)}: check the unit of the column z and its zero."
         )
-    if 0.0 < np.ptp(z) < g.face_width / 100.0:
-        raise edge.InputError(
-            f"{points.source}: z of the {body} spans {_length(float(np.ptp(z)))} of a face width of "
-            f"{_length(g.face_width)}: check the unit of the column z."
-        )
+    if np.ptp(z) >= g.face_width / 100.0:
+        return []
+    spans = f"z of the {body} spans {_length(float(np.ptp(z)))} of a face width of {_length(g.face_width)}"
+    return [f"{points.source}: {spans}: one trace, unless the unit of the column z is wrong."]
 
 
 def _check_counts(points: MeasuredPoints, mask: Booleans, what: str, count: int, fewest: int, where: str) -> None:
@@ -371,7 +360,14 @@ def _check_counts(points: MeasuredPoints, mask: Booleans, what: str, count: int,
 
 
 def _fit(
-    pair: Pair, points: Complex, tooth: Integers, turning: Integers, start: Array, loss: str, scale: float
+    pair: Pair,
+    points: Complex,
+    tooth: Integers,
+    turning: Integers,
+    start: Array,
+    loss: str,
+    scale: float,
+    steps: int = 100,
 ) -> tuple[Array, Array, Array]:
     """Fit a shift and turns (of the groups `turning`, as arc length at R_p, all in µm) of points to the flank.
 
@@ -395,13 +391,15 @@ def _fit(
         result[index, 2 + turning] = -(normal * at.conj()).imag / radius
         return result
 
-    fit = least_squares(residual, start, slope, loss=loss, f_scale=scale, xtol=1e-9, gtol=1e-9, ftol=1e-10)
+    fit = least_squares(
+        residual, start, slope, loss=loss, f_scale=scale, xtol=1e-9, gtol=1e-9, ftol=1e-10, max_nfev=steps
+    )
     alpha, deviation, _ = closest_on_tooth(pair, moved(fit.x) * back)
     return fit.x, alpha, deviation
 
 
-def _rough_frame(pair: Pair, points: Complex, tooth: Integers) -> tuple[complex, float]:
-    """Shift (x + iy, m) and rotation (rad) of the gear frame that bring the points near their teeth.
+def _rough_frame(pair: Pair, points: Complex, tooth: Integers) -> tuple[complex, float, float]:
+    """Shift (x + iy, m) and rotation (rad) of the gear frame that bring points near their teeth, and their misfit (m).
 
     The middles of the teeth's points give the turn to about a part of a tooth (they may lie on one side of each), so
     eight starts over one pitch are fitted and the best taken.
@@ -413,15 +411,15 @@ def _rough_frame(pair: Pair, points: Complex, tooth: Integers) -> tuple[complex,
     centre = complex(middle.mean())
     rotation = float(np.angle(np.vdot(wanted, middle - centre)))
     chosen = slice(None, None, max(1, tooth.size // _ROUGH_POINTS))
-    best, frame = np.inf, (centre, rotation)
+    best, frame = np.inf, (centre, rotation, np.inf)
     for start in rotation + 2.0 * np.pi / teeth * np.arange(-4, 4) / 8.0:
         near = (points[chosen] - centre) * np.exp(-1j * start)
         one = np.zeros_like(tooth[chosen])
-        v, _, deviation = _fit(pair, near, tooth[chosen], one, np.zeros(3), "soft_l1", 20.0)
+        v, _, deviation = _fit(pair, near, tooth[chosen], one, np.zeros(3), "soft_l1", 20.0, steps=8)
         misfit = float(np.median(np.abs(deviation)))
         if misfit < best:
             shift = centre + _MICRON * (v[0] + 1j * v[1]) * np.exp(1j * start)
-            best, frame = misfit, (complex(shift), float(start + _MICRON * v[2] / pair.pair.pin_circle_radius))
+            best, frame = misfit, (complex(shift), float(start + _MICRON * v[2] / pair.pair.pin_circle_radius), misfit)
     return frame
 
 
@@ -435,18 +433,24 @@ def _measured_disc(pair: Pair, points: MeasuredPoints, mask: Booleans, disc: int
     g = pair.pair
     tooth, z, body = points.number[mask], points.z[mask], f"gear, disc {disc}"
     at = _complex(points.x[mask], points.y[mask])
-    shift, rotation = _rough_frame(pair, at, tooth)
+    shift, rotation, off = _rough_frame(pair, at, tooth)
+    if off > 0.5 * LARGEST_ELEMENT:
+        raise edge.InputError(
+            f"{points.source}: the points of the {body} lie {_length(off)} (median) off the nominal flank: check the "
+            "pair, and that teeth are numbered counter-clockwise."
+        )
     near = (at - shift) * np.exp(-1j * rotation)
     # The frame and every tooth's own turn at once: fitted one after the other, a shift would swallow pitch.
     v, alpha, deviation = _fit(pair, near, tooth, tooth, np.zeros(2 + g.gear_teeth), "soft_l1", 20.0)
-    off = float(np.median(np.abs(deviation)))
-    if off > 0.5 * LARGEST_ELEMENT:
-        raise edge.InputError(
-            f"{points.source}: the points of the {body} lie {_length(off)} (median) off the nominal flank: "
-            "check the pair, and that teeth are numbered counter-clockwise."
-        )
     v, alpha, deviation = _fit(pair, near, tooth, tooth, v, "soft_l1", _robust_scale(deviation))
     length = flank_speed(pair, equal_arc_parameters(pair, 200)).mean() * 2.0 * np.pi / g.gear_teeth
+    pitch = _MICRON * (v[2:] - np.median(v[2:]))
+    if np.abs(pitch).max() > LARGEST_ELEMENT:
+        far = int(np.abs(pitch).argmax())
+        off = float(np.abs(pitch[far]))
+        raise edge.InputError(
+            f"{points.source}: tooth {far} of disc {disc} lies {_length(off)} off its place: check its points' number."
+        )
     outlier, distance = outlying(tooth, arc_parts(pair, alpha) * length, z, deviation)
     kept = ~outlier
     _check_counts(points, _sub(mask, kept), "tooth", g.gear_teeth, FEWEST_TOOTH_POINTS, f" of disc {disc}")
@@ -623,7 +627,6 @@ def measured_surface(
     gear_empty: Booleans | None = None
     pin_empty: Booleans | None = None
     if points.gear.any():
-        _check_units(points, points.gear, pair, "gear")
         wrong = points.gear & (points.disc >= g.discs)
         if wrong.any():
             at = int(np.flatnonzero(wrong)[0])
@@ -631,11 +634,11 @@ def measured_surface(
                 f"{points.source}: line {points.line[at]}: disc {points.disc[at]} does not exist; the pair has "
                 f"{g.discs}, from 0."
             )
-        found = []
-        for disc in range(g.discs):
-            mask = points.gear & (points.disc == disc)
+        discs = [points.gear & (points.disc == disc) for disc in range(g.discs)]
+        for disc, mask in enumerate(discs):
             _check_counts(points, mask, "tooth", g.gear_teeth, FEWEST_TOOTH_POINTS, f" of disc {disc}")
-            found.append(_measured_disc(pair, points, mask, disc, elements))
+        notes += _check_units(points, points.gear, pair, "gear")
+        found = [_measured_disc(pair, points, mask, disc, elements) for disc, mask in enumerate(discs)]
         changes["tooth_cumulative_pitch"] = np.array([f[0] for f in found])
         changes["gear_deviation"] = np.array([f[1] for f in found])
         gear_empty = np.array([f[2] for f in found])
@@ -645,8 +648,8 @@ def measured_surface(
         notes.append(f"{points.source}: there are no points of the gear; it is taken as nominal.")
     if not points.gear.all():
         mask = ~points.gear
-        _check_units(points, mask, pair, "pins")
         _check_counts(points, mask, "pin", g.pins, FEWEST_PIN_POINTS, "")
+        notes += _check_units(points, mask, pair, "pins")
         of_pins, pin_empty, alignment, outliers = _measured_pins(pair, points, mask, elements)
         changes.update(of_pins)
         alignments.append(alignment)

@@ -20,7 +20,7 @@ def spread(rows, columns):
 def measure(pair, surface, noise, seed, frame=(0.0, 0.0), along=60, across=5, reach=80.0):
     """Return rows (body, disc, number, x, y, z): m, normal noise of this deviation along the normal.
 
-    frame: shift (x + iy, m) and rotation (rad) of every body in the machine's frame. reach: degrees of a pin either side.
+    frame: shift (x + iy, m) and rotation (rad) of every body in the machine's frame; reach: degrees of a pin, each way.
     """
     generator = np.random.default_rng(seed)
     g, (shift, turn), rows = pair.pair, frame, []

@@ -4,12 +4,11 @@ import dataclasses
 
 import numpy as np
 import pytest
-from cmm import measure, spread, write_csv
+from cmm import measure, write_csv
 from common import PAIR, make_pair
 
 from cycloid_fmu import edge
 from cycloid_fmu.measuring import closest_on_tooth, fitted_circle, measured_surface, read_points
-from cycloid_fmu.pair import parse_pair
 from cycloid_fmu.profile import arc_parts, equal_arc_parameters, flank_normals, flank_points, flank_speed
 from cycloid_fmu.sampling import parse_tolerances, sample_surface
 from cycloid_fmu.surface import Elements, check_surface, nominal_surface, read_surface, write_surface
@@ -30,7 +29,7 @@ TOLERANCES = """format = "cycloid-tolerances/1"
 [gear_profile]
 tolerance = "6 um"
 [pin_profile]
-tolerance = "3 um"
+tolerance = "6 um"
 [gear_pitch]
 single = "4 um"
 cumulative = "9 um"
@@ -60,7 +59,7 @@ def without(values, columns):
 
 
 def known_drive(pair, seed, elements):
-    """A sampled drive whose form holds no pitch, no shift and no roundness of order 0 and 1: those have their own names."""
+    """A sampled drive whose form holds no pitch, shift or radius: those have names of their own."""
     g = pair.pair
     s = sample_surface(pair, parse_tolerances(TOLERANCES, "t.toml"), seed, elements)
     generator = np.random.default_rng(seed)
@@ -108,7 +107,9 @@ def test_closest_point_is_that_of_a_search():
         drawn = np.add(*np.multiply(flank_points(pair, fine), [[1.0], [1.0j]]))
         scattered = point + away * normal + generator.uniform(-2e-4, 2e-4, 200)
         searched = np.abs(scattered[:, None] - drawn[None, :]).min(axis=1)
-        assert np.abs(closest_on_tooth(pair, scattered)[1]) == pytest.approx(searched, abs=1e-8)
+        closer = searched - np.abs(closest_on_tooth(pair, scattered)[1])
+        assert closer.min() > -1e-12
+        assert closer.max() < 1e-6  # half a step of the drawn tooth
 
 
 def test_flank_speed_is_the_derivative_of_the_arc():
@@ -128,9 +129,8 @@ def test_circle_through_half_a_pin():
 @pytest.mark.parametrize(
     ("pair", "elements", "along", "frame"),
     [
-        (SMALL, Elements(24, 4, 24), 96, FRAME),
-        (SMALL, Elements(24, 4, 24), 96, (0.0, 0.0)),
-        (BIG, Elements(20, 3, 20), 60, FRAME),
+        (SMALL, Elements(16, 3, 16), 64, FRAME),
+        (BIG, Elements(12, 3, 12), 48, FRAME),
     ],
 )
 def test_measured_points_give_the_drive_back_within_their_noise(tmp_path, pair, elements, along, frame):
@@ -144,7 +144,7 @@ def test_measured_points_give_the_drive_back_within_their_noise(tmp_path, pair, 
         assert a.x + 1j * a.y == pytest.approx(frame[0], abs=2 * NOISE)
         assert a.rotation == pytest.approx(frame[1], abs=2 * NOISE / 0.04)
         assert 0.8 * NOISE < a.scatter < 1.3 * NOISE
-    # Six to eight points an element: a mean's noise is 0.35 to 0.41 of a point's, and a little form within an element.
+    # Eight points an element: a mean's noise is 0.35 of a point's, and a little form within an element.
     for name in ("gear_deviation", "pin_deviation"):
         found, wanted = getattr(surface, name), getattr(known, name)
         assert rms(wanted) > 0.8 * NOISE
@@ -161,7 +161,7 @@ def test_measured_points_give_the_drive_back_within_their_noise(tmp_path, pair, 
 
 
 def test_without_noise_pitch_and_places_are_exact(tmp_path):
-    known = dataclasses.replace(known_drive(SMALL, 2, Elements(24, 4, 24)), gear_deviation=None, pin_deviation=None)
+    known = dataclasses.replace(known_drive(SMALL, 2, Elements(16, 3, 16)), gear_deviation=None, pin_deviation=None)
     surface, report = measured_surface(SMALL, points_of(tmp_path, measure(SMALL, known, 0.0, 0, FRAME)))
     assert report.outliers == ()
     for name in ("tooth_cumulative_pitch", "pin_tangential"):
@@ -173,11 +173,12 @@ def test_without_noise_pitch_and_places_are_exact(tmp_path):
 def test_points_on_one_side_of_each_tooth_find_their_teeth(tmp_path):
     """Probed on the working flanks only: the middles of the points lie a quarter of a tooth off those of the teeth."""
     rows = measure(SMALL, nominal_surface(SMALL), NOISE, 3, FRAME, along=40, across=3)
-    half = [r for i, r in enumerate(r for r in rows if r[0] == "gear") if (i // 3) % 40 < 18]
+    half = [r for i, r in enumerate(r for r in rows if r[0] == "gear") if i % 40 < 18]
     surface, report = measured_surface(SMALL, points_of(tmp_path, half), Elements(20, 3, 10))
     assert report.alignments[0].rotation == pytest.approx(2.0, abs=3e-4)
     assert rms(surface.gear_deviation) < NOISE
     assert any("no points of pins" in n for n in report.notes)
+    assert not any("column z" in n for n in report.notes)
     # 18 of 40 rows: elements 0 to 8 of 20 hold points.
     assert report.gear_empty[0, 0].sum() == 11 * 3
     assert any(
@@ -185,11 +186,17 @@ def test_points_on_one_side_of_each_tooth_find_their_teeth(tmp_path):
     )
 
 
+def test_a_narrow_trace_is_noted(tmp_path):
+    """One trace is a measurement; z in m under a header of mm looks like one."""
+    rows = [(*r[:5], r[5] * 1e-3) for r in ROWS]
+    _, report = measured_surface(SMALL, points_of(tmp_path, rows), Elements(5, 1, 5))
+    assert sum("spans" in n and "the column z" in n for n in report.notes) == 2
+
+
 def test_outliers_are_found_listed_and_left_out(tmp_path):
-    elements = Elements(24, 4, 24)
+    elements = Elements(16, 3, 16)
     known = known_drive(SMALL, 4, elements)
-    rows = measure(SMALL, known, NOISE, 1, FRAME, along=96, across=8, reach=90.0)
-    clean, _ = measured_surface(SMALL, points_of(tmp_path, rows), elements)
+    rows = measure(SMALL, known, NOISE, 1, FRAME, along=64, across=6, reach=90.0)
     generator = np.random.default_rng(9)
     hit = np.sort(generator.choice(len(rows), 60, replace=False))
     for i in hit:
@@ -202,7 +209,7 @@ def test_outliers_are_found_listed_and_left_out(tmp_path):
     assert len(set(lines) - set(hit + 2)) <= 2
     assert sum(a.outliers for a in report.alignments) == len(lines)
     assert surface.attributes["outlier_lines"].split() == [str(o.line) for o in report.outliers]
-    assert np.abs(surface.tooth_cumulative_pitch - clean.tooth_cumulative_pitch).max() < 0.1 * NOISE
+    assert np.abs(surface.tooth_cumulative_pitch - known.tooth_cumulative_pitch).max() < 0.5 * NOISE
     assert rms(surface.gear_deviation - known.gear_deviation) < 0.6 * NOISE
 
 
@@ -240,7 +247,6 @@ def few(body, number, left):
         (ROWS, {"unit": "inch", "scale": 1e3}, ("x of the gear", "check the unit")),
         ([(*r[:4], r[4] * 1e3, r[5]) for r in ROWS], {}, ("y of the gear", "thousandfold", "column y")),
         ([(*r[:5], r[5] * 1e3) for r in ROWS], {}, ("line 2", "z is", "column z")),
-        ([(*r[:5], r[5] * 1e-3) for r in ROWS], {}, ("z of the gear", "column z")),
         ([r if r[0] == "gear" else (*r[:3], r[3] * 1e3, *r[4:]) for r in ROWS], {}, ("x of the pins", "thousandfold")),
         (few("gear", 5, 7), {}, ("tooth 5 of disc 0 has 7 points", "at least 8")),
         (few("gear", 5, 0), {}, ("tooth 5 of disc 0 has 0 points",)),
@@ -249,6 +255,8 @@ def few(body, number, left):
         ([*ROWS, ("gear", 2, 0, 0.04, 0.0, 0.0)], {}, (f"line {len(ROWS) + 2}: disc 2", "the pair has 2")),
         ([*ROWS, ("gear", 0, 12, 0.04, 0.0, 0.0)], {}, ("tooth 12 does not exist", "0 to 11")),
         ([(*r[:2], -r[2] % 12 if r[0] == "gear" else r[2], *r[3:]) for r in ROWS], {}, ("counter-clockwise",)),
+        ([(*r[:2], {3: 4, 4: 3}.get(r[2], r[2]) if r[0] == "gear" else r[2], *r[3:]) for r in ROWS], {},
+         ("of disc 0", "off its place")),
         ([(*r[:2], -r[2] % 13 if r[0] == "pin" else r[2], *r[3:]) for r in ROWS], {}, ("counter-clockwise",)),
     ],
 )  # fmt: skip
@@ -267,9 +275,9 @@ def test_points_that_cannot_be_are_one_sentence(tmp_path, rows, unit, said):
     [
         ("", "empty"),
         ("body,disc,number,x [mm],y [mm],z [mm]\n", "no points"),
-        ("body,disc,number,x,y [mm],z [mm]\n", 'write "x [mm]"'),
+        ("body,disc,number,x,y [mm],z [mm]\n", 'write "x [m]"'),
         ("body,disc,number,x [kg],y [mm],z [mm]\n", "measures something else"),
-        ("body,disc,number,x [mm],y [mm]\n", 'no column "z [mm]"'),
+        ("body,disc,number,x [mm],y [mm]\n", 'no column "z [m]"'),
         ("body,disc,x [mm],y [mm],z [mm]\n", 'no column "number"'),
         ("body,disc,number,x [mm],y [mm],z [mm]\nring,0,0,1,1,1\n", 'line 2: body is "ring"'),
         ("body,disc,number,x [mm],y [mm],z [mm]\ngear,0,-1,1,1,1\n", 'line 2: number is "-1"'),
@@ -281,7 +289,7 @@ def test_points_that_cannot_be_are_one_sentence(tmp_path, rows, unit, said):
 )
 def test_bad_files_are_one_sentence(tmp_path, content, said):
     (tmp_path / "cmm.csv").write_text(content)
-    with pytest.raises(edge.InputError, match="cmm.csv: ") as caught:
+    with pytest.raises(edge.InputError, match=r"cmm\.csv: ") as caught:
         read_points(tmp_path / "cmm.csv")
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
