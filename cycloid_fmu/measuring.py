@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
+from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from cycloid_fmu import edge
@@ -375,7 +376,6 @@ def _fit(
     """
     back = np.exp(-2j * np.pi * tooth / pair.pair.gear_teeth)
     radius = pair.pair.pin_circle_radius
-    index = np.arange(tooth.size)
 
     def moved(v: Array) -> Complex:
         return np.asarray((points - _MICRON * (v[0] + 1j * v[1])) * np.exp(-1j * _MICRON * v[2:][turning] / radius))
@@ -383,13 +383,12 @@ def _fit(
     def residual(v: Array) -> Array:
         return closest_on_tooth(pair, moved(v) * back)[1] / _MICRON
 
-    def slope(v: Array) -> Array:
+    def slope(v: Array) -> csr_array:
         at = moved(v)
         normal = closest_on_tooth(pair, at * back)[2] * back.conj()
-        result = np.zeros((tooth.size, v.size))
-        result[:, 0], result[:, 1] = -normal.real, -normal.imag
-        result[index, 2 + turning] = -(normal * at.conj()).imag / radius
-        return result
+        columns = np.column_stack([np.zeros_like(turning), np.ones_like(turning), 2 + turning])
+        entries = np.column_stack([-normal.real, -normal.imag, -(normal * at.conj()).imag / radius])
+        return csr_array((entries.ravel(), columns.ravel(), 3 * np.arange(tooth.size + 1)), (tooth.size, v.size))
 
     fit = least_squares(
         residual, start, slope, loss=loss, f_scale=scale, xtol=1e-9, gtol=1e-9, ftol=1e-10, max_nfev=steps
