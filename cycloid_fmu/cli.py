@@ -198,15 +198,17 @@ def measured(
     write_surface(surface, output)
     if plot is not None:
         plots.save(plots.plot_surface(surface), plot)
+    found = report.alignments
     rows = [
-        [
-            a.body, str(a.points), str(a.outliers), f"{a.x * 1e3:.4f} mm", f"{a.y * 1e3:.4f} mm",
-            f"{np.degrees(a.rotation):.5f}°", f"{a.rms * 1e6:.3f} µm", f"{a.scatter * 1e6:.3f} µm",
-        ]
-        for a in report.alignments
-    ]  # fmt: skip
-    columns = ["body", "points", "outliers", "shift x", "shift y", "rotation", "deviation rms", "scatter rms"]
-    print_table(points_file.name, columns, rows)
+        ["points", *(str(a.points) for a in found)],
+        ["outliers left out", *(str(a.outliers) for a in found)],
+        ["frame, x", *(f"{a.x * 1e3:.4f} mm" for a in found)],
+        ["frame, y", *(f"{a.y * 1e3:.4f} mm" for a in found)],
+        ["frame, turn", *(f"{np.degrees(a.rotation):.5f}°" for a in found)],
+        ["form, rms", *(f"{a.rms * 1e6:.3f} µm" for a in found)],
+        ["scatter, rms", *(f"{a.scatter * 1e6:.3f} µm" for a in found)],
+    ]
+    print_table(points_file.name, ["figure", *(a.body for a in found)], rows)
     for outlier in report.outliers:
         typer.echo(
             f"{points_file.name}: line {outlier.line}: {outlier.place} lies {outlier.distance * 1e6:.1f} µm off its "
