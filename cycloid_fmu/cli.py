@@ -136,10 +136,13 @@ surface_app = typer.Typer(no_args_is_help=True, help="Make error surfaces.")
 app.add_typer(surface_app, name="surface")
 
 
+SurfaceOutput = Annotated[Path, typer.Option("-o", "--output", help="The surface file (netCDF).")]
+
+
 @surface_app.command()
 def nominal(
     pair_file: PairFile,
-    output: Annotated[Path, typer.Option("-o", "--output", help="The surface file (netCDF).")],
+    output: SurfaceOutput,
     plot: PlotFile = None,
 ) -> None:
     """Write the surface that the pair file itself describes: nominal flanks with the errors it states.
@@ -149,10 +152,94 @@ def nominal(
     from cycloid_fmu import plots
     from cycloid_fmu.surface import write_surface
 
+    if plot is not None:
+        plots.check_path(plot)
     _, surface = _load(pair_file, None)
     write_surface(surface, output)
     if plot is not None:
         plots.save(plots.plot_surface(surface), plot)
+
+
+@surface_app.command()
+def sampled(
+    pair_file: PairFile,
+    tolerances_file: Annotated[
+        Path, typer.Option("--tolerances", metavar="T.toml", help="The tolerances (format cycloid-tolerances/1).")
+    ],
+    seed: Annotated[int, typer.Option(help="The same seed draws the same drive.")],
+    output: SurfaceOutput,
+    profile: Annotated[int, typer.Option(min=1, help="Elements along a tooth's profile.")] = 200,
+    width: Annotated[int, typer.Option(min=1, help="Elements across the width.")] = 20,
+    angle: Annotated[int, typer.Option(min=1, help="Elements round the half of a pin.")] = 100,
+    plot: PlotFile = None,
+) -> None:
+    """Draw one drive that the tolerances allow; the errors that the pair file itself states are not part of it.
+
+    Example: [cyan]cycloid-fmu surface sampled pair.toml --tolerances tolerances.toml --seed 1 -o surface.nc[/]
+    """
+    from cycloid_fmu import plots
+    from cycloid_fmu.pair import read_pair
+    from cycloid_fmu.sampling import read_tolerances, sample_surface
+    from cycloid_fmu.surface import Elements, write_surface
+
+    if plot is not None:
+        plots.check_path(plot)
+    pair, tolerances = read_pair(pair_file), read_tolerances(tolerances_file)
+    surface = sample_surface(pair, tolerances, seed, Elements(profile, width, angle))
+    write_surface(surface, output)
+    if plot is not None:
+        plots.save(plots.plot_surface(surface), plot)
+
+
+@surface_app.command()
+def measured(
+    pair_file: PairFile,
+    points_file: Annotated[
+        Path,
+        typer.Option(
+            "--points", metavar="CMM.csv", help="Points of flanks and pins: body,disc,number,x [mm],y [mm],z [mm]."
+        ),
+    ],
+    output: SurfaceOutput,
+    profile: Annotated[int, typer.Option(min=1, help="Elements along a tooth's profile.")] = 50,
+    width: Annotated[int, typer.Option(min=1, help="Elements across the width.")] = 5,
+    angle: Annotated[int, typer.Option(min=1, help="Elements round the half of a pin.")] = 25,
+    plot: PlotFile = None,
+) -> None:
+    """Find the surface that coordinates of a measuring machine show: aligned, outliers left out, averaged.
+
+    Example: [cyan]cycloid-fmu surface measured pair.toml --points cmm.csv -o surface.nc --plot surface.png[/]
+    """
+    from cycloid_fmu import plots
+    from cycloid_fmu.measuring import measured_surface, read_points
+    from cycloid_fmu.pair import read_pair
+    from cycloid_fmu.surface import Elements, write_surface
+
+    if plot is not None:
+        plots.check_path(plot)
+    pair, points = read_pair(pair_file), read_points(points_file)
+    surface, report = measured_surface(pair, points, Elements(profile, width, angle))
+    write_surface(surface, output)
+    if plot is not None:
+        plots.save(plots.plot_surface(surface), plot)
+    found = report.alignments
+    rows = [
+        ["points", *(str(a.points) for a in found)],
+        ["outliers left out", *(str(a.outliers) for a in found)],
+        ["frame, x", *(f"{a.x * 1e3:.4f} mm" for a in found)],
+        ["frame, y", *(f"{a.y * 1e3:.4f} mm" for a in found)],
+        ["frame, turn", *(f"{np.degrees(a.rotation):.5f}°" for a in found)],
+        ["form, rms", *(f"{a.rms * 1e6:.3f} µm" for a in found)],
+        ["scatter, rms", *(f"{a.scatter * 1e6:.3f} µm" for a in found)],
+    ]
+    print_table(points_file.name, ["figure", *(a.body for a in found)], rows)
+    for outlier in report.outliers:
+        typer.echo(
+            f"{points_file.name}: line {outlier.line}: {outlier.place} lies {outlier.distance * 1e6:.1f} µm off its "
+            "neighbours and was left out."
+        )
+    for note in report.notes:
+        typer.echo(note)
 
 
 @app.command()

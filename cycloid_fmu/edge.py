@@ -16,7 +16,7 @@ import signal
 import sys
 import tempfile
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeVar
 
@@ -203,6 +203,41 @@ def existing(path: str | os.PathLike[str]) -> Path:
             return Path(path)
     except OSError as problem:
         raise InputError(f"{path}: {problem.strerror or problem}.") from None
+
+
+def unit_columns(header: Sequence[str], wanted: Mapping[str, str], source: str) -> dict[str, tuple[int, float]]:
+    """Return position and scale to SI of the wanted columns of a table whose header says units, `time [s]`.
+
+    Parameters
+    ----------
+    header
+        The header's cells.
+    wanted
+        SI unit of each column that must be there; others are passed over.
+    source
+        The file's name, for messages.
+
+    Raises
+    ------
+    InputError
+        If a column or its unit is missing, or the unit measures something else.
+    """
+    found: dict[str, tuple[int, float]] = {}
+    for position, cell in enumerate(header):
+        name, bracket, unit = cell.strip().partition("[")
+        name = name.strip()
+        if name not in wanted:
+            continue
+        if not bracket or not unit.endswith("]"):
+            raise InputError(f'{source}: the column "{cell.strip()}" has no unit; write "{name} [{wanted[name]}]".')
+        try:
+            found[name] = (position, unit_scale(unit[:-1].strip(), wanted[name]))
+        except ValueError as problem:
+            raise InputError(f"{source}: the column {name}: {problem}.") from None
+    for name, unit in wanted.items():
+        if name not in found:
+            raise InputError(f'{source}: there is no column "{name} [{unit}]" in the header.')
+    return found
 
 
 @contextlib.contextmanager

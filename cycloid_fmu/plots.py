@@ -114,11 +114,23 @@ def plot_lines(data: xr.Dataset) -> Figure:
 
 
 def plot_surface(surface: object) -> Figure:
-    """Position and radius errors of the pins and the cumulative pitch of the teeth."""
+    """Position and radius errors of the pins, cumulative pitch of the teeth, and the elements' deviations if any.
+
+    Of the flanks the mean of all teeth and tooth 0 of disc 0 are drawn, of the pins the mean and pin 0.
+    """
     from cycloid_fmu.surface import ErrorSurface
 
     assert isinstance(surface, ErrorSurface)
-    figure, axes = new_figure(2)
+    maps = []
+    if surface.gear_deviation is not None:
+        teeth = surface.gear_deviation.reshape(-1, *surface.gear_deviation.shape[2:])
+        along = ("profile, root to root", (0.0, 1.0))
+        maps += [("mean of all teeth", teeth.mean(axis=0), along), ("tooth 0, disc 0", teeth[0], along)]
+    if surface.pin_deviation is not None:
+        along = ("angle from the circle's centre [°]", (-90.0, 90.0))
+        maps += [("mean of all pins", surface.pin_deviation.mean(axis=0), along)]
+        maps += [("pin 0", surface.pin_deviation[0], along)]
+    figure, axes = new_figure(1 + len(maps) // 2, 2) if maps else new_figure(2)
     for name, label in (("pin_radial", "radial"), ("pin_tangential", "tangential"), ("pin_radius_deviation", "radius")):
         axes[0].plot(getattr(surface, name) * 1e6, "o-", ms=3, lw=1, label=label)
     axes[0].set(xlabel="pin", ylabel="error [µm]")
@@ -127,6 +139,16 @@ def plot_surface(surface: object) -> Figure:
         axes[1].plot(pitch * 1e6, "o-", ms=3, lw=1, label=f"disc {disc}")
     axes[1].set(xlabel="tooth", ylabel="cumulative pitch [µm]")
     axes[1].legend(fontsize=8, frameon=False)
+    for axis, (title, elements, (label, ends)) in zip(axes[2:], maps, strict=True):
+        largest = max(np.abs(elements).max() * 1e6, 1e-3)
+        image = axis.imshow(
+            elements.T * 1e6, origin="lower", aspect="auto", extent=(*ends, -0.5, 0.5), cmap="RdBu_r", vmin=-largest,
+            vmax=largest,
+        )  # fmt: skip
+        axis.set(xlabel=label, ylabel="part of the width")
+        axis.set_title(f"deviation, {title}", fontsize=9)
+        axis.grid(False)
+        figure.colorbar(image, ax=axis, label="µm")
     return figure
 
 

@@ -66,12 +66,33 @@ def flank_curvature(pair: Pair, alpha: ArrayLike) -> Array:
     return np.asarray(path / (1.0 - pair.generating_pin_radius * path))
 
 
+def flank_speed(pair: Pair, alpha: ArrayLike) -> Array:
+    """Arc length of the nominal flank for each radian of the profile parameter, m, the shape of `alpha`.
+
+    The generating pin's centre runs at R S; the flank r inside its path is 1 - r κ = 1/(1 + r/ρ_c) as long.
+    """
+    a = np.asarray(alpha, dtype=float)
+    k = pair.shortening
+    path = pair.generating_circle_radius * np.sqrt(1.0 + k * k - 2.0 * k * np.cos(pair.pair.gear_teeth * a))
+    return np.asarray(path / (1.0 + pair.generating_pin_radius * flank_curvature(pair, a)))
+
+
+def arc_parts(pair: Pair, alpha: ArrayLike) -> Array:
+    """Part of tooth 0's arc length, 0 at its first root and 1 at its second, at each profile parameter."""
+    edges, arc = _arc_length(pair, 4000)
+    return np.asarray(np.interp(np.asarray(alpha, dtype=float), edges, arc / arc[-1]))
+
+
+def _arc_length(pair: Pair, steps: int) -> tuple[Array, Array]:
+    edges = np.linspace(0.0, 2.0 * np.pi / pair.pair.gear_teeth, steps + 1)
+    return edges, np.concatenate([[0.0], np.cumsum(np.hypot(*(np.diff(v) for v in flank_points(pair, edges))))])
+
+
 def equal_arc_parameters(pair: Pair, count: int) -> Array:
     """Profile parameters of the middles of `count` elements of equal arc length on tooth 0, shape (count,), rad.
 
     The error-surface paper fits a polynomial to the arc length; here it is integrated finely and interpolated.
     """
-    edges = np.linspace(0.0, 2.0 * np.pi / pair.pair.gear_teeth, 200 * max(count, 20) + 1)
-    arc = np.concatenate([[0.0], np.cumsum(np.hypot(*(np.diff(v) for v in flank_points(pair, edges))))])
+    edges, arc = _arc_length(pair, 200 * max(count, 20))
     middles = (np.arange(count) + 0.5) / count * arc[-1]
     return np.asarray(np.interp(middles, arc, edges))

@@ -48,6 +48,20 @@ DESCRIPTIONS = {
 
 
 @dataclass(frozen=True)
+class Elements:
+    """How many elements a surface has: along a tooth's profile, across the width, and round the half of a pin."""
+
+    profile: int = 200
+    width: int = 20
+    angle: int = 100
+
+    def __post_init__(self) -> None:
+        for name in ("profile", "width", "angle"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} = {getattr(self, name)}: a surface has at least one element each way")
+
+
+@dataclass(frozen=True)
 class ErrorSurface:
     """Errors of one pair, SI; the scalars' names and signs are those of the pair file's `[errors]`.
 
@@ -297,12 +311,13 @@ def _checked_deviation(given: Any, name: str, dimensions: tuple[str, ...], blank
     for dimension, size in zip(dimensions, given.shape, strict=True):
         if size == 0 or size != sizes.get(dimension, size):
             raise edge.InputError(f"{source}: {name} has {size} of {dimension}; its pair needs {sizes[dimension]}.")
-    values: Array = np.asarray(given.values, dtype=float)
+    values: Array = given.values.astype(float)
     if not np.isfinite(values).all():
         raise edge.InputError(f"{source}: {name} holds a value that is not finite.")
-    if np.abs(values).max() > LARGEST_ELEMENT:
+    largest = np.abs(values).max()
+    if largest > LARGEST_ELEMENT:
         raise edge.InputError(
-            f"{source}: {name} reaches {np.abs(values).max() * 1e3:.4g} mm; it must lie within half a millimetre."
+            f"{source}: {name} reaches {largest * 1e3:.4g} mm; deviations must lie within half a millimetre."
         )
     return values
 

@@ -137,21 +137,7 @@ def _from_csv(path: str | os.PathLike[str]) -> BenchRecording:
     lines = edge.read_text(path).splitlines()
     if not lines:
         raise edge.InputError(f"{path}: the file is empty.")
-    scales: dict[str, tuple[int, float]] = {}
-    for position, cell in enumerate(next(csv.reader(lines[:1]))):
-        name, bracket, unit = cell.strip().partition("[")
-        name = name.strip()
-        if name not in COLUMNS:
-            continue
-        if not bracket or not unit.endswith("]"):
-            raise edge.InputError(f'{path}: the column "{cell.strip()}" has no unit; write "{name} [{COLUMNS[name]}]".')
-        try:
-            scales[name] = (position, edge.unit_scale(unit[:-1].strip(), COLUMNS[name]))
-        except ValueError as problem:
-            raise edge.InputError(f"{path}: the column {name}: {problem}.") from None
-    for name, unit in COLUMNS.items():
-        if name not in scales:
-            raise edge.InputError(f'{path}: there is no column "{name} [{unit}]" in the header.')
+    scales = edge.unit_columns(next(csv.reader(lines[:1])), COLUMNS, str(path))
     if len(lines) < 2:
         raise edge.InputError(f"{path}: the recording has no samples.")
     columns = [position for position, _ in scales.values()]

@@ -239,8 +239,19 @@ def test_an_interrupted_sweep_keeps_what_is_done():
 def test_ctrl_c_writes_what_is_done(tmp_path):
     (tmp_path / "pair.toml").write_text(TILTED.text)
     command = str(Path(sys.executable).with_name("cycloid-fmu"))
-    words = [command, "analyze", "pair.toml", "--torque", "50 N*m", "--slices", "60", "--angles", "20000", "--turns", "5",
-             "-o", "out.nc"]  # fmt: skip
+    words = [
+        command,
+        "analyze",
+        "pair.toml",
+        "--torque",
+        "50 N*m",
+        "--slices",
+        "60",
+        "--angles",
+        "20000",
+        "-o",
+        "out.nc",
+    ]
     process = subprocess.Popen(words, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
     begin, busy = time.monotonic(), 0.0
     while busy < 8.0 and time.monotonic() - begin < 120:  # processor seconds: well past the imports
