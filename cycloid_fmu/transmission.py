@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -249,7 +250,9 @@ def solve(
         drive = drive._replace(**_flank_points(pair, surface, profile))
     gear_map, pin_map = np.zeros((torques.size, *gear_shape)), np.zeros((torques.size, *pin_shape))
 
-    def part(first: int) -> tuple[int, Array, Array]:
+    merging = Lock()
+
+    def part(first: int) -> int:
         last = min(first + PART, angles.size)
         gear, pins = np.zeros_like(gear_map), np.zeros_like(pin_map)
         if with_play:
@@ -259,7 +262,10 @@ def solve(
                 drive, angles, load, first, last, deviation[k], stiffness[k], count[k], pressure[k], force[k],
                 pin_pressure[k], slice_force[k], slice_direction[k], gear[k], pins[k],
             )  # fmt: skip
-        return last - first, gear, pins
+        with merging:
+            np.maximum(gear_map, gear, out=gear_map)
+            np.maximum(pin_map, pins, out=pin_map)
+        return last - first
 
     def result(done: slice) -> Transmission:
         return Transmission(
@@ -273,9 +279,7 @@ def solve(
         waiting = [pool.submit(part, first) for first in range(0, angles.size, PART)]
         try:
             for future in waiting:
-                size, gear, pins = future.result()
-                np.maximum(gear_map, gear, out=gear_map)
-                np.maximum(pin_map, pins, out=pin_map)
+                size = future.result()
                 finished += size
                 progress(size * torques.size)
         except KeyboardInterrupt:

@@ -28,3 +28,16 @@ def test_from_the_bench_to_the_fmu_and_back(tmp_path):
     assert (out / "comparison.png").stat().st_size > 50000
     assert len(list(out.glob("*.arrows"))) == 4
     shutil.rmtree(out)
+
+
+def test_what_each_error_does(tmp_path):
+    """The study of the error-surface paper: design.md section 9 says which of its conclusions hold."""
+    run = subprocess.run(
+        [sys.executable, str(EXAMPLES / "error_study.py")], cwd=tmp_path, capture_output=True, text=True, timeout=300
+    )
+    assert run.returncode == 0, run.stderr
+    lines = {line.strip("│ ").split("  ")[0]: "does not hold" not in line for line in run.stdout.splitlines()}
+    assert lines["pitch leads PPTE"]
+    assert lines["centre distance leads PPTE"]
+    assert not lines["misalignment leads PPTE"]
+    assert (tmp_path / "error_study.png").stat().st_size > 10000
