@@ -10,6 +10,7 @@ import brute_force
 import numpy as np
 import pytest
 from common import ARCSEC, CASES
+from element_pairs import solve_elements
 
 from cycloid_fmu.pair import parse_pair, read_pair
 from cycloid_fmu.surface import surface_of_pair
@@ -63,3 +64,19 @@ def test_a_hundred_slices_misaligned(benchmark):
     solve(pair, surface, -120.0, ANGLES[:3], 100)
     benchmark(solve, pair, surface, -120.0, ANGLES[::10], 100, with_play=False)
     benchmark.extra_info["ms a crank angle"] = round(benchmark.stats.stats.median / 360 * 1e3, 3)
+
+
+def test_against_the_paper_s_element_pairs(benchmark):
+    """The paper's search at 800 x 100 elements on both surfaces, measured small and scaled by the number of pairs.
+
+    It is linear in each number of elements; at least 10⁴ times slower is asked for.
+    """
+    text = (CASES / "errors-39-40.toml").read_text().replace("[errors]", '[errors]\nmisalignment_xz = "0.3 mrad"')
+    pair = parse_pair(text, "tilted")
+    surface = surface_of_pair(pair)
+    solve(pair, surface, -120.0, ANGLES[:3], 100)
+    benchmark(solve, pair, surface, -120.0, ANGLES[::10], 100, with_play=False)
+    mine = benchmark.stats.stats.median / 360
+    small = solve_elements(pair, surface, 1.7, -120.0, 1, 50, 50, pairs="all", with_play=False)
+    scaled = small["seconds"] * (800 / 50) * (800 / 50) * 100
+    benchmark.extra_info["times faster than the paper's search, scaled"] = round(scaled / mine)
