@@ -306,18 +306,20 @@ def place(
                     if step == 5 and _interpolated(contacts, first, stride, slices, x):
                         break
                     slice_ = step - 5
-                ux, uy = ox + centre_x[slice_], oy + centre_y[slice_]
                 row = first + slice_ * stride
-                cx, cy = ux * cg + uy * sg, uy * cg - ux * sg
-                wx, wy = px - cx, py - cy
                 if clear < math.inf:
                     dx = x - contacts[row, AT]
                     ahead = contacts[row, GAP] - dx * (contacts[row, ARM] + 0.5 * dx * contacts[row, ARM_RATE])
-                    other = contacts[row + 1, GAP] - dx * (
-                        contacts[row + 1, ARM] + 0.5 * dx * contacts[row + 1, ARM_RATE]
-                    )
-                    if min(ahead, other) > clear:
+                    if ahead > clear and (
+                        contacts[row + 1, GAP] == math.inf
+                        or contacts[row + 1, GAP]
+                        - dx * (contacts[row + 1, ARM] + 0.5 * dx * contacts[row + 1, ARM_RATE])
+                        > clear
+                    ):
                         continue
+                ux, uy = ox + centre_x[slice_], oy + centre_y[slice_]
+                cx, cy = ux * cg + uy * sg, uy * cg - ux * sg
+                wx, wy = px - cx, py - cy
                 tooth = math.floor(conjugate / pitch)
                 turn = tooth_turn[disc, int(tooth) % teeth]
                 qx, qy = _on_tooth(wx, wy, turn)

@@ -25,7 +25,7 @@ FORMAT = "cycloid-analysis/1"
 PROFILE_ELEMENTS = 800  # of a tooth, as in the error-surface paper, where a surface does not say
 ANGLE_ELEMENTS = 400  # of half a pin
 SLICES_MISALIGNED = 20  # transmission error within 0.1 % to 0.5 mrad, by midpoints (design.md section 9)
-PART = 90  # crank angles that are solved in a row, each from its neighbour
+PART = 360  # crank angles that are solved in a row, each from its neighbour
 
 
 @dataclass(frozen=True)
