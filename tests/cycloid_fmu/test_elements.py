@@ -152,7 +152,7 @@ def test_statistics_are_the_paper_s():
 
 def test_the_number_of_workers_changes_no_bit():
     surface = surface_of_pair(TILTED)
-    angles = np.linspace(0, 6, 400)
+    angles = np.linspace(0, 6, 900)
     one, two = (solve(TILTED, surface, [-120.0, 0.0], angles, 10, workers=n) for n in (1, 2))
     assert (one.transmission_error == two.transmission_error).all()
     assert (one.backlash == two.backlash).all()
@@ -224,11 +224,11 @@ def test_an_interrupted_sweep_keeps_what_is_done():
             raise KeyboardInterrupt
 
     seen = []
-    angles = np.linspace(0, 6, 500)
+    angles = np.linspace(0, 6, 2000)
     with pytest.raises(Interrupted) as interrupted:
         solve(ERRORS, surface_of_pair(ERRORS), -120.0, angles, progress=stop)
     kept = interrupted.value.result
-    assert 0 < kept.crank_angle.size < 500
+    assert 0 < kept.crank_angle.size < 2000
     whole = solve(ERRORS, surface_of_pair(ERRORS), -120.0, angles)
     assert (kept.transmission_error == whole.transmission_error[:, : kept.crank_angle.size]).all()
 
