@@ -90,8 +90,9 @@ class Drive(NamedTuple):
         Phase from a root within which both its teeth are tried, rad.
     root_margin
         How far neighbouring teeth may stand apart at their root, m.
-    flank_alpha, flank_x, flank_y
-        Profile parameter (rad) and points (m) of tooth 0 at its ends and its elements' middles, shape (elements + 2,).
+    flank_alpha, flank_x, flank_y, flank_normal_x, flank_normal_y
+        Profile parameter (rad), points (m) and normals of tooth 0 at its ends and its elements' middles, shape
+        (elements + 2,).
     gear_deviation
         Normal deviation at those points, shape (discs, slices, teeth, elements + 2), m; size 0 where flanks and pins
         are nominal. Between the points it is linear in the parameter.
@@ -124,6 +125,8 @@ class Drive(NamedTuple):
     flank_alpha: Array
     flank_x: Array
     flank_y: Array
+    flank_normal_x: Array
+    flank_normal_y: Array
     gear_deviation: Array
     pin_deviation: Array
     largest_deviation: float
@@ -232,13 +235,12 @@ def _write_contact(
     foot: float,
     alpha: float,
     state: _Tangency,
-    height: float,
     ox: float,
     oy: float,
     pin_radius: float,
     x: float,
 ) -> None:
-    """Write gap, moment arm and their rates where the pin is nearest the flank's point α, raised by `height`.
+    """Write gap, moment arm and their rates where the pin is nearest the flank's point α.
 
     The foot is that of the pin on the nominal flank, as an offset from the conjugate point; α is the same place unless
     deviations move the contact along the flank.
@@ -263,7 +265,7 @@ def _write_contact(
     kappa = _path_curvature(circle_radius, eccentricity, teeth, bx, speed)
     contacts[row, FOOT] = foot
     contacts[row, FOOT_RATE] = sign * lever / (speed * stretch)
-    contacts[row, GAP] = distance - pin_radius - height
+    contacts[row, GAP] = distance - pin_radius
     contacts[row, ARM] = sign * (qy * nx - qx * ny)
     contacts[row, ARM_RATE] = lever - lever * lever * kappa / stretch
     inside = 1.0 / (1.0 - radius * kappa)
@@ -362,9 +364,7 @@ def place(
                 if found:
                     _, _, _, _, bx, by, dx, dy = state
                     distance = (dx * bx + dy * by) / math.sqrt(bx * bx + by * by)
-                    _write_contact(
-                        flank, contacts, row, alpha - conjugate, alpha, state, 0.0, cx, cy, pin_radius[pin], x
-                    )
+                    _write_contact(flank, contacts, row, alpha - conjugate, alpha, state, cx, cy, pin_radius[pin], x)
                 else:
                     contacts[row, GAP] = math.inf
                     contacts[row, FOOT] = math.nan
@@ -385,9 +385,7 @@ def place(
                 qx, qy = _on_tooth(wx, wy, turn)
                 found, alpha, state = _foot(qx, qy, start, lower, upper, R, e, teeth)
                 if found and lower < alpha < upper:
-                    _write_contact(
-                        flank, contacts, row, alpha - conjugate, alpha, state, 0.0, cx, cy, pin_radius[pin], x
-                    )
+                    _write_contact(flank, contacts, row, alpha - conjugate, alpha, state, cx, cy, pin_radius[pin], x)
                 else:
                     contacts[row, FOOT] = math.nan
     if drive.gear_deviation.size > 0:
@@ -441,20 +439,12 @@ def _parabola(slice_: int, middle: int, last: int) -> tuple[float, float, float]
 def _raise(drive: Drive, theta: float, x: float, contacts: Array, bounded: float) -> None:
     """Move the contacts just solved on nominal surfaces to where the surfaces with deviations come closest.
 
-    The elements are searched outwards from the nominal foot until the nominal surfaces stand farther apart than any
-    deviation can make up for; the best point is then refined on the two pieces beside it, where deviations are linear.
+    The pieces between neighbouring elements, on which deviations are linear, are searched outwards from the nominal
+    foot until the nominal surfaces stand farther apart than any deviation can make up for.
     """
     teeth = drive.teeth
     pins, slices = teeth + 1, drive.centre_x.size
     pitch = 2.0 * math.pi / teeth
-    flank = (
-        drive.circle_radius,
-        drive.generating_eccentricity,
-        drive.generating_radius,
-        teeth,
-        drive.ring,
-    )
-    ends = np.empty(2)
     for row in range(contacts.shape[0]):
         if contacts[row, AT] != x or not contacts[row, GAP] < math.inf:
             continue
@@ -489,71 +479,144 @@ def _raise(drive: Drive, theta: float, x: float, contacts: Array, bounded: float
         points = drive.flank_alpha.size
         middle = np.searchsorted(drive.flank_alpha, alpha - base)
         middle = min(max(middle, 1), points - 2)
-        best, chosen = math.inf, middle
+        arc = math.hypot(
+            drive.flank_x[middle + 1] - drive.flank_x[middle], drive.flank_y[middle + 1] - drive.flank_y[middle]
+        )
+        # Twice what a piece's middle may come closer than its ends.
+        sag = 0.25 * arc * arc * abs(1.0 / pin_radius + contacts[row, CURVATURE])
+        best = (math.inf, 0.0, 0.0, 0.0)
         for direction in (-1, 1):
-            point = middle if direction < 0 else middle + 1
-            while 0 <= point < points:
-                vx, vy = drive.flank_x[point] - gx, drive.flank_y[point] - gy
-                nominal = math.sqrt(vx * vx + vy * vy) - pin_radius
-                if nominal - drive.largest_deviation > best:
+            point = middle
+            nominal, raised, seen = _raised(drive, disc, slice_, number, pin, point, gx, gy, fx, fy)
+            while 0 <= point + direction < points:
+                if point != middle and nominal - drive.largest_deviation > best[0]:
                     break
-                raised = nominal - drive.gear_deviation[disc, slice_, number, point]
-                raised -= _pin_height(drive, slice_, pin, fx * vy - fy * vx, fx * vx + fy * vy)
-                if raised < best:
-                    best, chosen = raised, point
+                last_raised, last_seen = raised, seen
                 point += direction
-        best, height, place_ = math.inf, 0.0, alpha
-        for piece in (chosen - 1, chosen):
-            if piece < 0 or piece + 1 >= points:
-                continue
-            a, b = drive.flank_alpha[piece], drive.flank_alpha[piece + 1]
-            for end in range(2):
-                vx, vy = drive.flank_x[piece + end] - gx, drive.flank_y[piece + end] - gy
-                ends[end] = drive.gear_deviation[disc, slice_, number, piece + end] + _pin_height(
-                    drive, slice_, pin, fx * vy - fy * vx, fx * vx + fy * vy
-                )
-            rise = (ends[1] - ends[0]) / (b - a)
-            at = 0.5 * (a + b)
-            low, high = a, b
-            gap = math.inf
-            for _ in range(8):
-                trial = _tangency(gx, gy, at, drive.circle_radius, drive.generating_eccentricity, teeth)
-                distance, fall, bend = _flank_distance(drive, trial)
-                gap = distance - pin_radius - ends[0] - rise * (at - a)
-                step = -(fall - rise) / bend if bend > 0.0 else math.copysign(b - a, rise - fall)
-                following = min(max(at + step, low), high)
-                if abs(following - at) < 1e-9 * (b - a):
-                    break
-                at = following
-            if gap < best:
-                best, height, place_ = gap, ends[0] + rise * (at - a), base + at
+                nominal, raised, seen = _raised(drive, disc, slice_, number, pin, point, gx, gy, fx, fy)
+                if min(raised, last_raised) - sag < best[0]:
+                    seen_ends = (last_seen, seen) if direction > 0 else (seen, last_seen)
+                    piece = min(point, point - direction)
+                    closest = _closest_on_piece(drive, disc, slice_, number, pin, piece, seen_ends, gx, gy)
+                    if closest[0] < best[0]:
+                        best = closest
+        _, at, gear_height, pin_height = best
+        place_ = base + at
         _write_contact(
-            flank, contacts, row, contacts[row, FOOT], place_,
-            _tangency(px, py, place_, drive.circle_radius, drive.generating_eccentricity, teeth), height, ox, oy,
-            pin_radius, x,
+            (
+                drive.circle_radius, drive.generating_eccentricity, drive.generating_radius - gear_height, teeth,
+                drive.ring,
+            ),
+            contacts, row, contacts[row, FOOT], place_,
+            _tangency(px, py, place_, drive.circle_radius, drive.generating_eccentricity, teeth), ox, oy,
+            pin_radius + pin_height, x,
         )  # fmt: skip
 
 
 @_inlined
-def _flank_distance(drive: Drive, state: _Tangency) -> tuple[float, float, float]:
-    """Distance of a pin's axis from a point of the flank, and its first and second derivative by α (near the foot)."""
-    f, slope, _, _, bx, by, dx, dy = state
-    speed = math.sqrt(bx * bx + by * by)
-    wx, wy = dx + drive.generating_radius * bx / speed, dy + drive.generating_radius * by / speed
-    distance = math.sqrt(wx * wx + wy * wy)
-    kappa = _path_curvature(drive.circle_radius, drive.generating_eccentricity, drive.teeth, bx, speed)
-    shrink = (1.0 - drive.generating_radius * kappa) / distance
-    return distance, -f * shrink, -slope * shrink
+def _raised(
+    drive: Drive, disc: int, slice_: int, tooth: int, pin: int, point: int, gx: float, gy: float, fx: float, fy: float
+) -> tuple[float, float, float]:
+    """Gap at one of the flank's points, nominal and with the deviations, and the place on the pin that faces it.
+
+    (gx, gy) is the pin's axis on tooth 0, (fx, fy) the direction from it to the pin circle's centre.
+    """
+    vx, vy = drive.flank_x[point] - gx, drive.flank_y[point] - gy
+    nominal = math.sqrt(vx * vx + vy * vy) - drive.pin_radius[pin]
+    height = drive.gear_deviation[disc, slice_, tooth, point]
+    vx, vy = vx + height * drive.flank_normal_x[point], vy + height * drive.flank_normal_y[point]
+    seen = _pin_place(drive, fx * vy - fy * vx, fx * vx + fy * vy)
+    raised = math.sqrt(vx * vx + vy * vy) - drive.pin_radius[pin] - _pin_height(drive, slice_, pin, seen)
+    return nominal, raised, seen
+
+
+@_compiled
+def _closest_on_piece(
+    drive: Drive,
+    disc: int,
+    slice_: int,
+    tooth: int,
+    pin: int,
+    piece: int,
+    seen: tuple[float, float],
+    gx: float,
+    gy: float,
+) -> tuple[float, float, float, float]:
+    """Smallest gap between two neighbouring points of the flank, its α, and the deviations of gear and pin there.
+
+    `seen` are the places on the pin that face the two points; between them the pin's deviation bends at the middle of
+    each of its elements, so the piece is divided there.
+    """
+    a, b = drive.flank_alpha[piece], drive.flank_alpha[piece + 1]
+    start, end = drive.gear_deviation[disc, slice_, tooth, piece], drive.gear_deviation[disc, slice_, tooth, piece + 1]
+    rise = (end - start) / (b - a)
+    best = (math.inf, a, start, 0.0)
+    high, right = a, seen[0]
+    while high < b:
+        low, left = high, right
+        right = math.floor(left) + 1.0 if seen[1] > left else math.ceil(left) - 1.0
+        if (right - seen[1]) * (seen[1] - seen[0]) >= 0.0:
+            high, right = b, seen[1]
+        else:
+            high = a + (b - a) * (right - seen[0]) / (seen[1] - seen[0])
+        pin_start, pin_end = _pin_height(drive, slice_, pin, left), _pin_height(drive, slice_, pin, right)
+        pin_rise = (pin_end - pin_start) / max(high - low, 1e-3 * (b - a))
+        at = 0.5 * (low + high)
+        for _ in range(8):
+            state = _tangency(gx, gy, at, drive.circle_radius, drive.generating_eccentricity, drive.teeth)
+            height, pin_height = start + rise * (at - a), pin_start + pin_rise * (at - low)
+            distance, fall, bend = _flank_distance(drive, state, height, rise)
+            gap = distance - drive.pin_radius[pin] - pin_height
+            if gap < best[0]:
+                best = (gap, at, height, pin_height)
+            step = -(fall - pin_rise) / bend if bend > 0.0 else math.copysign(b - a, pin_rise - fall)
+            following = min(max(at + step, low), high)
+            if abs(following - at) < 1e-9 * (b - a):
+                break
+            at = following
+    return best
 
 
 @_inlined
-def _pin_height(drive: Drive, slice_: int, pin: int, across: float, ahead: float) -> float:
-    """Deviation of a pin's surface in a direction, by its parts across and along that to the pin circle's centre."""
-    elements = drive.pin_deviation.shape[2]
-    place_ = (math.atan2(across, ahead) / math.pi + 0.5) * elements - 0.5
-    low = min(max(math.floor(place_), 0), elements - 2)
+def _flank_distance(drive: Drive, state: _Tangency, height: float, rise: float) -> tuple[float, float, float]:
+    """Distance of a pin's axis from a raised point of the flank, and its first and second derivative by α.
+
+    The point lies `height` out along the nominal normal; `rise` is the height's derivative by α. The second derivative
+    is that near the foot.
+    """
+    f, slope, _, _, bx, by, dx, dy = state
+    speed = math.sqrt(bx * bx + by * by)
+    radius = drive.generating_radius - height
+    wx, wy = dx + radius * bx / speed, dy + radius * by / speed
+    distance = math.sqrt(wx * wx + wy * wy)
+    kappa = _path_curvature(drive.circle_radius, drive.generating_eccentricity, drive.teeth, bx, speed)
+    shrink = (1.0 - radius * kappa) / distance
+    return distance, -f * shrink - rise * (wx * bx + wy * by) / (speed * distance), -slope * shrink
+
+
+@_inlined
+def _pin_place(drive: Drive, across: float, ahead: float) -> float:
+    """Place on the pins' surface of a direction, in elements from the first one's middle.
+
+    The direction is given by its parts across and along that to the pin circle's centre.
+    """
+    return (math.atan2(across, ahead) / math.pi + 0.5) * drive.pin_deviation.shape[2] - 0.5
+
+
+@_inlined
+def _pin_height(drive: Drive, slice_: int, pin: int, place_: float) -> float:
+    low = min(max(math.floor(place_), 0), drive.pin_deviation.shape[2] - 2)
     share = min(max(place_ - low, 0.0), 1.0)
     return (1.0 - share) * drive.pin_deviation[slice_, pin, low] + share * drive.pin_deviation[slice_, pin, low + 1]
+
+
+@_inlined
+def half_width(
+    force: float, curvature: float, pin_radius: float, width: float, compliance_gear: float, compliance_pin: float
+) -> float:
+    """Half width of Hertz's line contact, a = sqrt(4 F ρ* (V_c + V_p)/(πb)), m; units as in `hertz`."""
+    equivalent = 1.0 / max(abs(1.0 / pin_radius + curvature), 1e-9)
+    return math.sqrt(4.0 * force * equivalent * (compliance_gear + compliance_pin) / (math.pi * width))
 
 
 @_compiled
@@ -566,8 +629,8 @@ def hertz(
     compliance_pin: float,
     largest_log_radius: float,
     guess: float = 0.0,
-) -> tuple[float, float, float, float]:
-    """Force, stiffness and half width of Hertz's line contact at a given approach.
+) -> tuple[float, float, float]:
+    """Force and stiffness of Hertz's line contact at a given approach.
 
     δ = (2F/πb)[V_c(ln(4|ρ_c|/a) - ½) + V_p(ln(4 R_rp/a) - ½)], a = sqrt(4 F ρ* (V_c + V_p)/(πb)) and
     ρ* = 1/|1/R_rp + 1/ρ_c|, solved for F (loaded-contact-wear and error-surface papers; design.md section 4).
@@ -589,8 +652,8 @@ def hertz(
 
     Returns
     -------
-    force, stiffness, half_width, by_curvature
-        N, N/m, m, and the force's derivative by the flank's curvature, N·m.
+    force, stiffness, by_curvature
+        N, N/m, and the force's derivative by the flank's curvature, N·m.
     """
     both = compliance_gear + compliance_pin
     equivalent = 1.0 / max(abs(1.0 / pin_radius + curvature), 1e-9)
@@ -622,16 +685,11 @@ def hertz(
     limit = math.exp(h - 2.0) if q < 3.0 or change > 1e-5 * force else math.inf
     if target >= 2.0 * limit:
         force = target - limit
-        return force, 1.0 / kappa, math.sqrt(4.0 * force * equivalent * kappa), 0.0
+        return force, 1.0 / kappa, 0.0
     bending = 1.0 / (1.0 / pin_radius + curvature)
     if log_radius < largest_log_radius:
         bending -= 2.0 * share / curvature
-    return (
-        force,
-        1.0 / (kappa * (q - 1.0)),
-        math.sqrt(4.0 * force * equivalent * kappa),
-        -force * bending / (q - 1.0),
-    )
+    return force, 1.0 / (kappa * (q - 1.0)), -force * bending / (q - 1.0)
 
 
 @_inlined
@@ -653,7 +711,7 @@ def _load(drive: Drive, x: float, contacts: Array) -> tuple[float, float]:
         contacts[row, STIFFNESS] = 0.0
         if gap >= 0.0 or contacts[row, AT] != x:
             continue
-        force, k, _, by_curvature = hertz(
+        force, k, by_curvature = hertz(
             -gap, contacts[row, CURVATURE], drive.pin_radius[row // 2 % pins], drive.slice_width,
             drive.compliance_gear, drive.compliance_pin, drive.largest_log_radius, last,
         )  # fmt: skip
@@ -871,6 +929,7 @@ def load_sharing(drive: Drive, contacts: Array, pin_force: Array, pin_pressure: 
         Pins that carry more than 1 % of the most loaded pin's force; Pa.
     """
     pins, slices = drive.teeth + 1, drive.centre_x.size
+    compliance_gear, compliance_pin = drive.compliance_gear, drive.compliance_pin
     pin_force[:] = 0.0
     pin_pressure[:] = 0.0
     for row in range(contacts.shape[0]):
@@ -878,10 +937,10 @@ def load_sharing(drive: Drive, contacts: Array, pin_force: Array, pin_pressure: 
         if force <= 0.0:
             continue
         disc, pin = row // (2 * pins * slices), row // 2 % pins
-        equivalent = 1.0 / max(abs(1.0 / drive.pin_radius[pin] + contacts[row, CURVATURE]), 1e-9)
-        both = drive.compliance_gear + drive.compliance_pin
-        half_width = math.sqrt(4.0 * force * equivalent * both / (math.pi * drive.slice_width))
-        pressure = 2.0 * force / (math.pi * half_width * drive.slice_width)
+        half = half_width(
+            force, contacts[row, CURVATURE], drive.pin_radius[pin], drive.slice_width, compliance_gear, compliance_pin
+        )
+        pressure = 2.0 * force / (math.pi * half * drive.slice_width)
         pin_force[disc, pin] += force
         pin_pressure[disc, pin] = max(pin_pressure[disc, pin], pressure)
     threshold = _COUNTED * pin_force.max()
@@ -1198,9 +1257,9 @@ def _lines(
         slice_force[disc, pin, slice_] += force
         slice_direction[disc, pin, slice_] = direction
         radius = drive.pin_radius[pin]
-        equivalent = 1.0 / max(abs(1.0 / radius + contacts[row, CURVATURE]), 1e-9)
-        both = drive.compliance_gear + drive.compliance_pin
-        half = math.sqrt(4.0 * force * equivalent * both / (math.pi * drive.slice_width))
+        half = half_width(
+            force, contacts[row, CURVATURE], radius, drive.slice_width, drive.compliance_gear, drive.compliance_pin
+        )
         pressure = 2.0 * force / (math.pi * half * drive.slice_width)
         alpha = pin * 2.0 * math.pi / pins + (crank - ring) / teeth + contacts[row, FOOT]
         tooth = math.floor(alpha / pitch)

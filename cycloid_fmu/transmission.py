@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import contact
 from cycloid_fmu.pair import Modification, Pair
-from cycloid_fmu.profile import equal_arc_parameters, flank_points
+from cycloid_fmu.profile import equal_arc_parameters, flank_normals, flank_points
 from cycloid_fmu.surface import ErrorSurface, structured_columns
 
 if TYPE_CHECKING:
@@ -127,7 +127,7 @@ def _elements(pair: Pair, surface: ErrorSurface, z: Array) -> dict[str, Any]:
     g = pair.pair
     if gear is None and pin is None:
         return {
-            "flank_alpha": np.empty(0), "flank_x": np.empty(0), "flank_y": np.empty(0),
+            **dict.fromkeys(("flank_alpha", "flank_x", "flank_y", "flank_normal_x", "flank_normal_y"), np.empty(0)),
             "gear_deviation": np.empty((0, 0, 0, 0)), "pin_deviation": np.empty((0, 0, 0)), "largest_deviation": 0.0,
         }  # fmt: skip
     if gear is None:
@@ -150,8 +150,9 @@ def _flank_points(pair: Pair, surface: ErrorSurface, elements: int) -> dict[str,
     m = pair.modification
     alpha = np.concatenate([[0.0], equal_arc_parameters(pair, elements), [2.0 * np.pi / pair.pair.gear_teeth]])
     changed = Modification.model_construct(isometric=m.isometric + surface.isometric, offset=m.offset + surface.offset)
-    x, y = flank_points(pair.model_copy(update={"modification": changed}), alpha)
-    return {"flank_alpha": alpha, "flank_x": x, "flank_y": y}
+    made = pair.model_copy(update={"modification": changed})
+    (x, y), (nx, ny) = flank_points(made, alpha), flank_normals(made, alpha)
+    return {"flank_alpha": alpha, "flank_x": x, "flank_y": y, "flank_normal_x": nx, "flank_normal_y": ny}
 
 
 def _across_width(deviation: Array, z: Array, face_width: float) -> Array:

@@ -20,7 +20,7 @@ def raised(kind):
     arc = (np.arange(PROFILE) + 0.5) / PROFILE
     heights = 3e-6 * np.cos(2 * np.pi * 3 * arc)[None, None, :, None] * np.ones((1, 13, 1, 1))
     if kind == "rough":
-        heights = np.random.default_rng(0).normal(0.0, 0.5e-6, (1, 13, PROFILE, 1))
+        heights = np.random.default_rng(0).normal(0.0, 2e-6, (1, 13, PROFILE, 1))
     pins = 1e-6 * np.cos(np.linspace(0.0, 9.0, ANGLE))[None, :, None] * np.ones((14, 1, 1))
     return dataclasses.replace(surface_of_pair(PAIR), gear_deviation=heights, pin_deviation=pins)
 
