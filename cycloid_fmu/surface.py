@@ -286,6 +286,10 @@ def read_surface(path: str | os.PathLike[str]) -> ErrorSurface:
     kept = {k: v for k, v in data.attrs.items() if k not in ("format", "origin", "pair")}
     covariance = data["covariance"].values.astype(float) if "covariance" in data else None
     names = tuple(str(n) for n in data["parameter"].values) if covariance is not None else ()
+    if covariance is not None and not (
+        covariance.shape == (len(names),) * 2 and np.isfinite(covariance).all() and (covariance == covariance.T).all()
+    ):
+        raise edge.InputError(f"{path}: covariance must be symmetric and finite, {len(names)} by {len(names)}.")
     return ErrorSurface(
         **values,
         origin=origin,

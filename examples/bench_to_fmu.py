@@ -59,7 +59,7 @@ def main() -> None:
 
     print("4. The FMU of this very drive, simulated beside the measurement")
     build_fmu(nominal, read_surface(OUT / "identified.nc"), OUT / "identified.fmu")
-    zero = found.offsets["output_angle_offset"]
+    zero = found.bench["output_angle_offset"]
     simulated = [
         follow(OUT / "identified.fmu", c.input_angle, c.torque, ("transmission_error",))["transmission_error"] + zero
         for c in curves

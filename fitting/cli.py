@@ -117,7 +117,7 @@ def identify(
         typer.echo(edge.json_text(content(result)))
         return
     print_identification(result)
-    _say_notes([note for one in curves for note in one.notes])
+    _say_notes([*result.notes, *(note for one in curves for note in one.notes)])
 
 
 def print_identification(result: object, truth: dict[str, float] | None = None) -> None:
@@ -142,11 +142,113 @@ def print_identification(result: object, truth: dict[str, float] | None = None) 
     known = [] if truth is None else ["true"]
     print_table("Identified errors", ["error", *known, "identified", "95 % interval"], rows)
     print_table("Held, because the data can't tell", ["error", "why"], held)
+    if result.held_out is not None:
+        kept = result.held_out
+        typer.echo(
+            f"Kept from a first fit and predicted by it: {kept.said}: {kept.residual * ARCSEC:.3f}″ rms left, "
+            f"noise {kept.noise * ARCSEC:.3f}″."
+        )
     scatter = ", ".join(f"{n} {v * 1e6:.2f} µm" for n, v in result.scatter.items())
     typer.echo(
         f"Residual {result.residual * ARCSEC:.3f}″ rms, noise {result.noise * ARCSEC:.3f}″; "
         f"scatter beyond these errors: {scatter}."
     )
+
+
+@app.command()
+def plan(
+    pair_file: Annotated[Path, typer.Argument(metavar="PAIR.toml", help="The nominal gear pair.")],
+    torque: Annotated[
+        list[str], typer.Option(help='A torque that the bench can hold, such as "20 N*m"; repeat it for each.')
+    ],
+    turns: Annotated[float, typer.Option(min=0.05, help="Output turns of each run.")] = 2.0,
+    samples: Annotated[int, typer.Option(min=6, help="Samples in a crank turn.")] = 24,
+    noise: Annotated[str, typer.Option(help="Standard deviation of one sample's transmission error.")] = "0.5 arcsec",
+    scatter: Annotated[
+        str, typer.Option(help="What single pins and teeth do beyond their low orders, standard deviation.")
+    ] = "0.3 um",
+    plot: PlotFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Say before anything is measured which loads and directions would identify which errors, and how well.
+
+    Example: [cyan]cycloid-fit plan pair.toml --torque "20 N*m" --torque "200 N*m"[/]
+    """
+    import dataclasses
+
+    from cycloid_fmu import plots
+    from cycloid_fmu.cli import print_table
+    from cycloid_fmu.pair import read_pair
+    from cycloid_fmu.surface import unit_of
+    from fitting.identifiability import bench_plans, errors_of
+    from fitting.plots import plot_plans
+
+    if plot is not None:
+        plots.check_path(plot)
+    pair = read_pair(pair_file)
+    loads = [edge.quantity_option(t, "N*m", "--torque") for t in torque]
+    if min(loads) <= 0.0:
+        raise edge.InputError("--torque: it must be above zero; the sign follows from the direction.")
+    level, spread = edge.quantity_option(noise, "rad", "--noise"), edge.quantity_option(scatter, "m", "--scatter")
+    if level <= 0.0 or spread < 0.0:
+        raise edge.InputError("--noise must be above zero and --scatter not below it.")
+    plans = bench_plans(pair, loads, turns=turns, samples=samples, noise=level, scatter=spread)
+    if plot is not None:
+        plots.save(plot_plans(plans), plot)
+    if as_json:
+        typer.echo(edge.json_text([dataclasses.asdict(p) for p in plans]))
+        return
+    scale = {"m": (1e6, "µm"), "rad": (1e3, "mrad")}
+    rows = []
+    for name in errors_of(pair):
+        factor, unit = scale[unit_of(name)]
+        known = [f"{p.standard_error[name] * factor:.3f}" if name in p.standard_error else "–" for p in plans]
+        rows.append([f"{name} \\[{unit}]", *known])
+    labels = [chr(ord("A") + i) for i in range(len(plans))]
+    print_table("Standard error of what each set of runs would identify", ["error", *labels], rows)
+    for label, one in zip(labels, plans, strict=True):
+        typer.echo(f"{label}: {one.said}")
+    print_table("Held with all runs", ["error", "why"], [list(item) for item in plans[-1].held.items()])
+
+
+@app.command()
+def ensemble(
+    surface_file: Annotated[Path, typer.Argument(metavar="S.nc", help="An identified error surface.")],
+    pair_file: PairFile,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FOLDER", help="Where the surfaces go.")],
+    count: Annotated[int, typer.Option(min=1, max=10000, help="How many.")] = 20,
+    seed: Annotated[int, typer.Option(min=0, help="The same seed draws the same surfaces.")] = 0,
+    torque: Annotated[
+        str | None, typer.Option(help="Torque on the output at which --plot draws the transmission errors' band.")
+    ] = None,
+    plot: PlotFile = None,
+) -> None:
+    """Draw error surfaces that the fit can't tell from the identified one: FMUs built from them make a band.
+
+    Example: [cyan]cycloid-fit ensemble s.nc --pair pair.toml -o drawn --torque "100 N*m" --plot band.png[/]
+    """
+    from rich.progress import track
+
+    from cycloid_fmu import plots
+    from cycloid_fmu.pair import read_pair
+    from cycloid_fmu.surface import check_surface, read_surface, write_surface
+    from fitting.ensemble import drawn_surfaces
+    from fitting.plots import plot_band
+
+    if plot is not None:
+        plots.check_path(plot)
+    if (plot is None) != (torque is None):
+        raise edge.InputError("--plot and --torque belong together: the band is drawn at one torque.")
+    load = 0.0 if torque is None else edge.quantity_option(torque, "N*m", "--torque")
+    pair, surface = read_pair(pair_file), read_surface(surface_file)
+    check_surface(pair, surface, str(pair_file), str(surface_file))
+    drawn = drawn_surfaces(pair, surface, count, seed)
+    output.mkdir(parents=True, exist_ok=True)
+    for number, one in enumerate(track(drawn, "writing", transient=True)):
+        write_surface(one, output / f"{surface_file.stem}-{number:04d}.nc")
+    if plot is not None:
+        plots.save(plot_band(pair, surface, drawn, load), plot)
+    typer.echo(f"{count} error surfaces are in {output}.")
 
 
 def main() -> None:

@@ -19,47 +19,68 @@ from numpy.typing import NDArray
 from scipy import linalg, stats
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact import SCALAR_ERRORS
 from cycloid_fmu.pair import Pair
-from cycloid_fmu.surface import (
-    ErrorSurface,
-    structured_names,
-    structured_value,
-    surface_of_pair,
-    unit_of,
-    with_structured,
+from cycloid_fmu.plots import ARCSEC
+from cycloid_fmu.surface import ErrorSurface, structured_value, surface_of_pair, unit_of, with_structured
+from cycloid_fmu.transmission import solve
+from fitting.curve import Curve
+from fitting.identifiability import (
+    chosen_errors,
+    errors_of,
+    posterior_covariance,
+    tolerances_of,
+    weakness,
 )
-from cycloid_fmu.transmission import error_sensitivity
-from fitting.curve import Curve, noise_of
+from fitting.observation import (
+    Linear,
+    Observations,
+    State,
+    linearise,
+    nuisance_columns,
+    observations,
+    scatter_names,
+    scatter_parts,
+    spread_of,
+    with_scatter,
+)
 
 Array = NDArray[np.float64]
 FORMAT = "cycloid-identification/1"
-ORDERS = (1, 2, 3)
 
-# Of each set of errors that move the transmission error alike the first is fitted (design.md section 3).
-PREFERENCE = (
-    "centre_distance_x", "centre_distance_y", "pin_radius", "pin_circle_radius", "eccentricity",
-    *(f"{p}_{k}_{w}" for k in (2, 3) for p in ("pin_radial", "pin_tangential") for w in ("cos", "sin")),
-    *(f"tooth_cumulative_pitch_{k}_{w}" for k in ORDERS for w in ("cos", "sin")),
-    *(f"{p}_1_{w}" for p in ("pin_tangential", "pin_radial") for w in ("cos", "sin")),
-    "isometric", "offset", "misalignment_xz", "misalignment_yz",
-)  # fmt: skip
-TOLERANCE = {"m": 5e-6, "rad": 1e-4}  # standard deviation that an error has before anything is measured
-KNOWN = 0.2  # an error counts as known where the data leave less than this share of its tolerance
 NO_SCATTER = 1e-8  # m: a scatter below this changes nothing that a bench can see
 _CONFIDENCE = 0.95
+_OUTLYING = 6.0  # robust standard deviations from the fit
+_UNEXPLAINED = 3.0  # times its noise: a residual above this is another drive's
+_START_POINTS = 500  # of all curves together, for the way from the prior
+_STARTS = 3
+# A fit ends where a step gains less than this of the sum of squares; the last one at a fraction of what noise moves it.
+_START_GAIN, _STRUCTURED_GAIN, _GAIN = 1e-3, 1e-4, 2e-5
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One structured error after the fit: SI value, standard error and 95 % interval, or why it is held."""
+    """One structured error after the fit: SI value, standard error and 95 % interval, or why it is held.
+
+    `data_share` says how much of what is known of it comes from the data: 1 less the ratio of its variance after and
+    before measuring.
+    """
 
     name: str
     unit: str
     value: float
     standard_error: float
     interval: tuple[float, float]
+    data_share: float
     held: str | None = None
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Curves kept from the fit and predicted by it: their load in words, rms of what is left, and their noise, rad."""
+
+    said: str
+    residual: float
+    noise: float
 
 
 @dataclass(frozen=True)
@@ -70,8 +91,9 @@ class Identification:
     ----------
     parameters
         All structured errors, fitted and held.
-    offsets
-        {name: rad} of the bench's zeros: output angle offset of each recording or of all, crank angle offset.
+    bench
+        {name: value} of the bench's nuisances: zeros and encoder eccentricity (rad), compliance of the chain beside
+        the gear pair (rad/(N·m)), friction torque (N·m).
     surface
         The identified error surface, the pins' and teeth's own scatter included.
     correlation
@@ -81,25 +103,37 @@ class Identification:
         the weak ones in words.
     noise, scatter
         Noise of a point (rad) and standard deviation of each scattered pattern (m).
+    inflation
+        By how much the standard errors are larger than white noise would make them, because the residual is not white.
     residual
         rms of measured less fitted transmission error, rad.
+    outliers
+        Points of each curve that were left out.
+    held_out
+        What a fit without some of the curves predicts of them, or None where too few were measured.
     fitted_curves
-        Fitted transmission error of each curve, offset included, rad.
+        Fitted transmission error of each curve, the bench's nuisances included, rad.
     checksums
         {source: SHA-256} of the data.
+    notes
+        What a reader should know of the data.
     """
 
     parameters: tuple[Parameter, ...]
-    offsets: dict[str, float]
+    bench: dict[str, float]
     surface: ErrorSurface
     correlation: Array
     singular_values: Array
     weak_combinations: tuple[str, ...]
     noise: float
     scatter: dict[str, float]
+    inflation: float
     residual: float
+    outliers: tuple[int, ...]
+    held_out: HeldOut | None
     fitted_curves: tuple[Array, ...]
     checksums: dict[str, str]
+    notes: tuple[str, ...]
 
     @property
     def fitted(self) -> tuple[str, ...]:
@@ -108,136 +142,26 @@ class Identification:
 
 
 @dataclass(frozen=True)
-class _Data:
-    """The curves as one long vector, and the columns of the bench's zeros."""
+class _Fit:
+    """A fit before it is reported: what was chosen, where it stands, noise factor and scatter, and the model there."""
 
-    curves: tuple[Curve, ...]
-    measured: Array
-    weight: Array
-    offsets: Array
-    offset_names: tuple[str, ...]
-    fit_crank: bool
-
-
-def _data(curves: Sequence[Curve]) -> _Data:
-    noise = np.array([noise_of(c) for c in curves])
-    floor = max(float(np.median(noise)), 1e-9)
-    weight = [np.sqrt(c.sample_count / np.median(c.sample_count)) / max(n, 0.1 * floor, 1e-9)
-              for c, n in zip(curves, noise, strict=True)]  # fmt: skip
-    names, columns = [], []
-    absolute = [i for i, c in enumerate(curves) if c.common_zero]
-    groups = ([absolute] if absolute else []) + [[i] for i, c in enumerate(curves) if not c.common_zero]
-    for number, group in enumerate(groups):
-        names.append("output_angle_offset" if len(groups) == 1 else f"output_angle_offset_{number}")
-        columns.append(np.concatenate([np.full(c.input_angle.size, float(i in group)) for i, c in enumerate(curves)]))
-    return _Data(
-        curves=tuple(curves),
-        measured=np.concatenate([c.transmission_error for c in curves]),
-        weight=np.concatenate(weight),
-        offsets=np.array(columns).T,
-        offset_names=tuple(names),
-        fit_crank=not all(c.known_index for c in curves),
-    )
-
-
-@dataclass(frozen=True)
-class _Linear:
-    """Model at one point: transmission error and its derivatives by structured errors, scatter and crank angle."""
-
-    model: Array
-    structured: Array
-    scatter: Array
-    by_angle: Array
-
-
-def _scatter_columns(pair: Pair) -> tuple[Array, dict[str, slice]]:
-    """Map from one displacement a pin or tooth (m) to the columns of the sensitivities."""
-    g = pair.pair
-    scalars, teeth = len(SCALAR_ERRORS), g.discs * g.gear_teeth
-    width = scalars + 3 * g.pins + teeth
-    starts = {"pin_radial": (scalars, g.pins), "pin_tangential": (scalars + g.pins, g.pins),
-              "tooth_cumulative_pitch": (scalars + 3 * g.pins, teeth)}  # fmt: skip
-    columns = np.zeros((width, 2 * g.pins + teeth))
-    parts, begin = {}, 0
-    for name, (start, count) in starts.items():
-        scale = 1.0 / g.pin_circle_radius if name == "tooth_cumulative_pitch" else 1.0
-        columns[start : start + count, begin : begin + count] = scale * np.eye(count)
-        parts[name] = slice(begin, begin + count)
-        begin += count
-    return columns, parts
-
-
-def _linearise(pair: Pair, surface: ErrorSurface, data: _Data, names: Sequence[str], crank: float) -> _Linear:
-    """Evaluate the exact model and its analytic derivatives at every point of every curve."""
-    columns, _ = _scatter_columns(pair)
-    models, structured, scatter, by_angle = [], [], [], []
-    for curve in data.curves:
-        model, jacobian, each, further = error_sensitivity(
-            pair, surface, curve.torque, curve.input_angle + crank, list(names)
-        )
-        models.append(model)
-        structured.append(jacobian)
-        scatter.append(each @ columns)
-        by_angle.append(further[:, 0])
-    return _Linear(*(np.concatenate(v) for v in (models, structured, scatter, by_angle)))
-
-
-def _scale(names: Sequence[str]) -> Array:
-    return np.array([TOLERANCE[unit_of(n)] for n in names])
-
-
-def choose(information: Array, names: Sequence[str], nuisances: int) -> list[str]:
-    """Choose the errors that the data tell apart.
-
-    Parameters
-    ----------
-    information
-        Information matrix of the nuisances (first) and all structured errors, scaled by their tolerances.
-    names
-        The structured errors in the matrix' order.
-    nuisances
-        How many nuisances precede them; they are always fitted.
-
-    Returns
-    -------
-    names
-        In the order of `PREFERENCE`: each was added where all errors chosen stay known to `KNOWN` of their tolerance.
-    """
-    chosen: list[int] = []
-    always = list(range(nuisances))
-    for name in PREFERENCE:
-        if name not in names:
-            continue
-        trial = [*chosen, nuisances + list(names).index(name)]
-        index = always + trial
-        block = information[np.ix_(index, index)]
-        size = np.sqrt(np.diag(block))
-        if (size[nuisances:] <= 0.0).any():
-            continue
-        scaled = block / np.outer(size, size)
-        values, vectors = np.linalg.eigh(scaled)
-        if values[0] < 1e-12:
-            continue
-        spread = np.sqrt((vectors**2 / values).sum(axis=1)) / size
-        if (spread[nuisances:] < KNOWN).all():
-            chosen = trial
-    return [list(names)[i - nuisances] for i in chosen]
-
-
-def _nuisance_columns(data: _Data, linear: _Linear) -> Array:
-    columns = data.offsets
-    return np.column_stack([columns, linear.by_angle]) if data.fit_crank else columns
+    observed: Observations
+    chosen: list[str]
+    state: State
+    factor: float
+    scatter: dict[str, float]
+    linear: Linear
 
 
 def _components(
     residual: Array, fixed: Array, scatter: Array, parts: dict[str, slice], start: dict[str, float]
 ) -> tuple[float, dict[str, float]]:
     """Noise factor and scatter deviations by restricted maximum likelihood (MacKay's fixed point), all whitened."""
-    q, _ = np.linalg.qr(fixed)
+    q, _ = np.linalg.qr(fixed / np.maximum(np.linalg.norm(fixed, axis=0), 1e-300))
     left = residual - q @ (q.T @ residual)
     design = scatter - q @ (q.T @ scatter)
     gram, moment, total = design.T @ design, design.T @ left, left @ left
-    freedom = residual.size - fixed.shape[1]
+    freedom = np.count_nonzero(residual) - fixed.shape[1]
     variance = {name: max(start.get(name, 1e-7), 1e-8) ** 2 for name in parts}
     noise = max(total / freedom, 1e-12)
     for _ in range(200):
@@ -259,7 +183,7 @@ def _components(
 
 
 def identify(
-    curves: Sequence[Curve], pair: Pair, progress: Callable[[str], None] = lambda step: None
+    curves: Sequence[Curve], pair: Pair, progress: Callable[[str], None] = lambda step: None, *, held_out: bool = True
 ) -> Identification:
     """Identify a drive's errors from its transmission error curves.
 
@@ -271,6 +195,8 @@ def identify(
         The nominal pair; the errors that its file states are the prior and start.
     progress
         Told what is being done.
+    held_out
+        Whether a load or direction is first kept from the fit and predicted.
 
     Raises
     ------
@@ -282,230 +208,355 @@ def identify(
             raise edge.InputError(
                 f"{curve.source}: the mean torque is {curve.torque:g} N·m; the fit needs loaded curves."
             )
-    data = _data(curves)
-    prior = surface_of_pair(pair)
-    names = structured_names([k for k in ORDERS if 2 * k < pair.pair.gear_teeth])
-    _, parts = _scatter_columns(pair)
-    linear = _linearise(pair, prior, data, names, 0.0)
-    zeros: Array = np.linalg.lstsq(data.offsets, data.measured - linear.model, rcond=None)[0].astype(float)
-    state = _State(prior, zeros, 0.0, np.zeros(linear.scatter.shape[1]))
+    kept, start = kept_back(curves) if held_out else (), None
+    predicted = None
+    if kept:
+        rest = [c for i, c in enumerate(curves) if i not in kept]
+        progress("fitting without the curves kept back")
+        fit = _fitted(rest, pair, None, progress)
+        predicted = _predicted(pair, fit, [curves[i] for i in kept])
+        start = fit.state
+    fit = _fitted(curves, pair, start, progress)
+    return _result(pair, fit, predicted)
 
+
+def kept_back(curves: Sequence[Curve]) -> tuple[int, ...]:
+    """Choose the curves that are kept back to be predicted: a load between others, or a direction of the smallest.
+
+    Empty where fewer than three curves were measured.
+    """
+    if len(curves) < 3:
+        return ()
+    sizes = np.array([abs(c.torque) for c in curves])
+    order = np.argsort(sizes)
+    # Torques within a twentieth of one another are one load.
+    groups = np.split(order, np.flatnonzero(np.diff(sizes[order]) > 0.05 * sizes.max()) + 1)
+    if len(groups) >= 3:
+        return tuple(int(i) for i in groups[len(groups) // 2])
+    return (int(order[0]),)
+
+
+def _predicted(pair: Pair, fit: _Fit, curves: Sequence[Curve]) -> HeldOut:
+    observed = observations(curves, pair)
+    left = []
+    names = dict(zip(fit.observed.bench_names, fit.state.bench, strict=True))
+    known = np.array([0.0 if "offset" in n and not curves[0].common_zero else names.get(n, 0.0)
+                      for n in observed.bench_names])  # fmt: skip
+    bench = np.split(observed.bench @ known, observed.ends)
+    for curve, zero in zip(curves, bench, strict=True):
+        way = float(curve.direction) * np.sign(curve.ratio)
+        angles = curve.input_angle + fit.state.crank_offset
+        torque = curve.torque + way * fit.state.friction
+        error = solve(pair, fit.state.surface, torque, angles, with_play=False).transmission_error[0] + zero
+        rest = curve.transmission_error - error
+        left.append(rest if curve.common_zero else rest - rest.mean())
+    residual = np.concatenate(left)
+    noise = float(np.sqrt(1.0 / np.mean(observed.weight**2)))
+    said = ", ".join(f"{c.torque:+.4g} N·m" for c in curves)
+    # What single samples far off do to the rms is not the model's.
+    scale = 1.4826 * float(np.median(np.abs(residual)))
+    residual = residual[np.abs(residual) < _OUTLYING * max(scale, noise)]
+    return HeldOut(said, float(np.sqrt(np.mean(residual**2))), noise)
+
+
+def _fitted(curves: Sequence[Curve], pair: Pair, start: State | None, progress: Callable[[str], None]) -> _Fit:
+    observed = observations(curves, pair)
+    names = errors_of(pair)
+    parts = scatter_parts(pair)
+    state = _started(pair, observed, names, start, progress)
     chosen: list[str] = []
+    linear = linearise(pair, observed, state, names)
     for _ in range(3):
-        progress("choosing what the data can tell")
-        again = choose(_information(data, linear, names), names, _nuisance_columns(data, linear).shape[1])
-        if not again:
-            raise edge.InputError("the data tell none of the structured errors apart; record more loads or more turns.")
-        if set(again) == set(chosen):
+        again = _chosen(observed, linear, names, np.zeros_like(state.scatter))
+        if again == chosen:
             break
-        chosen = [n for n in names if n in again]
+        chosen = again
         progress(f"fitting {len(chosen)} errors")
-        state = _fit(pair, data, chosen, state, {}, parts)
-        linear = _linearise(pair, state.surface, data, names, state.crank)
-
+        state = _fit(pair, observed, chosen, state, {}, _STRUCTURED_GAIN)
+        linear = linearise(pair, observed, state, names)
     progress("estimating the scatter of pins and teeth")
     scatter: dict[str, float] = {}
     factor = 1.0
     for _ in range(2):
-        weight = data.weight[:, None]
-        keep = [names.index(n) for n in chosen]
-        fixed = weight * np.column_stack([_nuisance_columns(data, linear), linear.structured[:, keep]])
-        residual = data.weight * (
-            data.measured - linear.model - data.offsets @ state.offsets + linear.scatter @ state.scatter
+        observed = _without_outliers(observed, linear, state)
+        weight = observed.weight[:, None]
+        nuisances, _ = nuisance_columns(observed, linear)
+        columns = np.column_stack([nuisances, linear.structured[:, [names.index(n) for n in chosen]]])
+        residual = observed.weight * (
+            observed.measured - linear.model - observed.bench @ state.bench + linear.scatter @ state.scatter
         )
-        factor, scatter = _components(residual, fixed, weight * linear.scatter, parts, scatter)
+        factor, scatter = _components(residual, weight * columns, weight * linear.scatter, parts, scatter)
         if max(scatter.values()) < NO_SCATTER:
             break
+        chosen = _chosen(observed, linear, names, spread_of(pair, scatter), factor)
         progress("fitting with the scatter of pins and teeth")
-        state = _fit(pair, data, chosen, state, {n: s / factor for n, s in scatter.items()}, parts)
-        linear = _linearise(pair, state.surface, data, names, state.crank)
-    return _result(pair, data, names, chosen, state, linear, factor, scatter, parts)
+        state = _fit(pair, observed, chosen, state, {n: s / factor for n, s in scatter.items()})
+        linear = linearise(pair, observed, state, names)
+    return _Fit(observed, chosen, state, factor, scatter, linear)
 
 
-@dataclass(frozen=True)
-class _State:
-    """Where the fit stands: the surface with the scatter in it, the bench's zeros, and the scatter by itself."""
-
-    surface: ErrorSurface
-    offsets: Array
-    crank: float
-    scatter: Array
+def _chosen(observed: Observations, linear: Linear, names: list[str], spread: Array, factor: float = 1.0) -> list[str]:
+    chosen = chosen_errors(observed, linear, names, spread, factor)
+    if not chosen:
+        raise edge.InputError("the data tell none of the structured errors apart; record more loads or more turns.")
+    return chosen
 
 
-def _information(data: _Data, linear: _Linear, names: Sequence[str]) -> Array:
-    columns = np.column_stack([_nuisance_columns(data, linear), linear.structured * _scale(names)])
-    columns = data.weight[:, None] * columns
-    return columns.T @ columns
+def _started(
+    pair: Pair, observed: Observations, names: list[str], start: State | None, progress: Callable[[str], None]
+) -> State:
+    """A state near the best one: from where another fit ended, or the best of several starts on some of the points."""
+    size = max(p.stop for p in scatter_parts(pair).values())
+    stride = max(1, observed.measured.size // _START_POINTS)
+    # A stride that shares no factor with the samples of a crank turn sees all of the turn.
+    few = observed.thinned(stride + 1 - stride % 2)
+    known = np.isfinite(observed.bench_prior)
+    prior = surface_of_pair(pair)
+
+    def zeroed(surface: ErrorSurface) -> State:
+        state = State(surface, np.zeros(size), np.zeros(observed.bench.shape[1]))
+        linear = linearise(pair, few, state, [names[0]])
+        bench = state.bench.copy()
+        bench[~known] = np.linalg.lstsq(few.bench[:, ~known], few.measured - linear.model, rcond=None)[0]
+        return dataclasses.replace(state, bench=bench)
+
+    if start is not None:
+        if start.bench.size != observed.bench.shape[1]:
+            start = dataclasses.replace(zeroed(start.surface), crank_offset=start.crank_offset, scatter=start.scatter)
+        return start
+    progress("finding a start")
+    state = zeroed(prior)
+    chosen = _chosen(observed, linearise(pair, observed, state, names), names, np.zeros(size))
+    generator = np.random.default_rng(0)
+    best, found = np.inf, state
+    for number in range(_STARTS):
+        surface = prior
+        if number > 0:
+            drawn = generator.normal(0.0, tolerances_of(chosen))
+            values = {n: structured_value(pair, prior, n) + d for n, d in zip(chosen, drawn, strict=True)}
+            surface = with_structured(pair, prior, values)
+        ended = _fit(pair, few, chosen, zeroed(surface), {}, _START_GAIN)
+        left = few.measured - linearise(pair, few, ended, [names[0]]).model - few.bench @ ended.bench
+        misfit = float(np.sum((few.weight * left) ** 2))
+        if misfit < 0.98 * best:
+            best, found = misfit, ended
+    return found
 
 
-def _with_scatter(surface: ErrorSurface, scatter: Array, parts: dict[str, slice]) -> ErrorSurface:
-    changes = {n: getattr(surface, n) + scatter[p].reshape(getattr(surface, n).shape) for n, p in parts.items()}
-    return dataclasses.replace(surface, **changes)
+def _without_outliers(observed: Observations, linear: Linear, state: State) -> Observations:
+    """Leave points out that lie farther off the fit than noise and scatter put them."""
+    left = observed.measured - linear.model - observed.bench @ state.bench
+    weight = observed.weight.copy()
+    for part in np.split(np.arange(left.size), observed.ends):
+        scale = 1.4826 * np.median(np.abs(left[part] - np.median(left[part])))
+        noise = 1.0 / np.median(weight[part][weight[part] > 0.0])
+        weight[part[np.abs(left[part]) > _OUTLYING * max(scale, noise)]] = 0.0
+    return dataclasses.replace(observed, weight=weight)
 
 
 def _fit(
-    pair: Pair, data: _Data, chosen: Sequence[str], state: _State, deviations: dict[str, float], parts: dict[str, slice]
-) -> _State:
-    """Fit the chosen errors, the bench's zeros and, where deviations are given, every pin's and tooth's scatter."""
+    pair: Pair,
+    observed: Observations,
+    chosen: Sequence[str],
+    state: State,
+    deviations: dict[str, float],
+    gain: float = _GAIN,
+) -> State:
+    """Fit the chosen errors, the bench and, where deviations are given, every pin's and tooth's scatter."""
     import lmfit
 
-    prior = surface_of_pair(pair)
-    plain = _with_scatter(state.surface, -state.scatter, parts)
-    scale = _scale(chosen)
-    spread = np.concatenate([np.full(p.stop - p.start, deviations.get(n, 0.0)) for n, p in parts.items()])
-    free = spread > NO_SCATTER
-    start = np.concatenate([
-        np.array([structured_value(pair, plain, n) for n in chosen]) / scale,
-        state.offsets / 1e-4,
-        [state.crank / 1e-2] if data.fit_crank else [],
-        state.scatter[free] / spread[free],
-    ])  # fmt: skip
+    problem = _Problem(pair, observed, chosen, state, deviations)
     parameters = lmfit.Parameters()
-    labels = [f"p{i}" for i in range(start.size)]
-    parameters.add_many(*((label, value) for label, value in zip(labels, start, strict=True)))
-    count, zeros = len(chosen), state.offsets.size
+    labels = [f"p{i}" for i in range(problem.start.size)]
+    parameters.add_many(*((label, value) for label, value in zip(labels, problem.start, strict=True)))
 
-    def unpack(values: Array) -> _State:
-        surface = with_structured(pair, prior, dict(zip(chosen, values[:count] * scale, strict=True)))
-        scatter = np.zeros(spread.size)
-        rest = values[count + zeros :]
-        crank = float(rest[0]) * 1e-2 if data.fit_crank else 0.0
-        scatter[free] = rest[int(data.fit_crank) :] * spread[free]
-        return _State(_with_scatter(surface, scatter, parts), values[count : count + zeros] * 1e-4, crank, scatter)
-
-    cache: dict[bytes, _Linear] = {}
-
-    def linear_at(values: Array, at: _State) -> _Linear:
-        key = values.tobytes()
-        if key not in cache:
-            cache.clear()
-            cache[key] = _linearise(pair, at.surface, data, chosen, at.crank)
-        return cache[key]
-
-    def residual(given: Any) -> Array:
-        values = np.array([given[label].value for label in labels])
-        at = unpack(values)
-        linear = linear_at(values, at)
-        differences = data.weight * (data.measured - linear.model - data.offsets @ at.offsets)
-        return np.concatenate([differences, values[values.size - np.count_nonzero(free) :]])
-
-    def jacobian(given: Any) -> Array:
-        values = np.array([given[label].value for label in labels])
-        at = unpack(values)
-        linear = linear_at(values, at)
-        blocks = [linear.structured * scale, data.offsets * 1e-4]
-        if data.fit_crank:
-            blocks.append(linear.by_angle[:, None] * 1e-2)
-        blocks.append(linear.scatter[:, free] * spread[free])
-        columns = -data.weight[:, None] * np.column_stack(blocks)
-        scattered = int(np.count_nonzero(free))
-        return np.vstack([columns, np.eye(scattered, start.size, start.size - scattered)])
+    def values(given: Any) -> Array:
+        return np.array([given[label].value for label in labels])
 
     fit = lmfit.minimize(
-        residual, parameters, method="leastsq", Dfun=jacobian, col_deriv=False, xtol=1e-6, ftol=1e-8, calc_covar=False
-    )
-    return unpack(np.array([fit.params[label].value for label in labels]))
+        lambda given: problem.residual(values(given)), parameters, method="leastsq",
+        Dfun=lambda given: problem.jacobian(values(given)), col_deriv=False, xtol=1e-6, ftol=gain, calc_covar=False,
+    )  # fmt: skip
+    return problem.state_at(values(fit.params))
 
 
-def _result(
-    pair: Pair,
-    data: _Data,
-    names: Sequence[str],
-    chosen: Sequence[str],
-    state: _State,
-    linear: _Linear,
-    factor: float,
-    scatter: dict[str, float],
-    parts: dict[str, slice],
-) -> Identification:
-    nuisance = _nuisance_columns(data, linear)
-    keep = [names.index(n) for n in chosen]
-    scale = _scale(chosen)
-    spread = np.concatenate([np.full(p.stop - p.start, scatter[n]) for n, p in parts.items()])
-    columns = np.column_stack([linear.structured[:, keep] * scale, nuisance * 1e-4, linear.scatter * spread])
-    columns = data.weight[:, None] / factor * columns
-    information = columns.T @ columns
-    first = len(chosen) + nuisance.shape[1]
-    information[first:, first:] += np.eye(information.shape[0] - first)
-    covariance = linalg.inv(information)[: len(chosen), : len(chosen)] * np.outer(scale, scale)
+class _Problem:
+    """Least squares of a fit in scaled unknowns: chosen errors, bench, friction, crank, then the scatter that is free.
+
+    Unknowns with a prior are one more residual each.
+    """
+
+    def __init__(
+        self, pair: Pair, observed: Observations, chosen: Sequence[str], state: State, deviations: dict[str, float]
+    ) -> None:
+        self.pair, self.observed, self.chosen = pair, observed, list(chosen)
+        self.prior = surface_of_pair(pair)
+        self.spread = spread_of(pair, deviations)
+        self.free = self.spread > NO_SCATTER
+        self.scale = tolerances_of(chosen)
+        bench_known = np.isfinite(observed.bench_prior)
+        self.bench_scale = np.where(bench_known, observed.bench_prior, 1e-4)
+        crank = [state.crank_offset / 1e-2] if observed.fit_crank else []
+        plain = with_scatter(pair, state.surface, -state.scatter)
+        self.start = np.concatenate([
+            np.array([structured_value(pair, plain, n) for n in chosen]) / self.scale,
+            state.bench / self.bench_scale, [state.friction / observed.friction_prior], crank,
+            state.scatter[self.free] / self.spread[self.free],
+        ])  # fmt: skip
+        self.has_prior = np.concatenate(
+            [np.zeros(len(chosen), bool), bench_known, [True], np.zeros(len(crank), bool), self.free[self.free]]
+        )
+        self._last: tuple[bytes, State, Linear] | None = None
+
+    def state_at(self, values: Array) -> State:
+        errors, bench, rest = np.split(values, [len(self.chosen), len(self.chosen) + self.bench_scale.size])
+        surface = with_structured(self.pair, self.prior, dict(zip(self.chosen, errors * self.scale, strict=True)))
+        scatter = np.zeros(self.spread.size)
+        crank = int(self.observed.fit_crank)
+        scatter[self.free] = rest[1 + crank :] * self.spread[self.free]
+        return State(
+            surface=with_scatter(self.pair, surface, scatter),
+            scatter=scatter,
+            bench=bench * self.bench_scale,
+            crank_offset=float(rest[1]) * 1e-2 if crank else 0.0,
+            friction=float(rest[0]) * self.observed.friction_prior,
+        )
+
+    def _at(self, values: Array) -> tuple[State, Linear]:
+        key = values.tobytes()
+        if self._last is None or self._last[0] != key:
+            state = self.state_at(values)
+            self._last = key, state, linearise(self.pair, self.observed, state, self.chosen)
+        return self._last[1], self._last[2]
+
+    def residual(self, values: Array) -> Array:
+        state, linear = self._at(values)
+        left = self.observed.measured - linear.model - self.observed.bench @ state.bench
+        return np.concatenate([self.observed.weight * left, values[self.has_prior]])
+
+    def jacobian(self, values: Array) -> Array:
+        _, linear = self._at(values)
+        blocks = [linear.structured * self.scale, self.observed.bench * self.bench_scale,
+                  linear.by_friction[:, None] * self.observed.friction_prior]  # fmt: skip
+        if self.observed.fit_crank:
+            blocks.append(linear.by_crank[:, None] * 1e-2)
+        blocks.append(linear.scatter[:, self.free] * self.spread[self.free])
+        columns = -self.observed.weight[:, None] * np.column_stack(blocks)
+        return np.vstack([columns, np.eye(values.size)[self.has_prior]])
+
+
+def _inflation(residuals: Sequence[Array]) -> float:
+    """By how much the standard error of a mean of these residuals exceeds that of white noise of the same size.
+
+    The square root of the integrated autocorrelation time, summed to the first lag that noise could make.
+    """
+    time, lag = 1.0, 1
+    total = sum(float(r @ r) for r in residuals)
+    count = sum(r.size for r in residuals)
+    while lag < min(r.size for r in residuals) // 4:
+        correlation = sum(float(r[lag:] @ r[:-lag]) for r in residuals) / total
+        if correlation < 2.0 / np.sqrt(count):
+            break
+        time += 2.0 * correlation
+        lag += 1
+    return float(np.sqrt(time))
+
+
+def _result(pair: Pair, fit: _Fit, predicted: HeldOut | None) -> Identification:
+    observed, chosen, state, linear = fit.observed, fit.chosen, fit.state, fit.linear
+    names = errors_of(pair)
+    fitted = linear.model + observed.bench @ state.bench
+    whitened = observed.weight * (observed.measured - fitted)
+    inflation = _inflation(np.split(whitened, observed.ends))
+    spread = spread_of(pair, fit.scatter)
+    every = posterior_covariance(observed, linear, names, chosen, spread, fit.factor * inflation)
+    covariance = every[: len(chosen), : len(chosen)]
     error = np.sqrt(np.diag(covariance))
     prior = surface_of_pair(pair)
-    plain = _with_scatter(state.surface, -state.scatter, parts)
+    plain = with_scatter(pair, state.surface, -state.scatter)
     quantile = float(stats.norm.ppf(0.5 + 0.5 * _CONFIDENCE))
-    singular, combinations, reasons = _weakness(data, linear, names, chosen, factor)
+    singular, combinations, reasons = weakness(observed, linear, names, chosen, fit.factor * inflation)
     parameters = []
-    for name in names:
-        if name in chosen:
-            value, sigma = structured_value(pair, plain, name), float(error[list(chosen).index(name)])
-            parameters.append(
-                Parameter(name, unit_of(name), value, sigma, (value - quantile * sigma, value + quantile * sigma))
+    for name, tolerance in zip(names, tolerances_of(names), strict=True):
+        known = name in chosen
+        value = structured_value(pair, plain if known else prior, name)
+        sigma = float(error[chosen.index(name)]) if known else float(tolerance)
+        parameters.append(
+            Parameter(
+                name, unit_of(name), value, sigma, (value - quantile * sigma, value + quantile * sigma),
+                1.0 - (sigma / float(tolerance)) ** 2 if known else 0.0, None if known else reasons[name],
             )
-        else:
-            value, sigma = structured_value(pair, prior, name), TOLERANCE[unit_of(name)]
-            interval = (value - quantile * sigma, value + quantile * sigma)
-            parameters.append(Parameter(name, unit_of(name), value, sigma, interval, reasons[name]))
-    fitted = linear.model + data.offsets @ state.offsets
-    ends = np.cumsum([c.input_angle.size for c in data.curves])[:-1]
+        )  # fmt: skip
     surface = dataclasses.replace(
         state.surface,
         origin="identified",
-        covariance_of=tuple(chosen),
-        covariance=covariance,
-        attributes={"data": " ".join(f"{c.checksum}" for c in data.curves)},
+        covariance_of=(*chosen, *scatter_names(pair)),
+        covariance=every,
+        attributes={"data": " ".join(f"{c.checksum}" for c in observed.curves)},
     )
-    offsets = {n: float(v) for n, v in zip(data.offset_names, state.offsets, strict=True)}
-    if data.fit_crank:
-        offsets["crank_angle_offset"] = state.crank
-    typical = float(np.sqrt(1.0 / np.mean(data.weight**2)))
+    bench = {n: float(v) for n, v in zip(observed.bench_names, state.bench, strict=True)}
+    bench["friction_torque"] = state.friction
+    if observed.fit_crank:
+        bench["crank_angle_offset"] = state.crank_offset
+    used = observed.weight > 0.0
     return Identification(
         parameters=tuple(parameters),
-        offsets=offsets,
+        bench=bench,
         surface=surface,
         correlation=covariance / np.outer(error, error),
         singular_values=singular,
         weak_combinations=combinations,
-        noise=typical * factor,
-        scatter=scatter,
-        residual=float(np.sqrt(np.mean((data.measured - fitted) ** 2))),
-        fitted_curves=tuple(np.split(fitted, ends)),
-        checksums={c.source: c.checksum for c in data.curves},
+        noise=float(np.sqrt(1.0 / np.mean(observed.weight[used] ** 2))) * fit.factor,
+        scatter=fit.scatter,
+        inflation=inflation,
+        residual=float(np.sqrt(np.mean((observed.measured - fitted)[used] ** 2))),
+        outliers=tuple(int(np.count_nonzero(part == 0.0)) for part in np.split(observed.weight, observed.ends)),
+        held_out=predicted,
+        fitted_curves=tuple(np.split(fitted, observed.ends)),
+        checksums={c.source: c.checksum for c in observed.curves},
+        notes=_notes(pair, fit, state),
     )
 
 
-def _weakness(
-    data: _Data, linear: _Linear, names: Sequence[str], chosen: Sequence[str], factor: float
-) -> tuple[Array, tuple[str, ...], dict[str, str]]:
-    """Singular values of the scaled Jacobian, its weak combinations in words, and why each other error is held."""
-    weight = data.weight[:, None] / factor
-    q, _ = np.linalg.qr(weight * _nuisance_columns(data, linear))
-    columns = weight * linear.structured * _scale(names)
-    columns = columns - q @ (q.T @ columns)
-    _, singular, right = np.linalg.svd(columns, full_matrices=False)
-    weak = []
-    for value, vector in zip(singular, right, strict=True):
-        if value > 1.0 / KNOWN:
-            continue
-        leading = [i for i in np.argsort(-np.abs(vector)) if abs(vector[i]) > 0.25 * np.abs(vector).max()]
-        terms = [f"{vector[i]:+.2f} {names[i]}" for i in leading[:6]]
-        weak.append(f"{' '.join(terms)} is not known from these data")
-    keep = [list(names).index(n) for n in chosen]
-    reasons = {}
-    for i, name in enumerate(names):
-        if i in keep:
-            continue
-        length = float(np.linalg.norm(columns[:, i]))
-        if length < 1.0:
-            reasons[name] = "it does not move these transmission errors"
-            continue
-        share, *_ = np.linalg.lstsq(columns[:, keep], columns[:, i], rcond=None)
-        left = float(np.linalg.norm(columns[:, i] - columns[:, keep] @ share)) / length
-        leading = [j for j in np.argsort(-np.abs(share)) if abs(share[j]) > 0.2 * np.abs(share).max()][:4]
-        alike = " ".join(f"{share[j]:+.2f} {chosen[j]}" for j in leading)
-        if left < 0.05:
-            reasons[name] = f"it moves the transmission errors as {alike}"
-        else:
-            reasons[name] = f"the data leave it too uncertain beside {alike}"
-    return singular, tuple(weak), reasons
+def _notes(pair: Pair, fit: _Fit, state: State) -> tuple[str, ...]:
+    """Say what the curves lack, and whether the errors explain them."""
+    notes = []
+    curves = fit.observed.curves
+    sizes = np.array([abs(c.torque) for c in curves])
+    if np.ptp(sizes) < 0.05 * sizes.max():
+        notes.append(
+            f"There is one load only, {sizes.mean():.4g} N·m: what gives way elsewhere and what stands off can't be "
+            "told apart; record a second one, ten times smaller."
+        )
+    if len({np.sign(c.torque) for c in curves}) == 1:
+        notes.append(
+            "All torques have one sign, so one side of the teeth was never loaded; record the other direction too."
+        )
+    for curve in curves:
+        turns = float(np.ptp(curve.input_angle)) / (2.0 * np.pi * abs(curve.ratio))
+        if turns < 0.95:
+            notes.append(
+                f"{curve.source}: it covers {turns:.2f} of an output turn; teeth not in contact are not known."
+            )
+    if fit.factor > _UNEXPLAINED:
+        notes.append(
+            f"No error of this pair explains the curves: what is left is {fit.factor:.1f} times their noise; is this "
+            "the drive of the pair file, and are counts per turn and directions right?"
+        )
+    gear = np.abs(fit.linear.model - fit.linear.model.mean()).max()
+    names = fit.observed.bench_names
+    once = np.hypot(*(state.bench[names.index(f"output_encoder_eccentricity_{p}")] for p in ("cos", "sin")))
+    if once > gear:
+        notes.append(
+            f"Once an output turn the angle errs by {once * ARCSEC:.3g}″, more than the gear does in all: "
+            "an encoder sits eccentrically, or the shafts are not aligned."
+        )
+    for curve, left in zip(curves, np.split(fit.observed.weight == 0.0, fit.observed.ends), strict=True):
+        if left.any():
+            notes.append(
+                f"{curve.source}: {np.count_nonzero(left)} of {left.size} points lie far off and were left out."
+            )
+    return tuple(notes)
 
 
 def as_json(result: Identification) -> dict[str, Any]:
@@ -518,18 +569,23 @@ def as_json(result: Identification) -> dict[str, Any]:
                 "standard_error": p.standard_error,
                 "interval": list(p.interval),
                 "unit": p.unit,
+                "data_share": p.data_share,
                 "held": p.held or False,
             }
             for p in result.parameters
         },
-        "offsets": result.offsets,
+        "bench": result.bench,
         "correlation": {"of": list(result.fitted), "matrix": result.correlation},
         "singular_values": result.singular_values,
         "weak_combinations": list(result.weak_combinations),
         "noise": result.noise,
         "scatter": result.scatter,
+        "inflation": result.inflation,
         "residual": result.residual,
+        "outliers": dict(zip(result.checksums, result.outliers, strict=True)),
+        "held_out": None if result.held_out is None else dataclasses.asdict(result.held_out),
         "data": result.checksums,
+        "notes": list(result.notes),
     }
 
 

@@ -8,8 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from cycloid_fmu.pair import Pair
 from cycloid_fmu.plots import ARCSEC, new_figure
+from cycloid_fmu.surface import ErrorSurface, unit_of
+from cycloid_fmu.transmission import solve
 from fitting.curve import Curve
+from fitting.identifiability import TOLERANCE, Plan
 from fitting.identify import Identification
 
 if TYPE_CHECKING:
@@ -73,3 +77,34 @@ def plot_comparison(
 def plot_identification(curves: Sequence[Curve], result: Identification) -> Figure:
     """Measured and fitted transmission errors with their residual."""
     return plot_comparison(curves, result.fitted_curves, "fitted")
+
+
+def plot_plans(plans: Sequence[Plan]) -> Figure:
+    """Standard error of each error with each set of runs, as a share of its tolerance; 1 where it would be held."""
+    figure, (axis,) = new_figure(1)
+    names = [*plans[-1].standard_error, *plans[-1].held]
+    for number, plan in enumerate(plans):
+        share = [plan.standard_error.get(n, np.nan) / TOLERANCE[unit_of(n)] for n in names]
+        axis.plot(share, np.arange(len(names)), "o", color=f"C{number}", label=plan.said)
+    axis.set(xscale="log", xlabel="standard error as a share of what the error may be unmeasured")
+    axis.set_yticks(np.arange(len(names)), names, fontsize=7)
+    axis.invert_yaxis()
+    figure.legend(loc="outside upper center", ncols=2, fontsize=8, frameon=False)
+    return figure
+
+
+def plot_band(pair: Pair, surface: ErrorSurface, drawn: Sequence[ErrorSurface], torque: float) -> Figure:
+    """Transmission error of the identified drive at a torque (N·m), and the band of 95 % of the drawn ones."""
+    figure, axes = new_figure(2)
+    angle = np.linspace(0.0, 2.0 * np.pi * abs(pair.ratio), 24 * round(abs(pair.ratio)), endpoint=False)
+    identified = solve(pair, surface, torque, angle, with_play=False).transmission_error[0] * ARCSEC
+    each = [solve(pair, one, torque, angle, with_play=False).transmission_error[0] * ARCSEC for one in drawn]
+    low, high = np.quantile(np.array(each), [0.025, 0.975], axis=0)
+    turn = angle / (2.0 * np.pi)
+    axes[0].fill_between(turn, low, high, alpha=0.4, lw=0, label=f"95 % of {len(drawn)} drawn")
+    axes[0].plot(turn, identified, lw=0.8, label="identified")
+    axes[0].set(ylabel="transmission error [arcsec]", title=f"{torque:+.4g} N·m")
+    axes[0].legend(fontsize=8, frameon=False, ncols=2)
+    axes[1].fill_between(turn, low - identified, high - identified, alpha=0.4, lw=0)
+    axes[1].set(xlabel="crank turns", ylabel="drawn - identified [arcsec]")
+    return figure

@@ -1,0 +1,310 @@
+"""Which errors measurements tell apart, which they do not and why, and what a planned bench run would tell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from cycloid_fmu.pair import Pair
+from cycloid_fmu.surface import structured_names, surface_of_pair, unit_of
+from fitting.curve import Curve
+from fitting.observation import Linear, Observations, State, linearise, nuisance_columns, observations, scatter_parts
+
+Array = NDArray[np.float64]
+ORDERS = (1, 2, 3)
+
+# Of each set of errors that move the transmission error alike the first is fitted (design.md section 3).
+PREFERENCE = (
+    "centre_distance_x", "centre_distance_y", "pin_radius", "pin_circle_radius", "eccentricity",
+    *(f"{p}_{k}_{w}" for k in (2, 3) for p in ("pin_radial", "pin_tangential") for w in ("cos", "sin")),
+    *(f"tooth_cumulative_pitch_{k}_{w}" for k in ORDERS for w in ("cos", "sin")),
+    *(f"{p}_1_{w}" for p in ("pin_tangential", "pin_radial") for w in ("cos", "sin")),
+    "isometric", "offset", "misalignment_xz", "misalignment_yz",
+)  # fmt: skip
+TOLERANCE = {"m": 5e-6, "rad": 1e-4}  # standard deviation that an error has before anything is measured
+KNOWN = 0.2  # an error counts as known where the data leave less than this share of its tolerance
+
+
+def errors_of(pair: Pair) -> list[str]:
+    """Return the structured errors that a fit of this pair considers."""
+    return structured_names([k for k in ORDERS if 2 * k < pair.pair.gear_teeth])
+
+
+def tolerances_of(names: Sequence[str]) -> Array:
+    """Return the standard deviation of each error before anything is measured, m or rad."""
+    return np.array([TOLERANCE[unit_of(n)] for n in names])
+
+
+def choose(information: Array, names: Sequence[str], nuisances: int) -> list[str]:
+    """Choose the errors that the data tell apart.
+
+    Parameters
+    ----------
+    information
+        Information matrix of the nuisances (first) and all structured errors, scaled by their tolerances.
+    names
+        The structured errors in the matrix' order.
+    nuisances
+        How many nuisances precede them; they are always fitted.
+
+    Returns
+    -------
+    names
+        In the order of `PREFERENCE`: each was added where all errors chosen stay known to `KNOWN` of their tolerance.
+    """
+    chosen: list[int] = []
+    always = list(range(nuisances))
+    for name in PREFERENCE:
+        if name not in names:
+            continue
+        trial = [*chosen, nuisances + list(names).index(name)]
+        index = always + trial
+        block = information[np.ix_(index, index)]
+        size = np.sqrt(np.diag(block))
+        if (size[nuisances:] <= 0.0).any():
+            continue
+        scaled = block / np.outer(size, size)
+        values, vectors = np.linalg.eigh(scaled)
+        if values[0] < 1e-12:
+            continue
+        spread = np.sqrt((vectors**2 / values).sum(axis=1)) / size
+        if (spread[nuisances:] < KNOWN).all():
+            chosen = trial
+    return [list(names)[i - nuisances] for i in chosen]
+
+
+def chosen_errors(
+    observed: Observations, linear: Linear, names: Sequence[str], spread: Array, factor: float = 1.0
+) -> list[str]:
+    """Choose the errors that observations tell apart, in the order of `names`.
+
+    Parameters
+    ----------
+    observed, linear, names
+        The observations and the model at a state.
+    spread
+        Standard deviation of each scattered displacement of a pin or tooth, which blurs the errors, m.
+    factor
+        By how much the noise is larger than the weights say.
+    """
+    nuisances, priors = nuisance_columns(observed, linear)
+    some = spread > 0.0
+    unit = np.where(np.isfinite(priors), priors, 1e-4)
+    columns = np.column_stack([
+        nuisances * unit, linear.scatter[:, some] * spread[some], linear.structured * tolerances_of(names)
+    ])  # fmt: skip
+    columns = observed.weight[:, None] / factor * columns
+    information = columns.T @ columns
+    known = np.concatenate([np.isfinite(priors), np.ones(np.count_nonzero(some)), np.zeros(len(names))])
+    found = choose(information + np.diag(known), names, information.shape[0] - len(names))
+    return [n for n in names if n in found]
+
+
+def weakness(
+    observed: Observations, linear: Linear, names: Sequence[str], chosen: Sequence[str], factor: float = 1.0
+) -> tuple[Array, tuple[str, ...], dict[str, str]]:
+    """Say what the data cannot tell.
+
+    Returns
+    -------
+    singular_values
+        Of the Jacobian scaled by tolerance and noise, the nuisances projected out.
+    weak_combinations
+        Combinations of errors that stay less known than `KNOWN` of their tolerance, in words.
+    reasons
+        {name: why} of every error that is not chosen.
+    """
+    weight = observed.weight[:, None] / factor
+    nuisances, priors = nuisance_columns(observed, linear)
+    # A nuisance with a prior is one more measurement of itself.
+    known = np.isfinite(priors)
+    rows = np.vstack([weight * nuisances, np.diag(1.0 / priors)[known]])
+    scale = np.linalg.norm(rows, axis=0)
+    rows = rows[:, scale > 0.0] / scale[scale > 0.0]
+    q, _ = np.linalg.qr(rows)
+    columns = np.vstack([weight * linear.structured * tolerances_of(names), np.zeros((known.sum(), len(names)))])
+    columns = columns - q @ (q.T @ columns)
+    _, singular, right = np.linalg.svd(columns, full_matrices=False)
+    weak = []
+    for value, vector in zip(singular, right, strict=True):
+        if value > 1.0 / KNOWN:
+            continue
+        leading = [i for i in np.argsort(-np.abs(vector)) if abs(vector[i]) > 0.25 * np.abs(vector).max()]
+        weak.append(_in_words([(float(vector[i]), names[i]) for i in leading[:6]]))
+    keep = [list(names).index(n) for n in chosen]
+    reasons = {}
+    for i, name in enumerate(names):
+        if i in keep:
+            continue
+        length = float(np.linalg.norm(columns[:, i]))
+        if length < 1.0:
+            reasons[name] = "it does not move these transmission errors"
+            continue
+        share, *_ = np.linalg.lstsq(columns[:, keep], columns[:, i], rcond=None)
+        left = float(np.linalg.norm(columns[:, i] - columns[:, keep] @ share)) / length
+        leading = [j for j in np.argsort(-np.abs(share)) if abs(share[j]) > 0.2 * np.abs(share).max()][:4]
+        alike = " ".join(f"{share[j]:+.2f} {chosen[j]}" for j in leading)
+        if left < 0.05:
+            reasons[name] = f"it moves the transmission errors as {alike}"
+        else:
+            reasons[name] = f"the data leave it too uncertain beside {alike}"
+    return singular, tuple(weak), reasons
+
+
+def posterior_covariance(
+    observed: Observations,
+    linear: Linear,
+    names: Sequence[str],
+    chosen: Sequence[str],
+    spread: Array,
+    factor: float = 1.0,
+) -> Array:
+    """Covariance of the chosen errors and of the scatter of every pin and tooth, the nuisances unknown.
+
+    Parameters
+    ----------
+    chosen
+        The errors fitted; they have no prior.
+    spread
+        Standard deviation of each scattered displacement before anything is measured, m.
+    factor
+        By how much the noise is larger than the weights say.
+
+    Returns
+    -------
+    covariance
+        Shape (chosen + scatter, chosen + scatter), m² or rad².
+    """
+    nuisances, priors = nuisance_columns(observed, linear)
+    keep = [list(names).index(n) for n in chosen]
+    scale = np.concatenate([tolerances_of(chosen), spread])
+    unit = np.where(np.isfinite(priors), priors, 1e-4)
+    columns = np.column_stack([linear.structured[:, keep], linear.scatter]) * scale
+    columns = observed.weight[:, None] / factor * np.column_stack([columns, nuisances * unit])
+    matrix = columns.T @ columns
+    known = np.concatenate([np.zeros(len(chosen)), np.ones(spread.size), np.isfinite(priors).astype(float)])
+    covariance = linalg.inv(matrix + np.diag(known))[: scale.size, : scale.size]
+    covariance = 0.5 * (covariance + covariance.T)
+    return np.asarray(covariance * np.outer(scale, scale))
+
+
+def _in_words(terms: Sequence[tuple[float, str]]) -> str:
+    """Say of a combination of errors that it is not known; of two, how they move the transmission error."""
+    if len(terms) == 1:
+        return f"{terms[0][1]} is not known from these data"
+    if len(terms) == 2 and abs(abs(terms[0][0]) - abs(terms[1][0])) < 0.05:
+        # Moving both along the combination changes nothing: with equal signs their effects cancel.
+        (first, one), (second, other) = terms
+        way, left = ("oppositely", "difference") if first * second > 0 else ("alike", "sum")
+        return f"{one} and {other} move the transmission error {way}; only their {left} is known"
+    return f"{' '.join(f'{share:+.2f} {name}' for share, name in terms)} is not known from these data"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a set of bench runs would tell.
+
+    Attributes
+    ----------
+    said
+        The runs in words.
+    standard_error
+        {name: m or rad} of the errors that would be identified, the pins' and teeth's scatter allowed for.
+    held
+        {name: why} of the others.
+    """
+
+    said: str
+    standard_error: dict[str, float]
+    held: dict[str, str]
+
+
+def planned_curve(ratio: float, torque: float, direction: int, turns: float, samples: int) -> Curve:
+    """Return the curve that a run would give, its transmission error all zero.
+
+    Parameters
+    ----------
+    ratio
+        Signed ratio.
+    torque
+        N·m.
+    direction
+        ±1.
+    turns
+        Output turns; more than one are averaged.
+    samples
+        Samples in a crank turn.
+    """
+    points = round(samples * abs(ratio) * min(turns, 1.0))
+    angle = np.arange(points) * 2.0 * np.pi / samples
+    return Curve(
+        input_angle=angle, transmission_error=np.zeros(points), standard_error=np.full(points, np.nan),
+        sample_count=np.full(points, max(1, int(turns)), dtype=np.int64), torque=torque, torque_deviation=0.0,
+        direction=direction, ratio=ratio, common_zero=True, known_index=True, source="plan", checksum="",
+    )  # fmt: skip
+
+
+def plan(
+    pair: Pair,
+    torques: Sequence[float],
+    directions: Sequence[int],
+    *,
+    turns: float,
+    samples: int,
+    noise: float,
+    scatter: float,
+    said: str,
+) -> Plan:
+    """Return what bench runs at these torques, each in these directions, would tell of a pair.
+
+    Parameters
+    ----------
+    torques
+        Sizes of the torque, N·m; it opposes the motion, so that it changes its sign with the direction.
+    directions
+        ±1 each.
+    turns, samples
+        Output turns of each run, and samples in a crank turn.
+    noise
+        Standard deviation of a single sample of the transmission error, rad.
+    scatter
+        What single pins and teeth do beyond the structured errors, standard deviation, m.
+    said
+        The runs in words.
+    """
+    curves = [planned_curve(pair.ratio, way * torque, way, turns, samples) for torque in torques for way in directions]
+    level = [noise / np.sqrt(c.sample_count[0]) for c in curves]
+    observed = observations(curves, pair, level)
+    names = errors_of(pair)
+    parts = scatter_parts(pair)
+    size = max(p.stop for p in parts.values())
+    state = State(surface_of_pair(pair), np.zeros(size), np.zeros(observed.bench.shape[1]))
+    linear = linearise(pair, observed, state, names)
+    chosen = chosen_errors(observed, linear, names, np.full(size, scatter))
+    _, _, reasons = weakness(observed, linear, names, chosen)
+    covariance = posterior_covariance(observed, linear, names, chosen, np.full(size, scatter))
+    error = np.sqrt(np.diag(covariance)[: len(chosen)])
+    return Plan(said, dict(zip(chosen, error.tolist(), strict=True)), reasons)
+
+
+def bench_plans(
+    pair: Pair, torques: Sequence[float], *, turns: float, samples: int, noise: float, scatter: float
+) -> list[Plan]:
+    """Return what ever larger sets of runs would tell: the largest torque one way, both ways, then torque by torque.
+
+    Parameters are those of `plan`; the torques are added from the largest, then the smallest, to those between.
+    """
+    ordered = sorted(set(torques), reverse=True)
+    ordered = ordered[:1] + ordered[:0:-1]
+    sets: list[tuple[list[float], tuple[int, ...], str]] = [(ordered[:1], (1,), f"{ordered[0]:g} N·m forward")]
+    for count in range(1, len(ordered) + 1):
+        loads = " and ".join(f"{t:g}" for t in ordered[:count])
+        sets.append((ordered[:count], (1, -1), f"{loads} N·m both ways"))
+    return [
+        plan(pair, loads, ways, turns=turns, samples=samples, noise=noise, scatter=scatter, said=said)
+        for loads, ways, said in sets
+    ]

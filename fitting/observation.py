@@ -1,0 +1,219 @@
+"""What transmission error curves observe of a drive: the exact model at every point, and its derivatives.
+
+Beside the errors of the drive the curves see the bench: the zeros of its angles, eccentric encoders, what else gives
+way between the two encoders, and friction. These are nuisances: fitted with the errors, never part of the surface.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu.contact import SCALAR_ERRORS
+from cycloid_fmu.pair import Pair
+from cycloid_fmu.surface import ErrorSurface, surface_of_pair
+from cycloid_fmu.transmission import error_sensitivity, solve
+from fitting.curve import Curve, noise_of
+
+Array = NDArray[np.float64]
+
+# What an encoder errs once a turn of its own shaft before anything is measured, rad; the output's is told by its order.
+OUTPUT_ENCODER, INPUT_ENCODER = 2e-4, 5e-5
+FRICTION_SHARE = 0.002  # of the largest torque
+COMPLIANCE_SHARE = 0.02  # of the gear pair's own compliance
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Curves as one long vector.
+
+    Attributes
+    ----------
+    curves
+        The curves.
+    measured, weight
+        Shape (points,): transmission error (rad) and 1/noise of each point (1/rad; 0 leaves a point out).
+    bench_names, bench, bench_prior
+        Nuisances in which the transmission error is linear: names, columns (points, nuisances) and what each may be
+        before anything is measured, as a standard deviation (infinite: unknown).
+    fit_crank
+        Whether the crank's zero is unknown too.
+    friction_prior
+        Standard deviation of the friction torque before anything is measured, N·m.
+    """
+
+    curves: tuple[Curve, ...]
+    measured: Array
+    weight: Array
+    bench_names: tuple[str, ...]
+    bench: Array
+    bench_prior: Array
+    fit_crank: bool
+    friction_prior: float
+
+    @property
+    def ends(self) -> NDArray[np.int64]:
+        """Where one curve ends and the next begins, shape (curves - 1,)."""
+        return np.cumsum([c.input_angle.size for c in self.curves])[:-1]
+
+    def thinned(self, stride: int) -> Observations:
+        """Every so many-th point of each curve."""
+        chosen = np.concatenate([np.arange(c.input_angle.size) % stride == 0 for c in self.curves])
+        names = ("input_angle", "transmission_error", "standard_error", "sample_count")
+        curves = tuple(
+            dataclasses.replace(c, **{name: getattr(c, name)[::stride] for name in names}) for c in self.curves
+        )
+        return dataclasses.replace(
+            self, curves=curves, measured=self.measured[chosen], weight=self.weight[chosen], bench=self.bench[chosen]
+        )
+
+
+def observations(curves: Sequence[Curve], pair: Pair, noise: Sequence[float] | None = None) -> Observations:
+    """Return curves as observations of a pair.
+
+    Parameters
+    ----------
+    curves
+        One or more.
+    pair
+        The nominal pair.
+    noise
+        Noise of a single point of each curve, rad; by default what the curves themselves show.
+    """
+    shown = np.array([noise_of(c) for c in curves] if noise is None else noise)
+    floor = max(float(np.median(shown)), 1e-9)
+    weight = [np.sqrt(c.sample_count / np.median(c.sample_count)) / max(n, 0.1 * floor, 1e-9)
+              for c, n in zip(curves, shown, strict=True)]  # fmt: skip
+    sizes = [c.input_angle.size for c in curves]
+    crank = np.concatenate([c.input_angle for c in curves])
+    torque = np.repeat([c.torque for c in curves], sizes)
+    names, columns, priors = [], [], []
+    absolute = [i for i, c in enumerate(curves) if c.common_zero]
+    groups = ([absolute] if absolute else []) + [[i] for i, c in enumerate(curves) if not c.common_zero]
+    for number, group in enumerate(groups):
+        names.append("output_angle_offset" if len(groups) == 1 else f"output_angle_offset_{number}")
+        columns.append(np.repeat([float(i in group) for i in range(len(curves))], sizes))
+        priors.append(np.inf)
+    ratio = abs(curves[0].ratio)
+    shafts = (("output", crank / ratio, 1.0, OUTPUT_ENCODER), ("input", crank, 1.0 / ratio, INPUT_ENCODER))
+    for shaft, angle, lever, prior in shafts:
+        for part, wave in (("cos", np.cos(angle)), ("sin", np.sin(angle))):
+            names.append(f"{shaft}_encoder_eccentricity_{part}")
+            columns.append(lever * wave)
+            priors.append(prior)
+    largest = max(float(np.abs(torque).max()), 1e-9)
+    own = solve(pair, surface_of_pair(pair), largest, np.linspace(0.0, 2.0 * np.pi, 40), with_play=False)
+    names.append("chain_compliance")
+    columns.append(torque)
+    priors.append(COMPLIANCE_SHARE / float(own.torsional_stiffness.mean()))
+    return Observations(
+        curves=tuple(curves),
+        measured=np.concatenate([c.transmission_error for c in curves]),
+        weight=np.concatenate(weight),
+        bench_names=tuple(names),
+        bench=np.array(columns).T,
+        bench_prior=np.array(priors),
+        fit_crank=not all(c.known_index for c in curves),
+        friction_prior=FRICTION_SHARE * largest,
+    )
+
+
+@dataclass(frozen=True)
+class State:
+    """Where a fit stands.
+
+    Attributes
+    ----------
+    surface
+        The error surface, the pins' and teeth's own scatter in it.
+    scatter
+        That scatter by itself, shape (2 pins + discs x teeth,), m.
+    bench
+        The bench's nuisances as in `Observations.bench_names`.
+    crank_offset, friction
+        The crank's zero (rad) and the friction torque (N·m).
+    """
+
+    surface: ErrorSurface
+    scatter: Array
+    bench: Array
+    crank_offset: float = 0.0
+    friction: float = 0.0
+
+
+@dataclass(frozen=True)
+class Linear:
+    """The model at one state: transmission error without the bench, shape (points,), and its derivatives.
+
+    `structured` (points, names), `scatter` (points, 2 pins + discs x teeth), and by crank angle and friction torque
+    (points,).
+    """
+
+    model: Array
+    structured: Array
+    scatter: Array
+    by_crank: Array
+    by_friction: Array
+
+
+def scatter_parts(pair: Pair) -> dict[str, slice]:
+    """Return where the scatter of each pattern stands in a scatter vector."""
+    g = pair.pair
+    return {
+        "pin_radial": slice(0, g.pins),
+        "pin_tangential": slice(g.pins, 2 * g.pins),
+        "tooth_cumulative_pitch": slice(2 * g.pins, 2 * g.pins + g.discs * g.gear_teeth),
+    }
+
+
+def scatter_names(pair: Pair) -> list[str]:
+    """Return the names of the single displacements in a scatter vector, as a surface's covariance has them."""
+    return [f"{name}_at_{i}" for name, part in scatter_parts(pair).items() for i in range(part.stop - part.start)]
+
+
+def spread_of(pair: Pair, deviations: Mapping[str, float]) -> Array:
+    """Return the standard deviation of each displacement in a scatter vector from those of the patterns, m."""
+    return np.concatenate([np.full(p.stop - p.start, deviations.get(n, 0.0)) for n, p in scatter_parts(pair).items()])
+
+
+def with_scatter(pair: Pair, surface: ErrorSurface, scatter: Array) -> ErrorSurface:
+    """Return a surface with a displacement of every pin and tooth added."""
+    parts = scatter_parts(pair)
+    return dataclasses.replace(
+        surface, **{n: getattr(surface, n) + scatter[p].reshape(getattr(surface, n).shape) for n, p in parts.items()}
+    )
+
+
+def linearise(pair: Pair, observed: Observations, state: State, names: Sequence[str]) -> Linear:
+    """Evaluate the exact model and its analytic derivatives at every point of every curve."""
+    g = pair.pair
+    scalars = len(SCALAR_ERRORS)
+    pins, teeth = slice(scalars, scalars + 2 * g.pins), slice(scalars + 3 * g.pins, None)
+
+    def of(curve: Curve) -> tuple[Array, ...]:
+        way = float(curve.direction) * np.sign(curve.ratio)
+        model, jacobian, each, further = error_sensitivity(
+            pair, state.surface, curve.torque + way * state.friction, curve.input_angle + state.crank_offset,
+            list(names),
+        )  # fmt: skip
+        scatter = np.hstack([each[:, pins], each[:, teeth] / g.pin_circle_radius])
+        return model, jacobian, scatter, further[:, 0], way * further[:, 1]
+
+    # The kernel works without Python's lock.
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return Linear(*(np.concatenate(v) for v in zip(*pool.map(of, observed.curves), strict=True)))
+
+
+def nuisance_columns(observed: Observations, linear: Linear) -> tuple[Array, Array]:
+    """Return the columns of all nuisances, shape (points, nuisances), and their prior standard deviations."""
+    columns, priors = [observed.bench, linear.by_friction[:, None]], [*observed.bench_prior, observed.friction_prior]
+    if observed.fit_crank:
+        columns.append(linear.by_crank[:, None])
+        priors.append(np.inf)
+    return np.hstack(columns), np.array(priors)
