@@ -53,6 +53,7 @@ _OUTLYING = 6.0  # robust standard deviations from the fit
 _UNEXPLAINED = 3.0  # times its noise: a residual above this is another drive's
 _START_POINTS = 500  # of all curves together, for the way from the prior
 _STARTS = 3
+_EVALUATIONS = 40  # of one fit, which a drive that is the one of the pair file needs ten to twenty of
 # A fit ends where a step gains less than this of the sum of squares; the last one at a fraction of what noise moves it.
 _START_GAIN, _STRUCTURED_GAIN, _GAIN = 1e-3, 1e-4, 2e-5
 
@@ -375,7 +376,8 @@ def _fit(
 
     fit = lmfit.minimize(
         lambda given: problem.residual(values(given)), parameters, method="leastsq",
-        Dfun=lambda given: problem.jacobian(values(given)), col_deriv=False, xtol=1e-6, ftol=gain, calc_covar=False,
+        Dfun=lambda given: problem.jacobian(values(given)), col_deriv=False, xtol=1e-6, ftol=gain,
+        max_nfev=_EVALUATIONS, calc_covar=False,
     )  # fmt: skip
     return problem.state_at(values(fit.params))
 

@@ -1,0 +1,147 @@
+"""What measurements tell apart: the bench beside the drive, plans, curves with faults, and drawn surfaces."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from common import BENCH, EXAMPLES
+
+from cycloid_fmu.pair import read_pair
+from cycloid_fmu.surface import read_surface, structured_value, surface_of_pair, with_structured, write_surface
+from cycloid_fmu.transmission import error_sensitivity, solve
+from fitting.ensemble import drawn_surfaces
+from fitting.identifiability import bench_plans
+from fitting.identify import identify, kept_back
+
+ARCSEC = np.pi / 648000
+
+
+@pytest.fixture(scope="module")
+def found(measured, nominal):
+    return identify(measured(1, loads=(20.0, -20.0, 100.0, -100.0, 200.0, -200.0), zeros=(0.0,) * 6), nominal)
+
+
+def test_a_load_is_kept_back_and_predicted_at_the_noise_level(found):
+    assert found.held_out.said == "+100 N·m, -100 N·m"
+    assert found.held_out.residual < 1.2 * found.held_out.noise
+
+
+def test_what_is_kept_back(measured):
+    six = measured(1, loads=(20.0, -20.0, 100.0, -100.0, 200.0, -200.0), zeros=(0.0,) * 6)
+    assert kept_back(six) == (2, 3)
+    assert kept_back(six[:2] + six[4:]) == (0,)
+    assert kept_back(six[:2]) == ()
+
+
+def test_encoder_eccentricity_is_the_bench_s(measured, nominal, made):
+    """Once a turn of the output belongs to no gear error (design.md section 4), once a turn of the crank nearly so."""
+    curves = measured(5)
+    for i, c in enumerate(curves):
+        angle = c.input_angle
+        added = 20 * ARCSEC * np.cos(angle / 39 - 0.4) + 15 * ARCSEC / 39 * np.sin(angle)
+        curves[i] = dataclasses.replace(c, transmission_error=c.transmission_error + added)
+    found = identify(curves, nominal)
+    assert found.bench["output_encoder_eccentricity_cos"] == pytest.approx(20 * ARCSEC * np.cos(0.4), abs=0.1 * ARCSEC)
+    assert found.bench["output_encoder_eccentricity_sin"] == pytest.approx(20 * ARCSEC * np.sin(0.4), abs=0.1 * ARCSEC)
+    truth = surface_of_pair(made)
+    far = [abs(p.value - structured_value(made, truth, p.name)) / p.standard_error
+           for p in found.parameters if p.held is None]  # fmt: skip
+    assert max(far) < 4.0
+
+
+def test_orders_of_pins_and_teeth_are_their_own(nominal):
+    """Pin errors move output orders 39 k only, tooth errors 40 k only, at first order (design.md section 4)."""
+    names = ["pin_radial_2_cos", "pin_tangential_3_sin", "tooth_cumulative_pitch_1_cos", "tooth_cumulative_pitch_2_sin"]
+    samples = 80
+    angle = np.arange(39 * samples) * 2.0 * np.pi / samples
+    columns = error_sensitivity(nominal, surface_of_pair(nominal), 100.0, angle, names)[1]
+    for name, column in zip(names, columns.T, strict=True):
+        amplitude = np.abs(np.fft.rfft(column))[1:1200]
+        own = 39 if name.startswith("pin") else 40
+        orders = np.arange(1, 1200)
+        # At the mesh's own order both families meet.
+        assert (amplitude[(orders % own != 0) & (orders < 1100)] < 1e-6 * amplitude.max()).all(), name
+
+
+def test_outliers_are_left_out_and_missing_arcs_do_not_matter(measured, nominal, made):
+    curves = measured(6)
+    error = curves[0].transmission_error.copy()
+    error[[10, 200, 700]] += 300 * ARCSEC
+    curves[0] = dataclasses.replace(curves[0], transmission_error=error)
+    keep = np.r_[0:300, 420:936]
+    names = ("input_angle", "transmission_error", "standard_error", "sample_count")
+    curves[2] = dataclasses.replace(curves[2], **{n: getattr(curves[2], n)[keep] for n in names})
+    found = identify(curves, nominal)
+    assert found.outliers == (3, 0, 0, 0)
+    assert any("3 of 936 points" in n for n in found.notes)
+    truth = surface_of_pair(made)
+    far = [abs(p.value - structured_value(made, truth, p.name)) / p.standard_error
+           for p in found.parameters if p.held is None]  # fmt: skip
+    assert max(far) < 4.0
+
+
+def test_notes_say_what_the_curves_lack(measured, nominal):
+    one = identify(measured(7, loads=(200.0,)), nominal)
+    assert any("one load" in n for n in one.notes)
+    assert any("one sign" in n for n in one.notes)
+    assert one.held_out is None
+
+
+def test_curves_of_another_gear_are_not_explained(measured):
+    """The same ratio, another eccentricity and pin: the fit says so and still ends."""
+    other = read_pair(BENCH / "pair.toml")
+    other = other.model_copy(update={"pair": other.pair.model_copy(update={"eccentricity": 0.9e-3})})
+    found = identify(measured(8, each=12), other, held_out=False)
+    assert any("No error of this pair explains" in n for n in found.notes)
+
+
+def test_more_runs_tell_no_less():
+    pair = read_pair(EXAMPLES / "drive-39-40.toml")
+    plans = bench_plans(pair, [20.0, 200.0], turns=1.0, samples=12, noise=0.5 * ARCSEC, scatter=0.3e-6)
+    assert [p.said for p in plans] == ["200 N·m forward", "200 N·m both ways", "200 and 20 N·m both ways"]
+    assert len(plans[0].standard_error) < len(plans[1].standard_error) <= len(plans[2].standard_error)
+    for name, error in plans[1].standard_error.items():
+        assert plans[2].standard_error.get(name, 0.0) < 1.01 * error
+    assert "does not move" in plans[2].held["misalignment_xz"]
+
+
+def test_a_plan_foretells_the_fit(measured, nominal):
+    """The standard errors that a plan states are those that the fit of such runs then has (no scatter in either)."""
+    found = identify(measured(9), nominal, held_out=False)
+    planned = bench_plans(nominal, [20.0, 200.0], turns=1.0, samples=24, noise=0.5 * ARCSEC, scatter=1e-9)[-1]
+    ratios = [p.standard_error / planned.standard_error[p.name] for p in found.parameters
+              if p.held is None and p.name in planned.standard_error]  # fmt: skip
+    assert len(ratios) > 15
+    assert np.median(ratios) == pytest.approx(1.0, abs=0.25)
+
+
+def test_drawn_surfaces_have_the_fit_s_covariance(found, nominal, tmp_path):
+    write_surface(found.surface, tmp_path / "s.nc")
+    surface = read_surface(tmp_path / "s.nc")
+    drawn = drawn_surfaces(nominal, surface, 400, seed=1)
+    again = drawn_surfaces(nominal, surface, 2, seed=1)
+    assert again[1].centre_distance_x == drawn[1].centre_distance_x
+    at = surface.covariance_of.index("centre_distance_x")
+    spread = np.std([s.centre_distance_x for s in drawn])
+    assert spread == pytest.approx(np.sqrt(surface.covariance[at, at]), rel=0.15)
+    write_surface(drawn[0], tmp_path / "d.nc")
+    assert read_surface(tmp_path / "d.nc").attributes["ensemble_number"] == 0
+
+
+def test_the_ensemble_s_band_is_as_wide_as_the_fit_is_uncertain(found, nominal, made):
+    """At a load that was not measured the truth lies within a few widths of the drawn band."""
+    angles = np.linspace(0.0, 200.0, 40)
+    drawn = [solve(nominal, s, 60.0, angles, with_play=False).transmission_error[0]
+             for s in drawn_surfaces(nominal, found.surface, 60, seed=0)]  # fmt: skip
+    truth = solve(made, surface_of_pair(made), 60.0, angles, with_play=False).transmission_error[0]
+    centre, width = np.mean(drawn, axis=0), np.std(drawn, axis=0)
+    assert np.abs((truth - centre) / width).max() < 5.0
+    assert width.max() < 1.0 * ARCSEC
+
+
+def test_a_surface_without_a_fit_can_not_be_drawn_from(nominal):
+    from cycloid_fmu import edge
+
+    surface = with_structured(nominal, surface_of_pair(nominal), {"eccentricity": 1e-6})
+    with pytest.raises(edge.InputError, match="no covariance"):
+        drawn_surfaces(nominal, surface, 1, 0)
