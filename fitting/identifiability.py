@@ -77,9 +77,7 @@ def choose(information: Array, names: Sequence[str], nuisances: int) -> list[str
     return [list(names)[i - nuisances] for i in chosen]
 
 
-def chosen_errors(
-    observed: Observations, linear: Linear, names: Sequence[str], spread: Array, factor: float = 1.0
-) -> list[str]:
+def chosen_errors(observed: Observations, linear: Linear, names: Sequence[str], spread: Array) -> list[str]:
     """Choose the errors that observations tell apart, in the order of `names`.
 
     Parameters
@@ -88,8 +86,6 @@ def chosen_errors(
         The observations and the model at a state.
     spread
         Standard deviation of each scattered displacement of a pin or tooth, which blurs the errors, m.
-    factor
-        By how much the noise is larger than the weights say.
     """
     nuisances, priors = nuisance_columns(observed, linear)
     some = spread > 0.0
@@ -97,7 +93,7 @@ def chosen_errors(
     columns = np.column_stack([
         nuisances * unit, linear.scatter[:, some] * spread[some], linear.structured * tolerances_of(names)
     ])  # fmt: skip
-    columns = observed.weight[:, None] / factor * columns
+    columns = observed.weight[:, None] * columns
     information = columns.T @ columns
     known = np.concatenate([np.isfinite(priors), np.ones(np.count_nonzero(some)), np.zeros(len(names))])
     found = choose(information + np.diag(known), names, information.shape[0] - len(names))
@@ -105,7 +101,7 @@ def chosen_errors(
 
 
 def weakness(
-    observed: Observations, linear: Linear, names: Sequence[str], chosen: Sequence[str], factor: float = 1.0
+    observed: Observations, linear: Linear, names: Sequence[str], chosen: Sequence[str]
 ) -> tuple[Array, tuple[str, ...], dict[str, str]]:
     """Say what the data cannot tell.
 
@@ -118,7 +114,7 @@ def weakness(
     reasons
         {name: why} of every error that is not chosen.
     """
-    weight = observed.weight[:, None] / factor
+    weight = observed.weight[:, None]
     nuisances, priors = nuisance_columns(observed, linear)
     # A nuisance with a prior is one more measurement of itself.
     known = np.isfinite(priors)
@@ -161,7 +157,6 @@ def posterior_covariance(
     names: Sequence[str],
     chosen: Sequence[str],
     spread: Array,
-    factor: float = 1.0,
 ) -> Array:
     """Covariance of the chosen errors and of the scatter of every pin and tooth, the nuisances unknown.
 
@@ -171,8 +166,6 @@ def posterior_covariance(
         The errors fitted; they have no prior.
     spread
         Standard deviation of each scattered displacement before anything is measured, m.
-    factor
-        By how much the noise is larger than the weights say.
 
     Returns
     -------
@@ -184,7 +177,7 @@ def posterior_covariance(
     scale = np.concatenate([tolerances_of(chosen), spread])
     unit = np.where(np.isfinite(priors), priors, 1e-4)
     columns = np.column_stack([linear.structured[:, keep], linear.scatter]) * scale
-    columns = observed.weight[:, None] / factor * np.column_stack([columns, nuisances * unit])
+    columns = observed.weight[:, None] * np.column_stack([columns, nuisances * unit])
     matrix = columns.T @ columns
     known = np.concatenate([np.zeros(len(chosen)), np.ones(spread.size), np.isfinite(priors).astype(float)])
     covariance = linalg.inv(matrix + np.diag(known))[: scale.size, : scale.size]

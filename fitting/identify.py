@@ -53,6 +53,7 @@ _OUTLYING = 6.0  # robust standard deviations from the fit
 _UNEXPLAINED = 3.0  # times its noise: a residual above this is another drive's
 _START_POINTS = 500  # of all curves together, for the way from the prior
 _STARTS = 3
+_PASSES = 6  # of fit and estimate of noise and scatter in turn, which end where the residual stays within 1 %
 _EVALUATIONS = 40  # of one fit, which a drive that is the one of the pair file needs ten to twenty of
 # A fit ends where a step gains less than this of the sum of squares; the last one at a fraction of what noise moves it.
 _START_GAIN, _STRUCTURED_GAIN, _GAIN = 1e-3, 1e-4, 2e-5
@@ -144,12 +145,12 @@ class Identification:
 
 @dataclass(frozen=True)
 class _Fit:
-    """A fit before it is reported: what was chosen, where it stands, noise factor and scatter, and the model there."""
+    """A fit before it is reported; `excess` is its noise over that which the curves themselves show."""
 
     observed: Observations
     chosen: list[str]
     state: State
-    factor: float
+    excess: float
     scatter: dict[str, float]
     linear: Linear
 
@@ -277,27 +278,43 @@ def _fitted(curves: Sequence[Curve], pair: Pair, start: State | None, progress: 
         linear = linearise(pair, observed, state, names)
     progress("estimating the scatter of pins and teeth")
     scatter: dict[str, float] = {}
-    factor = 1.0
-    for _ in range(2):
+    shown, last = observed.weight, np.inf
+    for _ in range(_PASSES):
         observed = _without_outliers(observed, linear, state)
         weight = observed.weight[:, None]
         nuisances, _ = nuisance_columns(observed, linear)
         columns = np.column_stack([nuisances, linear.structured[:, [names.index(n) for n in chosen]]])
-        residual = observed.weight * (
-            observed.measured - linear.model - observed.bench @ state.bench + linear.scatter @ state.scatter
-        )
+        left = observed.measured - linear.model - observed.bench @ state.bench
+        residual = observed.weight * (left + linear.scatter @ state.scatter)
         factor, scatter = _components(residual, weight * columns, weight * linear.scatter, parts, scatter)
-        if max(scatter.values()) < NO_SCATTER:
+        observed = dataclasses.replace(observed, weight=observed.weight / factor)
+        rms = float(np.sqrt(np.mean((left[observed.weight > 0.0]) ** 2)))
+        # Where pins come into contact the curves have corners, at which a fit can stop short; a new one goes on.
+        if max(scatter.values()) < NO_SCATTER or rms > 0.99 * last:
             break
-        chosen = _chosen(observed, linear, names, spread_of(pair, scatter), factor)
+        last = rms
+        chosen = _chosen(observed, linear, names, spread_of(pair, scatter))
         progress("fitting with the scatter of pins and teeth")
-        state = _fit(pair, observed, chosen, state, {n: s / factor for n, s in scatter.items()})
+        state = _fit(pair, observed, chosen, state, scatter)
         linear = linearise(pair, observed, state, names)
-    return _Fit(observed, chosen, state, factor, scatter, linear)
+        observed = _reweighted(observed, linear, state)
+    used = observed.weight > 0.0
+    excess = float(np.median(shown[used] / observed.weight[used]))
+    return _Fit(observed, chosen, state, excess, scatter, linear)
 
 
-def _chosen(observed: Observations, linear: Linear, names: list[str], spread: Array, factor: float = 1.0) -> list[str]:
-    chosen = chosen_errors(observed, linear, names, spread, factor)
+def _reweighted(observed: Observations, linear: Linear, state: State) -> Observations:
+    """Let every curve's noise be what the fit leaves of it."""
+    left = observed.weight * (observed.measured - linear.model - observed.bench @ state.bench)
+    weight = observed.weight.copy()
+    for part in np.split(np.arange(left.size), observed.ends):
+        used = part[weight[part] > 0.0]
+        weight[part] /= max(float(np.sqrt(np.mean(left[used] ** 2))), 1e-3)
+    return dataclasses.replace(observed, weight=weight)
+
+
+def _chosen(observed: Observations, linear: Linear, names: list[str], spread: Array) -> list[str]:
+    chosen = chosen_errors(observed, linear, names, spread)
     if not chosen:
         raise edge.InputError("the data tell none of the structured errors apart; record more loads or more turns.")
     return chosen
@@ -470,14 +487,15 @@ def _result(pair: Pair, fit: _Fit, predicted: HeldOut | None) -> Identification:
     fitted = linear.model + observed.bench @ state.bench
     whitened = observed.weight * (observed.measured - fitted)
     inflation = _inflation(np.split(whitened, observed.ends))
+    observed = dataclasses.replace(observed, weight=observed.weight / inflation)
     spread = spread_of(pair, fit.scatter)
-    every = posterior_covariance(observed, linear, names, chosen, spread, fit.factor * inflation)
+    every = posterior_covariance(observed, linear, names, chosen, spread)
     covariance = every[: len(chosen), : len(chosen)]
     error = np.sqrt(np.diag(covariance))
     prior = surface_of_pair(pair)
     plain = with_scatter(pair, state.surface, -state.scatter)
     quantile = float(stats.norm.ppf(0.5 + 0.5 * _CONFIDENCE))
-    singular, combinations, reasons = weakness(observed, linear, names, chosen, fit.factor * inflation)
+    singular, combinations, reasons = weakness(observed, linear, names, chosen)
     parameters = []
     for name, tolerance in zip(names, tolerances_of(names), strict=True):
         known = name in chosen
@@ -508,7 +526,7 @@ def _result(pair: Pair, fit: _Fit, predicted: HeldOut | None) -> Identification:
         correlation=covariance / np.outer(error, error),
         singular_values=singular,
         weak_combinations=combinations,
-        noise=float(np.sqrt(1.0 / np.mean(observed.weight[used] ** 2))) * fit.factor,
+        noise=float(np.sqrt(1.0 / np.mean((inflation * observed.weight[used]) ** 2))),
         scatter=fit.scatter,
         inflation=inflation,
         residual=float(np.sqrt(np.mean((observed.measured - fitted)[used] ** 2))),
@@ -540,9 +558,9 @@ def _notes(pair: Pair, fit: _Fit, state: State) -> tuple[str, ...]:
             notes.append(
                 f"{curve.source}: it covers {turns:.2f} of an output turn; teeth not in contact are not known."
             )
-    if fit.factor > _UNEXPLAINED:
+    if fit.excess > _UNEXPLAINED:
         notes.append(
-            f"No error of this pair explains the curves: what is left is {fit.factor:.1f} times their noise; is this "
+            f"No error of this pair explains the curves: what is left is {fit.excess:.1f} times their noise; is this "
             "the drive of the pair file, and are counts per turn and directions right?"
         )
     gear = np.abs(fit.linear.model - fit.linear.model.mean()).max()

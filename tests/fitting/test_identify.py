@@ -172,7 +172,7 @@ def test_coverage_of_the_intervals(nominal, teeth):
         changed = {"gear_teeth": teeth, "pins": teeth + 1, "pin_circle_radius": circle, "pin_radius": pin,
                    "eccentricity": crank}  # fmt: skip
         pair = nominal.model_copy(update={"pair": nominal.pair.model_copy(update=changed)})
-    angle = np.arange(teeth * 12) * 2 * np.pi / 12
+    angle = np.arange(teeth * 24) * 2 * np.pi / 24
     rows, held_out, widths = {}, [], []
     for seed in range(drives):
         generator = np.random.default_rng(seed)
