@@ -20,8 +20,9 @@ import dataclasses
 import json
 import os
 import sys
+import time
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeAlias
@@ -40,7 +41,10 @@ FloatArray: TypeAlias = npt.NDArray[np.float64]
 IntArray: TypeAlias = npt.NDArray[np.int64]
 ByteArray: TypeAlias = npt.NDArray[np.uint8]
 
-_END_OF_STREAM = b"\xff\xff\xff\xff\x00\x00\x00\x00"
+FLUSH_SECONDS = 1.0  # of samples that a power cut can cost; a kill costs none that `write` returned for
+_MESSAGE = b"\xff\xff\xff\xff"  # what every message of an Arrow stream begins with, at a multiple of eight bytes
+_END_OF_STREAM = _MESSAGE + b"\x00\x00\x00\x00"
+_SEARCH_BYTES = 1 << 20
 
 
 @dataclasses.dataclass(frozen=True)
@@ -230,7 +234,8 @@ def check_new(path: str | os.PathLike[str]) -> None:
 class RecordingWriter:
     """A recording being written: every batch is with the operating system when `write` returns.
 
-    A kill loses at most the batch being written (a power cut: what the operating system still holds).
+    A kill loses at most the batch being written, a power cut at most the last `FLUSH_SECONDS`: that often the disk is
+    asked to hold all of it.
 
     Parameters
     ----------
@@ -252,7 +257,7 @@ class RecordingWriter:
         self._sequence = 0
         self._whole = True
         try:
-            os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+            self._descriptor = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666)
         except FileExistsError:
             check_new(path)
             raise
@@ -260,6 +265,8 @@ class RecordingWriter:
             raise edge.InputError(f"{path}: {problem.strerror or problem}.") from None
         self._file = pa.OSFile(str(path), "wb")
         self._stream = pa.ipc.new_stream(self._file, self._schema)
+        self._file.flush()
+        self._end, self._flushed = self._file.tell(), time.monotonic()
 
     def __enter__(self) -> Self:
         return self
@@ -277,7 +284,7 @@ class RecordingWriter:
         ValueError
             If the header has no such channel.
         OSError
-            If the disk does not take them; the batches before stay readable.
+            If the disk does not take them; the batches before stay readable, what was written of this one is cut off.
         """
         index = self._names.index(samples.channel)
         said = json.dumps([dataclasses.asdict(e) for e in events])
@@ -293,18 +300,30 @@ class RecordingWriter:
             columns.append(pa.nulls(n, kind) if array is None else pa.array(array, kind))
         batch = pa.RecordBatch.from_arrays(columns, schema=self._schema)
         self._whole = False
-        self._stream.write_batch(batch, custom_metadata=metadata)
-        self._file.flush()
+        try:
+            self._stream.write_batch(batch, custom_metadata=metadata)
+            self._file.flush()
+        except OSError:
+            os.ftruncate(self._descriptor, self._end)
+            raise
         self._whole = True
+        self._end = self._file.tell()
         self._sequence += 1
+        if time.monotonic() - self._flushed >= FLUSH_SECONDS:
+            os.fsync(self._descriptor)
+            self._flushed = time.monotonic()
 
     def close(self) -> None:
-        """End the stream; after a failed write the end mark is left out, so that the file says it is cut."""
+        """End the stream; after a failed write the end mark is left out, so that the file says it was not closed."""
         if self._file.closed:
             return
-        if self._whole:
-            self._stream.close()
-        self._file.close()
+        try:
+            if self._whole:
+                self._stream.close()
+            self._file.close()
+            os.fsync(self._descriptor)
+        finally:
+            os.close(self._descriptor)
 
 
 def _header(metadata: Mapping[bytes, bytes] | None, source: str) -> Header:
@@ -368,74 +387,199 @@ def _joined(name: str, blocks: Sequence[Samples]) -> Samples:
     )
 
 
-def read_recording(path: str | os.PathLike[str]) -> Recording:
-    """Read a recording, however it ended.
+class RecordingReader:
+    """A recording read batch by batch, at constant memory; it may be torn, damaged or still growing.
 
-    All complete batches of a cut file are returned and the cut is a sentence in `problems`. A batch whose CRC-32 is
-    wrong is left out; the next sample of each channel that may have lost samples so is marked "gap before".
+    A context manager. A batch whose CRC-32 is wrong is left out. Where bytes are damaged, the next batch whose CRC-32
+    is right is searched for and reading goes on there. The next sample of each channel that may have lost samples so
+    is marked "gap before".
 
     Parameters
     ----------
     path
-        A `.arrows` file; it may still be growing.
+        A `.arrows` file.
+
+    Attributes
+    ----------
+    header
+        Channels and conditions.
+    problems
+        One sentence for each thing wrong with the file, as far as it was read.
+    complete
+        Number of complete batches read.
 
     Raises
     ------
     edge.InputError
         If the file can't be read, is no recording or has another format.
     """
-    source = str(path)
-    edge.existing(path)
-    if Path(path).stat().st_size == 0:
-        raise edge.InputError(f"{source}: the file is empty; it was cut before the header of a recording.")
-    problems: list[str] = []
-    events: list[Event] = []
-    with pa.memory_map(source) as file:
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.source = str(path)
+        self._path = edge.existing(path)
+        if self._path.stat().st_size == 0:
+            raise edge.InputError(f"{self.source}: the file is empty; it was cut before the header of a recording.")
+        self._file = pa.OSFile(self.source, "rb")
         try:
-            reader = pa.ipc.open_stream(file)
-        except (pa.ArrowException, OSError):
-            raise edge.InputError(f"{source}: this is not a recording, or it was cut within its header.") from None
-        header = _header(reader.schema.metadata, source)
-        expected = _schema(header)
-        if not reader.schema.equals(expected):
-            raise edge.InputError(f"{source}: the columns are not those of {FORMAT}: {', '.join(reader.schema.names)}.")
-        blocks: dict[str, list[Samples]] = {c.name: [] for c in header.channels}
-        lost: set[str] = set()
-        number, next_sequence = -1, 0
+            schema = pa.ipc.read_schema(pa.ipc.read_message(self._file))
+        except (pa.ArrowException, OSError, EOFError):
+            self._file.close()
+            raise edge.InputError(
+                f"{self.source}: this is not a recording, or it was cut within its header."
+            ) from None
+        self.header = _header(schema.metadata, self.source)
+        expected = _schema(self.header)
+        if not schema.equals(expected):
+            raise edge.InputError(
+                f"{self.source}: the columns are not those of {FORMAT}: {', '.join(schema.names)}."
+            )
+        self.problems: list[str] = []
+        self.complete = 0
+        self._number = 0
+        self._offset = self._good_end = self._file.tell()
+        self._next_sequence = 0
+        self._lost: set[str] = set()
+        self._preamble = _preamble(expected, [c.name for c in self.header.channels])
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+    def batches(self, *, growing: bool = False) -> Iterator[tuple[Samples, tuple[Event, ...]]]:
+        """Yield samples and events of every batch not yet yielded.
+
+        Parameters
+        ----------
+        growing
+            The end is where the recorder is just now, not a cut: it is no problem, and a later call goes on there.
+        """
         while True:
-            number += 1
-            try:
-                batch, metadata = reader.read_next_batch_with_custom_metadata()
-            except StopIteration:
-                break
-            except (pa.ArrowException, OSError):
-                problems.append(f"{source}: it is cut or damaged after {number} complete batches; these were read.")
-                break
-            try:
-                sequence, samples, said = _batch(batch, metadata)
-            except (ValueError, TypeError, pa.ArrowException) as problem:
-                problems.append(f"{source}: batch {number} was left out: {problem}.")
-                lost = set(blocks)
-                next_sequence += 1
+            size = self._path.stat().st_size
+            if self._bytes(self._offset, 8) == _END_OF_STREAM:
+                return
+            taken = self._message(self._offset, size)
+            if taken is None:
+                if growing:
+                    return
+                if not self._resume(size):
+                    if self._offset >= size and self._good_end == self._offset:
+                        self.problems.append(f"{self.source}: it was not closed; all {self.complete} batches were read.")
+                    else:
+                        self.problems.append(
+                            f"{self.source}: it is cut or damaged after {self.complete} complete batches; "
+                            "these were read."
+                        )
+                    return
                 continue
-            if sequence != next_sequence:
-                problems.append(f"{source}: batch {number} has sequence number {sequence}, not {next_sequence}.")
-                lost = set(blocks)
-            next_sequence = sequence + 1
+            data, self._offset = taken
+            if data is None:
+                continue
+            number, self._number = self._number, self._number + 1
+            try:
+                sequence, samples, said = _batch(*self._decoded(data))
+            except (ValueError, TypeError, KeyError, pa.ArrowException) as problem:
+                self.problems.append(f"{self.source}: batch {number} was left out: {problem}.")
+                self._lost = {c.name for c in self.header.channels}
+                self._next_sequence += 1
+                continue
+            if sequence != self._next_sequence:
+                self.problems.append(
+                    f"{self.source}: batch {number} has sequence number {sequence}, not {self._next_sequence}."
+                )
+                self._lost = {c.name for c in self.header.channels}
+            self._good_end, self._next_sequence = self._offset, sequence + 1
+            self.complete += 1
+            if len(samples) and samples.channel in self._lost:
+                status = samples.status.copy()
+                status[0] |= GAP
+                samples = dataclasses.replace(samples, status=status)
+                self._lost.discard(samples.channel)
+            yield samples, said
+
+    def _bytes(self, offset: int, count: int) -> bytes:
+        self._file.seek(offset)
+        return bytes(self._file.read(count))
+
+    def _message(self, offset: int, size: int) -> tuple[bytes | None, int] | None:
+        """Return a batch's message at this offset and where it ends; None in place of what is no batch or no message."""
+        if offset + 8 > size or self._bytes(offset, 4) != _MESSAGE:
+            return None
+        try:
+            self._file.seek(offset)
+            message = pa.ipc.read_message(self._file)
+            end = self._file.tell()
+        except (pa.ArrowException, OSError, EOFError):
+            return None
+        if not offset < end <= size:
+            return None
+        return (self._bytes(offset, end - offset) if message.type == "record batch" else None), end
+
+    def _decoded(self, data: bytes) -> tuple[pa.RecordBatch, Mapping[bytes, bytes] | None]:
+        """Return the batch of a message and its metadata, as the one batch of a stream."""
+        with pa.ipc.open_stream(pa.BufferReader(self._preamble + data)) as reader:
+            reader.read_next_batch()
+            batch, metadata = reader.read_next_batch_with_custom_metadata()
+        return batch, metadata
+
+    def _resume(self, size: int) -> bool:
+        """Find the next batch that can be trusted behind a damaged place and go on there; False if there is none."""
+        position = self._good_end + 8
+        while position < size:
+            block = self._bytes(position, _SEARCH_BYTES)
+            found = block.find(_MESSAGE)
+            while found >= 0:
+                at = position + found
+                taken = self._message(at, size) if at % 8 == 0 else None
+                if taken is not None and taken[0] is not None:
+                    try:
+                        _batch(*self._decoded(taken[0]))
+                    except (ValueError, TypeError, KeyError, pa.ArrowException):
+                        pass
+                    else:
+                        self.problems.append(
+                            f"{self.source}: damaged from byte {self._good_end} on; reading went on at byte {at}."
+                        )
+                        self._lost = {c.name for c in self.header.channels}
+                        self._offset = at
+                        return True
+                found = block.find(_MESSAGE, found + 1)
+            if len(block) < _SEARCH_BYTES:
+                break
+            position += len(block) - len(_MESSAGE)
+        return False
+
+
+def _preamble(schema: pa.Schema, names: Sequence[str]) -> bytes:
+    """Return the start of a stream, to the end of an empty batch: schema and the dictionary of channel names."""
+    sink = pa.BufferOutputStream()
+    columns = [pa.DictionaryArray.from_arrays(pa.array([], pa.int16()), pa.array(names, pa.string()))]
+    columns += [pa.array([], kind) for kind, _, _ in _COLUMNS.values()]
+    with pa.ipc.new_stream(sink, schema) as stream:
+        stream.write_batch(pa.RecordBatch.from_arrays(columns, schema=schema))
+    return bytes(sink.getvalue())[: -len(_END_OF_STREAM)]
+
+
+def read_recording(path: str | os.PathLike[str]) -> Recording:
+    """Read a whole recording, however it ended; see `RecordingReader`.
+
+    Raises
+    ------
+    edge.InputError
+        If the file can't be read, is no recording or has another format.
+    """
+    with RecordingReader(path) as reader:
+        blocks: dict[str, list[Samples]] = {c.name: [] for c in reader.header.channels}
+        events: list[Event] = []
+        for samples, said in reader.batches():
             events.extend(said)
             if len(samples):
-                if samples.channel in lost:
-                    status = samples.status.copy()
-                    status[0] |= GAP
-                    samples = dataclasses.replace(samples, status=status)
-                    lost.discard(samples.channel)
                 blocks[samples.channel].append(samples)
-        if not any("is cut" in p for p in problems):
-            end = file.tell()
-            file.seek(max(0, end - len(_END_OF_STREAM)))
-            if file.read(len(_END_OF_STREAM)) != _END_OF_STREAM:
-                problems.append(f"{source}: it was not closed; all {number} batches were read.")
-        return Recording(header, {n: _joined(n, b) for n, b in blocks.items()}, tuple(events), tuple(problems))
+        joined = {n: _joined(n, b) for n, b in blocks.items()}
+        return Recording(reader.header, joined, tuple(events), tuple(reader.problems))
 
 
 if sys.byteorder != "little":  # Arrow buffers and the checksum are little-endian
