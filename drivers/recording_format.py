@@ -42,6 +42,7 @@ IntArray: TypeAlias = npt.NDArray[np.int64]
 ByteArray: TypeAlias = npt.NDArray[np.uint8]
 
 FLUSH_SECONDS = 1.0  # of samples that a power cut can cost; a kill costs none that `write` returned for
+_CLOCK = "clock: "
 _MESSAGE = b"\xff\xff\xff\xff"  # what every message of an Arrow stream begins with, at a multiple of eight bytes
 _END_OF_STREAM = _MESSAGE + b"\x00\x00\x00\x00"
 _SEARCH_BYTES = 1 << 20
@@ -94,6 +95,26 @@ class Event:
     time: float
     channel: str
     text: str
+
+
+def clock_event(
+    time: float, channel: str, origin_device: float, origin_host: float, drift: float, uncertainty: float
+) -> Event:
+    """Return the event that says how a channel's own clock runs against the host's; see `Recording.clock`.
+
+    Parameters
+    ----------
+    time, channel
+        When and of which channel it is said.
+    origin_device, origin_host, drift
+        host = origin_host + (1 + drift) (device - origin_device), s.
+    uncertainty
+        Half width at 95 %, s.
+    """
+    said = {
+        "origin_device": origin_device, "origin_host": origin_host, "drift": drift, "uncertainty": uncertainty,
+    }  # fmt: skip
+    return Event(time, channel, _CLOCK + json.dumps(said))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -190,6 +211,23 @@ class Recording:
     samples: Mapping[str, Samples]
     events: tuple[Event, ...]
     problems: tuple[str, ...]
+
+    def clock(self, channel: str) -> Mapping[str, float] | None:
+        """Return the last estimate of a channel's clock: the keys of `clock_event`; None where it has none."""
+        said = [e.text for e in self.events if e.channel == channel and e.text.startswith(_CLOCK)]
+        return dict(json.loads(said[-1].removeprefix(_CLOCK))) if said else None
+
+    def aligned_time(self, channel: str) -> FloatArray:
+        """Return when a channel's samples were taken, s since the start on the host's clock, shape (n,).
+
+        By the channel's own clock where it has one and its offset and drift were estimated: free of the delays on the
+        way to the host, which `time_host` has. Else `time_host`.
+        """
+        samples, clock = self.samples[channel], self.clock(channel)
+        if clock is None or samples.time_device is None or np.any(samples.status & RESET):
+            return samples.time_host
+        away = samples.time_device - clock["origin_device"]
+        return clock["origin_host"] + away + clock["drift"] * away
 
 
 _COLUMNS: Mapping[str, tuple[pa.DataType, str, bool]] = {
@@ -424,15 +462,11 @@ class RecordingReader:
             schema = pa.ipc.read_schema(pa.ipc.read_message(self._file))
         except (pa.ArrowException, OSError, EOFError):
             self._file.close()
-            raise edge.InputError(
-                f"{self.source}: this is not a recording, or it was cut within its header."
-            ) from None
+            raise edge.InputError(f"{self.source}: this is not a recording, or it was cut within its header.") from None
         self.header = _header(schema.metadata, self.source)
         expected = _schema(self.header)
         if not schema.equals(expected):
-            raise edge.InputError(
-                f"{self.source}: the columns are not those of {FORMAT}: {', '.join(schema.names)}."
-            )
+            raise edge.InputError(f"{self.source}: the columns are not those of {FORMAT}: {', '.join(schema.names)}.")
         self.problems: list[str] = []
         self.complete = 0
         self._number = 0
@@ -467,7 +501,9 @@ class RecordingReader:
                     return
                 if not self._resume(size):
                     if self._offset >= size and self._good_end == self._offset:
-                        self.problems.append(f"{self.source}: it was not closed; all {self.complete} batches were read.")
+                        self.problems.append(
+                            f"{self.source}: it was not closed; all {self.complete} batches were read."
+                        )
                     else:
                         self.problems.append(
                             f"{self.source}: it is cut or damaged after {self.complete} complete batches; "
@@ -505,7 +541,7 @@ class RecordingReader:
         return bytes(self._file.read(count))
 
     def _message(self, offset: int, size: int) -> tuple[bytes | None, int] | None:
-        """Return a batch's message at this offset and where it ends; None in place of what is no batch or no message."""
+        """Return a batch (None if it is none) here and where the message ends; None if there is no message."""
         if offset + 8 > size or self._bytes(offset, 4) != _MESSAGE:
             return None
         try:

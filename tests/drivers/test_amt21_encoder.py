@@ -101,7 +101,7 @@ def test_an_encoder_that_falls_silent_is_an_event(tmp_path):
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
 
         def progress(counts):
-            if counts["output_angle"] > 20:
+            if counts.samples["output_angle"] > 20:
                 bench.mute = {bench.addresses[1]}
 
         record_bench(toml, path, duration=0.6, progress=progress)

@@ -132,8 +132,8 @@ def test_wrong_frames_and_emergencies_are_events(tmp_path, bus_name):
             seen = {}
 
             def progress(counts):
-                if not seen and counts["output_angle"] > 5:
-                    seen["at"] = dict(counts)
+                if not seen and counts.samples["output_angle"] > 5:
+                    seen["at"] = counts.samples
                     disturb()
 
             record(encoders, path, samples=motion.run.samples - 1, idle=2.0, progress=progress)
