@@ -436,7 +436,8 @@ class FrameReader:
         )  # fmt: skip
         self._blocks = hub.subscribe(identifier)
         self._events: collections.deque[Event] = collections.deque()
-        self._last_seen, self._newest = -1, None
+        self._last_seen = -1
+        self._newest: int | None = None
         self._last: tuple[float, bytes, float] | None = None
         self._marks: collections.deque[int] = collections.deque()
 
@@ -488,7 +489,10 @@ class FrameReader:
             wrong = frames.data[int(np.flatnonzero(~good)[0])]
             self._skipped(~good, frames, f"{len(wrong)} bytes long (0x{wrong.hex()}), not {self.length}")
             before[~good] |= GAP
-        good &= self._clocked(frames, before) if self.sync_step is None else self._synced(frames, before)
+        if self.sync_step is None:
+            self._clocked(frames, before)
+        else:
+            good &= self._synced(frames, before)
         kept = np.flatnonzero(good)
         # What stands before a frame left out holds for the next one kept, be it in this block or a later one.
         marks = np.zeros(len(kept) + 1, np.int64)
@@ -525,14 +529,13 @@ class FrameReader:
         last = None if self._last is None else self._last[1]
         same = np.array([a == b for a, b in zip(frames.data, [last, *frames.data[:-1]], strict=True)])
         self._last = (0.0, frames.data[-1], frames.arrived)
-        self._skipped(second & same, frames, "a duplicate of the frame before")
+        self._skipped(second & same, frames, "a duplicate of the frame before, or without a SYNC of its own")
         self._skipped(second & ~same, frames, "without a SYNC of its own, so its instant is unknown")
-        before[second & same] |= DUPLICATE
-        before[second & ~same] |= GAP
-        return (sync >= 0) & ~second
+        before[second] |= np.where(same, DUPLICATE, GAP)[second]
+        return np.asarray((sync >= 0) & ~second)
 
-    def _clocked(self, frames: Frames, before: IntArray) -> npt.NDArray[np.bool_]:
-        """Return which frames are not copies of the one before, and note in `before` what the stamps tell."""
+    def _clocked(self, frames: Frames, before: IntArray) -> None:
+        """Note in `before` what the stamps tell."""
         times = np.array(frames.device or frames.time)
         first = self._last is None
         last_time, last_data, arrived = self._last or (times[0], b"", frames.arrived)
@@ -554,7 +557,7 @@ class FrameReader:
         early = (step < 0) & ~jumps
         before[early] |= OUT_OF_ORDER
         self._say_count(early, frames, "older than the one before")
-        self._say_count(copies, frames, "a duplicate of the frame before, left out")
+        self._say_count(copies, frames, "a duplicate of the frame before")
         before[copies] |= DUPLICATE
         if self.period is not None:
             missing = np.where(jumps, 0, np.rint(step / self.period).astype(np.int64) - 1)
@@ -568,7 +571,6 @@ class FrameReader:
                 )
                 before[gaps] |= GAP
         self._last = (float(times[-1]), frames.data[-1], frames.arrived)
-        return ~copies
 
     def _skipped(self, which: npt.NDArray[np.bool_], frames: Frames, why: str) -> None:
         """Say, once a block, that frames were left out."""

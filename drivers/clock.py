@@ -110,7 +110,7 @@ class ClockEstimate:
         if not self._layers or min(map(len, self._layers)) < 2:
             return None
         middle = self._sum / self.samples
-        lines = [_edge_at(*(p[layer] for p in self._points), middle) for layer in self._layers]
+        lines = [_edge_at(self._points[0][layer], self._points[1][layer], middle) for layer in self._layers]
         (at, drift), (other_at, other_drift) = lines
         # What the line would be without the points that hold it says how well they hold it.
         moved = [abs(other_at - at + (other_drift - drift) * (end - middle)) for end in (*self._ends, middle)]

@@ -134,7 +134,8 @@ class Samples:
     value
         SI value: continuous radians of an angle, newton metres of a torque.
     status
-        Bits: 1 gap before, 2 checksum failed (before), 4 reset, 8 duplicate, 16 out of order, 32 rollover.
+        Bits: 1 gap before, 2 checksum failed (before), 4 reset, 8 duplicate (it, or one left out before it), 16 out of
+        order, 32 rollover.
     """
 
     channel: str
@@ -237,6 +238,7 @@ _COLUMNS: Mapping[str, tuple[pa.DataType, str, bool]] = {
     "value": (pa.float64(), "<f8", False),
     "status": (pa.uint8(), "u1", False),
 }
+COLUMN_DTYPES: Mapping[str, str] = {name: kind for name, (_, kind, _) in _COLUMNS.items()}
 
 
 def batch_checksum(sequence: int, events: str, samples: Samples) -> str:
@@ -249,8 +251,9 @@ def batch_checksum(sequence: int, events: str, samples: Samples) -> str:
     return f"{crc:08x}"
 
 
-def _schema(header: Header) -> pa.Schema:
-    metadata = {
+def recording_metadata(header: Header) -> dict[str, str]:
+    """Return what a recording says about itself as texts, see the module's."""
+    return {
         "format": FORMAT,
         "channels": json.dumps([dataclasses.asdict(c) for c in header.channels]),
         "conditions": json.dumps(dict(header.conditions)),
@@ -258,9 +261,24 @@ def _schema(header: Header) -> pa.Schema:
         "pair": header.pair,
         "start": header.start,
     }
+
+
+def recording_schema(header: Header) -> pa.Schema:
+    """Return the Arrow schema of a recording: columns and metadata."""
     fields = [pa.field("channel", pa.dictionary(pa.int16(), pa.string()), nullable=False)]
     fields += [pa.field(name, kind, nullable=nullable) for name, (kind, _, nullable) in _COLUMNS.items()]
-    return pa.schema(fields, metadata=metadata)
+    return pa.schema(fields, metadata=recording_metadata(header))
+
+
+def record_batch(samples: Samples, schema: pa.Schema, names: Sequence[str]) -> pa.RecordBatch:
+    """Return samples as a batch of a recording's table; ValueError if its channel is none of `names`."""
+    n = len(samples)
+    index = np.full(n, list(names).index(samples.channel), np.int16)
+    columns = [pa.DictionaryArray.from_arrays(pa.array(index), pa.array(names, pa.string()))]
+    for name, (kind, _, _) in _COLUMNS.items():
+        array = getattr(samples, name)
+        columns.append(pa.nulls(n, kind) if array is None else pa.array(array, kind))
+    return pa.RecordBatch.from_arrays(columns, schema=schema)
 
 
 def check_new(path: str | os.PathLike[str]) -> None:
@@ -290,8 +308,7 @@ class RecordingWriter:
 
     def __init__(self, path: str | os.PathLike[str], header: Header) -> None:
         self._names = [c.name for c in header.channels]
-        self._dictionary = pa.array(self._names, pa.string())
-        self._schema = _schema(header)
+        self._schema = recording_schema(header)
         self._sequence = 0
         self._whole = True
         try:
@@ -324,19 +341,13 @@ class RecordingWriter:
         OSError
             If the disk does not take them; the batches before stay readable, what was written of this one is cut off.
         """
-        index = self._names.index(samples.channel)
         said = json.dumps([dataclasses.asdict(e) for e in events])
         metadata = {
             "sequence": str(self._sequence),
             "events": said,
             "crc32": batch_checksum(self._sequence, said, samples),
         }
-        n = len(samples)
-        columns = [pa.DictionaryArray.from_arrays(pa.array(np.full(n, index, np.int16)), self._dictionary)]
-        for name, (kind, _, _) in _COLUMNS.items():
-            array = getattr(samples, name)
-            columns.append(pa.nulls(n, kind) if array is None else pa.array(array, kind))
-        batch = pa.RecordBatch.from_arrays(columns, schema=self._schema)
+        batch = record_batch(samples, self._schema, self._names)
         self._whole = False
         try:
             self._stream.write_batch(batch, custom_metadata=metadata)
@@ -464,7 +475,7 @@ class RecordingReader:
             self._file.close()
             raise edge.InputError(f"{self.source}: this is not a recording, or it was cut within its header.") from None
         self.header = _header(schema.metadata, self.source)
-        expected = _schema(self.header)
+        expected = recording_schema(self.header)
         if not schema.equals(expected):
             raise edge.InputError(f"{self.source}: the columns are not those of {FORMAT}: {', '.join(schema.names)}.")
         self.problems: list[str] = []
@@ -535,6 +546,16 @@ class RecordingReader:
                 samples = dataclasses.replace(samples, status=status)
                 self._lost.discard(samples.channel)
             yield samples, said
+
+    @property
+    def size(self) -> int:
+        """Bytes of the file."""
+        return int(self._path.stat().st_size)
+
+    @property
+    def position(self) -> int:
+        """Byte up to which it was read."""
+        return self._offset
 
     def _bytes(self, offset: int, count: int) -> bytes:
         self._file.seek(offset)

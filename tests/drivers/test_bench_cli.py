@@ -231,7 +231,7 @@ def test_bad_input_exits_2_with_one_sentence(tmp_path, wiring, arguments, said):
     assert wiring.read_text() == before
 
 
-@pytest.mark.parametrize("command", ["record", "simulate", "export", "list"])
+@pytest.mark.parametrize("command", ["record", "simulate", "export", "repair", "list"])
 def test_help_shows_an_example(tmp_path, command):
     code, out, _ = run(tmp_path, command, "--help")
     assert code == 0
@@ -241,4 +241,4 @@ def test_help_shows_an_example(tmp_path, command):
 def test_list_names_the_protocols(tmp_path):
     code, out, err = run(tmp_path, "list")
     assert code == 0, err
-    assert "protocols: amt21, canopen, dbc" in out
+    assert "protocols: amt21, ascii, canopen, dbc, modbus" in out
