@@ -34,6 +34,7 @@ from drivers.serial_hub import Exchange, PortHub, SerialEncoder, ask
 
 LONGEST_LINE = 4096
 FIRST_LINE_SECONDS = 2.0
+_RESET_SECONDS = 1.0
 _FIELDS = {
     "counts": r"([+-]?\d{1,18})",
     "value": r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?)",
@@ -146,7 +147,9 @@ class AsciiCounter(SerialEncoder):
         self._rest, self._skipping = b"", True
         self._counts: int | None = None
         self._newest: int | None = None
-        self._device: int | None = None
+        self._device = 0.0  # the device's clock, continuous, in its own unit
+        self._device_start: float | None = None
+        self._ticks: tuple[float, float] | None = None
 
     def question(self, port: Any) -> bytes:
         """Return what came, or the line asked for; see `SerialEncoder.question`."""
@@ -256,16 +259,23 @@ class AsciiCounter(SerialEncoder):
         """Return the device's times, s, made continuous, and the status with resets of its clock marked."""
         if "time" not in self._names:
             return status, None
-        if self.config.time_modulus is None:
-            device = np.array([float(f["time"]) for f in fields])
-            before = np.concatenate([[device[0] if self._device is None else self._device], device[:-1]])
-            reset = device < before
-        else:
-            ticks = np.array([int(float(f["time"])) for f in fields], np.int64)
-            previous = None if self._device is None else int(self._device)
-            device, _ = unwrap(ticks, self.config.time_modulus, previous)
-            reset = np.diff(device, prepend=device[0] if previous is None else previous) < 0
-        self._device = device[-1]
+        ticks = np.array([float(f["time"]) for f in fields])
+        last, arrived = self._ticks or (ticks[0], times[0])
+        before = np.concatenate([[last], ticks[:-1]])
+        step, waited = ticks - before, np.diff(times, prepend=arrived)
+        self._ticks = float(ticks[-1]), float(times[-1])
+        if self.config.time_modulus is not None:
+            step = step % self.config.time_modulus
+            step = np.where(step > self.config.time_modulus / 2, step - self.config.time_modulus, step)
+        # A line out of order goes back a little, a device that starts anew by all the time that it was on.
+        reset = (ticks < before / 2) & (np.abs(step * self.config.time_unit - waited) > _RESET_SECONDS)
+        reset |= (ticks < before / 2) & (step < 0)
+        step = np.where(reset, ticks - before, step)
+        device = self._device + np.cumsum(step)
+        if self._device_start is None:
+            self._device_start = float(ticks[0])
+            device += ticks[0]
+        self._device = float(device[-1])
         if reset.any():
             self.say(times[np.flatnonzero(reset)[0]], "the device's clock went back: it started anew")
             status = status | reset * (RESET | GAP)

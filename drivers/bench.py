@@ -8,7 +8,7 @@ import os
 import shutil
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from ctypes import c_double, c_uint32
 from pathlib import Path
 from types import TracebackType
@@ -23,7 +23,7 @@ from cycloid_fmu import edge
 from drivers.can_hub import SYNC_COUNTER_MAX, SYNC_ID, open_bus
 from drivers.canopen_encoder import COUNTS_PER_TURN, HEARTBEAT_TIME, POSITION, TURNS
 from drivers.encoder import BusConfig
-from drivers.faults import NODE_FAULTS, Fault, faulty_frames
+from drivers.faults import NODE_FAULTS, Fault, Frame, faulty_frames
 from drivers.recording_format import FloatArray, IntArray
 
 OutputAngle: TypeAlias = Callable[[FloatArray, FloatArray], FloatArray]
@@ -321,12 +321,15 @@ class CanBench:
         self.bus_config = BusConfig(interface=interface, channel=channel)
         self.counts_per_turn = {_INPUT_NODE: input_counts_per_turn, _OUTPUT_NODE: output_counts_per_turn}
         own = 2 * math.pi / motion.run.samples_per_turn / motion.run.speed
+        self._timer = own  # on the virtual bus the stamps are the motion's own
         if trigger == "sync":
             self._interval = own
         elif speed_factor is not None:
             self._interval = own / speed_factor
         else:
             self._interval = 0.0 if interface == "virtual" else 1 / UDP_SAMPLES_PER_SECOND
+        if interface != "virtual":
+            self._timer = self._interval
         self._changed = threading.Event()
         self._stopping = threading.Event()
         self._done = threading.Event()
@@ -341,7 +344,7 @@ class CanBench:
         self._network = _StampedNetwork(self._bus)
         self._network.connect()
         self._nodes = {}
-        timer = max(1, round(self._interval * 1000)) if self.trigger == "timer" else None
+        timer = max(1, round(self._timer * 1000)) if self.trigger == "timer" else None
         for node, resolution in self.counts_per_turn.items():
             dictionary = _object_dictionary(node, 0x180 + node, resolution, timer)
             local = self._network.create_node(node, dictionary)
@@ -412,8 +415,8 @@ class CanBench:
         resolution = self.counts_per_turn[node]
         return (quantised(angle, resolution) % (resolution * _turns(resolution))).astype("<u4")
 
-    def _frames(self) -> list[list[tuple[int, bytes, float]]]:
-        """Return what to send at each sample: identifier, data and stamp less the start, faults included."""
+    def _frames(self) -> Iterator[list[Frame]]:
+        """Yield what to send at each sample: identifier, data and stamp less the start, faults included."""
         motion = self.motion
         payloads: dict[int, Any] = {
             0x180 + _INPUT_NODE: self._positions(_INPUT_NODE, motion.input_angle),
@@ -427,11 +430,11 @@ class CanBench:
         if self.trigger == "controller":
             payloads = {SYNC_ID: (np.arange(len(motion.time)) % SYNC_COUNTER_MAX + 1).astype("u1"), **payloads}
         raw = [(identifier, array.tobytes(), array.itemsize) for identifier, array in payloads.items()]
-        frames = [
+        samples = (
             [(identifier, data[i * size : (i + 1) * size], stamp) for identifier, data, size in raw]
-            for i, stamp in enumerate(motion.time.tolist())
-        ]
-        return faulty_frames(frames, self.faults)
+            for i, stamp in enumerate(motion.time)
+        )
+        return faulty_frames(samples, self.faults)
 
     def _send(self) -> None:
         """Send all samples: SYNC, where the bench has a controller, then what it latched."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Annotated, Literal, TypeAlias, get_args
 
 import pydantic
@@ -18,6 +18,7 @@ Kind: TypeAlias = Literal[
     "emergency", "reboot", "silence", "bus_off",
     "mute", "half", "corrupt", "wrong_baud", "pull",
 ]  # fmt: skip
+_FRAME_FAULTS = ("drop", "duplicate", "swap", "short", "garbage")
 NODE_FAULTS = ("emergency", "reboot", "silence", "bus_off")
 SERIAL_FAULTS = ("mute", "half", "corrupt", "garbage", "wrong_baud", "pull")
 
@@ -80,33 +81,34 @@ def read_faults(path: str | os.PathLike[str]) -> list[Fault]:
 Frame: TypeAlias = tuple[int, bytes, float]
 
 
-def faulty_frames(frames: list[list[Frame]], faults: Sequence[Fault]) -> list[list[Frame]]:
-    """Return the frames of each sample (identifier, data, stamp) as the faults leave them."""
-    made = [list(sample) for sample in frames]
-    for fault in faults:
-        span = range(fault.sample, min(fault.sample + fault.count, len(made)))
-        if fault.kind == "clock_jump":
-            for i in range(fault.sample, len(made)):
-                made[i] = [(identifier, data, stamp + fault.by) for identifier, data, stamp in made[i]]
+def faulty_frames(frames: Iterable[list[Frame]], faults: Sequence[Fault]) -> Iterator[list[Frame]]:
+    """Yield the frames of each sample (identifier, data, stamp) as the faults leave them."""
+    late: list[Frame] = []
+    jump = 0.0
+    for i, sample in enumerate(frames):
+        now = [f for f in faults if f.sample <= i < f.sample + f.count]
+        jump += sum(f.by for f in now if f.kind == "clock_jump" and f.sample == i)
+        if not (now or late or jump):
+            yield sample
             continue
-        for i in span:
-            changed: list[Frame] = []
-            for identifier, data, stamp in made[i]:
-                frame = (identifier, data, stamp)
-                if identifier != fault.target or fault.kind in NODE_FAULTS:
-                    changed.append(frame)
-                elif fault.kind == "duplicate":
-                    changed += [frame, frame]
-                elif fault.kind == "short":
-                    changed.append((identifier, data[:-1], stamp))
-                elif fault.kind == "garbage":
-                    changed.append((identifier, bytes((i * 37 + k * 101 + 11) % 256 for k in range(1 + i % 3)), stamp))
-                elif fault.kind == "swap" and i + 1 < len(made):
-                    made[i + 1].append(frame)  # behind the next one, which comes first in its sample
-                elif fault.kind != "drop":
-                    changed.append(frame)
-            made[i] = changed
-    return made
+        made: list[Frame] = []
+        held: list[Frame] = []
+        for identifier, data, stamp in sample:
+            frame = (identifier, data, stamp + jump)
+            kind = next((f.kind for f in now if f.target == identifier and f.kind in _FRAME_FAULTS), None)
+            if kind == "duplicate":
+                made += [frame, frame]
+            elif kind == "short":
+                made.append((identifier, data[:-1], frame[2]))
+            elif kind == "garbage":
+                made.append((identifier, bytes((i * 37 + k * 101 + 11) % 256 for k in range(1 + i % 3)), frame[2]))
+            elif kind == "swap":
+                held.append(frame)  # behind the next one
+            elif kind != "drop":
+                made.append(frame)
+        made += late
+        late = held
+        yield made
 
 
 def at_wrong_baud(data: bytes, factor: float = 0.75) -> bytes:

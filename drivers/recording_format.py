@@ -17,6 +17,7 @@ padding, where a column that is null contributes nothing.
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
 import os
 import sys
@@ -287,6 +288,43 @@ def check_new(path: str | os.PathLike[str]) -> None:
         raise edge.InputError(f"{path}: this file exists and recordings are not overwritten; name another.")
 
 
+class _Sink(io.RawIOBase):
+    """A file that has the header of a stream at once: Arrow's writer gives it only with the first batch.
+
+    Each message is gathered until `flush` and given to the operating system in one piece.
+    """
+
+    def __init__(self, descriptor: int, schema: pa.Schema) -> None:
+        self._descriptor = descriptor
+        empty = pa.BufferOutputStream()
+        pa.ipc.new_stream(empty, schema).close()
+        header = bytes(empty.getvalue())[: -len(_END_OF_STREAM)]
+        self._put(header)
+        self._skip = len(header)
+        self._parts: list[bytes] = []
+
+    def _put(self, data: bytes) -> None:
+        rest = memoryview(data)
+        while rest:
+            rest = rest[os.write(self._descriptor, rest) :]
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, data: Any) -> int:
+        """Take a piece; the header that Arrow's writer repeats is passed over."""
+        given = bytes(data)
+        passed = min(self._skip, len(given))
+        self._skip -= passed
+        self._parts.append(given[passed:])
+        return len(given)
+
+    def flush(self) -> None:
+        """Give what was taken to the operating system."""
+        data, self._parts = b"".join(self._parts), []
+        self._put(data)
+
+
 class RecordingWriter:
     """A recording being written: every batch is with the operating system when `write` returns.
 
@@ -318,10 +356,9 @@ class RecordingWriter:
             raise
         except OSError as problem:
             raise edge.InputError(f"{path}: {problem.strerror or problem}.") from None
-        self._file = pa.OSFile(str(path), "wb")
-        self._stream = pa.ipc.new_stream(self._file, self._schema)
-        self._file.flush()
-        self._end, self._flushed = self._file.tell(), time.monotonic()
+        self._sink = _Sink(self._descriptor, self._schema)
+        self._stream = pa.ipc.new_stream(pa.PythonFile(self._sink, "w"), self._schema)
+        self._end, self._flushed = os.lseek(self._descriptor, 0, os.SEEK_CUR), time.monotonic()
 
     def __enter__(self) -> Self:
         return self
@@ -351,12 +388,12 @@ class RecordingWriter:
         self._whole = False
         try:
             self._stream.write_batch(batch, custom_metadata=metadata)
-            self._file.flush()
+            self._sink.flush()
         except OSError:
             os.ftruncate(self._descriptor, self._end)
             raise
         self._whole = True
-        self._end = self._file.tell()
+        self._end = os.lseek(self._descriptor, 0, os.SEEK_CUR)
         self._sequence += 1
         if time.monotonic() - self._flushed >= FLUSH_SECONDS:
             os.fsync(self._descriptor)
@@ -364,15 +401,16 @@ class RecordingWriter:
 
     def close(self) -> None:
         """End the stream; after a failed write the end mark is left out, so that the file says it was not closed."""
-        if self._file.closed:
+        if self._descriptor < 0:
             return
         try:
             if self._whole:
                 self._stream.close()
-            self._file.close()
+                self._sink.flush()
             os.fsync(self._descriptor)
         finally:
             os.close(self._descriptor)
+            self._descriptor = -1
 
 
 def _header(metadata: Mapping[bytes, bytes] | None, source: str) -> Header:
