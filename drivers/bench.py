@@ -122,6 +122,30 @@ def simulate_motion(output_angle: OutputAngle, run: BenchRun) -> Motion:
     )
 
 
+def simulate_hysteresis(output_angle: OutputAngle, run: BenchRun) -> Motion:
+    """Lock a drive's input at crank angle 0 and let the torque go round: 0, +T, 0, -T, 0.
+
+    Parameters
+    ----------
+    output_angle
+        As for `simulate_motion`.
+    run
+        `torque` is T, `turns` the loops, `samples_per_turn` the samples of each, `speed` gives the time: 2 pi a loop.
+    """
+    phase = np.linspace(0.0, 4.0 * run.turns, run.samples) % 4.0
+    torque = run.torque * np.interp(phase, [0.0, 1.0, 2.0, 3.0, 4.0], [0.0, 1.0, 0.0, -1.0, 0.0])
+    angle = np.zeros(run.samples)
+    output = np.asarray(output_angle(angle, torque), np.float64)
+    random = np.random.default_rng(run.seed)
+    return Motion(
+        run,
+        np.arange(run.samples, dtype=np.float64) * (2 * math.pi / run.samples_per_turn / run.speed),
+        angle + run.noise * random.standard_normal(run.samples),
+        output + run.noise * random.standard_normal(run.samples),
+        torque + run.torque_noise * random.standard_normal(run.samples),
+    )
+
+
 def fmu_output_angle(path: str | os.PathLike[str], step: float = 1e-3) -> OutputAngle:
     """Return the output angle that an FMI 2.0 co-simulation FMU of a drive gives, one step of it a sample.
 

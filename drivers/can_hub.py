@@ -10,6 +10,7 @@ import collections
 import contextlib
 import dataclasses
 import errno
+import logging
 import socket
 import threading
 import time
@@ -30,6 +31,8 @@ from drivers.encoder import (
     judge_sequence,
 )
 from drivers.recording_format import DUPLICATE, GAP, OUT_OF_ORDER, Event, FloatArray, IntArray
+
+logging.getLogger("canopen").addHandler(logging.NullHandler())  # what it warns of is raised or an event here
 
 SYNC_ID = 0x80
 SYNC_COUNTER_MAX = 240

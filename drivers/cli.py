@@ -160,6 +160,9 @@ def simulate(
     trigger: Annotated[Trigger, typer.Option(help="What makes encoders on CAN send.")] = Trigger.controller,
     serial: Annotated[Serial | None, typer.Option(help="Encoders on a pseudo-terminal instead of CAN.")] = None,
     clock_drift: Annotated[float, typer.Option(help="Of the ASCII counter's clock, relative, such as 50e-6.")] = 0.0,
+    hysteresis: Annotated[
+        bool, typer.Option("--hysteresis", help="Lock the input; the torque goes 0, +T, 0, -T, 0, as often as --turns.")
+    ] = False,
     faults: Annotated[Path | None, typer.Option(metavar="FAULTS.toml", help="What goes wrong and when.")] = None,
     speed_factor: Annotated[
         float | None, typer.Option(help="1: at the crank's own speed; default: as fast as the bus carries.")
@@ -175,7 +178,7 @@ def simulate(
     and in a second terminal [bold]cycloid-bench record BENCH.toml -o run.arrows --idle "2 s"[/bold].
     The virtual bus ends at its process: with [bold]--bus virtual[/bold] add [bold]-o run.arrows[/bold].
     """
-    from drivers.bench import BenchRun, CanBench, fmu_output_angle, simulate_motion
+    from drivers.bench import BenchRun, CanBench, fmu_output_angle, simulate_hysteresis, simulate_motion
     from drivers.faults import read_faults
     from drivers.serial_bench import Amt21Bench, AsciiBench
 
@@ -205,7 +208,8 @@ def simulate(
         if value < least:
             raise edge.InputError(f"{name}: the value must be {'above' if least else 'at least'} zero.")
     ideal = ratio or 1.0
-    motion = simulate_motion(fmu_output_angle(fmu) if fmu else lambda angle, _: angle / ideal, run)
+    moved = simulate_hysteresis if hysteresis else simulate_motion
+    motion = moved(fmu_output_angle(fmu) if fmu else lambda angle, _: angle / ideal, run)
     script = read_faults(faults) if faults is not None else []
     made: CanBench | Amt21Bench | AsciiBench
     if serial is Serial.amt21:
@@ -253,6 +257,99 @@ def _serve(
     except EncoderError as problem:
         typer.echo(str(problem), err=True)
         raise typer.Exit(edge.FAILED) from None
+
+
+@app.command()
+def run(
+    sequence: Annotated[Path, typer.Argument(metavar="SEQUENCE.toml", help="Speeds, loads, directions, loops.")],
+) -> None:
+    """Run a test sequence: prompt for or drive each step, check that it was reached, write one recording a step.
+
+    Example: [bold]cycloid-bench run sequence.toml[/bold]
+
+    Recordings lie beside the sequence; steps that are recorded are passed over, so an interrupted sequence goes on
+    where it was. A step that falls short is kept under another name, and made again if you say so.
+    """
+    import subprocess
+
+    from drivers.encoder import EncoderError
+    from drivers.recorder import RecordingError
+    from drivers.sequence import read_sequence, report_command, run_step
+
+    made = read_sequence(sequence)
+    done: list[Path] = []
+    short = 0
+    for number, step in enumerate(made.steps, 1):
+        path = made.folder / f"{step.name}.arrows"
+        typer.echo(f"{number} of {len(made.steps)}: {step.said()}")
+        attempt = 0
+        while not path.exists():
+            attempt += 1
+            trial = made.folder / f"{step.name}.trial-{attempt}.arrows"
+            if trial.exists():
+                continue
+            if made.file.drive is None:
+                typer.prompt("Press Enter when it runs", default="", show_default=False, err=True)
+            try:
+                with _live_line() as progress:
+                    said = run_step(made, step, trial, progress)
+            except KeyboardInterrupt:
+                typer.echo(f"Interrupted; {trial} has all that came.", err=True)
+                raise typer.Exit(edge.INTERRUPTED) from None
+            except edge.InputError:
+                raise
+            except (EncoderError, RecordingError) as problem:
+                typer.echo(str(problem), err=True)
+                raise typer.Exit(edge.FAILED) from None
+            if not said:
+                trial.rename(path)
+                break
+            typer.echo(f"{trial}: not reached: {'; '.join(said)}.", err=True)
+            if made.file.drive is not None or not typer.confirm("Make it again?", default=True, err=True):
+                short += 1
+                break
+        if path.exists():
+            done.append(path)
+            typer.echo(f"{path}: recorded")
+    command = report_command(made, done)
+    if command is not None:
+        typer.echo(" ".join(command))
+        if subprocess.run(command, check=False).returncode:
+            raise typer.Exit(edge.FAILED)
+    if short:
+        raise typer.Exit(edge.FAILED)
+
+
+@app.command()
+def watch(
+    recording: Annotated[Path, typer.Argument(metavar="RUN.arrows", help="The recording, finished or growing.")],
+    host: Annotated[
+        str, typer.Option(help="Address to listen on; not a local one: a token is asked for.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="0: any that is free.")] = 0,
+) -> None:
+    """Show a recording in the browser while it grows: transmission error, spectrum, health.
+
+    Example: [bold]cycloid-bench watch run.arrows[/bold]
+
+    It listens on this machine only. With [bold]--host 0.0.0.0[/bold] others see it too, who know the token.
+    """
+    import ipaddress
+    import secrets
+
+    from drivers.watch import Watcher, WatchServer
+
+    try:
+        local = ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        raise edge.InputError(f'--host = "{host}": write an address, such as 127.0.0.1 or 0.0.0.0.') from None
+    try:
+        server = WatchServer(Watcher(recording), host, port, None if local else secrets.token_urlsafe(16))
+    except OSError as problem:
+        raise edge.InputError(f"--host = {host}, --port = {port}: {problem.strerror}.") from None
+    typer.echo(f"Open {server.url} (Ctrl-C ends it)")
+    with server, contextlib.suppress(KeyboardInterrupt):
+        server.serve_forever()
 
 
 @app.command()

@@ -139,7 +139,7 @@ def open_encoders(bench: Bench | str | os.PathLike[str]) -> Iterator[list[Encode
         yield encoders
 
 
-_MARKS = {
+MARKS = {
     "gaps": rf.GAP, "checksum": rf.CHECKSUM, "resets": rf.RESET, "duplicates": rf.DUPLICATE,
     "out of order": rf.OUT_OF_ORDER, "rollovers": rf.ROLLOVER,
 }  # fmt: skip
@@ -170,7 +170,7 @@ class ChannelState:
     """
 
     samples: int = 0
-    marks: dict[str, int] = dataclasses.field(default_factory=lambda: dict.fromkeys(_MARKS, 0))
+    marks: dict[str, int] = dataclasses.field(default_factory=lambda: dict.fromkeys(MARKS, 0))
     rate: float = 0.0
     waiting: int = 0
     time: float | None = None
@@ -289,7 +289,7 @@ class _Session:
         """Count a block and follow the TE."""
         state.samples += len(block)
         present = np.bitwise_or.reduce(block.status) if len(block) else 0
-        for mark, bit in _MARKS.items():
+        for mark, bit in MARKS.items():
             if present & bit:
                 state.marks[mark] += int(np.count_nonzero(block.status & bit))
         if not len(block):

@@ -519,7 +519,8 @@ class RecordingReader:
         self.problems: list[str] = []
         self.complete = 0
         self._number = 0
-        self._offset = self._good_end = self._file.tell()
+        self._offset: int = self._file.tell()
+        self._good_end = self._offset
         self._next_sequence = 0
         self._lost: set[str] = set()
         self._preamble = _preamble(expected, [c.name for c in self.header.channels])
