@@ -140,6 +140,7 @@ class AsciiCounter(SerialEncoder):
             except ValueError as problem:
                 raise edge.InputError(f'[channel.{name}] unit = "{config.unit}": {problem}.') from None
         self._request = (config.request or "").encode()
+        self.asked = bool(self._request)
         self._forget()
 
     def _forget(self) -> None:
@@ -163,7 +164,7 @@ class AsciiCounter(SerialEncoder):
         deadline = time.monotonic() + FIRST_LINE_SECONDS
         came = b""
         while time.monotonic() < deadline:
-            _, data = hub.exchange(self.question)
+            _, data = hub.exchange(self.question, self.asked)
             came = (came + data)[-LONGEST_LINE:]
             if any(self._fields(line) for line in came.split(b"\n")[1 - bool(self._request) : -1]):
                 break
@@ -185,7 +186,7 @@ class AsciiCounter(SerialEncoder):
             zero=self.config.zero,
             zero_reference=self.config.zero_reference,
             identity=f'lines "{self.config.line}"',
-            time_source=f"host clock: arrival of the line's end{clock}",
+            time_source=f"host clock: {'middle of the exchange' if self.asked else 'arrival of the line'}{clock}",
         )
 
     def _fields(self, line: bytes) -> dict[str, str] | None:

@@ -132,7 +132,8 @@ def simulate_hysteresis(output_angle: OutputAngle, run: BenchRun) -> Motion:
     run
         `torque` is T, `turns` the loops, `samples_per_turn` the samples of each, `speed` gives the time: 2 pi a loop.
     """
-    phase = np.linspace(0.0, 4.0 * run.turns, run.samples) % 4.0
+    phase = 4.0 * np.arange(run.samples) / run.samples_per_turn % 4.0
+    phase[-1] = 0.0  # back at zero, where it began
     torque = run.torque * np.interp(phase, [0.0, 1.0, 2.0, 3.0, 4.0], [0.0, 1.0, 0.0, -1.0, 0.0])
     angle = np.zeros(run.samples)
     output = np.asarray(output_angle(angle, torque), np.float64)

@@ -78,10 +78,14 @@ class _PtyBench:
         return self._done.wait(timeout)
 
     def _plug(self) -> None:
+        import termios
         import tty
 
         self._bench, self._line = os.openpty()
         tty.setraw(self._line)
+        settings = termios.tcgetattr(self._line)
+        settings[4] = settings[5] = termios.B50  # no recorder asks for it: so one that opens the port is noticed
+        termios.tcsetattr(self._line, termios.TCSANOW, settings)
         os.symlink(os.ttyname(self._line), self.url)
 
     def _unplug(self) -> None:
@@ -89,6 +93,12 @@ class _PtyBench:
             os.unlink(self.url)
             os.close(self._bench)
             os.close(self._line)
+
+    def _opened(self) -> bool:
+        """Return whether somebody has opened the port and set its baud rate."""
+        import termios
+
+        return bool(termios.tcgetattr(self._line)[5] != termios.B50)
 
     def _sample(self) -> int:
         """Return which sample of the motion is now; the first call begins it."""
@@ -213,8 +223,8 @@ class Amt21Bench(_PtyBench):
 class AsciiBench(_PtyBench):
     """A counter that sends a line for each sample, "$sequence,time,counts*checksum", by itself: record `url`.
 
-    A context manager. The time is the counter's own clock in microseconds, 32 bits, the checksum NMEA 0183's. Its
-    counts are the output angle's.
+    A context manager. The motion begins when the port is opened. The time is the counter's own clock in microseconds,
+    32 bits, the checksum NMEA 0183's. Its counts are the output angle's.
 
     Parameters
     ----------
@@ -252,18 +262,23 @@ class AsciiBench(_PtyBench):
         return self._wiring(path, channel, ratio, pair)
 
     def _run(self) -> None:
-        counts = quantised(self.motion.output_angle, self.counts_per_turn).tolist()
-        times = (self.motion.time / self._factor).tolist()
+        times = self.motion.time / self._factor
+        while not self._opened():
+            if self._stopping.wait(0.01):
+                return
         begun = time.monotonic()
         zero = number = 0
         start = 0.0
         held: bytes | None = None
-        for i, (when, count) in enumerate(zip(times, counts, strict=True)):
-            if self._stopping.wait(max(0.0, begun + when - time.monotonic())):
+        for i, due in enumerate(times.tolist()):
+            if self._stopping.wait(max(0.0, begun + due - time.monotonic())):
                 return
+            now = time.monotonic() - begun  # this thread may wake late: what is latched is now, not then
+            angle = np.interp(now, times, self.motion.output_angle)
+            count = int(quantised(np.array([angle]), self.counts_per_turn)[0])
             if i in self._restarts:
-                zero, number, start = count, 0, when
-            ticks = round((when - start) * (1 + self.clock_drift) * 1e6) % (1 << 32)
+                zero, number, start = count, 0, now
+            ticks = round((now - start) * (1 + self.clock_drift) * 1e6) % (1 << 32)
             text = f"{number},{ticks},{count - zero}".encode()
             line = b"$%b*%02X\r\n" % (text, functools.reduce(operator.xor, text, 0))
             number += 1

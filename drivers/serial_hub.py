@@ -60,22 +60,27 @@ class PortHub:
         except (serial.SerialException, ValueError, OSError) as problem:
             raise EncoderSetupError(f'The serial port "{config.url}" does not open: {_reason(problem)}.') from problem
         self._lock = threading.Lock()
-        self._queues: dict[BlockQueue[list[Exchange]], Question] = {}
+        self._queues: dict[BlockQueue[list[Exchange]], tuple[Question, bool]] = {}
         self._stopping = threading.Event()
         self._polling = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"port {config.url}", daemon=True)
         self._thread.start()
 
-    def exchange(self, question: Question) -> Exchange:
-        """Ask once: return the middle of the exchange, in seconds since 1970, and the bytes of the answer."""
+    def exchange(self, question: Question, asked: bool) -> Exchange:
+        """Ask once and return when, in seconds since 1970, and the bytes of the answer.
+
+        The time is the middle of the exchange where the device is `asked`; that of the arrival where it only is waited
+        for.
+        """
         with self._lock:
             before = steady_time()
             answer = question(self.port)
-            return (before + steady_time()) / 2, answer
+            after = steady_time()
+            return (before + after) / 2 if asked else after, answer
 
-    def poll(self, question: Question, answers: BlockQueue[list[Exchange]]) -> None:
-        """Put this question again and again from now on."""
-        self._queues = {**self._queues, answers: question}
+    def poll(self, question: Question, asked: bool, answers: BlockQueue[list[Exchange]]) -> None:
+        """Put this question again and again from now on; see `exchange`."""
+        self._queues = {**self._queues, answers: (question, asked)}
         if self.broken:
             answers.fail(self._failure)
         self._polling.set()
@@ -99,11 +104,11 @@ class PortHub:
             while not self._stopping.is_set():
                 queues = self._queues
                 blocks = {answers: [] for answers in queues}
-                turns = [(question, blocks[answers]) for answers, question in queues.items()]
+                turns = [(question, asked, blocks[answers]) for answers, (question, asked) in queues.items()]
                 end = time.monotonic() + BLOCK_SECONDS
                 while queues and time.monotonic() < end:
-                    for question, block in turns:
-                        block.append(self.exchange(question))
+                    for question, asked, block in turns:
+                        block.append(self.exchange(question, asked))
                 for answers, block in blocks.items():
                     answers.put(block, len(block))
                 if not queues:
@@ -168,6 +173,7 @@ class SerialEncoder(Encoder):
     """
 
     where: str
+    asked = True  # False: the device sends by itself
 
     def __init__(self, name: str, config: Any, port: PortConfig) -> None:
         self.name, self.config, self.port = name, config, port
@@ -212,7 +218,7 @@ class SerialEncoder(Encoder):
         """Poll it from now on."""
         assert self._hub is not None, "start() is for an encoder that is open"
         self._answers = BlockQueue()
-        self._hub.poll(self.question, self._answers)
+        self._hub.poll(self.question, self.asked, self._answers)
 
     def close(self) -> None:
         """Poll it no more and release the port."""
@@ -285,7 +291,7 @@ class PolledEncoder(SerialEncoder):
         EncoderTimeout, EncoderProtocolError
             If none comes, or a wrong one.
         """
-        _, answer = hub.exchange(self.question)
+        _, answer = hub.exchange(self.question, self.asked)
         if not answer:
             raise EncoderTimeout(f"{self.where} does not answer; is it powered, and are address and baud rate right?")
         if len(answer) < self.answer_bytes or not self.checked([answer]).all():
