@@ -68,7 +68,7 @@ class Frames:
     sync_device: list[float] = dataclasses.field(default_factory=list)
     time: list[float] = dataclasses.field(default_factory=list)
     device: list[float] = dataclasses.field(default_factory=list)
-    data: list[bytes] = dataclasses.field(default_factory=list)
+    data: list[bytearray] = dataclasses.field(default_factory=list)
     arrived: float = 0.0
 
     def extend(self, other: Frames) -> None:
@@ -183,7 +183,7 @@ def drained(events: collections.deque[Event]) -> list[Event]:
     return [events.popleft() for _ in range(len(events))]
 
 
-def payload_array(data: list[bytes], length: int) -> npt.NDArray[np.uint8]:
+def payload_array(data: list[bytearray], length: int) -> npt.NDArray[np.uint8]:
     """Return frames of one length as an array of shape (n, length)."""
     return np.frombuffer(b"".join(data), np.uint8).reshape(-1, length)
 
@@ -206,6 +206,7 @@ class CanHub:
         self._pending: dict[int, Frames] = {}
         self._sync, self._sync_time, self._sync_device, self._counter = -1, 0.0, 0.0, 0
         self._hardware: bool | None = None
+        self._arrivals: list[float] = []
         self._odd = {"error frames": 0, "echoes of own frames": 0}
         self._stopping = threading.Event()
         self._producer: threading.Thread | None = None
@@ -272,16 +273,8 @@ class CanHub:
     def _run(self) -> None:
         try:
             while not self._stopping.is_set():
-                message = self.bus.recv(BLOCK_SECONDS)
-                end = time.monotonic() + BLOCK_SECONDS
-                count = 0
-                while message is not None:
-                    self._take(message)
-                    count += 1
-                    left = end - time.monotonic()
-                    if count == BLOCK_FRAMES or left <= 0:
-                        break
-                    message = self.bus.recv(left)
+                block = self._received()
+                self._take(block)
                 self._publish()
         except Exception as problem:  # the reader must say why it ends: nobody else sees it
             self._publish()
@@ -319,39 +312,78 @@ class CanHub:
                 self._events.append(Event(time.time(), "", f"{count} {what} on the CAN bus {self.name}"))
                 self._odd[what] = 0
 
-    def _take(self, message: can.Message) -> None:
-        identifier = message.arbitration_id
-        stamp = message.timestamp
-        if self._hardware is None:
-            # Some interfaces count from power-up: theirs is a clock of its own.
-            self._hardware = abs(time.time() - stamp) > 3600
-        if self._hardware:
-            device, stamp = stamp, time.time()
+    def _received(self) -> list[can.Message]:
+        """Return the data and SYNC frames of a block; what else comes is served at once, somebody waits for it."""
+        receive, block = self.bus.recv, []
+        message = receive(BLOCK_SECONDS)
+        end = time.monotonic() + BLOCK_SECONDS
+        while message is not None:
+            if self._hardware is None:
+                # Some interfaces count from power-up: theirs is a clock of its own.
+                self._hardware = abs(time.time() - message.timestamp) > 3600
+            identifier = message.arbitration_id
+            if identifier in self._queues or (identifier == SYNC_ID and not message.is_extended_id):
+                block.append(message)
+                if self._hardware:
+                    self._arrivals.append(time.time())
+            else:
+                self._serve(message)
+            if len(block) >= BLOCK_FRAMES:
+                break
+            message = receive(0.0)
+            if message is None:  # the clock is only asked where there is time for it
+                left = end - time.monotonic()
+                if left <= 0:
+                    break
+                message = receive(left)
+        return block
+
+    def _serve(self, message: can.Message) -> None:
+        """Hand a frame that is no channel's to CANopen's services."""
         if message.is_error_frame:
             self._odd["error frames"] += 1
-            if identifier & _BUS_OFF:
+            if message.arbitration_id & _BUS_OFF:
                 raise can.CanOperationError("bus-off")
-        elif message.is_remote_frame:
-            pass
-        elif identifier == SYNC_ID and not message.is_extended_id:
-            self._sync_device = message.timestamp
-            self._on_sync(message.data, stamp)
-        elif not message.is_rx:
-            self._odd["echoes of own frames"] += identifier in self._queues
-        elif identifier in self._queues:
-            frames = self._pending.get(identifier)
+        elif not message.is_remote_frame:
+            with contextlib.suppress(Exception):  # a malformed service frame must not end the recording
+                self.network.notify(message.arbitration_id, message.data, message.timestamp)
+
+    def _take(self, block: list[can.Message]) -> None:
+        """Sort a block's frames by identifier, each with the SYNC before it."""
+        arrivals, self._arrivals = self._arrivals, []
+        if any([m.is_error_frame or m.is_remote_frame or not m.is_rx for m in block]):
+            block = self._plain(block)
+            arrivals = arrivals[: len(block)]
+        pending = self._pending
+        for place, message in enumerate(block):
+            identifier = message.arbitration_id
+            if identifier == SYNC_ID:
+                self._sync_device = message.timestamp
+                self._on_sync(message.data, arrivals[place] if arrivals else message.timestamp)
+                continue
+            frames = pending.get(identifier)
             if frames is None:
-                frames = self._pending[identifier] = Frames()
+                frames = pending[identifier] = Frames()
             frames.sync.append(self._sync)
             frames.sync_time.append(self._sync_time)
-            frames.time.append(stamp)
-            frames.data.append(bytes(message.data))
-            if self._hardware:
-                frames.device.append(device)
+            frames.time.append(message.timestamp)
+            frames.data.append(message.data)
+            if arrivals:
+                frames.device.append(message.timestamp)
+                frames.time[-1] = arrivals[place]
                 frames.sync_device.append(self._sync_device)
-        else:
-            with contextlib.suppress(Exception):  # a malformed service frame must not end the recording
-                self.network.notify(identifier, message.data, stamp)
+
+    def _plain(self, block: list[can.Message]) -> list[can.Message]:
+        """Return a block without error frames, remote frames and echoes of own frames, SYNC being no echo."""
+        kept = []
+        for message in block:
+            if message.is_error_frame:
+                self._serve(message)
+            elif not message.is_rx and message.arbitration_id != SYNC_ID:
+                self._odd["echoes of own frames"] += 1
+            elif not message.is_remote_frame:
+                kept.append(message)
+        return kept
 
     def _on_sync(self, data: bytearray, stamp: float) -> None:
         step = 1
@@ -441,7 +473,7 @@ class FrameReader:
         self._events: collections.deque[Event] = collections.deque()
         self._last_seen = -1
         self._newest: int | None = None
-        self._last: tuple[float, bytes, float] | None = None
+        self._last: tuple[float, bytearray, float] | None = None
         self._marks: collections.deque[int] = collections.deque()
 
     def close(self) -> None:
@@ -487,7 +519,7 @@ class FrameReader:
         for place, lost in losses:
             before[place] |= GAP
             self.say(frames.time[place], f"{lost} frame 0x{self.identifier:03X} lost: the recorder was too slow")
-        good = np.array([len(d) == self.length for d in frames.data])
+        good = np.fromiter(map(len, frames.data), np.int64, n) == self.length
         if not good.all():
             wrong = frames.data[int(np.flatnonzero(~good)[0])]
             self._skipped(~good, frames, f"{len(wrong)} bytes long (0x{wrong.hex()}), not {self.length}")
@@ -520,7 +552,8 @@ class FrameReader:
                 )
         own = frames.device if self.sync_step is None else frames.sync_device
         device = np.array(own)[kept] if own else None
-        return Judged(payload_array([frames.data[i] for i in kept], self.length), stamps[kept], device, status)
+        data = frames.data if len(kept) == n else [frames.data[i] for i in kept]
+        return Judged(payload_array(data, self.length), stamps[kept], device, status)
 
     def _synced(self, frames: Frames, before: IntArray) -> npt.NDArray[np.bool_]:
         """Return which frames have a SYNC of their own, and note in `before` what the others were."""
@@ -530,7 +563,9 @@ class FrameReader:
         self._skipped(sync < 0, frames, "before the first SYNC")
         second = (sync >= 0) & (sync == previous)
         last = None if self._last is None else self._last[1]
-        same = np.array([a == b for a, b in zip(frames.data, [last, *frames.data[:-1]], strict=True)])
+        same = np.zeros(len(sync), bool)
+        for i in np.flatnonzero(second):  # few: payloads are compared only where it matters
+            same[i] = frames.data[i] == (frames.data[i - 1] if i else last)
         self._last = (0.0, frames.data[-1], frames.arrived)
         self._skipped(second & same, frames, "a duplicate of the frame before, or without a SYNC of its own")
         self._skipped(second & ~same, frames, "without a SYNC of its own, so its instant is unknown")
@@ -541,10 +576,11 @@ class FrameReader:
         """Note in `before` what the stamps tell."""
         times = np.array(frames.device or frames.time)
         first = self._last is None
-        last_time, last_data, arrived = self._last or (times[0], b"", frames.arrived)
+        last_time, last_data, arrived = self._last or (times[0], bytearray(), frames.arrived)
         step = np.diff(times, prepend=last_time)
-        same = np.array([a == b for a, b in zip(frames.data, [last_data, *frames.data[:-1]], strict=True)])
-        copies = same & (step == 0)
+        copies = np.zeros(len(times), bool)
+        for i in np.flatnonzero(step == 0):
+            copies[i] = frames.data[i] == (frames.data[i - 1] if i else last_data)
         copies[0] &= not first
         waited = np.zeros(len(times))
         waited[0] = frames.arrived - arrived

@@ -33,13 +33,14 @@ def test_the_recorder_produces_sync_and_each_sample_answers_one(tmp_path, bus_na
     with CanBench(motion, channel=bus_name, trigger="sync") as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
         assert 'sync_period = "0.01 s"' in toml.read_text()
-        record_bench(toml, path, samples=100, idle=2.0)
+        record_bench(toml, path, idle=1.0)
     recording = read_recording(path)
     angle, output = recording.samples["input_angle"], recording.samples["output_angle"]
-    assert len(angle) >= 100
+    # The virtual bus may hand over an answer before the SYNC it answers; such a one is left out, never misplaced.
+    assert len(angle) > 80
     # Both were latched by one SYNC, whatever the load: so they lie on the drive's line to half a count.
     common, i, j = np.intersect1d(angle.time_host, output.time_host, return_indices=True)
-    assert len(common) >= 95
+    assert len(common) > 80
     np.testing.assert_allclose(output.value[j], ideal(angle.value[i], 5.0), atol=math.pi / (1 << 22))
     assert np.median(np.diff(angle.time_host)) == pytest.approx(0.01, abs=2e-3)
 
