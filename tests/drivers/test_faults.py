@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from drivers import encoder as encoder_module
-from drivers import recorder
+from drivers import recorder, serial_hub
 from drivers import recording_format as rf
 from drivers.bench import BenchRun, CanBench, simulate_motion
 from drivers.encoder import EncoderSetupError
@@ -96,15 +96,17 @@ def test_cable_pulled_and_put_back(tmp_path):
 
 @needs_pty
 @pytest.mark.parametrize("kind", ["half", "garbage", "wrong_baud"])
-def test_half_frames_garbage_and_a_wrong_baud_rate_never_become_angles(tmp_path, kind):
-    motion = slow_motion(1)
-    bench = Amt21Bench(motion, faults=[Fault(kind, 100, 3, target=0x58)], speed_factor=2.0)
-    recording, done = serial_recording(tmp_path, bench)
+def test_half_frames_garbage_and_a_wrong_baud_rate_never_become_angles(tmp_path, kind, monkeypatch):
+    monkeypatch.setattr(serial_hub, "ANSWER_SECONDS", 1.0)  # a busy machine schedules the simulated encoder late
+    motion = slow_motion(3)
+    bench = Amt21Bench(motion, faults=[Fault(kind, 100, 3, target=0x58)], speed_factor=0.5)
+    recording, done = serial_recording(tmp_path, bench, samples=60)
     output = recording.samples["output_angle"]
     assert done.marks["output_angle"]["gaps"] >= 1
     lost = [t for t in texts(recording, "output_angle") if "reading lost" in t]
     assert sum(int(t.split()[0]) for t in lost) >= 1
-    assert np.max(np.abs(np.diff(output.value))) < 0.05
+    assert lies_on(output, motion.time, motion.output_angle, 1e-3)
+    assert np.max(np.abs(np.diff(output.value))) < 0.2
     assert not marked(recording.samples["input_angle"], rf.GAP)
 
 
