@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import math
 import os
-import select
 import shutil
-import struct
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from ctypes import c_double, c_uint32
 from pathlib import Path
 from types import TracebackType
@@ -23,14 +20,15 @@ import numpy as np
 from canopen.objectdictionary import UNSIGNED8, UNSIGNED16, UNSIGNED32, ODRecord, ODVariable
 
 from cycloid_fmu import edge
-from drivers.amt21_encoder import check_bits
 from drivers.can_hub import SYNC_COUNTER_MAX, SYNC_ID, open_bus
-from drivers.canopen_encoder import COUNTS_PER_TURN, POSITION, TURNS
+from drivers.canopen_encoder import COUNTS_PER_TURN, HEARTBEAT_TIME, POSITION, TURNS
 from drivers.encoder import BusConfig
+from drivers.faults import NODE_FAULTS, Fault, Frame, faulty_frames
 from drivers.recording_format import FloatArray, IntArray
 
 OutputAngle: TypeAlias = Callable[[FloatArray, FloatArray], FloatArray]
 
+_END_SECONDS = 2.0  # without any node operating: then nobody listens any more
 UDP_SAMPLES_PER_SECOND = 2000.0  # four datagrams each; the kernel drops what a reader doesn't take in time
 _INPUT_NODE, _OUTPUT_NODE = 1, 2
 _TORQUE_ID, _TORQUE_SCALE = 0x2A0, 0.0001
@@ -124,6 +122,31 @@ def simulate_motion(output_angle: OutputAngle, run: BenchRun) -> Motion:
     )
 
 
+def simulate_hysteresis(output_angle: OutputAngle, run: BenchRun) -> Motion:
+    """Lock a drive's input at crank angle 0 and let the torque go round: 0, +T, 0, -T, 0.
+
+    Parameters
+    ----------
+    output_angle
+        As for `simulate_motion`.
+    run
+        `torque` is T, `turns` the loops, `samples_per_turn` the samples of each, `speed` gives the time: 2 pi a loop.
+    """
+    phase = 4.0 * np.arange(run.samples) / run.samples_per_turn % 4.0
+    phase[-1] = 0.0  # back at zero, where it began
+    torque = run.torque * np.interp(phase, [0.0, 1.0, 2.0, 3.0, 4.0], [0.0, 1.0, 0.0, -1.0, 0.0])
+    angle = np.zeros(run.samples)
+    output = np.asarray(output_angle(angle, torque), np.float64)
+    random = np.random.default_rng(run.seed)
+    return Motion(
+        run,
+        np.arange(run.samples, dtype=np.float64) * (2 * math.pi / run.samples_per_turn / run.speed),
+        angle + run.noise * random.standard_normal(run.samples),
+        output + run.noise * random.standard_normal(run.samples),
+        torque + run.torque_noise * random.standard_normal(run.samples),
+    )
+
+
 def fmu_output_angle(path: str | os.PathLike[str], step: float = 1e-3) -> OutputAngle:
     """Return the output angle that an FMI 2.0 co-simulation FMU of a drive gives, one step of it a sample.
 
@@ -196,19 +219,22 @@ def quantised(angle: FloatArray, counts_per_turn: int) -> IntArray:
     return np.rint(angle * (counts_per_turn / (2 * math.pi))).astype(np.int64)
 
 
-def _conditions(run: BenchRun) -> str:
+def conditions_text(run: BenchRun) -> str:
+    """Return the table `[conditions]` of a `BENCH.toml` that says what the run is."""
     return (
         f'[conditions]\nload = "{edge.format_quantity(run.torque, "N*m", "N*m")}"\n'
         f'speed = "{edge.format_quantity(run.speed, "rad/s", "rad/s")}"\ndirection = "{run.direction}"\n'
     )
 
 
-def _head(ratio: float | None, pair: str) -> str:
+def head_text(ratio: float | None, pair: str) -> str:
+    """Return the first lines of a `BENCH.toml`."""
     shown = f"ratio = {float(ratio)!r}\n" if ratio is not None else ""
     return f'format = "cycloid-bench/1"\n{shown}pair = {edge.json_text(pair)}\n\n'
 
 
-def _write(path: str | os.PathLike[str], text: str) -> Path:
+def write_text(path: str | os.PathLike[str], text: str) -> Path:
+    """Write a text file that appears whole, and return its path."""
     with edge.written_whole(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return Path(path)
@@ -219,8 +245,8 @@ def _turns(counts_per_turn: int) -> int:
     return min((1 << 32) // counts_per_turn, 1 << 15)
 
 
-def _object_dictionary(node: int, identifier: int, counts_per_turn: int) -> canopen.ObjectDictionary:
-    """Return what a CiA 406 encoder answers by SDO, its TPDO1 sent on every SYNC."""
+def _object_dictionary(node: int, identifier: int, counts_per_turn: int, timer: int | None) -> canopen.ObjectDictionary:
+    """Return what a CiA 406 encoder answers by SDO, its TPDO1 sent on every SYNC or by a timer in ms."""
     dictionary = canopen.ObjectDictionary()
 
     def variable(name: str, index: int, kind: int, value: int, sub: int = 0, access: str = "ro") -> ODVariable:
@@ -248,13 +274,18 @@ def _object_dictionary(node: int, identifier: int, counts_per_turn: int) -> cano
             ("serial", UNSIGNED32, node),
         ],
     )
-    record("TPDO1", 0x1800, [("identifier", UNSIGNED32, identifier), ("transmission type", UNSIGNED8, 1)])
+    sent = [("identifier", UNSIGNED32, identifier), ("transmission type", UNSIGNED8, 1 if timer is None else 254)]
+    if timer is not None:
+        sent += [("inhibit time", UNSIGNED16, 0), ("compatibility", UNSIGNED8, 0), ("event timer", UNSIGNED16, timer)]
+    record("TPDO1", 0x1800, sent)
     record("TPDO1 mapping", 0x1A00, [("position", UNSIGNED32, POSITION << 16 | 32)])
     dictionary.add_object(variable("operating parameters", 0x6000, UNSIGNED16, 0))
     dictionary.add_object(variable("position", POSITION, UNSIGNED32, 0))
     dictionary.add_object(variable("operating status", 0x6500, UNSIGNED16, 0))
     dictionary.add_object(variable("counts per turn", COUNTS_PER_TURN, UNSIGNED32, counts_per_turn))
     dictionary.add_object(variable("turns", TURNS, UNSIGNED16, _turns(counts_per_turn)))
+    dictionary.add_object(variable("profile and software", 0x6507, UNSIGNED32, 0x01000302))
+    dictionary.add_object(variable("encoder serial", 0x650B, UNSIGNED32, node))
     return dictionary
 
 
@@ -276,23 +307,27 @@ class _StampedNetwork(canopen.Network):  # type: ignore[misc]
 
 
 class CanBench:
-    """A bench on a CAN bus: two CiA 406 nodes, a torque transducer and a controller that sends SYNC with counter.
+    """A bench on a CAN bus: two CiA 406 nodes, a torque transducer and, by default, a controller that sends SYNC.
 
-    A context manager. Once both nodes are told to operate, a thread sends the motion, four frames a sample; it ends
-    with the motion or when a node is told to stop. On the virtual bus the frames carry the motion's own time.
+    A context manager. Once both nodes are told to operate, a thread sends the motion; it ends with the motion or when
+    no node operates any more. A node that is not operational sends nothing. On the virtual bus the frames carry the
+    motion's own time.
 
     Parameters
     ----------
     motion
         What to send.
     interface, channel
-        The bus as python-can opens it.
+        The bus as python-can opens it; "udp_multicast" stays on this machine.
+    trigger
+        "controller": the bench sends SYNC with counter; "sync": each SYNC of another, such as the recorder, is answered
+        with the next sample; "timer": every node sends at its event timer, no SYNC.
     input_counts_per_turn, output_counts_per_turn
         Resolution, powers of two; the 32-bit position counts turns too and rolls over.
     speed_factor
         1: at the motion's own speed, 10: ten times as fast; None: as fast as the bus carries it without loss.
-    drop
-        Samples by identifier (0x80, 0x181, 0x182, 0x2A0) whose frames are not sent, to see what a recorder makes of it.
+    faults
+        What goes wrong, see `faults.Fault`.
     """
 
     def __init__(
@@ -301,22 +336,29 @@ class CanBench:
         *,
         interface: str = "virtual",
         channel: str = "bench",
+        trigger: Literal["controller", "sync", "timer"] = "controller",
         input_counts_per_turn: int = 1 << 22,
         output_counts_per_turn: int = 1 << 25,
         speed_factor: float | None = None,
-        drop: dict[int, set[int]] | None = None,
+        faults: Sequence[Fault] = (),
     ) -> None:
-        self.motion = motion
+        self.motion, self.trigger, self.faults = motion, trigger, tuple(faults)
         self.bus_config = BusConfig(interface=interface, channel=channel)
         self.counts_per_turn = {_INPUT_NODE: input_counts_per_turn, _OUTPUT_NODE: output_counts_per_turn}
-        if speed_factor is not None:
-            self._interval = 2 * math.pi / motion.run.samples_per_turn / motion.run.speed / speed_factor
+        own = 2 * math.pi / motion.run.samples_per_turn / motion.run.speed
+        self._timer = own  # on the virtual bus the stamps are the motion's own
+        if trigger == "sync":
+            self._interval = own
+        elif speed_factor is not None:
+            self._interval = own / speed_factor
         else:
             self._interval = 0.0 if interface == "virtual" else 1 / UDP_SAMPLES_PER_SECOND
-        self._drop = drop or {}
+        if interface != "virtual":
+            self._timer = self._interval
         self._changed = threading.Event()
         self._stopping = threading.Event()
         self._done = threading.Event()
+        self._syncs = threading.Semaphore(0)
         self._failure: Exception | None = None
         self.sent = 0
 
@@ -326,13 +368,17 @@ class CanBench:
         self._bus = open_bus(self.bus_config, **options)
         self._network = _StampedNetwork(self._bus)
         self._network.connect()
-        self._nodes = []
+        self._nodes = {}
+        timer = max(1, round(self._timer * 1000)) if self.trigger == "timer" else None
         for node, resolution in self.counts_per_turn.items():
-            local = self._network.create_node(node, _object_dictionary(node, 0x180 + node, resolution))
+            dictionary = _object_dictionary(node, 0x180 + node, resolution, timer)
+            local = self._network.create_node(node, dictionary)
             local.nmt.state = "INITIALISING"
             local.nmt.state = "PRE-OPERATIONAL"
-            self._nodes.append(local)
+            self._nodes[node] = local
         self._network.subscribe(0, lambda *_: self._changed.set())
+        if self.trigger == "sync":
+            self._network.subscribe(SYNC_ID, lambda *_: self._syncs.release())
         self._thread = threading.Thread(target=self._run, name="bench", daemon=True)
         self._thread.start()
         return self
@@ -343,6 +389,8 @@ class CanBench:
         self._stopping.set()
         self._changed.set()
         self._thread.join()
+        for node in self._nodes.values():
+            node.nmt.stop_heartbeat()
         self._network.disconnect()
         if kind is None and self._failure is not None:
             raise self._failure
@@ -361,21 +409,23 @@ class CanBench:
             f'[channel.{name}]\nprotocol = "canopen"\nbus = "can0"\nnode = {node}\nsigned = true\n\n'
             for name, node in (("input_angle", _INPUT_NODE), ("output_angle", _OUTPUT_NODE))
         )
-        _write(Path(path).with_name("torque.dbc"), _TORQUE_DBC)
-        return _write(
+        sync = f'sync_period = "{self._interval:.9g} s"\n' if self.trigger == "sync" else ""
+        latched = "false" if self.trigger == "timer" else "true"
+        write_text(Path(path).with_name("torque.dbc"), _TORQUE_DBC)
+        return write_text(
             path,
-            f"{_head(ratio, pair)}{_conditions(self.motion.run)}\n[bus.can0]\n"
-            f"interface = {edge.json_text(bus.interface)}\nchannel = {edge.json_text(bus.channel)}\n\n{angles}"
+            f"{head_text(ratio, pair)}{conditions_text(self.motion.run)}\n[bus.can0]\n"
+            f"interface = {edge.json_text(bus.interface)}\nchannel = {edge.json_text(bus.channel)}\n{sync}\n{angles}"
             '[channel.torque]\nprotocol = "dbc"\nbus = "can0"\nfile = "torque.dbc"\nmessage = "torque"\n'
-            'signal = "torque"\nsync = true\n',
+            f'signal = "torque"\nsync = {latched}\n',
         )
 
-    def _operational(self) -> bool:
-        return all(node.nmt.state == "OPERATIONAL" for node in self._nodes)
+    def _operational(self) -> list[bool]:
+        return [node.nmt.state == "OPERATIONAL" for node in self._nodes.values()]
 
     def _run(self) -> None:
         try:
-            while not self._stopping.is_set() and not self._operational():
+            while not self._stopping.is_set() and not all(self._operational()):
                 self._changed.wait()
                 self._changed.clear()
             if not self._stopping.is_set():
@@ -390,144 +440,72 @@ class CanBench:
         resolution = self.counts_per_turn[node]
         return (quantised(angle, resolution) % (resolution * _turns(resolution))).astype("<u4")
 
-    def _send(self) -> None:
-        """Send all samples: SYNC, then what it latched."""
+    def _frames(self) -> Iterator[list[Frame]]:
+        """Yield what to send at each sample: identifier, data and stamp less the start, faults included."""
         motion = self.motion
-        payloads = {
-            SYNC_ID: (np.arange(len(motion.time)) % SYNC_COUNTER_MAX + 1).astype("u1"),
+        payloads: dict[int, Any] = {
             0x180 + _INPUT_NODE: self._positions(_INPUT_NODE, motion.input_angle),
             0x180 + _OUTPUT_NODE: self._positions(_OUTPUT_NODE, motion.output_angle),
             _TORQUE_ID: np.rint(motion.torque / _TORQUE_SCALE).astype("<i4"),
         }
-        raw = [
-            (identifier, array.tobytes(), array.itemsize, self._drop.get(identifier, set()))
-            for identifier, array in payloads.items()
-        ]
-        begun = time.time()
-        stamps = (begun + motion.time).tolist()
+        for fault in self.faults:
+            if fault.kind == "reset":  # the counter starts again at zero where the shaft is just now
+                array = payloads[fault.target]
+                array[fault.sample :] -= array[fault.sample]
+        if self.trigger == "controller":
+            payloads = {SYNC_ID: (np.arange(len(motion.time)) % SYNC_COUNTER_MAX + 1).astype("u1"), **payloads}
+        raw = [(identifier, array.tobytes(), array.itemsize) for identifier, array in payloads.items()]
+        samples = (
+            [(identifier, data[i * size : (i + 1) * size], stamp) for identifier, data, size in raw]
+            for i, stamp in enumerate(motion.time)
+        )
+        return faulty_frames(samples, self.faults)
+
+    def _send(self) -> None:
+        """Send all samples: SYNC, where the bench has a controller, then what it latched."""
+        frames, at = self._frames(), {f.sample: f for f in self.faults if f.kind in NODE_FAULTS}
+        nodes = {0x180 + number: node for number, node in self._nodes.items()}
+        silent: dict[int, int] = {}
+        begun, ends = time.time(), math.inf
         send, interval = self._bus.send, self._interval
-        for i, stamp in enumerate(stamps):
-            if self._stopping.is_set() or (self._changed.is_set() and not self._operational()):
+        for i, sample in enumerate(frames):
+            while not any(self._operational()):
+                ends = min(ends, time.monotonic() + _END_SECONDS)
+                if self._stopping.wait(0.005) or time.monotonic() > ends:
+                    return
+            ends = math.inf
+            if self._stopping.is_set():
                 return
-            if interval:
+            if self.trigger == "sync":
+                while not self._syncs.acquire(timeout=0.05):
+                    if self._stopping.is_set() or not any(self._operational()):
+                        return
+            elif interval:
                 wait = begun + i * interval - time.time()
                 if wait > 0 and self._stopping.wait(wait):
                     return
-            for identifier, data, size, dropped in raw:
-                if i not in dropped:
-                    send(
-                        can.Message(
-                            timestamp=stamp,
-                            arbitration_id=identifier,
-                            is_extended_id=False,
-                            data=data[i * size : (i + 1) * size],
-                        )
-                    )
+            if i in at:
+                self._befall(at[i], silent)
+            for identifier, data, stamp in sample:
+                node = nodes.get(identifier)
+                if node is not None and (node.nmt.state != "OPERATIONAL" or silent.get(node.id, -1) > i):
+                    continue
+                send(can.Message(timestamp=begun + stamp, arbitration_id=identifier, is_extended_id=False, data=data))
+            for number in [n for n, end in silent.items() if end == i]:
+                self._nodes[number].nmt.start_heartbeat(self._nodes[number].sdo[HEARTBEAT_TIME].raw)
             self.sent = i + 1
 
-
-class Amt21Bench:
-    """A bench of two AMT21 encoders on one RS-485 line, which is a pseudo-terminal: record `url`.
-
-    A context manager. The motion begins with the first question and runs at its own speed times `speed_factor`; each
-    answer is the position at that moment. The torque is not on this line.
-
-    Parameters
-    ----------
-    motion
-        What moves.
-    addresses
-        Address of the input's and the output's encoder.
-    bits
-        12 or 14.
-    speed_factor
-        Speed of time.
-
-    Attributes
-    ----------
-    url
-        The port to record.
-    answered
-        The sample each address answered, question by question, wrong answers left out.
-    corrupt, mute
-        Numbers of the questions answered with a flipped bit, and addresses that no longer answer.
-    """
-
-    def __init__(
-        self,
-        motion: Motion,
-        *,
-        addresses: tuple[int, int] = (0x54, 0x58),
-        bits: Literal[12, 14] = 14,
-        speed_factor: float = 1.0,
-    ) -> None:
-        self.motion, self.addresses, self.bits = motion, addresses, bits
-        self._factor = speed_factor
-        self.answered: dict[int, list[int]] = {a: [] for a in addresses}
-        self.corrupt: set[int] = set()
-        self.mute: set[int] = set()
-
-    def __enter__(self) -> Self:
-        """Open the pseudo-terminal."""
-        import tty
-
-        self._bench, self._line = os.openpty()
-        tty.setraw(self._line)
-        self.url = os.ttyname(self._line)
-        self._wake_read, self._wake = os.pipe()
-        self._done = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="bench", daemon=True)
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        os.write(self._wake, b"x")
-        self._thread.join()
-        for descriptor in (self._bench, self._line, self._wake_read, self._wake):
-            os.close(descriptor)
-
-    def wait(self, timeout: float | None = None) -> bool:
-        """Wait for the end of the motion and return whether it came."""
-        return self._done.wait(timeout)
-
-    def write_wiring(self, path: str | os.PathLike[str], *, ratio: float | None = None, pair: str = "") -> Path:
-        """Write the `BENCH.toml` that records this bench and return its path."""
-        channels = "".join(
-            f'\n[channel.{name}]\nprotocol = "amt21"\nport = "rs485"\naddress = {address}\nbits = {self.bits}\n'
-            for name, address in zip(("input_angle", "output_angle"), self.addresses, strict=True)
-        )
-        head = f"{_head(ratio, pair)}{_conditions(self.motion.run)}"
-        return _write(path, f"{head}\n[port.rs485]\nurl = {edge.json_text(self.url)}\n{channels}")
-
-    def _run(self) -> None:
-        counts = 1 << self.bits
-        angles = (self.motion.input_angle, self.motion.output_angle)
-        words = {
-            address: check_bits((quantised(a, counts) % counts << (14 - self.bits)).astype(np.uint16)).tolist()
-            for address, a in zip(self.addresses, angles, strict=True)
-        }
-        times = self.motion.time
-        begun: float | None = None
-        asked = 0
-        while True:
-            ready, _, _ = select.select([self._bench, self._wake_read], [], [])
-            if self._wake_read in ready:
-                return
-            with contextlib.suppress(OSError):
-                for address in os.read(self._bench, 64):
-                    if address not in words or address in self.mute:
-                        continue
-                    now = time.monotonic()
-                    begun = now if begun is None else begun
-                    i = int(np.searchsorted(times, (now - begun) * self._factor, side="right")) - 1
-                    if i >= len(times) - 1:
-                        self._done.set()
-                    word = words[address][i]
-                    if asked in self.corrupt:
-                        word ^= 1
-                    else:
-                        self.answered[address].append(i)
-                    asked += 1
-                    os.write(self._bench, struct.pack("<H", word))
+    def _befall(self, fault: Fault, silent: dict[int, int]) -> None:
+        """Let happen to a node, or the bus, what is not in its data frames."""
+        if fault.kind == "bus_off":
+            self._bus.send(can.Message(timestamp=time.time(), arbitration_id=0x40, is_error_frame=True, dlc=8))
+            return
+        node = self._nodes[fault.target & 0x7F]
+        if fault.kind == "emergency":
+            node.emcy.send(0x5530, 0x01)
+        elif fault.kind == "reboot":
+            node.nmt.state = "INITIALISING"
+            node.nmt.state = "PRE-OPERATIONAL"
+        elif fault.kind == "silence":
+            node.nmt.stop_heartbeat()
+            silent[node.id] = fault.sample + fault.count

@@ -9,75 +9,173 @@ from __future__ import annotations
 import collections
 import contextlib
 import dataclasses
-import os
-import queue
+import errno
+import logging
 import socket
 import threading
 import time
-from typing import Any, TypeAlias
+from typing import Any
 
 import can
 import canopen
 import numpy as np
+import numpy.typing as npt
+from can.interfaces.udp_multicast import UdpMulticastBus
+from can.interfaces.udp_multicast.bus import SO_TIMESTAMPNS, GeneralPurposeUdpMulticastBus
 
-from drivers.encoder import BusConfig, EncoderConnectionError
-from drivers.recording_format import GAP, Event, FloatArray, IntArray
+from drivers.encoder import (
+    BlockQueue,
+    BusConfig,
+    EncoderConnectionError,
+    EncoderSetupError,
+    judge_sequence,
+)
+from drivers.recording_format import DUPLICATE, GAP, OUT_OF_ORDER, Event, FloatArray, IntArray
+
+logging.getLogger("canopen").addHandler(logging.NullHandler())  # what it warns of is raised or an event here
 
 SYNC_ID = 0x80
 SYNC_COUNTER_MAX = 240
 BLOCK_SECONDS = 0.05  # of a block, and so of what a kill can cost besides the batch being written
 BLOCK_FRAMES = 4096
-_RECEIVE_BUFFER = 4 << 20
-_IP_MULTICAST_ALL, _IPV6_MULTICAST_ALL = 49, 29
+CLOCK_JUMP = 1.0  # s between the stamps' step and the arrivals' that no bus and no scheduler explains
+_RECEIVE_BUFFER = 8 << 20
+_IP_MULTICAST_ALL = 49  # Linux: only the groups this very socket joined
+_BUS_OFF = 0x40  # of an error frame's identifier, as Linux and python-can number them
+_LOOPBACK, _PORT = "127.0.0.1", 43113  # the port is python-can's
+_CLOCKS = {
+    "socketcan": "kernel", "udp_multicast": "kernel", "pcan": "hardware", "kvaser": "hardware", "vector": "hardware",
+    "ixxat": "hardware", "gs_usb": "hardware", "usb2can": "hardware", "canalystii": "hardware",
+}  # fmt: skip
+
+
+def time_source(interface: str, what: str) -> str:
+    """Say for a recording whose clock stamps what: "kernel clock: the CAN interface's stamp of the frame (…)"."""
+    return f"{_CLOCKS.get(interface, 'host')} clock: the CAN interface's stamp of the {what} ({interface})"
 
 
 @dataclasses.dataclass
 class Frames:
-    """Data frames of one identifier, in order; `sync` is the running number of the SYNC before, -1 where none came."""
+    """Data frames of one identifier, in order.
+
+    `sync` is the running number of the SYNC before, -1 where none came; `device` and `sync_device` are stamps of an
+    interface that has a clock of its own, empty otherwise; `arrived` is when the last of them was taken, on the host's
+    monotonic clock.
+    """
 
     sync: list[int] = dataclasses.field(default_factory=list)
     sync_time: list[float] = dataclasses.field(default_factory=list)
+    sync_device: list[float] = dataclasses.field(default_factory=list)
     time: list[float] = dataclasses.field(default_factory=list)
-    data: list[bytes] = dataclasses.field(default_factory=list)
+    device: list[float] = dataclasses.field(default_factory=list)
+    data: list[bytearray] = dataclasses.field(default_factory=list)
+    arrived: float = 0.0
 
     def extend(self, other: Frames) -> None:
         """Append the frames of a later block."""
-        self.sync += other.sync
-        self.sync_time += other.sync_time
-        self.time += other.time
-        self.data += other.data
+        for name in ("sync", "sync_time", "sync_device", "time", "device", "data"):
+            getattr(self, name).extend(getattr(other, name))
+        self.arrived = other.arrived
 
 
-FrameQueue: TypeAlias = "queue.SimpleQueue[Frames | EncoderConnectionError]"
+class _LoopbackMulticast(GeneralPurposeUdpMulticastBus):  # type: ignore[misc]
+    """UDP multicast that stays on this machine: joined and sent on the loopback interface, time to live 0."""
+
+    def _create_socket(self, address_family: socket.AddressFamily) -> socket.socket:
+        if address_family != socket.AF_INET:
+            raise can.CanInitializationError("the loopback interface carries IPv4 groups such as 239.74.163.2 only")
+        udp = socket.socket(address_family, socket.SOCK_DGRAM)
+        try:
+            for option in ("SO_REUSEADDR", "SO_REUSEPORT"):
+                if hasattr(socket, option):  # Windows has no SO_REUSEPORT
+                    udp.setsockopt(socket.SOL_SOCKET, getattr(socket, option), 1)
+            with contextlib.suppress(OSError):  # only Linux has it
+                udp.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+                self.timestamp_nanosecond = True
+            udp.bind(("", self.port))
+            loopback = socket.inet_aton(_LOOPBACK)
+            udp.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(self.group) + loopback)
+            udp.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, loopback)
+            udp.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
+        except OSError as problem:
+            udp.close()
+            raise can.CanInitializationError(problem.strerror) from problem
+        return udp
+
+
+class LoopbackMulticastBus(UdpMulticastBus):  # type: ignore[misc]
+    """python-can's udp_multicast, kept on this machine.
+
+    python-can's own joins the group on the default interface, so it reaches a network where the machine has one.
+
+    Parameters
+    ----------
+    channel
+        An IPv4 multicast group.
+    fd
+        Whether frames of CAN FD pass.
+    """
+
+    def __init__(self, channel: str, fd: bool = True, **options: Any) -> None:
+        can.BusABC.__init__(self, channel, **options)  # python-can's own would open its socket, too
+        self._multicast = _LoopbackMulticast(channel, _PORT, 0)
+        self._can_protocol = can.CanProtocol.CAN_FD if fd else can.CanProtocol.CAN_20
 
 
 def open_bus(config: BusConfig, **options: Any) -> can.BusABC:
     """Open a bus with python-can.
 
-    A UDP bus gets a receive buffer for a second of frames (the usual one holds 256) and only its own group's frames
-    (else Linux hands it those of every group that anybody on the machine has joined).
+    A UDP bus stays on this machine unless `config.network` says otherwise; it gets a receive buffer for seconds of
+    frames (the usual one holds 256) and only its own group's frames (else Linux hands it those of every group that
+    anybody on the machine has joined).
 
     Raises
     ------
-    EncoderConnectionError
+    EncoderSetupError
         If the interface is unknown or does not open.
     """
-    if config.bitrate is not None:
-        options["bitrate"] = config.bitrate
+    for name in ("bitrate", "data_bitrate"):
+        if getattr(config, name) is not None:
+            options[name] = getattr(config, name)
+    if config.fd:
+        options["fd"] = True
+    if config.sync_period is not None and config.interface != "udp_multicast":
+        options["receive_own_messages"] = True  # SYNC comes back in its place among the frames that answer it
     try:
-        bus = can.Bus(interface=config.interface, channel=config.channel, **options)
+        if config.interface == "udp_multicast":
+            cls = UdpMulticastBus if config.network else LoopbackMulticastBus
+            options.pop("bitrate", None), options.pop("data_bitrate", None)
+            bus: can.BusABC = cls(config.channel, **options)
+            _tuned(bus._multicast._socket)
+        else:
+            bus = can.Bus(interface=config.interface, channel=config.channel, **options)
     except Exception as problem:  # each backend of python-can raises its own
-        raise EncoderConnectionError(
-            f'The CAN bus {config.interface} "{config.channel}" does not open: {problem}.'
+        raise EncoderSetupError(
+            f'The CAN bus {config.interface} "{config.channel}" does not open: {_reason(problem)}.'
         ) from problem
-    if config.interface == "udp_multicast":
-        with socket.socket(fileno=os.dup(bus.fileno())) as udp, contextlib.suppress(OSError):
-            udp.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
-            if udp.family == socket.AF_INET6:
-                udp.setsockopt(socket.IPPROTO_IPV6, _IPV6_MULTICAST_ALL, 0)
-            else:
-                udp.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
     return bus
+
+
+def _reason(problem: Exception) -> str:
+    """Return the sentence at the bottom of what python-can raised."""
+    while isinstance(problem.__cause__ or problem.__context__, OSError):
+        problem = problem.__cause__ or problem.__context__  # type: ignore[assignment]
+    code = getattr(problem, "errno", None) or getattr(problem, "error_code", None)
+    if code == errno.ENODEV:
+        return "there is no such interface"
+    if code in (errno.EACCES, errno.EPERM):
+        return "permission denied"
+    return str(problem).rstrip(".") or type(problem).__name__
+
+
+def _tuned(udp: socket.socket) -> None:
+    with contextlib.suppress(OSError):
+        # Beyond net.core.rmem_max only with the right to; without it the kernel gives what it allows.
+        udp.setsockopt(socket.SOL_SOCKET, getattr(socket, "SO_RCVBUFFORCE", 33), _RECEIVE_BUFFER)
+    with contextlib.suppress(OSError):
+        if udp.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) < _RECEIVE_BUFFER:
+            udp.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+        udp.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
 
 
 def drained(events: collections.deque[Event]) -> list[Event]:
@@ -85,15 +183,13 @@ def drained(events: collections.deque[Event]) -> list[Event]:
     return [events.popleft() for _ in range(len(events))]
 
 
-def payload_array(data: list[bytes], length: int) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    """Return frames of one length as an array of shape (n, 8), zero-padded behind."""
-    padded = np.zeros((len(data), 8), np.uint8)
-    padded[:, :length] = np.frombuffer(b"".join(data), np.uint8).reshape(-1, length)
-    return padded
+def payload_array(data: list[bytearray], length: int) -> npt.NDArray[np.uint8]:
+    """Return frames of one length as an array of shape (n, length)."""
+    return np.frombuffer(b"".join(data), np.uint8).reshape(-1, length)
 
 
 class CanHub:
-    """The reader of one bus; use `shared_hub`.
+    """The reader of one bus; use `acquire_hub`.
 
     `network` is a `canopen.Network` for SDO, NMT, heartbeat and EMCY, fed by the reader.
     """
@@ -103,19 +199,26 @@ class CanHub:
         self.name = f'{config.interface} "{config.channel}"'
         self.bus = open_bus(config)
         self.network = canopen.Network(self.bus)
-        self._queues: dict[int, list[FrameQueue]] = {}
+        self.broken = False
+        self._quantities: dict[int, set[str]] = {}
+        self._queues: dict[int, list[BlockQueue[Frames]]] = {}
         self._events: collections.deque[Event] = collections.deque()
         self._pending: dict[int, Frames] = {}
-        self._sync, self._sync_time, self._counter = -1, 0.0, 0
-        self._offset: float | None = None
+        self._sync, self._sync_time, self._sync_device, self._counter = -1, 0.0, 0.0, 0
+        self._hardware: bool | None = None
+        self._arrivals: list[float] = []
+        self._odd = {"error frames": 0, "echoes of own frames": 0}
         self._stopping = threading.Event()
+        self._producer: threading.Thread | None = None
         self._thread = threading.Thread(target=self._run, name=f"CAN {self.name}", daemon=True)
         self._thread.start()
 
-    def subscribe(self, identifier: int) -> FrameQueue:
+    def subscribe(self, identifier: int) -> BlockQueue[Frames]:
         """Return a queue into which the frames of this identifier go from now on, block by block."""
-        blocks: FrameQueue = queue.SimpleQueue()
+        blocks: BlockQueue[Frames] = BlockQueue()
         self._queues = {**self._queues, identifier: [*self._queues.get(identifier, []), blocks]}
+        if self.broken:
+            blocks.fail(self._failure)
         return blocks
 
     def unsubscribe(self, identifier: int, blocks: object) -> None:
@@ -124,6 +227,36 @@ class CanHub:
         others = {k: v for k, v in self._queues.items() if k != identifier}
         self._queues = {**others, identifier: left} if left else others
 
+    def node(self, number: int, quantity: str) -> Any:
+        """Return the remote node for one of its quantities; `leave_node` gives it back.
+
+        Raises
+        ------
+        EncoderSetupError
+            If another channel has this quantity of this node.
+        """
+        taken = self._quantities.setdefault(number, set())
+        if quantity in taken:
+            raise EncoderSetupError(
+                f"The {quantity} of node {number} on the CAN bus {self.name} is taken by another channel."
+            )
+        taken.add(quantity)
+        if number not in self.network:
+            self.network.add_node(number, canopen.ObjectDictionary())
+        return self.network[number]
+
+    def leave_node(self, number: int, quantity: str) -> None:
+        """Give a quantity of a node back; the last one forgets the node."""
+        self._quantities[number].discard(quantity)
+        if not self._quantities[number]:
+            del self._quantities[number], self.network[number]
+
+    def produce_sync(self) -> None:
+        """Send SYNC from now on, where the wiring says so."""
+        if self.config.sync_period is not None and self._producer is None:
+            self._producer = threading.Thread(target=self._produce, name=f"SYNC {self.name}", daemon=True)
+            self._producer.start()
+
     def events(self) -> list[Event]:
         """Return what happened on the bus itself since the last call; `channel` is empty."""
         return drained(self._events)
@@ -131,61 +264,126 @@ class CanHub:
     def close(self) -> None:
         """Stop the reader and close the bus."""
         self._stopping.set()
-        self._thread.join()
+        for thread in (self._producer, self._thread):
+            if thread is not None:
+                thread.join()
         with contextlib.suppress(Exception):
             self.bus.shutdown()
 
     def _run(self) -> None:
         try:
             while not self._stopping.is_set():
-                message = self.bus.recv(BLOCK_SECONDS)
-                end = time.monotonic() + BLOCK_SECONDS
-                count = 0
-                while message is not None:
-                    self._take(message)
-                    count += 1
-                    left = end - time.monotonic()
-                    if count == BLOCK_FRAMES or left <= 0:
-                        break
-                    message = self.bus.recv(left)
+                block = self._received()
+                self._take(block)
                 self._publish()
         except Exception as problem:  # the reader must say why it ends: nobody else sees it
             self._publish()
-            failure = EncoderConnectionError(f"The CAN bus {self.name} broke: {problem}.")
-            for queues in self._queues.values():
-                for blocks in queues:
-                    blocks.put(failure)
+            self._break(problem)
+
+    def _break(self, problem: Exception) -> None:
+        self._failure = EncoderConnectionError(f"The CAN bus {self.name} broke: {_reason(problem)}.")
+        self.broken = True
+        for queues in self._queues.values():
+            for blocks in queues:
+                blocks.fail(self._failure)
+
+    def _produce(self) -> None:
+        """Send SYNC at its times; a time that is missed is left out."""
+        period = self.config.sync_period
+        assert period is not None
+        message = can.Message(arbitration_id=SYNC_ID, is_extended_id=False)
+        begun, number = time.monotonic(), 0
+        try:
+            while not self._stopping.wait(max(0.0, begun + number * period - time.monotonic())):
+                self.bus.send(message)
+                number = max(number + 1, int((time.monotonic() - begun) / period))
+        except Exception as problem:  # as in `_run`
+            self._break(problem)
 
     def _publish(self) -> None:
         pending, self._pending = self._pending, {}
+        arrived = time.monotonic()
         for identifier, frames in pending.items():
+            frames.arrived = arrived
             for blocks in self._queues.get(identifier, ()):
-                blocks.put(frames)
+                blocks.put(frames, len(frames.data))
+        for what, count in self._odd.items():
+            if count:
+                self._events.append(Event(time.time(), "", f"{count} {what} on the CAN bus {self.name}"))
+                self._odd[what] = 0
 
-    def _take(self, message: can.Message) -> None:
-        identifier = message.arbitration_id
-        if self._offset is None:
-            # Some interfaces count from power-up; a constant puts their stamps on the host's calendar.
-            offset = time.time() - message.timestamp
-            self._offset = offset if abs(offset) > 3600 else 0.0
-        stamp = message.timestamp + self._offset
+    def _received(self) -> list[can.Message]:
+        """Return the data and SYNC frames of a block; what else comes is served at once, somebody waits for it."""
+        receive, block = self.bus.recv, []
+        message = receive(BLOCK_SECONDS)
+        end = time.monotonic() + BLOCK_SECONDS
+        while message is not None:
+            if self._hardware is None:
+                # Some interfaces count from power-up: theirs is a clock of its own.
+                self._hardware = abs(time.time() - message.timestamp) > 3600
+            identifier = message.arbitration_id
+            if identifier in self._queues or (identifier == SYNC_ID and not message.is_extended_id):
+                block.append(message)
+                if self._hardware:
+                    self._arrivals.append(time.time())
+            else:
+                self._serve(message)
+            if len(block) >= BLOCK_FRAMES:
+                break
+            message = receive(0.0)
+            if message is None:  # the clock is only asked where there is time for it
+                left = end - time.monotonic()
+                if left <= 0:
+                    break
+                message = receive(left)
+        return block
+
+    def _serve(self, message: can.Message) -> None:
+        """Hand a frame that is no channel's to CANopen's services."""
         if message.is_error_frame:
-            self._events.append(Event(stamp, "", f"error frame on the CAN bus {self.name}"))
-        elif message.is_remote_frame:
-            pass
-        elif identifier == SYNC_ID and not message.is_extended_id:
-            self._on_sync(message.data, stamp)
-        elif identifier in self._queues:
-            frames = self._pending.get(identifier)
+            self._odd["error frames"] += 1
+            if message.arbitration_id & _BUS_OFF:
+                raise can.CanOperationError("bus-off")
+        elif not message.is_remote_frame:
+            with contextlib.suppress(Exception):  # a malformed service frame must not end the recording
+                self.network.notify(message.arbitration_id, message.data, message.timestamp)
+
+    def _take(self, block: list[can.Message]) -> None:
+        """Sort a block's frames by identifier, each with the SYNC before it."""
+        arrivals, self._arrivals = self._arrivals, []
+        if any([m.is_error_frame or m.is_remote_frame or not m.is_rx for m in block]):
+            block = self._plain(block)
+            arrivals = arrivals[: len(block)]
+        pending = self._pending
+        for place, message in enumerate(block):
+            identifier = message.arbitration_id
+            if identifier == SYNC_ID:
+                self._sync_device = message.timestamp
+                self._on_sync(message.data, arrivals[place] if arrivals else message.timestamp)
+                continue
+            frames = pending.get(identifier)
             if frames is None:
-                frames = self._pending[identifier] = Frames()
+                frames = pending[identifier] = Frames()
             frames.sync.append(self._sync)
             frames.sync_time.append(self._sync_time)
-            frames.time.append(stamp)
-            frames.data.append(bytes(message.data))
-        else:
-            with contextlib.suppress(Exception):  # a malformed service frame must not end the recording
-                self.network.notify(identifier, message.data, stamp)
+            frames.time.append(message.timestamp)
+            frames.data.append(message.data)
+            if arrivals:
+                frames.device.append(message.timestamp)
+                frames.time[-1] = arrivals[place]
+                frames.sync_device.append(self._sync_device)
+
+    def _plain(self, block: list[can.Message]) -> list[can.Message]:
+        """Return a block without error frames, remote frames and echoes of own frames, SYNC being no echo."""
+        kept = []
+        for message in block:
+            if message.is_error_frame:
+                self._serve(message)
+            elif not message.is_rx and message.arbitration_id != SYNC_ID:
+                self._odd["echoes of own frames"] += 1
+            elif not message.is_remote_frame:
+                kept.append(message)
+        return kept
 
     def _on_sync(self, data: bytearray, stamp: float) -> None:
         step = 1
@@ -205,10 +403,12 @@ _hubs_lock = threading.Lock()
 
 
 def acquire_hub(config: BusConfig) -> CanHub:
-    """Return the hub of this bus, opened for the first that asks; `release_hub` gives it back."""
+    """Return the hub of this bus, opened for the first that asks, anew where it broke; see `release_hub`."""
     key = (config.interface, config.channel)
     with _hubs_lock:
-        if key not in _hubs:
+        if key not in _hubs or _hubs[key][0].broken:
+            if key in _hubs:
+                _hubs.pop(key)[0].close()
             _hubs[key] = (CanHub(config), [0])
         hub, users = _hubs[key]
         users[0] += 1
@@ -219,11 +419,23 @@ def release_hub(hub: CanHub) -> None:
     """Give a hub back; the last one closes the bus."""
     key = (hub.config.interface, hub.config.channel)
     with _hubs_lock:
-        _, users = _hubs[key]
+        current, users = _hubs.get(key, (None, [0]))
+        if current is not hub:  # it broke, and `acquire_hub` has closed it since
+            return
         users[0] -= 1
         if users[0] == 0:
             del _hubs[key]
             hub.close()
+
+
+@dataclasses.dataclass(frozen=True)
+class Judged:
+    """Frames that can be trusted: payloads (n, length), times of host and device, status bits, shape (n,)."""
+
+    payloads: npt.NDArray[np.uint8]
+    time_host: FloatArray
+    time_device: FloatArray | None
+    status: IntArray
 
 
 class FrameReader:
@@ -236,26 +448,42 @@ class FrameReader:
     identifier
         11-bit identifier (29-bit ones are the same number here; no bench mixes them).
     length
-        Bytes of the frame, at most 8; others are skipped with an event.
+        Bytes of the frame; others are skipped with an event.
     sync_step
         The frame answers every `sync_step`-th SYNC and is stamped by it; None: stamped by itself.
     channel
         The channel's name, for events.
+    period
+        Seconds between frames that come by a timer, None where that is not known: a longer silence is a gap.
     """
 
-    def __init__(self, hub: CanHub, identifier: int, length: int, sync_step: int | None, channel: str) -> None:
-        self.hub, self.identifier, self.length, self.sync_step, self.channel = (
-            hub, identifier, length, sync_step, channel,
+    def __init__(
+        self,
+        hub: CanHub,
+        identifier: int,
+        length: int,
+        sync_step: int | None,
+        channel: str,
+        period: float | None = None,
+    ) -> None:
+        self.hub, self.identifier, self.length, self.sync_step, self.channel, self.period = (
+            hub, identifier, length, sync_step, channel, period,
         )  # fmt: skip
         self._blocks = hub.subscribe(identifier)
         self._events: collections.deque[Event] = collections.deque()
-        self._last_seen, self._last_kept = -1, -1
+        self._last_seen = -1
+        self._newest: int | None = None
+        self._last: tuple[float, bytearray, float] | None = None
         self._marks: collections.deque[int] = collections.deque()
-        self._failure: EncoderConnectionError | None = None
 
     def close(self) -> None:
         """Take no more frames."""
         self.hub.unsubscribe(self.identifier, self._blocks)
+
+    @property
+    def waiting(self) -> int:
+        """Frames that came and are not yet read."""
+        return self._blocks.waiting
 
     def say(self, time_host: float, text: str, status: int = 0) -> None:
         """Note an event, and status bits for the sample that comes next."""
@@ -267,8 +495,8 @@ class FrameReader:
         """Return the events of channel and bus since the last call."""
         return self.hub.events() + drained(self._events)
 
-    def read(self, timeout: float) -> tuple[np.ndarray[Any, np.dtype[np.uint8]], FloatArray, IntArray] | None:
-        """Return payloads (n, 8), stamps in seconds since 1970 (n,) and status bits (n,) of the frames that came.
+    def read(self, timeout: float) -> Judged | None:
+        """Return the frames that came.
 
         Raises
         ------
@@ -276,40 +504,35 @@ class FrameReader:
             If the bus broke, once what came before is read.
         """
         frames = Frames()
-        with contextlib.suppress(queue.Empty):
-            wait = timeout
-            while self._failure is None:
-                block = self._blocks.get(timeout=wait) if wait > 0 else self._blocks.get_nowait()
-                wait = 0.0
-                if isinstance(block, Frames):
-                    frames.extend(block)
-                else:
-                    self._failure = block
-        if self._failure is not None and not frames.data:
-            raise self._failure
-        return self._judged(frames) if frames.data else None
+        losses: list[tuple[int, int]] = []
+        for lost, block in self._blocks.take(timeout):
+            if lost:
+                losses.append((len(frames.data), lost))
+            frames.extend(block)
+        return self._judged(frames, losses) if frames.data else None
 
-    def _judged(self, frames: Frames) -> tuple[np.ndarray[Any, np.dtype[np.uint8]], FloatArray, IntArray] | None:
+    def _judged(self, frames: Frames, losses: list[tuple[int, int]]) -> Judged | None:
         """Leave out frames that can't be trusted and mark what follows them."""
+        n = len(frames.data)
         stamps = np.array(frames.time if self.sync_step is None else frames.sync_time)
-        good = np.array([len(d) == self.length for d in frames.data])
+        before = np.zeros(n, np.int64)  # bits for the sample at, or the next kept one after, each place
+        for place, lost in losses:
+            before[place] |= GAP
+            self.say(frames.time[place], f"{lost} frame 0x{self.identifier:03X} lost: the recorder was too slow")
+        good = np.fromiter(map(len, frames.data), np.int64, n) == self.length
         if not good.all():
             wrong = frames.data[int(np.flatnonzero(~good)[0])]
             self._skipped(~good, frames, f"{len(wrong)} bytes long (0x{wrong.hex()}), not {self.length}")
-        lost = ~good
-        sync = np.array(frames.sync)
-        if self.sync_step is not None:
-            before = np.concatenate([[self._last_seen], sync[:-1]])
-            self._last_seen = int(sync[-1])
-            self._skipped(sync < 0, frames, "before the first SYNC")
-            second = (sync >= 0) & (sync == before)
-            self._skipped(second, frames, "without a SYNC of its own, so its instant is unknown")
-            good &= (sync >= 0) & ~second
-            lost = ~good & (sync >= 0)
+            before[~good] |= GAP
+        if self.sync_step is None:
+            self._clocked(frames, before)
+        else:
+            good &= self._synced(frames, before)
         kept = np.flatnonzero(good)
-        # A frame left out is a gap before the next one kept, be it in this block or, in the last place, a later one.
+        # What stands before a frame left out holds for the next one kept, be it in this block or a later one.
         marks = np.zeros(len(kept) + 1, np.int64)
-        marks[np.searchsorted(kept, np.flatnonzero(lost))] |= GAP
+        noted = np.flatnonzero(before)
+        np.bitwise_or.at(marks, np.searchsorted(kept, noted), before[noted])
         while self._marks:
             marks[0] |= self._marks.popleft()
         status, left_over = marks[:-1], int(marks[-1])
@@ -318,18 +541,81 @@ class FrameReader:
         if len(kept) == 0:
             return None
         if self.sync_step is not None:
-            numbers = sync[kept]
-            steps = np.diff(numbers, prepend=self._last_kept if self._last_kept >= 0 else numbers[0] - self.sync_step)
-            self._last_kept = int(numbers[-1])
-            gaps = np.flatnonzero(steps > self.sync_step)
-            if len(gaps):
-                status[gaps] |= GAP
-                missing = int(np.sum(steps[gaps] // self.sync_step - 1))
-                self.say(stamps[kept[gaps[0]]], f"{missing} SYNC without a sample, in {len(gaps)} gaps from here on")
-        return payload_array([frames.data[i] for i in kept], self.length), stamps[kept], status
+            numbers = np.array(frames.sync)[kept] // self.sync_step
+            judged, missing, self._newest = judge_sequence(numbers, 1 << 62, self._newest)
+            status |= judged
+            if missing.any():
+                gaps = np.flatnonzero(missing)
+                self.say(
+                    stamps[kept[gaps[0]]],
+                    f"{int(missing.sum())} SYNC without a sample, in {len(gaps)} gaps from here on",
+                )
+        own = frames.device if self.sync_step is None else frames.sync_device
+        device = np.array(own)[kept] if own else None
+        data = frames.data if len(kept) == n else [frames.data[i] for i in kept]
+        return Judged(payload_array(data, self.length), stamps[kept], device, status)
 
-    def _skipped(self, which: np.ndarray[Any, np.dtype[np.bool_]], frames: Frames, why: str) -> None:
+    def _synced(self, frames: Frames, before: IntArray) -> npt.NDArray[np.bool_]:
+        """Return which frames have a SYNC of their own, and note in `before` what the others were."""
+        sync = np.array(frames.sync)
+        previous = np.concatenate([[self._last_seen], sync[:-1]])
+        self._last_seen = int(sync[-1])
+        self._skipped(sync < 0, frames, "before the first SYNC")
+        second = (sync >= 0) & (sync == previous)
+        last = None if self._last is None else self._last[1]
+        same = np.zeros(len(sync), bool)
+        for i in np.flatnonzero(second):  # few: payloads are compared only where it matters
+            same[i] = frames.data[i] == (frames.data[i - 1] if i else last)
+        self._last = (0.0, frames.data[-1], frames.arrived)
+        self._skipped(second & same, frames, "a duplicate of the frame before, or without a SYNC of its own")
+        self._skipped(second & ~same, frames, "without a SYNC of its own, so its instant is unknown")
+        before[second] |= np.where(same, DUPLICATE, GAP)[second]
+        return np.asarray((sync >= 0) & ~second)
+
+    def _clocked(self, frames: Frames, before: IntArray) -> None:
+        """Note in `before` what the stamps tell."""
+        times = np.array(frames.device or frames.time)
+        first = self._last is None
+        last_time, last_data, arrived = self._last or (times[0], bytearray(), frames.arrived)
+        step = np.diff(times, prepend=last_time)
+        copies = np.zeros(len(times), bool)
+        for i in np.flatnonzero(step == 0):
+            copies[i] = frames.data[i] == (frames.data[i - 1] if i else last_data)
+        copies[0] &= not first
+        waited = np.zeros(len(times))
+        waited[0] = frames.arrived - arrived
+        jumps = np.abs(step - waited) > CLOCK_JUMP
+        jumps[0] &= not first
+        # A block that was waited for is not a jump of its first stamp, however late it arrived.
+        jumps &= ~((step > 0) & (step < waited + CLOCK_JUMP))
+        for i in np.flatnonzero(jumps):
+            self.say(
+                frames.time[i], f"the clock of frame 0x{self.identifier:03X} jumped by {step[i] - waited[i]:+.3f} s"
+            )
+        before[jumps] |= GAP
+        early = (step < 0) & ~jumps
+        before[early] |= OUT_OF_ORDER
+        self._say_count(early, frames, "older than the one before")
+        self._say_count(copies, frames, "a duplicate of the frame before")
+        before[copies] |= DUPLICATE
+        if self.period is not None:
+            missing = np.where(jumps, 0, np.rint(step / self.period).astype(np.int64) - 1)
+            gaps = (missing > 0) & (step > 1.5 * self.period)
+            if gaps.any():
+                where = int(np.flatnonzero(gaps)[0])
+                self.say(
+                    frames.time[where],
+                    f"{int(missing[gaps].sum())} frame 0x{self.identifier:03X} missing by the event timer, "
+                    f"in {int(gaps.sum())} gaps from here on",
+                )
+                before[gaps] |= GAP
+        self._last = (float(times[-1]), frames.data[-1], frames.arrived)
+
+    def _skipped(self, which: npt.NDArray[np.bool_], frames: Frames, why: str) -> None:
         """Say, once a block, that frames were left out."""
+        self._say_count(which, frames, f"skipped: {why}")
+
+    def _say_count(self, which: npt.NDArray[np.bool_], frames: Frames, what: str) -> None:
         if which.any():
             first = int(np.flatnonzero(which)[0])
-            self.say(frames.time[first], f"{int(which.sum())} frame 0x{self.identifier:03X} skipped: {why}")
+            self.say(frames.time[first], f"{int(which.sum())} frame 0x{self.identifier:03X} {what}")

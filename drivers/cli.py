@@ -1,10 +1,10 @@
-"""The command `cycloid-bench`: simulate a bench, record one, export what was recorded."""
+"""The command `cycloid-bench`: simulate a bench, record one, watch it, export and repair what was recorded."""
 
 from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
@@ -14,9 +14,10 @@ import typer
 from cycloid_fmu import edge
 
 if TYPE_CHECKING:
-    from drivers.bench import Amt21Bench, CanBench, Motion
-    from drivers.recorder import Recorded
-    from drivers.recording_format import FloatArray, Samples
+    from drivers.bench import CanBench, Motion
+    from drivers.recorder import Live, Recorded
+    from drivers.recording_format import RecordingReader
+    from drivers.serial_bench import Amt21Bench, AsciiBench
 
 app = typer.Typer(
     name="cycloid-bench",
@@ -40,30 +41,62 @@ def _root() -> None:
     pass
 
 
+class Serial(StrEnum):
+    """What stands on the simulated serial line."""
+
+    amt21 = "amt21"
+    ascii = "ascii"
+
+
+class Trigger(StrEnum):
+    """What makes the simulated CANopen encoders send."""
+
+    controller = "controller"
+    sync = "sync"
+    timer = "timer"
+
+
+def live_text(live: Live) -> str:
+    """Return how a recording stands, in one line: rates, counts, positions, marks, buffer, disk and running TE."""
+    parts = []
+    for name, state in live.channels.items():
+        shown = "–" if state.value is None else f"{state.value:.5g}"
+        part = f"{name} {state.samples} ({state.rate:.0f}/s) at {shown}"
+        part += "".join(f", {n} {mark}" for mark, n in state.marks.items() if n and mark != "rollovers")
+        part += f", {state.waiting} waiting" if state.waiting else ""
+        parts.append(part + (" OUT" if state.failure is not None else ""))
+    if live.transmission_error is not None:
+        parts.append(f"TE {math.degrees(live.transmission_error) * 3600:+.2f}″")
+    parts.append(f"{live.events} events, disk {live.disk_free / 1e9:.1f} GB free")
+    return " · ".join(parts)
+
+
 @contextlib.contextmanager
-def _progress(label: str, total: int | None) -> Iterator[Callable[[Mapping[str, int]], None]]:
-    """Show samples as they come, on the error stream: the output stays what scripts read."""
+def _live_line() -> Iterator[Callable[[Live], None]]:
+    """Show the live line on the error stream: the output stays what scripts read."""
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.live import Live as Display
+    from rich.text import Text
 
-    columns = (SpinnerColumn(), TextColumn(label), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(label, total=total)
-        yield lambda counts: bar.update(task, completed=min(counts.values()))
+    console = Console(stderr=True)
+    with Display(console=console, transient=True, refresh_per_second=5) as display:
+        yield lambda live: display.update(Text(live_text(live)))
 
 
-def _record(bench: Path, output: Path, total: int | None = None, **stops: Any) -> None:
+def _record(bench: Path, output: Path, **stops: Any) -> None:
     from drivers.encoder import EncoderError
-    from drivers.recorder import record_bench
+    from drivers.recorder import RecordingError, record_bench
 
     try:
-        with _progress("recording", total) as progress:
+        with _live_line() as progress:
             done = record_bench(bench, output, progress=progress, **stops)
     except KeyboardInterrupt:
         # Some versions of typer turn an interrupt into a failure of their own.
         typer.echo(f"Interrupted; {output} has all that came.", err=True)
         raise typer.Exit(edge.INTERRUPTED) from None
-    except EncoderError as problem:
+    except edge.InputError:
+        raise
+    except (EncoderError, RecordingError) as problem:
         typer.echo(str(problem), err=True)
         raise typer.Exit(edge.FAILED) from None
     _report(done)
@@ -72,6 +105,9 @@ def _record(bench: Path, output: Path, total: int | None = None, **stops: Any) -
 def _report(done: Recorded) -> None:
     shown = ", ".join(f"{n} {name}" for name, n in done.samples.items())
     typer.echo(f"{done.path}: {shown}; {done.events} events")
+    for name, marks in done.marks.items():
+        if marks:
+            typer.echo(f"{name}: {', '.join(f'{n} {mark}' for mark, n in marks.items())}")
     for failure in done.failures:
         typer.echo(str(failure), err=True)
     if done.failures:
@@ -91,6 +127,9 @@ def record(
     """Record all channels of a bench until Ctrl-C, the duration or silence.
 
     Example: [bold]cycloid-bench record BENCH.toml -o run.arrows --idle "2 s"[/bold]
+
+    What came is in the file a twentieth of a second later, safe from a kill of the process; every second the disk is
+    told to hold it, safe from a power cut. Buses and ports that fail are opened anew.
     """
     _record(bench, output, duration=_seconds(duration, "--duration"), idle=_seconds(idle, "--idle"))
 
@@ -118,7 +157,13 @@ def simulate(
     seed: Annotated[int, typer.Option(min=0, help="Of the noise.")] = 0,
     bus: Annotated[str, typer.Option(help="python-can interface.")] = "udp_multicast",
     channel: Annotated[str | None, typer.Option(help="Channel of the bus.")] = None,
-    pty: Annotated[bool, typer.Option("--pty", help="AMT21 encoders on a pseudo-terminal instead of CAN.")] = False,
+    trigger: Annotated[Trigger, typer.Option(help="What makes encoders on CAN send.")] = Trigger.controller,
+    serial: Annotated[Serial | None, typer.Option(help="Encoders on a pseudo-terminal instead of CAN.")] = None,
+    clock_drift: Annotated[float, typer.Option(help="Of the ASCII counter's clock, relative, such as 50e-6.")] = 0.0,
+    hysteresis: Annotated[
+        bool, typer.Option("--hysteresis", help="Lock the input; the torque goes 0, +T, 0, -T, 0, as often as --turns.")
+    ] = False,
+    faults: Annotated[Path | None, typer.Option(metavar="FAULTS.toml", help="What goes wrong and when.")] = None,
     speed_factor: Annotated[
         float | None, typer.Option(help="1: at the crank's own speed; default: as fast as the bus carries.")
     ] = None,
@@ -133,7 +178,9 @@ def simulate(
     and in a second terminal [bold]cycloid-bench record BENCH.toml -o run.arrows --idle "2 s"[/bold].
     The virtual bus ends at its process: with [bold]--bus virtual[/bold] add [bold]-o run.arrows[/bold].
     """
-    from drivers.bench import Amt21Bench, BenchRun, CanBench, fmu_output_angle, simulate_motion
+    from drivers.bench import BenchRun, CanBench, fmu_output_angle, simulate_hysteresis, simulate_motion
+    from drivers.faults import read_faults
+    from drivers.serial_bench import Amt21Bench, AsciiBench
 
     if fmu is None and ratio is None:
         raise edge.InputError("--fmu or --ratio is missing: give the drive's FMU, or the ratio of an ideal drive.")
@@ -141,7 +188,7 @@ def simulate(
         raise edge.InputError(f"--ratio = {ratio}: write the signed ratio input/output, such as -39.")
     if speed_factor is not None and not speed_factor > 0:
         raise edge.InputError(f"--speed-factor = {speed_factor}: the factor must be above zero.")
-    if bus == "virtual" and output is None and not pty:
+    if bus == "virtual" and output is None and serial is None:
         raise edge.InputError("--bus = virtual: this bus ends at its process; add -o RUN.arrows or use udp_multicast.")
     run = BenchRun(
         torque=edge.quantity_option(torque, "N*m", "--torque"),
@@ -161,18 +208,30 @@ def simulate(
         if value < least:
             raise edge.InputError(f"{name}: the value must be {'above' if least else 'at least'} zero.")
     ideal = ratio or 1.0
-    motion = simulate_motion(fmu_output_angle(fmu) if fmu else lambda angle, _: angle / ideal, run)
-    made: CanBench | Amt21Bench
-    if pty:
-        made = Amt21Bench(motion, speed_factor=speed_factor or 1.0)
+    moved = simulate_hysteresis if hysteresis else simulate_motion
+    motion = moved(fmu_output_angle(fmu) if fmu else lambda angle, _: angle / ideal, run)
+    script = read_faults(faults) if faults is not None else []
+    made: CanBench | Amt21Bench | AsciiBench
+    if serial is Serial.amt21:
+        made = Amt21Bench(motion, speed_factor=speed_factor or 1.0, faults=script)
+    elif serial is Serial.ascii:
+        made = AsciiBench(motion, speed_factor=speed_factor or 1.0, clock_drift=clock_drift, faults=script)
     else:
         group = "239.74.163.2" if bus == "udp_multicast" else "bench"
-        made = CanBench(motion, interface=bus, channel=channel or group, speed_factor=speed_factor)
+        made = CanBench(
+            motion, interface=bus, channel=channel or group, trigger=trigger.value, speed_factor=speed_factor,
+            faults=script,
+        )  # fmt: skip
     _serve(made, motion, write_bench, ratio, fmu.stem if fmu else "ideal", output)
 
 
 def _serve(
-    made: CanBench | Amt21Bench, motion: Motion, wiring: Path, ratio: float | None, pair: str, output: Path | None
+    made: CanBench | Amt21Bench | AsciiBench,
+    motion: Motion,
+    wiring: Path,
+    ratio: float | None,
+    pair: str,
+    output: Path | None,
 ) -> None:
     from drivers.encoder import EncoderError
 
@@ -187,7 +246,7 @@ def _serve(
                 ends: dict[str, Any] = {"stop": lambda: made.wait(0.0)}
                 if not hasattr(made, "url"):
                     ends = {"samples": motion.run.samples, "idle": 5.0}
-                _record(wiring, output, motion.run.samples, **ends)
+                _record(wiring, output, **ends)
             else:
                 while not made.wait(0.2):
                     pass
@@ -200,61 +259,163 @@ def _serve(
         raise typer.Exit(edge.FAILED) from None
 
 
-def paired_table(path: Path) -> dict[str, FloatArray]:
-    """Return a recording as one table of columns time s, input_angle rad, output_angle rad, torque N*m.
+@app.command()
+def run(
+    sequence: Annotated[Path, typer.Argument(metavar="SEQUENCE.toml", help="Speeds, loads, directions, loops.")],
+) -> None:
+    """Run a test sequence: prompt for or drive each step, check that it was reached, write one recording a step.
 
-    The angles are paired by equal `time_host`, which channels latched by the same SYNC share to the last bit: a crank
-    at 1500 rpm turns 33 arcsec in a microsecond, so angles read one after the other are not a pair. The torque, which
-    changes slowly, is interpolated linearly to those times; it is NaN outside of its own times.
+    Example: [bold]cycloid-bench run sequence.toml[/bold]
 
-    Raises
-    ------
-    edge.InputError
-        If a channel is missing or the angles share no times.
+    Recordings lie beside the sequence; steps that are recorded are passed over, so an interrupted sequence goes on
+    where it was. A step that falls short is kept under another name, and made again if you say so.
     """
-    import numpy as np
+    import subprocess
 
-    from drivers.recording_format import read_recording
+    from drivers.encoder import EncoderError
+    from drivers.recorder import RecordingError
+    from drivers.sequence import read_sequence, report_command, run_step
 
-    recording = read_recording(path)
-    for problem in recording.problems:
-        typer.echo(problem, err=True)
-    roles: dict[str, Samples] = {c.role: recording.samples[c.name] for c in recording.header.channels}
-    for role in ("input_angle", "output_angle", "torque"):
-        if role not in roles or len(roles[role]) == 0:
-            raise edge.InputError(f"{path}: the table needs the channel {role}; the recording has no samples of it.")
-    angle, output, torque = roles["input_angle"], roles["output_angle"], roles["torque"]
-    shared, i, j = np.intersect1d(angle.time_host, output.time_host, return_indices=True)
-    if len(shared) == 0:
-        raise edge.InputError(
-            f"{path}: input_angle and output_angle share no instant (they were not latched by one SYNC), so they are "
-            "no pairs; read the recording itself."
-        )
-    at = np.interp(shared, torque.time_host, torque.value, left=np.nan, right=np.nan)
-    return {"time [s]": shared - shared[0], "input_angle [rad]": angle.value[i], "output_angle [rad]": output.value[j],
-            "torque [N*m]": at}  # fmt: skip
+    made = read_sequence(sequence)
+    done: list[Path] = []
+    short = 0
+    for number, step in enumerate(made.steps, 1):
+        path = made.folder / f"{step.name}.arrows"
+        typer.echo(f"{number} of {len(made.steps)}: {step.said()}")
+        attempt = 0
+        while not path.exists():
+            attempt += 1
+            trial = made.folder / f"{step.name}.trial-{attempt}.arrows"
+            if trial.exists():
+                continue
+            if made.file.drive is None:
+                typer.prompt("Press Enter when it runs", default="", show_default=False, err=True)
+            try:
+                with _live_line() as progress:
+                    said = run_step(made, step, trial, progress)
+            except KeyboardInterrupt:
+                typer.echo(f"Interrupted; {trial} has all that came.", err=True)
+                raise typer.Exit(edge.INTERRUPTED) from None
+            except edge.InputError:
+                raise
+            except (EncoderError, RecordingError) as problem:
+                typer.echo(str(problem), err=True)
+                raise typer.Exit(edge.FAILED) from None
+            if not said:
+                trial.rename(path)
+                break
+            typer.echo(f"{trial}: not reached: {'; '.join(said)}.", err=True)
+            if made.file.drive is not None or not typer.confirm("Make it again?", default=True, err=True):
+                short += 1
+                break
+        if path.exists():
+            done.append(path)
+            typer.echo(f"{path}: recorded")
+    command = report_command(made, done)
+    if command is not None:
+        typer.echo(" ".join(command))
+        if subprocess.run(command, check=False).returncode:
+            raise typer.Exit(edge.FAILED)
+    if short:
+        raise typer.Exit(edge.FAILED)
+
+
+@app.command()
+def watch(
+    recording: Annotated[Path, typer.Argument(metavar="RUN.arrows", help="The recording, finished or growing.")],
+    host: Annotated[
+        str, typer.Option(help="Address to listen on; not a local one: a token is asked for.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="0: any that is free.")] = 0,
+) -> None:
+    """Show a recording in the browser while it grows: transmission error, spectrum, health.
+
+    Example: [bold]cycloid-bench watch run.arrows[/bold]
+
+    It listens on this machine only. With [bold]--host 0.0.0.0[/bold] others see it too, who know the token.
+    """
+    import ipaddress
+    import secrets
+
+    from drivers.watch import Watcher, WatchServer
+
+    try:
+        local = ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        raise edge.InputError(f'--host = "{host}": write an address, such as 127.0.0.1 or 0.0.0.0.') from None
+    try:
+        server = WatchServer(Watcher(recording), host, port, None if local else secrets.token_urlsafe(16))
+    except OSError as problem:
+        raise edge.InputError(f"--host = {host}, --port = {port}: {problem.strerror}.") from None
+    typer.echo(f"Open {server.url} (Ctrl-C ends it)")
+    with server, contextlib.suppress(KeyboardInterrupt):
+        server.serve_forever()
 
 
 @app.command()
 def export(
     recording: Annotated[Path, typer.Argument(metavar="RUN.arrows", help="The recording.")],
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="RUN.csv", help="Table to write.")],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="RUN.csv|nc|parquet|mf4", help="File to write.")],
 ) -> None:
-    """Write a recording as one CSV table: time, input angle, output angle, torque.
+    """Write a recording in another format, by the file's ending; it may be larger than the memory.
 
     Example: [bold]cycloid-bench export run.arrows -o run.csv[/bold]
 
-    The two angles are paired by the SYNC that latched both; the torque is interpolated to those instants.
+    .csv is one table: the two angles, paired by the SYNC that latched both, and the torque interpolated to those
+    instants. .nc (netCDF), .parquet and .mf4 (MDF4, ASAM) hold every channel's samples as they came.
     """
-    import numpy as np
+    from drivers.export import check_ending
+    from drivers.export import export as write
+    from drivers.recording_format import RecordingReader
 
-    if output.suffix.lower() != ".csv":
-        raise edge.InputError(f"--output = {output}: the file must end in .csv.")
-    table = paired_table(recording)
-    with edge.written_whole(output) as temporary:
-        columns = np.column_stack(list(table.values()))
-        np.savetxt(temporary, columns, "%.15g", ",", header=",".join(table), comments="", encoding="utf-8")
-    typer.echo(f"{output}: {len(columns)} rows")
+    check_ending(output)
+    with RecordingReader(recording) as reader, _bytes_bar(reader) as progress:
+        rows = write(reader, output, progress)
+    for problem in reader.problems:
+        typer.echo(problem, err=True)
+    typer.echo(f"{output}: {rows} rows")
+
+
+@contextlib.contextmanager
+def _bytes_bar(reader: RecordingReader) -> Iterator[Callable[[], None]]:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TimeRemainingColumn
+
+    columns = (BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=reader.size)
+        yield lambda: bar.update(task, completed=reader.position)
+
+
+@app.command()
+def repair(
+    recording: Annotated[Path, typer.Argument(metavar="RUN.arrows", help="The recording.")],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="WHOLE.arrows", help="Write what it holds here.")
+    ] = None,
+) -> None:
+    """Say what a torn or damaged recording still holds, and write that as a whole one if asked.
+
+    Example: [bold]cycloid-bench repair torn.arrows -o whole.arrows[/bold]
+
+    The file itself is not changed. Exit status 1 where something is wrong with it.
+    """
+    from drivers.export import repaired
+    from drivers.recording_format import RecordingReader
+
+    with RecordingReader(recording) as reader, _bytes_bar(reader) as progress:
+        held = repaired(reader, output, progress)
+    for problem in reader.problems:
+        typer.echo(problem, err=True)
+    typer.echo(f"{recording}: {reader.complete} batches that can be trusted, {held.events} events")
+    for name, channel in held.channels.items():
+        lasts = f", from {channel.first:.6f} s to {channel.last:.6f} s" if channel.samples else ""
+        gaps = f", {channel.gaps} of them after a gap" if channel.gaps else ""
+        typer.echo(f"{name}: {channel.samples} samples{lasts}{gaps}")
+    if output is not None:
+        typer.echo(f"{output}: written")
+    if reader.problems:
+        raise typer.Exit(edge.FAILED)
 
 
 @app.command("list")

@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 import re
+import time
 from pathlib import Path
 from typing import Any, Self
 
 import cantools
 import numpy as np
+import numpy.typing as npt
 
 from cycloid_fmu import edge
-from drivers.can_hub import SYNC_ID, CanHub, FrameReader, acquire_hub, release_hub
-from drivers.encoder import BusConfig, ChannelConfig, Encoder, EncoderProtocolError, Wiring, extract_bits, role_of
-from drivers.recording_format import Channel, Event, FloatArray, Samples
+from drivers.can_hub import SYNC_ID, CanHub, FrameReader, acquire_hub, release_hub, time_source
+from drivers.encoder import BusConfig, ChannelConfig, Encoder, Wiring, extract_bits, judge_sequence, role_of
+from drivers.recording_format import DUPLICATE, GAP, Channel, Event, FloatArray, IntArray, Samples
 
 _NEWTON_METRE = re.compile(r"([kmu]?)Nm")
 _SI = {"torque": "N*m", "input_angle": "rad", "output_angle": "rad"}
 
 
 class DbcConfig(ChannelConfig):
-    """A `[channel.X]` with protocol = "dbc"; `unit` overrules the file's, `sync`: the frame answers every SYNC."""
+    """A `[channel.X]` with protocol = "dbc".
+
+    `unit` overrules the file's; `sync`: the frame answers every SYNC; `counter`: the signal that counts the frames, by
+    which missing, duplicate and misplaced ones are found.
+    """
 
     bus: str
     file: str
@@ -27,6 +33,7 @@ class DbcConfig(ChannelConfig):
     signal: str
     unit: str | None = None
     sync: bool = False
+    counter: str | None = None
 
 
 class DbcSensor(Encoder):
@@ -72,15 +79,15 @@ class DbcSensor(Encoder):
             )
         self._message = messages[config.message]
         signals = {s.name: s for s in self._message.signals}
-        if config.signal not in signals:
-            raise edge.InputError(
-                f'{where} signal = "{config.signal}": the message {config.message} of {path} has no such signal; '
-                f"it has {', '.join(signals)}."
-            )
-        if self._message.length > 8:
-            raise edge.InputError(
-                f"{where} message: frames of {self._message.length} bytes can't be read, only up to 8."
-            )
+        for key in ("signal", "counter"):
+            wanted = getattr(config, key)
+            if wanted is not None and wanted not in signals:
+                raise edge.InputError(
+                    f'{where} {key} = "{wanted}": the message {config.message} of {path} has no such signal; '
+                    f"it has {', '.join(signals)}."
+                )
+        self._counter = signals[config.counter] if config.counter is not None else None
+        self._newest: int | None = None
         self._signal = signals[config.signal]
         unit = config.unit or _NEWTON_METRE.sub(r"\1N*m", self._signal.unit or "")
         self._unit = _SI.get(name, unit)
@@ -110,9 +117,29 @@ class DbcSensor(Encoder):
             zero=0.0,
             zero_reference=self.config.zero_reference,
             identity=f"{self.config.file}: {self.config.signal} of {self.config.message}, 0x{self._message.frame_id:X}",
-            time_source=f"host clock: the CAN interface's stamp of the {stamp} ({self.bus.interface})",
+            time_source=time_source(self.bus.interface, stamp),
         )
         return self
+
+    def start(self) -> None:
+        """Let the hub send SYNC, where it is told to."""
+        assert self._hub is not None, "start() is for a sensor that is open"
+        self._hub.produce_sync()
+
+    @property
+    def measuring_range(self) -> tuple[float, float] | None:
+        """Smallest and largest value, SI, that the file says the signal takes."""
+        if self._signal.minimum is None or self._signal.maximum is None:
+            return None
+        low, high = sorted(self.config.direction * self._si * float(v) for v in (
+            self._signal.minimum, self._signal.maximum
+        ))  # fmt: skip
+        return (low, high) if low < high else None
+
+    @property
+    def waiting(self) -> int:
+        """Frames that came and are not yet read."""
+        return self._reader.waiting if self._reader is not None else 0
 
     def close(self) -> None:
         """Release the bus."""
@@ -127,28 +154,56 @@ class DbcSensor(Encoder):
         block = self._reader.read(timeout)
         if block is None:
             return None
-        payloads, stamps, status = block
-        value = self.config.direction * self._si * self._decoded(payloads)
-        return Samples.checked(self.name, stamps, value, status=status)
+        decoded, there = self._decoded(block.payloads)
+        status = block.status
+        if self._counter is not None:
+            numbers = _raw(self._counter, block.payloads)
+            judged, missing, self._newest = judge_sequence(numbers, 1 << self._counter.length, self._newest)
+            status = status | judged
+            if missing.any():
+                first = float(block.time_host[np.flatnonzero(missing)[0]])
+                self._reader.say(first, f"{int(missing.sum())} frame missing by the counter {self._counter.name}")
+            again = judged & DUPLICATE > 0
+            if again.any():
+                first = float(block.time_host[np.flatnonzero(again)[0]])
+                self._reader.say(first, f"{int(again.sum())} duplicate by the counter {self._counter.name}")
+        if not there.any():
+            return None
+        value = self.config.direction * self._si * decoded[there]
+        device = block.time_device
+        return Samples.checked(
+            self.name, block.time_host[there], value, status=status[there],
+            time_device=None if device is None else device[there],
+        )  # fmt: skip
 
-    def _decoded(self, payloads: np.ndarray[Any, np.dtype[np.uint8]]) -> FloatArray:
-        """Return the signal in the file's unit, shape (n,)."""
+    def _decoded(self, payloads: npt.NDArray[np.uint8]) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+        """Return the signal in the file's unit and where it is, both of shape (n,): a multiplexed one is not in all."""
         signal = self._signal
-        if signal.is_float or signal.is_multiplexer or signal.multiplexer_ids:
-            length = self._message.length
+        if not (signal.is_multiplexer or signal.multiplexer_ids):
+            raw = _raw(signal, payloads)
+            number: npt.NDArray[Any] = raw
+            if signal.is_float:
+                number = raw.astype(f"<i{signal.length // 8}").view(f"<f{signal.length // 8}")
+            return number * float(signal.scale) + float(signal.offset), np.ones(len(raw), bool)
+        decoded, wrong = np.full(len(payloads), np.nan), 0
+        for i, payload in enumerate(payloads):
             try:
-                decoded = [self._message.decode(bytes(p[:length]), decode_choices=False) for p in payloads]
-                return np.array([d[signal.name] for d in decoded], np.float64)
-            except Exception as problem:
-                raise EncoderProtocolError(
-                    f"{self.name}: {self.config.message} can't be decoded: {problem}."
-                ) from problem
-        little = signal.byte_order == "little_endian"
-        # DBC counts a big-endian start bit from the byte's lowest bit, the field from the byte's highest.
-        start = signal.start if little else signal.start // 8 * 8 + 7 - signal.start % 8
-        raw = extract_bits(payloads, start, signal.length, signed=signal.is_signed, little_endian=little)
-        return np.asarray(raw * float(signal.scale) + float(signal.offset), np.float64)
+                decoded[i] = self._message.decode(payload.tobytes(), decode_choices=False).get(signal.name, np.nan)
+            except Exception:  # cantools raises several; a frame it can't decode is lost, the next ones are not
+                wrong += 1
+        if wrong:
+            assert self._reader is not None
+            self._reader.say(time.time(), f"{wrong} {self.config.message} skipped: it can't be decoded", GAP)
+        return decoded, ~np.isnan(decoded)
 
     def events(self) -> list[Event]:
         """Return gaps and skipped frames; see `Encoder.events`."""
         return self._reader.events() if self._reader is not None else []
+
+
+def _raw(signal: Any, payloads: npt.NDArray[np.uint8]) -> IntArray:
+    """Return a signal's integer as sent, shape (n,)."""
+    little = signal.byte_order == "little_endian"
+    # DBC counts a big-endian start bit from the byte's lowest bit, the field from the byte's highest.
+    start = signal.start if little else signal.start // 8 * 8 + 7 - signal.start % 8
+    return extract_bits(payloads, start, signal.length, signed=signal.is_signed, little_endian=little)

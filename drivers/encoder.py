@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import abc
+import collections
 import contextlib
 import importlib.metadata
 import math
+import threading
+import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Generic, Literal, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +23,9 @@ from drivers import recording_format as rf
 from drivers.recording_format import Channel, Event, Samples
 
 ENTRY_POINTS = "cycloid.encoders"
+WAITING_LIMIT = 1 << 20  # readings that wait for the recorder; more are lost, counted and marked
+
+_EPOCH = time.time() - time.monotonic()
 
 
 class EncoderError(Exception):
@@ -35,22 +41,45 @@ class EncoderProtocolError(EncoderError):
 
 
 class EncoderConnectionError(EncoderError):
-    """The bus or port can't be opened, or it broke."""
+    """The bus or port broke, or it is not the device that it was."""
+
+
+class EncoderSetupError(EncoderConnectionError, edge.InputError):
+    """What the wiring says can't be: no such bus or port, no permission, a node that is taken, contradicting counts."""
 
 
 class BusConfig(edge.Config):
-    """A CAN bus as python-can opens it: interface ("socketcan", "virtual", "udp_multicast" …), channel, bit rate."""
+    """A CAN bus as python-can opens it.
+
+    Attributes
+    ----------
+    interface, channel, bitrate
+        As python-can names them: "socketcan", "slcan", "pcan", "kvaser", "vector", "gs_usb", "virtual",
+        "udp_multicast" and others.
+    fd, data_bitrate
+        CAN FD, and the bit rate of its data phase.
+    sync_period
+        Seconds between the SYNC that the recorder itself produces; None: another device does, or none.
+    network
+        "udp_multicast" only: leave this machine. Without it the frames stay on the loopback interface.
+    """
 
     interface: str
     channel: str
     bitrate: Annotated[int, pydantic.Field(gt=0)] | None = None
+    fd: bool = False
+    data_bitrate: Annotated[int, pydantic.Field(gt=0)] | None = None
+    sync_period: Annotated[edge.Seconds, pydantic.Field(gt=0)] | None = None
+    network: bool = False
 
 
 class PortConfig(edge.Config):
-    """A serial port as pyserial opens it: a device such as "/dev/ttyUSB0" or any of pyserial's URLs, and baud rate."""
+    """A serial port as pyserial opens it: a device such as "/dev/ttyUSB0" or any of pyserial's URLs; 8 data bits."""
 
     url: str
     baud_rate: Annotated[int, pydantic.Field(gt=0)] = 2_000_000
+    parity: Literal["N", "E", "O"] = "N"
+    stop_bits: Literal[1, 2] = 1
 
 
 class ChannelConfig(edge.Config):
@@ -162,6 +191,31 @@ class Encoder(abc.ABC):
     def events(self) -> list[Event]:
         """Return what happened since the last call, `time` in seconds since 1970, and forget it."""
 
+    @property
+    def measuring_range(self) -> tuple[float, float] | None:
+        """Smallest and largest value that the sensor can measure, SI, where it is known."""
+        return None
+
+    @property
+    def waiting(self) -> int:
+        """Readings that came and are not yet read, where the encoder knows."""
+        return 0
+
+
+def device_counts(config: AngleConfig, device: int, where: str) -> int:
+    """Return the device's counts per turn, which the wiring may repeat but not contradict.
+
+    Raises
+    ------
+    EncoderSetupError
+        If it does.
+    """
+    if config.counts_per_turn not in (None, device):
+        raise EncoderSetupError(
+            f"{where}: counts_per_turn = {config.counts_per_turn} contradicts the device, which has {device}."
+        )
+    return device
+
 
 def role_of(name: str) -> str:
     """Return the role of a channel of this name."""
@@ -211,12 +265,12 @@ def counts_to_value(
 def extract_bits(
     payloads: npt.NDArray[np.uint8], start: int, length: int, *, signed: bool, little_endian: bool = True
 ) -> npt.NDArray[np.int64]:
-    """Return an integer field of frames of up to eight bytes.
+    """Return an integer field of frames.
 
     Parameters
     ----------
     payloads
-        Frames, shape (n, 8), zero-padded behind.
+        Frames, shape (n, bytes).
     start
         Little-endian (CiA 301 mappings, DBC "@1"): lowest bit of the field, counted from byte 0's lowest. Big-endian:
         highest bit of the field, counted from byte 0's highest.
@@ -227,12 +281,106 @@ def extract_bits(
     little_endian
         Order of the bytes.
     """
-    words = np.ascontiguousarray(payloads).view("<u8" if little_endian else ">u8").reshape(-1).astype(np.uint64)
-    left = 64 - start - length if little_endian else start
-    words = words << np.uint64(left)
+    first, shift = divmod(start, 8)
+    field = np.zeros((len(payloads), 16), np.uint8)  # the field begins in byte 0 and ends, at the latest, in byte 8
+    held = payloads[:, first : first + 9]
+    field[:, : held.shape[1]] = held
+    low, high = (field.view("<u8" if little_endian else ">u8").astype(np.uint64)[:, i] for i in (0, 1))
+    # Shifted so that the field's highest bit is the word's highest; shifting back then extends the sign, or not.
+    if little_endian:
+        words = low >> np.uint64(shift)
+        if shift:
+            words |= high << np.uint64(64 - shift)
+        words = words << np.uint64(64 - length)
+    else:
+        words = low << np.uint64(shift)
+        if shift:
+            words |= high >> np.uint64(64 - shift)
     if signed:
         return words.view(np.int64) >> np.int64(64 - length)
     return (words >> np.uint64(64 - length)).view(np.int64)
+
+
+def judge_sequence(
+    numbers: npt.NDArray[np.int64], modulus: int, newest: int | None
+) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64], int]:
+    """Tell from their running numbers which samples are missing, duplicate or out of order.
+
+    Parameters
+    ----------
+    numbers
+        Running numbers as sent, shape (n,), n > 0.
+    modulus
+        Numbers after which they start again from 0.
+    newest
+        Highest continuous number so far, None at the beginning.
+
+    Returns
+    -------
+    status, missing, newest
+        Bits "gap before", "duplicate" (the number is the newest before) and "out of order" (it is an older one); the
+        count of numbers left out before each, shape (n,) both; and the highest continuous number now.
+    """
+    continuous, _ = unwrap(numbers, modulus, newest)
+    before = np.concatenate([[continuous[0] - 1 if newest is None else newest], continuous[:-1]])
+    before = np.maximum.accumulate(before)
+    missing = np.maximum(continuous - before - 1, 0)
+    status = (missing > 0) * rf.GAP + (continuous == before) * rf.DUPLICATE + (continuous < before) * rf.OUT_OF_ORDER
+    return status.astype(np.uint8), missing, int(max(before[-1], continuous[-1]))
+
+
+def steady_time() -> float:
+    """Return the host's time in seconds since 1970 that runs on evenly when the calendar clock is set."""
+    return _EPOCH + time.monotonic()
+
+
+Block = TypeVar("Block")
+
+
+class BlockQueue(Generic[Block]):
+    """Blocks on their way from a reader thread to a channel, bounded: a consumer too slow loses some, counted."""
+
+    def __init__(self) -> None:
+        self._blocks: collections.deque[tuple[int, Block, int]] = collections.deque()
+        self._filled = threading.Condition()
+        self._lost = 0
+        self._failure: EncoderError | None = None
+        self.waiting = 0
+
+    def put(self, block: Block, readings: int) -> None:
+        """Append a block of so many readings, or count them as lost where `WAITING_LIMIT` are waiting."""
+        with self._filled:
+            if self.waiting + readings > WAITING_LIMIT:
+                self._lost += readings
+                return
+            self._blocks.append((self._lost, block, readings))
+            self._lost = 0
+            self.waiting += readings
+            self._filled.notify()
+
+    def fail(self, problem: EncoderError) -> None:
+        """Say that nothing more will come."""
+        with self._filled:
+            self._failure = problem
+            self._filled.notify()
+
+    def take(self, timeout: float) -> list[tuple[int, Block]]:
+        """Return all blocks, each with the readings lost before it, waiting for the first one.
+
+        Raises
+        ------
+        EncoderError
+            What `fail` was told, once the blocks before are taken.
+        """
+        with self._filled:
+            if not self._blocks and self._failure is None and timeout > 0:
+                self._filled.wait(timeout)
+            if not self._blocks and self._failure is not None:
+                raise self._failure
+            taken = [(lost, block) for lost, block, _ in self._blocks]
+            self._blocks.clear()
+            self.waiting = 0
+            return taken
 
 
 def protocols() -> dict[str, importlib.metadata.EntryPoint]:

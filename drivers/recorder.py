@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import datetime
 import os
+import shutil
 import signal
 import threading
 import time
@@ -13,9 +14,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 import pydantic
 
 from cycloid_fmu import edge
+from drivers import recording_format as rf
+from drivers.clock import ClockEstimate
 from drivers.encoder import (
     BusConfig,
     ChannelConfig,
@@ -25,11 +29,15 @@ from drivers.encoder import (
     Wiring,
     encoder_class,
     opened,
+    steady_time,
 )
 from drivers.recording_format import Event, Header, RecordingWriter, Samples, check_new
+from drivers.supervision import Supervised
 
 BENCH_FORMAT = "cycloid-bench/1"
 _WAIT = 0.05
+_CLOCK_SECONDS = 10.0  # between two notes of a device's clock
+_CALENDAR_STEP = 0.1  # s; slower corrections are slewed, and the monotonic clock follows them
 
 
 class Conditions(edge.Config):
@@ -131,12 +139,94 @@ def open_encoders(bench: Bench | str | os.PathLike[str]) -> Iterator[list[Encode
         yield encoders
 
 
+MARKS = {
+    "gaps": rf.GAP, "checksum": rf.CHECKSUM, "resets": rf.RESET, "duplicates": rf.DUPLICATE,
+    "out of order": rf.OUT_OF_ORDER, "rollovers": rf.ROLLOVER,
+}  # fmt: skip
+
+
+class RecordingError(Exception):
+    """A recording can't be written on; the text says what of it is safe."""
+
+
+@dataclasses.dataclass
+class ChannelState:
+    """What one channel has got so far.
+
+    Attributes
+    ----------
+    samples
+        How many were written.
+    marks
+        How many samples carry each mark, by name.
+    rate
+        Samples a second over the last second or so.
+    waiting
+        Readings that came and are not written yet.
+    time, value
+        Of the newest sample: seconds since the start, SI; None before the first.
+    failure
+        Why it is out just now, None where it is not.
+    """
+
+    samples: int = 0
+    marks: dict[str, int] = dataclasses.field(default_factory=lambda: dict.fromkeys(MARKS, 0))
+    rate: float = 0.0
+    waiting: int = 0
+    time: float | None = None
+    value: float | None = None
+    failure: EncoderError | None = None
+
+
+@dataclasses.dataclass
+class Live:
+    """A recording in progress, for whoever shows it.
+
+    Attributes
+    ----------
+    channels
+        State of each channel by name.
+    events
+        How many events there were.
+    transmission_error
+        Newest TE, rad at the output, less the first one: output angle - input angle / ratio at one instant; None where
+        an angle or the ratio is missing.
+    disk_free
+        Bytes left where the recording is written.
+    """
+
+    channels: dict[str, ChannelState]
+    events: int = 0
+    transmission_error: float | None = None
+    disk_free: int = 0
+
+    @property
+    def samples(self) -> dict[str, int]:
+        """Samples written, by channel."""
+        return {name: state.samples for name, state in self.channels.items()}
+
+
 @dataclasses.dataclass(frozen=True)
 class Recorded:
-    """What a recording got: its path, the number of samples by channel, events, and why channels failed."""
+    """What a recording got.
+
+    Attributes
+    ----------
+    path
+        The recording.
+    samples
+        Number of samples by channel.
+    marks
+        Number of samples by channel and mark; marks that no sample carries are absent.
+    events
+        Number of events.
+    failures
+        Why channels were out at the end.
+    """
 
     path: Path
     samples: Mapping[str, int]
+    marks: Mapping[str, Mapping[str, int]]
     events: int
     failures: tuple[EncoderError, ...]
 
@@ -162,6 +252,102 @@ def _interrupts() -> Iterator[threading.Event]:
             signal.signal(number, handler)
 
 
+class _Session:
+    """One recording being made: encoders in, batches out."""
+
+    def __init__(self, encoders: Sequence[Encoder], writer: RecordingWriter, ratio: float | None, epoch: float) -> None:
+        self.encoders = [Supervised(e) for e in encoders]
+        self.writer, self.ratio, self.epoch = writer, ratio, epoch
+        self.live = Live({e.channel.name: ChannelState() for e in encoders})
+        self._clocks = {e.channel.name: ClockEstimate() for e in encoders}
+        self._clock_said = dict.fromkeys(self._clocks, 0.0)
+        self._input: Samples | None = None
+        self._zero: float | None = None
+        self._rates = (time.monotonic(), dict.fromkeys(self.live.channels, 0))
+        self._calendar = time.time() - time.monotonic()
+
+    def take(self, encoder: Supervised, timeout: float) -> bool:
+        """Write what a channel has; return whether there were samples."""
+        name = encoder.channel.name
+        state = self.live.channels[name]
+        block = encoder.read(timeout)
+        events = [dataclasses.replace(e, time=e.time - self.epoch) for e in encoder.events()]
+        events += self._jump(name)
+        state.waiting, state.failure = encoder.waiting, encoder.failure
+        if block is not None:
+            block = dataclasses.replace(block, time_host=block.time_host - self.epoch)
+            events += self._clock(block)
+            self._note(encoder.channel.role, block, state)
+        if block is None and not events:
+            return False
+        block = block or Samples.checked(name, [], [])
+        self.writer.write(block, events)
+        self.live.events += len(events)
+        return len(block) > 0
+
+    def _note(self, role: str, block: Samples, state: ChannelState) -> None:
+        """Count a block and follow the TE."""
+        state.samples += len(block)
+        present = np.bitwise_or.reduce(block.status) if len(block) else 0
+        for mark, bit in MARKS.items():
+            if present & bit:
+                state.marks[mark] += int(np.count_nonzero(block.status & bit))
+        if not len(block):
+            return
+        state.time, state.value = float(block.time_host[-1]), float(block.value[-1])
+        if role == "input_angle":
+            self._input = block
+        elif role == "output_angle" and self._input is not None and self.ratio:
+            turning = self._input
+            inside = (block.time_host >= turning.time_host[0]) & (block.time_host <= turning.time_host[-1])
+            if inside.any():
+                last = int(np.flatnonzero(inside)[-1])
+                angle = np.interp(block.time_host[last], turning.time_host, turning.value)
+                error = float(block.value[last] - angle / self.ratio)
+                self._zero = error if self._zero is None else self._zero
+                self.live.transmission_error = error - self._zero
+
+    def _clock(self, block: Samples) -> list[Event]:
+        """Follow the device's clock and say now and then, and at the end, what is known of it."""
+        if block.time_device is None:
+            return []
+        clock = self._clocks[block.channel]
+        if np.any(block.status & rf.RESET):  # its clock started anew, too
+            clock = self._clocks[block.channel] = ClockEstimate()
+        clock.add(block.time_device, block.time_host)
+        if block.time_host[-1] - self._clock_said[block.channel] < _CLOCK_SECONDS:
+            return []
+        return self.clock_event(block.channel)
+
+    def clock_event(self, name: str) -> list[Event]:
+        """Return what is known of a channel's clock, as an event."""
+        fit = self._clocks[name].fit()
+        if fit is None:
+            return []
+        now = steady_time() - self.epoch
+        self._clock_said[name] = now
+        return [rf.clock_event(now, name, fit.origin_device, fit.origin_host, fit.drift, fit.uncertainty)]
+
+    def _jump(self, name: str) -> list[Event]:
+        """Say that somebody set the host's calendar clock; our own stamps do not follow it, a kernel's do."""
+        calendar = time.time() - time.monotonic()
+        step, self._calendar = calendar - self._calendar, calendar
+        if abs(step) < _CALENDAR_STEP:
+            return []
+        return [Event(steady_time() - self.epoch, name, f"the host's calendar clock was set by {step:+.3f} s")]
+
+    def refresh(self, path: str | os.PathLike[str]) -> None:
+        """Work out rates and free space, once a second."""
+        then, counted = self._rates
+        now = time.monotonic()
+        if now - then < 1.0 and self.live.disk_free:
+            return
+        for name, state in self.live.channels.items():
+            state.rate = (state.samples - counted[name]) / max(now - then, 1e-3)
+        self._rates = now, self.live.samples
+        self.live.disk_free = shutil.disk_usage(Path(path).parent).free
+
+
 def record(
     encoders: Sequence[Encoder],
     path: str | os.PathLike[str],
@@ -173,12 +359,14 @@ def record(
     samples: int | None = None,
     idle: float | None = None,
     stop: Callable[[], bool] | None = None,
-    progress: Callable[[Mapping[str, int]], None] | None = None,
+    progress: Callable[[Live], None] | None = None,
 ) -> Recorded:
     """Record open, started encoders until something says stop.
 
-    A channel that fails is closed with an event and the others go on. SIGINT and SIGTERM end the recording with all
-    that came, then raise KeyboardInterrupt. Memory does not grow with the recording.
+    A channel that fails is said to, opened anew until it answers, and marked; the others go on. SIGINT and SIGTERM end
+    the recording with all that came, then raise KeyboardInterrupt. Memory does not grow with the recording. What is
+    written is safe from a kill within a block (`can_hub.BLOCK_SECONDS`) of its arrival and from a power cut within
+    `recording_format.FLUSH_SECONDS`.
 
     Parameters
     ----------
@@ -197,66 +385,62 @@ def record(
     stop
         Stop when it returns True; asked some twenty times a second.
     progress
-        Called as often with the number of samples by channel.
+        Called as often with how it stands.
 
     Raises
     ------
     edge.InputError
         If the file exists or can't be created.
     EncoderError
-        If every channel failed; the file is closed and keeps all that came before.
+        If every channel was out and none had got a sample; the file is closed.
+    RecordingError
+        If the disk takes no more; the file keeps all that came before.
     KeyboardInterrupt
         If interrupted; the file is closed and whole.
     """
-    epoch = time.time()
+    epoch = steady_time()
     start = datetime.datetime.fromtimestamp(epoch, datetime.UTC).isoformat()
     header = Header(tuple(e.channel for e in encoders), conditions or {}, ratio, pair, start)
-    counts = {e.channel.name: 0 for e in encoders}
-    active, failures, said = list(encoders), [], 0
-
-    def save(encoder: Encoder, timeout: float) -> bool:
-        nonlocal said
-        name = encoder.channel.name
-        block: Samples | None = None
-        events: list[Event] = []
-        try:
-            block = encoder.read(timeout)
-        except EncoderError as problem:
-            failures.append(problem)
-            active.remove(encoder)
-            events.append(Event(time.time(), name, f"recording of this channel ended: {problem}"))
-        events = [dataclasses.replace(e, time=e.time - epoch) for e in encoder.events() + events]
-        if block is None and not events:
-            return False
-        block = block or Samples.checked(name, [], [])
-        writer.write(dataclasses.replace(block, time_host=block.time_host - epoch), events)
-        counts[name] += len(block)
-        said += len(events)
-        return len(block) > 0
-
     with RecordingWriter(path, header) as writer, _interrupts() as interrupted:
+        session = _Session(encoders, writer, ratio, epoch)
+        live = session.live
         begun = last = time.monotonic()
-        while active and not interrupted.is_set():
-            # Only the first channel is waited for: the others have come meanwhile.
-            came = [save(e, 0.0 if i else _WAIT) for i, e in enumerate(list(active))]
-            now = time.monotonic()
-            last = now if any(came) else last
-            if progress is not None:
-                progress(counts)
-            if (
-                (duration is not None and now - begun >= duration)
-                or (samples is not None and min(counts.values()) >= samples)
-                or (idle is not None and now - last >= idle)
-                or (stop is not None and stop())
-            ):
-                break
-        for encoder in list(active):
-            save(encoder, 0.0)
+        try:
+            while not interrupted.is_set():
+                # Only the first channel is waited for: the others have come meanwhile.
+                came = [session.take(e, 0.0 if i else _WAIT) for i, e in enumerate(session.encoders)]
+                now = time.monotonic()
+                last = now if any(came) else last
+                session.refresh(path)
+                if progress is not None:
+                    progress(live)
+                if (
+                    (duration is not None and now - begun >= duration)
+                    or (samples is not None and min(live.samples.values()) >= samples)
+                    or (idle is not None and now - last >= idle)
+                    or (stop is not None and stop())
+                ):
+                    break
+            for encoder in session.encoders:
+                session.take(encoder, 0.0)
+                clocks = session.clock_event(encoder.channel.name)
+                if clocks:
+                    writer.write(Samples.checked(encoder.channel.name, [], []), clocks)
+        except OSError as problem:
+            kept = ", ".join(f"{n} {name}" for name, n in live.samples.items())
+            raise RecordingError(
+                f"{path}: the disk takes no more ({problem.strerror or problem}); all written before is kept: {kept}."
+            ) from problem
+        finally:
+            for encoder in session.encoders:
+                encoder.close()
     if interrupted.is_set():
         raise KeyboardInterrupt
-    if failures and not active:
+    failures = tuple(e.failure for e in session.encoders if e.failure is not None)
+    if failures and not any(live.samples.values()):
         raise failures[0]
-    return Recorded(Path(path), counts, said, tuple(failures))
+    marks = {name: {m: n for m, n in state.marks.items() if n} for name, state in live.channels.items()}
+    return Recorded(Path(path), live.samples, marks, live.events, failures)
 
 
 def record_bench(bench: Bench | str | os.PathLike[str], path: str | os.PathLike[str], **stops: Any) -> Recorded:

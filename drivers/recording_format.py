@@ -17,11 +17,13 @@ padding, where a column that is null contributes nothing.
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
 import os
 import sys
+import time
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeAlias
@@ -40,7 +42,11 @@ FloatArray: TypeAlias = npt.NDArray[np.float64]
 IntArray: TypeAlias = npt.NDArray[np.int64]
 ByteArray: TypeAlias = npt.NDArray[np.uint8]
 
-_END_OF_STREAM = b"\xff\xff\xff\xff\x00\x00\x00\x00"
+FLUSH_SECONDS = 1.0  # of samples that a power cut can cost; a kill costs none that `write` returned for
+_CLOCK = "clock: "
+_MESSAGE = b"\xff\xff\xff\xff"  # what every message of an Arrow stream begins with, at a multiple of eight bytes
+_END_OF_STREAM = _MESSAGE + b"\x00\x00\x00\x00"
+_SEARCH_BYTES = 1 << 20
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,6 +98,26 @@ class Event:
     text: str
 
 
+def clock_event(
+    time: float, channel: str, origin_device: float, origin_host: float, drift: float, uncertainty: float
+) -> Event:
+    """Return the event that says how a channel's own clock runs against the host's; see `Recording.clock`.
+
+    Parameters
+    ----------
+    time, channel
+        When and of which channel it is said.
+    origin_device, origin_host, drift
+        host = origin_host + (1 + drift) (device - origin_device), s.
+    uncertainty
+        Half width at 95 %, s.
+    """
+    said = {
+        "origin_device": origin_device, "origin_host": origin_host, "drift": drift, "uncertainty": uncertainty,
+    }  # fmt: skip
+    return Event(time, channel, _CLOCK + json.dumps(said))
+
+
 @dataclasses.dataclass(frozen=True)
 class Samples:
     """Samples of one channel, arrays of shape (n,).
@@ -109,7 +135,8 @@ class Samples:
     value
         SI value: continuous radians of an angle, newton metres of a torque.
     status
-        Bits: 1 gap before, 2 checksum failed (before), 4 reset, 8 duplicate, 16 out of order, 32 rollover.
+        Bits: 1 gap before, 2 checksum failed (before), 4 reset, 8 duplicate (it, or one left out before it), 16 out of
+        order, 32 rollover.
     """
 
     channel: str
@@ -187,6 +214,23 @@ class Recording:
     events: tuple[Event, ...]
     problems: tuple[str, ...]
 
+    def clock(self, channel: str) -> Mapping[str, float] | None:
+        """Return the last estimate of a channel's clock: the keys of `clock_event`; None where it has none."""
+        said = [e.text for e in self.events if e.channel == channel and e.text.startswith(_CLOCK)]
+        return dict(json.loads(said[-1].removeprefix(_CLOCK))) if said else None
+
+    def aligned_time(self, channel: str) -> FloatArray:
+        """Return when a channel's samples were taken, s since the start on the host's clock, shape (n,).
+
+        By the channel's own clock where it has one and its offset and drift were estimated: free of the delays on the
+        way to the host, which `time_host` has. Else `time_host`.
+        """
+        samples, clock = self.samples[channel], self.clock(channel)
+        if clock is None or samples.time_device is None or np.any(samples.status & RESET):
+            return samples.time_host
+        away = samples.time_device - clock["origin_device"]
+        return clock["origin_host"] + away + clock["drift"] * away
+
 
 _COLUMNS: Mapping[str, tuple[pa.DataType, str, bool]] = {
     "time_host": (pa.float64(), "<f8", False),
@@ -195,6 +239,7 @@ _COLUMNS: Mapping[str, tuple[pa.DataType, str, bool]] = {
     "value": (pa.float64(), "<f8", False),
     "status": (pa.uint8(), "u1", False),
 }
+COLUMN_DTYPES: Mapping[str, str] = {name: kind for name, (_, kind, _) in _COLUMNS.items()}
 
 
 def batch_checksum(sequence: int, events: str, samples: Samples) -> str:
@@ -207,8 +252,9 @@ def batch_checksum(sequence: int, events: str, samples: Samples) -> str:
     return f"{crc:08x}"
 
 
-def _schema(header: Header) -> pa.Schema:
-    metadata = {
+def recording_metadata(header: Header) -> dict[str, str]:
+    """Return what a recording says about itself as texts, see the module's."""
+    return {
         "format": FORMAT,
         "channels": json.dumps([dataclasses.asdict(c) for c in header.channels]),
         "conditions": json.dumps(dict(header.conditions)),
@@ -216,9 +262,24 @@ def _schema(header: Header) -> pa.Schema:
         "pair": header.pair,
         "start": header.start,
     }
+
+
+def recording_schema(header: Header) -> pa.Schema:
+    """Return the Arrow schema of a recording: columns and metadata."""
     fields = [pa.field("channel", pa.dictionary(pa.int16(), pa.string()), nullable=False)]
     fields += [pa.field(name, kind, nullable=nullable) for name, (kind, _, nullable) in _COLUMNS.items()]
-    return pa.schema(fields, metadata=metadata)
+    return pa.schema(fields, metadata=recording_metadata(header))
+
+
+def record_batch(samples: Samples, schema: pa.Schema, names: Sequence[str]) -> pa.RecordBatch:
+    """Return samples as a batch of a recording's table; ValueError if its channel is none of `names`."""
+    n = len(samples)
+    index = np.full(n, list(names).index(samples.channel), np.int16)
+    columns = [pa.DictionaryArray.from_arrays(pa.array(index), pa.array(names, pa.string()))]
+    for name, (kind, _, _) in _COLUMNS.items():
+        array = getattr(samples, name)
+        columns.append(pa.nulls(n, kind) if array is None else pa.array(array, kind))
+    return pa.RecordBatch.from_arrays(columns, schema=schema)
 
 
 def check_new(path: str | os.PathLike[str]) -> None:
@@ -227,10 +288,48 @@ def check_new(path: str | os.PathLike[str]) -> None:
         raise edge.InputError(f"{path}: this file exists and recordings are not overwritten; name another.")
 
 
+class _Sink(io.RawIOBase):
+    """A file that has the header of a stream at once: Arrow's writer gives it only with the first batch.
+
+    Each message is gathered until `flush` and given to the operating system in one piece.
+    """
+
+    def __init__(self, descriptor: int, schema: pa.Schema) -> None:
+        self._descriptor = descriptor
+        empty = pa.BufferOutputStream()
+        pa.ipc.new_stream(empty, schema).close()
+        header = bytes(empty.getvalue())[: -len(_END_OF_STREAM)]
+        self._put(header)
+        self._skip = len(header)
+        self._parts: list[bytes] = []
+
+    def _put(self, data: bytes) -> None:
+        rest = memoryview(data)
+        while rest:
+            rest = rest[os.write(self._descriptor, rest) :]
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, data: Any) -> int:
+        """Take a piece; the header that Arrow's writer repeats is passed over."""
+        given = bytes(data)
+        passed = min(self._skip, len(given))
+        self._skip -= passed
+        self._parts.append(given[passed:])
+        return len(given)
+
+    def flush(self) -> None:
+        """Give what was taken to the operating system."""
+        data, self._parts = b"".join(self._parts), []
+        self._put(data)
+
+
 class RecordingWriter:
     """A recording being written: every batch is with the operating system when `write` returns.
 
-    A kill loses at most the batch being written (a power cut: what the operating system still holds).
+    A kill loses at most the batch being written, a power cut at most the last `FLUSH_SECONDS`: that often the disk is
+    asked to hold all of it.
 
     Parameters
     ----------
@@ -247,19 +346,19 @@ class RecordingWriter:
 
     def __init__(self, path: str | os.PathLike[str], header: Header) -> None:
         self._names = [c.name for c in header.channels]
-        self._dictionary = pa.array(self._names, pa.string())
-        self._schema = _schema(header)
+        self._schema = recording_schema(header)
         self._sequence = 0
         self._whole = True
         try:
-            os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+            self._descriptor = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666)
         except FileExistsError:
             check_new(path)
             raise
         except OSError as problem:
             raise edge.InputError(f"{path}: {problem.strerror or problem}.") from None
-        self._file = pa.OSFile(str(path), "wb")
-        self._stream = pa.ipc.new_stream(self._file, self._schema)
+        self._sink = _Sink(self._descriptor, self._schema)
+        self._stream = pa.ipc.new_stream(pa.PythonFile(self._sink, "w"), self._schema)
+        self._end, self._flushed = os.lseek(self._descriptor, 0, os.SEEK_CUR), time.monotonic()
 
     def __enter__(self) -> Self:
         return self
@@ -277,34 +376,41 @@ class RecordingWriter:
         ValueError
             If the header has no such channel.
         OSError
-            If the disk does not take them; the batches before stay readable.
+            If the disk does not take them; the batches before stay readable, what was written of this one is cut off.
         """
-        index = self._names.index(samples.channel)
         said = json.dumps([dataclasses.asdict(e) for e in events])
         metadata = {
             "sequence": str(self._sequence),
             "events": said,
             "crc32": batch_checksum(self._sequence, said, samples),
         }
-        n = len(samples)
-        columns = [pa.DictionaryArray.from_arrays(pa.array(np.full(n, index, np.int16)), self._dictionary)]
-        for name, (kind, _, _) in _COLUMNS.items():
-            array = getattr(samples, name)
-            columns.append(pa.nulls(n, kind) if array is None else pa.array(array, kind))
-        batch = pa.RecordBatch.from_arrays(columns, schema=self._schema)
+        batch = record_batch(samples, self._schema, self._names)
         self._whole = False
-        self._stream.write_batch(batch, custom_metadata=metadata)
-        self._file.flush()
+        try:
+            self._stream.write_batch(batch, custom_metadata=metadata)
+            self._sink.flush()
+        except OSError:
+            os.ftruncate(self._descriptor, self._end)
+            raise
         self._whole = True
+        self._end = os.lseek(self._descriptor, 0, os.SEEK_CUR)
         self._sequence += 1
+        if time.monotonic() - self._flushed >= FLUSH_SECONDS:
+            os.fsync(self._descriptor)
+            self._flushed = time.monotonic()
 
     def close(self) -> None:
-        """End the stream; after a failed write the end mark is left out, so that the file says it is cut."""
-        if self._file.closed:
+        """End the stream; after a failed write the end mark is left out, so that the file says it was not closed."""
+        if self._descriptor < 0:
             return
-        if self._whole:
-            self._stream.close()
-        self._file.close()
+        try:
+            if self._whole:
+                self._stream.close()
+                self._sink.flush()
+            os.fsync(self._descriptor)
+        finally:
+            os.close(self._descriptor)
+            self._descriptor = -1
 
 
 def _header(metadata: Mapping[bytes, bytes] | None, source: str) -> Header:
@@ -368,74 +474,208 @@ def _joined(name: str, blocks: Sequence[Samples]) -> Samples:
     )
 
 
-def read_recording(path: str | os.PathLike[str]) -> Recording:
-    """Read a recording, however it ended.
+class RecordingReader:
+    """A recording read batch by batch, at constant memory; it may be torn, damaged or still growing.
 
-    All complete batches of a cut file are returned and the cut is a sentence in `problems`. A batch whose CRC-32 is
-    wrong is left out; the next sample of each channel that may have lost samples so is marked "gap before".
+    A context manager. A batch whose CRC-32 is wrong is left out. Where bytes are damaged, the next batch whose CRC-32
+    is right is searched for and reading goes on there. The next sample of each channel that may have lost samples so
+    is marked "gap before".
 
     Parameters
     ----------
     path
-        A `.arrows` file; it may still be growing.
+        A `.arrows` file.
+
+    Attributes
+    ----------
+    header
+        Channels and conditions.
+    problems
+        One sentence for each thing wrong with the file, as far as it was read.
+    complete
+        Number of complete batches read.
 
     Raises
     ------
     edge.InputError
         If the file can't be read, is no recording or has another format.
     """
-    source = str(path)
-    edge.existing(path)
-    if Path(path).stat().st_size == 0:
-        raise edge.InputError(f"{source}: the file is empty; it was cut before the header of a recording.")
-    problems: list[str] = []
-    events: list[Event] = []
-    with pa.memory_map(source) as file:
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.source = str(path)
+        self._path = edge.existing(path)
+        if self._path.stat().st_size == 0:
+            raise edge.InputError(f"{self.source}: the file is empty; it was cut before the header of a recording.")
+        self._file = pa.OSFile(self.source, "rb")
         try:
-            reader = pa.ipc.open_stream(file)
-        except (pa.ArrowException, OSError):
-            raise edge.InputError(f"{source}: this is not a recording, or it was cut within its header.") from None
-        header = _header(reader.schema.metadata, source)
-        expected = _schema(header)
-        if not reader.schema.equals(expected):
-            raise edge.InputError(f"{source}: the columns are not those of {FORMAT}: {', '.join(reader.schema.names)}.")
-        blocks: dict[str, list[Samples]] = {c.name: [] for c in header.channels}
-        lost: set[str] = set()
-        number, next_sequence = -1, 0
+            schema = pa.ipc.read_schema(pa.ipc.read_message(self._file))
+        except (pa.ArrowException, OSError, EOFError):
+            self._file.close()
+            raise edge.InputError(f"{self.source}: this is not a recording, or it was cut within its header.") from None
+        self.header = _header(schema.metadata, self.source)
+        expected = recording_schema(self.header)
+        if not schema.equals(expected):
+            raise edge.InputError(f"{self.source}: the columns are not those of {FORMAT}: {', '.join(schema.names)}.")
+        self.problems: list[str] = []
+        self.complete = 0
+        self._number = 0
+        self._offset: int = self._file.tell()
+        self._good_end = self._offset
+        self._next_sequence = 0
+        self._lost: set[str] = set()
+        self._preamble = _preamble(expected, [c.name for c in self.header.channels])
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+    def batches(self, *, growing: bool = False) -> Iterator[tuple[Samples, tuple[Event, ...]]]:
+        """Yield samples and events of every batch not yet yielded.
+
+        Parameters
+        ----------
+        growing
+            The end is where the recorder is just now, not a cut: it is no problem, and a later call goes on there.
+        """
         while True:
-            number += 1
-            try:
-                batch, metadata = reader.read_next_batch_with_custom_metadata()
-            except StopIteration:
-                break
-            except (pa.ArrowException, OSError):
-                problems.append(f"{source}: it is cut or damaged after {number} complete batches; these were read.")
-                break
-            try:
-                sequence, samples, said = _batch(batch, metadata)
-            except (ValueError, TypeError, pa.ArrowException) as problem:
-                problems.append(f"{source}: batch {number} was left out: {problem}.")
-                lost = set(blocks)
-                next_sequence += 1
+            size = self._path.stat().st_size
+            if self._bytes(self._offset, 8) == _END_OF_STREAM:
+                return
+            taken = self._message(self._offset, size)
+            if taken is None:
+                if growing:
+                    return
+                if not self._resume(size):
+                    if self._offset >= size and self._good_end == self._offset:
+                        self.problems.append(
+                            f"{self.source}: it was not closed; all {self.complete} batches were read."
+                        )
+                    else:
+                        self.problems.append(
+                            f"{self.source}: it is cut or damaged after {self.complete} complete batches; "
+                            "these were read."
+                        )
+                    return
                 continue
-            if sequence != next_sequence:
-                problems.append(f"{source}: batch {number} has sequence number {sequence}, not {next_sequence}.")
-                lost = set(blocks)
-            next_sequence = sequence + 1
+            data, self._offset = taken
+            if data is None:
+                continue
+            number, self._number = self._number, self._number + 1
+            try:
+                sequence, samples, said = _batch(*self._decoded(data))
+            except (ValueError, TypeError, KeyError, pa.ArrowException) as problem:
+                self.problems.append(f"{self.source}: batch {number} was left out: {problem}.")
+                self._lost = {c.name for c in self.header.channels}
+                self._next_sequence += 1
+                continue
+            if sequence != self._next_sequence:
+                self.problems.append(
+                    f"{self.source}: batch {number} has sequence number {sequence}, not {self._next_sequence}."
+                )
+                self._lost = {c.name for c in self.header.channels}
+            self._good_end, self._next_sequence = self._offset, sequence + 1
+            self.complete += 1
+            if len(samples) and samples.channel in self._lost:
+                status = samples.status.copy()
+                status[0] |= GAP
+                samples = dataclasses.replace(samples, status=status)
+                self._lost.discard(samples.channel)
+            yield samples, said
+
+    @property
+    def size(self) -> int:
+        """Bytes of the file."""
+        return int(self._path.stat().st_size)
+
+    @property
+    def position(self) -> int:
+        """Byte up to which it was read."""
+        return self._offset
+
+    def _bytes(self, offset: int, count: int) -> bytes:
+        self._file.seek(offset)
+        return bytes(self._file.read(count))
+
+    def _message(self, offset: int, size: int) -> tuple[bytes | None, int] | None:
+        """Return a batch (None if it is none) here and where the message ends; None if there is no message."""
+        if offset + 8 > size or self._bytes(offset, 4) != _MESSAGE:
+            return None
+        try:
+            self._file.seek(offset)
+            message = pa.ipc.read_message(self._file)
+            end = self._file.tell()
+        except (pa.ArrowException, OSError, EOFError):
+            return None
+        if not offset < end <= size:
+            return None
+        return (self._bytes(offset, end - offset) if message.type == "record batch" else None), end
+
+    def _decoded(self, data: bytes) -> tuple[pa.RecordBatch, Mapping[bytes, bytes] | None]:
+        """Return the batch of a message and its metadata, as the one batch of a stream."""
+        with pa.ipc.open_stream(pa.BufferReader(self._preamble + data)) as reader:
+            reader.read_next_batch()
+            batch, metadata = reader.read_next_batch_with_custom_metadata()
+        return batch, metadata
+
+    def _resume(self, size: int) -> bool:
+        """Find the next batch that can be trusted behind a damaged place and go on there; False if there is none."""
+        position = self._good_end + 8
+        while position < size:
+            block = self._bytes(position, _SEARCH_BYTES)
+            found = block.find(_MESSAGE)
+            while found >= 0:
+                at = position + found
+                taken = self._message(at, size) if at % 8 == 0 else None
+                if taken is not None and taken[0] is not None:
+                    try:
+                        _batch(*self._decoded(taken[0]))
+                    except (ValueError, TypeError, KeyError, pa.ArrowException):
+                        pass
+                    else:
+                        self.problems.append(
+                            f"{self.source}: damaged from byte {self._good_end} on; reading went on at byte {at}."
+                        )
+                        self._lost = {c.name for c in self.header.channels}
+                        self._offset = at
+                        return True
+                found = block.find(_MESSAGE, found + 1)
+            if len(block) < _SEARCH_BYTES:
+                break
+            position += len(block) - len(_MESSAGE)
+        return False
+
+
+def _preamble(schema: pa.Schema, names: Sequence[str]) -> bytes:
+    """Return the start of a stream, to the end of an empty batch: schema and the dictionary of channel names."""
+    sink = pa.BufferOutputStream()
+    columns = [pa.DictionaryArray.from_arrays(pa.array([], pa.int16()), pa.array(names, pa.string()))]
+    columns += [pa.array([], kind) for kind, _, _ in _COLUMNS.values()]
+    with pa.ipc.new_stream(sink, schema) as stream:
+        stream.write_batch(pa.RecordBatch.from_arrays(columns, schema=schema))
+    return bytes(sink.getvalue())[: -len(_END_OF_STREAM)]
+
+
+def read_recording(path: str | os.PathLike[str]) -> Recording:
+    """Read a whole recording, however it ended; see `RecordingReader`.
+
+    Raises
+    ------
+    edge.InputError
+        If the file can't be read, is no recording or has another format.
+    """
+    with RecordingReader(path) as reader:
+        blocks: dict[str, list[Samples]] = {c.name: [] for c in reader.header.channels}
+        events: list[Event] = []
+        for samples, said in reader.batches():
             events.extend(said)
             if len(samples):
-                if samples.channel in lost:
-                    status = samples.status.copy()
-                    status[0] |= GAP
-                    samples = dataclasses.replace(samples, status=status)
-                    lost.discard(samples.channel)
                 blocks[samples.channel].append(samples)
-        if not any("is cut" in p for p in problems):
-            end = file.tell()
-            file.seek(max(0, end - len(_END_OF_STREAM)))
-            if file.read(len(_END_OF_STREAM)) != _END_OF_STREAM:
-                problems.append(f"{source}: it was not closed; all {number} batches were read.")
-        return Recording(header, {n: _joined(n, b) for n, b in blocks.items()}, tuple(events), tuple(problems))
+        joined = {n: _joined(n, b) for n, b in blocks.items()}
+        return Recording(reader.header, joined, tuple(events), tuple(reader.problems))
 
 
 if sys.byteorder != "little":  # Arrow buffers and the checksum are little-endian

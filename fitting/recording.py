@@ -106,6 +106,7 @@ def _from_arrows(path: str | os.PathLike[str]) -> BenchRecording:
     notes = list(read.problems)
     turning, driven, torque = (read.samples[n] for n in ("input_angle", "output_angle", "torque"))
     common, first, second = np.intersect1d(turning.time_host, driven.time_host, return_indices=True)
+    torque_time, torque_value, _ = _in_order(torque.time_host, torque)
     if 2 * common.size >= min(len(turning), len(driven)):
         lost = max(len(turning), len(driven)) - common.size
         if lost:
@@ -113,15 +114,19 @@ def _from_arrows(path: str | os.PathLike[str]) -> BenchRecording:
         time, input_angle = common, turning.value[first]
         output_angle, status = driven.value[second], turning.status[first] | driven.status[second]
     else:
-        inside = (turning.time_host >= driven.time_host[0]) & (turning.time_host <= driven.time_host[-1])
-        time, input_angle, status = turning.time_host[inside], turning.value[inside], turning.status[inside]
-        output_angle = np.interp(time, driven.time_host, driven.value)
+        # Each channel by its own clock, where it has one: free of the delays on its way to the host.
+        (time, input_angle, status), (driven_time, driven_angle, _), (torque_time, torque_value, _) = (
+            _in_order(read.aligned_time(n), read.samples[n]) for n in ("input_angle", "output_angle", "torque")
+        )
+        inside = (time >= driven_time[0]) & (time <= driven_time[-1])
+        time, input_angle, status = time[inside], input_angle[inside], status[inside]
+        output_angle = np.interp(time, driven_time, driven_angle)
         notes.append(f"{path}: the angles share no instants; the output angle was interpolated to the input's times.")
     return BenchRecording(
         time=time,
         input_angle=input_angle,
         output_angle=output_angle,
-        torque=np.interp(time, torque.time_host, torque.value),
+        torque=np.interp(time, torque_time, torque_value),
         status=status,
         common_zero=channels["output_angle"].zero_reference == "absolute",
         known_index=channels["input_angle"].zero_reference == "absolute",
@@ -130,6 +135,12 @@ def _from_arrows(path: str | os.PathLike[str]) -> BenchRecording:
         checksum=_checksum(path),
         notes=tuple(notes),
     )
+
+
+def _in_order(time: Array, samples: Any) -> tuple[Array, Array, NDArray[np.uint8]]:
+    """Return times, values and status in the order of time: frames may come out of order, and are marked so."""
+    order = np.argsort(time, kind="stable")
+    return time[order], samples.value[order], samples.status[order]
 
 
 def _from_csv(path: str | os.PathLike[str]) -> BenchRecording:

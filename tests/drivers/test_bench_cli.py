@@ -231,7 +231,49 @@ def test_bad_input_exits_2_with_one_sentence(tmp_path, wiring, arguments, said):
     assert wiring.read_text() == before
 
 
-@pytest.mark.parametrize("command", ["record", "simulate", "export", "list"])
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('"virtual"', '"socketcan"', 'The CAN bus socketcan "'),
+        ("node = 2", "node = 1", "The position of node 1 on the CAN bus"),
+        ("node = 1", "node = 1\ncounts_per_turn = 1000", "counts_per_turn = 1000 contradicts the device"),
+        (
+            "[bus.can0]",
+            '[port.p]\nurl = "/dev/none"\n[bus.can0]',
+            'The serial port "/dev/none" does not open: there is no',
+        ),
+    ],
+)
+def test_a_bench_that_cannot_be_is_bad_input_and_records_nothing(tmp_path, wiring, bus_name, old, new, said):
+    text = wiring.read_text().replace(old, new, 1)
+    if "/dev/none" in new:
+        text = text.replace(
+            'protocol = "canopen"\nbus = "can0"\nnode = 1\nsigned = true', 'protocol = "amt21"\nport = "p"'
+        )
+    wiring.write_text(text)
+    from drivers.recorder import record_bench
+
+    motion = simulate_motion(lambda angle, torque: -angle / 39, BenchRun(torque=20.0, turns=1))
+    with CanBench(motion, channel=bus_name), pytest.raises(edge.InputError) as problem:
+        record_bench(wiring, tmp_path / "run.arrows")
+    assert said in str(problem.value)
+    assert "\n" not in str(problem.value)
+    assert not (tmp_path / "run.arrows").exists()
+
+
+def test_permission_denied_is_said_in_a_sentence(monkeypatch):
+    from drivers import serial_hub
+    from drivers.encoder import EncoderSetupError, PortConfig
+
+    def refuse(*_, **__):
+        raise PermissionError(13, "could not open port: [Errno 13] Permission denied: '/dev/ttyUSB0'")
+
+    monkeypatch.setattr(serial_hub.serial, "serial_for_url", refuse)
+    with pytest.raises(EncoderSetupError, match=r'The serial port "/dev/ttyUSB0" does not open: permission denied\.'):
+        serial_hub.acquire_port(PortConfig(url="/dev/ttyUSB0"))
+
+
+@pytest.mark.parametrize("command", ["record", "run", "watch", "simulate", "export", "repair", "list"])
 def test_help_shows_an_example(tmp_path, command):
     code, out, _ = run(tmp_path, command, "--help")
     assert code == 0
@@ -241,4 +283,4 @@ def test_help_shows_an_example(tmp_path, command):
 def test_list_names_the_protocols(tmp_path):
     code, out, err = run(tmp_path, "list")
     assert code == 0, err
-    assert "protocols: amt21, canopen, dbc" in out
+    assert "protocols: amt21, ascii, canopen, dbc, modbus" in out

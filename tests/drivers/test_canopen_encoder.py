@@ -12,7 +12,8 @@ import pytest
 from drivers import recording_format as rf
 from drivers.bench import BenchRun, CanBench, Motion, quantised, simulate_motion
 from drivers.can_hub import open_bus
-from drivers.encoder import BusConfig, EncoderConnectionError, EncoderProtocolError, EncoderTimeout
+from drivers.encoder import BusConfig, EncoderConnectionError, EncoderProtocolError, EncoderSetupError, EncoderTimeout
+from drivers.faults import Fault
 from drivers.recorder import open_encoders, read_bench, record, record_bench
 from drivers.recording_format import read_recording
 
@@ -84,7 +85,9 @@ def test_a_coarse_encoder_rolls_over_at_the_turns_it_says(tmp_path, bus_name):
 
 def test_a_missing_pdo_is_a_gap_of_its_channel_alone(tmp_path, bus_name):
     motion = simulate_motion(ideal, BenchRun(torque=5.0, turns=2))
-    recording = recorded(tmp_path, bus_name, motion, expected=10**9, drop={OUTPUT: {50, 51, 100}})
+    recording = recorded(
+        tmp_path, bus_name, motion, expected=10**9, faults=[Fault("drop", 50, 2, OUTPUT), Fault("drop", 100, 1, OUTPUT)]
+    )
     output, angle = recording.samples["output_angle"], recording.samples["input_angle"]
     assert len(angle) == 192
     assert not np.any(angle.status & rf.GAP)
@@ -98,7 +101,7 @@ def test_a_missing_pdo_is_a_gap_of_its_channel_alone(tmp_path, bus_name):
 
 def test_a_missing_sync_costs_its_samples_and_marks_the_next(tmp_path, bus_name):
     motion = simulate_motion(ideal, BenchRun(torque=5.0, turns=2))
-    recording = recorded(tmp_path, bus_name, motion, expected=10**9, drop={SYNC: {30}})
+    recording = recorded(tmp_path, bus_name, motion, expected=10**9, faults=[Fault("drop", 30, 1, SYNC)])
     kept = np.setdiff1d(np.arange(192), [30])
     for name in ("input_angle", "output_angle", "torque"):
         samples = recording.samples[name]
@@ -132,8 +135,8 @@ def test_wrong_frames_and_emergencies_are_events(tmp_path, bus_name):
             seen = {}
 
             def progress(counts):
-                if not seen and counts["output_angle"] > 5:
-                    seen["at"] = dict(counts)
+                if not seen and counts.samples["output_angle"] > 5:
+                    seen["at"] = counts.samples
                     disturb()
 
             record(encoders, path, samples=motion.run.samples - 1, idle=2.0, progress=progress)
@@ -182,7 +185,7 @@ def test_two_channels_cannot_share_a_node(tmp_path, bus_name):
     with CanBench(motion, channel=bus_name) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
         toml.write_text(toml.read_text().replace("node = 2", "node = 1"))
-        with pytest.raises(EncoderConnectionError, match="taken by another channel"), open_encoders(toml):
+        with pytest.raises(EncoderSetupError, match="taken by another channel"), open_encoders(toml):
             pass
 
 
@@ -190,7 +193,7 @@ def test_a_node_that_does_not_map_its_position_is_refused(tmp_path, bus_name):
     motion = simulate_motion(ideal, BenchRun(torque=5.0, turns=1))
     with CanBench(motion, channel=bus_name) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
-        bench._nodes[1].object_dictionary[0x1A00][1].default = 0x60000010
+        bench._nodes[2].object_dictionary[0x1A00][1].default = 0x60000010
         with pytest.raises(EncoderProtocolError, match="does not map the position") as problem, open_encoders(toml):
             pass
     assert str(problem.value).startswith("output_angle: node 2 on the CAN bus")

@@ -1,0 +1,167 @@
+"""How fast samples are taken: against bare loops of python-can and pyserial on the same line in the same run."""
+
+import math
+import os
+import statistics
+import threading
+import time
+
+import can
+import numpy as np
+import pytest
+import serial
+
+from drivers.bench import BenchRun, simulate_motion
+from drivers.can_hub import BLOCK_FRAMES, CanHub, FrameReader, open_bus
+from drivers.encoder import BusConfig
+from drivers.recorder import open_encoders
+from drivers.recording_format import Channel, Header, RecordingReader, RecordingWriter, Samples
+from drivers.serial_bench import Amt21Bench
+
+PAIRS = int(os.environ.get("CYCLOID_PAIRS", "9"))
+FRAMES = 20_000
+SOAK = int(float(os.environ.get("CYCLOID_SOAK", "1e8")))
+GROUP = "239.74.163.55"
+
+
+def filled_bus(interface):
+    """Two ends of a bus, one of which holds `FRAMES` frames not yet received."""
+    channel = GROUP if interface == "udp_multicast" else f"speed-{time.monotonic_ns()}"
+    config = BusConfig(interface=interface, channel=channel)
+    sender = open_bus(config)
+    messages = [
+        can.Message(arbitration_id=0x181 + i % 2, is_extended_id=False, data=i.to_bytes(4, "little"), timestamp=1.0)
+        for i in range(FRAMES)
+    ]
+    return config, sender, messages
+
+
+def bare_rate(interface):
+    """Frames a second of a loop that does nothing but receive."""
+    config, sender, messages = filled_bus(interface)
+    with sender, open_bus(config) as bus:
+        for message in messages:
+            sender.send(message)
+        begun = time.perf_counter()
+        for _ in range(FRAMES):
+            assert bus.recv(1.0) is not None
+        return FRAMES / (time.perf_counter() - begun)
+
+
+def hub_rate(interface):
+    """Frames a second through hub and decoding, from the first frame taken to the last sample decoded."""
+    config, sender, messages = filled_bus(interface)
+    hub = CanHub.__new__(CanHub)  # its thread must not begin before the frames are there
+    with sender:
+        waiting = open_bus(config)
+        for message in messages:
+            sender.send(message)
+        go = threading.Event()
+        receive = waiting.recv
+        waiting.recv = lambda timeout=None: receive(timeout) if go.is_set() else go.wait(timeout) and None
+        import drivers.can_hub as module
+
+        original, module.open_bus = module.open_bus, lambda *_, **__: waiting
+        try:
+            hub.__init__(config)
+        finally:
+            module.open_bus = original
+        readers = [FrameReader(hub, 0x181 + i, 4, None, "x") for i in (0, 1)]
+        begun = time.perf_counter()
+        go.set()
+        waiting.recv = receive
+        got = 0
+        while got < FRAMES:
+            for reader in readers:
+                block = reader.read(0.05)
+                got += 0 if block is None else len(block.payloads)
+        rate = FRAMES / (time.perf_counter() - begun)
+        hub.close()
+    assert BLOCK_FRAMES < FRAMES
+    return rate
+
+
+def report(what, pairs, unit):
+    ratios = [ours / bare for ours, bare in pairs]
+    bare = statistics.median(b for _, b in pairs)
+    median = statistics.median(ratios)
+    print(
+        f"\n{what}: {100 * median:.0f} % of the bare loop in the median of {len(pairs)} pairs "
+        f"({100 * min(ratios):.0f} to {100 * max(ratios):.0f} %), bare {bare:.0f} {unit}"
+    )
+    return median
+
+
+@pytest.mark.parametrize("interface", ["virtual", "udp_multicast"])
+def test_frames_a_second_against_a_bare_receive_loop(interface):
+    pairs = []
+    for i in range(PAIRS):
+        first, second = (hub_rate, bare_rate) if i % 2 else (bare_rate, hub_rate)
+        one, other = first(interface), second(interface)
+        pairs.append((one, other) if first is hub_rate else (other, one))
+    report(f"CAN, {interface}", pairs, "frames/s")
+
+
+def test_amt21_round_trips_against_a_bare_serial_loop(tmp_path):
+    motion = simulate_motion(lambda a, t: -a / 39, BenchRun(torque=0.0, turns=100, speed=0.01 * math.pi))
+    pairs = []
+    with Amt21Bench(motion) as bench:
+        toml = bench.write_wiring(tmp_path / "BENCH.toml")
+        toml.write_text(toml.read_text().split("[channel.output_angle]")[0])
+        for _ in range(PAIRS):
+            with serial.serial_for_url(bench.url, baudrate=2_000_000, timeout=0.1) as port:
+                begun, count = time.perf_counter(), 0
+                while time.perf_counter() - begun < 1.0:
+                    port.write(b"\x54")
+                    assert len(port.read(2)) == 2
+                    count += 1
+                bare = count / (time.perf_counter() - begun)
+            with open_encoders(toml) as (encoder,):
+                encoder.read(0.5)
+                begun, count = time.perf_counter(), 0
+                while time.perf_counter() - begun < 1.0:
+                    block = encoder.read(0.1)
+                    count += 0 if block is None else len(block)
+                ours = count / (time.perf_counter() - begun)
+            pairs.append((ours, bare))
+    report("AMT21", pairs, "round trips/s")
+
+
+def test_soak(tmp_path):
+    """Many samples through the format at constant memory, none lost; the table is what it prints."""
+    import resource
+
+    names = ("input_angle", "output_angle", "torque")
+    header = Header(
+        tuple(Channel(n, n, "canopen", "rad", 1 << 22, 1, 0.0, "absolute", "node", "SYNC") for n in names),
+        {}, -39.0, "soak", "2025-01-01T00:00:00Z",
+    )  # fmt: skip
+    path, size = tmp_path / "soak.arrows", 4096
+    written, table = 0, []
+    begun = time.perf_counter()
+    with RecordingWriter(path, header) as writer:
+        while written < SOAK:
+            for name in names:
+                counts = np.arange(written // 3, written // 3 + size)
+                writer.write(Samples.checked(name, counts * 1e-4, counts * 1e-6, counts=counts))
+            written += 3 * size
+            if written * 10 // SOAK > len(table) and len(table) < 10:
+                peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
+                table.append((written, time.perf_counter() - begun, peak))
+    read = dict.fromkeys(names, 0)
+    with RecordingReader(path) as reader:
+        for samples, _ in reader.batches():
+            first = read[samples.channel]
+            assert samples.counts[0] == first
+            assert samples.counts[-1] == first + len(samples) - 1
+            read[samples.channel] += len(samples)
+        assert reader.problems == []
+    assert set(read.values()) == {written // 3}
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
+    print("\n     samples   seconds   peak MB")
+    for samples, seconds, used in table:
+        print(f"{samples:12d} {seconds:9.1f} {used:9d}")
+    print(
+        f"read back {sum(read.values())}, none lost, in {time.perf_counter() - begun - table[-1][1]:.1f} s; {peak} MB"
+    )
+    assert table[-1][2] - table[0][2] < 50

@@ -1,0 +1,126 @@
+"""A device's clock against the host's: offset and drift by the lower convex hull of arrival times.
+
+A sample arrives when it was taken plus a delay that is never negative and mostly small, sometimes large (schedulers,
+buffers). So the device's clock, seen on the host's, is the line that lies below all points (device time, arrival time)
+and comes closest to them: an edge of their lower convex hull. Least squares would follow the delays instead (A. Moon,
+P. Skelly and D. Towsley, Estimation and removal of clock skew from network delay measurements, INFOCOM 1999, which
+chooses this edge as the solution of a linear programme).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.recording_format import FloatArray
+
+_COVERAGE = 5.0  # found in trials: with it the band holds the true line at both ends in 95 % of them
+
+
+@dataclasses.dataclass(frozen=True)
+class ClockFit:
+    """The line host = origin_host + (1 + drift) (device - origin_device).
+
+    Attributes
+    ----------
+    origin_device, origin_host
+        A point of the line in the middle of the samples, s.
+    drift
+        Relative rate of the host's clock to the device's, less one.
+    uncertainty
+        Half width, s, at the ends of the samples, of a band about the line that holds the true one 19 times of 20:
+        from how far the line would move without the points that hold it. The smallest delay is not in it.
+    samples
+        How many arrivals it rests on.
+    """
+
+    origin_device: float
+    origin_host: float
+    drift: float
+    uncertainty: float
+    samples: int
+
+    def host(self, device: npt.ArrayLike) -> FloatArray:
+        """Return the host's time, s, of device times, s: earliest arrival, the constant part of the delay included."""
+        away = np.asarray(device, np.float64) - self.origin_device
+        return np.asarray(self.origin_host + away + self.drift * away, np.float64)
+
+
+def lower_hull(x: FloatArray, y: FloatArray) -> npt.NDArray[np.intp]:
+    """Return which points make the lower convex hull, in the order of x (Andrew's monotone chain).
+
+    Parameters
+    ----------
+    x, y
+        Points, shape (n,), any order.
+    """
+    order = np.lexsort((y, x))
+    kept: list[int] = []
+    for i in order.tolist():
+        if kept and x[kept[-1]] == x[i]:
+            continue
+        while len(kept) > 1:
+            a, b = kept[-2], kept[-1]
+            if (x[b] - x[a]) * (y[i] - y[a]) > (y[b] - y[a]) * (x[i] - x[a]):
+                break
+            kept.pop()
+        kept.append(i)
+    return np.array(kept, np.intp)
+
+
+class ClockEstimate:
+    """Offset and drift of a device's clock from all arrivals so far, at constant memory.
+
+    Only the two outermost hulls are kept, the second being that of all points without the first; a point that once
+    lies above both never gets back onto them.
+    """
+
+    def __init__(self) -> None:
+        self._points = (np.zeros(0), np.zeros(0))
+        self._layers: list[npt.NDArray[np.intp]] = []
+        self._start = (0.0, 0.0)
+        self._ends = (0.0, 0.0)
+        self._sum = 0.0
+        self.samples = 0
+
+    def add(self, device: FloatArray, host: FloatArray) -> None:
+        """Take in the arrivals of a block: device and host times, s, shape (n,)."""
+        if len(device) == 0:
+            return
+        if self.samples == 0:
+            self._start = (float(device[0]), float(host[0]))
+        # Differences from the start keep the digits that seconds since 1970 would cost.
+        away = device - self._start[0]
+        x = np.concatenate([self._points[0], away])
+        y = np.concatenate([self._points[1], (host - self._start[1]) - away])
+        outer = lower_hull(x, y)
+        left = np.setdiff1d(np.arange(len(x)), outer)
+        inner = left[lower_hull(x[left], y[left])]
+        kept = np.concatenate([outer, inner])
+        self._points = x[kept], y[kept]
+        self._layers = [np.arange(len(outer)), np.arange(len(outer), len(kept))]
+        self._ends = min(self._ends[0], float(away.min())), max(self._ends[1], float(away.max()))
+        self._sum += float(np.sum(away))
+        self.samples += len(device)
+
+    def fit(self) -> ClockFit | None:
+        """Return the line, None where there are too few arrivals to tell how well it is known."""
+        if not self._layers or min(map(len, self._layers)) < 2:
+            return None
+        middle = self._sum / self.samples
+        lines = [_edge_at(self._points[0][layer], self._points[1][layer], middle) for layer in self._layers]
+        (at, drift), (other_at, other_drift) = lines
+        # What the line would be without the points that hold it says how well they hold it.
+        moved = [abs(other_at - at + (other_drift - drift) * (end - middle)) for end in (*self._ends, middle)]
+        return ClockFit(
+            middle + self._start[0], middle + at + self._start[1], drift, _COVERAGE * max(moved), self.samples
+        )
+
+
+def _edge_at(x: FloatArray, y: FloatArray, middle: float) -> tuple[float, float]:
+    """Return height at `middle` and slope of the hull's edge there: of all lines below, the closest in the mean."""
+    edge = min(max(int(np.searchsorted(x, middle, side="right")) - 1, 0), len(x) - 2)
+    slope = float((y[edge + 1] - y[edge]) / (x[edge + 1] - x[edge]))
+    return float(y[edge]) + slope * (middle - float(x[edge])), slope

@@ -1,0 +1,322 @@
+"""A recording in other formats, batch by batch: netCDF, Parquet, CSV, MDF4; and what a torn one still holds."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cycloid_fmu import edge
+from drivers.recording_format import (
+    COLUMN_DTYPES,
+    GAP,
+    Event,
+    FloatArray,
+    Header,
+    RecordingReader,
+    RecordingWriter,
+    Samples,
+    record_batch,
+    recording_metadata,
+    recording_schema,
+)
+
+Progress = Callable[[], None]
+_CHUNK = 1 << 16  # samples gathered before they are written: small batches make large files of netCDF and MDF4
+
+
+def check_ending(path: Path) -> None:
+    """Refuse, with an `edge.InputError`, a path whose ending is no format known here."""
+    if path.suffix.lower() not in _WRITERS:
+        raise edge.InputError(f"--output = {path}: the file must end in .csv, .nc, .parquet or .mf4.")
+
+
+def export(reader: RecordingReader, path: Path, progress: Progress) -> int:
+    """Write a recording by the file's ending, .csv, .nc, .parquet or .mf4, at constant memory; return the rows.
+
+    Parameters
+    ----------
+    reader
+        The recording, nothing of it read yet.
+    path
+        File to write; it appears whole or not at all.
+    progress
+        Called after each batch.
+
+    Raises
+    ------
+    edge.InputError
+        If the ending is another, a library is missing, or the CSV's channels are not there.
+    """
+    check_ending(path)
+    with edge.written_whole(path) as temporary:
+        return _WRITERS[path.suffix.lower()](reader, temporary, progress)
+
+
+def _gathered(reader: RecordingReader, events: list[Event], progress: Progress) -> Iterator[Samples]:
+    """Yield each channel's samples in large blocks, and collect the events."""
+    waiting: dict[str, list[Samples]] = {c.name: [] for c in reader.header.channels}
+    for samples, said in reader.batches():
+        events.extend(said)
+        progress()
+        blocks = waiting[samples.channel]
+        blocks.append(samples)
+        if sum(map(len, blocks)) >= _CHUNK:
+            yield joined(blocks)
+            blocks.clear()
+    for blocks in waiting.values():
+        if any(map(len, blocks)):
+            yield joined(blocks)
+
+
+def joined(blocks: list[Samples]) -> Samples:
+    """Return blocks of one channel as one; a column that one of them lacks is NaN or 0 there."""
+    columns: dict[str, Any] = {}
+    for name, kind in COLUMN_DTYPES.items():
+        parts = [getattr(b, name) for b in blocks]
+        if all(p is None for p in parts):
+            columns[name] = None
+            continue
+        missing = np.nan if kind == "<f8" else 0
+        filled = [np.full(len(b), missing, kind) if p is None else p for b, p in zip(blocks, parts, strict=True)]
+        columns[name] = np.concatenate(filled)
+    return Samples(blocks[0].channel, **columns)
+
+
+def _event_text(events: list[Event]) -> str:
+    return json.dumps([dataclasses.asdict(e) for e in events])
+
+
+def _parquet(reader: RecordingReader, path: Path, progress: Progress) -> int:
+    """Write the recording's own table, metadata and all; the events go into the file's metadata."""
+    import pyarrow.parquet as pq
+
+    schema, rows, events = recording_schema(reader.header), 0, []  # type: tuple[Any, int, list[Event]]
+    with pq.ParquetWriter(path, schema, compression="zstd") as writer:
+        for block in _gathered(reader, events, progress):
+            writer.write_batch(record_batch(block, schema, [c.name for c in reader.header.channels]))
+            rows += len(block)
+        writer.add_key_value_metadata({"events": _event_text(events)})
+    return rows
+
+
+def _netcdf(reader: RecordingReader, path: Path, progress: Progress) -> int:
+    """Write a group for each channel; xarray opens them with `group=`."""
+    import h5netcdf
+
+    rows, events = 0, []  # type: tuple[int, list[Event]]
+    units = {"time_host": "s", "time_device": "s", "counts": "1", "status": "1"}
+    with h5netcdf.File(path, "w") as file:
+        for key, text in recording_metadata(reader.header).items():
+            file.attrs[key] = text
+        groups: dict[str, Any] = {}
+        for channel in reader.header.channels:
+            group = groups[channel.name] = file.create_group(channel.name)
+            group.dimensions["sample"] = None
+            for key, value in dataclasses.asdict(channel).items():
+                group.attrs[key] = "" if value is None else value
+        for block in _gathered(reader, events, progress):
+            group = groups[block.channel]
+            begin = group.dimensions["sample"].size
+            group.resize_dimension("sample", begin + len(block))
+            for name, kind in COLUMN_DTYPES.items():
+                array = getattr(block, name)
+                if array is None:
+                    continue
+                if name not in group.variables:
+                    variable = group.create_variable(name, ("sample",), np.dtype(kind), chunks=(_CHUNK,))
+                    variable.attrs["units"] = units.get(name, str(group.attrs["unit"]))
+                group.variables[name][begin : begin + len(block)] = array
+            rows += len(block)
+        file.attrs["events"] = _event_text(events)
+    return rows
+
+
+def _mdf(reader: RecordingReader, path: Path, progress: Progress) -> int:
+    """Write a channel group for each channel, the time since the start as its master."""
+    try:
+        from asammdf import MDF, Signal
+    except ImportError:
+        raise edge.InputError("MDF4 needs the extra bench-files: pip install 'cycloid-fmu[bench-files]'.") from None
+
+    rows, events = 0, []  # type: tuple[int, list[Event]]
+    described = {c.name: c for c in reader.header.channels}
+    groups: dict[str, tuple[int, list[str]]] = {}
+    file = MDF(version="4.10")
+    try:
+        for block in _gathered(reader, events, progress):
+            names = [n for n in ("value", "counts", "time_device", "status") if getattr(block, n) is not None]
+            channel = described[block.channel]
+            if block.channel not in groups:
+                units = {"value": channel.unit, "time_device": "s"}
+                signals = [
+                    Signal(
+                        getattr(block, n), block.time_host, units.get(n, ""),
+                        block.channel if n == "value" else f"{block.channel}.{n}",
+                    )
+                    for n in names
+                ]  # fmt: skip
+                groups[block.channel] = (file.append(signals, comment=json.dumps(dataclasses.asdict(channel))), names)
+            else:
+                index, names = groups[block.channel]
+                columns = [
+                    (np.zeros(len(block)) if getattr(block, n) is None else getattr(block, n), None) for n in names
+                ]
+                file.extend(index, [(block.time_host, None), *columns])
+            rows += len(block)
+        file.header.comment = json.dumps({**recording_metadata(reader.header), "events": _event_text(events)})
+        file.save(path, overwrite=True)
+    finally:
+        file.close()
+    return rows
+
+
+_TABLE = ("input_angle", "output_angle", "torque")
+
+
+def _csv(reader: RecordingReader, path: Path, progress: Progress) -> int:
+    """Write the table that `cycloid-fit` reads: the angles by equal `time_host`, the torque between its samples.
+
+    Channels latched by one SYNC share it to the last bit. A crank at 1500 rpm turns 33 arcsec in a microsecond, so
+    angles read one after the other are not a pair. The torque is NaN outside of its own times.
+    """
+    names = {c.role: c.name for c in reader.header.channels}
+    source = reader.source
+    ends = _last_times(source)
+    for role in _TABLE:
+        if ends.get(names.get(role, "")) is None:
+            raise edge.InputError(f"{source}: the table needs the channel {role}; the recording has no samples of it.")
+    rows, start = 0, None
+    with path.open("w", encoding="utf-8", newline="\n") as file:
+        file.write("time [s],input_angle [rad],output_angle [rad],torque [N*m]\n")
+        for time, angle, output, torque in _paired(reader, names, ends, progress):
+            start = float(time[0]) if start is None else start
+            np.savetxt(file, np.column_stack([time - start, angle, output, torque]), "%.15g", ",")
+            rows += len(time)
+    if rows == 0:
+        raise edge.InputError(
+            f"{source}: input_angle and output_angle share no instant (they were not latched by one SYNC), so they are "
+            "no pairs; export .nc, .parquet or .mf4, or give the recording itself to cycloid-fit."
+        )
+    return rows
+
+
+def _last_times(source: str) -> dict[str, float]:
+    """Return the latest `time_host` of every channel that has samples."""
+    ends: dict[str, float] = {}
+    with RecordingReader(source) as reader:
+        for samples, _ in reader.batches():
+            if len(samples):
+                ends[samples.channel] = max(ends.get(samples.channel, -np.inf), float(samples.time_host.max()))
+    return ends
+
+
+def _paired(
+    reader: RecordingReader, names: dict[str, str], ends: dict[str, float], progress: Progress
+) -> Iterator[tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
+    """Yield time, input angle, output angle and torque, holding back only what has no partner yet."""
+    roles = {names[role]: role for role in _TABLE}
+    held = {role: (np.zeros(0), np.zeros(0)) for role in _TABLE}
+    newest = dict.fromkeys(_TABLE, -np.inf)
+
+    def ready() -> Iterator[tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
+        # Up to here no channel will add anything; one that has come to its end adds nothing any more.
+        until = min((newest[r] for r in _TABLE if newest[r] < ends[names[r]]), default=np.inf)
+        (ta, a), (tb, b), (tt, torque) = (held[r] for r in _TABLE)
+        time, i, j = np.intersect1d(ta[ta < until], tb[tb < until], return_indices=True)
+        if len(time):
+            order = np.argsort(tt, kind="stable")
+            yield (
+                time,
+                a[ta < until][i],
+                b[tb < until][j],
+                np.interp(time, tt[order], torque[order], left=np.nan, right=np.nan)
+                if len(tt)
+                else np.full(len(time), np.nan),
+            )
+        held["input_angle"], held["output_angle"] = (ta[ta >= until], a[ta >= until]), (tb[tb >= until], b[tb >= until])
+        before = tt[tt < until]
+        oldest = before.max() if len(before) else -np.inf  # the torque before the next instant is still needed
+        held["torque"] = tt[tt >= oldest], torque[tt >= oldest]
+
+    gathered = 0
+    for samples, _ in reader.batches():
+        progress()
+        role = roles.get(samples.channel)
+        if role is None or not len(samples):
+            continue
+        time, value = held[role]
+        held[role] = np.concatenate([time, samples.time_host]), np.concatenate([value, samples.value])
+        newest[role] = max(newest[role], float(samples.time_host.max()))
+        gathered += len(samples)
+        if gathered >= _CHUNK:
+            gathered = 0
+            yield from ready()
+    newest = {role: ends[names[role]] for role in _TABLE}
+    yield from ready()
+
+
+_WRITERS: dict[str, Callable[[RecordingReader, Path, Progress], int]] = {
+    ".csv": _csv, ".nc": _netcdf, ".parquet": _parquet, ".mf4": _mdf,
+}  # fmt: skip
+
+
+@dataclasses.dataclass
+class HeldChannel:
+    """What a recording holds of a channel: samples, how many follow a gap, first and last `time_host` in s."""
+
+    samples: int = 0
+    gaps: int = 0
+    first: float = np.inf
+    last: float = -np.inf
+
+
+@dataclasses.dataclass
+class Held:
+    """What a recording holds that can be trusted."""
+
+    header: Header
+    channels: dict[str, HeldChannel]
+    events: int = 0
+
+
+def repaired(reader: RecordingReader, output: str | os.PathLike[str] | None, progress: Progress) -> Held:
+    """Read all that can be trusted of a recording, and write it as a whole one.
+
+    Parameters
+    ----------
+    reader
+        The recording, nothing of it read yet; its `problems` say afterwards what is wrong.
+    output
+        New recording, or None.
+    progress
+        Called after each batch.
+
+    Raises
+    ------
+    edge.InputError
+        If the output exists or can't be created.
+    """
+    held = Held(reader.header, {c.name: HeldChannel() for c in reader.header.channels})
+    writer = RecordingWriter(output, reader.header) if output is not None else None
+    try:
+        for samples, events in reader.batches():
+            progress()
+            held.events += len(events)
+            if len(samples):
+                channel = held.channels[samples.channel]
+                channel.samples += len(samples)
+                channel.gaps += int(np.count_nonzero(samples.status & GAP))
+                channel.first = min(channel.first, float(samples.time_host.min()))
+                channel.last = max(channel.last, float(samples.time_host.max()))
+            if writer is not None:
+                writer.write(samples, events)
+    finally:
+        if writer is not None:
+            writer.close()
+    return held

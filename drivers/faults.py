@@ -1,0 +1,130 @@
+"""Scripted faults of the simulated bench: what goes wrong, when and with whom."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Annotated, Literal, TypeAlias, get_args
+
+import pydantic
+
+from cycloid_fmu import edge
+
+FORMAT = "cycloid-faults/1"
+
+Kind: TypeAlias = Literal[
+    "drop", "duplicate", "swap", "short", "garbage", "clock_jump", "reset",
+    "emergency", "reboot", "silence", "bus_off",
+    "mute", "half", "corrupt", "wrong_baud", "pull",
+]  # fmt: skip
+_FRAME_FAULTS = ("drop", "duplicate", "swap", "short", "garbage")
+NODE_FAULTS = ("emergency", "reboot", "silence", "bus_off")
+SERIAL_FAULTS = ("mute", "half", "corrupt", "garbage", "wrong_baud", "pull")
+
+
+@dataclasses.dataclass(frozen=True)
+class Fault:
+    """One thing that goes wrong.
+
+    Attributes
+    ----------
+    kind
+        Of a frame on CAN: "drop" it is not sent, "duplicate" it is sent twice, "swap" it comes after the next one,
+        "short" its last byte is missing, "garbage" random bytes of another length take its place, "clock_jump" stamps
+        jump by `by` seconds from here on (virtual bus), "reset" the counter starts again at 0. Of a node: "emergency"
+        it sends an EMCY, "reboot" it starts anew, "silence" neither frames nor heartbeat; "bus_off" of the bus.
+        On a serial line: "mute" no answer, "half" half of one, "corrupt" one with a flipped bit, "garbage" random
+        bytes, "wrong_baud" one as it looks at three quarters of the baud rate, "pull" the cable is out.
+    sample
+        From which sample on (CAN), or which question or line on (serial), counted from 0.
+    count
+        How many samples, questions or lines long.
+    target
+        The frame's identifier (0x181, 0x182, 0x2A0, SYNC 0x80), of which the low bits are the node; the address of a
+        serial encoder. None where there is only one.
+    by
+        Seconds of a clock jump, or out of the socket.
+    """
+
+    kind: Kind
+    sample: int
+    count: int = 1
+    target: int = 0
+    by: float = 0.0
+
+
+class _FaultConfig(edge.Config):
+    kind: Literal[get_args(Kind)]  # type: ignore[valid-type]
+    sample: Annotated[int, pydantic.Field(ge=0)]
+    count: Annotated[int, pydantic.Field(ge=1)] = 1
+    target: Annotated[int, pydantic.Field(ge=0, le=0x7FF)] = 0
+    by: edge.Seconds = 0.0
+
+
+class _FaultFile(edge.Config):
+    fault: list[_FaultConfig]
+
+
+def read_faults(path: str | os.PathLike[str]) -> list[Fault]:
+    """Read a `FAULTS.toml`: tables `[[fault]]` with the keys of `Fault`.
+
+    Raises
+    ------
+    edge.InputError
+        Naming file, table and key.
+    """
+    table = edge.toml_table(edge.read_text(path), FORMAT, str(path))
+    return [Fault(**f.model_dump()) for f in edge.validated(_FaultFile, table, str(path)).fault]
+
+
+Frame: TypeAlias = tuple[int, bytes, float]
+
+
+def faulty_frames(frames: Iterable[list[Frame]], faults: Sequence[Fault]) -> Iterator[list[Frame]]:
+    """Yield the frames of each sample (identifier, data, stamp) as the faults leave them."""
+    late: list[Frame] = []
+    jump = 0.0
+    for i, sample in enumerate(frames):
+        now = [f for f in faults if f.sample <= i < f.sample + f.count]
+        jump += sum(f.by for f in now if f.kind == "clock_jump" and f.sample == i)
+        if not (now or late or jump):
+            yield sample
+            continue
+        made: list[Frame] = []
+        held: list[Frame] = []
+        for identifier, data, stamp in sample:
+            frame = (identifier, data, stamp + jump)
+            kind = next((f.kind for f in now if f.target == identifier and f.kind in _FRAME_FAULTS), None)
+            if kind == "duplicate":
+                made += [frame, frame]
+            elif kind == "short":
+                made.append((identifier, data[:-1], frame[2]))
+            elif kind == "garbage":
+                made.append((identifier, bytes((i * 37 + k * 101 + 11) % 256 for k in range(1 + i % 3)), frame[2]))
+            elif kind == "swap":
+                held.append(frame)  # behind the next one
+            elif kind != "drop":
+                made.append(frame)
+        made += late
+        late = held
+        yield made
+
+
+def at_wrong_baud(data: bytes, factor: float = 0.75) -> bytes:
+    """Return what a receiver makes of bytes sent at 1 / `factor` of its baud rate, 8 data bits, no parity.
+
+    Start bit 0, data from the lowest bit, stop bit 1; the receiver samples the middle of each of its own bits and drops
+    bytes without a stop bit.
+    """
+    line = [bit for byte in data for bit in (0, *((byte >> k) & 1 for k in range(8)), 1)] + [1] * 12
+    got, at = bytearray(), 0.0
+    while at < len(line) - 12:
+        if line[int(at)]:
+            at += 1 / 16
+            continue
+        bits = [line[min(int(at + (k + 0.5) / factor), len(line) - 1)] for k in range(10)]
+        if bits[9]:
+            got.append(sum(bit << k for k, bit in enumerate(bits[1:9])))
+        at += 9.5 / factor
+    return bytes(got)

@@ -1,0 +1,41 @@
+"""Record a line-based counter on a serial port, from Python, and put its own clock on the host's.
+
+A simulated counter on a pseudo-terminal stands in for yours: leave it out, and name your own port in bench.toml, such
+as url = "/dev/ttyUSB0". Its clock runs 50 ppm fast, and its lines are late by what the scheduler likes.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from drivers.bench import BenchRun, simulate_motion
+from drivers.recorder import record_bench
+from drivers.recording_format import read_recording
+from drivers.serial_bench import AsciiBench
+
+OUT = Path("record_serial_out")
+
+
+def main() -> None:
+    OUT.mkdir(exist_ok=True)
+    path = OUT / "run.arrows"
+    path.unlink(missing_ok=True)
+    motion = simulate_motion(lambda angle, torque: -angle / 39, BenchRun(torque=0.0, turns=3, samples_per_turn=200))
+    with AsciiBench(motion, clock_drift=50e-6) as bench:
+        wiring = bench.write_wiring(OUT / "bench.toml", ratio=-39.0)
+
+        done = record_bench(wiring, path, stop=lambda: bench.wait(0.0))
+
+    recording = read_recording(path)
+    samples, clock = recording.samples["output_angle"], recording.clock("output_angle")
+    print(f"{len(samples)} lines; marks {done.marks}; {done.events} events")
+    if clock is not None:
+        late = samples.time_host - recording.aligned_time("output_angle")
+        print(
+            f"clock: drift {clock['drift'] * 1e6:+.1f} ppm, known to {clock['uncertainty'] * 1e6:.0f} us; "
+            f"lines came {np.median(late) * 1e6:.0f} us late in the median, {late.max() * 1e6:.0f} us at most"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,87 @@
+"""A device's clock by the lower convex hull, against clocks that are known and against least squares."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
+
+from drivers.clock import ClockEstimate, lower_hull
+
+START = 1.7e9  # seconds since 1970: differences must survive them
+
+
+def estimated(device, host, blocks=100):
+    clock = ClockEstimate()
+    for part in np.array_split(np.arange(len(device)), blocks):
+        clock.add(device[part], host[part])
+    return clock.fit()
+
+
+def trial(seed, delay, drift=37e-6, seconds=10.0, rate=100):
+    """Return the largest error of hull and least squares over the trial, and what the hull says it is at most."""
+    random = np.random.default_rng(seed)
+    device = np.arange(int(seconds * rate)) / rate
+    true = START + 0.5 + device * (1 + drift)
+    host = true + delay(random, len(device))
+    fit = estimated(device, host)
+    line = np.polyfit(device, host - START, 1)
+    squares = np.polyval(line, device) + START - true
+    return np.max(np.abs(fit.host(device) - true)), fit.uncertainty, np.max(np.abs(squares))
+
+
+def test_after_10_s_at_100_hz_it_is_right_to_7_us_where_least_squares_is_off_by_a_millisecond():
+    trials = [trial(seed, lambda r, n: r.exponential(1e-3, n)) for seed in range(40)]
+    error, uncertainty, squares = np.median(trials, axis=0)
+    assert error < 7e-6
+    assert squares > 0.9e-3
+    assert uncertainty < 60e-6
+
+
+@pytest.mark.parametrize(
+    "delay",
+    [
+        lambda r, n: r.exponential(1e-3, n),
+        lambda r, n: 1e-4 * r.pareto(1.5, n),
+        lambda r, n: r.gamma(2, 5e-4, n),
+        lambda r, n: r.exponential(2e-4, n) + (r.random(n) < 0.1) * r.exponential(20e-3, n),
+    ],
+)
+def test_its_uncertainty_holds_the_true_clock(delay):
+    trials = np.array([trial(seed, delay) for seed in range(60)])
+    assert np.mean(trials[:, 0] <= trials[:, 1]) >= 0.9
+
+
+def test_without_delays_it_is_exact():
+    device = np.arange(1000) / 100
+    fit = estimated(device, 2.0 + device * (1 - 80e-6))
+    assert fit is None or fit.drift == pytest.approx(-80e-6, abs=1e-12)
+
+
+def test_blocks_make_no_difference_and_memory_does_not_grow():
+    random = np.random.default_rng(3)
+    device = np.arange(50_000) / 1000
+    host = START + device * (1 + 1e-5) + random.exponential(1e-3, len(device))
+    once, often = estimated(device, host, 1), estimated(device, host, 5000)
+    assert often.drift == once.drift
+    assert often.origin_host == pytest.approx(once.origin_host, abs=1e-6)
+    assert often.uncertainty == pytest.approx(once.uncertainty, rel=1e-9)
+    clock = ClockEstimate()
+    sizes = []
+    for part in np.array_split(np.arange(len(device)), 500):
+        clock.add(device[part], host[part])
+        sizes.append(len(clock._points[0]))
+    assert max(sizes) < 100
+
+
+@given(st.lists(st.tuples(st.integers(-1000, 1000), st.integers(-1000, 1000)), min_size=3, max_size=60, unique=True))
+def test_the_lower_hull_is_that_of_qhull(points):
+    x, y = np.array(points, float).T
+    if np.ptp(x) == 0 or np.linalg.matrix_rank(np.column_stack([x - x[0], y - y[0]])) < 2:
+        return
+    found = lower_hull(x, y)
+    assert np.all(np.diff(x[found]) > 0)
+    height = np.interp(x, x[found], y[found])
+    assert np.all(y >= height - 1e-9), "no point lies below it"
+    corners = set(ConvexHull(np.column_stack([x, y])).vertices.tolist())
+    assert set(found.tolist()) <= corners

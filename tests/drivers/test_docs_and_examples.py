@@ -1,0 +1,57 @@
+"""The page on writing an encoder and the examples, as they stand."""
+
+import importlib.metadata
+import re
+import subprocess
+import sys
+
+import pytest
+from common import EXAMPLES
+
+from drivers import encoder
+from drivers.recorder import record_bench
+from drivers.recording_format import read_recording
+
+
+def test_the_encoder_of_the_docs_records(tmp_path, monkeypatch):
+    text = (EXAMPLES.parent / "docs" / "encoder.md").read_text()
+    code = re.search(r"<!-- encoder -->\n```python\n(.*?)```", text, re.S)[1]
+    (tmp_path / "file_encoder.py").write_text(code)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    point = importlib.metadata.EntryPoint("file", "file_encoder:FileEncoder", encoder.ENTRY_POINTS)
+    monkeypatch.setattr(encoder, "protocols", lambda: {"file": point})
+    (tmp_path / "BENCH.toml").write_text(
+        'format = "cycloid-bench/1"\n[channel.input_angle]\nprotocol = "file"\npath = "angle.txt"\n'
+    )
+    (tmp_path / "angle.txt").write_text("180")
+    path = tmp_path / "run.arrows"
+
+    gone = []
+
+    def progress(live):
+        if live.samples["input_angle"] == 20 and not gone:
+            gone.append(True)
+            (tmp_path / "angle.txt").unlink()
+        elif live.channels["input_angle"].failure is not None:
+            (tmp_path / "angle.txt").write_text("90")
+
+    record_bench(tmp_path / "BENCH.toml", path, samples=60, duration=20.0, progress=progress)
+    samples = read_recording(path).samples["input_angle"]
+    assert samples.value[0] == pytest.approx(3.14159265)
+    assert samples.value[-1] == pytest.approx(3.14159265 / 2)
+    assert samples.status.nonzero()[0].tolist() == [20], "supervision is the recorder's, not the encoder's"
+
+
+@pytest.mark.parametrize(
+    ("example", "said"),
+    [
+        ("record_can.py", r"input_angle: 192 samples in rad; .*TE -4\.\d+ arcsec in the mean"),
+        ("record_serial.py", r"\d{3} lines; marks .* known to \d+ us"),
+    ],
+)
+def test_the_examples_run(tmp_path, example, said):
+    run = subprocess.run(
+        [sys.executable, str(EXAMPLES / example)], cwd=tmp_path, capture_output=True, text=True, timeout=120
+    )
+    assert run.returncode == 0, run.stderr
+    assert re.search(said, run.stdout, re.S), run.stdout

@@ -1,0 +1,134 @@
+"""Mutated frames and bytes: no crash, and no sample that the checksums could have told to be wrong."""
+
+import os
+
+import numpy as np
+import pytest
+
+from drivers.amt21_encoder import Amt21Config, Amt21Encoder, check_bits
+from drivers.ascii_counter import AsciiConfig, AsciiCounter
+from drivers.can_hub import FrameReader, Frames
+from drivers.encoder import BlockQueue, PortConfig
+from drivers.modbus_encoder import ModbusConfig, ModbusEncoder
+from tests.drivers.test_serial_encoders import CONFIG, nmea
+
+MUTATIONS = int(float(os.environ.get("CYCLOID_MUTATIONS", "1e6")))
+COUNTS = [4000, pytest.param(MUTATIONS, marks=pytest.mark.slow)]
+PORT = PortConfig(url="loop://")
+
+
+def mutated(random, data):
+    """Flip bits, cut, repeat, insert."""
+    data = bytearray(data)
+    for _ in range(random.integers(0, 3)):
+        kind = random.integers(0, 4)
+        at = int(random.integers(0, len(data) + 1))
+        if kind == 0 and data:
+            data[at % len(data)] ^= 1 << int(random.integers(0, 8))
+        elif kind == 1:
+            del data[at:]
+        elif kind == 2:
+            data[at:at] = data[: int(random.integers(0, 4))]
+        else:
+            data[at:at] = random.bytes(int(random.integers(1, 4)))
+    return bytes(data)
+
+
+def odd(answer):
+    """Whether the datasheet's check bits hold, from its own text: odd and even bits each of odd parity."""
+    word = int.from_bytes(answer, "little")
+    return all((word & mask).bit_count() % 2 == 1 for mask in (0xAAAA, 0x5555))
+
+
+def polled(encoder, answers):
+    encoder._answers.put([(float(i), a) for i, a in enumerate(answers)], len(answers))
+    samples = encoder.read(0.0)
+    encoder.events()
+    return samples
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_amt21(count):
+    random = np.random.default_rng(1)
+    encoder = Amt21Encoder("input_angle", Amt21Config(protocol="amt21", port="p"), PORT)
+    for _ in range(0, count, 1000):
+        words = check_bits(random.integers(0, 1 << 14, 1000).astype(np.uint16))
+        answers = [mutated(random, w.tobytes()) for w in words]
+        samples = polled(encoder, answers)
+        right = [len(a) == 2 and odd(a) for a in answers]
+        allowed = [a for a, good in zip(answers, right, strict=True) if good]
+        assert len(samples) == len(allowed)
+        raw = np.array([int.from_bytes(a, "little") & 0x3FFF for a in allowed])
+        np.testing.assert_array_equal(samples.counts % (1 << 14), raw)
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_modbus(count):
+    random = np.random.default_rng(2)
+    config = ModbusConfig(protocol="modbus", port="p", device=7, register=0, counts_per_turn=4096)
+    encoder = ModbusEncoder("input_angle", config, PORT)
+    from pymodbus.framer import FramerRTU
+
+    for _ in range(0, count, 1000):
+        sent = [b"\x07\x03\x04" + random.bytes(4) for _ in range(1000)]
+        whole = [s + FramerRTU.compute_CRC(s).to_bytes(2, "big") for s in sent]
+        answers = [mutated(random, w) for w in whole]
+        samples = polled(encoder, answers)
+        # A CRC of 16 bits sees every change of up to three bits of so short a frame: what is accepted was sent so.
+        untouched = [a for a, w in zip(answers, whole, strict=True) if a == w]
+        assert len(untouched) <= len(samples) <= len(untouched) + 1
+        if len(samples) == len(untouched):
+            raw = np.array([int.from_bytes(a[3:7], "big") for a in untouched])
+            np.testing.assert_array_equal(samples.counts % (1 << 32), raw)
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_lines(count):
+    random = np.random.default_rng(3)
+    counter = AsciiCounter("output_angle", CONFIG, PORT)
+    counter._skipping = False
+    for start in range(0, count, 1000):
+        numbers = range(start, start + 1000)
+        answers = [mutated(random, nmea(n, 7 * n)) for n in numbers]
+        samples = polled(counter, answers)
+        wrong = np.count_nonzero(samples.counts % 7)
+        assert wrong <= 12, "an exclusive or of eight bits lets one mutated line of 256 pass, and most repeats"
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_frames(count):
+    random = np.random.default_rng(4)
+
+    class Hub:
+        def subscribe(self, identifier):
+            return BlockQueue()
+
+        def events(self):
+            return []
+
+    reader = FrameReader(Hub(), 0x181, 4, 1, "input_angle")
+    sync = 0
+    kept = 0
+    for _ in range(0, count, 1000):
+        frames = Frames()
+        for i in range(1000):
+            sync += int(random.integers(0, 3))
+            frames.sync.append(sync if random.random() < 0.99 else -1)
+            frames.sync_time.append(sync * 0.01)
+            frames.time.append(sync * 0.01 + random.normal(0, 1))
+            frames.data.append(bytearray(mutated(random, i.to_bytes(4, "little"))))
+        reader._blocks.put(frames, 1000)
+        judged = reader.read(0.0)
+        reader.events()
+        kept += len(judged.payloads)
+        assert judged.payloads.shape == (len(judged.status), 4)
+        good = {bytes(d) for d in frames.data if len(d) == 4}
+        assert {p.tobytes() for p in judged.payloads} <= good
+    assert kept > count / 10
+
+
+def test_lines_without_a_checksum_are_told_by_their_form():
+    config = AsciiConfig(protocol="ascii", port="p", line="{counts}", counts_per_turn=10)
+    counter = AsciiCounter("output_angle", config, PORT)
+    counter._skipping = False
+    assert polled(counter, [b"12\n1x\n", b"\xff\xfe\n", b"13\r\n", b"9" * 40 + b"\n"]).counts.tolist() == [12, 13]

@@ -1,0 +1,134 @@
+"""A test sequence from its file to its recordings, driven by the simulated bench in a process of its own."""
+
+import itertools
+import math
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cycloid_fmu import edge
+from drivers.bench import BenchRun, CanBench, simulate_hysteresis, simulate_motion
+from drivers.recording_format import read_recording
+from drivers.sequence import read_sequence, shortfalls
+from tests.drivers.test_bench_cli import needs_multicast, run
+
+numbers = itertools.count(10)
+
+SEQUENCE = """format = "cycloid-sequence/1"
+bench = "BENCH.toml"
+loads = ["20 N*m"]
+speeds = ["300 rpm"]
+directions = ["forward", "backward"]
+turns = 3
+load_tolerance = "1 N*m"
+speed_tolerance = "30 rpm"
+"""
+
+
+def drive(group):
+    cycloid_bench = f"'{sys.executable}' -m drivers.cli"
+    common = f"--ratio -39 --channel {group} --speed-factor 1 --speed '300 rpm'"
+    return f"""
+[hysteresis]
+torque = "100 N*m"
+[drive]
+run = "{cycloid_bench} simulate {common} --torque '{{torque}}' --turns 4 --direction {{direction}}"
+hysteresis = "{cycloid_bench} simulate {common} --torque '{{torque}}' --turns {{turns}} --hysteresis"
+"""
+
+
+@pytest.fixture
+def wiring(tmp_path, bus_name):
+    motion = simulate_motion(lambda angle, torque: -angle / 39, BenchRun(torque=20.0, turns=1))
+    return CanBench(motion, channel=bus_name).write_wiring(tmp_path / "BENCH.toml", ratio=-39)
+
+
+@needs_multicast
+def test_a_driven_sequence_records_every_step(tmp_path, monkeypatch):
+    root = str(Path(__file__).parents[2])
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([root, os.environ.get("PYTHONPATH", "")]))
+    group = f"239.75.{os.getpid() % 250}.{next(numbers)}"
+    path = tmp_path / "sequence.toml"
+    path.write_text(SEQUENCE + drive(group))
+    code, out, err = run(tmp_path, "run", path)
+    assert code == 0, err
+    assert out.count("recorded") == 3
+    for direction, sign in (("forward", 1), ("backward", -1)):
+        recording = read_recording(tmp_path / f"300rpm-20Nm-{direction}.arrows")
+        assert recording.header.conditions["direction"] == direction
+        angle, torque = recording.samples["input_angle"].value, recording.samples["torque"].value
+        assert sign * (angle[-1] - angle[0]) >= 6 * math.pi
+        np.testing.assert_allclose(torque, sign * 20.0, atol=1e-3)
+    loop = read_recording(tmp_path / "hysteresis-100Nm.arrows").samples
+    assert np.ptp(loop["input_angle"].value) == 0
+    assert loop["torque"].value.max() == pytest.approx(100, rel=0.02)
+    assert loop["torque"].value.min() == pytest.approx(-100, rel=0.02)
+
+
+def step_and_samples(tmp_path, wiring, step_number=0, motion=None, **run_options):
+    path = tmp_path / "sequence.toml"
+    path.write_text(SEQUENCE + '[hysteresis]\ntorque = "100 N*m"\n')
+    sequence = read_sequence(path)
+    step = sequence.steps[step_number]
+    given = BenchRun(**{"torque": step.torque, "turns": 3, "speed": 10 * math.pi, **run_options})
+    made = motion(lambda a, t: -a / 39, given) if motion else simulate_motion(lambda a, t: -a / 39, given)
+    from drivers.recording_format import Samples
+
+    roles = {"input_angle": made.input_angle, "output_angle": made.output_angle, "torque": made.torque}
+    return shortfalls(step, {n: Samples.checked(n, made.time, v) for n, v in roles.items()}, sequence.file)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({}, None),
+        ({"torque": 17.0}, r"the mean torque is 17 N\*m, not 20 ± 1"),
+        ({"torque": -20.0}, r"the mean torque is -20 N\*m"),
+        ({"direction": "backward"}, "the crank turns the other way, not forward"),
+        ({"turns": 2}, r"the crank makes 1.99 turns, not 3"),
+        ({"speed": 5 * math.pi}, r"the mean speed is 150 rpm, not 300 ± 30"),
+        ({"torque_noise": 10.0}, "the torque wanders by"),
+    ],
+)
+def test_a_step_that_is_not_reached_says_why(tmp_path, wiring, options, said):
+    found = step_and_samples(tmp_path, wiring, **options)
+    if said is None:
+        assert found == []
+    else:
+        import re
+
+        assert any(re.search(said, s) for s in found), found
+
+
+def test_a_loop_that_is_not_reached_says_why(tmp_path, wiring):
+    assert step_and_samples(tmp_path, wiring, 2, simulate_hysteresis, turns=1, torque=100.0) == []
+    found = step_and_samples(tmp_path, wiring, 2, simulate_hysteresis, turns=1, torque=90.0)
+    assert found == [
+        "the highest torque reaches 90 of 100 N*m",
+        "the lowest torque reaches 90 of 100 N*m",
+    ]
+    assert any("not locked" in s for s in step_and_samples(tmp_path, wiring, 2))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (
+            '"20 N*m"',
+            '"300000 N*m"',
+            r"loads: 300000 N\*m is beyond the torque sensor, which measures -2",
+        ),
+        ("turns = 3", "turns = 0", "turns = 0: it should be greater than 0"),
+        ("turns = 3", "twists = 3", "twists is not a key known here"),
+        ('["300 rpm"]', "[]", "loads and speeds belong together"),
+        ("BENCH.toml", "none.toml", "none.toml: No such file"),
+    ],
+)
+def test_a_bad_sequence_is_refused_in_a_sentence(tmp_path, wiring, old, new, said):
+    path = tmp_path / "sequence.toml"
+    path.write_text(SEQUENCE.replace(old, new))
+    with pytest.raises(edge.InputError, match=said):
+        read_sequence(path)

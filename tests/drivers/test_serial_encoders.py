@@ -1,0 +1,284 @@
+"""Modbus RTU against pymodbus's own server, lines of text against their description, AMT21 turns, URLs."""
+
+import asyncio
+import functools
+import math
+import operator
+import os
+import socket
+import threading
+import tty
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pymodbus.server import ModbusSerialServer
+from pymodbus.simulator import DataType, SimData, SimDevice
+
+from cycloid_fmu import edge
+from drivers import recording_format as rf
+from drivers.amt21_encoder import Amt21Config, Amt21Encoder
+from drivers.ascii_counter import AsciiConfig, AsciiCounter, line_pattern
+from drivers.bench import BenchRun, simulate_motion
+from drivers.encoder import EncoderProtocolError, EncoderSetupError, EncoderTimeout, PortConfig
+from drivers.modbus_encoder import ModbusConfig, ModbusEncoder
+from drivers.recorder import open_encoders, record_bench
+from drivers.recording_format import read_recording
+from drivers.serial_bench import Amt21Bench, AsciiBench
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals")
+
+
+@pytest.fixture
+def modbus_line(tmp_path):
+    """Two ends of a serial line with pymodbus's server on one of them; yields the other end's name."""
+    ends = [os.openpty(), os.openpty()]
+    for _, line in ends:
+        tty.setraw(line)
+    stopping = threading.Event()
+
+    def carry(source, sink):
+        while not stopping.is_set():
+            try:
+                os.write(sink, os.read(source, 256))
+            except OSError:
+                return
+
+    for a, b in ((0, 1), (1, 0)):
+        threading.Thread(target=carry, args=(ends[a][0], ends[b][0]), daemon=True).start()
+    loop, ready = asyncio.new_event_loop(), threading.Event()
+    servers = []
+
+    async def serve():
+        # 0x0001_E240 is 123456, high word first; register 8 holds a 12-bit position with flags above it
+        data = [
+            SimData(0, count=1, values=[0x0001, 0xE240], datatype=DataType.REGISTERS),
+            SimData(8, count=1, values=[0xF123], datatype=DataType.REGISTERS),
+        ]
+        server = ModbusSerialServer(SimDevice(7, simdata=data), port=os.ttyname(ends[1][1]), baudrate=115200)
+        servers.append(server)
+        await server.serve_forever(background=True)
+        ready.set()
+
+    thread = threading.Thread(target=loop.run_forever, daemon=True)
+    thread.start()
+    asyncio.run_coroutine_threadsafe(serve(), loop)
+    assert ready.wait(10)
+    yield os.ttyname(ends[0][1])
+    asyncio.run_coroutine_threadsafe(servers[0].shutdown(), loop).result(5)
+    loop.call_soon_threadsafe(loop.stop)
+    thread.join(5)
+    stopping.set()
+    for end in ends:
+        for descriptor in end:
+            os.close(descriptor)
+
+
+def modbus(port, **keys):
+    config = ModbusConfig(**{"protocol": "modbus", "port": "p", "device": 7, "register": 0, **keys})
+    return ModbusEncoder("input_angle", config, PortConfig(url=port, baud_rate=115200))
+
+
+def some(encoder, count=3):
+    found = []
+    while sum(map(len, found)) < count:
+        block = encoder.read(2.0)
+        assert block is not None
+        found.append(block)
+    return found[0]
+
+
+def test_modbus_registers_are_the_position(modbus_line):
+    with modbus(modbus_line, counts_per_turn=1 << 18) as encoder:
+        encoder.start()
+        samples = some(encoder)
+    assert set(samples.counts.tolist()) == {123456}
+    np.testing.assert_allclose(samples.value, 2 * math.pi * 123456 / (1 << 18))
+    assert not samples.status.any()
+    with modbus(modbus_line, register=8, registers=1, bits=12, counts_per_turn=4096) as encoder:
+        encoder.start()
+        assert set(some(encoder).counts.tolist()) == {0x123}
+    with modbus(modbus_line, low_word_first=True, counts_per_turn=1 << 18) as encoder:
+        encoder.start()
+        assert set(some(encoder).counts.tolist()) == {0xE2400001}
+
+
+def test_modbus_says_what_is_wrong_at_the_start(modbus_line):
+    with pytest.raises(EncoderProtocolError, match=r"refuses register 1000 of the holding table: exception 2"):
+        modbus(modbus_line, register=1000, counts_per_turn=4096).__enter__()
+    with pytest.raises(EncoderSetupError, match="counts_per_turn is missing"):
+        modbus(modbus_line).__enter__()
+
+
+def test_the_specification_s_example_of_a_crc():
+    # Modbus over serial line V1.02, 6.2.2: the CRC of 02 07 is 1241 hexadecimal, sent low byte (41) first.
+    from pymodbus.framer import FramerRTU
+
+    assert FramerRTU.compute_CRC(b"\x02\x07") == 0x4112
+
+
+@settings(max_examples=200)
+@given(st.binary(min_size=9, max_size=9))
+def test_no_answer_with_a_wrong_crc_is_a_position(answer):
+    encoder = modbus("loop://", counts_per_turn=4096)
+    from pymodbus.framer import FramerRTU
+
+    right = FramerRTU.compute_CRC(answer[:-2]) == int.from_bytes(answer[-2:], "big") and answer[:3] == b"\x07\x03\x04"
+    assert encoder.checked([answer]).tolist() == [right]
+
+
+def test_lines_are_the_commanded_motion_and_their_clock_is_known(tmp_path):
+    motion = simulate_motion(lambda a, t: -a / 39, BenchRun(torque=0.0, turns=2, samples_per_turn=200))
+    path = tmp_path / "run.arrows"
+    with AsciiBench(motion, clock_drift=200e-6) as bench:
+        record_bench(bench.write_wiring(tmp_path / "BENCH.toml"), path, stop=lambda: bench.wait(0.0))
+    recording = read_recording(path)
+    samples = recording.samples["output_angle"]
+    assert len(samples) > 300
+    assert not samples.status.any()
+    expected = np.interp(samples.time_device / 1.0002, motion.time, motion.output_angle)
+    assert np.max(np.abs(samples.value - expected)) < 3e-5
+    clock = recording.clock("output_angle")
+    reach = clock["uncertainty"] / (samples.time_device[-1] - samples.time_device[0])
+    assert clock["drift"] == pytest.approx(-200e-6, abs=2 * reach + 20e-6)
+    assert np.all(samples.time_host - recording.aligned_time("output_angle") > -clock["uncertainty"])
+
+
+def ascii_samples(config, data):
+    """What a counter makes of bytes that came, without a port."""
+    counter = AsciiCounter("output_angle", config, PortConfig(url="loop://"))
+    counter._skipping = False
+    counter._answers.put([(float(i), data[i : i + 7]) for i in range(0, len(data), 7)], 1)
+    return counter, counter.read(0.0)
+
+
+CONFIG = AsciiConfig(
+    protocol="ascii", port="p", line="${sequence},{counts}*{checksum}", checksum="xor", counts_per_turn=1000
+)
+
+
+def nmea(number, counts):
+    text = f"{number},{counts}".encode()
+    return b"$%b*%02X\r\n" % (text, functools.reduce(operator.xor, text, 0))
+
+
+def test_the_checksum_is_that_of_nmea_0183():
+    config = AsciiConfig(protocol="ascii", port="p", line="$GPGLL,{skip},A*{checksum}x{counts}", checksum="xor")
+    assert line_pattern(config.line)[1] == ["checksum", "counts"]
+    line = b"$GPGLL,5300.97914,N,00259.98174,E,125926,A*28"  # a published sentence and its checksum
+    assert functools.reduce(operator.xor, line[1:-3], 0) == 0x28
+    counter, _ = ascii_samples(CONFIG, nmea(1, 500))
+    assert counter._sum_right(nmea(1, 500).rstrip(), counter._fields(nmea(1, 500).rstrip()))
+
+
+@settings(max_examples=150)
+@given(st.lists(st.tuples(st.integers(0, 10**6), st.binary(max_size=12)), max_size=12))
+def test_whatever_stands_between_good_lines_no_wrong_count_is_accepted(given_lines):
+    data, sent = b"", []
+    for number, (count, junk) in enumerate(given_lines):
+        data += junk.replace(b"\n", b"") + b"\n" + nmea(number, count)
+        sent.append(count)
+    _, samples = ascii_samples(CONFIG, data)
+    got = [] if samples is None else samples.counts.tolist()
+    junk_lines = {junk for _, junk in given_lines}
+    assert got == sent or any(b"$" in junk for junk in junk_lines)
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"line": "{time}"}, r"line = .*write one of the fields \{counts\} and \{value\}"),
+        ({"line": "{counts}{value}"}, "write one of the fields"),
+        ({"line": "{count}"}, r"there is no field \{count\}; there are counts, value"),
+        ({"line": "{counts},{counts}"}, r"the field \{counts\} stands in it twice"),
+    ],
+)
+def test_a_bad_description_is_refused(keys, said):
+    with pytest.raises(edge.InputError, match=said):
+        edge.validated(AsciiConfig, {"protocol": "ascii", "port": "p", **keys}, "BENCH.toml")
+
+
+def test_a_multi_turn_encoder_counts_what_the_readings_missed(tmp_path):
+    # 20 crank turns a second, read a few hundred times a second, with a pause of a tenth of a second in between.
+    motion = simulate_motion(
+        lambda a, t: -a / 39, BenchRun(torque=0.0, turns=40, samples_per_turn=500, speed=40 * math.pi)
+    )
+    path = tmp_path / "run.arrows"
+    from drivers.faults import Fault
+
+    with Amt21Bench(motion, multi_turn=True, faults=[Fault("mute", 400, 1, 0x54)]) as bench:
+        done = record_bench(bench.write_wiring(tmp_path / "BENCH.toml"), path, stop=lambda: bench.wait(0.0))
+    samples = read_recording(path).samples["input_angle"]
+    assert done.marks["input_angle"]["resets"] >= 1, "it turned by more than half a turn unseen"
+    turned = (samples.value[-1] - samples.value[0]) / (2 * math.pi)
+    assert turned == pytest.approx(20 * (samples.time_host[-1] - samples.time_host[0]), abs=1.0)
+
+
+@given(st.lists(st.integers(-3000, 3000), min_size=2, max_size=60), st.integers(-(10**5), 10**5))
+def test_turns_and_position_of_two_questions_make_one_angle(steps, start):
+    config = Amt21Config(protocol="amt21", port="p", multi_turn=True, bits=12)
+    encoder = Amt21Encoder("input_angle", config, PortConfig(url="loop://"))
+    true = start + np.cumsum(steps)
+    late = true + np.array([s // 40 for s in steps])  # the turns are asked a little later
+    counts, _missed = encoder._with_turns(
+        _counted(true % 4096), true % 4096, (late // 4096) % (1 << 14)
+    )  # fmt: skip
+    off = (counts - true) // 4096
+    sure = (true % 4096 >= 1024) & (true % 4096 < 3072)
+    assert np.all((counts - true) % 4096 == 0)
+    if sure.any():
+        assert np.all(off[np.flatnonzero(sure)] == 0)
+
+
+def _counted(raw):
+    from drivers.encoder import unwrap
+
+    return unwrap(raw, 4096, None, signed=True)[0]
+
+
+def test_a_port_may_be_a_socket(tmp_path):
+    """`socket://` as of a serial device server; here it sends lines."""
+    server = socket.create_server(("127.0.0.1", 0))
+    stop = threading.Event()
+
+    def serve():
+        connection, _ = server.accept()
+        with connection:
+            for number in range(10**6):
+                if stop.wait(0.002):
+                    return
+                connection.sendall(nmea(number, number))
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    bench = tmp_path / "BENCH.toml"
+    bench.write_text(
+        'format = "cycloid-bench/1"\n[port.a]\n'
+        f'url = "socket://127.0.0.1:{server.getsockname()[1]}"\n'
+        '[channel.output_angle]\nprotocol = "ascii"\nport = "a"\n'
+        'line = "${sequence},{counts}*{checksum}"\nchecksum = "xor"\ncounts_per_turn = 1000\n'
+    )
+    record_bench(bench, tmp_path / "run.arrows", samples=50)
+    stop.set()
+    thread.join()
+    server.close()
+    samples = read_recording(tmp_path / "run.arrows").samples["output_angle"]
+    assert np.all(np.diff(samples.counts) == 1)
+    assert not np.any(samples.status & rf.GAP)
+
+
+def test_nothing_and_nonsense_are_told_apart(tmp_path, monkeypatch):
+    from drivers import ascii_counter
+
+    monkeypatch.setattr(ascii_counter, "FIRST_LINE_SECONDS", 0.3)
+    motion = simulate_motion(lambda a, t: -a / 39, BenchRun(torque=0.0, turns=2))
+    from drivers.faults import Fault
+
+    for kind, kind_of_error in (("mute", EncoderTimeout), ("wrong_baud", EncoderProtocolError)):
+        folder = tmp_path / kind
+        folder.mkdir()
+        with AsciiBench(motion, faults=[Fault(kind, 0, 10**9)]) as bench:
+            toml = bench.write_wiring(folder / "BENCH.toml")
+            with pytest.raises(kind_of_error, match="is the baud rate right"), open_encoders(toml):
+                pass

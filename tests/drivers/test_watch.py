@@ -1,0 +1,143 @@
+"""The live page: what it is told, who may see it, and that a real browser shows it."""
+
+import json
+import math
+import shutil
+import threading
+import urllib.error
+import urllib.request
+
+import numpy as np
+import pytest
+
+from drivers.recording_format import Channel, Event, Header, RecordingWriter, Samples
+from drivers.watch import Watcher, WatchServer, order_spectrum
+
+ARCSEC = math.pi / 648000
+CHROMIUM = shutil.which("chromium")
+
+
+def channel(name, unit):
+    return Channel(name, name, "canopen", unit, 1 << 22, 1, 0.0, "absolute", "node 1", "SYNC")
+
+
+HEADER = Header(
+    (channel("input_angle", "rad"), channel("output_angle", "rad"), channel("torque", "N*m")), {}, -39.0, "pair-39-40",
+    "2025-01-01T00:00:00Z",
+)  # fmt: skip
+
+
+def write_turns(writer, first, count, amplitude=30 * ARCSEC, order=2):
+    """Write some samples of a drive whose TE is one order, 96 samples a crank turn."""
+    time = np.arange(first, first + count) / 96
+    angle = 2 * math.pi * time
+    output = angle / -39 + amplitude * np.sin(order * angle)
+    for name, value in (("input_angle", angle), ("output_angle", output), ("torque", np.full(count, 20.0))):
+        writer.write(Samples.checked(name, time, value))
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+@pytest.mark.parametrize("turns", [1, 3.7, 40])
+def test_the_spectrum_of_one_order_is_that_order(direction, turns):
+    angle = direction * np.arange(0, 2 * math.pi * turns + 1e-3, 2 * math.pi / 96)
+    orders, amplitudes = order_spectrum(angle, 7.0 * np.cos(5 * angle + 0.3))
+    assert orders[np.argmax(amplitudes)] == 5
+    assert amplitudes.max() == pytest.approx(7.0, rel=0.03)
+    assert np.sort(amplitudes)[-2] < 0.35
+
+
+def test_a_growing_recording_is_followed(tmp_path):
+    path = tmp_path / "run.arrows"
+    with RecordingWriter(path, HEADER) as writer:
+        watcher = Watcher(path)
+        assert watcher.refresh()["te"] is None
+        for n in range(3):
+            write_turns(writer, 192 * n, 192)
+            data = watcher.refresh()
+            assert [c["samples"] for c in data["channels"]] == [192 * (n + 1)] * 3
+        assert data["spectrum"]["orders"][int(np.argmax(data["spectrum"]["arcsec"]))] == 2
+        assert max(data["te"]["arcsec"]) == pytest.approx(30, abs=0.1)
+    json.dumps(watcher.refresh())
+
+
+@pytest.fixture
+def serve():
+    servers = []
+
+    def start(watcher, token=None):
+        server = WatchServer(watcher, "127.0.0.1", 0, token)
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        servers.append(server)
+        return server
+
+    yield start
+    for server in servers:
+        server.shutdown()
+        server.server_close()
+
+
+def status_of(url, **headers):
+    try:
+        with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=5) as answer:
+            return answer.status
+    except urllib.error.HTTPError as problem:
+        return problem.code
+
+
+def test_who_may_see_the_page(tmp_path, serve):
+    path = tmp_path / "run.arrows"
+    with RecordingWriter(path, HEADER):
+        pass
+    local = serve(Watcher(path))
+    assert status_of(local.url) == 200
+    assert status_of(local.url, Host="evil.example:80") == 403, "a foreign name that resolves to this machine"
+    assert status_of(local.url + "nothing") == 404
+    secret = serve(Watcher(path), token="s3cret")
+    bare = secret.url.split("?")[0]
+    assert status_of(secret.url) == 200
+    assert status_of(bare) == status_of(bare + "?token=guess") == status_of(bare + "data") == 403
+
+
+def test_a_slow_client_skips_to_the_newest(tmp_path, serve):
+    path = tmp_path / "run.arrows"
+    with RecordingWriter(path, HEADER) as writer:
+        server = serve(Watcher(path))
+        number, _ = server.newest.after(0, 5.0)
+        write_turns(writer, 0, 96)
+        while True:  # the server reads five times a second whatever the clients do
+            now, text = server.newest.after(number, 5.0)
+            assert now > number
+            if json.loads(text)["channels"][0]["samples"] == 96:
+                break
+            number = now
+        assert server.newest.after(0, 0.0)[1] == text or server.newest.after(0, 0.0)[0] > now
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+def test_a_real_browser_shows_it(tmp_path, serve):
+    from playwright.sync_api import sync_playwright
+
+    path = tmp_path / "run.arrows"
+    with RecordingWriter(path, HEADER) as writer, sync_playwright() as playwright:
+        write_turns(writer, 0, 96 * 4)
+        server = serve(Watcher(path), token="s3cret")
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": 1100, "height": 900})
+        problems = []
+        page.on("pageerror", lambda problem: problems.append(str(problem)))
+        page.goto(server.url)
+        page.wait_for_selector("text=largest: order 2, 30.00″")
+        assert "pair-39-40, ratio -39" in page.text_content("#title")
+        assert page.text_content("#te-note") == "60.00″ peak to peak"
+        write_turns(writer, 96 * 4, 96)
+        writer.write(Samples.checked("torque", [], []), [Event(1.0, "torque", "<b>cable</b> pulled")])
+        page.wait_for_selector("#channels tr:first-child td:text-is('480')")
+        assert "<b>cable</b> pulled" in page.text_content("#events"), "text, not markup"
+        inked = page.evaluate(
+            "[...document.querySelectorAll('canvas')].map(c => c.getContext('2d')"
+            ".getImageData(0, 0, c.width, c.height).data.filter((v, i) => i % 4 == 3 && v > 0).length)"
+        )
+        assert min(inked) > 1000
+        page.screenshot(path=tmp_path / "watch.png")
+        browser.close()
+        assert problems == []
