@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cycloid_fmu import edge
+
+if TYPE_CHECKING:
+    from fitting.metrics import Figures
 
 app = typer.Typer(
     no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich",
@@ -18,6 +22,43 @@ Recordings = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recor
 PairFile = Annotated[Path, typer.Option("--pair", metavar="PAIR.toml", help="The nominal gear pair.")]
 PlotFile = Annotated[Path | None, typer.Option("--plot", metavar="FILE.png|pdf", help="Draw the result.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result for scripts: SI, names as in the files.")]
+
+MaybePair = Annotated[Path | None, typer.Option("--pair", metavar="PAIR.toml", help="The nominal gear pair.")]
+Ratio = Annotated[float | None, typer.Option(help="Signed ratio input/output, such as -39, in place of a pair.")]
+RatedTorque = Annotated[str | None, typer.Option(help='Rated torque at the output, such as "167 N*m".')]
+MappingFile = Annotated[
+    Path | None, typer.Option("--mapping", metavar="MAP.toml", help="Which channel is what; see [cyan]inspect[/].")
+]
+
+
+def _figures(
+    files: list[Path], pair_file: Path | None, ratio: float | None, rated_torque: str | None, mapping: Path | None
+) -> Figures:
+    """Take recordings with a progress bar and return their figures."""
+    from rich.console import Console
+    from rich.progress import track
+
+    from cycloid_fmu.pair import read_pair
+    from fitting.metrics import figures_of, survey
+    from fitting.recording import open_bench_recording, read_mapping
+
+    if pair_file is not None and ratio is not None:
+        raise edge.InputError(f"--ratio = {ratio:g}: the pair {pair_file} says the ratio; give one of the two.")
+    if ratio is not None and not (math.isfinite(ratio) and ratio):
+        raise edge.InputError(f"--ratio = {ratio}: write the signed ratio input/output, such as -39.")
+    rated = None if rated_torque is None else edge.quantity_option(rated_torque, "N*m", "--rated-torque")
+    if rated is not None and rated <= 0.0:
+        raise edge.InputError(f'--rated-torque = "{rated_torque}": it must be above zero.')
+    if pair_file is not None:
+        pair = read_pair(pair_file)
+        ratio, rated = pair.ratio, rated if rated is not None else pair.pair.rated_torque
+    mapped = None if mapping is None else read_mapping(mapping)
+    console = Console(stderr=True)
+    surveyed = [
+        survey(open_bench_recording(file, mapped), ratio, rated)
+        for file in track(files, "reading", console=console, transient=True, disable=not console.is_terminal)
+    ]
+    return figures_of(surveyed, ratio, rated)
 
 
 @app.command()
@@ -66,6 +107,36 @@ def curve(
         rows,
     )
     _say_notes([note for one in curves for note in one.notes])
+
+
+@app.command()
+def metrics(
+    files: Recordings,
+    pair_file: MaybePair = None,
+    ratio: Ratio = None,
+    rated_torque: RatedTorque = None,
+    mapping: MappingFile = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the figures (JSON).")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """The standard figures: transmission error, lost motion, backlash, stiffness, hysteresis, starting torque.
+
+    Example: [cyan]cycloid-fit metrics loop.csv *.arrows --ratio -39 --rated-torque "167 N*m"[/]
+    """
+    from fitting.metrics import figures_json
+
+    found = _figures(files, pair_file, ratio, rated_torque, mapping)
+    text = edge.json_text(figures_json(found))
+    if output is not None:
+        with edge.written_whole(output) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    if as_json:
+        typer.echo(text)
+    else:
+        print_figures(found)
+        _say_notes(list(found.notes))
+    if not found.figures:
+        raise edge.InputError("No figure could be computed." if not as_json else "\n".join(found.notes))
 
 
 def _say_notes(notes: list[str]) -> None:
@@ -118,6 +189,21 @@ def identify(
         return
     print_identification(result)
     _say_notes([*result.notes, *(note for one in curves for note in one.notes)])
+
+
+def print_figures(found: Figures) -> None:
+    """Print the figures in field units, each with its uncertainty and what is behind it."""
+    from cycloid_fmu.cli import print_table
+    from fitting.metrics import in_field_units
+
+    rows = []
+    for name, figure in found.figures.items():
+        value, uncertainty, unit = in_field_units(figure)
+        rows.append([name, value, uncertainty, unit, f"{figure.count:.4g} {figure.counted}"])
+        for part, one in {**figure.parts, **figure.runs}.items():
+            value, uncertainty, unit = in_field_units(one)
+            rows.append([f"  {part}", value, uncertainty, unit, f"{one.count:.4g} {one.counted}"])
+    print_table("Figures", ["figure", "value", "± 95 %", "unit", "of"], rows)
 
 
 def print_identification(result: object, truth: dict[str, float] | None = None) -> None:

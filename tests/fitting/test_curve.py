@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cycloid_fmu import edge
-from fitting.curve import noise_of, transmission_error_curve, write_curves
+from fitting.curve import noise_of, transmission_error_curve, transmission_error_curves, write_curves
 from fitting.recording import BenchRecording
 
 
@@ -79,3 +79,17 @@ def test_curve_file(tmp_path):
         assert data["transmission_error"].attrs["units"] == "rad"
         assert data["transmission_error"].values[0] == pytest.approx(np.full(39 * 48, 1e-5))
         assert np.isnan(data["transmission_error"].values[1]).sum() == 39 * 48 - 100
+
+
+def test_standstill_is_left_out_and_both_directions_are_told_apart():
+    angle = np.concatenate([np.zeros(200), np.linspace(0, 300, 6000), np.full(300, 300.0), np.linspace(300, 40, 5000)])
+    error = np.where(np.arange(angle.size) < 6500, 1e-4, -1e-4) + 2e-5 * np.cos(angle)
+    forward, backward = transmission_error_curves(recorded(angle, error), -39.0)
+    assert (forward.direction, backward.direction) == (1, -1)
+    assert forward.turns == pytest.approx(300 / (2 * np.pi * 39), abs=1e-3)
+    assert backward.turns == pytest.approx(260 / (2 * np.pi * 39), abs=2e-3)
+    assert forward.transmission_error == pytest.approx(1e-4 + 2e-5 * np.cos(forward.input_angle), abs=1e-7)
+    assert backward.transmission_error == pytest.approx(-1e-4 + 2e-5 * np.cos(backward.input_angle), abs=1e-7)
+    assert any("stood" in note for note in forward.notes)
+    with pytest.raises(edge.InputError, match="both directions"):
+        transmission_error_curve(recorded(angle, error), -39.0)
