@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -107,6 +108,66 @@ def curve(
         rows,
     )
     _say_notes([note for one in curves for note in one.notes])
+
+
+@app.command()
+def inspect(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A bench file of any kind that is read.")],
+    dbc: Annotated[Path | None, typer.Option(help="The DBC of a CAN log.")] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the proposed mapping (TOML).")] = None,
+    plot: PlotFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Say what is in a file, propose which channel is what, and draw the channels.
+
+    Example: [cyan]cycloid-fit inspect run.tdms -o map.toml --plot channels.png[/], then check map.toml and give it as
+    [cyan]--mapping map.toml[/]
+    """
+    from cycloid_fmu import plots
+    from cycloid_fmu.cli import print_table
+    from fitting.inspection import LOOKED_AT, look, propose
+    from fitting.plots import plot_channels
+    from fitting.readers import open_bench_file
+
+    if plot is not None:
+        plots.check_path(plot)
+    opened = open_bench_file(file, dbc)
+    looks = look(opened)
+    if not looks:
+        raise edge.InputError(" ".join([*opened.problems, f"{file}: it holds no samples of a numeric channel."]))
+    near = None if dbc is None else str(dbc.resolve() if output is None else _beside(dbc, output))
+    found = propose(opened, looks, near)
+    if output is not None:
+        with edge.written_whole(output) as temporary:
+            temporary.write_text(found.text, encoding="utf-8")
+    if plot is not None:
+        plots.save(plot_channels(looks, found.roles), plot)
+    if as_json:
+        channels = {
+            o.channel.name: {
+                "unit": o.channel.unit, "samples": o.values.size, "min": float(o.values.min()),
+                "max": float(o.values.max()),
+            }
+            for o in looks
+        }  # fmt: skip
+        roles = {role: o.channel.name for role, o in found.roles.items()}
+        typer.echo(edge.json_text({"channels": channels, "proposed": roles, "problems": opened.problems}))
+        return
+    roles_of = {o.channel.name: role for role, o in found.roles.items()}
+    rows = [
+        [o.channel.name.replace("[", "\\["), o.channel.unit.replace("[", "\\["), str(o.values.size),
+         f"{o.values.min():.6g}", f"{o.values.max():.6g}", roles_of.get(o.channel.name, "")]
+        for o in looks
+    ]  # fmt: skip
+    print_table(file.name, ["channel", "unit", "samples", "smallest", "largest", "proposed as"], rows)
+    if max(o.values.size for o in looks) >= LOOKED_AT:
+        typer.echo(f"Looked at the first {LOOKED_AT} samples.")
+    typer.echo("\n# A mapping that may fit; check it and give it as --mapping.\n" + found.text)
+    _say_notes(opened.problems)
+
+
+def _beside(file: Path, other: Path) -> str:
+    return os.path.relpath(file.resolve(), other.resolve().parent)
 
 
 @app.command()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,6 +18,8 @@ from fitting.identify import Identification
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from fitting.inspection import Look
 
 Array = NDArray[np.float64]
 
@@ -37,6 +39,23 @@ def plot_curves(curves: Sequence[Curve]) -> Figure:
     axes[0].set(xlabel="output turn [°]", ylabel="transmission error [arcsec]")
     axes[1].set(xlabel="crank angle, all turns folded [°]", ylabel="transmission error [arcsec]")
     axes[0].legend(fontsize=8, frameon=False, ncols=2)
+    return figure
+
+
+def plot_channels(looks: Sequence[Look], roles: Mapping[str, Look]) -> Figure:
+    """Every channel of a bench file over its time, those that a role is proposed for first."""
+    role_of = {one.channel.name: role for role, one in roles.items()}
+    clock = roles.get("time")
+    shown = sorted((o for o in looks if o is not clock), key=lambda o: o.channel.name not in role_of)[:8]
+    figure, axes = new_figure(len(shown))
+    for axis, one in zip(axes, shown, strict=True):
+        time = one.time if one.time is not None else None if clock is None else clock.values
+        step = max(1, one.values.size // 20000)
+        across = np.arange(one.values.size) if time is None else time
+        axis.plot(across[::step], one.values[::step], lw=0.8)
+        axis.set(xlabel="sample" if time is None else "time [s]", ylabel=one.channel.unit or "no unit")
+        role = role_of.get(one.channel.name)
+        axis.set_title(one.channel.name + (f": {role}?" if role else ""), fontsize=9, loc="left")
     return figure
 
 

@@ -9,9 +9,11 @@ from __future__ import annotations
 import abc
 import codecs
 import csv
+import gc
 import heapq
 import os
 import re
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -385,6 +387,17 @@ def _extra(package: str, extra: str, source: str) -> edge.InputError:
     return edge.InputError(f"{source}: reading this needs the package {package}: pip install 'cycloid-fmu[{extra}]'.")
 
 
+def _drop(problem: BaseException | None) -> None:
+    """Free what a failed constructor left behind, without its destructor's complaints about what it lacks."""
+    hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
+    try:
+        while problem is not None:
+            problem.__traceback__, problem = None, problem.__context__
+        gc.collect()
+    finally:
+        sys.unraisablehook = hook
+
+
 class _MdfFile(BenchFile):
     def __init__(self, source: str) -> None:
         try:
@@ -394,9 +407,9 @@ class _MdfFile(BenchFile):
         try:
             self._mdf = MDF(source)
         except Exception as problem:  # asammdf raises whatever its parser meets
-            raise edge.InputError(
-                f"{source}: this is not an MDF file, or it is cut or damaged ({_first_line(problem)})."
-            ) from None
+            said = _first_line(problem)
+            _drop(problem)
+            raise edge.InputError(f"{source}: this is not an MDF file, or it is cut or damaged ({said}).") from None
         channels, self._places = [], []
         for index, group in enumerate(self._mdf.groups):
             master = self._mdf.masters_db.get(index)
