@@ -12,6 +12,7 @@ import typer
 from cycloid_fmu import edge
 
 if TYPE_CHECKING:
+    from cycloid_fmu.pair import Pair
     from fitting.metrics import Figures
 
 app = typer.Typer(
@@ -19,7 +20,7 @@ app = typer.Typer(
     help="Measured transmission errors: curves, and the errors of the drive behind them.",
 )  # fmt: skip
 
-Recordings = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings, .arrows or .csv.")]
+Recordings = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings of any kind that is read.")]
 PairFile = Annotated[Path, typer.Option("--pair", metavar="PAIR.toml", help="The nominal gear pair.")]
 PlotFile = Annotated[Path | None, typer.Option("--plot", metavar="FILE.png|pdf", help="Draw the result.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result for scripts: SI, names as in the files.")]
@@ -34,8 +35,8 @@ MappingFile = Annotated[
 
 def _figures(
     files: list[Path], pair_file: Path | None, ratio: float | None, rated_torque: str | None, mapping: Path | None
-) -> Figures:
-    """Take recordings with a progress bar and return their figures."""
+) -> tuple[Figures, Pair | None]:
+    """Take recordings with a progress bar and return their figures, and the pair where one is named."""
     from rich.console import Console
     from rich.progress import track
 
@@ -50,8 +51,8 @@ def _figures(
     rated = None if rated_torque is None else edge.quantity_option(rated_torque, "N*m", "--rated-torque")
     if rated is not None and rated <= 0.0:
         raise edge.InputError(f'--rated-torque = "{rated_torque}": it must be above zero.')
-    if pair_file is not None:
-        pair = read_pair(pair_file)
+    pair = None if pair_file is None else read_pair(pair_file)
+    if pair is not None:
         ratio, rated = pair.ratio, rated if rated is not None else pair.pair.rated_torque
     mapped = None if mapping is None else read_mapping(mapping)
     console = Console(stderr=True)
@@ -59,7 +60,7 @@ def _figures(
         survey(open_bench_recording(file, mapped), ratio, rated)
         for file in track(files, "reading", console=console, transient=True, disable=not console.is_terminal)
     ]
-    return figures_of(surveyed, ratio, rated)
+    return figures_of(surveyed, ratio, rated), pair
 
 
 @app.command()
@@ -80,7 +81,8 @@ def curve(
     from cycloid_fmu.cli import print_table
     from cycloid_fmu.pair import read_pair
     from fitting.curve import curves_dataset, noise_of, transmission_error_curve, write_curves
-    from fitting.plots import label_of, plot_curves
+    from fitting.panels import label_of
+    from fitting.plots import plot_curves
     from fitting.recording import read_bench_recording
 
     if plot is not None:
@@ -178,15 +180,23 @@ def metrics(
     rated_torque: RatedTorque = None,
     mapping: MappingFile = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the figures (JSON).")] = None,
+    plot: PlotFile = None,
     as_json: AsJson = False,
 ) -> None:
     """The standard figures: transmission error, lost motion, backlash, stiffness, hysteresis, starting torque.
 
     Example: [cyan]cycloid-fit metrics loop.csv *.arrows --ratio -39 --rated-torque "167 N*m"[/]
     """
+    from cycloid_fmu import plots
     from fitting.metrics import figures_json
+    from fitting.panels import panels_of
+    from fitting.plots import plot_panels
 
-    found = _figures(files, pair_file, ratio, rated_torque, mapping)
+    if plot is not None:
+        plots.check_path(plot)
+    found, pair = _figures(files, pair_file, ratio, rated_torque, mapping)
+    if plot is not None:
+        plots.save(plot_panels(panels_of(found, pair)), plot)
     text = edge.json_text(figures_json(found))
     if output is not None:
         with edge.written_whole(output) as temporary:
@@ -198,6 +208,30 @@ def metrics(
         _say_notes(list(found.notes))
     if not found.figures:
         raise edge.InputError("No figure could be computed." if not as_json else "\n".join(found.notes))
+
+
+@app.command()
+def report(
+    files: Recordings,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="REPORT.html|pdf", help="The report.")],
+    pair_file: MaybePair = None,
+    ratio: Ratio = None,
+    rated_torque: RatedTorque = None,
+    mapping: MappingFile = None,
+) -> None:
+    """A report to hand on: figures, curves, orders, loops, what was left out and why. One file, HTML or PDF.
+
+    Example: [cyan]cycloid-fit report loop.csv *.arrows --pair pair.toml -o report.html[/]
+    """
+    from fitting.report import check_report_path, write_report
+
+    check_report_path(output)
+    found, pair = _figures(files, pair_file, ratio, rated_torque, mapping)
+    write_report(found, output, pair)
+    print_figures(found)
+    _say_notes(list(found.notes))
+    if not found.figures:
+        raise edge.InputError("No figure could be computed; the report says why.")
 
 
 def _say_notes(notes: list[str]) -> None:
@@ -263,7 +297,7 @@ def print_figures(found: Figures) -> None:
         rows.append([name, value, uncertainty, unit, f"{figure.count:.4g} {figure.counted}"])
         for part, one in {**figure.parts, **figure.runs}.items():
             value, uncertainty, unit = in_field_units(one)
-            rows.append([f"  {part}", value, uncertainty, unit, f"{one.count:.4g} {one.counted}"])
+            rows.append([f"  {Path(part).name}", value, uncertainty, unit, f"{one.count:.4g} {one.counted}"])
     print_table("Figures", ["figure", "value", "± 95 %", "unit", "of"], rows)
 
 

@@ -399,6 +399,47 @@ def _closure(data: LoopData, found: Sequence[_LoopValues]) -> tuple[float, list[
     return 0.0, []
 
 
+def loop_marks(data: LoopData) -> dict[str, list[Array]]:
+    """Return where the first loop's figures are read off: {figure: lines of (torque, windup), shape (points, 2)}.
+
+    Hysteresis loss: both unloading branches' straight lines down to zero torque and the distance there. Backlash: what
+    remains of it without friction, about the same middle. Lost motion: from the mean at -3 % to that at +3 %. Torsional
+    stiffness: the fitted lines.
+    """
+    torque, windup, rated = data.torque, data.windup, data.rated_torque
+    marks: dict[str, list[Array]] = {}
+    for lobe in data.lobes[:2]:
+        line = _branch(torque, windup, lobe.loading, STIFFNESS[0] * rated, STIFFNESS[1] * rated)
+        if line is not None:
+            ends = [lobe.sign * share * rated for share in STIFFNESS]
+            marks.setdefault("torsional_stiffness", []).append(np.array([(t, line.at(t)[0]) for t in ends]))
+    if not data.loops:
+        return marks
+    loop = data.loops[0]
+    values = _loop_values(torque, windup, loop, rated)
+    if values.hysteresis_loss is None or values.middle is None:
+        return marks
+    middle, half = values.middle[0], 0.5 * values.hysteresis_loss[0]
+    lines = [np.array([(0.0, middle - half), (0.0, middle + half)])]
+    for side in (loop.positive, loop.negative):
+        line = _branch(torque, windup, side.unloading, UNLOADING[0] * rated, UNLOADING[1] * rated)
+        assert line is not None
+        lines.append(np.array([(t, line.at(t)[0]) for t in (0.0, side.sign * UNLOADING[1] * rated)]))
+    marks["hysteresis_loss"] = lines
+    if values.backlash is not None:
+        half = 0.5 * values.backlash[0]
+        marks["backlash"] = [np.array([(0.0, middle - half), (0.0, middle + half)])]
+    if values.lost_motion is not None:
+        at = []
+        for side in (loop.negative, loop.positive):
+            t = side.sign * LOST_MOTION * rated
+            near = ((LOST_MOTION - NEAR) * rated, (LOST_MOTION + NEAR) * rated)
+            pair = [_branch(torque, windup, b, *near) for b in (side.loading, side.unloading)]
+            at.append((t, float(np.mean([one.at(t)[0] for one in pair if one is not None]))))
+        marks["lost_motion"] = [np.array(at)]
+    return marks
+
+
 # ------------------------------------------------------------------------------------------------ transmission errors
 
 

@@ -15,8 +15,10 @@ from cycloid_fmu.transmission import solve
 from fitting.curve import Curve
 from fitting.identifiability import TOLERANCE, Plan
 from fitting.identify import Identification
+from fitting.panels import Panel, label_of
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from fitting.inspection import Look
@@ -24,9 +26,36 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-def label_of(curve: Curve) -> str:
-    """Load and direction of a curve, as plots name it."""
-    return f"{curve.torque:+.4g} N·m, {'forward' if curve.direction > 0 else 'backward'}"
+_WIDTHS = {"line": 1.2, "thin": 0.8, "dashed": 1.0, "thick": 2.5}
+
+
+def draw_panel(axis: Axes, panel: Panel) -> None:
+    """Draw one panel of a report."""
+    for trace in panel.traces:
+        colour = "0.45" if trace.colour < 0 else f"C{trace.colour % 10}"
+        if trace.style == "points":
+            size, colour = (4.0, "0") if trace.texts else (1.0, "0.45")
+            axis.plot(trace.x, trace.y, ".", ms=size, color=colour, label=trace.label or None)
+            for x, y, text in zip(trace.x, trace.y, trace.texts, strict=False):
+                axis.annotate(text, (x, y), (0, 3), textcoords="offset points", rotation=60, fontsize=7)
+            continue
+        style = "--" if trace.style == "dashed" else "-"
+        axis.plot(trace.x, trace.y, style, lw=_WIDTHS[trace.style], color=colour, label=trace.label or None)
+    axis.set(xlabel=panel.x_label, ylabel=panel.y_label)
+    if panel.log_y:
+        axis.set_yscale("log")
+    axis.set_title(panel.title, fontsize=10, loc="left")
+    axis.grid(alpha=0.3)
+    if any(t.label for t in panel.traces):
+        axis.legend(fontsize=7, frameon=False, ncols=3)
+
+
+def plot_panels(panels: Sequence[Panel]) -> Figure:
+    """Panels of a report below each other."""
+    figure, axes = new_figure(len(panels))
+    for axis, panel in zip(axes, panels, strict=True):
+        draw_panel(axis, panel)
+    return figure
 
 
 def plot_curves(curves: Sequence[Curve]) -> Figure:
