@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import os
 from pathlib import Path
@@ -13,7 +14,7 @@ from cycloid_fmu import edge
 
 if TYPE_CHECKING:
     from cycloid_fmu.pair import Pair
-    from fitting.metrics import Figures
+    from fitting.metrics import Figure, Figures
 
 app = typer.Typer(
     no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich",
@@ -232,6 +233,61 @@ def report(
     _say_notes(list(found.notes))
     if not found.figures:
         raise edge.InputError("No figure could be computed; the report says why.")
+
+
+@app.command()
+def compare(
+    before: Annotated[Path, typer.Argument(metavar="A", help="A recording, or figures (JSON) of several.")],
+    after: Annotated[Path, typer.Argument(metavar="B", help="What it is compared with.")],
+    pair_file: MaybePair = None,
+    ratio: Ratio = None,
+    rated_torque: RatedTorque = None,
+    mapping: MappingFile = None,
+    plot: PlotFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Which figures moved beyond their uncertainty: before and after, two drives, two temperatures.
+
+    Example: [cyan]cycloid-fit metrics new/*.csv --ratio -39 -o new.json[/], the same for worn.json, then
+    [cyan]cycloid-fit compare new.json worn.json --plot moved.png[/]
+    """
+    from cycloid_fmu import plots
+    from cycloid_fmu.cli import print_table
+    from fitting.comparison import changes_json, read_figures
+    from fitting.comparison import compare as compare_figures
+    from fitting.metrics import in_field_units
+    from fitting.plots import plot_changes
+
+    if plot is not None:
+        plots.check_path(plot)
+    sides: list[dict[str, Figure]] = []
+    notes: list[str] = []
+    for file in (before, after):
+        if file.suffix.lower() == ".json":
+            sides.append(read_figures(file))
+        else:
+            found, _ = _figures([file], pair_file, ratio, rated_torque, mapping)
+            sides.append(found.figures)
+            notes += found.notes
+    changes, said = compare_figures(*sides)
+    notes += said
+    if not changes:
+        raise edge.InputError("\n".join([*notes, f"{before} and {after} have no figure that can be compared."]))
+    if plot is not None:
+        plots.save(plot_changes(changes), plot)
+    if as_json:
+        typer.echo(edge.json_text(changes_json(changes, notes)))
+        return
+    rows = []
+    for c in changes:
+        as_figure = dataclasses.replace(c.before, value=c.difference, uncertainty=c.uncertainty)
+        unit_of = dataclasses.replace(c.after, value=max(abs(c.before.value), abs(c.after.value)))
+        difference, uncertainty, unit = in_field_units(as_figure, like=unit_of)
+        values = [in_field_units(f, like=unit_of)[0] for f in (c.before, c.after)]
+        moved = {True: "yes", False: "no", None: "not known"}[c.moved]
+        rows.append([c.name, *values, difference, uncertainty, unit, moved])
+    print_table("Changes", ["figure", "A", "B", "B - A", "± 95 %", "unit", "moved"], rows)
+    _say_notes(notes)
 
 
 def _say_notes(notes: list[str]) -> None:

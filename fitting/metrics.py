@@ -822,13 +822,14 @@ _FIELD_UNITS = {
 }  # fmt: skip
 
 
-def in_field_units(figure: Figure) -> tuple[str, str, str]:
+def in_field_units(figure: Figure, like: Figure | None = None) -> tuple[str, str, str]:
     """Return value, uncertainty and unit as people read them: arcmin, or arcsec where it is less than one.
 
-    The value has as many digits as its uncertainty tells, one more than that is significant.
+    The value has as many digits as its uncertainty tells, one more than that is significant. `like` is a figure whose
+    unit is taken, so that several can stand beside each other.
     """
     factor, unit = _FIELD_UNITS[figure.unit]
-    if unit == "arcmin" and abs(figure.value) * factor < 1.0:
+    if unit == "arcmin" and abs((like or figure).value) * factor < 1.0:
         factor, unit = factor * 60.0, "arcsec"
     value, uncertainty = figure.value * factor, figure.uncertainty * factor
     if not math.isfinite(uncertainty):

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from fitting.comparison import Change
     from fitting.inspection import Look
 
 Array = NDArray[np.float64]
@@ -55,6 +56,24 @@ def plot_panels(panels: Sequence[Panel]) -> Figure:
     figure, axes = new_figure(len(panels))
     for axis, panel in zip(axes, panels, strict=True):
         draw_panel(axis, panel)
+    return figure
+
+
+def plot_changes(changes: Sequence[Change]) -> Figure:
+    """Each figure's change in per cent of what it was, with its 95 % interval; those that moved are filled."""
+    figure, axes = new_figure(max(1, round(0.25 * len(changes) + 0.5)))
+    for axis in axes[1:]:
+        figure.delaxes(axis)
+    axis = axes[0]
+    axis.set_subplotspec(axis.get_gridspec()[:, :])
+    for row, change in enumerate(reversed(changes)):
+        share = 100.0 / abs(change.before.value) if change.before.value else np.nan
+        error = 0.0 if np.isnan(change.uncertainty) else change.uncertainty * share
+        fill = "C0" if change.moved else "white"
+        axis.errorbar(change.difference * share, row, xerr=error, fmt="o", color="C0", mfc=fill, capsize=3)
+    axis.axvline(0.0, color="0.5", lw=0.8)
+    axis.set_yticks(range(len(changes)), [c.name.replace("_", " ").replace(".", ", ") for c in reversed(changes)])
+    axis.set(xlabel="change [%]; filled: beyond the uncertainty")
     return figure
 
 
