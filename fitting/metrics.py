@@ -460,7 +460,7 @@ def angular_transmission_error(curve: Curve, orders: Spectrum, *, seed: int = 0)
     kept = np.where(orders.significant, orders.coefficient, 0.0)
     highest = int(np.flatnonzero(orders.significant).max(initial=1))
     points = 1 << max(10, math.ceil(math.log2(16 * highest)))
-    found = _range_of(kept[: highest + 1], points)
+    found = float(_range_of(kept[: highest + 1], points)[0])
     drawn = np.empty(_REDRAWN)
     step = max(1, (1 << 22) // points)
     for begin in range(0, _REDRAWN, step):
@@ -469,17 +469,28 @@ def angular_transmission_error(curve: Curve, orders: Spectrum, *, seed: int = 0)
         noisy = kept[: highest + 1] + noise[:, 0] + 1j * noise[:, 1]
         out = significant(noisy, orders.floor[: highest + 1], orders.floor.size)
         drawn[begin : begin + rows] = _range_of(np.where(out, noisy, 0.0), points)
-    bias = float(drawn.mean()) - float(found)
+    bias = float(drawn.mean()) - found
     uncertainty = 1.96 * float(drawn.std(ddof=1))
     name = "angular_transmission_error"
     return Figure(
-        max(float(found) - bias, 0.0), uncertainty, UNITS[name], DEFINITIONS[name], (0.0, 2.0 * math.pi), "rad",
+        max(found - bias, 0.0), uncertainty, UNITS[name], DEFINITIONS[name], (0.0, 2.0 * math.pi), "rad",
         curve.turns, "turns",
     )  # fmt: skip
 
 
-def _range_of(coefficient: NDArray[np.complex128], points: int) -> Any:
-    return np.ptp(synthesised(coefficient, points), axis=-1)
+def _range_of(coefficient: NDArray[np.complex128], points: int) -> Array:
+    """Return largest less smallest value, each at the top of a parabola through it and its neighbours."""
+    curve = np.atleast_2d(synthesised(coefficient, points))
+    rows = np.arange(curve.shape[0])
+
+    def top(values: Array) -> Array:
+        at = np.argmax(values, axis=-1)
+        before, peak, after = (values[rows, (at + step) % points] for step in (-1, 0, 1))
+        bend = np.minimum(before - 2.0 * peak + after, -1e-300)
+        found: Array = peak - (before - after) ** 2 / (8.0 * bend)
+        return found
+
+    return top(curve) + top(-curve)
 
 
 # --------------------------------------------------------------------------------------------------- starting torques

@@ -1,4 +1,5 @@
 import json
+import os
 
 import numpy as np
 import pytest
@@ -139,24 +140,29 @@ def run_with(orders, *, turns, each, noise, seed, ratio=-39.0, zero=0.3):
 KNOWN = {1: (3.0, 0.4), 39: (20.0, 1.0), 40: (9.0, 2.0), 78: (4.0, 0.1), 80: (2.5, 5.0), 1560: (0.8, 0.7)}
 KNOWN = {k: (a * ARCSEC, p) for k, (a, p) in KNOWN.items()}
 FINE = np.linspace(0, 2 * np.pi, 200000)
-TRUE_RANGE = np.ptp(sum(a * np.cos(k * FINE - p) for k, (a, p) in KNOWN.items()))
 
 
-@pytest.mark.parametrize(("turns", "each"), [(3.2, 9999.7), (1.0, 8192)])
-def test_known_orders_come_back_within_their_uncertainty(turns, each):
-    """Points that hold uneven numbers of samples at uneven angles, one turn and several."""
-    inside = np.zeros(len(KNOWN) + 1)
-    seeds = 30
+@pytest.mark.parametrize(("turns", "each", "highest"), [(3.2, 9999.7, 1560), (1.0, 8192, 1560), (2.0, 4000, 40)])
+def test_known_orders_come_back_within_their_uncertainty(turns, each, highest):
+    """Points that hold uneven numbers of samples at uneven angles, one turn and several.
+
+    `CYCLOID_SEEDS` of 100 or more shows the coverage itself: 90 to 99 of 100.
+    """
+    seeds = int(os.environ.get("CYCLOID_SEEDS", "20"))
+    known = {k: v for k, v in KNOWN.items() if k <= highest}
+    true_range = np.ptp(sum(a * np.cos(k * FINE - p) for k, (a, p) in known.items()))
+    inside = np.zeros(len(known) + 1)
     for seed in range(seeds):
-        made = run_with(KNOWN, turns=turns, each=each, noise=2 * ARCSEC, seed=seed)
+        made = run_with(known, turns=turns, each=each, noise=2 * ARCSEC, seed=seed)
         curve = transmission_error_curve(made, -39.0)
         orders = spectrum(curve)
-        for number, (k, (a, _)) in enumerate(KNOWN.items()):
+        for number, (k, (a, _)) in enumerate(known.items()):
             inside[number] += abs(orders.amplitude[k] - a) <= orders.uncertainty[k]
         figure = angular_transmission_error(curve, orders)
-        inside[-1] += abs(figure.value - TRUE_RANGE) <= figure.uncertainty
-    assert (inside >= 0.8 * seeds).all(), inside
-    assert inside.sum() >= 0.88 * seeds * inside.size
+        inside[-1] += abs(figure.value - true_range) <= figure.uncertainty
+    print(f"inside of {seeds}: orders {dict(zip(known, inside, strict=False))}, range {inside[-1]:.0f}")
+    assert (inside >= 0.95 * seeds - 4.0 * np.sqrt(0.05 * 0.95 * seeds)).all(), inside
+    assert inside.sum() >= 0.9 * seeds * inside.size
 
 
 def test_phases_of_orders_count_from_crank_angle_zero():
