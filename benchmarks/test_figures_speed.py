@@ -1,8 +1,8 @@
 """Hours at kilohertz to figures, against pandas and NumPy doing the bare minimum: read, unwrap, bin.
 
 A recording of two hours at 4 kHz, 28.8 million samples of four channels, as Parquet (`CYCLOID_HOURS` scales it). Both
-run in processes of their own, one after the other, on the same file; `extra_info` holds seconds, the ratio, and the largest
-memory of each.
+run in processes of their own, one after the other, on the same file; `extra_info` holds seconds, the ratio, and the
+largest memory of each.
 """
 
 import json

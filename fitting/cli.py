@@ -14,6 +14,7 @@ from cycloid_fmu import edge
 
 if TYPE_CHECKING:
     from cycloid_fmu.pair import Pair
+    from fitting.curve import Curve
     from fitting.metrics import Figure, Figures
 
 app = typer.Typer(
@@ -39,7 +40,7 @@ def _figures(
 ) -> tuple[Figures, Pair | None]:
     """Take recordings with a progress bar and return their figures, and the pair where one is named."""
     from rich.console import Console
-    from rich.progress import track
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     from cycloid_fmu.pair import read_pair
     from fitting.metrics import figures_of, survey
@@ -56,23 +57,39 @@ def _figures(
     if pair is not None:
         ratio, rated = pair.ratio, rated if rated is not None else pair.pair.rated_torque
     mapped = None if mapping is None else read_mapping(mapping)
-    console = Console(stderr=True)
-    surveyed = [
-        survey(open_bench_recording(file, mapped), ratio, rated)
-        for file in track(files, "reading", console=console, transient=True, disable=not console.is_terminal)
-    ]
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    surveyed = []
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("reading")
+        for number, file in enumerate(files, start=1):
+            said = f"{file.name} ({number} of {len(files)})"
+
+            def progress(samples: int, said: str = said) -> None:
+                bar.update(task, description=f"{said}: {samples / 1e6:.1f} million samples")
+
+            surveyed.append(survey(open_bench_recording(file, mapped), ratio, rated, progress))
     return figures_of(surveyed, ratio, rated), pair
+
+
+def _curves(files: list[Path], ratio: float, mapping: Path | None) -> list[Curve]:
+    """Return the curves of recordings, one for each direction."""
+    from fitting.curve import transmission_error_curves
+    from fitting.recording import open_bench_recording, read_mapping
+
+    mapped = None if mapping is None else read_mapping(mapping)
+    return [c for f in files for c in transmission_error_curves(open_bench_recording(f, mapped), ratio)]
 
 
 @app.command()
 def curve(
     files: Recordings,
     pair_file: PairFile,
+    mapping: MappingFile = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the curves (netCDF).")] = None,
     plot: PlotFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """Transmission error curves over one output turn, averaged over turns, one for each recording.
+    """Transmission error curves over one output turn, averaged over turns, one for each recording and direction.
 
     Example: [cyan]cycloid-fit curve 20Nm.arrows 200Nm.arrows --pair pair.toml -o curves.nc --plot curves.png[/]
     """
@@ -81,15 +98,14 @@ def curve(
     from cycloid_fmu import plots
     from cycloid_fmu.cli import print_table
     from cycloid_fmu.pair import read_pair
-    from fitting.curve import curves_dataset, noise_of, transmission_error_curve, write_curves
+    from fitting.curve import curves_dataset, noise_of, write_curves
     from fitting.panels import label_of
     from fitting.plots import plot_curves
-    from fitting.recording import read_bench_recording
 
     if plot is not None:
         plots.check_path(plot)
     pair = read_pair(pair_file)
-    curves = [transmission_error_curve(read_bench_recording(f), pair.ratio) for f in files]
+    curves = _curves(files, pair.ratio, mapping)
     if output is not None:
         write_curves(curves, output)
     if plot is not None:
@@ -99,10 +115,10 @@ def curve(
         typer.echo(edge.json_text({str(k): v.values for k, v in {**data.coords, **data.data_vars}.items()}))
         return
     rows = []
-    for file, one in zip(files, curves, strict=True):
+    for one in curves:
         error = one.transmission_error * plots.ARCSEC
         rows.append(
-            [file.name, label_of(one), str(one.input_angle.size), f"{one.sample_count.mean():.1f}",
+            [Path(one.source).name, label_of(one), str(one.input_angle.size), f"{one.sample_count.mean():.1f}",
              f"{error.mean():.3f}", f"{np.ptp(error):.3f}", f"{noise_of(one) * plots.ARCSEC:.3f}"]
         )  # fmt: skip
     print_table(
@@ -299,6 +315,7 @@ def _say_notes(notes: list[str]) -> None:
 def identify(
     files: Recordings,
     pair_file: PairFile,
+    mapping: MappingFile = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the identification (JSON).")] = None,
     surface_file: Annotated[
         Path | None, typer.Option("--surface", metavar="S.nc", help="Write the identified error surface (netCDF).")
@@ -315,17 +332,15 @@ def identify(
     from cycloid_fmu import plots
     from cycloid_fmu.pair import read_pair
     from cycloid_fmu.surface import write_surface
-    from fitting.curve import transmission_error_curve
     from fitting.identify import as_json as content
     from fitting.identify import identify as fit
     from fitting.identify import write_identification
     from fitting.plots import plot_identification
-    from fitting.recording import read_bench_recording
 
     if plot is not None:
         plots.check_path(plot)
     pair = read_pair(pair_file)
-    curves = [transmission_error_curve(read_bench_recording(f), pair.ratio) for f in files]
+    curves = _curves(files, pair.ratio, mapping)
     console = Console(stderr=True)
     with console.status("reading") as status:
         result = fit(curves, pair, lambda step: status.update(f"{step} …"))

@@ -93,21 +93,21 @@ class _Fold:
         self.ratio, self.direction = ratio, direction
         self.samples = 0
         self.points = 0
-        self._first: list[tuple[Array, Array, Array]] = []
+        self._first: list[tuple[Array, Array, Array, bool]] = []
         self._held = 0
         self._torque = np.zeros(2)
         self._line = np.zeros(5)
         self.way = 0.0
 
-    def add(self, angle: Array, error: Array, torque: Array, way: float) -> None:
-        """Take crank angles, transmission errors and torques of one stretch, in the order of time."""
+    def add(self, angle: Array, error: Array, torque: Array, way: float, *, anew: bool) -> None:
+        """Take crank angles, transmission errors and torques in the order of time; `anew` after a reversal."""
         if not angle.size:
             return
         self.way += way
         if self.points:
-            self._take(angle, error, torque)
+            self._take(angle, error, torque, anew)
             return
-        self._first.append((angle.copy(), error.copy(), torque.copy()))
+        self._first.append((angle.copy(), error.copy(), torque.copy(), anew))
         self._held += angle.size
         if self._held >= _FIRST:
             self._begin()
@@ -120,7 +120,7 @@ class _Fold:
         self.points = min(max(1, whole), POINTS)
         self._spacing = min(self._turn, self.way or self._turn) / self.points
         # The points' borders lie midway between the first turn's samples.
-        self._origin = float(angle[0])
+        self._origin = self._begins = float(angle[0])
         self.shift = float(np.mod(angle[0], self._turn) - 0.5 * self._spacing)
         self.whole = self.points if self.way >= self._turn else max(1, round(self._turn / self._spacing))
         self._reference = float(self._first[0][1][0])
@@ -135,19 +135,22 @@ class _Fold:
         for part in waiting:
             self._take(*part)
 
-    def _take(self, angle: Array, error: Array, torque: Array) -> None:
+    def _take(self, angle: Array, error: Array, torque: Array, anew: bool) -> None:
+        if anew:
+            self.finish()
+            self._begins = float(angle[0])
         self.samples += angle.size
         error = error - self._reference
         t = torque - self._torque_reference
         self._torque += np.array([t.sum(), t @ t])
         x = angle - self._origin
         self._line += np.array([angle.size, x.sum(), error.sum(), x @ x, x @ error])
-        travel = np.maximum(self.direction * x + 0.5 * self._spacing, 0.0)
-        turn = (travel / self._turn + 1e-9).astype(np.int64)
+        travel = self.direction * (angle - self._begins) + 0.5 * self._spacing
+        turn = np.maximum((travel / self._turn + 1e-9).astype(np.int64), self._open_turn)
         place = np.mod(angle - self.shift, self._turn) / self._spacing + 1e-9
         point = np.minimum(place.astype(np.int64), self.whole - 1)
         inside = (place - (point + 0.5)) * self._spacing
-        low = min(self._open_turn, int(turn.min()))
+        low = self._open_turn
         rows = int(turn.max()) - low + 1
         key = point if rows == 1 else point + (turn - low) * self.whole
         size = rows * self.whole
@@ -155,7 +158,7 @@ class _Fold:
         found[0] = np.bincount(key, minlength=size).reshape(rows, -1)
         for number, weights in enumerate((error, inside, inside * inside), start=1):
             found[number] = np.bincount(key, weights, size).reshape(rows, -1)
-        found[:, self._open_turn - low] += self._open
+        found[:, 0] += self._open
         self._close(found[:, :-1])
         self._open = found[:, -1]
         self._open_turn = low + rows - 1
@@ -178,12 +181,13 @@ class _Fold:
         return float((n * xy - x * y) / spread) if n > 2 and spread > 0.0 else 0.0
 
     def finish(self) -> None:
-        """Close the turn under way."""
+        """Close the turn under way: what comes then is another one."""
         if not self.points:
             self._begin()
         if self.points:
             self._close(self._open[:, None, :])
             self._open = np.zeros_like(self._open)
+            self._open_turn = 0
 
     def curve(
         self, *, common_zero: bool, known_index: bool, source: str, checksum: str, notes: tuple[str, ...]
@@ -244,7 +248,7 @@ class Folding:
         self._correction = 0.0
         self._last: tuple[float, float] | None = None
         self._recounted = 0
-        self._lead_in = np.nan
+        self._anew = False
 
     def add(self, block: Block) -> None:
         """Take the next block."""
@@ -301,11 +305,10 @@ class Folding:
                     int(np.argmax(ahead[: back[0] + 1])) + 1 if ahead[: back[0] + 1].max() >= d * self._furthest else 0
                 )
                 self._take(part[:end], error[begin : begin + end], torque[begin : begin + end], reached[:end])
-                turned = float(reached[back[0]]) * d
                 self._reversing += int(back[0]) - end
                 self._direction = -d
                 self._furthest = float(part[back[0]])
-                self._lead_in = turned
+                self._anew = True
                 return begin + int(back[0])
         self._take(part, error[begin:], torque[begin:], reached)
         return angle.size
@@ -328,7 +331,8 @@ class Folding:
             self._stood += int(np.count_nonzero(standing))
             moving = ~standing
             angle, error, torque = angle[moving], error[moving], torque[moving]
-        self._folds[self._direction].add(angle, error, torque, way)
+        self._folds[self._direction].add(angle, error, torque, way, anew=self._anew)
+        self._anew &= not angle.size
 
     def curves(self, stream: BenchRecording | BenchStream) -> list[Curve]:
         """Return the curve of each direction in which the crank turned, the one that it turned further first.
@@ -437,6 +441,45 @@ def transmission_error_curve(recording: BenchRecording | BenchStream, ratio: flo
     if len(curves) > 1:
         raise edge.InputError(f"{recording.source}: the crank turns in both directions; record each one by itself.")
     return curves[0]
+
+
+def lag_of(recording: BenchRecording, ratio: float) -> tuple[float, float] | None:
+    """Find by how much later than the input angle the output angle was taken, from changes of speed.
+
+    An output angle that is late by τ is short by τ times its speed. At one speed that is an offset like any other;
+    where the speed changes it shows, apart from what repeats with the output's or crank's turns and from the lost
+    motion, which has the sign of the speed. A windup that grows with speed (viscous friction) shows alike.
+
+    Parameters
+    ----------
+    recording
+        The recording.
+    ratio
+        Signed ratio.
+
+    Returns
+    -------
+    lag, uncertainty
+        s, and half its 95 % interval; None where the speed hardly changes.
+    """
+    step = max(1, recording.time.size // 50000)
+    time, angle, output = recording.time[::step], recording.input_angle[::step], recording.output_angle[::step]
+    if time.size < 50:
+        return None
+    speed = np.gradient(angle, time) / ratio
+    waves = np.multiply.outer(angle, np.array([1.0, 2.0, 1.0 + 1.0 / abs(ratio), 1.0 / abs(ratio)]))
+    columns = np.column_stack([np.ones(angle.size), np.sign(speed), np.cos(waves), np.sin(waves)])
+    both = np.column_stack([output - angle / ratio, speed])
+    left = both - columns @ np.linalg.lstsq(columns, both, rcond=None)[0]
+    error, changes = left.T
+    spread = float(changes @ changes)
+    if np.sqrt(spread / time.size) < 0.02 * np.abs(speed).max():
+        return None
+    slope = float(changes @ error) / spread
+    rest = error - slope * changes
+    alike = min(max(float(rest[1:] @ rest[:-1]) / max(float(rest @ rest), 1e-300), 0.0), 1.0 - 2.0 / time.size)
+    variance = float(rest @ rest) / (time.size - columns.shape[1] - 1) / spread * (1.0 + alike) / (1.0 - alike)
+    return -slope, 1.96 * float(np.sqrt(variance))
 
 
 def noise_of(curve: Curve) -> float:

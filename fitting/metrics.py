@@ -7,7 +7,7 @@ the input locked or turning slowly; what counts is the windup, the output angle 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from cycloid_fmu import edge
-from fitting.curve import Curve, Folding, Spectrum, significant, spectrum, synthesised
+from fitting.curve import Curve, Folding, Spectrum, lag_of, significant, spectrum, synthesised
 from fitting.recording import BenchRecording, BenchStream, Block
 
 Array = NDArray[np.float64]
@@ -459,7 +459,7 @@ def angular_transmission_error(curve: Curve, orders: Spectrum, *, seed: int = 0)
     rng = np.random.default_rng(seed)
     kept = np.where(orders.significant, orders.coefficient, 0.0)
     highest = int(np.flatnonzero(orders.significant).max(initial=1))
-    points = 1 << max(10, math.ceil(math.log2(16 * highest)))
+    points = 1 << max(10, math.ceil(math.log2(64 * highest)))
     found = float(_range_of(kept[: highest + 1], points)[0])
     drawn = np.empty(_REDRAWN)
     step = max(1, (1 << 22) // points)
@@ -621,7 +621,12 @@ class _Overview:
         return dict(zip(self.names, columns, strict=False))
 
 
-def survey(stream: BenchRecording | BenchStream, ratio: float | None, rated_torque: float | None) -> Surveyed:
+def survey(
+    stream: BenchRecording | BenchStream,
+    ratio: float | None,
+    rated_torque: float | None,
+    progress: Callable[[int], None] = lambda samples: None,
+) -> Surveyed:
     """Take a recording once, block by block, and return what figures, report and comparison need of it.
 
     Parameters
@@ -632,6 +637,8 @@ def survey(stream: BenchRecording | BenchStream, ratio: float | None, rated_torq
         Signed ratio; None takes the recording's own. Without any the input must be locked.
     rated_torque
         T_N, N·m; None takes the largest torque of the recording, with a note.
+    progress
+        Told how many samples were taken so far.
 
     Raises
     ------
@@ -645,6 +652,7 @@ def survey(stream: BenchRecording | BenchStream, ratio: float | None, rated_torq
         overview.add(block)
         if folding is not None:
             folding.add(block)
+        progress(overview.samples)
     table = overview.table()
     notes = list(stream.notes)
     shortened = BenchRecording(
@@ -664,7 +672,7 @@ def survey(stream: BenchRecording | BenchStream, ratio: float | None, rated_torq
     if loops is None and folding is not None:
         try:
             curves = folding.curves(stream)
-            notes = list(curves[0].notes) + said
+            notes = list(curves[0].notes) + said + _lag_note(shortened, folding.ratio)
         except edge.InputError as problem:
             notes.append(str(problem))
     elif loops is None and np.ptp(shortened.input_angle) > 0.0:
@@ -673,6 +681,23 @@ def survey(stream: BenchRecording | BenchStream, ratio: float | None, rated_torq
         stream.source, shortened.checksum, overview.samples, float(table["time"][-1] - table["time"][0]), shortened,
         overview.averaged, tuple(curves), loops, tuple(notes),
     )  # fmt: skip
+
+
+def _lag_note(recording: BenchRecording, ratio: float) -> list[str]:
+    """Say where the output angle is late beyond its uncertainty, and by a tenth of an arcsecond at full speed."""
+    found = lag_of(recording, ratio)
+    if found is None:
+        return []
+    lag, uncertainty = found
+    fastest = float(np.abs(np.gradient(recording.output_angle, recording.time)).max())
+    arcsec = abs(lag) * fastest * 648000.0 / math.pi
+    if abs(lag) < 2.0 * uncertainty or arcsec < 0.1:
+        return []
+    return [
+        f"{recording.source}: where the speed changes the output angle is {'late' if lag > 0.0 else 'early'} by "
+        f"{abs(lag) * 1e3:.3g} ± {uncertainty * 1e3:.1g} ms, {arcsec:.3g}″ at full speed; where that is not windup, "
+        "give it as delay in the mapping."
+    ]
 
 
 _LOCKED = math.radians(1.0)  # of the crank: what windup of a locked input's own fixture it may show
@@ -785,6 +810,12 @@ def figures_of(surveyed: Sequence[Surveyed], ratio: float | None, rated_torque: 
                 spectra.append(None)
                 continue
             spectra.append(orders)
+            around, varies = abs(curve.torque), curve.torque_deviation
+            if 0.1 * around < varies < around or varies > 0.1 * (rated_torque or math.inf):
+                notes.append(
+                    f"{curve.source}: the torque varies by {varies:.3g} N·m around {curve.torque:.4g} "
+                    "N·m; the transmission error holds the windup that this makes."
+                )
             figure = angular_transmission_error(curve, orders)
             ways[way][f"{one.source}, {curve.torque:.4g} N*m, {way}"] = figure
     parts = {way: max(runs.values(), key=lambda f: f.value) for way, runs in ways.items() if runs}

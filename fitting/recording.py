@@ -50,6 +50,8 @@ class ChannelMapping(edge.Config):
         to roll over at one turn.
     zero_reference
         "absolute" where the zero is the same in every recording, the crank's being at pin 0.
+    delay
+        By how much later than the event its time is, such as "1.2 ms" of a filter or another clock.
     """
 
     column: str
@@ -58,6 +60,7 @@ class ChannelMapping(edge.Config):
     direction: Literal[1, -1] = 1
     rollover: edge.Angle | None = None
     zero_reference: Literal["absolute", "incremental"] | None = None
+    delay: edge.Seconds = 0.0
 
 
 class TimeMapping(edge.Config):
@@ -244,7 +247,10 @@ class BenchStream:
         edge.InputError
             If a value of the file is no number, or it ends before a sample came.
         """
-        merge = _OneClock(self._scales, self._mapping.time)
+        delays = {
+            n: m.delay for n in (*ANGLES, "torque", "temperature") if (m := getattr(self._mapping, n)) is not None
+        }
+        merge = _OneClock(self._scales, self._mapping.time, delays)
         tidy = _Tidy({n: getattr(self._mapping, n) for n in ANGLES}, self.source)
         names = list(dict.fromkeys(column for column, _, _ in self._scales.values()))
         kept = 0
@@ -388,8 +394,12 @@ class _OneClock:
     neighbours, but never over a gap: samples there are left out, and the next one is marked.
     """
 
-    def __init__(self, scales: Mapping[str, tuple[str, float, float]], time: TimeMapping | None) -> None:
+    def __init__(
+        self, scales: Mapping[str, tuple[str, float, float]], time: TimeMapping | None, delays: Mapping[str, float]
+    ) -> None:
         self._scales = scales
+        self._delays = delays
+        self._together = len(set(delays.values())) == 1
         self._rate = None if time is None else time.rate
         self._roles = [r for r in scales if r != "time"]
         self._master = "input_angle" if "input_angle" in scales else "output_angle"
@@ -419,12 +429,13 @@ class _OneClock:
             assert self._rate is not None
             time = (self._came + np.arange(size)) / self._rate
         self._came += size
-        if len(values) == len(self._roles) and not any(self._waiting.values()):
+        if self._together and len(values) == len(self._roles) and not any(self._waiting.values()):
+            time = time if (delay := self._delays[self._master]) == 0.0 else time - delay
             yield {"time": time, **values}, piece.status
             return
         status = np.zeros(size, np.uint8) if piece.status is None else piece.status
         for role, value in values.items():
-            self._waiting[role].append((time, value, status))
+            self._waiting[role].append((time - self._delays[role], value, status))
         if all(self._waiting.values()):
             yield from self._flush(min(parts[-1][0][-1] for parts in self._waiting.values()), last=False)
 

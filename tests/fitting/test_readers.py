@@ -14,7 +14,7 @@ from pyarrow import parquet
 
 from cycloid_fmu import edge
 from drivers.recording_format import GAP
-from fitting.curve import transmission_error_curve
+from fitting.curve import lag_of, transmission_error_curve
 from fitting.inspection import look, propose
 from fitting.readers import PIECE, find_dialect, open_bench_file, unit_text
 from fitting.recording import open_bench_recording, read_bench_recording, read_mapping
@@ -317,6 +317,30 @@ def test_gaps_and_duplicates_are_marked_and_never_filled(tmp_path):
     assert "2 gaps, the longest 0.101 s at 1.999 s" in said
     assert "1 samples at the time of the one before" in said
     assert "1 samples older than one before" in said
+
+
+def test_a_late_output_angle_is_found_by_changes_of_speed_and_a_delay_takes_it_away(tmp_path):
+    time = np.arange(40000) / 4000.0
+    lag = 1.3e-3
+
+    def crank(t):
+        return 60.0 * t + 15.0 * (1 - np.cos(2 * np.pi * t / 5.0))
+
+    def output(t):
+        return -crank(t) / 39 + 1e-4 * np.cos(crank(t))
+
+    noise = np.random.default_rng(0).normal(0, 5e-6, time.size)
+    path = write_table(tmp_path / "a.csv", time, crank(time), output(time - lag) + noise)
+    found, uncertainty = lag_of(read_bench_recording(path), -39.0)
+    assert abs(found - lag) < 1.5 * uncertainty < 0.05 * lag
+    text = '[time]\ncolumn = "time"\n[input_angle]\ncolumn = "input_angle"\n[torque]\ncolumn = "torque"\n'
+    mapped = mapping(tmp_path, text + '[output_angle]\ncolumn = "output_angle"\ndelay = "1.3 ms"\n')
+    corrected = read_bench_recording(path, mapped)
+    assert corrected.output_angle == pytest.approx(output(corrected.time), abs=4e-5)
+    found, uncertainty = lag_of(corrected, -39.0)
+    assert abs(found) < 2 * uncertainty
+    steady = write_table(tmp_path / "b.csv", time, 60.0 * time, -60.0 * time / 39 + noise)
+    assert lag_of(read_bench_recording(steady), -39.0) is None
 
 
 @pytest.mark.parametrize("gap", [0.2, 0.8])
