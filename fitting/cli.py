@@ -2,33 +2,94 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
+import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cycloid_fmu import edge
+
+if TYPE_CHECKING:
+    from cycloid_fmu.pair import Pair
+    from fitting.curve import Curve
+    from fitting.metrics import Figure, Figures
 
 app = typer.Typer(
     no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich",
     help="Measured transmission errors: curves, and the errors of the drive behind them.",
 )  # fmt: skip
 
-Recordings = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings, .arrows or .csv.")]
+Recordings = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings of any kind that is read.")]
 PairFile = Annotated[Path, typer.Option("--pair", metavar="PAIR.toml", help="The nominal gear pair.")]
 PlotFile = Annotated[Path | None, typer.Option("--plot", metavar="FILE.png|pdf", help="Draw the result.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result for scripts: SI, names as in the files.")]
+
+MaybePair = Annotated[Path | None, typer.Option("--pair", metavar="PAIR.toml", help="The nominal gear pair.")]
+Ratio = Annotated[float | None, typer.Option(help="Signed ratio input/output, such as -39, in place of a pair.")]
+RatedTorque = Annotated[str | None, typer.Option(help='Rated torque at the output, such as "167 N*m".')]
+MappingFile = Annotated[
+    Path | None, typer.Option("--mapping", metavar="MAP.toml", help="Which channel is what; see [cyan]inspect[/].")
+]
+
+
+def _figures(
+    files: list[Path], pair_file: Path | None, ratio: float | None, rated_torque: str | None, mapping: Path | None
+) -> tuple[Figures, Pair | None]:
+    """Take recordings with a progress bar and return their figures, and the pair where one is named."""
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    from cycloid_fmu.pair import read_pair
+    from fitting.metrics import figures_of, survey
+    from fitting.recording import open_bench_recording, read_mapping
+
+    if pair_file is not None and ratio is not None:
+        raise edge.InputError(f"--ratio = {ratio:g}: the pair {pair_file} says the ratio; give one of the two.")
+    if ratio is not None and not (math.isfinite(ratio) and ratio):
+        raise edge.InputError(f"--ratio = {ratio}: write the signed ratio input/output, such as -39.")
+    rated = None if rated_torque is None else edge.quantity_option(rated_torque, "N*m", "--rated-torque")
+    if rated is not None and rated <= 0.0:
+        raise edge.InputError(f'--rated-torque = "{rated_torque}": it must be above zero.')
+    pair = None if pair_file is None else read_pair(pair_file)
+    if pair is not None:
+        ratio, rated = pair.ratio, rated if rated is not None else pair.pair.rated_torque
+    mapped = None if mapping is None else read_mapping(mapping)
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    surveyed = []
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("reading")
+        for number, file in enumerate(files, start=1):
+            said = f"{file.name} ({number} of {len(files)})"
+
+            def progress(samples: int, said: str = said) -> None:
+                bar.update(task, description=f"{said}: {samples / 1e6:.1f} million samples")
+
+            surveyed.append(survey(open_bench_recording(file, mapped), ratio, rated, progress))
+    return figures_of(surveyed, ratio, rated), pair
+
+
+def _curves(files: list[Path], ratio: float, mapping: Path | None) -> list[Curve]:
+    """Return the curves of recordings, one for each direction."""
+    from fitting.curve import transmission_error_curves
+    from fitting.recording import open_bench_recording, read_mapping
+
+    mapped = None if mapping is None else read_mapping(mapping)
+    return [c for f in files for c in transmission_error_curves(open_bench_recording(f, mapped), ratio)]
 
 
 @app.command()
 def curve(
     files: Recordings,
     pair_file: PairFile,
+    mapping: MappingFile = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the curves (netCDF).")] = None,
     plot: PlotFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """Transmission error curves over one output turn, averaged over turns, one for each recording.
+    """Transmission error curves over one output turn, averaged over turns, one for each recording and direction.
 
     Example: [cyan]cycloid-fit curve 20Nm.arrows 200Nm.arrows --pair pair.toml -o curves.nc --plot curves.png[/]
     """
@@ -37,14 +98,14 @@ def curve(
     from cycloid_fmu import plots
     from cycloid_fmu.cli import print_table
     from cycloid_fmu.pair import read_pair
-    from fitting.curve import curves_dataset, noise_of, transmission_error_curve, write_curves
-    from fitting.plots import label_of, plot_curves
-    from fitting.recording import read_bench_recording
+    from fitting.curve import curves_dataset, noise_of, write_curves
+    from fitting.panels import label_of
+    from fitting.plots import plot_curves
 
     if plot is not None:
         plots.check_path(plot)
     pair = read_pair(pair_file)
-    curves = [transmission_error_curve(read_bench_recording(f), pair.ratio) for f in files]
+    curves = _curves(files, pair.ratio, mapping)
     if output is not None:
         write_curves(curves, output)
     if plot is not None:
@@ -54,10 +115,10 @@ def curve(
         typer.echo(edge.json_text({str(k): v.values for k, v in {**data.coords, **data.data_vars}.items()}))
         return
     rows = []
-    for file, one in zip(files, curves, strict=True):
+    for one in curves:
         error = one.transmission_error * plots.ARCSEC
         rows.append(
-            [file.name, label_of(one), str(one.input_angle.size), f"{one.sample_count.mean():.1f}",
+            [Path(one.source).name, label_of(one), str(one.input_angle.size), f"{one.sample_count.mean():.1f}",
              f"{error.mean():.3f}", f"{np.ptp(error):.3f}", f"{noise_of(one) * plots.ARCSEC:.3f}"]
         )  # fmt: skip
     print_table(
@@ -66,6 +127,183 @@ def curve(
         rows,
     )
     _say_notes([note for one in curves for note in one.notes])
+
+
+@app.command()
+def inspect(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A bench file of any kind that is read.")],
+    dbc: Annotated[Path | None, typer.Option(help="The DBC of a CAN log.")] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the proposed mapping (TOML).")] = None,
+    plot: PlotFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Say what is in a file, propose which channel is what, and draw the channels.
+
+    Example: [cyan]cycloid-fit inspect run.tdms -o map.toml --plot channels.png[/], then check map.toml and give it as
+    [cyan]--mapping map.toml[/]
+    """
+    from cycloid_fmu import plots
+    from cycloid_fmu.cli import print_table
+    from fitting.inspection import LOOKED_AT, look, propose
+    from fitting.plots import plot_channels
+    from fitting.readers import open_bench_file
+
+    if plot is not None:
+        plots.check_path(plot)
+    opened = open_bench_file(file, dbc)
+    looks = look(opened)
+    if not looks:
+        raise edge.InputError(" ".join([*opened.problems, f"{file}: it holds no samples of a numeric channel."]))
+    near = None if dbc is None else str(dbc.resolve() if output is None else _beside(dbc, output))
+    found = propose(opened, looks, near)
+    if output is not None:
+        with edge.written_whole(output) as temporary:
+            temporary.write_text(found.text, encoding="utf-8")
+    if plot is not None:
+        plots.save(plot_channels(looks, found.roles), plot)
+    if as_json:
+        channels = {
+            o.channel.name: {
+                "unit": o.channel.unit, "samples": o.values.size, "min": float(o.values.min()),
+                "max": float(o.values.max()),
+            }
+            for o in looks
+        }  # fmt: skip
+        roles = {role: o.channel.name for role, o in found.roles.items()}
+        typer.echo(edge.json_text({"channels": channels, "proposed": roles, "problems": opened.problems}))
+        return
+    roles_of = {o.channel.name: role for role, o in found.roles.items()}
+    rows = [
+        [o.channel.name.replace("[", "\\["), o.channel.unit.replace("[", "\\["), str(o.values.size),
+         f"{o.values.min():.6g}", f"{o.values.max():.6g}", roles_of.get(o.channel.name, "")]
+        for o in looks
+    ]  # fmt: skip
+    print_table(file.name, ["channel", "unit", "samples", "smallest", "largest", "proposed as"], rows)
+    if max(o.values.size for o in looks) >= LOOKED_AT:
+        typer.echo(f"Looked at the first {LOOKED_AT} samples.")
+    typer.echo("\n# A mapping that may fit; check it and give it as --mapping.\n" + found.text)
+    _say_notes(opened.problems)
+
+
+def _beside(file: Path, other: Path) -> str:
+    return os.path.relpath(file.resolve(), other.resolve().parent)
+
+
+@app.command()
+def metrics(
+    files: Recordings,
+    pair_file: MaybePair = None,
+    ratio: Ratio = None,
+    rated_torque: RatedTorque = None,
+    mapping: MappingFile = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the figures (JSON).")] = None,
+    plot: PlotFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """The standard figures: transmission error, lost motion, backlash, stiffness, hysteresis, starting torque.
+
+    Example: [cyan]cycloid-fit metrics loop.csv *.arrows --ratio -39 --rated-torque "167 N*m"[/]
+    """
+    from cycloid_fmu import plots
+    from fitting.metrics import figures_json
+    from fitting.panels import panels_of
+    from fitting.plots import plot_panels
+
+    if plot is not None:
+        plots.check_path(plot)
+    found, pair = _figures(files, pair_file, ratio, rated_torque, mapping)
+    if plot is not None:
+        plots.save(plot_panels(panels_of(found, pair)), plot)
+    text = edge.json_text(figures_json(found))
+    if output is not None:
+        with edge.written_whole(output) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    if as_json:
+        typer.echo(text)
+    else:
+        print_figures(found)
+        _say_notes(list(found.notes))
+    if not found.figures:
+        raise edge.InputError("No figure could be computed." if not as_json else "\n".join(found.notes))
+
+
+@app.command()
+def report(
+    files: Recordings,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="REPORT.html|pdf", help="The report.")],
+    pair_file: MaybePair = None,
+    ratio: Ratio = None,
+    rated_torque: RatedTorque = None,
+    mapping: MappingFile = None,
+) -> None:
+    """A report to hand on: figures, curves, orders, loops, what was left out and why. One file, HTML or PDF.
+
+    Example: [cyan]cycloid-fit report loop.csv *.arrows --pair pair.toml -o report.html[/]
+    """
+    from fitting.report import check_report_path, write_report
+
+    check_report_path(output)
+    found, pair = _figures(files, pair_file, ratio, rated_torque, mapping)
+    write_report(found, output, pair)
+    print_figures(found)
+    _say_notes(list(found.notes))
+    if not found.figures:
+        raise edge.InputError("No figure could be computed; the report says why.")
+
+
+@app.command()
+def compare(
+    before: Annotated[Path, typer.Argument(metavar="A", help="A recording, or figures (JSON) of several.")],
+    after: Annotated[Path, typer.Argument(metavar="B", help="What it is compared with.")],
+    pair_file: MaybePair = None,
+    ratio: Ratio = None,
+    rated_torque: RatedTorque = None,
+    mapping: MappingFile = None,
+    plot: PlotFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Which figures moved beyond their uncertainty: before and after, two drives, two temperatures.
+
+    Example: [cyan]cycloid-fit metrics new/*.csv --ratio -39 -o new.json[/], the same for worn.json, then
+    [cyan]cycloid-fit compare new.json worn.json --plot moved.png[/]
+    """
+    from cycloid_fmu import plots
+    from cycloid_fmu.cli import print_table
+    from fitting.comparison import changes_json, read_figures
+    from fitting.comparison import compare as compare_figures
+    from fitting.metrics import in_field_units
+    from fitting.plots import plot_changes
+
+    if plot is not None:
+        plots.check_path(plot)
+    sides: list[dict[str, Figure]] = []
+    notes: list[str] = []
+    for file in (before, after):
+        if file.suffix.lower() == ".json":
+            sides.append(read_figures(file))
+        else:
+            found, _ = _figures([file], pair_file, ratio, rated_torque, mapping)
+            sides.append(found.figures)
+            notes += found.notes
+    changes, said = compare_figures(*sides)
+    notes += said
+    if not changes:
+        raise edge.InputError("\n".join([*notes, f"{before} and {after} have no figure that can be compared."]))
+    if plot is not None:
+        plots.save(plot_changes(changes), plot)
+    if as_json:
+        typer.echo(edge.json_text(changes_json(changes, notes)))
+        return
+    rows = []
+    for c in changes:
+        as_figure = dataclasses.replace(c.before, value=c.difference, uncertainty=c.uncertainty)
+        unit_of = dataclasses.replace(c.after, value=max(abs(c.before.value), abs(c.after.value)))
+        difference, uncertainty, unit = in_field_units(as_figure, like=unit_of)
+        values = [in_field_units(f, like=unit_of)[0] for f in (c.before, c.after)]
+        moved = {True: "yes", False: "no", None: "not known"}[c.moved]
+        rows.append([c.name, *values, difference, uncertainty, unit, moved])
+    print_table("Changes", ["figure", "A", "B", "B - A", "± 95 %", "unit", "moved"], rows)
+    _say_notes(notes)
 
 
 def _say_notes(notes: list[str]) -> None:
@@ -77,6 +315,7 @@ def _say_notes(notes: list[str]) -> None:
 def identify(
     files: Recordings,
     pair_file: PairFile,
+    mapping: MappingFile = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the identification (JSON).")] = None,
     surface_file: Annotated[
         Path | None, typer.Option("--surface", metavar="S.nc", help="Write the identified error surface (netCDF).")
@@ -93,17 +332,15 @@ def identify(
     from cycloid_fmu import plots
     from cycloid_fmu.pair import read_pair
     from cycloid_fmu.surface import write_surface
-    from fitting.curve import transmission_error_curve
     from fitting.identify import as_json as content
     from fitting.identify import identify as fit
     from fitting.identify import write_identification
     from fitting.plots import plot_identification
-    from fitting.recording import read_bench_recording
 
     if plot is not None:
         plots.check_path(plot)
     pair = read_pair(pair_file)
-    curves = [transmission_error_curve(read_bench_recording(f), pair.ratio) for f in files]
+    curves = _curves(files, pair.ratio, mapping)
     console = Console(stderr=True)
     with console.status("reading") as status:
         result = fit(curves, pair, lambda step: status.update(f"{step} …"))
@@ -118,6 +355,21 @@ def identify(
         return
     print_identification(result)
     _say_notes([*result.notes, *(note for one in curves for note in one.notes)])
+
+
+def print_figures(found: Figures) -> None:
+    """Print the figures in field units, each with its uncertainty and what is behind it."""
+    from cycloid_fmu.cli import print_table
+    from fitting.metrics import in_field_units
+
+    rows = []
+    for name, figure in found.figures.items():
+        value, uncertainty, unit = in_field_units(figure)
+        rows.append([name, value, uncertainty, unit, f"{figure.count:.4g} {figure.counted}"])
+        for part, one in {**figure.parts, **figure.runs}.items():
+            value, uncertainty, unit = in_field_units(one)
+            rows.append([f"  {Path(part).name}", value, uncertainty, unit, f"{one.count:.4g} {one.counted}"])
+    print_table("Figures", ["figure", "value", "± 95 %", "unit", "of"], rows)
 
 
 def print_identification(result: object, truth: dict[str, float] | None = None) -> None:

@@ -1,4 +1,8 @@
-"""From a recording to its transmission error curve: over one output turn, averaged over turns, one direction each."""
+"""From a recording to its transmission error curves: over one output turn, averaged over turns, one direction each.
+
+The samples are taken block by block and folded as they come, so that hours at kilohertz need no more memory than one
+output turn; then the curve's orders, each with the noise around it.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +13,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from cycloid_fmu import edge
-from fitting.recording import BenchRecording, one_direction
+from drivers.recording_format import GAP
+from fitting.recording import BenchRecording, BenchStream, Block
 
 if TYPE_CHECKING:
     import xarray as xr
 
 Array = NDArray[np.float64]
 FORMAT = "cycloid-curve/1"
+POINTS = 1 << 15  # most points of a turn: orders up to a quarter of them are told
+_FIRST = 1 << 20  # samples from which the number of points is found
+_REVERSAL = np.radians(2.0)  # of the crank: what turns back less is vibration; beyond the lost motion of any drive
 
 
 @dataclass(frozen=True)
@@ -30,7 +39,8 @@ class Curve:
         Crank angle of each point, rad, from 0 to one output turn: the mean of the samples in it, so nothing is
         interpolated.
     transmission_error, standard_error
-        φ_b - φ_a/ratio (rad) and the standard error of its mean over turns, NaN where one turn was recorded.
+        φ_b - φ_a/ratio (rad), averaged over turns, and the standard error of its mean from the turns' scatter, NaN
+        where one turn was recorded.
     sample_count
         Samples in each point.
     torque, torque_deviation
@@ -45,6 +55,13 @@ class Curve:
         Of the recording.
     notes
         What a reader should know of the data.
+    turns
+        Output turns recorded in this direction.
+    grid
+        Points of a whole turn, and the crank angle (rad) at which the first begins; (0, 0) where points and samples
+        are the same.
+    angle_variance
+        Variance of the crank angles within each point, rad², or None where a point is one angle.
     """
 
     input_angle: Array
@@ -60,70 +77,409 @@ class Curve:
     source: str
     checksum: str
     notes: tuple[str, ...] = ()
+    turns: float = 1.0
+    grid: tuple[int, float] = (0, 0.0)
+    angle_variance: Array | None = None
 
 
-def transmission_error_curve(recording: BenchRecording, ratio: float) -> Curve:
-    """Return the transmission error curve of a recording in one direction.
+class _Fold:
+    """Folds the motion in one direction to one output turn.
 
-    The crank angle is folded to one output turn and divided into as many points as samples were taken in a turn; what
-    falls into a point is averaged, angle and transmission error alike.
+    A point's mean is that of its turns' means, so that a standstill or a slow stretch weighs no more than it should.
+    """
+
+    def __init__(self, ratio: float, direction: int) -> None:
+        self._turn = 2.0 * np.pi * abs(ratio)
+        self.ratio, self.direction = ratio, direction
+        self.samples = 0
+        self.points = 0
+        self._first: list[tuple[Array, Array, Array, bool]] = []
+        self._held = 0
+        self._torque = np.zeros(2)
+        self._line = np.zeros(5)
+        self.way = 0.0
+
+    def add(self, angle: Array, error: Array, torque: Array, way: float, *, anew: bool) -> None:
+        """Take crank angles, transmission errors and torques in the order of time; `anew` after a reversal."""
+        if not angle.size:
+            return
+        self.way += way
+        if self.points:
+            self._take(angle, error, torque, anew)
+            return
+        self._first.append((angle.copy(), error.copy(), torque.copy(), anew))
+        self._held += angle.size
+        if self._held >= _FIRST:
+            self._begin()
+
+    def _begin(self) -> None:
+        if not self._first:
+            return
+        angle = self._first[0][0]
+        whole = round((self._held - 1) * min(1.0, self._turn / self.way)) if self.way else 1
+        self.points = min(max(1, whole), POINTS)
+        self._spacing = min(self._turn, self.way or self._turn) / self.points
+        # The points' borders lie midway between the first turn's samples.
+        self._origin = self._begins = float(angle[0])
+        self.shift = float(np.mod(angle[0], self._turn) - 0.5 * self._spacing)
+        self.whole = self.points if self.way >= self._turn else max(1, round(self._turn / self._spacing))
+        self._reference = float(self._first[0][1][0])
+        self._torque_reference = float(self._first[0][2][0])
+        shape = (self.whole,)
+        self.count = np.zeros(shape, np.int64)
+        self.repeats = np.zeros(shape)
+        self._sums = np.zeros((4, self.whole))  # over turns: mean error, its square, mean angle, mean squared angle
+        self._open = np.zeros((4, self.whole))  # of the turn under way: samples, error, angle, squared angle
+        self._open_turn = 0
+        waiting, self._first = self._first, []
+        for part in waiting:
+            self._take(*part)
+
+    def _take(self, angle: Array, error: Array, torque: Array, anew: bool) -> None:
+        if anew:
+            self.finish()
+            self._begins = float(angle[0])
+        self.samples += angle.size
+        error = error - self._reference
+        t = torque - self._torque_reference
+        self._torque += np.array([t.sum(), t @ t])
+        x = angle - self._origin
+        self._line += np.array([angle.size, x.sum(), error.sum(), x @ x, x @ error])
+        travel = self.direction * (angle - self._begins) + 0.5 * self._spacing
+        turn = np.maximum((travel / self._turn + 1e-9).astype(np.int64), self._open_turn)
+        place = np.mod(angle - self.shift, self._turn) / self._spacing + 1e-9
+        point = np.minimum(place.astype(np.int64), self.whole - 1)
+        inside = (place - (point + 0.5)) * self._spacing
+        low = self._open_turn
+        rows = int(turn.max()) - low + 1
+        key = point if rows == 1 else point + (turn - low) * self.whole
+        size = rows * self.whole
+        found = np.empty((4, rows, self.whole))
+        found[0] = np.bincount(key, minlength=size).reshape(rows, -1)
+        for number, weights in enumerate((error, inside, inside * inside), start=1):
+            found[number] = np.bincount(key, weights, size).reshape(rows, -1)
+        found[:, 0] += self._open
+        self._close(found[:, :-1])
+        self._open = found[:, -1]
+        self._open_turn = low + rows - 1
+
+    def _close(self, found: Array) -> None:
+        samples = found[0]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean = np.where(samples > 0, found[1:] / samples, 0.0)
+        self.count += samples.sum(axis=0).astype(np.int64)
+        self.repeats += (samples > 0).sum(axis=0)
+        self._sums[0] += mean[0].sum(axis=0)
+        self._sums[1] += (mean[0] ** 2).sum(axis=0)
+        self._sums[2] += mean[1].sum(axis=0)
+        self._sums[3] += mean[2].sum(axis=0)
+
+    def drift(self) -> float:
+        """Return the slope of the transmission error over the crank angle."""
+        n, x, y, xx, xy = self._line
+        spread = n * xx - x * x
+        return float((n * xy - x * y) / spread) if n > 2 and spread > 0.0 else 0.0
+
+    def finish(self) -> None:
+        """Close the turn under way: what comes then is another one."""
+        if not self.points:
+            self._begin()
+        if self.points:
+            self._close(self._open[:, None, :])
+            self._open = np.zeros_like(self._open)
+            self._open_turn = 0
+
+    def curve(
+        self, *, common_zero: bool, known_index: bool, source: str, checksum: str, notes: tuple[str, ...]
+    ) -> Curve:
+        """Return what was folded."""
+        filled = np.flatnonzero(self.repeats)
+        n = self.repeats[filled]
+        error, squares, inside, inside2 = self._sums[:, filled] / n
+        with np.errstate(invalid="ignore", divide="ignore"):
+            standard_error = np.sqrt(np.maximum(squares - error**2, 0.0) / (n - 1.0))
+        angle = np.mod(self.shift + (filled + 0.5) * self._spacing + inside, self._turn)
+        sequence = np.argsort(angle)
+        torque, torque2 = self._torque / self.samples
+        return Curve(
+            input_angle=angle[sequence],
+            transmission_error=(error + self._reference)[sequence],
+            standard_error=np.where(n > 1, standard_error, np.nan)[sequence],
+            sample_count=self.count[filled][sequence],
+            torque=float(torque + self._torque_reference),
+            torque_deviation=float(np.sqrt(max(torque2 - torque**2, 0.0))),
+            direction=self.direction,
+            ratio=self.ratio,
+            common_zero=common_zero,
+            known_index=known_index,
+            source=source,
+            checksum=checksum,
+            notes=notes,
+            turns=self.way / self._turn,
+            grid=(self.whole, self.shift),
+            angle_variance=np.maximum(inside2 - inside**2, 0.0)[sequence],
+        )
+
+
+class Folding:
+    """Takes a recording's blocks and folds each direction of the crank by itself.
+
+    Left out are stretches in which the crank stands, and after a reversal the first two degrees of the crank, in which
+    the lost motion is passed through. Behind a gap the crank's turns that rolled over unseen are counted by the output
+    angle.
+
+    Parameters
+    ----------
+    ratio
+        Signed ratio φ_a/φ_b of the ideal drive.
+    source
+        The recording's name, for messages.
+    """
+
+    def __init__(self, ratio: float, source: str) -> None:
+        self.ratio, self.source = ratio, source
+        self._folds = {1: _Fold(ratio, 1), -1: _Fold(ratio, -1)}
+        self._direction = 0
+        self._furthest = np.nan
+        self._start = np.nan
+        self._stood = 0
+        self._reversing = 0
+        self._usual_run = np.inf
+        self._correction = 0.0
+        self._last: tuple[float, float] | None = None
+        self._recounted = 0
+        self._anew = False
+
+    def add(self, block: Block) -> None:
+        """Take the next block."""
+        angle, output = block.input_angle, block.output_angle
+        if not angle.size:
+            return
+        if self._last is not None or (block.status & GAP).any():
+            angle = self._recount(angle, output, np.flatnonzero(block.status & GAP))
+        self._last = (float(angle[-1]), float(output[-1]))
+        error = output - angle / self.ratio
+        if np.isnan(self._furthest):
+            self._furthest = self._start = float(angle[0])
+        begin = 0
+        while begin < angle.size:
+            begin = self._stretch(angle, error, block.torque, begin)
+
+    def _recount(self, angle: Array, output: Array, gaps: NDArray[np.int64]) -> Array:
+        """Add the turns of the crank that the output shows to have passed in a gap."""
+        if not gaps.size:
+            return angle if self._correction == 0.0 else angle + self._correction
+        angle = angle + self._correction
+        for at in gaps:
+            if at == 0 and self._last is None:
+                continue
+            before, driven = self._last if at == 0 and self._last is not None else (angle[at - 1], output[at - 1])
+            wanted = before + (output[at] - driven) * self.ratio
+            turns = float(np.round((wanted - angle[at]) / (2.0 * np.pi)))
+            if turns:
+                angle[at:] += 2.0 * np.pi * turns
+                self._correction += 2.0 * np.pi * turns
+                self._recounted += 1
+        return angle
+
+    def _stretch(self, angle: Array, error: Array, torque: Array, begin: int) -> int:
+        """Fold from `begin` to the next reversal and return where that is."""
+        part = angle[begin:]
+        if self._direction == 0:
+            away = np.flatnonzero(np.abs(part - self._start) > _REVERSAL)
+            if not away.size and np.ptp(part) < _REVERSAL and part.size > _FIRST:
+                self._stood += part.size
+                return angle.size
+            last = part[away[0]] if away.size else part[-1]
+            self._direction = 1 if last >= self._start else -1
+            self._furthest = self._start
+        d = self._direction
+        ahead = d * part
+        reached = np.maximum.accumulate(np.maximum(ahead, d * self._furthest))
+        end = part.size
+        if (reached[-1] - ahead).max() > _REVERSAL or ahead.min() < d * self._furthest - _REVERSAL:
+            back = np.flatnonzero(reached - ahead > _REVERSAL)
+            if back.size:
+                # It turned where it was furthest; what lies between is the way back through the lost motion.
+                end = (
+                    int(np.argmax(ahead[: back[0] + 1])) + 1 if ahead[: back[0] + 1].max() >= d * self._furthest else 0
+                )
+                self._take(part[:end], error[begin : begin + end], torque[begin : begin + end], reached[:end])
+                self._reversing += int(back[0]) - end
+                self._direction = -d
+                self._furthest = float(part[back[0]])
+                self._anew = True
+                return begin + int(back[0])
+        self._take(part, error[begin:], torque[begin:], reached)
+        return angle.size
+
+    def _take(self, angle: Array, error: Array, torque: Array, reached: Array) -> None:
+        if not angle.size:
+            return
+        before = self._direction * self._furthest
+        grows = np.diff(reached, prepend=before) > 0.0
+        grows[0] |= self._folds[self._direction].samples + self._folds[self._direction]._held == 0
+        way = float(reached[-1]) - before
+        self._furthest = float(reached[-1]) * self._direction
+        if not grows.all():
+            # The crank stands where it did not come further for much longer than usual (an encoder's step, noise).
+            starts = np.flatnonzero(np.concatenate([[True], grows[1:]]))
+            runs = np.diff(np.append(starts, grows.size))
+            self._usual_run = min(self._usual_run, float(np.median(runs)))
+            standing = np.repeat(runs > max(8.0, 4.0 * self._usual_run), runs)
+            standing[starts[grows[starts]]] = False
+            self._stood += int(np.count_nonzero(standing))
+            moving = ~standing
+            angle, error, torque = angle[moving], error[moving], torque[moving]
+        self._folds[self._direction].add(angle, error, torque, way, anew=self._anew)
+        self._anew &= not angle.size
+
+    def curves(self, stream: BenchRecording | BenchStream) -> list[Curve]:
+        """Return the curve of each direction in which the crank turned, the one that it turned further first.
+
+        A direction in which it turned less than a hundredth of the way is left out, with a note.
+
+        Parameters
+        ----------
+        stream
+            The recording whose blocks were taken.
+
+        Raises
+        ------
+        edge.InputError
+            If the crank does not turn, or its two angles do not belong to this ratio.
+        """
+        folds = sorted(self._folds.values(), key=lambda f: -f.way)
+        for fold in folds:
+            fold.finish()
+        if folds[0].way == 0.0:
+            raise edge.InputError(f"{self.source}: the crank does not turn.")
+        notes = list(stream.notes)
+        kept = [f for f in folds if f.way > 0.01 * folds[0].way and f.samples > 1]
+        if not kept:
+            raise edge.InputError(f"{self.source}: the crank does not turn.")
+        few = sum(f.samples for f in folds if f not in kept)
+        if self._stood + few:
+            notes.append(
+                f"{self.source}: {self._stood + few} samples in which the crank stood or moved back were left out."
+            )
+        if self._reversing:
+            notes.append(
+                f"{self.source}: {self._reversing} samples after a reversal, within the lost motion, were left out."
+            )
+        if self._recounted:
+            notes.append(
+                f"{self.source}: the crank rolled over unseen in {self._recounted} gaps; its turns there were counted "
+                "by the output angle."
+            )
+        for fold in kept:
+            _check_ratio(fold, self.source)
+        checksum = stream.checksum
+        return [
+            f.curve(
+                common_zero=stream.common_zero, known_index=stream.known_index, source=self.source, checksum=checksum,
+                notes=tuple(notes),
+            )
+            for f in kept
+        ]  # fmt: skip
+
+
+def _check_ratio(fold: _Fold, source: str) -> None:
+    """Refuse angles that do not belong to the ratio; say what they look like."""
+    ratio, drift, way = fold.ratio, fold.drift(), fold.way
+    if abs(drift * ratio) <= 0.02 and abs(drift * way) <= np.radians(1.0):
+        return
+    slope = 1.0 / ratio + drift
+    said = f"{source}: the output turns {slope:.6g} of the input, the ratio {ratio:g} means {1.0 / ratio:.6g}; "
+    degrees = 180.0 / np.pi
+    causes = {
+        -1.0: "the ratio's sign or one angle's direction is wrong",
+        ratio * ratio: "input and output angle look swapped",
+        -ratio * ratio: "input and output angle look swapped, and one's direction is wrong",
+        degrees: "the output angle's unit looks like deg taken for rad",
+        1.0 / degrees: "the input angle's unit looks like deg taken for rad",
+    }
+    for factor, cause in causes.items():
+        if abs(slope * ratio / factor - 1.0) < 0.02:
+            raise edge.InputError(f"{said}{cause}; check the pair, the directions and the units.")
+    raise edge.InputError(f"{said}check the pair, the directions and the counts per turn.")
+
+
+def transmission_error_curves(recording: BenchRecording | BenchStream, ratio: float) -> list[Curve]:
+    """Return the transmission error curve of each direction of a recording, the one it turned further first.
+
+    The crank angle is folded to one output turn and divided into as many points as samples were taken in a turn (at
+    most `POINTS`); what falls into a point is averaged within each turn and then over turns, angle and error alike.
 
     Parameters
     ----------
     recording
-        The recording.
+        The recording, in memory or in its file.
     ratio
         Signed ratio φ_a/φ_b of the ideal drive.
 
     Raises
     ------
     edge.InputError
+        If the crank does not turn, or its two angles do not belong to this ratio.
+    """
+    folding = Folding(ratio, recording.source)
+    for block in recording.blocks():
+        folding.add(block)
+    return folding.curves(recording)
+
+
+def transmission_error_curve(recording: BenchRecording | BenchStream, ratio: float) -> Curve:
+    """Return the curve of a recording that turns in one direction; see `transmission_error_curves`.
+
+    Raises
+    ------
+    edge.InputError
         If the recording turns both ways, or its two angles do not belong to this ratio.
     """
-    direction, moving = one_direction(recording)
-    turn = 2.0 * np.pi * abs(ratio)
-    way = np.ptp(moving.input_angle)
-    if way == 0.0:
-        raise edge.InputError(f"{recording.source}: the crank does not turn.")
-    error = moving.output_angle - moving.input_angle / ratio
-    drift = np.polynomial.Polynomial.fit(moving.input_angle, error, 1).convert().coef[1] if error.size > 2 else 0.0
-    if abs(drift * way) > 0.02 * way / abs(ratio):
-        raise edge.InputError(
-            f"{recording.source}: the output turns {1.0 / ratio + drift:.6g} of the input, the ratio {ratio:g} means "
-            f"{1.0 / ratio:.6g}; check the pair, the directions and the counts per turn."
-        )
-    points = max(1, round((moving.input_angle.size - 1) * min(1.0, turn / way)))
-    spacing = min(turn, way) / points
-    folded = np.mod(moving.input_angle, turn)
-    # The points' borders lie midway between the first turn's samples.
-    shift = folded[0] - 0.5 * spacing
-    number = np.floor(np.mod(folded - shift, turn) / spacing + 1e-9).astype(np.int64)
-    number, order = np.unique(number, return_inverse=True)
-    count = np.bincount(order)
-    # An angle just past the end of the turn belongs to the point at its beginning, a whole turn away.
-    centre = folded[np.unique(order, return_index=True)[1]]
-    unrolled = folded - turn * np.round((folded - centre[order]) / turn)
-    angle = np.bincount(order, unrolled) / count
-    mean = np.bincount(order, error) / count
-    scatter = np.bincount(order, (error - mean[order]) ** 2)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        standard_error = np.sqrt(scatter / (count - 1) / count)
-    sequence = np.argsort(angle)
-    return Curve(
-        input_angle=angle[sequence],
-        transmission_error=mean[sequence],
-        standard_error=standard_error[sequence],
-        sample_count=count[sequence],
-        torque=float(moving.torque.mean()),
-        torque_deviation=float(moving.torque.std()),
-        direction=direction,
-        ratio=ratio,
-        common_zero=recording.common_zero,
-        known_index=recording.known_index,
-        source=recording.source,
-        checksum=recording.checksum,
-        notes=moving.notes,
-    )
+    curves = transmission_error_curves(recording, ratio)
+    if len(curves) > 1:
+        raise edge.InputError(f"{recording.source}: the crank turns in both directions; record each one by itself.")
+    return curves[0]
+
+
+def lag_of(recording: BenchRecording, ratio: float) -> tuple[float, float] | None:
+    """Find by how much later than the input angle the output angle was taken, from changes of speed.
+
+    An output angle that is late by τ is short by τ times its speed. At one speed that is an offset like any other;
+    where the speed changes it shows, apart from what repeats with the output's or crank's turns and from the lost
+    motion, which has the sign of the speed. A windup that grows with speed (viscous friction) shows alike.
+
+    Parameters
+    ----------
+    recording
+        The recording.
+    ratio
+        Signed ratio.
+
+    Returns
+    -------
+    lag, uncertainty
+        s, and half its 95 % interval; None where the speed hardly changes.
+    """
+    step = max(1, recording.time.size // 50000)
+    time, angle, output = recording.time[::step], recording.input_angle[::step], recording.output_angle[::step]
+    if time.size < 50:
+        return None
+    speed = np.gradient(angle, time) / ratio
+    waves = np.multiply.outer(angle, np.array([1.0, 2.0, 1.0 + 1.0 / abs(ratio), 1.0 / abs(ratio)]))
+    columns = np.column_stack([np.ones(angle.size), np.sign(speed), np.cos(waves), np.sin(waves)])
+    both = np.column_stack([output - angle / ratio, speed])
+    left = both - columns @ np.linalg.lstsq(columns, both, rcond=None)[0]
+    error, changes = left.T
+    spread = float(changes @ changes)
+    if np.sqrt(spread / time.size) < 0.02 * np.abs(speed).max():
+        return None
+    slope = float(changes @ error) / spread
+    rest = error - slope * changes
+    alike = min(max(float(rest[1:] @ rest[:-1]) / max(float(rest @ rest), 1e-300), 0.0), 1.0 - 2.0 / time.size)
+    variance = float(rest @ rest) / (time.size - columns.shape[1] - 1) / spread * (1.0 + alike) / (1.0 - alike)
+    return -slope, 1.96 * float(np.sqrt(variance))
 
 
 def noise_of(curve: Curve) -> float:
@@ -132,11 +488,145 @@ def noise_of(curve: Curve) -> float:
     The sixth differences of smooth values vanish and those of noise have √924 times its deviation; the median is not
     moved by the corners where pins come into contact.
     """
-    repeated = curve.sample_count > 1
+    repeated = np.isfinite(curve.standard_error)
     if np.count_nonzero(repeated) > 20:
         return float(np.sqrt(np.mean(curve.standard_error[repeated] ** 2)))
     differences = np.diff(curve.transmission_error, 6)
     return float(np.median(np.abs(differences)) / 0.6745 / np.sqrt(924.0)) if differences.size else 0.0
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Orders of the output in a transmission error curve, arrays of shape (orders,) from order 0.
+
+    Attributes
+    ----------
+    coefficient
+        Complex amplitude, rad: order k is Re(c_k exp(ikψ)), ψ the crank angle over |ratio|; order 0 is the mean.
+    floor
+        Noise floor, rad: the root of the mean square amplitude that noise alone has at this order and around it.
+    turns
+        Output turns behind it.
+    """
+
+    coefficient: NDArray[np.complex128]
+    floor: Array
+    turns: float
+
+    @property
+    def amplitude(self) -> Array:
+        """Amplitude of each order, rad."""
+        return np.abs(self.coefficient)
+
+    @property
+    def uncertainty(self) -> Array:
+        """Half the 95 % interval of each amplitude, rad."""
+        half: Array = 1.96 * self.floor / np.sqrt(2.0)
+        return half
+
+    @property
+    def significant(self) -> NDArray[np.bool_]:
+        """Orders that noise alone reaches once in a hundred such spectra, the mean excepted."""
+        return significant(self.coefficient, self.floor, self.floor.size)
+
+
+def significant(coefficient: NDArray[np.complex128], floor: Array, orders: int) -> NDArray[np.bool_]:
+    """Return which of this many orders stand out of the noise: it alone makes one do so once in a hundred times."""
+    threshold = floor * np.sqrt(np.log(orders / 0.01))
+    found: NDArray[np.bool_] = np.abs(coefficient) > threshold
+    found[..., 0] = False
+    return found
+
+
+_WINDOW = 101  # orders around one whose median tells its noise floor
+_HOLES = 0.02  # share of a turn's points that may be empty
+
+
+def spectrum(curve: Curve) -> Spectrum:
+    """Return the orders of a curve over a whole output turn.
+
+    The points are no even grid: each is a mean over its samples' angles. The orders are found such that at these angles
+    they give the measured means (to second order in the angle), by iteration on the even grid. The noise floor of an
+    order is the median around it, so that noise that is not white is told where it is; single orders don't move it.
+
+    Raises
+    ------
+    edge.InputError
+        If the curve has holes: less than a turn was recorded, or gaps lie always at the same angles.
+    """
+    turn = 2.0 * np.pi * abs(curve.ratio)
+    points, shift = curve.grid
+    if not points:
+        points = curve.input_angle.size
+        shift = float(curve.input_angle[0]) - 0.5 * turn / points
+    scale = 1.0 / abs(curve.ratio)  # from crank angles to those of the output turn
+    place = np.mod(curve.input_angle - shift, turn) * scale
+    variance = np.zeros(place.size) if curve.angle_variance is None else curve.angle_variance * scale**2
+    while True:
+        gathered = _gridded(place, curve.transmission_error, variance, curve.sample_count.astype(float), points)
+        filled = gathered[3]
+        if np.count_nonzero(filled) >= (1.0 - _HOLES) * points or points <= 64:
+            break
+        points //= 2
+    value, inside, spread, filled = gathered
+    runs = np.diff(np.flatnonzero(np.concatenate([filled, filled, [True]])))
+    if np.count_nonzero(filled) < (1.0 - _HOLES) * points or runs.max() > max(2, points // 64):
+        raise edge.InputError(
+            f"{curve.source}: {np.count_nonzero(filled) / points:.1%} of an output turn was recorded; its orders need "
+            "all of it."
+        )
+    # Two terms of the series in the angle reach so far; evenly sampled turns have their whole band.
+    reach = float(np.max(np.abs(inside[filled]) + np.sqrt(spread[filled])))
+    highest = max(1, min((points - 1) // 2, max(points // 4, int(0.25 * np.pi / max(reach, 1e-9)))))
+    order = np.arange(highest + 1)
+    shift_phase = np.exp(1j * order * (shift * scale + np.pi / points))
+    coefficient = np.zeros(highest + 1, complex)
+    for _ in range(50):
+        wave = coefficient * shift_phase
+        model = synthesised(wave, points)
+        model += synthesised(1j * order * wave, points) * inside
+        model += synthesised(-(order**2) * wave, points) * (0.5 * (inside**2 + spread))
+        step = np.fft.rfft(np.where(filled, value - model, 0.0))[: highest + 1] * (2.0 / points) / shift_phase
+        step[0] *= 0.5
+        coefficient = coefficient + step
+        if np.abs(step[1:]).max() <= 1e-9 * np.abs(coefficient[1:]).max():
+            break
+    power = np.abs(coefficient[1:]) ** 2
+    floor = np.sqrt(ndimage.median_filter(power, min(_WINDOW, power.size), mode="reflect") / np.log(2.0))
+    floor = np.maximum(np.concatenate([floor[:1], floor]), 1e-15)
+    return Spectrum(coefficient, floor, curve.turns)
+
+
+def synthesised(coefficient: NDArray[np.complex128], points: int) -> Array:
+    """Return Re Σ c_k exp(ikψ) at `points` even angles from 0; the coefficients lie along the last axis.
+
+    Parameters
+    ----------
+    coefficient
+        Complex amplitudes from order 0, shape (…, orders); orders below half the points.
+    points
+        Angles over a turn.
+    """
+    scaled = coefficient * (0.5 * points)
+    scaled[..., 0] *= 2.0
+    found: Array = np.fft.irfft(scaled, points, axis=-1)
+    return found
+
+
+def _gridded(
+    place: Array, error: Array, variance: Array, weight: Array, points: int
+) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    """Gather points on an even grid of the output turn: mean error, mean and variance of the angle within, filled."""
+    spacing = 2.0 * np.pi / points
+    number = np.minimum((place / spacing + 1e-9).astype(np.int64), points - 1)
+    total = np.bincount(number, weight, points)
+    filled = total > 0.0
+    total[~filled] = 1.0
+    offset = place - (number + 0.5) * spacing
+    inside = np.bincount(number, weight * offset, points) / total
+    second = np.bincount(number, weight * (offset**2 + variance), points) / total
+    value = np.bincount(number, weight * error, points) / total
+    return value, inside, np.maximum(second - inside**2, 0.0), filled
 
 
 def curves_dataset(curves: Sequence[Curve]) -> xr.Dataset:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,16 +15,66 @@ from cycloid_fmu.transmission import solve
 from fitting.curve import Curve
 from fitting.identifiability import TOLERANCE, Plan
 from fitting.identify import Identification
+from fitting.panels import Panel, label_of
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from fitting.comparison import Change
+    from fitting.inspection import Look
 
 Array = NDArray[np.float64]
 
 
-def label_of(curve: Curve) -> str:
-    """Load and direction of a curve, as plots name it."""
-    return f"{curve.torque:+.4g} N·m, {'forward' if curve.direction > 0 else 'backward'}"
+_WIDTHS = {"line": 1.2, "thin": 0.8, "dashed": 1.0, "thick": 2.5}
+
+
+def draw_panel(axis: Axes, panel: Panel) -> None:
+    """Draw one panel of a report."""
+    for trace in panel.traces:
+        colour = "0.45" if trace.colour < 0 else f"C{trace.colour % 10}"
+        if trace.style == "points":
+            size, colour = (4.0, "0") if trace.texts else (1.0, "0.45")
+            axis.plot(trace.x, trace.y, ".", ms=size, color=colour, label=trace.label or None)
+            for x, y, text in zip(trace.x, trace.y, trace.texts, strict=False):
+                axis.annotate(text, (x, y), (0, 3), textcoords="offset points", rotation=60, fontsize=7)
+            continue
+        style = "--" if trace.style == "dashed" else "-"
+        axis.plot(trace.x, trace.y, style, lw=_WIDTHS[trace.style], color=colour, label=trace.label or None)
+    axis.set(xlabel=panel.x_label, ylabel=panel.y_label)
+    if panel.log_y:
+        axis.set_yscale("log")
+    axis.set_title(panel.title, fontsize=10, loc="left")
+    axis.grid(alpha=0.3)
+    if any(t.label for t in panel.traces):
+        axis.legend(fontsize=7, frameon=False, ncols=3)
+
+
+def plot_panels(panels: Sequence[Panel]) -> Figure:
+    """Panels of a report below each other."""
+    figure, axes = new_figure(len(panels))
+    for axis, panel in zip(axes, panels, strict=True):
+        draw_panel(axis, panel)
+    return figure
+
+
+def plot_changes(changes: Sequence[Change]) -> Figure:
+    """Each figure's change in per cent of what it was, with its 95 % interval; those that moved are filled."""
+    figure, axes = new_figure(max(1, round(0.25 * len(changes) + 0.5)))
+    for axis in axes[1:]:
+        figure.delaxes(axis)
+    axis = axes[0]
+    axis.set_subplotspec(axis.get_gridspec()[:, :])
+    for row, change in enumerate(reversed(changes)):
+        share = 100.0 / abs(change.before.value) if change.before.value else np.nan
+        error = 0.0 if np.isnan(change.uncertainty) else change.uncertainty * share
+        fill = "C0" if change.moved else "white"
+        axis.errorbar(change.difference * share, row, xerr=error, fmt="o", color="C0", mfc=fill, capsize=3)
+    axis.axvline(0.0, color="0.5", lw=0.8)
+    axis.set_yticks(range(len(changes)), [c.name.replace("_", " ").replace(".", ", ") for c in reversed(changes)])
+    axis.set(xlabel="change [%]; filled: beyond the uncertainty")
+    return figure
 
 
 def plot_curves(curves: Sequence[Curve]) -> Figure:
@@ -37,6 +87,23 @@ def plot_curves(curves: Sequence[Curve]) -> Figure:
     axes[0].set(xlabel="output turn [°]", ylabel="transmission error [arcsec]")
     axes[1].set(xlabel="crank angle, all turns folded [°]", ylabel="transmission error [arcsec]")
     axes[0].legend(fontsize=8, frameon=False, ncols=2)
+    return figure
+
+
+def plot_channels(looks: Sequence[Look], roles: Mapping[str, Look]) -> Figure:
+    """Every channel of a bench file over its time, those that a role is proposed for first."""
+    role_of = {one.channel.name: role for role, one in roles.items()}
+    clock = roles.get("time")
+    shown = sorted((o for o in looks if o is not clock), key=lambda o: o.channel.name not in role_of)[:8]
+    figure, axes = new_figure(len(shown))
+    for axis, one in zip(axes, shown, strict=True):
+        time = one.time if one.time is not None else None if clock is None else clock.values
+        step = max(1, one.values.size // 20000)
+        across = np.arange(one.values.size) if time is None else time
+        axis.plot(across[::step], one.values[::step], lw=0.8)
+        axis.set(xlabel="sample" if time is None else "time [s]", ylabel=one.channel.unit or "no unit")
+        role = role_of.get(one.channel.name)
+        axis.set_title(one.channel.name + (f": {role}?" if role else ""), fontsize=9, loc="left")
     return figure
 
 

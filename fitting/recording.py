@@ -1,26 +1,151 @@
-"""The bench recording as evaluation sees it: one clock, one table, validated.
+"""The bench recording as evaluation sees it: one clock, one table, SI, validated.
 
-Read from our recorder's `.arrows` files and from CSV with units in the header.
+A mapping says which channel of a file is what; where the file's channels bear our names none is needed. Recordings
+come block by block, so that they may be larger than memory: times run on, angles are continuous, and what is missing
+or was left out is marked and counted, never filled in silence.
 """
 
 from __future__ import annotations
 
-import csv
-import dataclasses
 import hashlib
 import os
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
+from drivers.recording_format import GAP, ROLLOVER
+from fitting.readers import BenchFile, Piece, open_bench_file, unit_text
 
 Array = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
 
 COLUMNS = {"time": "s", "input_angle": "rad", "output_angle": "rad", "torque": "N*m"}
+OPTIONAL = {"temperature": "K"}
+ANGLES = ("input_angle", "output_angle")
+MAPPING_FORMAT = "cycloid-mapping/1"
+_TURN = 2.0 * np.pi
+_GAP = 2.5  # a step of time beyond this many usual ones is a gap: one lost sample makes a step of two
+
+
+class ChannelMapping(edge.Config):
+    """`[input_angle]` and its like: which channel of the file it is and what its numbers mean.
+
+    Attributes
+    ----------
+    column
+        The channel's name in the file.
+    unit
+        Unit of its numbers; needed where the file says none, and it overrules the file's.
+    counts_per_turn
+        In place of a unit: the numbers are counts of an angle.
+    direction
+        -1 where the numbers fall while the quantity grows.
+    rollover
+        Where an angle starts anew, such as "360 deg"; without it one that stays within a turn and jumps back is taken
+        to roll over at one turn.
+    zero_reference
+        "absolute" where the zero is the same in every recording, the crank's being at pin 0.
+    delay
+        By how much later than the event its time is, such as "1.2 ms" of a filter or another clock.
+    """
+
+    column: str
+    unit: str | None = None
+    counts_per_turn: int | None = None
+    direction: Literal[1, -1] = 1
+    rollover: edge.Angle | None = None
+    zero_reference: Literal["absolute", "incremental"] | None = None
+    delay: edge.Seconds = 0.0
+
+
+class TimeMapping(edge.Config):
+    """`[time]`: the channel that holds the time, or the rate at which samples were taken evenly."""
+
+    column: str | None = None
+    unit: str | None = None
+    rate: float | None = None
+
+
+class FileMapping(edge.Config):
+    """A mapping file, `cycloid-mapping/1`.
+
+    Attributes
+    ----------
+    ratio
+        Signed ratio of the drive.
+    dbc
+        The DBC of a CAN log, relative to the mapping file.
+    time
+        Not needed where the file's channels bring their time with them.
+    input_angle
+        Left out where the input was locked and nothing measured it.
+    output_angle, torque, temperature
+        The channels; a temperature is not needed.
+    """
+
+    ratio: float | None = None
+    dbc: str | None = None
+    time: TimeMapping | None = None
+    input_angle: ChannelMapping | None = None
+    output_angle: ChannelMapping
+    torque: ChannelMapping
+    temperature: ChannelMapping | None = None
+
+
+def read_mapping(path: str | os.PathLike[str]) -> FileMapping:
+    """Read a mapping file; its DBC is taken relative to it.
+
+    Raises
+    ------
+    edge.InputError
+        With one sentence for each thing wrong in it.
+    """
+    source = str(path)
+    table = edge.toml_table(edge.read_text(path), MAPPING_FORMAT, source)
+    mapping = edge.validated(FileMapping, table, source)
+    for name in (*ANGLES, "torque", "temperature"):
+        channel = getattr(mapping, name)
+        if channel is None:
+            continue
+        if channel.counts_per_turn is not None and name not in ANGLES:
+            raise edge.InputError(f"{source}: [{name}] counts_per_turn: only an angle has them; give its unit.")
+        if channel.counts_per_turn is not None and (channel.unit is not None or channel.counts_per_turn < 1):
+            raise edge.InputError(f"{source}: [{name}] counts_per_turn: give a whole number above zero and no unit.")
+    if mapping.time is not None:
+        if (mapping.time.column is None) == (mapping.time.rate is None):
+            raise edge.InputError(f"{source}: [time] needs either column or rate (samples a second).")
+        if mapping.time.rate is not None and not mapping.time.rate > 0.0:
+            raise edge.InputError(f"{source}: [time] rate = {mapping.time.rate}: it must be above zero.")
+    if mapping.dbc is not None:
+        mapping = mapping.model_copy(update={"dbc": str(Path(path).parent / mapping.dbc)})
+    return mapping
+
+
+@dataclass(frozen=True)
+class Block:
+    """Consecutive samples of a recording: SI arrays of one length, angles continuous with the blocks before.
+
+    Attributes
+    ----------
+    time, input_angle, output_angle, torque
+        s, rad, rad, N·m of the environment on the output.
+    temperature
+        K, or None where none was recorded.
+    status
+        Bits of the recording format: 1 a gap before, 32 an angle rolled over.
+    """
+
+    time: Array
+    input_angle: Array
+    output_angle: Array
+    torque: Array
+    temperature: Array | None
+    status: Bytes
 
 
 @dataclass(frozen=True)
@@ -45,171 +170,498 @@ class BenchRecording:
         SHA-256 of the file.
     notes
         One sentence for each thing that a reader should know: what was left out, what was interpolated.
+    temperature
+        K, or None where none was recorded.
     """
 
     time: Array
     input_angle: Array
     output_angle: Array
     torque: Array
-    status: NDArray[np.uint8]
+    status: Bytes
     common_zero: bool
     known_index: bool
     ratio: float | None
     source: str
     checksum: str
     notes: tuple[str, ...] = ()
+    temperature: Array | None = None
+
+    def blocks(self) -> Iterator[Block]:
+        """Yield the recording as one block."""
+        yield Block(self.time, self.input_angle, self.output_angle, self.torque, self.temperature, self.status)
 
 
-def read_bench_recording(path: str | os.PathLike[str]) -> BenchRecording:
-    """Read a recording by its ending, `.arrows` or `.csv`.
+class BenchStream:
+    """A recording in a file, taken block by block.
+
+    Parameters
+    ----------
+    path
+        The file; see `fitting.readers.open_bench_file` for the kinds.
+    mapping
+        Which channel is what; None where the channels bear our names: time, input_angle, output_angle, torque.
+
+    Attributes
+    ----------
+    source, ratio, common_zero, known_index
+        As in `BenchRecording`.
+    notes
+        What a reader should know; complete when all blocks were taken.
 
     Raises
     ------
     edge.InputError
-        If a channel is missing, there are no samples, a value is not finite, or the file is neither.
+        If the file can't be read, or a channel, its unit or the time is missing.
     """
-    suffix = Path(path).suffix.lower()
-    edge.existing(path)
-    if suffix == ".arrows":
-        recording = _from_arrows(path)
-    elif suffix == ".csv":
-        recording = _from_csv(path)
-    else:
-        raise edge.InputError(f"{path}: recordings end in .arrows or .csv.")
-    if recording.time.size < 2:
-        raise edge.InputError(f"{path}: the recording has {recording.time.size} samples; a curve needs more.")
-    for name in COLUMNS:
-        wrong = np.flatnonzero(~np.isfinite(getattr(recording, name)))
-        if wrong.size:
+
+    def __init__(self, path: str | os.PathLike[str], mapping: FileMapping | None = None) -> None:
+        self.source = str(path)
+        self._file = open_bench_file(path, None if mapping is None else mapping.dbc)
+        self._mapping = _own_names(self._file) if mapping is None else mapping
+        self._scales = _scales(self._file, self._mapping)
+        self.ratio = self._mapping.ratio if self._mapping.ratio is not None else self._file.ratio
+        self.common_zero = self._zero_reference("output_angle") == "absolute"
+        self.known_index = self._zero_reference("input_angle") == "absolute"
+        self.notes: list[str] = []
+
+    @property
+    def checksum(self) -> str:
+        """SHA-256 of the file."""
+        with Path(self.source).open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+
+    def _zero_reference(self, name: str) -> str:
+        channel: ChannelMapping | None = getattr(self._mapping, name)
+        if channel is None:
+            return "incremental"
+        if channel.zero_reference is not None:
+            return channel.zero_reference
+        return next(c.zero_reference for c in self._file.channels if c.name == channel.column)
+
+    def blocks(self) -> Iterator[Block]:
+        """Yield the recording's blocks in the order of time.
+
+        Raises
+        ------
+        edge.InputError
+            If a value of the file is no number, or it ends before a sample came.
+        """
+        delays = {
+            n: m.delay for n in (*ANGLES, "torque", "temperature") if (m := getattr(self._mapping, n)) is not None
+        }
+        merge = _OneClock(self._scales, self._mapping.time, delays)
+        tidy = _Tidy({n: getattr(self._mapping, n) for n in ANGLES}, self.source)
+        names = list(dict.fromkeys(column for column, _, _ in self._scales.values()))
+        kept = 0
+        for piece in self._file.pieces(names):
+            for table, status in merge.add(piece):
+                block = tidy.add(table, status)
+                kept += block.time.size
+                if block.time.size:
+                    yield block
+        for table, status in merge.finish():
+            block = tidy.add(table, status)
+            kept += block.time.size
+            if block.time.size:
+                yield block
+        self.notes = [*self._file.problems, *(f"{self.source}: {n}" for n in (*merge.notes(), *tidy.notes()))]
+        if self._mapping.input_angle is None:
+            self.notes.append(f"{self.source}: no input angle is mapped; the input is taken as locked.")
+        if kept < 2:
             raise edge.InputError(
-                f"{path}: {name} is not a finite number in sample {wrong[0]}"
-                + (f" and {wrong.size - 1} more." if wrong.size > 1 else ".")
+                " ".join([*self.notes, f"{self.source}: the recording has {kept or 'no'} samples; a curve needs more."])
             )
-    return recording
 
 
-def _checksum(path: str | os.PathLike[str]) -> str:
-    with Path(path).open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+def open_bench_recording(path: str | os.PathLike[str], mapping: FileMapping | None = None) -> BenchStream:
+    """Open a recording that may be larger than memory; see `BenchStream`."""
+    return BenchStream(path, mapping)
 
 
-def _from_arrows(path: str | os.PathLike[str]) -> BenchRecording:
-    from drivers.recording_format import read_recording
-
-    read = read_recording(path)
-    channels = {c.name: c for c in read.header.channels}
-    for name in ("input_angle", "output_angle", "torque"):
-        if name not in channels:
-            raise edge.InputError(f"{path}: the recording has no {name} channel.")
-        if len(read.samples[name]) == 0:
-            raise edge.InputError(f"{path}: the {name} channel has no samples.")
-    notes = list(read.problems)
-    turning, driven, torque = (read.samples[n] for n in ("input_angle", "output_angle", "torque"))
-    common, first, second = np.intersect1d(turning.time_host, driven.time_host, return_indices=True)
-    torque_time, torque_value, _ = _in_order(torque.time_host, torque)
-    if 2 * common.size >= min(len(turning), len(driven)):
-        lost = max(len(turning), len(driven)) - common.size
-        if lost:
-            notes.append(f"{path}: {lost} samples of one angle without the other's at the same instant were left out.")
-        time, input_angle = common, turning.value[first]
-        output_angle, status = driven.value[second], turning.status[first] | driven.status[second]
-    else:
-        # Each channel by its own clock, where it has one: free of the delays on its way to the host.
-        (time, input_angle, status), (driven_time, driven_angle, _), (torque_time, torque_value, _) = (
-            _in_order(read.aligned_time(n), read.samples[n]) for n in ("input_angle", "output_angle", "torque")
-        )
-        inside = (time >= driven_time[0]) & (time <= driven_time[-1])
-        time, input_angle, status = time[inside], input_angle[inside], status[inside]
-        output_angle = np.interp(time, driven_time, driven_angle)
-        notes.append(f"{path}: the angles share no instants; the output angle was interpolated to the input's times.")
-    return BenchRecording(
-        time=time,
-        input_angle=input_angle,
-        output_angle=output_angle,
-        torque=np.interp(time, torque_time, torque_value),
-        status=status,
-        common_zero=channels["output_angle"].zero_reference == "absolute",
-        known_index=channels["input_angle"].zero_reference == "absolute",
-        ratio=read.header.ratio,
-        source=str(path),
-        checksum=_checksum(path),
-        notes=tuple(notes),
-    )
-
-
-def _in_order(time: Array, samples: Any) -> tuple[Array, Array, NDArray[np.uint8]]:
-    """Return times, values and status in the order of time: frames may come out of order, and are marked so."""
-    order = np.argsort(time, kind="stable")
-    return time[order], samples.value[order], samples.status[order]
-
-
-def _from_csv(path: str | os.PathLike[str]) -> BenchRecording:
-    """Read the plain table: a header of names with units in brackets, then one row a sample."""
-    lines = edge.read_text(path).splitlines()
-    if not lines:
-        raise edge.InputError(f"{path}: the file is empty.")
-    scales = edge.unit_columns(next(csv.reader(lines[:1])), COLUMNS, str(path))
-    if len(lines) < 2:
-        raise edge.InputError(f"{path}: the recording has no samples.")
-    columns = [position for position, _ in scales.values()]
-    try:
-        table = np.loadtxt(lines[1:], delimiter=",", usecols=columns, ndmin=2)
-    except ValueError:
-        raise edge.InputError(f"{path}: {_first_bad_cell(lines, scales)}") from None
-    data: dict[str, Any] = {name: table[:, i] * scale for i, (name, (_, scale)) in enumerate(scales.items())}
-    for name in ("input_angle", "output_angle"):
-        data[name] = _continuous(data[name])
-    return BenchRecording(
-        **data,
-        status=np.zeros(len(table), np.uint8),
-        common_zero=False,
-        known_index=True,
-        ratio=None,
-        source=str(path),
-        checksum=_checksum(path),
-    )
-
-
-def _first_bad_cell(lines: list[str], scales: dict[str, tuple[int, float]]) -> str:
-    for number, row in enumerate(csv.reader(lines[1:]), start=2):
-        for name, (position, _) in scales.items():
-            cell = row[position] if position < len(row) else ""
-            try:
-                float(cell)
-            except ValueError:
-                return f'line {number}: {name} is "{cell}"; it must be a number with a decimal point.'
-    return "it is not a table of numbers separated by commas."
-
-
-def _continuous(angle: Array) -> Array:
-    """Unroll an angle that was recorded within one turn; one that runs beyond a turn is continuous already."""
-    if np.ptp(angle) <= 2.0 * np.pi * (1.0 + 1e-9) and np.abs(np.diff(angle)).max(initial=0.0) > np.pi:
-        return np.unwrap(angle)
-    return angle
-
-
-def one_direction(recording: BenchRecording) -> tuple[int, BenchRecording]:
-    """Return the direction of a recording (+1: the crank angle grows) and the samples that move in it.
-
-    Samples that stand still or move back by less than a hundredth of the whole way are left out, with a note.
+def read_bench_recording(path: str | os.PathLike[str], mapping: FileMapping | None = None) -> BenchRecording:
+    """Read a whole recording into memory; see `BenchStream`.
 
     Raises
     ------
     edge.InputError
-        If the recording turns in both directions.
+        If the file can't be read, or a channel, its unit or the time is missing.
     """
-    steps = np.diff(recording.input_angle)
-    direction = 1 if recording.input_angle[-1] >= recording.input_angle[0] else -1
-    back = -direction * steps[direction * steps < 0.0].sum()
-    way = np.ptp(recording.input_angle)
-    if back > 0.01 * way:
-        raise edge.InputError(f"{recording.source}: the crank turns in both directions; record each one by itself.")
-    furthest = np.maximum.accumulate(direction * recording.input_angle)
-    moving = np.concatenate([[True], np.diff(furthest) > 0.0])
-    if moving.all():
-        return direction, recording
-    kept = {n: getattr(recording, n)[moving] for n in (*COLUMNS, "status")}
-    note = (
-        f"{recording.source}: {np.count_nonzero(~moving)} samples in which the crank stood or moved back were left out."
+    stream = open_bench_recording(path, mapping)
+    blocks = list(stream.blocks())
+
+    def joined(name: str) -> Array:
+        return np.concatenate([getattr(b, name) for b in blocks])
+
+    return BenchRecording(
+        **{name: joined(name) for name in COLUMNS},
+        status=np.concatenate([b.status for b in blocks]),
+        common_zero=stream.common_zero,
+        known_index=stream.known_index,
+        ratio=stream.ratio,
+        source=stream.source,
+        checksum=stream.checksum,
+        notes=tuple(stream.notes),
+        temperature=None if blocks[0].temperature is None else joined("temperature"),
     )
-    return direction, dataclasses.replace(recording, **kept, notes=(*recording.notes, note))
+
+
+def _own_names(file: BenchFile) -> FileMapping:
+    """Return the mapping of a file whose channels bear our names."""
+    channels = {c.name: c for c in file.channels}
+    wanted = [n for n in COLUMNS if n != "time" or not file.timed]
+    for name in wanted:
+        if name not in channels:
+            where = f'no column "{name} [{COLUMNS[name]}]" in the header' if not file.timed else f"no {name} channel"
+            held = ", ".join(list(channels)[:8]) or "no channels"
+            raise edge.InputError(
+                f"{file.source}: there is {where} (it has {held}); `cycloid-fit inspect` proposes a mapping."
+            )
+        if not channels[name].unit:
+            raise edge.InputError(
+                f'{file.source}: the column "{name}" has no unit; write "{name} [{COLUMNS[name]}]", or name it in a '
+                "mapping."
+            )
+    # A table of ours counts the crank's angle from pin 0; a file that says more itself is believed.
+    index = "absolute" if not file.timed else None
+    return FileMapping(
+        time=None if file.timed else TimeMapping(column="time"),
+        input_angle=ChannelMapping(column="input_angle", zero_reference=index),
+        output_angle=ChannelMapping(column="output_angle"),
+        torque=ChannelMapping(column="torque"),
+        temperature=ChannelMapping(column="temperature") if "temperature" in channels else None,
+    )
+
+
+def _affine(unit: str, si: str) -> tuple[float, float]:
+    """Return scale and offset from a unit to SI; only temperatures may have an offset."""
+    if si != "K":
+        return edge.unit_scale(unit, si), 0.0
+    try:
+        zero, one = (edge.units().Quantity(x, unit).to("K").magnitude for x in (0.0, 1.0))
+    except Exception:
+        raise ValueError(f'the unit "{unit}" is no temperature; use degC or K') from None
+    return float(one - zero), float(zero)
+
+
+def _scales(file: BenchFile, mapping: FileMapping) -> dict[str, tuple[str, float, float]]:
+    """Return channel, scale and offset of each role of a mapping."""
+    channels = {c.name: c for c in file.channels}
+    found: dict[str, tuple[str, float, float]] = {}
+    roles: dict[str, ChannelMapping | TimeMapping | None] = {
+        n: getattr(mapping, n) for n in (*ANGLES, "torque", "temperature")
+    }
+    if not file.timed:
+        if mapping.time is None:
+            raise edge.InputError(
+                f"{file.source}: nothing says the samples' time; name a channel as [time] column in the mapping, or a "
+                "rate."
+            )
+        if mapping.time.column is not None:
+            roles["time"] = mapping.time
+    for role, channel in roles.items():
+        if channel is None or channel.column is None:
+            continue
+        if channel.column not in channels:
+            held = ", ".join(channels)
+            held = held if len(held) < 300 else held[:297] + "..."
+            raise edge.InputError(f'{file.source}: there is no column "{channel.column}" for {role}; it has {held}.')
+        si = {**COLUMNS, **OPTIONAL}[role]
+        if isinstance(channel, ChannelMapping) and channel.counts_per_turn is not None:
+            scale, offset = _TURN / channel.counts_per_turn, 0.0
+        else:
+            unit = channel.unit or channels[channel.column].unit
+            if not unit:
+                raise edge.InputError(
+                    f'{file.source}: the column "{channel.column}" for {role} has no unit; give it in the mapping.'
+                )
+            try:
+                scale, offset = _affine(unit_text(unit), si)
+            except ValueError as problem:
+                raise edge.InputError(f"{file.source}: the column {channel.column}: {problem}.") from None
+        sign = channel.direction if isinstance(channel, ChannelMapping) else 1
+        found[role] = (channel.column, sign * scale, sign * offset)
+    return found
+
+
+Table = dict[str, Array]
+
+
+class _OneClock:
+    """Puts channels that come in pieces of their own on one clock: the input angle's, or the output's without one.
+
+    Where the angles share most of their instants only these are kept. Otherwise the others are interpolated between
+    neighbours, but never over a gap: samples there are left out, and the next one is marked.
+    """
+
+    def __init__(
+        self, scales: Mapping[str, tuple[str, float, float]], time: TimeMapping | None, delays: Mapping[str, float]
+    ) -> None:
+        self._scales = scales
+        self._delays = delays
+        self._together = len(set(delays.values())) == 1
+        self._rate = None if time is None else time.rate
+        self._roles = [r for r in scales if r != "time"]
+        self._master = "input_angle" if "input_angle" in scales else "output_angle"
+        self._waiting: dict[str, list[tuple[Array, Array, Bytes]]] = {r: [] for r in self._roles}
+        self._usual: dict[str, float] = {}
+        self._shared: bool | None = None
+        self._came = 0
+        self._unpaired = 0
+        self._in_gap = 0
+        self._outside = 0
+        self._mark_next = False
+
+    def add(self, piece: Piece) -> Iterator[tuple[Table, Bytes | None]]:
+        columns = {r: c for r, (c, _, _) in self._scales.items()}
+        here = [r for r in self._scales if columns[r] in piece.values]
+        values = {}
+        for role in here:
+            _, scale, offset = self._scales[role]
+            value = piece.values[columns[role]]
+            values[role] = value if scale == 1.0 and offset == 0.0 else value * scale + offset
+        size = next(iter(values.values())).size
+        if "time" in values:
+            time = values.pop("time")
+        elif piece.time is not None:
+            time = piece.time
+        else:
+            assert self._rate is not None
+            time = (self._came + np.arange(size)) / self._rate
+        self._came += size
+        if self._together and len(values) == len(self._roles) and not any(self._waiting.values()):
+            time = time if (delay := self._delays[self._master]) == 0.0 else time - delay
+            yield {"time": time, **values}, piece.status
+            return
+        status = np.zeros(size, np.uint8) if piece.status is None else piece.status
+        for role, value in values.items():
+            self._waiting[role].append((time - self._delays[role], value, status))
+        if all(self._waiting.values()):
+            yield from self._flush(min(parts[-1][0][-1] for parts in self._waiting.values()), last=False)
+
+    def finish(self) -> Iterator[tuple[Table, Bytes | None]]:
+        if any(self._waiting.values()) and all(self._waiting.values()):
+            ends = [parts[-1][0][-1] for parts in self._waiting.values()]
+            master = self._waiting[self._master][-1][0]
+            self._outside += int(np.count_nonzero(master > min(ends)))
+            yield from self._flush(min(ends), last=True)
+        self._waiting = {r: [] for r in self._roles}
+
+    def _flush(self, until: float, *, last: bool) -> Iterator[tuple[Table, Bytes | None]]:
+        joined = {
+            role: tuple(np.concatenate([p[i] for p in parts]) for i in range(3))
+            for role, parts in self._waiting.items()
+        }
+        for role, (time, value, status) in joined.items():
+            if time.size > 1 and (np.diff(time) < 0).any():
+                order = np.argsort(time, kind="stable")
+                joined[role] = (time[order], value[order], status[order])
+        time, value, status = joined[self._master]
+        status = status.copy()
+        start = max(t[0] for t, _, _ in joined.values())
+        chosen = (time >= start) & (time <= until)
+        self._outside += int(np.count_nonzero(time < start))
+        others = [r for r in self._roles if r != self._master]
+        if self._shared is None and chosen.any():
+            together = np.isin(time[chosen], joined["output_angle"][0])
+            self._shared = bool(self._master == "output_angle" or 2 * together.sum() >= together.size)
+        table = {}
+        left_out = np.zeros(time.size, bool)
+        for role in others:
+            other, theirs, said = joined[role]
+            after = np.clip(np.searchsorted(other, time, "left"), 0, other.size - 1)
+            exact = other[after] == time
+            usual = self._usual.setdefault(role, float(np.median(np.diff(other))) if other.size > 1 else np.inf)
+            before = np.clip(after - 1, 0, other.size - 1)
+            gap = ~exact & (other[after] - other[before] > _GAP * usual)
+            if role == "output_angle" and self._shared:
+                lonely = chosen & ~exact
+                self._unpaired += int(np.count_nonzero(lonely))
+                left_out |= lonely
+            else:
+                self._in_gap += int(np.count_nonzero(chosen & gap))
+                left_out |= gap
+            if role == "output_angle":
+                status |= np.where(exact, said[after], 0).astype(np.uint8)
+            table[role] = np.interp(time, other, theirs)
+        keep = chosen & ~left_out
+        if left_out.any():
+            marked = np.flatnonzero(keep & np.concatenate([[self._mark_next], (left_out & chosen)[:-1]]))
+            status[marked] |= GAP
+        if chosen.any():
+            self._mark_next = bool(left_out[np.flatnonzero(chosen)[-1]])
+        if keep.any():
+            yield (
+                {"time": time[keep], self._master: value[keep], **{r: v[keep] for r, v in table.items()}},
+                status[keep],
+            )
+        for role, (times, values, statuses) in joined.items():
+            # Of the others one sample before stays: the next of the master's lies behind it.
+            first = int(np.searchsorted(times, until, "right"))
+            first = first if role == self._master else max(0, first - 1)
+            self._waiting[role] = [(times[first:], values[first:], statuses[first:])] if first < times.size else []
+
+    def notes(self) -> list[str]:
+        said = []
+        if self._unpaired:
+            said.append(f"{self._unpaired} samples of one angle without the other's at the same instant were left out.")
+        if self._shared is False:
+            said.append("the angles share no instants; the output angle was interpolated to the input's times.")
+        if self._in_gap:
+            said.append(f"{self._in_gap} samples fall into another channel's gap and were left out.")
+        if self._outside:
+            said.append(f"{self._outside} samples before or after another channel's were left out.")
+        return said
+
+
+class _Angle:
+    """Unrolls an angle block by block.
+
+    An angle that has a rollover, or stays within one turn and then jumps by more than half a one, rolls over; one that
+    ran beyond a turn is continuous already.
+    """
+
+    def __init__(self, rollover: float | None, name: str, source: str) -> None:
+        self._period = rollover
+        self._name, self._source = name, source
+        self._low = self._high = self._last = self._offset = np.nan
+        self.rolls: bool | None = None if rollover is None else True
+
+    def add(self, angle: Array) -> tuple[Array, NDArray[np.bool_] | None]:
+        """Return the angle continuous with what came before, and where it rolled over (None: nowhere)."""
+        if np.isnan(self._offset):
+            self._offset, self._last = 0.0, angle[0]
+            self._low = self._high = angle[0]
+        steps = np.diff(angle, prepend=self._last)
+        largest = max(float(steps.max()), -float(steps.min()))
+        if self.rolls is None:
+            self._decide(angle, steps, largest)
+        self._last = angle[-1]
+        if not self.rolls:
+            return angle, None
+        period = self._period or _TURN
+        if largest <= 0.5 * period:
+            return (angle if self._offset == 0.0 else angle + self._offset), None
+        turns = -np.round(steps / period)
+        unrolled = angle + (self._offset + period * np.cumsum(turns))
+        self._offset += period * float(turns.sum())
+        return unrolled, turns != 0.0
+
+    def _decide(self, angle: Array, steps: Array, largest: float) -> None:
+        low, high = min(self._low, float(angle.min())), max(self._high, float(angle.max()))
+        if largest > np.pi:
+            jump = int(np.argmax(np.abs(steps) > np.pi))
+            before = angle[:jump]
+            span = max(self._high, before.max(initial=-np.inf)) - min(self._low, before.min(initial=np.inf))
+            turn = _TURN * (1.0 + 1e-9)
+            if high - low <= turn and span <= turn:
+                self.rolls = True
+            elif 0.9 * 360.0 < largest <= high - low <= 360.0 * (1.0 + 1e-9) and np.count_nonzero(
+                np.abs(steps) > 180.0
+            ) < 0.1 * max(steps.size, 10):
+                raise edge.InputError(
+                    f"{self._source}: {self._name} jumps by {largest:.1f} rad, as an angle in degrees does where it "
+                    "rolls over; its unit is deg, not rad."
+                )
+        self._low, self._high = low, high
+        if self.rolls is None and high - low > _TURN * (1.0 + 1e-9):
+            self.rolls = False
+
+
+class _Tidy:
+    """Leaves out what is no sample, marks gaps, makes angles continuous; block by block."""
+
+    def __init__(self, mapped: Mapping[str, ChannelMapping | None], source: str) -> None:
+        self._angles = {n: _Angle(m.rollover, n, source) for n, m in mapped.items() if m is not None}
+        self._usual = np.nan
+        self._last = -np.inf
+        self._seen = 0
+        self._not_finite: dict[str, tuple[int, int]] = {}
+        self._duplicates = self._backwards = self._gaps = 0
+        self._longest = self._longest_at = 0.0
+        self._mark_next = False
+
+    def add(self, table: Table, status: Bytes | None) -> Block:
+        time = table["time"]
+        bits = np.zeros(time.size, np.uint8) if status is None else status.copy()
+        keep = self._finite(table)
+        if keep is not None:
+            bits[1:][keep[1:] & ~keep[:-1]] |= GAP
+            if self._mark_next and keep[0]:
+                bits[0] |= GAP
+            self._mark_next = not keep[-1]
+            table, bits, time = {n: v[keep] for n, v in table.items()}, bits[keep], time[keep]
+        elif self._mark_next and time.size:
+            bits[0] |= GAP
+            self._mark_next = False
+        self._seen += keep.size if keep is not None else time.size
+        if time.size:
+            steps = np.diff(time, prepend=self._last)
+            if steps.min() <= 0.0:
+                furthest = np.maximum.accumulate(np.concatenate([[self._last], time]))
+                onward = time > furthest[:-1]
+                same = ~onward & (time == furthest[:-1])
+                self._duplicates += int(np.count_nonzero(same))
+                self._backwards += int(np.count_nonzero(~onward & ~same))
+                table, bits, time = {n: v[onward] for n, v in table.items()}, bits[onward], time[onward]
+                steps = np.diff(time, prepend=self._last)
+        if not time.size:
+            return Block(time, time, time, time, time if "temperature" in table else None, bits)
+        self._gaps_in(time, steps, bits)
+        self._last = float(time[-1])
+        for name, angle in self._angles.items():
+            table[name], rolled = angle.add(table[name])
+            if rolled is not None:
+                bits[rolled] |= ROLLOVER
+        return Block(
+            time=time,
+            input_angle=table.get("input_angle", np.zeros(time.size)),
+            output_angle=table["output_angle"],
+            torque=table["torque"],
+            temperature=table.get("temperature"),
+            status=bits,
+        )
+
+    def _finite(self, table: Table) -> NDArray[np.bool_] | None:
+        """Return which samples are finite in all that is needed, or None where all are."""
+        keep = None
+        for name, value in table.items():
+            if name == "temperature" or np.isfinite(value.sum()):
+                continue
+            wrong = ~np.isfinite(value)
+            if not wrong.any():
+                continue
+            count, first = self._not_finite.get(name, (0, self._seen + int(np.argmax(wrong))))
+            self._not_finite[name] = (count + int(np.count_nonzero(wrong)), first)
+            keep = ~wrong if keep is None else keep & ~wrong
+        return keep
+
+    def _gaps_in(self, time: Array, steps: Array, bits: Bytes) -> None:
+        if np.isnan(self._usual) and time.size > 2:
+            self._usual = float(np.median(np.diff(time)))
+        if not np.isfinite(self._last):
+            steps = steps[1:]
+        largest = float(steps.max(initial=0.0))
+        if largest > _GAP * self._usual:
+            wide = np.flatnonzero(steps > _GAP * self._usual)
+            at = wide + (time.size - steps.size)
+            bits[at] |= GAP
+            self._gaps += wide.size
+            if largest > self._longest:
+                self._longest, self._longest_at = largest, float(time[at[np.argmax(steps[wide])]]) - largest
+
+    def notes(self) -> list[str]:
+        said = []
+        for name, (count, first) in self._not_finite.items():
+            also = f" and {count - 1} more" if count > 1 else ""
+            said.append(f"{name} is not a finite number in sample {first}{also}; left out.")
+        if self._duplicates:
+            said.append(f"{self._duplicates} samples at the time of the one before were left out.")
+        if self._backwards:
+            said.append(f"{self._backwards} samples older than one before were left out.")
+        if self._gaps:
+            said.append(
+                f"{self._gaps} gaps, the longest {self._longest:.3g} s at {self._longest_at:.6g} s; nothing was "
+                "interpolated over them."
+            )
+        return said

@@ -1,3 +1,5 @@
+import itertools
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -5,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cycloid_fmu import edge
-from fitting.curve import noise_of, transmission_error_curve, write_curves
-from fitting.recording import BenchRecording
+from fitting.curve import Folding, noise_of, transmission_error_curve, transmission_error_curves, write_curves
+from fitting.recording import BenchRecording, Block
 
 
 def recorded(angle, error, ratio=-39.0, torque=50.0):
@@ -79,3 +81,44 @@ def test_curve_file(tmp_path):
         assert data["transmission_error"].attrs["units"] == "rad"
         assert data["transmission_error"].values[0] == pytest.approx(np.full(39 * 48, 1e-5))
         assert np.isnan(data["transmission_error"].values[1]).sum() == 39 * 48 - 100
+
+
+@given(
+    ways=st.lists(st.floats(20, 400), min_size=1, max_size=4), forwards=st.booleans(),
+    cuts=st.lists(st.floats(0, 1), max_size=6), seed=st.integers(0, 99),
+)  # fmt: skip
+def test_blocks_and_reversals_anywhere_give_the_same_curves(ways, forwards, cuts, seed):
+    """There and back several times, the encoder shaking: each direction has its own curve, however the blocks fall."""
+    turning = 1 if forwards else -1
+    corners = np.cumsum([0.0, *(turning * way * (-1) ** i for i, way in enumerate(ways))])
+    parts = [np.linspace(a, b, int(abs(b - a) * 5) + 1)[1:] for a, b in itertools.pairwise(corners)]
+    angle = np.concatenate(parts) + np.random.default_rng(seed).normal(0, 1e-5, sum(p.size for p in parts))
+    way = np.concatenate([np.full(p.size, np.sign(p[1] - p[0])) for p in parts])
+    made = recorded(angle, way * 1e-4 + 2e-5 * np.cos(angle))
+    whole = {c.direction: c for c in transmission_error_curves(made, -39.0)}
+    borders = np.unique(np.r_[0, (np.array(cuts) * angle.size).astype(int), angle.size])
+    folding = Folding(-39.0, "run.arrows")
+    for a, b in itertools.pairwise(borders):
+        folding.add(Block(*(v[a:b] for v in (made.time, made.input_angle, made.output_angle, made.torque)), None,
+                          made.status[a:b]))  # fmt: skip
+    found = {c.direction: c for c in folding.curves(made)}
+    assert found.keys() == whole.keys() == set(way.astype(int))
+    for direction, curve in whole.items():
+        assert curve.transmission_error == pytest.approx(direction * 1e-4 + 2e-5 * np.cos(curve.input_angle), abs=1e-6)
+        assert found[direction].sample_count.sum() == curve.sample_count.sum()
+        assert found[direction].transmission_error == pytest.approx(curve.transmission_error, abs=1e-12)
+    assert sum(c.sample_count.sum() for c in whole.values()) > 0.95 * angle.size
+
+
+def test_standstill_is_left_out_and_both_directions_are_told_apart():
+    angle = np.concatenate([np.zeros(200), np.linspace(0, 300, 6000), np.full(300, 300.0), np.linspace(300, 40, 5000)])
+    error = np.where(np.arange(angle.size) < 6500, 1e-4, -1e-4) + 2e-5 * np.cos(angle)
+    forward, backward = transmission_error_curves(recorded(angle, error), -39.0)
+    assert (forward.direction, backward.direction) == (1, -1)
+    assert forward.turns == pytest.approx(300 / (2 * np.pi * 39), abs=1e-3)
+    assert backward.turns == pytest.approx(260 / (2 * np.pi * 39), abs=2e-3)
+    assert forward.transmission_error == pytest.approx(1e-4 + 2e-5 * np.cos(forward.input_angle), abs=1e-7)
+    assert backward.transmission_error == pytest.approx(-1e-4 + 2e-5 * np.cos(backward.input_angle), abs=1e-7)
+    assert any("stood" in note for note in forward.notes)
+    with pytest.raises(edge.InputError, match="both directions"):
+        transmission_error_curve(recorded(angle, error), -39.0)

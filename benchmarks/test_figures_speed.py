@@ -1,0 +1,91 @@
+"""Hours at kilohertz to figures, against pandas and NumPy doing the bare minimum: read, unwrap, bin.
+
+A recording of two hours at 4 kHz, 28.8 million samples of four channels, as Parquet (`CYCLOID_HOURS` scales it). Both
+run in processes of their own, one after the other, on the same file; `extra_info` holds seconds, the ratio, and the
+largest memory of each.
+"""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+
+HOURS = float(os.environ.get("CYCLOID_HOURS", "2"))
+ARCSEC = np.pi / 648000
+
+BARE = """
+import sys, numpy as np, pandas as pd
+table = pd.read_parquet(sys.argv[1])
+turn = 2 * np.pi * 39
+angle = np.unwrap(table["input_angle [rad]"].to_numpy())
+error = np.unwrap(table["output_angle [rad]"].to_numpy()) + angle / 39
+number = (np.mod(angle, turn) / turn * 32768).astype(np.int64)
+count = np.bincount(number, minlength=32768)
+mean = np.bincount(number, error, 32768) / count
+print(np.ptp(mean), table["torque [N*m]"].mean())
+"""
+OURS = """
+import sys
+from fitting.cli import main
+sys.argv = ["cycloid-fit", "metrics", sys.argv[1], "--ratio", "-39", "--json"]
+main()
+"""
+MEASURED = """
+import json, resource, subprocess, sys, time
+begin = time.perf_counter()
+run = subprocess.run([sys.executable, "-c", *sys.argv[1:]], capture_output=True, text=True)
+used = resource.getrusage(resource.RUSAGE_CHILDREN)
+print(json.dumps({"seconds": time.perf_counter() - begin, "megabytes": used.ru_maxrss / 1024, "out": run.stdout,
+                  "err": run.stderr, "status": run.returncode}))
+"""
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    """One crank turn a second, the angles rolling over at a turn, known orders 39 and 40, an arcsecond of noise."""
+    path = tmp_path_factory.mktemp("long") / "run.parquet"
+    rng = np.random.default_rng(0)
+    samples, step = int(HOURS * 3600 * 4000), 1 << 20
+    names = ("time [s]", "input_angle [rad]", "output_angle [rad]", "torque [N*m]")
+    schema = pa.schema([pa.field(n, pa.float64()) for n in names])
+    with parquet.ParquetWriter(path, schema) as writer:
+        for begin in range(0, samples, step):
+            time = np.arange(begin, min(begin + step, samples)) / 4000.0
+            angle = 2 * np.pi * time
+            error = ARCSEC * (20 * np.cos(angle) + 9 * np.sin(40 * angle / 39) + rng.normal(0, 1, time.size))
+            columns = (time, angle % (2 * np.pi), (error - angle / 39) % (2 * np.pi), rng.normal(100, 0.1, time.size))
+            writer.write_table(pa.table(list(columns), schema))
+    return path
+
+
+def measured(code, path):
+    run = subprocess.run([sys.executable, "-c", MEASURED, code, str(path)], capture_output=True, text=True, check=True)
+    found = json.loads(run.stdout)
+    assert found["status"] == 0, found["err"]
+    return found
+
+
+def test_two_hours_to_figures(benchmark, recording):
+    recording.read_bytes()  # the file is in the system's memory for both
+    pairs = []
+    benchmark.pedantic(lambda: pairs.append((measured(OURS, recording), measured(BARE, recording))), rounds=3)
+    ratios = [ours["seconds"] / bare["seconds"] for ours, bare in pairs]
+    ours, bare = pairs[int(np.argsort(ratios)[1])]
+    found = json.loads(ours["out"])["angular_transmission_error"]
+    turn = np.linspace(0, 2 * np.pi, 1 << 18)
+    truth = np.ptp(20 * np.cos(39 * turn) + 9 * np.sin(40 * turn)) * ARCSEC
+    assert abs(found["value"] - truth) < 1.5 * found["uncertainty"]
+    benchmark.extra_info.update(
+        {
+            "seconds": round(ours["seconds"], 1),
+            "megabytes": round(ours["megabytes"]),
+            "bare minimum, seconds": round(bare["seconds"], 1),
+            "bare minimum, megabytes": round(bare["megabytes"]),
+            "times the bare minimum": round(float(np.median(ratios)), 2),
+        }
+    )

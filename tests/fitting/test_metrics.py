@@ -1,0 +1,191 @@
+import json
+import os
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fitting.curve import spectrum, transmission_error_curve
+from fitting.metrics import angular_transmission_error, figures_of, starting_torques, survey
+from fitting.recording import BenchRecording
+
+ARCMIN = np.pi / 10800
+ARCSEC = ARCMIN / 60
+
+
+def recording(time, input_angle, output_angle, torque, ratio=-39.0):
+    n = time.size
+    return BenchRecording(time, input_angle * np.ones(n), output_angle, torque * np.ones(n), np.zeros(n, np.uint8),
+                          True, True, ratio, "run.csv", "0")  # fmt: skip
+
+
+def loop(rated, stiffness, play, friction, *, loops=1, each=500, first=1, reach=1.0):
+    """Torque and output angle of the ideal loop: play, dry friction, linear stiffness; its branches as defined."""
+    ramp = np.arange(each) / each
+    torque, angle = [], []
+    for _ in range(loops):
+        for sign in (first, -first):
+            for loading, share in ((True, ramp), (False, 1.0 - ramp)):
+                t = sign * reach * rated * np.maximum(share, 1e-12)
+                torque.append(t)
+                angle.append(sign * play / 2 + (t + sign * friction * (-1 if loading else 1)) / stiffness)
+    return np.concatenate(torque), np.concatenate(angle)
+
+
+def figures_from(torque, angle, rated=167.0, ratio=None, crank=0.0):
+    made = recording(np.arange(torque.size) * 1e-2, crank, angle, torque, ratio)
+    return figures_of([survey(made, ratio, rated)], ratio, rated)
+
+
+@given(
+    rated=st.floats(5, 3000), windup=st.floats(0.5, 6), play=st.floats(0.01, 3), friction=st.floats(0.001, 0.08),
+    loops=st.integers(1, 3), first=st.sampled_from([1, -1]), zero=st.floats(-3, 3),
+)  # fmt: skip
+def test_the_ideal_loop_gives_what_it_was_made_of(rated, windup, play, friction, loops, first, zero):
+    stiffness, play, friction = rated / (windup * ARCMIN), play * ARCMIN, friction * rated
+    torque, angle = loop(rated, stiffness, play, friction, loops=loops, first=first)
+    found = figures_from(torque, angle + zero, rated).figures
+    expected = {
+        "hysteresis_loss": play + 2 * friction / stiffness,
+        "backlash": play,
+        "lost_motion": play + 0.06 * rated / stiffness,
+        "torsional_stiffness": stiffness,
+    }
+    for name, value in expected.items():
+        assert found[name].value == pytest.approx(value, rel=1e-6), name
+        assert found[name].count == loops
+
+
+@pytest.mark.parametrize("crank", ["locked", "turning"])
+def test_with_noise_the_figures_lie_within_their_uncertainty(crank):
+    """Coverage of the stated 95 % intervals over seeds, locked and turned slowly with a transmission error under it."""
+    rated, stiffness, play, friction = 167.0, 49 / ARCMIN, 0.6 * ARCMIN, 2.0
+    truth = {
+        "hysteresis_loss": play + 2 * friction / stiffness, "backlash": play,
+        "lost_motion": play + 0.06 * rated / stiffness, "torsional_stiffness": stiffness,
+    }  # fmt: skip
+    inside = dict.fromkeys(truth, 0)
+    seeds = 60
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        torque, angle = loop(rated, stiffness, play, friction, loops=3, each=1000)
+        turned = np.linspace(0, 40.0, torque.size) if crank == "turning" else 0.0
+        angle = angle + rng.normal(0, 0.3 * ARCSEC, torque.size) - turned / 39
+        angle += 0.2 * ARCSEC * np.cos(turned + rng.uniform(0, 7))
+        found = figures_from(torque, angle, rated, -39.0, turned).figures
+        for name, value in truth.items():
+            inside[name] += abs(found[name].value - value) <= found[name].uncertainty
+    assert min(inside.values()) >= 0.88 * seeds, inside
+
+
+def test_the_figures_of_the_design(command, tmp_path):
+    """Lost motion 0.80449′, hysteresis loss 0.68163′, backlash 0.6′, stiffness 49 N·m/arcmin, from the command line."""
+    torque, angle = loop(167.0, 49 / ARCMIN, 0.6 * ARCMIN, 2.0, loops=2)
+    rows = [f"{i / 100:.2f},0,{a / ARCSEC:.9f},{t:.9f}" for i, (t, a) in enumerate(zip(torque, angle, strict=True))]
+    header = "time [s],input_angle [deg],output_angle [arcsec],torque [N*m]"
+    (tmp_path / "loop.csv").write_text("\n".join([header, *rows]) + "\n")
+    run = command("cycloid-fit", "metrics", "loop.csv", "--rated-torque", "167 N*m", "--json", "-o", "a.json")
+    assert run.returncode == 0, run.stderr
+    found = json.loads(run.stdout)
+    assert found == json.loads((tmp_path / "a.json").read_text())
+    for name, value in (("lost_motion", 0.80449), ("hysteresis_loss", 0.68163), ("backlash", 0.6)):
+        assert found[name]["value"] / ARCMIN == pytest.approx(value, abs=6e-6)
+        assert found[name]["loops"] == 2
+    assert found["torsional_stiffness"]["value"] * ARCMIN == pytest.approx(49.0, rel=1e-6)
+    assert {"value", "uncertainty", "definition", "interval"} <= found["backlash"].keys()
+
+
+def test_a_torque_on_one_side_gives_its_stiffness_and_says_what_is_missing():
+    torque, angle = loop(167.0, 49 / ARCMIN, 0.6 * ARCMIN, 2.0)
+    half = torque > 0
+    found = figures_from(torque[half], angle[half])
+    assert set(found.figures) == {"torsional_stiffness"}
+    assert found.figures["torsional_stiffness"].value * ARCMIN == pytest.approx(49.0)
+    assert set(found.figures["torsional_stiffness"].parts) == {"positive"}
+    assert any("never crosses zero" in note for note in found.notes)
+
+
+def test_a_torque_that_stays_small_gives_no_stiffness_but_all_else():
+    torque, angle = loop(167.0, 49 / ARCMIN, 0.6 * ARCMIN, 2.0, reach=0.6)
+    found = figures_from(torque, angle)
+    assert set(found.figures) == {"hysteresis_loss", "backlash", "lost_motion"}
+    assert any("three quarters of the rated 167" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(("loops", "arcmin"), [(1, 2.0), (4, 0.5)])
+def test_a_loop_that_does_not_close_says_so_and_widens_the_uncertainty(loops, arcmin):
+    """A single loop may begin anywhere in its play, so it shows a drift only beyond that."""
+    torque, angle = loop(167.0, 49 / ARCMIN, 0.6 * ARCMIN, 2.0, loops=loops)
+    drift = arcmin * ARCMIN * np.arange(torque.size) / (torque.size / loops)
+    closed, open_ = figures_from(torque, angle), figures_from(torque, angle + drift)
+    assert not any("close" in note for note in closed.notes)
+    assert any("not close" in note for note in open_.notes)
+    for name in ("hysteresis_loss", "lost_motion", "backlash"):
+        moved = abs(open_.figures[name].value - closed.figures[name].value)
+        assert moved > 0.1 * ARCMIN
+        if loops > 1:
+            assert open_.figures[name].uncertainty >= 0.95 * moved
+
+
+def run_with(orders, *, turns, each, noise, seed, ratio=-39.0, zero=0.3):
+    """A run at constant speed with these orders of the output: {order: (amplitude, phase)}."""
+    rng = np.random.default_rng(seed)
+    angle = np.linspace(0.0, turns * 2 * np.pi * abs(ratio), int(turns * each), endpoint=False) + rng.uniform(0, 6)
+    error = zero + sum(a * np.cos(k * angle / abs(ratio) - p) for k, (a, p) in orders.items())
+    error = error + rng.normal(0.0, noise, angle.size)
+    return recording(np.arange(angle.size) / 4000.0, angle, angle / ratio + error, 100.0, ratio)
+
+
+KNOWN = {1: (3.0, 0.4), 39: (20.0, 1.0), 40: (9.0, 2.0), 78: (4.0, 0.1), 80: (2.5, 5.0), 1560: (0.8, 0.7)}
+KNOWN = {k: (a * ARCSEC, p) for k, (a, p) in KNOWN.items()}
+FINE = np.linspace(0, 2 * np.pi, 200000)
+
+
+@pytest.mark.parametrize(("turns", "each", "highest"), [(3.2, 9999.7, 1560), (1.0, 8192, 1560), (2.0, 4000, 40)])
+def test_known_orders_come_back_within_their_uncertainty(turns, each, highest):
+    """Points that hold uneven numbers of samples at uneven angles, one turn and several.
+
+    `CYCLOID_SEEDS` of 100 or more shows the coverage itself: 90 to 99 of 100.
+    """
+    seeds = int(os.environ.get("CYCLOID_SEEDS", "20"))
+    known = {k: v for k, v in KNOWN.items() if k <= highest}
+    true_range = np.ptp(sum(a * np.cos(k * FINE - p) for k, (a, p) in known.items()))
+    inside = np.zeros(len(known) + 1)
+    for seed in range(seeds):
+        made = run_with(known, turns=turns, each=each, noise=2 * ARCSEC, seed=seed)
+        curve = transmission_error_curve(made, -39.0)
+        orders = spectrum(curve)
+        for number, (k, (a, _)) in enumerate(known.items()):
+            inside[number] += abs(orders.amplitude[k] - a) <= orders.uncertainty[k]
+        figure = angular_transmission_error(curve, orders)
+        inside[-1] += abs(figure.value - true_range) <= figure.uncertainty
+    print(f"inside of {seeds}: orders {dict(zip(known, inside, strict=False))}, range {inside[-1]:.0f}")
+    assert (inside >= 0.95 * seeds - 4.0 * np.sqrt(0.05 * 0.95 * seeds)).all(), inside
+    assert inside.sum() >= 0.9 * seeds * inside.size
+
+
+def test_phases_of_orders_count_from_crank_angle_zero():
+    orders = spectrum(transmission_error_curve(run_with(KNOWN, turns=2, each=9000, noise=0.0, seed=1), -39.0))
+    for k, (a, p) in KNOWN.items():
+        assert orders.coefficient[k] == pytest.approx(a * np.exp(-1j * p), abs=1e-4 * a), k
+    others = np.delete(orders.amplitude, [0, *KNOWN])
+    assert others.max() < 1e-3 * ARCSEC
+
+
+def test_starts_are_found_where_the_torque_drives():
+    """The torque grows while the crank stands; it starts at 3, 4 and 5 N·m and runs on at less."""
+    torque, angle = [], []
+    at = 0.0
+    for start in (3.0, 4.0, 5.0):
+        torque += [np.linspace(0, start, 400), np.full(400, 0.8 * start), np.zeros(200)]
+        angle += [np.full(400, at), at - np.linspace(0, 20, 400), np.full(200, at - 20)]
+        at -= 20
+    torque, angle = np.concatenate(torque), np.concatenate(angle)
+    made = recording(np.arange(torque.size) * 1e-3, angle, angle / -39, torque)
+    assert starting_torques(made) == pytest.approx([3.0, 4.0, 5.0])
+    found = figures_of([survey(made, -39.0, None)], -39.0, None).figures["starting_torque"]
+    assert found.value == pytest.approx(4.0)
+    assert found.uncertainty == pytest.approx(4.30265 / np.sqrt(3), rel=1e-4)  # Student's t, two degrees of freedom
+    braked = recording(np.arange(torque.size) * 1e-3, -angle, -angle / -39, torque)
+    assert starting_torques(braked) == []

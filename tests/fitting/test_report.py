@@ -1,0 +1,122 @@
+"""The report, looked at in a real browser, and its PDF in a real reader, where the machine has them."""
+
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from test_metrics import ARCMIN, ARCSEC, KNOWN, loop, recording, run_with
+
+from cycloid_fmu.pair import read_pair
+from fitting.metrics import figures_of, survey
+from fitting.panels import order_name, panels_of
+from fitting.report import write_report
+
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+
+
+@pytest.fixture(scope="module")
+def found():
+    torque, angle = loop(167.0, 49 / ARCMIN, 0.6 * ARCMIN, 2.0, loops=2)
+    angle = angle + np.random.default_rng(0).normal(0, 0.3 * ARCSEC, angle.size)
+    locked = recording(np.arange(torque.size) * 1e-2, 0.0, angle, torque)
+    turning = run_with(KNOWN, turns=2, each=9000, noise=1 * ARCSEC, seed=0)
+    one_sided = recording(np.arange(torque.size) * 1e-2, 0.0, angle, np.abs(torque))
+    return figures_of([survey(r, -39.0, 167.0) for r in (locked, turning, one_sided)], -39.0, 167.0)
+
+
+def test_the_orders_are_named_by_what_makes_them(nominal):
+    ring = nominal.model_copy(update={"pair": nominal.pair.model_copy(update={"output": "ring"})})
+    for pair in (nominal, ring):
+        names = {k: order_name(k, pair.ratio, pair) for k in (1, 39, 40, 41, 78, 120, 1560)}
+        assert names == {1: "rig", 39: "pin", 40: "tooth", 41: "", 78: "pin", 120: "tooth", 1560: "mesh"}
+    assert order_name(39, -39.0, None) == order_name(78, -39.0, None) == "input turn"
+    assert order_name(40, -39.0, None) == ""
+
+
+@pytest.fixture(scope="module")
+def page(found, tmp_path_factory):
+    playwright = pytest.importorskip("playwright.sync_api")
+    if CHROMIUM is None:
+        pytest.skip("no chromium on this machine")
+    from common import EXAMPLES
+
+    path = tmp_path_factory.mktemp("report") / "a report.html"
+    write_report(found, path, read_pair(EXAMPLES / "drive-39-40.toml"))
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        opened = browser.new_page(viewport={"width": 1000, "height": 900})
+        opened.said, opened.asked = [], []
+        opened.on("console", lambda m: opened.said.append(m.text))
+        opened.on("pageerror", lambda e: opened.said.append(str(e)))
+        opened.on("request", lambda r: opened.asked.append(r.url))
+        opened.goto(path.as_uri())
+        opened.wait_for_selector(".panel >> nth=-1 >> .main-svg >> nth=0")
+        yield opened
+        browser.close()
+
+
+def test_a_browser_shows_every_panel_and_asks_for_nothing_else(page, found):
+    assert page.said == []
+    assert len(page.asked) == 1  # the file itself
+    assert page.locator(".panel").count() == len(panels_of(found)) == 7
+    for number in range(7):
+        assert page.locator(f"#panel-{number} .scatterlayer .trace").count() >= 1
+    labels = page.locator("#panel-1 .textpoint").all_text_contents()
+    assert {"39 pin", "40 tooth", "78 pin", "1560 mesh"} <= set(labels)
+
+
+def test_the_page_holds_every_figure_and_every_note(page, found):
+    rows = page.locator("#figures tr.figure")
+    assert rows.count() == len(found.figures) == 5
+    text = page.locator("#figures").inner_text()
+    assert "Lost motion" in text
+    assert "GB/T 40731" in text
+    assert page.locator("#notes li").all_inner_texts() == list(found.notes)
+    assert any("never crosses zero" in note for note in found.notes)
+
+
+def test_hovering_tells_a_point_and_dragging_zooms(page):
+    page.locator("#panel-0").scroll_into_view_if_needed()
+    box = page.locator("#panel-0 .nsewdrag").bounding_box()
+
+    width = "(([low, high]) => high - low)(document.getElementById('panel-0').layout.xaxis.range)"
+    before = page.evaluate(width)
+    page.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + 0.5 * box["height"])
+    page.wait_for_selector("#panel-0 .hoverlayer .hovertext")
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.6 * box["width"], box["y"] + 0.5 * box["height"], steps=4)
+    page.mouse.up()
+    page.wait_for_function(f"{width} < {0.5 * before}")
+    assert page.evaluate(width) == pytest.approx(0.3 * before, rel=0.1)
+
+
+def test_on_a_narrow_screen_nothing_is_cut_off(page):
+    page.set_viewport_size({"width": 420, "height": 800})
+    page.wait_for_function("document.querySelector('#panel-0 .main-svg').getBoundingClientRect().width < 420")
+    assert page.evaluate("document.querySelector('.panel').getBoundingClientRect().right") <= 420
+    page.set_viewport_size({"width": 1000, "height": 900})
+
+
+def test_the_pdf_holds_the_same(found, tmp_path):
+    if shutil.which("pdftotext") is None:
+        pytest.skip("no pdftotext on this machine")
+    write_report(found, tmp_path / "r.pdf")
+    text = subprocess.run(["pdftotext", "-layout", tmp_path / "r.pdf", "-"], capture_output=True, text=True).stdout
+    for word in ("Lost motion", "Backlash", "GB/T 40731", "never crosses zero", "Orders of the output", "SHA-256"):
+        assert word in text, word
+    assert text.count("\f") == 1 + 4  # the table, seven panels two a page
+
+
+def test_report_from_the_command_line(command, tmp_path):
+    from common import BENCH
+
+    run = command("cycloid-fit", "report", BENCH / "30Nm-forward.csv", "--pair", BENCH / "pair.toml", "-o", "r.html")
+    assert run.returncode == 0, run.stderr
+    assert "Angular transmission error" in (tmp_path / "r.html").read_text(encoding="utf-8")
+    run = command("cycloid-fit", "report", BENCH / "30Nm-forward.csv", "--ratio", "39", "-o", "wrong.html")
+    assert run.returncode == 2
+    assert "sign" in (tmp_path / "wrong.html").read_text(encoding="utf-8")
+    run = command("cycloid-fit", "report", BENCH / "30Nm-forward.csv", "--ratio", "39", "-o", "r.docx")
+    assert run.returncode == 2
+    assert "must end in .html or .pdf" in run.stderr
