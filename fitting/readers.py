@@ -603,7 +603,7 @@ class _RecorderFile(BenchFile):
     def _shared(self, names: Sequence[str]) -> bool:
         """Whether most samples of both angles were taken at the same instants."""
         angles = [self._read.samples[n].time_host for n in ("input_angle", "output_angle") if n in names]
-        return len(angles) < 2 or 2 * np.intersect1d(*angles).size >= min(len(t) for t in angles)
+        return len(angles) < 2 or 2 * np.intersect1d(angles[0], angles[1]).size >= min(len(t) for t in angles)
 
 
 def in_order(streams: Sequence[Iterator[Piece]]) -> Iterator[Piece]:
