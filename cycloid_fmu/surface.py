@@ -24,10 +24,15 @@ FORMAT = "cycloid-surface/1"
 ORIGINS = ("nominal", "sampled", "measured", "identified", "worn")
 PATTERNS = ("pin_radial", "pin_tangential", "tooth_cumulative_pitch")
 ANGLES = ("misalignment_xz", "misalignment_yz")
-DEVIATIONS = {"gear_deviation": ("disc", "tooth", "profile", "width"), "pin_deviation": ("pin", "angle", "width")}
+_FLANKS, _PINS = ("disc", "tooth", "profile", "width"), ("pin", "angle", "width")
+DEVIATIONS = {
+    "gear_deviation": _FLANKS, "pin_deviation": _PINS, "gear_curvature": _FLANKS, "pin_curvature": _PINS,
+}  # fmt: skip
 _DEVIATION_TEXTS = {
     "gear_deviation": "normal deviation of each element of the flanks, > 0 material added",
     "pin_deviation": "normal deviation of each element of the pins, > 0 material added",
+    "gear_curvature": "curvature that wear adds to each element of the flanks, > 0 convex",
+    "pin_curvature": "curvature that wear adds to each element of the pins, > 0 convex",
 }
 LARGEST_ELEMENT = 5e-4
 DESCRIPTIONS = {
@@ -79,6 +84,9 @@ class ErrorSurface:
         Normal deviation of each element of the pins, > 0 material added, shape (pins, angle, width), m; or None.
         Elements are of equal angle over the half of the pin that faces the pin circle's centre: the angle runs
         counter-clockwise about the pin's axis from -90° to +90° of the direction to that centre.
+    gear_curvature, pin_curvature
+        Curvature that wear adds at the same places, > 0 convex, shapes as the deviations', 1/m; or None, where the
+        deviations leave the curvature as it is (form and roughness of a scale that contact does not follow).
     origin
         One of `ORIGINS`.
     pair_text
@@ -104,6 +112,8 @@ class ErrorSurface:
     offset: float = 0.0
     gear_deviation: Array | None = None
     pin_deviation: Array | None = None
+    gear_curvature: Array | None = None
+    pin_curvature: Array | None = None
     origin: str = "nominal"
     pair_text: str = ""
     covariance_of: tuple[str, ...] = ()
@@ -157,8 +167,10 @@ def structured_names(orders: Collection[int]) -> list[str]:
 
 
 def unit_of(name: str) -> str:
-    """SI unit of a structured error: "rad" for the misalignments, "m" for the others."""
-    return "rad" if name in ANGLES else "m"
+    """SI unit of an error: "rad" for the misalignments, "1/m" for curvatures, "m" for the others."""
+    if name in ANGLES:
+        return "rad"
+    return "1/m" if name.endswith("_curvature") else "m"
 
 
 def _wave(pair: Pair, name: str) -> tuple[str, Array]:
@@ -283,6 +295,7 @@ def read_surface(path: str | os.PathLike[str]) -> ErrorSurface:
     for name, dimensions in DEVIATIONS.items():
         if name in data:
             values[name] = _checked_deviation(data[name], name, dimensions, blank, str(path))
+    _check_curvatures(values, str(path))
     kept = {k: v for k, v in data.attrs.items() if k not in ("format", "origin", "pair")}
     covariance = data["covariance"].values.astype(float) if "covariance" in data else None
     names = tuple(str(n) for n in data["parameter"].values) if covariance is not None else ()
@@ -308,8 +321,10 @@ def _checked_deviation(given: Any, name: str, dimensions: tuple[str, ...], blank
     """Check one array of deviations as it was read; the profile, angle and width may have any number of elements."""
     if given.dims != dimensions:
         raise edge.InputError(f"{source}: {name} has the dimensions {given.dims}; it must have {dimensions}.")
-    if given.attrs.get("units") != "m":
-        raise edge.InputError(f'{source}: {name} has the unit "{given.attrs.get("units")}"; it must be "m".')
+    if given.attrs.get("units") != unit_of(name):
+        raise edge.InputError(
+            f'{source}: {name} has the unit "{given.attrs.get("units")}"; it must be "{unit_of(name)}".'
+        )
     sizes = {"disc": blank.tooth_cumulative_pitch.shape[0], "tooth": blank.tooth_cumulative_pitch.shape[1],
              "pin": blank.pin_radial.size}  # fmt: skip
     for dimension, size in zip(dimensions, given.shape, strict=True):
@@ -319,11 +334,29 @@ def _checked_deviation(given: Any, name: str, dimensions: tuple[str, ...], blank
     if not np.isfinite(values).all():
         raise edge.InputError(f"{source}: {name} holds a value that is not finite.")
     largest = np.abs(values).max()
-    if largest > LARGEST_ELEMENT:
+    if unit_of(name) == "m" and largest > LARGEST_ELEMENT:
         raise edge.InputError(
             f"{source}: {name} reaches {largest * 1e3:.4g} mm; deviations must lie within half a millimetre."
         )
     return values
+
+
+def _check_curvatures(values: Mapping[str, Any], source: str) -> None:
+    """Refuse curvatures that do not come for both bodies, each with deviations of the same elements."""
+    present = [n for n in DEVIATIONS if n in values]
+    if not any(n.endswith("_curvature") for n in present):
+        return
+    for name in DEVIATIONS:
+        if name not in present:
+            raise edge.InputError(
+                f"{source}: the variable {name} is missing; curvatures need all of {', '.join(DEVIATIONS)}."
+            )
+    for body in ("gear", "pin"):
+        mine, theirs = (values[f"{body}_{kind}"].shape for kind in ("curvature", "deviation"))
+        if mine != theirs:
+            raise edge.InputError(
+                f"{source}: {body}_curvature has the shape {mine}; it must have that of {body}_deviation, {theirs}."
+            )
 
 
 def check_surface(pair: Pair, surface: ErrorSurface, pair_source: str, surface_source: str) -> None:
