@@ -67,6 +67,20 @@ class Elements:
 
 
 @dataclass(frozen=True)
+class Life:
+    """Deviations of a wearing drive over its life; each array's first axis is the state.
+
+    `crank_turns` (states,) grows from 0; the others are as an `ErrorSurface` has them.
+    """
+
+    crank_turns: Array
+    gear_deviation: Array
+    pin_deviation: Array
+    gear_curvature: Array
+    pin_curvature: Array
+
+
+@dataclass(frozen=True)
 class ErrorSurface:
     """Errors of one pair, SI; the scalars' names and signs are those of the pair file's `[errors]`.
 
@@ -87,6 +101,8 @@ class ErrorSurface:
     gear_curvature, pin_curvature
         Curvature that wear adds at the same places, > 0 convex, shapes as the deviations', 1/m; or None, where the
         deviations leave the curvature as it is (form and roughness of a scale that contact does not follow).
+    life
+        Of a worn surface: its states from new to the one that the deviations hold; else None.
     origin
         One of `ORIGINS`.
     pair_text
@@ -114,6 +130,7 @@ class ErrorSurface:
     pin_deviation: Array | None = None
     gear_curvature: Array | None = None
     pin_curvature: Array | None = None
+    life: Life | None = None
     origin: str = "nominal"
     pair_text: str = ""
     covariance_of: tuple[str, ...] = ()
@@ -231,6 +248,30 @@ def structured_columns(pair: Pair, names: Iterable[str]) -> Array:
     return np.array(columns).T
 
 
+def surface_after(surface: ErrorSurface, crank_turns: float) -> ErrorSurface:
+    """Return a worn surface at another time of its life, linear between the states that it holds.
+
+    Raises
+    ------
+    ValueError
+        If it holds no life, or not up to so many turns.
+    """
+    life = surface.life
+    if life is None:
+        raise ValueError("this surface holds no states of a life")
+    turns, last = life.crank_turns, life.crank_turns.size - 1
+    if not 0.0 <= crank_turns <= turns[-1]:
+        raise ValueError(
+            f"crank_turns_worn = {crank_turns:g}: it must lie between 0 and {turns[-1]:g}, where the life ends"
+        )
+    after = min(max(int(np.searchsorted(turns, crank_turns)), 1), last)
+    before = min(after - 1, last)
+    span = turns[after] - turns[before]
+    share = (crank_turns - turns[before]) / span if span > 0.0 else 0.0
+    mixed = {n: (1.0 - share) * getattr(life, n)[before] + share * getattr(life, n)[after] for n in DEVIATIONS}
+    return dataclasses.replace(surface, **mixed)
+
+
 def write_surface(surface: ErrorSurface, path: str | os.PathLike[str]) -> None:
     """Write a surface file (netCDF, `cycloid-surface/1`), whole or not at all."""
     import xarray as xr
@@ -243,6 +284,9 @@ def write_surface(surface: ErrorSurface, path: str | os.PathLike[str]) -> None:
     for name, dimensions in DEVIATIONS.items():
         if (elements := getattr(surface, name)) is not None:
             data[name] = (dimensions, elements)
+    if surface.life is not None:
+        for name, values in vars(surface.life).items():
+            data[f"life_{name}"] = (("state", *DEVIATIONS.get(name, ())), values)
     coordinates: dict[str, Any] = {}
     if surface.covariance is not None:
         data["covariance"] = (("parameter", "parameter_"), surface.covariance)
@@ -252,9 +296,14 @@ def write_surface(surface: ErrorSurface, path: str | os.PathLike[str]) -> None:
         if name not in dataset:
             continue
         dataset[name].attrs.update(units=unit_of(name), long_name=text)
+        if f"life_{name}" in dataset:
+            dataset[f"life_{name}"].attrs.update(units=unit_of(name), long_name=f"{text}; over life")
+    if surface.life is not None:
+        dataset["life_crank_turns"].attrs.update(units="1", long_name="crank turns since new")
     dataset.attrs.update(surface.attributes, format=FORMAT, origin=surface.origin, pair=surface.pair_text)
     with edge.written_whole(path) as temporary:
-        dataset.to_netcdf(temporary, engine="h5netcdf")
+        packed = {n: {"zlib": True} for n in dataset.data_vars if str(n).startswith("life_")}
+        dataset.to_netcdf(temporary, engine="h5netcdf", encoding=packed)
 
 
 def read_surface(path: str | os.PathLike[str]) -> ErrorSurface:
@@ -296,6 +345,8 @@ def read_surface(path: str | os.PathLike[str]) -> ErrorSurface:
         if name in data:
             values[name] = _checked_deviation(data[name], name, dimensions, blank, str(path))
     _check_curvatures(values, str(path))
+    if "life_crank_turns" in data:
+        values["life"] = _checked_life(data, values, str(path))
     kept = {k: v for k, v in data.attrs.items() if k not in ("format", "origin", "pair")}
     covariance = data["covariance"].values.astype(float) if "covariance" in data else None
     names = tuple(str(n) for n in data["parameter"].values) if covariance is not None else ()
@@ -339,6 +390,24 @@ def _checked_deviation(given: Any, name: str, dimensions: tuple[str, ...], blank
             f"{source}: {name} reaches {largest * 1e3:.4g} mm; deviations must lie within half a millimetre."
         )
     return values
+
+
+def _checked_life(data: Any, values: Mapping[str, Any], source: str) -> Life:
+    """Check the states of a life as they were read."""
+    turns = data["life_crank_turns"].values.astype(float)
+    if turns.ndim != 1 or turns.size == 0 or turns[0] != 0.0 or not (np.diff(turns) > 0.0).all():
+        raise edge.InputError(f"{source}: life_crank_turns must grow from 0, one value a state.")
+    states = {}
+    for name in DEVIATIONS:
+        given = data.get(f"life_{name}")
+        if given is None or name not in values or given.shape != (turns.size, *values[name].shape):
+            raise edge.InputError(
+                f"{source}: life_{name} is missing or its shape is not that of {name} for each state."
+            )
+        if not np.isfinite(given.values).all():
+            raise edge.InputError(f"{source}: life_{name} holds a value that is not finite.")
+        states[name] = given.values.astype(float)
+    return Life(turns, **states)
 
 
 def _check_curvatures(values: Mapping[str, Any], source: str) -> None:

@@ -1,10 +1,10 @@
 """Tooth contact analysis: every pin's own transmission error unloaded, their envelope, and a pin's mesh under load.
 
 Unloaded, the paper's two vector equations (position and normal of both flanks, loaded-contact-wear equation 13) say
-that the pin's axis lies on the curve parallel to the flank at the pin's radius. A rotation of the output leaves the distance
-of the axis from the centre of that rotation as it is; so one scalar equation gives the flank's parameter, and the angle
-between both points the rotation. On the flank from a tooth's root to its tip that distance only grows, on the flank
-behind it only falls: each has one solution or none, and which flank bears follows from the side alone.
+that the pin's axis lies on the curve parallel to the flank at the pin's radius. A rotation of the output leaves the
+distance of the axis from the centre of that rotation as it is; so one scalar equation gives the flank's parameter, and
+the angle between both points the rotation. On the flank from a tooth's root to its tip that distance only grows, on
+the flank behind it only falls: each has one solution or none, and which flank bears follows from the side alone.
 """
 
 from __future__ import annotations
