@@ -291,10 +291,10 @@ def wear_rate(model: WearModel, surface: ErrorSurface, workers: int = 1) -> Wear
     drive = drive_of(model.pair, surface, width)
     angle = model.sweep.crank_angle
     parts = [
-        (load, angle[first : first + PART])
+        (load, part)
         for load in model.loads
         if load.torque != 0.0
-        for first in range(0, angle.size, PART)
+        for part in np.array_split(angle, math.ceil(angle.size / PART))
     ]
     with ThreadPoolExecutor(workers) as pool:
         found = list(pool.map(lambda part: _part_of_rate(model, drive, *part), parts))

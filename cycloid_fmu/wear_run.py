@@ -168,7 +168,8 @@ def wear_figures(model: WearModel, states: list[WearState], new: WearRate, worke
     """Return the figures of a run, SI, as `--json` prints them.
 
     `linear` is without profile update, `updated` the end of the history, `as_printed` by the paper's slip distance at
-    the contacts (the pin's mean leaves out 0.05 rad on both sides of the pole); `step` says how fine the history is, `life` follows it.
+    the contacts (the pin's mean leaves out 0.05 rad on both sides of the pole); `step` says how fine the history is,
+    `life` follows it.
     """
     turns = states[-1].crank_turns
     curve = accuracy(model, [s.depth for s in states], new.half_width, workers)
