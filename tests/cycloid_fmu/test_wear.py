@@ -1,6 +1,5 @@
 import dataclasses
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -11,8 +10,9 @@ import numpy as np
 import pytest
 import xarray as xr
 from common import ARCSEC, make_pair
+from typer.testing import CliRunner
 
-from cycloid_fmu import edge, wear
+from cycloid_fmu import cli, edge, plots, wear
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.profile import flank_normals, flank_points
@@ -20,7 +20,14 @@ from cycloid_fmu.surface import nominal_surface, read_surface, surface_after, su
 from cycloid_fmu.transmission import drive_of, solve
 from cycloid_fmu.wear import Sweep, accuracy, wear_model, wear_rate, wear_states, worn_surface
 from cycloid_fmu.wear_law import Load, Regression, duty_cycle, parse_wear_law, read_duty_cycle
-from cycloid_fmu.wear_run import coefficient_warning, run_wear, surface_of_run, unfinished_path, wear_figures
+from cycloid_fmu.wear_run import (
+    Interrupted,
+    coefficient_warning,
+    run_wear,
+    surface_of_run,
+    unfinished_path,
+    wear_figures,
+)
 
 PAIR = """format = "cycloid-pair/1"
 [pair]
@@ -420,45 +427,78 @@ def test_histories_of_other_runs_are_refused(tmp_path):
 def test_a_killed_run_goes_on_as_if_nothing_had_been(command, tmp_path):
     (tmp_path / "pair.toml").write_text(PAIR)
     (tmp_path / "wear.toml").write_text(LAW.replace('"fixed"', '"fixed"\nfriction_coefficient = 0.05'))
-    words = ["cycloid-fmu", "wear", "pair.toml", "--wear", "wear.toml", "--torque", "-400 N*m", "--crank-turns", "1e5"]
-    whole = command(*words, "-o", "whole.nc", "--json", "--plot", "wear.png")
-    assert whole.returncode == 0, whole.stderr
-    figures = json.loads(whole.stdout)
-    assert figures["linear"]["gear_depth_max"] == pytest.approx(49.4e-6 / 30, rel=0.04)
-    assert figures["updated"]["gear_depth_max"] < figures["linear"]["gear_depth_max"]
-    assert figures["sliding_loss"] == pytest.approx(0.05 * figures["sliding_work"] / (400 * 2 * np.pi / 39))
-    assert (tmp_path / "wear.png").stat().st_size > 50000
-
+    words = [
+        "wear",
+        "pair.toml",
+        "--wear",
+        "wear.toml",
+        "--torque",
+        "-400 N*m",
+        "--crank-turns",
+        "1e5",
+        "-o",
+        "worn.nc",
+    ]
     killed = subprocess.Popen(
-        [Path(sys.executable).with_name(words[0]), *words[1:], "-o", "killed.nc"], cwd=tmp_path,
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=os.environ,
+        [Path(sys.executable).with_name("cycloid-fmu"), *words], cwd=tmp_path, stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
     )  # fmt: skip
-    history = tmp_path / "killed.unfinished.nc"
-    until = time.monotonic() + 120.0
+    history, until = tmp_path / "worn.unfinished.nc", time.monotonic() + 120.0
     while not history.exists() and killed.poll() is None and time.monotonic() < until:
-        time.sleep(0.01)
+        time.sleep(0.005)
     killed.send_signal(signal.SIGKILL)
     killed.wait()
     assert history.exists()
-    assert not (tmp_path / "killed.nc").exists()
-    resumed = command(*words, "-o", "killed.nc", "--json")
+    assert not (tmp_path / "worn.nc").exists()
+    resumed = command("cycloid-fmu", *words, "--json")
     assert resumed.returncode == 0, resumed.stderr
-    assert resumed.stdout == whole.stdout
     assert not history.exists()
-    with xr.open_dataset(tmp_path / "whole.nc") as one, xr.open_dataset(tmp_path / "killed.nc") as other:
-        xr.testing.assert_identical(one.load(), other.load())
+
+    whole = model(friction_coefficient=0.05)
+    states, new = list(wear_states(whole, 1e5)), wear_rate(whole, whole.surface)
+    figures = wear_figures(whole, states, new)
+    assert json.loads(resumed.stdout) == json.loads(edge.json_text(figures))
+    worn = read_surface(tmp_path / "worn.nc")
+    assert (worn.gear_deviation == -states[-1].depth.gear).all()
+    assert (worn.life.crank_turns == [s.crank_turns for s in states]).all()
+    assert figures["linear"]["gear_depth_max"] == pytest.approx(49.4e-6 / 30, rel=0.04)
+    assert figures["updated"]["gear_depth_max"] < figures["linear"]["gear_depth_max"]
+    assert figures["sliding_loss"] == pytest.approx(0.05 * figures["sliding_work"] / (400 * 2 * np.pi / 39))
+    plots.save(plots.plot_wear(whole, states, new, figures), tmp_path / "wear.png")
+    assert (tmp_path / "wear.png").stat().st_size > 50000
 
 
-def test_the_command_says_what_is_wrong(command, tmp_path):
-    (tmp_path / "pair.toml").write_text(PAIR)
-    (tmp_path / "wear.toml").write_text(CONSTANT.replace("1e-18 m^2/N", "1e-12 m^2/N"))
-    run = command(
-        "cycloid-fmu", "wear", "pair.toml", "--wear", "wear.toml", "--torque", "-400 N*m", "--crank-turns", "1e6"
-    )
-    assert run.returncode == 2
-    assert "mm deep" in run.stderr
-    assert "5.13" in run.stderr
-    assert "Traceback" not in run.stderr
+@pytest.mark.parametrize(
+    ("coefficient", "words", "sentence"),
+    [
+        ("1e-12 m^2/N", ["--torque", "-400 N*m", "--crank-turns", "1e6"], "mm deep, and the tooth is 5.133 mm thick"),
+        ("1e-18 m^2/N", ["--crank-turns", "1e6"], "it comes from 0"),
+        ("1e-18 m^2/N", ["--torque", "-400 N*m"], "--crank-turns is missing"),
+        ("1e-18 m^2/N", ["--torque", "-400 N*m", "--crank-turns", "-1"], "zero or above"),
+        ("1e-18 m^2/N", ["--torque", "-400", "--crank-turns", "1"], "--torque"),
+        ("1e-18 m^2/N", ["--torque", "-400 N*m", "--crank-turns", "1", "-o", "worn.csv"], "must end in .nc"),
+    ],
+)
+def test_the_command_says_what_is_wrong(coefficient, words, sentence, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("pair.toml").write_text(PAIR)
+    Path("wear.toml").write_text(CONSTANT.replace("1e-18 m^2/N", coefficient))
+    run = CliRunner().invoke(cli.app, ["wear", "pair.toml", "--wear", "wear.toml", *words])
+    assert isinstance(run.exception, edge.InputError)
+    assert sentence in str(run.exception)
+    assert "\n" not in str(run.exception)
+
+
+def test_an_interrupted_run_says_where_its_history_is(tmp_path):
+    def interrupt(turns):
+        if turns > 0.0:
+            raise KeyboardInterrupt
+
+    short = model(elements=(100, 50), text=CONSTANT, coefficient=5e-17)
+    with pytest.raises(Interrupted, match=r"of 1e\+06 crank turns are done; .*worn.unfinished.nc holds them"):
+        run_wear(short, 1e6, tmp_path / "worn.nc", progress=interrupt)
+    states = run_wear(short, 1e6, tmp_path / "worn.nc")
+    assert (states[-1].depth.gear == list(wear_states(short, 1e6))[-1].depth.gear).all()
 
 
 def test_errors_a_pair_states_are_part_of_it():
