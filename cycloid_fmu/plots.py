@@ -182,7 +182,7 @@ def plot_wear(model: WearModel, states: list[WearState], new: WearRate, figures:
 
     figure, axes = new_figure(4, 3)
     drive = drive_of(model.pair, model.surface, model.unworn.gear.shape[3])
-    torque = max((load.torque for load in model.loads), key=abs)
+    torque = model.heaviest_torque
     if torque != 0.0:
         contacts = loaded_contacts(drive, model.sweep.crank_angle, torque)
         order = np.argsort(contacts.phase)

@@ -222,10 +222,17 @@ def loaded_contacts(drive: contact.Drive, crank_angle: Array, torque: float) -> 
     torque
         Of the environment on the output, not 0, N·m.
 
+    Raises
+    ------
+    ValueError
+        If the torque is 0, where there is play instead of an equilibrium.
+
     Notes
     -----
     loaded-contact-wear equations 14 to 17; the clearance is taken up where the contact is, not on a linear path.
     """
+    if torque == 0.0:
+        raise ValueError("torque = 0: without load no contact carries any; it must not be zero")
     deviation = np.empty(crank_angle.size)
     rows = contact.contact_rows(drive).shape
     table = np.empty((crank_angle.size, *rows))

@@ -184,6 +184,11 @@ class WearModel:
         return Depth(np.zeros_like(self.surface.gear_deviation), np.zeros_like(self.surface.pin_deviation))
 
     @property
+    def heaviest_torque(self) -> float:
+        """The duty cycle's torque of the largest magnitude, N·m."""
+        return max((load.torque for load in self.loads), key=abs, default=0.0)
+
+    @property
     def gear_element(self) -> float:
         """Arc length of an element of the flanks, m."""
         assert self.surface.gear_deviation is not None
@@ -460,7 +465,7 @@ def depth_as_printed(model: WearModel, crank_turns: float) -> tuple[LoadedContac
     Returns
     -------
     contacts, gear, pin
-        The contacts of the first load, and k_0 p 2a|σ| for each of them over the turns, m, p being the mean pressure
+        The contacts of the heaviest load, and k_0 p 2a|σ| for each of them over the turns, m, p being the mean pressure
         F/(2ab); the pin's has a pole, so its largest value is that of the crank angles chosen.
 
     Notes
@@ -469,7 +474,7 @@ def depth_as_printed(model: WearModel, crank_turns: float) -> tuple[LoadedContac
     largest depth comes nearest to its 60 µm.
     """
     drive = drive_of(model.pair, model.surface, model.unworn.gear.shape[3])
-    contacts = loaded_contacts(drive, model.sweep.crank_angle, model.loads[0].torque)
+    contacts = loaded_contacts(drive, model.sweep.crank_angle, model.heaviest_torque)
     speed = velocities(drive, contacts)
     each = crank_turns * contact_coefficients(model.law, drive, contacts) * contacts.force / drive.slice_width
     return contacts, each * np.abs(speed.gear_slip), each * np.abs(speed.pin_slip)
@@ -477,7 +482,7 @@ def depth_as_printed(model: WearModel, crank_turns: float) -> tuple[LoadedContac
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Transmission error under the first load and backlash over the sweep, rad; arrays of shape (states,)."""
+    """Transmission error under the heaviest load and backlash over the sweep, rad; arrays of shape (states,)."""
 
     transmission_error: Array
     transmission_error_range: Array
@@ -488,11 +493,10 @@ class Accuracy:
 def accuracy(model: WearModel, depths: Sequence[Depth], smoothing: float, workers: int = 1) -> Accuracy:
     """Return mean and peak-to-peak transmission error and mean and peak-to-peak backlash of worn states."""
     angle = model.sweep.crank_angle[: 3 * PART]
-    torque = max((load.torque for load in model.loads), key=abs)
     rows = []
     for depth in depths:
         surface = worn_surface(model, depth, smoothing)
-        found = solve(model.pair, surface, torque, angle, model.unworn.gear.shape[3], workers=workers)
+        found = solve(model.pair, surface, model.heaviest_torque, angle, model.unworn.gear.shape[3], workers=workers)
         error, play = found.transmission_error[0], found.backlash
         rows.append([error.mean(), np.ptp(error), play.mean(), np.ptp(play)])
     return Accuracy(*np.array(rows).T)

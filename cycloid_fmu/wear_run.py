@@ -173,19 +173,11 @@ def wear_figures(model: WearModel, states: list[WearState], new: WearRate, worke
     """
     turns = states[-1].crank_turns
     curve = accuracy(model, [s.depth for s in states], new.half_width, workers)
-    contacts, gear, pin = depth_as_printed(model, turns)
-    off_pole = np.abs(np.abs(contacts.phase) - slip_pole(model.pair)) > 0.05
     found: dict[str, Any] = {
         "crank_turns": turns,
         "linear": _figures_of(model, new.depth * turns),
         "updated": _figures_of(model, states[-1].depth),
-        "as_printed": {
-            "gear_depth_max": float(gear.max()),
-            "gear_depth_mean": float(gear.mean()),
-            "pin_depth_mean_off_pole": float(np.mean(pin[off_pole])) if off_pole.any() else 0.0,
-        },
         "wear_coefficient_max": new.coefficient,
-        "contact_ratio": contact_ratio(contacts),
         "max_contact_pressure": new.pressure,
         "half_width": new.half_width,
         "sliding_work": new.sliding_work,
@@ -199,6 +191,15 @@ def wear_figures(model: WearModel, states: list[WearState], new: WearRate, worke
             **vars(curve),
         },
     }
+    if model.heaviest_torque != 0.0:
+        contacts, gear, pin = depth_as_printed(model, turns)
+        off_pole = np.abs(np.abs(contacts.phase) - slip_pole(model.pair)) > 0.05
+        found["contact_ratio"] = contact_ratio(contacts)
+        found["as_printed"] = {
+            "gear_depth_max": float(gear.max()),
+            "gear_depth_mean": float(gear.mean()),
+            "pin_depth_mean_off_pole": float(np.mean(pin[off_pole])) if off_pole.any() else 0.0,
+        }
     if (friction := model.law.friction_coefficient) is not None:
         # Each crank turn the output turns by 2π/|ratio|.
         torque = sum(abs(load.torque) * load.crank_turns for load in model.loads)

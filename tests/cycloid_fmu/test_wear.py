@@ -155,6 +155,8 @@ def test_no_load_or_no_turns_no_wear():
         states = list(wear_states(idle, turns))
         assert states[-1].crank_turns == turns
         assert states[-1].depth.largest == 0.0
+        figures = wear_figures(idle, states, wear_rate(idle, idle.surface))
+        assert figures["updated"]["gear_depth_max"] == figures["linear"]["pin_volume"] == 0.0
 
 
 def test_below_one_step_depth_is_proportional_to_turns():
