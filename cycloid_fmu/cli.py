@@ -328,6 +328,99 @@ def simulate(
     )  # fmt: skip
 
 
+@app.command()
+def wear(
+    pair_file: PairFile,
+    wear_file: Annotated[Path, typer.Option("--wear", metavar="WEAR.toml", help="The wear law (cycloid-wear/1).")],
+    torque: Annotated[str | None, typer.Option(help='Torque on the output, such as "-400 N*m".')] = None,
+    crank_turns: Annotated[
+        float | None, typer.Option(help="Crank turns; without them those of the duty cycle.", show_default=False)
+    ] = None,
+    duty_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--duty", metavar="DUTY.csv", help="Duty cycle instead of one torque: torque [N*m],crank_turns [1]."
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Write the worn surface and its life (netCDF).")
+    ] = None,
+    surface_file: SurfaceFile = None,
+    plot: PlotFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Wear of flanks and pins over a life, with the profile updated as it wears; run again to go on after a kill.
+
+    Example: [cyan]cycloid-fmu wear pair.toml --wear wear.toml --torque "-400 N*m" --crank-turns 3e6 -o worn.nc[/]
+    """
+    import os
+
+    from rich.progress import Progress
+
+    from cycloid_fmu import plots, wear_run
+    from cycloid_fmu.surface import write_surface
+    from cycloid_fmu.wear import tooth_thickness, wear_model, wear_rate
+    from cycloid_fmu.wear_law import duty_cycle, read_wear_law
+
+    if plot is not None:
+        plots.check_path(plot)
+    if output is not None and output.suffix != ".nc":
+        raise edge.InputError(f"--output {output}: the name must end in .nc.")
+    load = None if torque is None else edge.quantity_option(torque, "N*m", "--torque")
+    law = read_wear_law(wear_file)
+    loads, turns = duty_cycle(law, load, crank_turns, duty_file, str(wear_file))
+    pair, surface = _load(pair_file, surface_file)
+    workers = os.cpu_count() or 1
+    model = wear_model(pair, surface, law, loads)
+    new = wear_rate(model, model.surface, workers)
+    thickness = tooth_thickness(pair)
+    if new.depth.largest * turns > thickness:
+        raise edge.InputError(
+            f"{wear_file}: {turns:g} crank turns would wear {new.depth.largest * turns * 1e3:.4g} mm deep, and the "
+            f"tooth is {thickness * 1e3:.4g} mm thick; check the wear coefficient's units and the turns."
+        )
+    if (doubt := wear_run.coefficient_warning(new.coefficient, model, str(wear_file))) is not None:
+        typer.echo(doubt, err=True)
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("crank turns", total=turns or 1.0)
+        try:
+            states = wear_run.run_wear(model, turns, output, workers, lambda done: bar.update(task, completed=done))
+        except wear_run.Interrupted as interrupted:
+            typer.echo(str(interrupted), err=True)
+            raise typer.Exit(edge.INTERRUPTED) from None
+    figures = wear_run.wear_figures(model, states, new, workers)
+    if output is not None:
+        write_surface(wear_run.surface_of_run(model, states, new.half_width), output)
+        wear_run.unfinished_path(output).unlink()
+    if plot is not None:
+        plots.save(plots.plot_wear(model, states, new, figures), plot)
+    if figures["crank_turns"] < turns:
+        typer.echo(
+            f"The wear limit of {figures['wear_limit'] * 1e6:.1f} µm is reached after {figures['crank_turns']:.4g} of "
+            f"{turns:.4g} crank turns; the run ends there.", err=True,
+        )  # fmt: skip
+    if as_json:
+        typer.echo(edge.json_text(figures))
+        return
+    kinds = {"linear": "at the new profile's rate", "updated": "profile updated"}
+    rows = [
+        [f"{body}, {name}", *(f"{figures[kind][f'{body}_depth_{key}'] * 1e6:.3f} µm" for kind in kinds)]
+        for body in ("gear", "pin") for key, name in (("max", "deepest"), ("mean", "mean of what is worn"))
+    ]  # fmt: skip
+    print_table(f"{pair_file.name}, {figures['crank_turns']:g} crank turns", ["wear depth", *kinds.values()], rows)
+    life = figures["life"]
+    for name, text in (("transmission_error", "Transmission error"), ("backlash", "Backlash")):
+        new_mean, worn_mean, new_range, worn_range = (
+            f"{life[key][k] * plots.ARCSEC:.3f}″" for key in (name, f"{name}_range") for k in (0, -1)
+        )
+        typer.echo(f"{text}: mean {new_mean} new, {worn_mean} worn; peak to peak {new_range} new, {worn_range} worn.")
+    typer.echo(f"Sliding work at friction coefficient 1: {figures['sliding_work']:.4g} J a crank turn.")
+    if "sliding_loss" in figures:
+        typer.echo(
+            f"Friction: {figures['friction_work']:.4g} J a crank turn, {figures['sliding_loss']:.3%} of the load's."
+        )
+
+
 def main() -> None:
     """Run the command line."""
     edge.run(lambda: app)

@@ -27,8 +27,9 @@ _Tangency = tuple[float, float, float, float, float, float, float, float]
 _Directions = tuple[float, float, float, float]
 
 (
-    FOOT, FOOT_RATE, GAP, ARM, ARM_RATE, CURVATURE, CURVATURE_RATE, FORCE, STIFFNESS, FORCE_BY_CURVATURE, AT, COLUMNS,
-) = range(12)  # fmt: skip
+    FOOT, FOOT_RATE, GAP, ARM, ARM_RATE, CURVATURE, CURVATURE_RATE, FORCE, STIFFNESS, FORCE_BY_CURVATURE, AT, PLACE,
+    COLUMNS,
+) = range(13)  # fmt: skip
 
 # The scalar errors, in the order of the sensitivities' first columns.
 SCALAR_ERRORS = (
@@ -43,6 +44,7 @@ _LINEAR_STEP = 1e-9  # rad: below this Newton's last step of an equilibrium is m
 _BOUNDED = 2e-6  # m: in an equilibrium a gap above this need not be known exactly
 _INTERPOLATED = 1e-9  # m: what interpolation across slices may err on a clear pin's gap
 _CLEAR = 5e-7  # m: a pin predicted to be this clear is not solved again within one equilibrium
+_CONFORMAL = 0.1  # deviations can't make a contact more conformal than this share of its nominal 1/ρ*
 _COUNTED = 0.01  # a pin counts as in contact above this share of the most loaded pin's force
 
 
@@ -100,6 +102,9 @@ class Drive(NamedTuple):
         Normal deviation at the middles of each pin's elements of equal angle, shape (slices, pins, elements), m.
     largest_deviation
         Sum of the largest deviations of gear and pins, m.
+    gear_curvature, pin_curvature
+        Curvature that the deviations add at the same places, > 0 convex, shapes as the deviations', 1/m; size 0 where
+        none is counted.
     """
 
     circle_radius: float
@@ -130,6 +135,8 @@ class Drive(NamedTuple):
     gear_deviation: Array
     pin_deviation: Array
     largest_deviation: float
+    gear_curvature: Array
+    pin_curvature: Array
 
 
 @_compiled
@@ -264,6 +271,7 @@ def _write_contact(
     stretch = -slope / speed2
     kappa = _path_curvature(circle_radius, eccentricity, teeth, bx, speed)
     contacts[row, FOOT] = foot
+    contacts[row, PLACE] = alpha
     contacts[row, FOOT_RATE] = sign * lever / (speed * stretch)
     contacts[row, GAP] = distance - pin_radius
     contacts[row, ARM] = sign * (qy * nx - qx * ny)
@@ -502,15 +510,38 @@ def _raise(drive: Drive, theta: float, x: float, contacts: Array, bounded: float
                         best = closest
         _, at, gear_height, pin_height = best
         place_ = base + at
+        state = _tangency(px, py, place_, drive.circle_radius, drive.generating_eccentricity, teeth)
         _write_contact(
             (
                 drive.circle_radius, drive.generating_eccentricity, drive.generating_radius - gear_height, teeth,
                 drive.ring,
             ),
-            contacts, row, contacts[row, FOOT], place_,
-            _tangency(px, py, place_, drive.circle_radius, drive.generating_eccentricity, teeth), ox, oy,
-            pin_radius + pin_height, x,
+            contacts, row, contacts[row, FOOT], place_, state, ox, oy, pin_radius + pin_height, x,
         )  # fmt: skip
+        if drive.gear_curvature.size > 0:
+            added = _added_curvature(drive, disc, slice_, number, pin, at, state, fx, fy)
+            hertz_curvature = 1.0 / pin_radius + contacts[row, CURVATURE]
+            contacts[row, CURVATURE] += max(added, (_CONFORMAL - 1.0) * hertz_curvature)
+
+
+@_inlined
+def _added_curvature(
+    drive: Drive, disc: int, slice_: int, tooth: int, pin: int, alpha: float, state: _Tangency, fx: float, fy: float
+) -> float:
+    """Curvature that the deviations of flank and pin add where they touch, at tooth 0's α; f as in `_raised`."""
+    points = drive.flank_alpha
+    after = min(max(int(np.searchsorted(points, alpha)), 1), points.size - 1)
+    share = (alpha - points[after - 1]) / (points[after] - points[after - 1])
+    flank = (1.0 - share) * drive.gear_curvature[disc, slice_, tooth, after - 1]
+    flank += share * drive.gear_curvature[disc, slice_, tooth, after]
+    _, _, _, _, bx, by, dx, dy = state
+    speed = math.sqrt(bx * bx + by * by)
+    # From the pin's axis to the flank, in the foot's frame and on tooth 0.
+    wx, wy = -dx - drive.generating_radius * bx / speed, -dy - drive.generating_radius * by / speed
+    ca, sa = math.cos(alpha), math.sin(alpha)
+    vx, vy = wx * ca - wy * sa, wx * sa + wy * ca
+    seen = _pin_place(drive, fx * vy - fy * vx, fx * vx + fy * vy)
+    return flank + _on_pin(drive.pin_curvature, slice_, pin, seen)
 
 
 @_inlined
@@ -526,7 +557,7 @@ def _raised(
     height = drive.gear_deviation[disc, slice_, tooth, point]
     vx, vy = vx + height * drive.flank_normal_x[point], vy + height * drive.flank_normal_y[point]
     seen = _pin_place(drive, fx * vy - fy * vx, fx * vx + fy * vy)
-    raised = math.sqrt(vx * vx + vy * vy) - drive.pin_radius[pin] - _pin_height(drive, slice_, pin, seen)
+    raised = math.sqrt(vx * vx + vy * vy) - drive.pin_radius[pin] - _on_pin(drive.pin_deviation, slice_, pin, seen)
     return nominal, raised, seen
 
 
@@ -559,7 +590,10 @@ def _closest_on_piece(
             high, right = b, seen[1]
         else:
             high = a + (b - a) * (right - seen[0]) / (seen[1] - seen[0])
-        pin_start, pin_end = _pin_height(drive, slice_, pin, left), _pin_height(drive, slice_, pin, right)
+        pin_start, pin_end = (
+            _on_pin(drive.pin_deviation, slice_, pin, left),
+            _on_pin(drive.pin_deviation, slice_, pin, right),
+        )
         pin_rise = (pin_end - pin_start) / max(high - low, 1e-3 * (b - a))
         at = 0.5 * (low + high)
         for _ in range(8):
@@ -604,10 +638,11 @@ def _pin_place(drive: Drive, across: float, ahead: float) -> float:
 
 
 @_inlined
-def _pin_height(drive: Drive, slice_: int, pin: int, place_: float) -> float:
-    low = min(max(math.floor(place_), 0), drive.pin_deviation.shape[2] - 2)
+def _on_pin(values: Array, slice_: int, pin: int, place_: float) -> float:
+    """Value between the middles of a pin's elements, at a place of `_pin_place`."""
+    low = min(max(math.floor(place_), 0), values.shape[2] - 2)
     share = min(max(place_ - low, 0.0), 1.0)
-    return (1.0 - share) * drive.pin_deviation[slice_, pin, low] + share * drive.pin_deviation[slice_, pin, low + 1]
+    return (1.0 - share) * values[slice_, pin, low] + share * values[slice_, pin, low + 1]
 
 
 @_inlined
@@ -1220,6 +1255,25 @@ def sweep_load(
         count[i], pressure[i] = load_sharing(drive, contacts, force[i], pin_pressure[i])
         if slice_force.size > 0:
             _lines(drive, thetas[i], x, contacts, slice_force[i], slice_direction[i], gear_map, pin_map)
+
+
+@_compiled
+def sweep_contacts(drive: Drive, thetas: Array, torque: float, deviation: Array, table: Array) -> None:
+    """Solve crank angles at one torque and keep every contact row.
+
+    Parameters
+    ----------
+    thetas, torque
+        Crank angles (rad), shape (angles,); torque (N·m), not 0.
+    deviation, table
+        Overwritten: x (rad), shape (angles,); `contact_rows` of each angle, shape (angles, rows, columns).
+    """
+    contacts = contact_rows(drive)
+    x = 0.0
+    for i in range(thetas.size):
+        x, _ = equilibrium(drive, thetas[i], torque, x, contacts, i == 0)
+        deviation[i] = x
+        table[i] = contacts
 
 
 @_compiled

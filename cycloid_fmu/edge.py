@@ -32,7 +32,7 @@ _NUMBER = r"[+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?"
 _QUANTITY = re.compile(rf"({_NUMBER}) (\S.*)")
 _EXAMPLES = {
     "m": "64 mm", "rad": "0.5 arcmin", "N": "5 N", "N*m": "181 N*m", "Pa": "206 GPa", "s": "10 ms", "rad/s": "15 rpm",
-    "rad/(N*m)": "0.02 arcsec/(N*m)",
+    "rad/(N*m)": "0.02 arcsec/(N*m)", "1/Pa": "2.2e-8 1/Pa", "m^2/N": "1e-18 m^2/N",
 }  # fmt: skip
 
 
@@ -126,6 +126,8 @@ Torque = Annotated[float, _reader("N*m")]
 Pressure = Annotated[float, _reader("Pa")]
 Seconds = Annotated[float, _reader("s")]
 Speed = Annotated[float, _reader("rad/s")]
+PressureViscosity = Annotated[float, _reader("1/Pa")]
+WearCoefficient = Annotated[float, _reader("m^2/N")]
 
 
 class Config(pydantic.BaseModel):

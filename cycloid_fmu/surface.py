@@ -24,10 +24,15 @@ FORMAT = "cycloid-surface/1"
 ORIGINS = ("nominal", "sampled", "measured", "identified", "worn")
 PATTERNS = ("pin_radial", "pin_tangential", "tooth_cumulative_pitch")
 ANGLES = ("misalignment_xz", "misalignment_yz")
-DEVIATIONS = {"gear_deviation": ("disc", "tooth", "profile", "width"), "pin_deviation": ("pin", "angle", "width")}
+_FLANKS, _PINS = ("disc", "tooth", "profile", "width"), ("pin", "angle", "width")
+DEVIATIONS = {
+    "gear_deviation": _FLANKS, "pin_deviation": _PINS, "gear_curvature": _FLANKS, "pin_curvature": _PINS,
+}  # fmt: skip
 _DEVIATION_TEXTS = {
     "gear_deviation": "normal deviation of each element of the flanks, > 0 material added",
     "pin_deviation": "normal deviation of each element of the pins, > 0 material added",
+    "gear_curvature": "curvature that wear adds to each element of the flanks, > 0 convex",
+    "pin_curvature": "curvature that wear adds to each element of the pins, > 0 convex",
 }
 LARGEST_ELEMENT = 5e-4
 DESCRIPTIONS = {
@@ -62,6 +67,20 @@ class Elements:
 
 
 @dataclass(frozen=True)
+class Life:
+    """Deviations of a wearing drive over its life; each array's first axis is the state.
+
+    `crank_turns` (states,) grows from 0; the others are as an `ErrorSurface` has them.
+    """
+
+    crank_turns: Array
+    gear_deviation: Array
+    pin_deviation: Array
+    gear_curvature: Array
+    pin_curvature: Array
+
+
+@dataclass(frozen=True)
 class ErrorSurface:
     """Errors of one pair, SI; the scalars' names and signs are those of the pair file's `[errors]`.
 
@@ -79,6 +98,11 @@ class ErrorSurface:
         Normal deviation of each element of the pins, > 0 material added, shape (pins, angle, width), m; or None.
         Elements are of equal angle over the half of the pin that faces the pin circle's centre: the angle runs
         counter-clockwise about the pin's axis from -90° to +90° of the direction to that centre.
+    gear_curvature, pin_curvature
+        Curvature that wear adds at the same places, > 0 convex, shapes as the deviations', 1/m; or None, where the
+        deviations leave the curvature as it is (form and roughness of a scale that contact does not follow).
+    life
+        Of a worn surface: its states from new to the one that the deviations hold; else None.
     origin
         One of `ORIGINS`.
     pair_text
@@ -104,6 +128,9 @@ class ErrorSurface:
     offset: float = 0.0
     gear_deviation: Array | None = None
     pin_deviation: Array | None = None
+    gear_curvature: Array | None = None
+    pin_curvature: Array | None = None
+    life: Life | None = None
     origin: str = "nominal"
     pair_text: str = ""
     covariance_of: tuple[str, ...] = ()
@@ -157,8 +184,10 @@ def structured_names(orders: Collection[int]) -> list[str]:
 
 
 def unit_of(name: str) -> str:
-    """SI unit of a structured error: "rad" for the misalignments, "m" for the others."""
-    return "rad" if name in ANGLES else "m"
+    """SI unit of an error: "rad" for the misalignments, "1/m" for curvatures, "m" for the others."""
+    if name in ANGLES:
+        return "rad"
+    return "1/m" if name.endswith("_curvature") else "m"
 
 
 def _wave(pair: Pair, name: str) -> tuple[str, Array]:
@@ -219,6 +248,30 @@ def structured_columns(pair: Pair, names: Iterable[str]) -> Array:
     return np.array(columns).T
 
 
+def surface_after(surface: ErrorSurface, crank_turns: float) -> ErrorSurface:
+    """Return a worn surface at another time of its life, linear between the states that it holds.
+
+    Raises
+    ------
+    ValueError
+        If it holds no life, or not up to so many turns.
+    """
+    life = surface.life
+    if life is None:
+        raise ValueError("this surface holds no states of a life")
+    turns, last = life.crank_turns, life.crank_turns.size - 1
+    if not 0.0 <= crank_turns <= turns[-1]:
+        raise ValueError(
+            f"crank_turns_worn = {crank_turns:g}: it must lie between 0 and {turns[-1]:g}, where the life ends"
+        )
+    after = min(max(int(np.searchsorted(turns, crank_turns)), 1), last)
+    before = min(after - 1, last)
+    span = turns[after] - turns[before]
+    share = (crank_turns - turns[before]) / span if span > 0.0 else 0.0
+    mixed = {n: (1.0 - share) * getattr(life, n)[before] + share * getattr(life, n)[after] for n in DEVIATIONS}
+    return dataclasses.replace(surface, **mixed)
+
+
 def write_surface(surface: ErrorSurface, path: str | os.PathLike[str]) -> None:
     """Write a surface file (netCDF, `cycloid-surface/1`), whole or not at all."""
     import xarray as xr
@@ -231,6 +284,9 @@ def write_surface(surface: ErrorSurface, path: str | os.PathLike[str]) -> None:
     for name, dimensions in DEVIATIONS.items():
         if (elements := getattr(surface, name)) is not None:
             data[name] = (dimensions, elements)
+    if surface.life is not None:
+        for name, values in vars(surface.life).items():
+            data[f"life_{name}"] = (("state", *DEVIATIONS.get(name, ())), values)
     coordinates: dict[str, Any] = {}
     if surface.covariance is not None:
         data["covariance"] = (("parameter", "parameter_"), surface.covariance)
@@ -240,9 +296,14 @@ def write_surface(surface: ErrorSurface, path: str | os.PathLike[str]) -> None:
         if name not in dataset:
             continue
         dataset[name].attrs.update(units=unit_of(name), long_name=text)
+        if f"life_{name}" in dataset:
+            dataset[f"life_{name}"].attrs.update(units=unit_of(name), long_name=f"{text}; over life")
+    if surface.life is not None:
+        dataset["life_crank_turns"].attrs.update(units="1", long_name="crank turns since new")
     dataset.attrs.update(surface.attributes, format=FORMAT, origin=surface.origin, pair=surface.pair_text)
     with edge.written_whole(path) as temporary:
-        dataset.to_netcdf(temporary, engine="h5netcdf")
+        packed = {n: {"zlib": True} for n in dataset.data_vars if str(n).startswith("life_")}
+        dataset.to_netcdf(temporary, engine="h5netcdf", encoding=packed)
 
 
 def read_surface(path: str | os.PathLike[str]) -> ErrorSurface:
@@ -283,6 +344,9 @@ def read_surface(path: str | os.PathLike[str]) -> ErrorSurface:
     for name, dimensions in DEVIATIONS.items():
         if name in data:
             values[name] = _checked_deviation(data[name], name, dimensions, blank, str(path))
+    _check_curvatures(values, str(path))
+    if "life_crank_turns" in data:
+        values["life"] = _checked_life(data, values, str(path))
     kept = {k: v for k, v in data.attrs.items() if k not in ("format", "origin", "pair")}
     covariance = data["covariance"].values.astype(float) if "covariance" in data else None
     names = tuple(str(n) for n in data["parameter"].values) if covariance is not None else ()
@@ -308,8 +372,10 @@ def _checked_deviation(given: Any, name: str, dimensions: tuple[str, ...], blank
     """Check one array of deviations as it was read; the profile, angle and width may have any number of elements."""
     if given.dims != dimensions:
         raise edge.InputError(f"{source}: {name} has the dimensions {given.dims}; it must have {dimensions}.")
-    if given.attrs.get("units") != "m":
-        raise edge.InputError(f'{source}: {name} has the unit "{given.attrs.get("units")}"; it must be "m".')
+    if given.attrs.get("units") != unit_of(name):
+        raise edge.InputError(
+            f'{source}: {name} has the unit "{given.attrs.get("units")}"; it must be "{unit_of(name)}".'
+        )
     sizes = {"disc": blank.tooth_cumulative_pitch.shape[0], "tooth": blank.tooth_cumulative_pitch.shape[1],
              "pin": blank.pin_radial.size}  # fmt: skip
     for dimension, size in zip(dimensions, given.shape, strict=True):
@@ -319,11 +385,47 @@ def _checked_deviation(given: Any, name: str, dimensions: tuple[str, ...], blank
     if not np.isfinite(values).all():
         raise edge.InputError(f"{source}: {name} holds a value that is not finite.")
     largest = np.abs(values).max()
-    if largest > LARGEST_ELEMENT:
+    if unit_of(name) == "m" and largest > LARGEST_ELEMENT:
         raise edge.InputError(
             f"{source}: {name} reaches {largest * 1e3:.4g} mm; deviations must lie within half a millimetre."
         )
     return values
+
+
+def _checked_life(data: Any, values: Mapping[str, Any], source: str) -> Life:
+    """Check the states of a life as they were read."""
+    turns = data["life_crank_turns"].values.astype(float)
+    if turns.ndim != 1 or turns.size == 0 or turns[0] != 0.0 or not (np.diff(turns) > 0.0).all():
+        raise edge.InputError(f"{source}: life_crank_turns must grow from 0, one value a state.")
+    states = {}
+    for name in DEVIATIONS:
+        given = data.get(f"life_{name}")
+        if given is None or name not in values or given.shape != (turns.size, *values[name].shape):
+            raise edge.InputError(
+                f"{source}: life_{name} is missing or its shape is not that of {name} for each state."
+            )
+        if not np.isfinite(given.values).all():
+            raise edge.InputError(f"{source}: life_{name} holds a value that is not finite.")
+        states[name] = given.values.astype(float)
+    return Life(turns, **states)
+
+
+def _check_curvatures(values: Mapping[str, Any], source: str) -> None:
+    """Refuse curvatures that do not come for both bodies, each with deviations of the same elements."""
+    present = [n for n in DEVIATIONS if n in values]
+    if not any(n.endswith("_curvature") for n in present):
+        return
+    for name in DEVIATIONS:
+        if name not in present:
+            raise edge.InputError(
+                f"{source}: the variable {name} is missing; curvatures need all of {', '.join(DEVIATIONS)}."
+            )
+    for body in ("gear", "pin"):
+        mine, theirs = (values[f"{body}_{kind}"].shape for kind in ("curvature", "deviation"))
+        if mine != theirs:
+            raise edge.InputError(
+                f"{source}: {body}_curvature has the shape {mine}; it must have that of {body}_deviation, {theirs}."
+            )
 
 
 def check_surface(pair: Pair, surface: ErrorSurface, pair_source: str, surface_source: str) -> None:

@@ -129,20 +129,32 @@ def _elements(pair: Pair, surface: ErrorSurface, z: Array) -> dict[str, Any]:
         return {
             **dict.fromkeys(("flank_alpha", "flank_x", "flank_y", "flank_normal_x", "flank_normal_y"), np.empty(0)),
             "gear_deviation": np.empty((0, 0, 0, 0)), "pin_deviation": np.empty((0, 0, 0)), "largest_deviation": 0.0,
+            "gear_curvature": np.empty((0, 0, 0, 0)), "pin_curvature": np.empty((0, 0, 0)),
         }  # fmt: skip
     if gear is None:
         gear = np.zeros((g.discs, g.gear_teeth, PROFILE_ELEMENTS, 1))
     if pin is None:
         pin = np.zeros((g.pins, 2, 1))
-    # The flank ends in its first and last element, half an element beyond their middles.
-    flanks = np.moveaxis(_across_width(gear, z, g.face_width), 3, 1)
-    flanks = np.concatenate([flanks[..., :1], flanks, flanks[..., -1:]], axis=3)
+    gear_bend, pin_bend = surface.gear_curvature, surface.pin_curvature
     return {
         **_flank_points(pair, surface, gear.shape[2]),
-        "gear_deviation": np.ascontiguousarray(flanks),
-        "pin_deviation": np.ascontiguousarray(np.moveaxis(_across_width(pin, z, g.face_width), 2, 0)),
+        "gear_curvature": np.empty((0, 0, 0, 0)) if gear_bend is None else _flanks_of(gear_bend, z, g.face_width),
+        "pin_curvature": np.empty((0, 0, 0)) if pin_bend is None else _pins_of(pin_bend, z, g.face_width),
+        "gear_deviation": _flanks_of(gear, z, g.face_width),
+        "pin_deviation": _pins_of(pin, z, g.face_width),
         "largest_deviation": float(gear.max() + pin.max()),
     }
+
+
+def _flanks_of(values: Array, z: Array, face_width: float) -> Array:
+    """Values of the flanks' elements as `contact.Drive` takes them; an end has the value of the element it is in."""
+    flanks = np.moveaxis(_across_width(values, z, face_width), 3, 1)
+    return np.ascontiguousarray(np.concatenate([flanks[..., :1], flanks, flanks[..., -1:]], axis=3))
+
+
+def _pins_of(values: Array, z: Array, face_width: float) -> Array:
+    """Values of the pins' elements as `contact.Drive` takes them."""
+    return np.ascontiguousarray(np.moveaxis(_across_width(values, z, face_width), 2, 0))
 
 
 def _flank_points(pair: Pair, surface: ErrorSurface, elements: int) -> dict[str, Any]:

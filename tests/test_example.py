@@ -1,11 +1,13 @@
 """The main job, as the README's first command runs it."""
 
 import json
+import os
 import re
 import shutil
 import subprocess
 import sys
 
+import pytest
 from common import EXAMPLES
 
 
@@ -41,3 +43,19 @@ def test_what_each_error_does(tmp_path):
     assert lines["centre distance leads PPTE"]
     assert not lines["misalignment leads PPTE"]
     assert (tmp_path / "error_study.png").stat().st_size > 10000
+
+
+def test_the_wear_paper_s_figures(tmp_path):
+    run = subprocess.run(
+        [sys.executable, str(EXAMPLES / "wear_study.py")], cwd=tmp_path, capture_output=True, text=True, timeout=300,
+        env={**os.environ, "COLUMNS": "200"},
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    cells = [
+        [c.strip() for c in line.strip("│").split("│")] for line in run.stdout.splitlines() if line.startswith("│")
+    ]
+    table = {row[0]: row[1:] for row in cells}
+    assert table["unloaded mesh interval"][:2] == ["0.1571 rad", "0.1571 rad"]
+    assert float(table["gear, deepest, bounded"][1].split()[0]) == pytest.approx(49.4, rel=0.04)
+    assert float(table["gear, deepest, updated"][1].split()[0]) < 8.0
+    assert (tmp_path / "wear_study.png").stat().st_size > 100000

@@ -44,6 +44,8 @@ def build_fmu(pair: Pair, surface: ErrorSurface, path: str | os.PathLike[str]) -
         (place / NUMBERS).write_text(json.dumps(numbers, indent=1), encoding="utf-8")
         with (place / ARRAYS).open("wb") as file:
             arrays = {name: getattr(surface, name) for name in (*DESCRIPTIONS, *DEVIATIONS)}
+            if surface.life is not None:
+                arrays.update({f"life_{n}": a for n, a in vars(surface.life).items()})
             np.savez(file, allow_pickle=False, **{n: a for n, a in arrays.items() if a is not None})
         write_surface(surface, place / "surface.nc")
         script = Path(shutil.copy(_SCRIPT, place))

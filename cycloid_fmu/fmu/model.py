@@ -14,7 +14,7 @@ import numpy as np
 
 from cycloid_fmu import contact
 from cycloid_fmu.pair import Pair
-from cycloid_fmu.surface import ErrorSurface, structured_names, structured_value, with_structured
+from cycloid_fmu.surface import ErrorSurface, structured_names, structured_value, surface_after, with_structured
 from cycloid_fmu.transmission import drive_of, slices_needed
 
 ORDERS = (1, 2, 3)
@@ -42,6 +42,7 @@ class DriveModel:
         self.friction_torque = self.series_compliance = 0.0
         self.errors = {name: structured_value(pair, surface, name) for name in structured_names(ORDERS)}
         self._stated = dict(self.errors)
+        self._crank_turns_worn = math.nan if surface.life is None else float(surface.life.crank_turns[-1])
         self._ratio = pair.ratio
         # Everything repeats after one turn of the gear in the ring; a reduced angle keeps its digits.
         self._period = 2.0 * math.pi * (pair.pair.gear_teeth if pair.pair.output == "gear" else pair.pair.pins)
@@ -50,7 +51,8 @@ class DriveModel:
 
     def _rebuild(self) -> None:
         changed = {n: v for n, v in self.errors.items() if v != self._stated[n]}
-        surface = with_structured(self.pair, self.surface, changed)
+        worn = self.surface if self.surface.life is None else surface_after(self.surface, self._crank_turns_worn)
+        surface = with_structured(self.pair, worn, changed)
         self._drive = drive_of(self.pair, surface, slices_needed(surface))
         self._contacts = contact.contact_rows(self._drive)
         self._play_contacts = contact.contact_rows(self._drive)
@@ -70,6 +72,18 @@ class DriveModel:
         """Set a structured error (m or rad), from the next step on."""
         if self.errors[name] != value:
             self.errors[name] = value
+            self._rebuild()
+
+    @property
+    def crank_turns_worn(self) -> float:
+        """Crank turns since new, of a surface that holds a life: how far it is worn, from the next step on."""
+        return self._crank_turns_worn
+
+    @crank_turns_worn.setter
+    def crank_turns_worn(self, turns: float) -> None:
+        if turns != self._crank_turns_worn:
+            surface_after(self.surface, turns)
+            self._crank_turns_worn = turns
             self._rebuild()
 
     @property
@@ -225,6 +239,7 @@ class DriveModel:
         return {
             **kept,
             "errors": dict(self.errors),
+            "crank_turns_worn": self._crank_turns_worn,
             "contacts": self._contacts.tolist(),
             "play_contacts": self._play_contacts.tolist(),
         }
@@ -232,6 +247,7 @@ class DriveModel:
     def restore(self, state: dict[str, Any]) -> None:
         """Return to a state given by `state`."""
         self.errors = dict(state["errors"])
+        self._crank_turns_worn = state["crank_turns_worn"]
         self._rebuild()
         for name in self._STATE:
             setattr(self, name, state[name])

@@ -18,7 +18,7 @@ from pythonfmu.variables import Integer, Real
 from cycloid_fmu import __version__
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.pair import LARGEST_DEVIATION, LARGEST_MISALIGNMENT, Pair
-from cycloid_fmu.surface import DESCRIPTIONS, PATTERNS, ErrorSurface, unit_of
+from cycloid_fmu.surface import DESCRIPTIONS, PATTERNS, ErrorSurface, Life, unit_of
 
 NUMBERS, ARRAYS = "pair.json", "surface.npz"
 
@@ -72,7 +72,8 @@ class DriveSlave(Fmi2Slave):  # type: ignore[misc]
             )
         with np.load(resources / ARRAYS) as arrays:
             values: dict[str, Any] = {n: arrays[n] if arrays[n].shape else float(arrays[n]) for n in arrays.files}
-            surface = ErrorSurface(**values)
+            states = {n.removeprefix("life_"): values.pop(n) for n in arrays.files if n.startswith("life_")}
+            surface = ErrorSurface(**values, life=Life(**states) if states else None)
         self.model = model = DriveModel(Pair.from_numbers(numbers["pair"]), surface)
         self._attributes: dict[str, dict[str, str]] = {}
         self._depends: dict[str, tuple[str, ...]] = {}
@@ -117,13 +118,16 @@ class DriveSlave(Fmi2Slave):  # type: ignore[misc]
         self._add("friction_torque", "N.m", "dry friction at the output", "friction_torque", least=0.0, parameter=True)
         self._add("series_compliance", "rad/(N.m)", "compliance of the rest of the chain", "series_compliance",
                   display="arcsec/(N.m)", least=0.0, parameter=True)  # fmt: skip
+        if surface.life is not None:
+            self._add("crank_turns_worn", None, "crank turns since new: how far the drive is worn", "crank_turns_worn",
+                      least=0.0, most=float(surface.life.crank_turns[-1]), parameter=True)  # fmt: skip
         self._getters = [v.getter for v in self.vars.values()]
         self._setters = [v.setter for v in self.vars.values()]
 
     def _add(
         self,
         name: str,
-        unit: str,
+        unit: str | None,
         text: str,
         attribute: str | None,
         *,
@@ -207,7 +211,7 @@ class DriveSlave(Fmi2Slave):  # type: ignore[misc]
         structure = root.find("ModelStructure")
         assert structure is not None
         structure.clear()
-        errors = [*self.model.errors, "series_compliance"]
+        errors = [n for n in (*self.model.errors, "series_compliance", "crank_turns_worn") if n in index]
         for section, parameters in (("Outputs", []), ("InitialUnknowns", errors)):
             node = SubElement(structure, section)
             for name in sorted(self._depends, key=lambda n: int(index[n])):

@@ -1,0 +1,510 @@
+import dataclasses
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from common import ARCSEC, make_pair
+from typer.testing import CliRunner
+
+from cycloid_fmu import cli, edge, plots, wear
+from cycloid_fmu.fmu.build import build_fmu
+from cycloid_fmu.fmu.model import DriveModel
+from cycloid_fmu.profile import flank_normals, flank_points
+from cycloid_fmu.surface import nominal_surface, read_surface, surface_after, surface_of_pair, write_surface
+from cycloid_fmu.transmission import drive_of, solve
+from cycloid_fmu.wear import Sweep, accuracy, wear_model, wear_rate, wear_states, worn_surface
+from cycloid_fmu.wear_law import Load, Regression, duty_cycle, parse_wear_law, read_duty_cycle
+from cycloid_fmu.wear_run import (
+    Interrupted,
+    coefficient_warning,
+    run_wear,
+    surface_of_run,
+    unfinished_path,
+    wear_figures,
+)
+
+PAIR = """format = "cycloid-pair/1"
+[pair]
+gear_teeth = 39
+pins = 40
+pin_circle_radius = "66 mm"
+pin_radius = "3 mm"
+eccentricity = "1.3 mm"
+face_width = "10 mm"
+contact_law = "as_printed"
+[modification]
+offset = "-50 um"
+isometric = "-30 um"
+"""
+LAW = """format = "cycloid-wear/1"
+[wear]
+pins = "fixed"
+[wear.regression]
+pressure_viscosity = "2.73e-8 1/Pa"
+roughness_gear = "0.4 um"
+roughness_pin = "0.4 um"
+"""
+CONSTANT = LAW.split("[wear.regression]")[0] + 'coefficient = "1e-18 m^2/N"\n'
+TURNS = 3e6
+
+
+def law(text=LAW, **changes):
+    return parse_wear_law(text, "wear.toml").model_copy(update=changes)
+
+
+def load(torque=-400.0, turns=1.0):
+    return Load.model_construct(torque=torque, crank_turns=turns)
+
+
+def model(pair=None, text=LAW, loads=(load(),), elements=(800, 400), surface=None, **changes):
+    pair = pair or make_pair(PAIR)
+    return wear_model(pair, surface or nominal_surface(pair), law(text, **changes), loads, *elements)
+
+
+@pytest.fixture(scope="module")
+def run():
+    """A history of the wear pair, its model and its rate when new."""
+    worn = model(text=CONSTANT, coefficient=5e-17, elements=(400, 200))
+    return worn, list(wear_states(worn, 4e5)), wear_rate(worn, worn.surface)
+
+
+def test_linear_figures_of_section_11():
+    """400 N·m, 3·10⁶ turns, the law as printed; design.md's are from gaps linear in rotation, within 4 %."""
+    fixed, free = model(), model(pins="free")
+    one, other = wear_rate(fixed, fixed.surface), wear_rate(free, free.surface)
+    assert TURNS * one.depth.gear.max() == pytest.approx(49.4e-6, rel=0.04)
+    assert TURNS * one.depth.pin.max() == pytest.approx(57.6e-6, rel=0.04)
+    assert TURNS * other.depth.pin.max() == pytest.approx(0.584e-6, rel=0.04)
+    assert (other.depth.pin == other.depth.pin[0, 0, 0]).all()
+
+
+def test_the_paper_s_own_depths():
+    """As printed the gear's mean is 17.0 and the pin's off the pole 22 µm, for 21; 60 µm set α at 400 and 200 N·m."""
+    printed = model()
+    figures = wear_figures(printed, [wear.WearState(TURNS, printed.unworn, 0.0)], wear_rate(printed, printed.surface))
+    as_printed = figures["as_printed"]
+    assert as_printed["gear_depth_mean"] == pytest.approx(17.0e-6, rel=0.01)
+    assert as_printed["pin_depth_mean_off_pole"] == pytest.approx(22e-6, rel=0.02)
+    assert as_printed["gear_depth_max"] == pytest.approx(60e-6, rel=0.06)
+    milder = law().regression.model_copy(update={"pressure_viscosity": 2.22e-8})
+    half = model(loads=(load(-200.0),), regression=milder)
+    _, gear, _ = wear.depth_as_printed(half, TURNS)
+    assert gear.max() == pytest.approx(60e-6, rel=0.06)
+    assert 21e-6 * 1.4043 / (2 * np.pi) == pytest.approx(4.69e-6, rel=1e-3)
+
+
+def test_the_pin_s_depth_as_printed_is_what_the_grid_makes_it():
+    """2a|σ_2| has a pole: finer crank angles find ever larger depths, the bounded ones stay."""
+    found = []
+    for angles in (50, 200, 800, 3200):
+        fine = dataclasses.replace(
+            model(), sweep=Sweep(np.arange(angles) / angles * 2 * np.pi / 40, teeth_alike=True, pins_alike=True)
+        )
+        found.append(
+            [wear.depth_as_printed(fine, TURNS)[2].max(), TURNS * wear_rate(fine, fine.surface).depth.pin.max()]
+        )
+    printed, bounded = np.array(found).T
+    assert printed[-1] > 4 * printed[0]
+    np.testing.assert_allclose(bounded[1:], bounded[-1], rtol=0.01)
+
+
+def test_the_bounded_depth_converges_with_the_grid():
+    """First order or better in the elements' length."""
+    rates = [wear_rate(m, m.surface).depth for m in (model(elements=(k, k // 2)) for k in (200, 400, 800, 3200))]
+    for body in ("gear", "pin"):
+        error = [abs(getattr(r, body).max() / getattr(rates[-1], body).max() - 1) for r in rates[:-1]]
+        assert error[0] > 2 * error[1] > 4 * error[2]
+        assert error[2] < 0.02
+
+
+def test_wear_volume_is_conserved(run):
+    """The area between the new and the worn outline of a tooth and a pin is k_0 ∫ F |v_12|."""
+    worn, _, new = run
+    turns = 5e4
+    surface = worn_surface(worn, new.depth * turns, new.half_width)
+    alpha = drive_of(worn.pair, surface).flank_alpha[1:-1]
+    base, normal = (np.array([1, 1j]) @ np.stack(f(worn.pair, alpha)) for f in (flank_points, flank_normals))
+    round_ = np.exp(1j * np.pi * ((np.arange(200) + 0.5) / 200 - 0.5))
+    for bodies, outline, deviation in (
+        (39, (base, normal), surface.gear_deviation[0, 0, :, 0]),
+        (40, (3e-3 * round_, round_), surface.pin_deviation[0, :, 0]),
+    ):
+        assert deviation.min() < -0.5e-6
+        ring = np.concatenate([outline[0], (outline[0] + deviation * outline[1])[::-1]])
+        area = abs(0.5 * (np.conj(ring) * np.roll(ring, -1)).imag.sum())
+        assert area * 10e-3 * bodies == pytest.approx(new.volume * turns, rel=1e-3)
+
+
+def test_a_rate_s_depths_hold_its_volume():
+    for changes in ({}, {"pins": "free"}, {"loads": (load(), load(300.0))}):
+        one = model(elements=(100, 50), **changes)
+        rate = wear_rate(one, one.surface)
+        assert rate.depth.gear.sum() * one.gear_element * 0.01 == pytest.approx(rate.volume, rel=1e-12)
+        around = 2.0 if one.law.pins == "free" else 1.0
+        assert around * rate.depth.pin.sum() * one.pin_element * 0.01 == pytest.approx(rate.volume, rel=1e-12)
+
+
+def test_no_load_or_no_turns_no_wear():
+    for idle, turns in ((model(loads=(load(0.0),)), 1e6), (model(), 0.0)):
+        states = list(wear_states(idle, turns))
+        assert states[-1].crank_turns == turns
+        assert states[-1].depth.largest == 0.0
+        figures = wear_figures(idle, states, wear_rate(idle, idle.surface))
+        assert figures["updated"]["gear_depth_max"] == figures["linear"]["pin_volume"] == 0.0
+
+
+def test_below_one_step_depth_is_proportional_to_turns():
+    short = model(elements=(400, 200))
+    one, two = (list(wear_states(short, n)) for n in (50.0, 100.0))
+    assert len(one) == len(two) == 2
+    assert two[-1].depth.largest == pytest.approx(2 * one[-1].depth.largest, rel=1e-3)
+
+
+def test_depth_is_proportional_to_the_coefficient_and_the_work():
+    """With a constant k_0 the volume is k_0 times the sliding work: Archard's law itself."""
+    rate = wear_rate(one := model(text=CONSTANT, elements=(100, 50)), one.surface)
+    assert rate.volume == pytest.approx(1e-18 * rate.sliding_work, rel=1e-12)
+
+
+def test_regression_scales_as_printed():
+    base = Regression.model_construct(pressure_viscosity=2e-8, roughness_gear=4e-7, roughness_pin=3e-7)
+    modulus = 206e9 / 2 / (1 - 0.09)
+    k = wear.regression_coefficient(base, 1e5, 3e-3, modulus)
+    assert k == pytest.approx(
+        3.981e29 / modulus * (1e5 / modulus / 3e-3) ** 1.219 * (2e-8 * modulus) ** -7.377 * (5e-7 / 3e-3) ** 1.589
+    )
+    assert wear.regression_coefficient(base, 2e5, 3e-3, modulus) / k == pytest.approx(2**1.219)
+    assert wear.regression_coefficient(base, 1e5, 6e-3, modulus) / k == pytest.approx(2 ** -(1.219 + 1.589))
+
+
+@pytest.mark.parametrize("output", ["gear", "ring"])
+@pytest.mark.parametrize("discs", [1, 2])
+def test_one_pitch_stands_for_a_turn_of_the_output(output, discs):
+    """Pins and teeth that are alike wear alike, so the short sweep and the long one, which mixes them, agree."""
+    pair = make_pair(PAIR, output=output, discs=discs)
+    short = model(pair, elements=(200, 100), text=CONSTANT)
+    long = dataclasses.replace(
+        short,
+        sweep=Sweep(
+            np.arange(39 * 40 * 6 + 1) / (39 * 40 * 6 + 1) * 2 * np.pi * (39 if output == "gear" else 40), False, False
+        ),
+    )
+    one, other = (wear_rate(m, m.surface, workers=2) for m in (short, long))
+    assert other.volume == pytest.approx(one.volume, rel=1e-3)
+    for body in ("gear", "pin"):
+        np.testing.assert_allclose(
+            getattr(other.depth, body), getattr(one.depth, body), atol=0.01 * getattr(one.depth, body).max()
+        )
+
+
+def test_a_pin_that_stands_out_wears_most():
+    pair = make_pair(PAIR)
+    radial = np.zeros(40)
+    radial[7] = -2e-6
+    errors = dataclasses.replace(nominal_surface(pair), pin_radial=radial)
+    one = model(pair, surface=errors, elements=(200, 100))
+    assert not one.sweep.pins_alike
+    assert one.sweep.teeth_alike
+    depth = wear_rate(one, one.surface, workers=2).depth
+    assert depth.pin.max(axis=(1, 2)).argmax() == 7
+    assert (depth.gear == depth.gear[:1, :1]).all()
+
+
+def test_a_duty_cycle_mixes_its_loads():
+    both = [load(-400.0, 3.0), load(300.0, 1.0)]
+    rates = [
+        wear_rate(m, m.surface)
+        for m in (model(loads=loads, elements=(200, 100)) for loads in (both, both[:1], both[1:]))
+    ]
+    expected = rates[1].depth * 0.75 + rates[2].depth * 0.25
+    for body in ("gear", "pin"):
+        np.testing.assert_allclose(getattr(rates[0].depth, body), getattr(expected, body), rtol=1e-9, atol=1e-22)
+    # The two directions wear the two flanks of a tooth: mirror images at the same load.
+    mirrored = [
+        wear_rate(m, m.surface).depth for m in (model(loads=(load(t),), elements=(200, 100)) for t in (-300.0, 300.0))
+    ]
+    np.testing.assert_allclose(
+        mirrored[0].gear[0, 0, :, 0], mirrored[1].gear[0, 0, ::-1, 0], atol=0.01 * mirrored[0].gear.max()
+    )
+
+
+def test_wear_limits_itself_and_halved_steps_agree(run):
+    _, states, new = run
+    linear = new.depth * 4e5
+    assert states[-1].depth.largest < 0.6 * linear.largest
+    steps = np.diff([s.depth.gear.max() for s in states])
+    assert (steps <= 1.001e-6).all()
+    assert max(s.difference for s in states) <= 1e-7
+    finer = model(text=CONSTANT, coefficient=5e-17, elements=(400, 200), largest_step=0.5e-6)
+    *_, last = wear_states(finer, 4e5)
+    np.testing.assert_allclose(last.depth.gear, states[-1].depth.gear, atol=0.04 * last.depth.gear.max())
+    np.testing.assert_allclose(last.depth.pin, states[-1].depth.pin, atol=0.04 * last.depth.pin.max())
+
+
+def test_a_history_ends_at_the_wear_limit():
+    short = model(elements=(200, 100), limit=1e-6)
+    *_, last = wear_states(short, 1e9)
+    assert last.crank_turns < 1e9
+    assert last.depth.largest == pytest.approx(1e-6, rel=0.15)
+
+
+def test_wear_costs_accuracy_by_what_is_lost(run):
+    """Backlash grows by less than the depths allow for, and the mean error leaves it on the worn side."""
+    worn, states, new = run
+    curve = accuracy(worn, [s.depth for s in states], new.half_width)
+    assert (np.diff(curve.backlash) > 0).all()
+    depth = states[-1].depth.gear.max() + states[-1].depth.pin.max()
+    largest_arm = 1.3e-3 * 39
+    assert 0.3 * depth / largest_arm < curve.backlash[-1] - curve.backlash[0] < 1.2 * depth / largest_arm
+    assert curve.transmission_error[-1] < curve.transmission_error[0] < 0
+
+
+def test_the_worn_surface_travels(run, tmp_path):
+    """Through its file, in time, into the FMU's model, and as any surface into an analysis."""
+    worn, states, new = run
+    surface = surface_of_run(worn, states, new.half_width)
+    write_surface(surface, tmp_path / "worn.nc")
+    read = read_surface(tmp_path / "worn.nc")
+    assert read.origin == "worn"
+    assert read.attributes["crank_turns"] == 4e5
+    for name in ("gear_deviation", "pin_deviation", "gear_curvature", "pin_curvature"):
+        assert (getattr(read, name) == getattr(surface, name)).all()
+        assert (getattr(read.life, name) == getattr(surface.life, name)).all()
+    assert (read.life.crank_turns == [s.crank_turns for s in states]).all()
+    theta = worn.sweep.crank_angle[::16]
+    for turns in (0.0, 1e5, 4e5):
+        at = surface_after(read, turns)
+        drive = DriveModel(worn.pair, read)
+        drive.crank_turns_worn, drive.torque = turns, -400.0
+        expected = solve(worn.pair, at, -400.0, theta)
+        found, play = [], []
+        for angle in theta:
+            drive.crank_angle = float(angle)
+            drive.advance()
+            found.append(drive.transmission_error)
+            play.append(drive.backlash)
+        np.testing.assert_allclose(found, expected.transmission_error[0], atol=1e-3 * ARCSEC)
+        np.testing.assert_allclose(play, expected.backlash, atol=1e-3 * ARCSEC)
+        kept = drive.state()
+        drive.crank_turns_worn = 2e5
+        drive.restore(kept)
+        assert drive.crank_turns_worn == turns
+    assert np.abs(surface_after(read, 0.0).gear_deviation).max() == 0.0
+    assert (surface_after(read, 4e5).gear_deviation == read.gear_deviation).all()
+    with pytest.raises(ValueError, match="between 0 and 400000"):
+        surface_after(read, 5e5)
+
+
+def test_the_fmu_asks_how_far_it_is_worn(run, tmp_path):
+    import fmpy
+    from fmpy.fmi2 import FMU2Slave
+    from fmpy.validation import validate_fmu
+
+    worn, states, new = run
+    surface = surface_of_run(worn, states, new.half_width)
+    path = tmp_path / "worn.fmu"
+    build_fmu(worn.pair, surface, path)
+    assert validate_fmu(str(path)) == []
+    description = fmpy.read_model_description(str(path))
+    variables = {v.name: v for v in description.modelVariables}
+    parameter = variables["crank_turns_worn"]
+    assert (parameter.causality, parameter.variability) == ("parameter", "tunable")
+    assert float(parameter.start) == float(parameter.max) == 4e5
+    fmu = FMU2Slave(
+        guid=description.guid, unzipDirectory=fmpy.extract(str(path), str(tmp_path / "fmu")), instanceName="worn",
+        modelIdentifier=description.coSimulation.modelIdentifier,
+    )  # fmt: skip
+    reference = {n: [variables[n].valueReference] for n in variables}
+    fmu.instantiate()
+    fmu.setupExperiment(startTime=0.0)
+    fmu.enterInitializationMode()
+    fmu.setReal(reference["flange_b.tau"], [-400.0])
+    fmu.exitInitializationMode()
+    for step, turns in enumerate((4e5, 0.0, 1.5e5)):
+        fmu.setReal(reference["crank_turns_worn"], [turns])
+        fmu.doStep(step * 0.01, 0.01)
+        expected = solve(worn.pair, surface_after(surface, turns), -400.0, 0.0).transmission_error[0, 0]
+        assert fmu.getReal(reference["transmission_error"])[0] == pytest.approx(expected, abs=1e-3 * ARCSEC)
+    fmu.terminate()
+    fmu.freeInstance()
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (("pressure_viscosity = \"2.73e-8 1/Pa\"\n", ""), "[wear.regression] pressure_viscosity is missing."),
+        (('roughness_pin = "0.4 um"\n', ""), "[wear.regression] roughness_pin is missing."),
+        (('"2.73e-8 1/Pa"', '"2.73e-8"'), "write one number with a decimal point, a space and a unit"),
+        (('"2.73e-8 1/Pa"', '"-2.73e-8 1/Pa"'), "greater than 0"),
+        (('"fixed"', '"loose"'), "'fixed' or 'free'"),
+        (("[wear.regression]", 'coefficient = "1e-18 m^2/N"\n[wear.regression]'), "either coefficient"),
+        (('"fixed"', '"fixed"\nlimit = "1 mm"'), "limit"),
+        (('"fixed"', '"fixed"\nlargest_step = "0 um"'), "above zero"),
+        (("cycloid-wear/1", "cycloid-wear/2"), "cycloid-wear/1"),
+    ],
+)  # fmt: skip
+def test_bad_wear_files_get_a_sentence(change, sentence):
+    with pytest.raises(edge.InputError) as said:
+        parse_wear_law(LAW.replace(*change), "w.toml")
+    assert sentence in str(said.value)
+    assert str(said.value).startswith("w.toml: ")
+    assert len(str(said.value)) < 250
+
+
+@pytest.mark.parametrize(
+    ("table", "sentence"),
+    [
+        ("torque [N*m],crank_turns [1]\n-400,-5\n", "line 2: crank_turns = -5: it must not be below zero"),
+        ("torque [N*m],crank_turns [1]\n-400,nan\n", 'line 2: crank_turns = "nan": it must be a finite number'),
+        ("torque [N*m],crank_turns [1]\nmuch,1\n", 'torque = "much"'),
+        ("torque [N*m],crank_turns [1]\n-400\n", 'crank_turns = ""'),
+        ("torque,crank_turns [1]\n", "has no unit"),
+        ("torque [mm],crank_turns [1]\n", "measures something else"),
+        ("torque [N*m],crank_turns [1]\n1,0\n", "add up to zero"),
+        ("", "empty"),
+    ],
+)
+def test_bad_duty_cycles_get_a_sentence(table, sentence, tmp_path):
+    (tmp_path / "duty.csv").write_text(table)
+    with pytest.raises(edge.InputError) as said:
+        read_duty_cycle(tmp_path / "duty.csv")
+    assert sentence in str(said.value)
+    assert "duty.csv" in str(said.value)
+
+
+def test_duty_cycles_come_from_one_place(tmp_path):
+    (tmp_path / "duty.csv").write_text("torque [kN*m],crank_turns [1]\n-0.4,1e6\n0.1,2e6\n\n")
+    loads, turns = duty_cycle(law(), None, None, tmp_path / "duty.csv", "w.toml")
+    assert [(one.torque, one.crank_turns) for one in loads] == [(-400.0, 1e6), (100.0, 2e6)]
+    assert turns == 3e6
+    stated = LAW.replace("[wear.reg", '[[wear.duty]]\ntorque = "-400 N*m"\ncrank_turns = 1e6\n[wear.reg')
+    assert duty_cycle(law(stated), None, 5e6, None, "w.toml")[1] == 5e6
+    with pytest.raises(edge.InputError, match="it comes from 2"):
+        duty_cycle(law(stated), -400.0, 5e6, None, "w.toml")
+    with pytest.raises(edge.InputError, match="it comes from 0"):
+        duty_cycle(law(), None, 5e6, None, "w.toml")
+    with pytest.raises(edge.InputError, match="--crank-turns = -1: it must be zero or above"):
+        duty_cycle(law(), -400.0, -1.0, None, "w.toml")
+
+
+def test_absurd_coefficients_are_named():
+    """m²/N mistaken for mm²/N, and a viscosity coefficient per MPa."""
+    wild = model(text=CONSTANT, coefficient=1e-12)
+    assert "[wear] coefficient = 1e-12 m²/N" in coefficient_warning(1e-12, wild, "w.toml")
+    regression = law().regression.model_copy(update={"pressure_viscosity": 2.73e-9})
+    odd = model(regression=regression)
+    assert "pressure_viscosity = 2.73e-09" in coefficient_warning(
+        wear_rate(odd, odd.surface).coefficient, odd, "w.toml"
+    )
+    assert coefficient_warning(1e-17, model(), "w.toml") is None
+
+
+def test_histories_of_other_runs_are_refused(tmp_path):
+    short = model(elements=(100, 50), text=CONSTANT)
+    run_wear(short, 1e5, tmp_path / "worn.nc")
+    history = unfinished_path(tmp_path / "worn.nc")
+    assert xr.open_dataset(history).attrs["format"] == "cycloid-wear-run/1"
+    others = {
+        "pair": model(make_pair(PAIR, face_width="11 mm"), elements=(100, 50), text=CONSTANT),
+        "load": model(elements=(100, 50), text=CONSTANT, loads=(load(-300.0),)),
+        "wear file": model(elements=(100, 50), text=CONSTANT, coefficient=2e-18),
+        "surface": model(
+            elements=(100, 50), text=CONSTANT, surface=dataclasses.replace(nominal_surface(short.pair), offset=1e-6)
+        ),
+    }
+    for name, other in others.items():
+        with pytest.raises(edge.InputError, match=f"worn.unfinished.nc: this unfinished run is of another {name}"):
+            run_wear(other, 1e5, tmp_path / "worn.nc")
+    history.write_text("nonsense")
+    with pytest.raises(edge.InputError, match="not a netCDF file"):
+        run_wear(short, 1e5, tmp_path / "worn.nc")
+
+
+def test_a_killed_run_goes_on_as_if_nothing_had_been(command, tmp_path):
+    (tmp_path / "pair.toml").write_text(PAIR)
+    (tmp_path / "wear.toml").write_text(LAW.replace('"fixed"', '"fixed"\nfriction_coefficient = 0.05'))
+    words = [
+        "wear",
+        "pair.toml",
+        "--wear",
+        "wear.toml",
+        "--torque",
+        "-400 N*m",
+        "--crank-turns",
+        "1e5",
+        "-o",
+        "worn.nc",
+    ]
+    killed = subprocess.Popen(
+        [Path(sys.executable).with_name("cycloid-fmu"), *words], cwd=tmp_path, stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    history, until = tmp_path / "worn.unfinished.nc", time.monotonic() + 120.0
+    while not history.exists() and killed.poll() is None and time.monotonic() < until:
+        time.sleep(0.005)
+    killed.send_signal(signal.SIGKILL)
+    killed.wait()
+    assert history.exists()
+    assert not (tmp_path / "worn.nc").exists()
+    resumed = command("cycloid-fmu", *words, "--json")
+    assert resumed.returncode == 0, resumed.stderr
+    assert not history.exists()
+
+    whole = model(friction_coefficient=0.05)
+    states, new = list(wear_states(whole, 1e5)), wear_rate(whole, whole.surface)
+    figures = wear_figures(whole, states, new)
+    assert json.loads(resumed.stdout) == json.loads(edge.json_text(figures))
+    worn = read_surface(tmp_path / "worn.nc")
+    assert (worn.gear_deviation == -states[-1].depth.gear).all()
+    assert (worn.life.crank_turns == [s.crank_turns for s in states]).all()
+    assert figures["linear"]["gear_depth_max"] == pytest.approx(49.4e-6 / 30, rel=0.04)
+    assert figures["updated"]["gear_depth_max"] < figures["linear"]["gear_depth_max"]
+    assert figures["sliding_loss"] == pytest.approx(0.05 * figures["sliding_work"] / (400 * 2 * np.pi / 39))
+    plots.save(plots.plot_wear(whole, states, new, figures), tmp_path / "wear.png")
+    assert (tmp_path / "wear.png").stat().st_size > 50000
+
+
+@pytest.mark.parametrize(
+    ("coefficient", "words", "sentence"),
+    [
+        ("1e-12 m^2/N", ["--torque", "-400 N*m", "--crank-turns", "1e6"], "mm deep, and the tooth is 5.133 mm thick"),
+        ("1e-18 m^2/N", ["--crank-turns", "1e6"], "it comes from 0"),
+        ("1e-18 m^2/N", ["--torque", "-400 N*m"], "--crank-turns is missing"),
+        ("1e-18 m^2/N", ["--torque", "-400 N*m", "--crank-turns", "-1"], "zero or above"),
+        ("1e-18 m^2/N", ["--torque", "-400", "--crank-turns", "1"], "--torque"),
+        ("1e-18 m^2/N", ["--torque", "-400 N*m", "--crank-turns", "1", "-o", "worn.csv"], "must end in .nc"),
+    ],
+)
+def test_the_command_says_what_is_wrong(coefficient, words, sentence, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("pair.toml").write_text(PAIR)
+    Path("wear.toml").write_text(CONSTANT.replace("1e-18 m^2/N", coefficient))
+    run = CliRunner().invoke(cli.app, ["wear", "pair.toml", "--wear", "wear.toml", *words])
+    assert isinstance(run.exception, edge.InputError)
+    assert sentence in str(run.exception)
+    assert "\n" not in str(run.exception)
+
+
+def test_an_interrupted_run_says_where_its_history_is(tmp_path):
+    def interrupt(turns):
+        if turns > 0.0:
+            raise KeyboardInterrupt
+
+    short = model(elements=(100, 50), text=CONSTANT, coefficient=5e-17)
+    with pytest.raises(Interrupted, match=r"of 1e\+06 crank turns are done; .*worn.unfinished.nc holds them"):
+        run_wear(short, 1e6, tmp_path / "worn.nc", progress=interrupt)
+    states = run_wear(short, 1e6, tmp_path / "worn.nc")
+    assert (states[-1].depth.gear == list(wear_states(short, 1e6))[-1].depth.gear).all()
+
+
+def test_errors_a_pair_states_are_part_of_it():
+    stated = make_pair(PAIR + '[errors]\npin_radial = { order_1 = ["1 um", "0 deg"] }\n')
+    one = wear_model(stated, surface_of_pair(stated), law(), (load(),), 100, 50)
+    assert not one.sweep.pins_alike
+    assert one.sweep.crank_angle[-1] < 2 * np.pi
