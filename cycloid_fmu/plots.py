@@ -152,6 +152,52 @@ def plot_surface(surface: object) -> Figure:
     return figure
 
 
+def plot_budget(found: Mapping[str, Mapping[str, float]], stack: object = None) -> Figure:
+    """Pareto chart of a lost motion budget's terms, closed form beside contact model, and below how the total scatters.
+
+    The line is the closed form's cumulative share of all terms' amounts; `stack` is a `reducer.Stack` or None.
+    """
+    from cycloid_fmu.reducer import ARCMIN, TERMS, Stack
+
+    closed, exact = found["standard"], found["geometric_sun_locked"]
+    names = sorted(TERMS, key=lambda n: -abs(closed[n]))
+    names = [n for n in names if closed[n] != 0.0 or exact[n] != 0.0]
+    figure, axes = new_figure(3 if stack is None else 5)
+    for axis in axes:
+        figure.delaxes(axis)
+    grid = figure.add_gridspec(3 if stack is None else 5, 1)
+    axis = figure.add_subplot(grid[:3])
+    place = np.arange(len(names))
+    for shift, terms, label in ((-0.2, closed, "closed form"), (0.2, exact, "contact model, sun locked")):
+        axis.bar(
+            place + shift, [terms[n] / ARCMIN for n in names], 0.38, label=f"{label}: {terms['total'] / ARCMIN:.3f}′"
+        )
+    axis.axhline(0.0, color="k", lw=0.8)
+    axis.set(ylabel="play at the output [arcmin]")
+    axis.set_xticks(place, [n.replace("_", "\n") for n in names], fontsize=7)
+    axis.grid(alpha=0.3, axis="y")
+    axis.legend(fontsize=8, frameon=False, loc="lower right")
+    share = axis.twinx()
+    amounts = np.abs([closed[n] for n in names])
+    share.plot(place, 100.0 * np.cumsum(amounts) / amounts.sum(), "k.-", lw=1)
+    share.set(ylabel="closed form, cumulative share [%]", ylim=(0.0, 105.0))
+    if stack is not None:
+        assert isinstance(stack, Stack)
+        axis = figure.add_subplot(grid[3:])
+        for name, label in (("standard", "closed form"), ("geometric", "contact model, sun locked")):
+            axis.hist(stack.samples[name] / ARCMIN, bins=40, alpha=0.5, density=True, label=label)
+        for span, label, height in (
+            (stack.worst_case, "worst case", 1.06),
+            (stack.root_sum_square, "root sum square", 1.14),
+        ):
+            axis.plot([v / ARCMIN for v in span], [height] * 2, "|-", transform=axis.get_xaxis_transform(),
+                      clip_on=False, label=label)  # fmt: skip
+        axis.set(xlabel="total play [arcmin]", ylabel="density")
+        axis.legend(fontsize=8, frameon=False)
+        axis.grid(alpha=0.3)
+    return figure
+
+
 def plot_simulation(results: Mapping[str, NDArray[np.float64]]) -> Figure:
     """Output angle's error, backlash and largest pressure of an FMU's run over time."""
     figure, axes = new_figure(3, sharex=True)
