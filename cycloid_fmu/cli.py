@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -74,8 +75,6 @@ def analyze(
 
     Example: [cyan]cycloid-fmu analyze pair.toml --torque "-181 N*m" --torque "181 N*m" -o out.nc --plot out.png[/]
     """
-    import os
-
     from rich.progress import Progress
 
     from cycloid_fmu import plots
@@ -402,6 +401,118 @@ def budget(
         typer.echo(f"Monte Carlo: {samples} reducers, the central 99.73 %; geometric with the sun locked.")
     for warning in warnings:
         typer.echo(warning, err=True)
+
+
+@app.command()
+def tolerance(
+    pair_file: PairFile,
+    tolerances_file: Annotated[
+        Path,
+        typer.Option("--tolerances", metavar="T.toml", help="Tolerances, limits and costs (cycloid-tolerances/1)."),
+    ],
+    torque: Annotated[
+        list[str] | None, typer.Option(help="Torque on the output; may be repeated. Default: ± rated.")
+    ] = None,
+    samples: Annotated[int, typer.Option(min=2, help="Drives to solve.")] = 1000,
+    seed: Annotated[int, typer.Option(help="The same seed draws the same drives.")] = 1,
+    design: Annotated[
+        str, typer.Option(help="sobol, latin-hypercube, or saltelli, which gives Sobol indices as well.")
+    ] = "sobol",
+    angles: Annotated[int, typer.Option(min=20, help="Crank angles, evenly from 0, end excluded.")] = 360,
+    turns: Annotated[int, typer.Option(min=1, help="Crank turns that they span.")] = 1,
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = os.cpu_count() or 1,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="tcp://HOST:PORT", help="Use a dask cluster instead of this machine's cores.")
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="Write the study (netCDF); what is done is kept beside it until then."),
+    ] = None,
+    plot: PlotFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Solve many drives within their tolerances: distributions, yields against limits, sensitivities.
+
+    Stopped or killed, the same command goes on where it was, if it has an output.
+
+    Example: [cyan]cycloid-fmu tolerance pair.toml --tolerances tolerances.toml --samples 10000 -o study.nc[/]
+    """
+    from rich.progress import Progress
+
+    from cycloid_fmu import plots
+    from cycloid_fmu import tolerance as study_of
+    from cycloid_fmu.pair import read_pair
+    from cycloid_fmu.sampling import read_tolerances
+
+    if plot is not None:
+        plots.check_path(plot)
+    if design not in study_of.DESIGNS:
+        raise edge.InputError(f"--design {design}: it must be one of {', '.join(study_of.DESIGNS)}.")
+    pair, tolerances = read_pair(pair_file), read_tolerances(tolerances_file)
+    rated = pair.pair.rated_torque
+    if torque is None and rated is None:
+        raise edge.InputError(f"{pair_file}: [pair] rated_torque is missing; state it, or give --torque.")
+    loads = [edge.quantity_option(t, "N*m", "--torque") for t in torque] if torque else [rated or 0.0, -(rated or 0.0)]
+    study = study_of.Study(pair, tolerances, samples, seed, tuple(loads), design, angles, turns)  # type: ignore[arg-type]
+    study_of.check_study(study, str(pair_file), str(tolerances_file))
+    kept = None if output is None else study_of.Checkpoint(output.with_name(output.name + ".checkpoint"), study)
+    complete = True
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("drives", total=len(study_of.points(study)))
+        try:
+            result = study_of.run(
+                study, kept, workers=workers, scheduler=scheduler, progress=lambda done: bar.advance(task, done)
+            )
+        except study_of.Interrupted as interrupted:
+            result, complete = interrupted.result, False
+    if not complete:
+        where = (
+            "nothing is kept without --output" if kept is None else f"{kept.path} keeps them; the same command goes on"
+        )
+        typer.echo(f"Interrupted: {result.sample.size} of {samples} drives are done; {where}.", err=True)
+        raise typer.Exit(edge.INTERRUPTED)
+    if output is not None and kept is not None:
+        with edge.written_whole(output) as temporary:
+            study_of.dataset_of(result).to_netcdf(temporary, engine="h5netcdf")
+        kept.path.unlink()
+    indices = study_of.sobol_indices(result) if design == "saltelli" else {}
+    if plot is not None:
+        plots.save(plots.plot_tolerance(result), plot)
+        if indices:
+            plots.save(plots.plot_indices(study.factors, indices), plot.with_stem(f"{plot.stem}-indices"))
+    statistics, kept_shares = study_of.statistics(result), study_of.yields(result)
+    if as_json:
+        content = {"samples": result.sample.size, "torque": loads, "factors": study.factors, "statistics": statistics}
+        typer.echo(edge.json_text({**content, "yields": kept_shares, "indices": indices}))
+        return
+    limits = tolerances.limits.stated()
+    rows = []
+    for name, found in statistics.items():
+        unit, factor = plots.SHOWN[study_of.FIGURES[name][0]]
+        shown = f"{name.replace('_', ' ')} \\[{unit}]"
+        for k in range(len(loads) if name in study_of.PER_TORQUE else 1):
+            figures = [found["mean"], found["standard_deviation"], *found["quantiles"].values()]
+            load = f"{loads[k]:g} N·m" if name in study_of.PER_TORQUE else ""
+            rows.append([shown, load, *(f"{np.atleast_1d(v)[k] * factor:.4g}" for v in figures)])
+    print_table(
+        f"{pair_file.name}: {int(result.independent.sum())} drives within {tolerances_file.name}",
+        ["figure", "torque", "mean", "σ", "5 %", "50 %", "95 %", "largest"], rows,
+    )  # fmt: skip
+    rows = []
+    for name, limit in limits.items():
+        unit, factor = plots.SHOWN[study_of.FIGURES[name][0]]
+        rows.append([name.replace("_", " "), f"{limit * factor:g} {unit}", f"{kept_shares[name]['share']:.2%}"])
+    if limits:
+        whole = kept_shares["all"]
+        rows.append(["[bold]all[/]", "", f"{whole['share']:.2%} ({whole['low']:.2%} … {whole['high']:.2%})"])
+        print_table("Yield", ["limit", "largest allowed", "keep it (95 % interval)"], rows)
+    for label, one in indices.items():
+        order = np.argsort(-one["total"])
+        rows = [
+            [study.factors[i], *(f"{one[kind][i]:.3f} ± {one[kind + '_confidence'][i]:.3f}" for kind in
+                                 ("first_order", "total"))] for i in order
+        ]  # fmt: skip
+        print_table(f"Sobol indices: {label.replace('_', ' ')}", ["tolerance", "first order", "total"], rows)
 
 
 def main() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -195,6 +195,55 @@ def plot_budget(found: Mapping[str, Mapping[str, float]], stack: object = None) 
         axis.set(xlabel="total play [arcmin]", ylabel="density")
         axis.legend(fontsize=8, frameon=False)
         axis.grid(alpha=0.3)
+    return figure
+
+
+# unit of a tolerance study's figures: for people, with its factor
+SHOWN = {"rad": ("arcsec", ARCSEC), "Pa": ("MPa", 1e-6), "m": ("µm", 1e6)}
+
+
+def plot_tolerance(result: object) -> Figure:
+    """Distribution of every figure of a tolerance study, with its limit and the share of drives that keep it."""
+    from cycloid_fmu.tolerance import FIGURES, PER_TORQUE, Result, yields
+
+    assert isinstance(result, Result)
+    study = result.study
+    names = list(dict.fromkeys(n for n, _ in study.columns))
+    limits, kept = study.tolerances.limits.stated(), yields(result)
+    figure, axes = new_figure((len(names) + 1) // 2, 2)
+    for axis in axes[len(names) :]:
+        figure.delaxes(axis)
+    for axis, name in zip(axes, names, strict=False):
+        unit, factor = SHOWN[FIGURES[name][0]]
+        values = result.figure(name)[result.independent] * factor
+        for k, column in enumerate(values.reshape(len(values), -1).T):
+            label = f"{study.torque[k]:g} N·m" if name in PER_TORQUE else None
+            axis.hist(column, bins=50, histtype="stepfilled", alpha=0.5, label=label)
+        if name in limits:
+            axis.axvline(
+                limits[name] * factor, color="k", ls="--", lw=1, label=f"limit: {kept[name]['share']:.1%} keep it"
+            )
+        axis.set(xlabel=f"{name.replace('_', ' ')} [{unit}]", ylabel="drives")
+        if axis.get_legend_handles_labels()[0]:
+            axis.legend(fontsize=8, frameon=False)
+    return figure
+
+
+def plot_indices(factors: Sequence[str], indices: Mapping[str, Mapping[str, NDArray[np.float64]]]) -> Figure:
+    """First-order and total Sobol index of each tolerance for each figure, with their 95 % intervals."""
+    figure, axes = new_figure((len(indices) + 1) // 2, 2)
+    for axis in axes[len(indices) :]:
+        figure.delaxes(axis)
+    place = np.arange(len(factors))
+    for axis, (name, found) in zip(axes, indices.items(), strict=False):
+        for shift, kind in ((-0.2, "first_order"), (0.2, "total")):
+            axis.bar(place + shift, found[kind], 0.38, yerr=found[f"{kind}_confidence"], capsize=2,
+                     error_kw={"lw": 0.8}, label=kind.replace("_", " "))  # fmt: skip
+        axis.set_xticks(place, [f.replace("_", " ") for f in factors], rotation=60, ha="right", fontsize=7)
+        axis.set(ylabel="Sobol index")
+        axis.set_title(name.replace("_", " "), fontsize=9)
+    axes[0].legend(fontsize=8, frameon=False)
+    figure.set_size_inches(figure.get_figwidth(), 1.4 * figure.get_figheight())
     return figure
 
 
