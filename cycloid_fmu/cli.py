@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -424,6 +426,14 @@ def tolerance(
     scheduler: Annotated[
         str | None, typer.Option(metavar="tcp://HOST:PORT", help="Use a dask cluster instead of this machine's cores.")
     ] = None,
+    screen: Annotated[
+        float | None,
+        typer.Option(metavar="SHARE", help="Solve to first order and confirm this share by the exact kernel."),
+    ] = None,
+    allocate: Annotated[
+        float | None,
+        typer.Option(metavar="YIELD", help="Find the cheapest tolerances that reach this share of good drives."),
+    ] = None,
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", help="Write the study (netCDF); what is done is kept beside it until then."),
@@ -455,35 +465,70 @@ def tolerance(
     loads = [edge.quantity_option(t, "N*m", "--torque") for t in torque] if torque else [rated or 0.0, -(rated or 0.0)]
     study = study_of.Study(pair, tolerances, samples, seed, tuple(loads), design, angles, turns)  # type: ignore[arg-type]
     study_of.check_study(study, str(pair_file), str(tolerances_file))
-    kept = None if output is None else study_of.Checkpoint(output.with_name(output.name + ".checkpoint"), study)
-    complete = True
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("drives", total=len(study_of.points(study)))
-        try:
-            result = study_of.run(
-                study, kept, workers=workers, scheduler=scheduler, progress=lambda done: bar.advance(task, done)
-            )
-        except study_of.Interrupted as interrupted:
-            result, complete = interrupted.result, False
-    if not complete:
-        where = (
-            "nothing is kept without --output" if kept is None else f"{kept.path} keeps them; the same command goes on"
+    if screen is not None or allocate is not None:
+        study_of.check_first_order(study, str(tolerances_file))
+    if screen is not None and (scheduler is not None or not 0.0 < screen <= 1.0):
+        raise edge.InputError(
+            f"--screen {screen:g}: the share must lie between 0 and 1; screening takes seconds and no --scheduler."
         )
-        typer.echo(f"Interrupted: {result.sample.size} of {samples} drives are done; {where}.", err=True)
-        raise typer.Exit(edge.INTERRUPTED)
-    if output is not None and kept is not None:
+    kept = None
+    if output is not None and screen is None:
+        kept = study_of.Checkpoint(output.with_name(output.name + ".checkpoint"), study)
+    size = len(study_of.points(study))
+    confirmation = None
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("drives", total=size if screen is None else size + math.ceil(screen * size))
+        try:
+            if screen is None:
+                result = study_of.run(
+                    study, kept, workers=workers, scheduler=scheduler, progress=lambda done: bar.advance(task, done)
+                )
+            else:
+                confirmation = study_of.screened(
+                    study, screen, workers=workers, progress=lambda done: bar.advance(task, done)
+                )
+                result = confirmation.result
+        except study_of.Interrupted as interrupted:
+            bar.stop()
+            where = f"{kept.path} keeps them; the same command goes on" if kept else "nothing is kept without --output"
+            typer.echo(f"Interrupted: {interrupted.result.sample.size} of {size} drives are done; {where}.", err=True)
+            raise typer.Exit(edge.INTERRUPTED) from None
+    if output is not None:
         with edge.written_whole(output) as temporary:
             study_of.dataset_of(result).to_netcdf(temporary, engine="h5netcdf")
-        kept.path.unlink()
+        if kept is not None:
+            kept.path.unlink()
+    allocation = None
+    if allocate is not None:
+        from cycloid_fmu import allocation as allocation_of
+
+        with Progress(console=Console(stderr=True), transient=True) as bar:
+            task = bar.add_task("allocation", total=allocation_of.steps())
+            allocation = allocation_of.allocate(
+                study, allocate, str(tolerances_file), lambda done: bar.advance(task, done)
+            )
     indices = study_of.sobol_indices(result) if design == "saltelli" else {}
     if plot is not None:
         plots.save(plots.plot_tolerance(result), plot)
         if indices:
             plots.save(plots.plot_indices(study.factors, indices), plot.with_stem(f"{plot.stem}-indices"))
+        if allocation is not None:
+            title = (
+                f"{allocation.exact_yield:.2%} of the drives keep all limits, as stated {allocation.stated_yield:.2%}"
+            )
+            drawn = plots.plot_allocation(study.factors, allocation.scale, title)
+            plots.save(drawn, plot.with_stem(f"{plot.stem}-allocation"))
     statistics, kept_shares = study_of.statistics(result), study_of.yields(result)
     if as_json:
         content = {"samples": result.sample.size, "torque": loads, "factors": study.factors, "statistics": statistics}
-        typer.echo(edge.json_text({**content, "yields": kept_shares, "indices": indices}))
+        more = {
+            "allocation": None if allocation is None else dataclasses.asdict(allocation),
+            "screening": None if confirmation is None else {
+                "confirmed": confirmation.confirmed.size, "difference": confirmation.difference,
+                "changed": confirmation.changed,
+            },
+        }  # fmt: skip
+        typer.echo(edge.json_text({**content, "yields": kept_shares, "indices": indices, **more}))
         return
     limits = tolerances.limits.stated()
     rows = []
@@ -513,6 +558,29 @@ def tolerance(
                                  ("first_order", "total"))] for i in order
         ]  # fmt: skip
         print_table(f"Sobol indices: {label.replace('_', ' ')}", ["tolerance", "first order", "total"], rows)
+    if confirmation is not None:
+        differences = []
+        for name, worst in confirmation.difference.items():
+            unit, factor = plots.SHOWN[study_of.FIGURES[name][0]]
+            differences.append(f"{name.replace('_', ' ')} {worst * factor:.3g} {unit}")
+        typer.echo(
+            f"To first order; {confirmation.confirmed.size} drives confirmed by the exact kernel, "
+            f"{confirmation.changed} of them judged otherwise; largest differences: {', '.join(differences)}."
+        )
+    if allocation is not None:
+        rows = []
+        for name, scale in zip(study.factors, allocation.scale, strict=True):
+            stated = getattr(tolerances, name)
+            for field in ("single", "cumulative") if hasattr(stated, "single") else ("tolerance",):
+                factor, unit = (1e3, "mrad") if name.startswith("misalignment") else (1e6, "µm")
+                width = getattr(stated, field) * factor
+                rows.append([name, field, f"{width:.3g} {unit}", f"{width * scale:.3g} {unit}",
+                             f"{tolerances.costs.get(name, 1.0) / scale:.3g}"])  # fmt: skip
+        print_table("Cheapest tolerances", ["tolerance", "", "stated", "allocated", "cost"], rows)
+        typer.echo(
+            f"Yield {allocation.exact_yield:.2%} (as stated {allocation.stated_yield:.2%}), cost {allocation.cost:.4g} "
+            f"(as stated {allocation.stated_cost:.4g}), cost as 1/width, confirmed by the exact kernel."
+        )
 
 
 def main() -> None:

@@ -247,6 +247,25 @@ def plot_indices(factors: Sequence[str], indices: Mapping[str, Mapping[str, NDAr
     return figure
 
 
+def plot_allocation(factors: Sequence[str], scale: NDArray[np.float64], title: str) -> Figure:
+    """Width of each allocated tolerance relative to the stated one; narrower to the left of the line, wider beyond."""
+    figure, axes = new_figure(2)
+    figure.delaxes(axes[1])
+    axis = axes[0]
+    axis.set_subplotspec(figure.add_gridspec(1, 1)[0])
+    place = np.arange(len(factors))[::-1]
+    axis.barh(place, scale - 1.0, left=1.0, color=np.where(scale < 1.0, "C3", "C2"))
+    axis.axvline(1.0, color="k", lw=0.8)
+    axis.set_xscale("log")
+    ticks = [t for t in (0.1, 0.2, 0.5, 0.7, 1.0, 1.5, 2.0, 4.0) if 0.8 * scale.min() < t < 1.3 * scale.max()]
+    axis.set_xticks(ticks, [f"{t:g}" for t in ticks])
+    axis.minorticks_off()
+    axis.set_yticks(place, [f.replace("_", " ") for f in factors])
+    axis.set(xlabel="allocated tolerance / stated tolerance")
+    axis.set_title(title, fontsize=9)
+    return figure
+
+
 def plot_simulation(results: Mapping[str, NDArray[np.float64]]) -> Figure:
     """Output angle's error, backlash and largest pressure of an FMU's run over time."""
     figure, axes = new_figure(3, sharex=True)

@@ -241,8 +241,7 @@ _Function = TypeVar("_Function", bound=Callable[..., None])
 
 
 def _compiled(function: _Function) -> _Function:
-    # Positions are finite: extremes may be sought without regard to NaN, many at a time.
-    return cast(_Function, njit(cache=True, fastmath={"nnan", "nsz"})(function))
+    return cast(_Function, njit(cache=True)(function))
 
 
 @_compiled
@@ -282,10 +281,13 @@ def _exchange(
             if chances[move, 1] >= np.exp(-energy):
                 continue
         if i < j:
-            positions[low_end:high_end] += shift
+            for k in range(low_end, high_end):
+                positions[k] += shift
         else:
-            positions[:low_end] += shift
-            positions[high_end:] += shift
+            for k in range(low_end):
+                positions[k] += shift
+            for k in range(high_end, n):
+                positions[k] += shift
 
 
 def sample_pitch(generator: np.random.Generator, teeth: int, errors: PitchErrors) -> Array:

@@ -24,8 +24,9 @@ from numpy.typing import NDArray
 from cycloid_fmu import edge
 from cycloid_fmu.pair import Pair
 from cycloid_fmu.sampling import LARGEST_SEED, Tolerances, surface_at
+from cycloid_fmu.screening import Screen, error_vector
 from cycloid_fmu.surface import Elements, ErrorSurface
-from cycloid_fmu.transmission import slices_needed, solve
+from cycloid_fmu.transmission import SLICES_MISALIGNED, slices_needed, solve
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -217,6 +218,75 @@ def figures_of(study: Study, surface: ErrorSurface) -> Array:
     return np.array([found[name] if k is None else found[name][k] for name, k in study.columns])
 
 
+def check_first_order(study: Study, tolerances_source: str) -> None:
+    """Refuse, with an `edge.InputError`, form deviations: first order takes errors of size and place alone."""
+    for name in study.factors:
+        if name.endswith("_profile"):
+            raise edge.InputError(
+                f"{tolerances_source}: [{name}]: form deviations need the exact kernel; remove the table."
+            )
+
+
+def screen_of(study: Study, largest: float = 1.0) -> Screen:
+    """Return the error-free pair at a study's loads: first those of `Study.torque`, then ± lost motion, then the play.
+
+    Parameters
+    ----------
+    largest
+        Errors may be this often what the tolerances allow.
+    """
+    angles, rated = crank_angles(study), study.pair.pair.rated_torque
+    low_loads = [] if rated is None else [LOST_MOTION_LOAD * rated, -LOST_MOTION_LOAD * rated]
+    loads = [*((t, angles) for t in study.torque), *((t, angles[::PLAY_STEP]) for t in (*low_loads, 0.0))]
+    reach = 0.0
+    for name in study.factors:
+        stated = getattr(study.tolerances, name)
+        width = stated.cumulative if hasattr(stated, "cumulative") else stated.tolerance
+        reach += width * (study.pair.pair.face_width if name.startswith("misalignment") else 1.0)
+    tilted = any(name.startswith("misalignment") for name in study.factors)
+    # Errors close a gap by their sum and once more by the rotation that they allow, here with room to spare.
+    return Screen(study.pair, loads, SLICES_MISALIGNED if tilted else 1, 20e-6 + 3.0 * largest * reach)
+
+
+def figures_to_first_order(study: Study, screen: Screen, errors: Array) -> Array:
+    """Return the figures of drives in the order of `Study.columns`, to first order, shape (drives, columns).
+
+    Parameters
+    ----------
+    errors
+        Rows of `screening.error_vector`.
+    """
+    loads = len(study.torque)
+    solutions = [screen.loaded(k, errors) for k in range(loads)]
+    has_rated = study.pair.pair.rated_torque is not None
+    backlash, interference = screen.play(loads + 2 * has_rated, errors)
+    free = np.where(np.isnan(backlash), 0.0, backlash)
+    found: dict[str, Any] = {
+        "angular_transmission_error": [np.ptp(deviation, axis=1) for deviation, _ in solutions],
+        "mean_transmission_error": [deviation.mean(axis=1) for deviation, _ in solutions],
+        "max_contact_pressure": [pressure.max(axis=1) for _, pressure in solutions],
+        "mean_backlash": free.mean(axis=1),
+        "backlash": free.max(axis=1),
+        "interference": interference.max(axis=1),
+    }
+    if has_rated:
+        up, down = (screen.loaded(loads + k, errors)[0] for k in range(2))
+        found["lost_motion"] = (up - down).max(axis=1)
+    return np.column_stack([found[name] if k is None else found[name][k] for name, k in study.columns])
+
+
+_screens: dict[str, Screen] = {}  # the last one of this process
+
+
+def _screening_task(study: Study, first: int, rows: Array) -> tuple[int, Array]:
+    key = json.dumps(study.identity())
+    if key not in _screens:
+        _screens.clear()
+        _screens[key] = screen_of(study)
+    errors = np.array([error_vector(study.pair, surface_of(study, row)) for row in rows])
+    return first, figures_to_first_order(study, _screens[key], errors)
+
+
 def _task(wanted: dict[str, str], study: Study, first: int, rows: Array) -> tuple[int, Array]:
     """Solve some samples wherever this runs; refuse a worker that would compute other digits."""
     here = versions()
@@ -296,7 +366,7 @@ def _connected(scheduler: str) -> Any:
     except ImportError:
         raise edge.InputError("--scheduler needs dask: pip install 'cycloid-fmu[distributed]'.") from None
     try:
-        client = Client(scheduler, timeout=10, set_as_default=False)
+        client = Client(scheduler, timeout=5, set_as_default=False)
     except (OSError, ValueError) as problem:
         raise edge.InputError(
             f"--scheduler {scheduler}: no scheduler answers there ({type(problem).__name__})."
@@ -426,6 +496,71 @@ def run(
     except KeyboardInterrupt:
         raise Interrupted(result()) from None
     return result()
+
+
+@dataclasses.dataclass(frozen=True)
+class Screened:
+    """A study to first order with a share of its drives solved exactly.
+
+    Attributes
+    ----------
+    result
+        All samples, the confirmed ones by the exact kernel.
+    confirmed
+        Numbers of the samples that were solved exactly.
+    difference
+        {figure: largest difference between both kernels over the confirmed samples, SI}.
+    changed
+        Confirmed samples that one kernel lets keep all limits and the other does not.
+    """
+
+    result: Result
+    confirmed: NDArray[np.int64]
+    difference: dict[str, float]
+    changed: int
+
+
+def screened(
+    study: Study, share: float, *, workers: int = 1, progress: Callable[[int], None] = lambda samples: None
+) -> Screened:
+    """Solve a study to first order and confirm a share of it by the exact kernel.
+
+    Confirmed are the samples nearest to the limits, where a difference would decide; without limits the first ones,
+    which are as even as any.
+
+    Parameters
+    ----------
+    share
+        Of the samples, above 0 and at most 1.
+    workers, progress
+        As in `run`; each confirmed sample is told of once more.
+    """
+    import joblib
+
+    place = points(study)
+    values = np.empty((len(place), len(study.columns)))
+    size = 16 * CHUNK
+    tasks = (joblib.delayed(_screening_task)(study, k, place[k : k + size]) for k in range(0, len(place), size))
+    for first, found in joblib.Parallel(n_jobs=workers, return_as="generator_unordered", batch_size=1)(tasks):
+        values[first : first + len(found)] = found
+        progress(len(found))
+    taken = demand(study, values)
+    worst = np.max([*taken.values()], axis=0) if taken else np.arange(len(place), dtype=float)
+    nearest = np.argsort(np.abs(worst - 1.0) if taken else worst, kind="stable")
+    confirmed = np.sort(nearest[: max(1, math.ceil(share * len(place)))])
+    exact = np.empty((confirmed.size, values.shape[1]))
+    waiting = {k: place[confirmed[k : k + CHUNK]] for k in range(0, confirmed.size, CHUNK)}
+    for first, found in solved(study, waiting, workers, None):
+        exact[first : first + len(found)] = found
+        progress(len(found))
+    difference = {
+        name: float(np.abs(exact - values[confirmed])[:, [n == name for n, _ in study.columns]].max())
+        for name in dict.fromkeys(n for n, _ in study.columns)
+    }
+    good = [np.logical_and.reduce([d <= 1.0 for d in demand(study, v).values()]) for v in (exact, values[confirmed])]
+    values[confirmed] = exact
+    result = Result(study, place, values, np.arange(len(place)))
+    return Screened(result, confirmed, difference, int(np.count_nonzero(good[0] != good[1])) if taken else 0)
 
 
 class Interrupted(KeyboardInterrupt):

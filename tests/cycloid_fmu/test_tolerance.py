@@ -12,12 +12,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 from common import EXAMPLES, make_pair
 from scipy import stats
 
 from cycloid_fmu import edge, tolerance
 from cycloid_fmu.pair import read_pair
-from cycloid_fmu.sampling import parse_tolerances, surface_at, within_tolerance
+from cycloid_fmu.sampling import parse_tolerances, read_tolerances, surface_at, within_tolerance
 from cycloid_fmu.tolerance import Checkpoint, Study, check_study, figures_of, points, run, surface_of
 from cycloid_fmu.transmission import solve
 
@@ -170,7 +171,7 @@ def test_a_checkpoint_cut_at_any_byte_loses_its_last_lines_alone(tmp_path):
         kept.add(first, values + first)
     content = (tmp_path / "c").read_bytes()
     ends = [content.index(b"\n", content.index(b'"first": %d,' % first)) for first in (0, 16)]
-    for size in range(start, len(content) + 1, 37):
+    for size in range(start, len(content) + 1, 173):
         (tmp_path / "c").write_bytes(content[:size])
         read = Checkpoint(tmp_path / "c", study)
         assert len(read.done) == sum(size >= end for end in ends)
@@ -204,56 +205,62 @@ def files(tmp_path):
 
 
 def test_killed_in_mid_run_and_started_again(command, files, tmp_path):
-    import xarray as xr
-
     words = [str(Path(sys.executable).with_name(files[0])), *map(str, files[1:])]
-    words += ["--samples", "640", "--workers", "1", "-o", "s.nc"]
+    samples = 320
+    words += ["--samples", str(samples), "--workers", "1", "-o", "s.nc"]
     checkpoint = tmp_path / "s.nc.checkpoint"
     with subprocess.Popen(words, cwd=tmp_path, stderr=subprocess.DEVNULL) as process:
         while not (checkpoint.exists() and checkpoint.read_bytes().count(b'"first"') >= 3):
             assert process.poll() is None, "it ended before it was killed"
             time.sleep(0.01)
         process.send_signal(signal.SIGKILL)
-    before = checkpoint.read_bytes()
+    assert checkpoint.read_bytes().count(b'"first"') < samples // tolerance.CHUNK
     assert not (tmp_path / "s.nc").exists()
-    run_again = command(*files, "--samples", 640, "-o", "s.nc", "--json")
-    assert run_again.returncode == 0, run_again.stderr
+    again = command(*files, "--samples", samples, "-o", "s.nc", "--plot", "p.png", "--json")
+    assert again.returncode == 0, again.stderr
     assert not checkpoint.exists()
-    assert before.count(b'"first"') < 40
-    plain = command(*files, "--samples", 640, "-o", "plain.nc", "--workers", 1, "--plot", "p.png")
-    assert plain.returncode == 0, plain.stderr
-    assert "Yield" in plain.stdout
     assert (tmp_path / "p.png").stat().st_size > 20000
-    one, two = xr.load_dataset(tmp_path / "s.nc"), xr.load_dataset(tmp_path / "plain.nc")
-    assert one.identical(two)
-    found = json.loads(run_again.stdout)
-    assert found["statistics"]["backlash"]["mean"] == pytest.approx(float(one["backlash"].mean()))
+    pair, tolerances = read_pair(tmp_path / "pair.toml"), read_tolerances(tmp_path / "t.toml")
+    whole = run(Study(pair, tolerances, samples, 1, (181.0, -181.0), angles=40))
+    kept = xr.load_dataset(tmp_path / "s.nc")
+    for name in ("angular_transmission_error", "backlash", "lost_motion"):
+        assert (kept[name].values == whole.figure(name)).all()
+    found = json.loads(again.stdout)
+    assert found["statistics"]["backlash"]["mean"] == whole.figure("backlash").mean()
+    assert found["yields"]["all"]["share"] == np.mean(whole.figure("backlash") <= np.radians(1.5 / 60))
 
 
-def test_bad_studies_are_one_sentence(command, files, tmp_path):
-    good = (tmp_path / "t.toml").read_text()
-    cases = [
-        (good.replace('"2 um"', '"0 um"'), (), ("t.toml: [eccentricity] tolerance = 0", "width")),
-        (HEAD, (), ("t.toml: no tolerance is stated",)),
-        (good + "[costs]\noffset = 2\n", (), ("t.toml: [costs] offset", "no tolerance")),
-        (good + "[costs]\neccentricity = 0\n", (), ("t.toml: [costs] eccentricity = 0", "greater than 0")),
-        (good, ("--torque", "0 N*m"), ("--torque = 0", "zero")),
-        (good, ("--design", "grid"), ("--design grid", "latin-hypercube")),
-        (good, ("--design", "saltelli", "--samples", 20), ("--samples = 20", "112 samples")),
-        (good, ("--scheduler", "tcp://127.0.0.1:9"), ("--scheduler tcp://127.0.0.1:9", "no scheduler answers")),
-    ]
-    for text, options, said in cases:
-        (tmp_path / "t.toml").write_text(text)
-        failed = command(*files, *options)
-        assert (failed.returncode, failed.stdout) == (2, ""), (text, failed.stderr)
-        assert failed.stderr.strip().count("\n") == 0, failed.stderr
-        for part in said:
-            assert part in failed.stderr
-    with pytest.raises(edge.InputError, match="rated_torque is missing"):
-        check_study(
-            Study(make_pair(), parse_tolerances(f'{HEAD}{SINGLE}[limits]\nlost_motion = "1 arcmin"\n', "t.toml"), 8, 1,
-                  (9.0,)), "p.toml", "t.toml",
-        )  # fmt: skip
+@pytest.mark.parametrize(
+    ("text", "changes", "said"),
+    [
+        (SINGLE.replace('"2 um"', '"0 um"'), {}, "t.toml: [eccentricity] tolerance = 0: a distribution needs a width"),
+        ('[gear_pitch]\nsingle = "0 um"\ncumulative = "1 um"\n', {}, "t.toml: [gear_pitch] single = 0"),
+        ("", {}, "t.toml: no tolerance is stated"),
+        (SINGLE + "[costs]\noffset = 2\n", {}, "t.toml: [costs] offset: there is no tolerance of this name"),
+        (SINGLE + "[costs]\neccentricity = 0\n", {}, "t.toml: [costs] eccentricity = 0: it should be greater than 0"),
+        (SINGLE, {"torque": (0.0,)}, "--torque = 0 N*m: a study's loads must not be zero"),
+        (SINGLE, {"design": "saltelli", "samples": 20}, "--samples = 20: Sobol indices of 3 tolerances need 80"),
+        (SINGLE, {"pair": make_pair()}, "p.toml: [pair] rated_torque is missing"),
+        (SINGLE, {"seed": -1}, "--seed = -1: it must lie between 0 and"),
+    ],
+)
+def test_bad_studies_are_one_sentence(text, changes, said):
+    def prepare():
+        study = make_study(text + ('[limits]\nlost_motion = "1 arcmin"\n' if "pair" in changes else ""))
+        study = dataclasses.replace(study, **changes)
+        check_study(study, "p.toml", "t.toml")
+        points(study)
+
+    with pytest.raises(edge.InputError) as caught:
+        prepare()
+    assert str(caught.value).startswith(said)
+    assert str(caught.value).count("\n") == 0
+
+
+def test_a_scheduler_that_does_not_answer(command, files, tmp_path):
+    failed = command(*files, "--scheduler", "tcp://127.0.0.1:9", "-o", "s.nc")
+    assert (failed.returncode, failed.stdout) == (2, "")
+    assert failed.stderr.strip() == "--scheduler tcp://127.0.0.1:9: no scheduler answers there (OSError)."
 
 
 # A real cluster
