@@ -34,7 +34,7 @@ class Contacts(NamedTuple):
 
     Attributes
     ----------
-    rows, count
+    rows, number
         Contacts nearer than the reach, shape (angles, contacts, columns), and how many there are, shape (angles,).
     deviation
         Rotation at which they were solved, shape (angles,), rad.
@@ -43,7 +43,7 @@ class Contacts(NamedTuple):
     """
 
     rows: Array
-    count: NDArray[np.int64]
+    number: NDArray[np.int64]
     deviation: Array
     torque: float
 
@@ -199,8 +199,8 @@ def sweep(
     drives = errors.shape[0]
     gaps, forces = np.empty(contacts.rows.shape[1]), np.empty(contacts.rows.shape[1])
     turned = np.zeros(drives)
-    for i in range(contacts.count.size):
-        rows, count = contacts.rows[i], contacts.count[i]
+    for i in range(contacts.number.size):
+        rows, count = contacts.rows[i], contacts.number[i]
         for j in range(drives):
             _gaps(rows, count, pins, teeth, errors[j], gaps)
             turned[j], pressure[j, i] = _equilibrium(
@@ -216,8 +216,8 @@ def sweep_play(
 ) -> None:
     """Solve the play of many drives; overwrites arrays (drives, angles) as `contact.sweep_play` does."""
     gaps = np.empty(contacts.rows.shape[1])
-    for i in range(contacts.count.size):
-        rows, count = contacts.rows[i], contacts.count[i]
+    for i in range(contacts.number.size):
+        rows, count = contacts.rows[i], contacts.number[i]
         for j in range(errors.shape[0]):
             _gaps(rows, count, pins, teeth, errors[j], gaps)
             below, above = -math.inf, math.inf
@@ -284,13 +284,13 @@ class Screen:
     def loaded(self, sweep_number: int, errors: Array) -> tuple[Array, Array]:
         """Return transmission error (rad) and largest pressure (Pa), each of shape (drives, angles)."""
         contacts = self._contacts[sweep_number]
-        deviation, pressure = (np.empty((len(errors), contacts.count.size)) for _ in range(2))
+        deviation, pressure = (np.empty((len(errors), contacts.number.size)) for _ in range(2))
         sweep(contacts, *self._sizes, errors, *self._law, deviation, pressure)
         return deviation, pressure
 
     def play(self, sweep_number: int, errors: Array) -> tuple[Array, Array]:
         """Return backlash (rad, NaN without a free position) and interference (m), each (drives, angles)."""
         contacts = self._contacts[sweep_number]
-        low, high, gap = (np.empty((len(errors), contacts.count.size)) for _ in range(3))
+        low, high, gap = (np.empty((len(errors), contacts.number.size)) for _ in range(3))
         sweep_play(contacts, *self._sizes, errors, low, high, gap)
         return high - low, gap

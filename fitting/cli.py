@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cycloid_fmu import edge
+
+if TYPE_CHECKING:
+    from fitting.recording import BenchRecording
 
 app = typer.Typer(
     no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich",
@@ -17,6 +20,12 @@ app = typer.Typer(
 Recordings = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings, .arrows or .csv.")]
 PairFile = Annotated[Path, typer.Option("--pair", metavar="PAIR.toml", help="The nominal gear pair.")]
 PlotFile = Annotated[Path | None, typer.Option("--plot", metavar="FILE.png|pdf", help="Draw the result.")]
+HeadFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--read-head", metavar="HEAD.toml", help="Free the output angle of its single head's coaxiality error."
+    ),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result for scripts: SI, names as in the files.")]
 
 
@@ -25,6 +34,7 @@ def curve(
     files: Recordings,
     pair_file: PairFile,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the curves (netCDF).")] = None,
+    read_head: HeadFile = None,
     plot: PlotFile = None,
     as_json: AsJson = False,
 ) -> None:
@@ -39,12 +49,11 @@ def curve(
     from cycloid_fmu.pair import read_pair
     from fitting.curve import curves_dataset, noise_of, transmission_error_curve, write_curves
     from fitting.plots import label_of, plot_curves
-    from fitting.recording import read_bench_recording
 
     if plot is not None:
         plots.check_path(plot)
     pair = read_pair(pair_file)
-    curves = [transmission_error_curve(read_bench_recording(f), pair.ratio) for f in files]
+    curves = [transmission_error_curve(r, pair.ratio) for r in _recordings(files, read_head)]
     if output is not None:
         write_curves(curves, output)
     if plot is not None:
@@ -68,6 +77,17 @@ def curve(
     _say_notes([note for one in curves for note in one.notes])
 
 
+def _recordings(files: list[Path], read_head: Path | None) -> list[BenchRecording]:
+    from fitting.coaxiality import read_read_head, without_coaxiality_error
+    from fitting.recording import read_bench_recording
+
+    recordings = [read_bench_recording(f) for f in files]
+    if read_head is None:
+        return recordings
+    head = read_read_head(read_head)
+    return [without_coaxiality_error(r, head) for r in recordings]
+
+
 def _say_notes(notes: list[str]) -> None:
     for note in notes:
         typer.echo(note, err=True)
@@ -81,6 +101,7 @@ def identify(
     surface_file: Annotated[
         Path | None, typer.Option("--surface", metavar="S.nc", help="Write the identified error surface (netCDF).")
     ] = None,
+    read_head: HeadFile = None,
     plot: PlotFile = None,
     as_json: AsJson = False,
 ) -> None:
@@ -98,12 +119,11 @@ def identify(
     from fitting.identify import identify as fit
     from fitting.identify import write_identification
     from fitting.plots import plot_identification
-    from fitting.recording import read_bench_recording
 
     if plot is not None:
         plots.check_path(plot)
     pair = read_pair(pair_file)
-    curves = [transmission_error_curve(read_bench_recording(f), pair.ratio) for f in files]
+    curves = [transmission_error_curve(r, pair.ratio) for r in _recordings(files, read_head)]
     console = Console(stderr=True)
     with console.status("reading") as status:
         result = fit(curves, pair, lambda step: status.update(f"{step} …"))
