@@ -245,18 +245,32 @@ def measured(
 
 @app.command()
 def build(
-    pair_file: PairFile,
+    pair_file: Annotated[
+        Path, typer.Argument(metavar="PAIR.toml", help="The gear pair, or an RV reducer (cycloid-reducer/1).")
+    ],
     output: Annotated[Path, typer.Option("-o", "--output", help="The FMU file.")],
     surface_file: SurfaceFile = None,
 ) -> None:
-    """Build an FMI 2.0 Co-Simulation FMU of the drive.
+    """Build an FMI 2.0 Co-Simulation FMU of the drive, or of a whole RV reducer with the sun as input.
 
     Example: [cyan]cycloid-fmu build pair.toml --surface identified.nc -o drive.fmu[/]
     """
+    from cycloid_fmu import reducer as rv
     from cycloid_fmu.fmu.build import build_fmu
+    from cycloid_fmu.surface import check_surface, read_surface
 
     if output.suffix != ".fmu":
         raise edge.InputError(f"--output {output}: the name must end in .fmu.")
+    if edge.format_of(pair_file) == rv.FORMAT:
+        reducer = rv.read_reducer(pair_file)
+        for warning in rv.contradictions(reducer, str(pair_file)):
+            typer.echo(warning, err=True)
+        surface = rv.surface_of_reducer(reducer)
+        if surface_file is not None:
+            surface = read_surface(surface_file)
+            check_surface(reducer.stage, surface, str(pair_file), str(surface_file))
+        build_fmu(reducer.stage, surface, output, rv.first_stage_of(reducer))
+        return
     pair, surface = _load(pair_file, surface_file)
     build_fmu(pair, surface, output)
 

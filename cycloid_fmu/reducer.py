@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import contact, edge
 from cycloid_fmu.edge import Angle, Config
+from cycloid_fmu.fmu.reducer_model import FirstStage
 from cycloid_fmu.pair import LARGEST_DEVIATION, Pair, PositiveLength
 from cycloid_fmu.sampling import Distribution, error_stream, within_tolerance
 from cycloid_fmu.surface import ErrorSurface, nominal_surface
@@ -512,6 +513,17 @@ def with_sun_locked(reducer: Reducer, crank_locked: Mapping[str, float]) -> dict
     play = float(_outer_stages(reducer, values_of(reducer), reducer.involute.sun_base_radius)["base_tangent_length"])
     found.update(base_tangent_length=play, involute=play, total=found["total"] + play)
     return found
+
+
+def first_stage_of(reducer: Reducer) -> FirstStage:
+    """Return what the FMU puts around the cycloid stage: the teeth, and the plays that the deviations make."""
+    outer = _outer_stages(reducer, values_of(reducer), reducer.involute.sun_base_radius)
+    return FirstStage(
+        sun_teeth=reducer.involute.sun_teeth,
+        planet_teeth=reducer.involute.planet_teeth,
+        sun_play=max(0.0, float(outer["base_tangent_length"]) * reducer.ratio),
+        bearing_play=max(0.0, float(outer["crank_bearing_clearance"])),
+    )
 
 
 def summed(terms: Mapping[str, Array]) -> dict[str, Array]:
