@@ -141,11 +141,11 @@ def _equilibrium(
     compliance_gear: float, compliance_pin: float, largest_log_radius: float,
 ) -> tuple[float, float]:  # fmt: skip
     """Rotation that balances the torque, from that of the error-free pair, and the largest pressure."""
-    x, low, high, pressure = start, -math.inf, math.inf, 0.0
+    x, low, high = start, -math.inf, math.inf
     for k in range(count):
         forces[k] = 0.0
     for _ in range(60):
-        moment = stiffness = pressure = 0.0
+        moment = stiffness = 0.0
         touch = math.inf
         for k in range(count):
             arm, rate = rows[k, _ARM], rows[k, _RATE]
@@ -157,14 +157,13 @@ def _equilibrium(
                 forces[k] = 0.0
                 continue
             arm += x * rate
-            force, spring, half, _ = contact.hertz(
+            force, spring, _ = contact.hertz(
                 -gap, rows[k, _CURVATURE], pin_radius, width, compliance_gear, compliance_pin, largest_log_radius,
                 forces[k],
             )  # fmt: skip
             forces[k] = force
             moment += force * arm
             stiffness += spring * arm * arm + force * rate
-            pressure = max(pressure, 2.0 * force / (math.pi * half * width))
         if torque > moment:
             low = x
         else:
@@ -174,9 +173,17 @@ def _equilibrium(
         else:
             step = math.copysign((touch if touch < math.inf else 0.0) + 1e-6, torque - moment)
         if abs(step) < _STEP:
-            return x + step, pressure
+            x += step
+            break
         step = min(max(step, -1e-3), 1e-3)
         x = x + step if low < x + step < high else 0.5 * (low + high)
+    pressure = 0.0
+    for k in range(count):
+        if forces[k] > 0.0:
+            half = contact.half_width(
+                forces[k], rows[k, _CURVATURE], pin_radius, width, compliance_gear, compliance_pin
+            )
+            pressure = max(pressure, 2.0 * forces[k] / (math.pi * half * width))
     return x, pressure
 
 
