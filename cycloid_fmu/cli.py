@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -74,8 +77,6 @@ def analyze(
 
     Example: [cyan]cycloid-fmu analyze pair.toml --torque "-181 N*m" --torque "181 N*m" -o out.nc --plot out.png[/]
     """
-    import os
-
     from rich.progress import Progress
 
     from cycloid_fmu import plots
@@ -244,18 +245,32 @@ def measured(
 
 @app.command()
 def build(
-    pair_file: PairFile,
+    pair_file: Annotated[
+        Path, typer.Argument(metavar="PAIR.toml", help="The gear pair, or an RV reducer (cycloid-reducer/1).")
+    ],
     output: Annotated[Path, typer.Option("-o", "--output", help="The FMU file.")],
     surface_file: SurfaceFile = None,
 ) -> None:
-    """Build an FMI 2.0 Co-Simulation FMU of the drive.
+    """Build an FMI 2.0 Co-Simulation FMU of the drive, or of a whole RV reducer with the sun as input.
 
     Example: [cyan]cycloid-fmu build pair.toml --surface identified.nc -o drive.fmu[/]
     """
+    from cycloid_fmu import reducer as rv
     from cycloid_fmu.fmu.build import build_fmu
+    from cycloid_fmu.surface import check_surface, read_surface
 
     if output.suffix != ".fmu":
         raise edge.InputError(f"--output {output}: the name must end in .fmu.")
+    if edge.format_of(pair_file) == rv.FORMAT:
+        reducer = rv.read_reducer(pair_file)
+        for warning in rv.contradictions(reducer, str(pair_file)):
+            typer.echo(warning, err=True)
+        surface = rv.surface_of_reducer(reducer)
+        if surface_file is not None:
+            surface = read_surface(surface_file)
+            check_surface(reducer.stage, surface, str(pair_file), str(surface_file))
+        build_fmu(reducer.stage, surface, output, rv.first_stage_of(reducer))
+        return
     pair, surface = _load(pair_file, surface_file)
     build_fmu(pair, surface, output)
 
@@ -418,6 +433,260 @@ def wear(
     if "sliding_loss" in figures:
         typer.echo(
             f"Friction: {figures['friction_work']:.4g} J a crank turn, {figures['sliding_loss']:.3%} of the load's."
+        )
+
+
+@app.command()
+def budget(
+    reducer_file: Annotated[Path, typer.Argument(metavar="REDUCER.toml", help="Format cycloid-reducer/1.")],
+    samples: Annotated[int, typer.Option(min=100, help="Reducers drawn within the tolerances.")] = 1000,
+    seed: Annotated[int, typer.Option(min=0, help="The same seed draws the same reducers.")] = 1,
+    plot: PlotFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Lost motion budget of an RV reducer: every term by the closed form and by the contact model, and its scatter.
+
+    Example: [cyan]cycloid-fmu budget rv.toml --plot budget.png[/]
+    """
+    from rich.progress import Progress
+
+    from cycloid_fmu import plots
+    from cycloid_fmu import reducer as rv
+
+    if plot is not None:
+        plots.check_path(plot)
+    reducer = rv.read_reducer(reducer_file)
+    warnings = rv.contradictions(reducer, str(reducer_file))
+    found = rv.budget(reducer)
+    remarks = rv.remarks(reducer, found)
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("reducers", total=samples)
+        stack = rv.stack(reducer, samples, seed, lambda done: bar.advance(task, done))
+    if plot is not None:
+        plots.save(plots.plot_budget(found, stack), plot)
+    if as_json:
+        scatter = None if stack is None else rv.stack_summary(stack)
+        typer.echo(
+            edge.json_text(
+                {**found, "ratio": reducer.ratio, "stack": scatter, "remarks": remarks, "warnings": warnings}
+            )
+        )
+        return
+    values, closed = rv.values_of(reducer), found["standard"]
+    terms = sorted((n for n in rv.TERMS if any(v[n] for v in found.values())), key=lambda n: -abs(closed[n]))
+    rows = [[n, f"{values[n] * 1e6:+.2f} µm", *(f"{found[v][n] / rv.ARCMIN:+.5f}" for v in rv.VARIANTS)] for n in terms]
+    for name in ("interaction", *rv.STAGES, "total"):
+        rows.append([f"[bold]{name}[/]", "", *(
+            f"{found[v][name] / rv.ARCMIN:+.5f}" if name in found[v] else "" for v in rv.VARIANTS
+        )])  # fmt: skip
+    print_table(
+        f"{reducer_file.name}: play at the output \\[arcmin], ratio {reducer.ratio:g}",
+        ["term", "amount", *(v.replace("_", " ", 1).replace("_", "\n") for v in rv.VARIANTS)], rows,
+    )  # fmt: skip
+    exact = found["geometric"]
+    if exact["interference"] > 0.0:
+        typer.echo(
+            f"Interference: at {exact['interfering']:.0%} of the crank angles no free position, by up to "
+            f"{exact['interference'] * 1e6:.2f} µm."
+        )
+    for name, remark in remarks.items():
+        typer.echo(f"{name}: {remark}.")
+    if stack is None:
+        typer.echo("No deviation has a tolerance, so nothing scatters.")
+    else:
+        shown = rv.stack_summary(stack)
+        rows = []
+        for name in ("worst_case", "root_sum_square"):
+            rows.append([name.replace("_", " "), *(f"{v / rv.ARCMIN:.4f}" for v in shown[name]), "", ""])
+        for name in stack.samples:
+            one = shown["monte_carlo"][name]
+            low, high = one["interval"]
+            rows.append(
+                [f"Monte Carlo, {name}", *(f"{v / rv.ARCMIN:.4f}" for v in (*one["central"], one["mean"])),
+                 f"{one['interfering']:.1%} ({low:.1%} … {high:.1%})"]
+            )  # fmt: skip
+        print_table("Total play within the tolerances \\[arcmin]",
+                    ["stack", "from", "to", "mean", "interference (95 %)"], rows)  # fmt: skip
+        typer.echo(f"Monte Carlo: {samples} reducers, the central 99.73 %; geometric with the sun locked.")
+    for warning in warnings:
+        typer.echo(warning, err=True)
+
+
+@app.command()
+def tolerance(
+    pair_file: PairFile,
+    tolerances_file: Annotated[
+        Path,
+        typer.Option("--tolerances", metavar="T.toml", help="Tolerances, limits and costs (cycloid-tolerances/1)."),
+    ],
+    torque: Annotated[
+        list[str] | None, typer.Option(help="Torque on the output; may be repeated. Default: ± rated.")
+    ] = None,
+    samples: Annotated[int, typer.Option(min=2, help="Drives to solve.")] = 1000,
+    seed: Annotated[int, typer.Option(help="The same seed draws the same drives.")] = 1,
+    design: Annotated[
+        str, typer.Option(help="sobol, latin-hypercube, or saltelli, which gives Sobol indices as well.")
+    ] = "sobol",
+    angles: Annotated[int, typer.Option(min=20, help="Crank angles, evenly from 0, end excluded.")] = 360,
+    turns: Annotated[int, typer.Option(min=1, help="Crank turns that they span.")] = 1,
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = os.cpu_count() or 1,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="tcp://HOST:PORT", help="Use a dask cluster instead of this machine's cores.")
+    ] = None,
+    screen: Annotated[
+        float | None,
+        typer.Option(metavar="SHARE", help="Solve to first order and confirm this share by the exact kernel."),
+    ] = None,
+    allocate: Annotated[
+        float | None,
+        typer.Option(metavar="YIELD", help="Find the cheapest tolerances that reach this share of good drives."),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="Write the study (netCDF); what is done is kept beside it until then."),
+    ] = None,
+    plot: PlotFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Solve many drives within their tolerances: distributions, yields against limits, sensitivities.
+
+    Stopped or killed, the same command goes on where it was, if it has an output.
+
+    Example: [cyan]cycloid-fmu tolerance pair.toml --tolerances tolerances.toml --samples 10000 -o study.nc[/]
+    """
+    from rich.progress import Progress
+
+    from cycloid_fmu import plots
+    from cycloid_fmu import tolerance as study_of
+    from cycloid_fmu.pair import read_pair
+    from cycloid_fmu.sampling import read_tolerances
+
+    if plot is not None:
+        plots.check_path(plot)
+    if design not in study_of.DESIGNS:
+        raise edge.InputError(f"--design {design}: it must be one of {', '.join(study_of.DESIGNS)}.")
+    pair, tolerances = read_pair(pair_file), read_tolerances(tolerances_file)
+    rated = pair.pair.rated_torque
+    if torque is None and rated is None:
+        raise edge.InputError(f"{pair_file}: [pair] rated_torque is missing; state it, or give --torque.")
+    loads = [edge.quantity_option(t, "N*m", "--torque") for t in torque] if torque else [rated or 0.0, -(rated or 0.0)]
+    study = study_of.Study(pair, tolerances, samples, seed, tuple(loads), design, angles, turns)  # type: ignore[arg-type]
+    study_of.check_study(study, str(pair_file), str(tolerances_file))
+    if screen is not None or allocate is not None:
+        study_of.check_first_order(study, str(tolerances_file))
+    if screen is not None and (scheduler is not None or not 0.0 < screen <= 1.0):
+        raise edge.InputError(
+            f"--screen {screen:g}: the share must lie between 0 and 1; screening takes seconds and no --scheduler."
+        )
+    kept = None
+    if output is not None and screen is None:
+        kept = study_of.Checkpoint(output.with_name(output.name + ".checkpoint"), study)
+    size = len(study_of.points(study))
+    confirmation = None
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("drives", total=size if screen is None else size + math.ceil(screen * size))
+        try:
+            if screen is None:
+                result = study_of.run(
+                    study, kept, workers=workers, scheduler=scheduler, progress=lambda done: bar.advance(task, done)
+                )
+            else:
+                confirmation = study_of.screened(
+                    study, screen, workers=workers, progress=lambda done: bar.advance(task, done)
+                )
+                result = confirmation.result
+        except study_of.Interrupted as interrupted:
+            bar.stop()
+            where = f"{kept.path} keeps them; the same command goes on" if kept else "nothing is kept without --output"
+            typer.echo(f"Interrupted: {interrupted.result.sample.size} of {size} drives are done; {where}.", err=True)
+            raise typer.Exit(edge.INTERRUPTED) from None
+    if output is not None:
+        with edge.written_whole(output) as temporary:
+            study_of.dataset_of(result).to_netcdf(temporary, engine="h5netcdf")
+        if kept is not None:
+            kept.path.unlink()
+    allocation = None
+    if allocate is not None:
+        from cycloid_fmu import allocation as allocation_of
+
+        with Progress(console=Console(stderr=True), transient=True) as bar:
+            task = bar.add_task("allocation", total=allocation_of.steps())
+            allocation = allocation_of.allocate(
+                study, allocate, str(tolerances_file), lambda done: bar.advance(task, done)
+            )
+    indices = study_of.sobol_indices(result) if design == "saltelli" else {}
+    if plot is not None:
+        plots.save(plots.plot_tolerance(result), plot)
+        if indices:
+            plots.save(plots.plot_indices(study.factors, indices), plot.with_stem(f"{plot.stem}-indices"))
+        if allocation is not None:
+            title = (
+                f"{allocation.exact_yield:.2%} of the drives keep all limits, as stated {allocation.stated_yield:.2%}"
+            )
+            drawn = plots.plot_allocation(study.factors, allocation.scale, title)
+            plots.save(drawn, plot.with_stem(f"{plot.stem}-allocation"))
+    statistics, kept_shares = study_of.statistics(result), study_of.yields(result)
+    if as_json:
+        content = {"samples": result.sample.size, "torque": loads, "factors": study.factors, "statistics": statistics}
+        more = {
+            "allocation": None if allocation is None else dataclasses.asdict(allocation),
+            "screening": None if confirmation is None else {
+                "confirmed": confirmation.confirmed.size, "difference": confirmation.difference,
+                "changed": confirmation.changed,
+            },
+        }  # fmt: skip
+        typer.echo(edge.json_text({**content, "yields": kept_shares, "indices": indices, **more}))
+        return
+    limits = tolerances.limits.stated()
+    rows = []
+    for name, found in statistics.items():
+        unit, factor = plots.SHOWN[study_of.FIGURES[name][0]]
+        shown = f"{name.replace('_', ' ')} \\[{unit}]"
+        for k in range(len(loads) if name in study_of.PER_TORQUE else 1):
+            figures = [found["mean"], found["standard_deviation"], *found["quantiles"].values()]
+            load = f"{loads[k]:g} N·m" if name in study_of.PER_TORQUE else ""
+            rows.append([shown, load, *(f"{np.atleast_1d(v)[k] * factor:.4g}" for v in figures)])
+    print_table(
+        f"{pair_file.name}: {int(result.independent.sum())} drives within {tolerances_file.name}",
+        ["figure", "torque", "mean", "σ", "5 %", "50 %", "95 %", "largest"], rows,
+    )  # fmt: skip
+    rows = []
+    for name, limit in limits.items():
+        unit, factor = plots.SHOWN[study_of.FIGURES[name][0]]
+        rows.append([name.replace("_", " "), f"{limit * factor:g} {unit}", f"{kept_shares[name]['share']:.2%}"])
+    if limits:
+        whole = kept_shares["all"]
+        rows.append(["[bold]all[/]", "", f"{whole['share']:.2%} ({whole['low']:.2%} … {whole['high']:.2%})"])
+        print_table("Yield", ["limit", "largest allowed", "keep it (95 % interval)"], rows)
+    for label, one in indices.items():
+        order = np.argsort(-one["total"])
+        rows = [
+            [study.factors[i], *(f"{one[kind][i]:.3f} ± {one[kind + '_confidence'][i]:.3f}" for kind in
+                                 ("first_order", "total"))] for i in order
+        ]  # fmt: skip
+        print_table(f"Sobol indices: {label.replace('_', ' ')}", ["tolerance", "first order", "total"], rows)
+    if confirmation is not None:
+        differences = []
+        for name, worst in confirmation.difference.items():
+            unit, factor = plots.SHOWN[study_of.FIGURES[name][0]]
+            differences.append(f"{name.replace('_', ' ')} {worst * factor:.3g} {unit}")
+        typer.echo(
+            f"To first order; {confirmation.confirmed.size} drives confirmed by the exact kernel, "
+            f"{confirmation.changed} of them judged otherwise; largest differences: {', '.join(differences)}."
+        )
+    if allocation is not None:
+        rows = []
+        for name, scale in zip(study.factors, allocation.scale, strict=True):
+            stated = getattr(tolerances, name)
+            for field in ("single", "cumulative") if hasattr(stated, "single") else ("tolerance",):
+                factor, unit = (1e3, "mrad") if name.startswith("misalignment") else (1e6, "µm")
+                width = getattr(stated, field) * factor
+                rows.append([name, field, f"{width:.3g} {unit}", f"{width * scale:.3g} {unit}",
+                             f"{tolerances.costs.get(name, 1.0) / scale:.3g}"])  # fmt: skip
+        print_table("Cheapest tolerances", ["tolerance", "", "stated", "allocated", "cost"], rows)
+        typer.echo(
+            f"Yield {allocation.exact_yield:.2%} (as stated {allocation.stated_yield:.2%}), cost {allocation.cost:.4g} "
+            f"(as stated {allocation.stated_cost:.4g}), cost as 1/width, confirmed by the exact kernel."
         )
 
 

@@ -188,6 +188,14 @@ def toml_table(text: str, wanted_format: str, source: str) -> dict[str, Any]:
     return table
 
 
+def format_of(path: str | os.PathLike[str]) -> object:
+    """Return the `format` of a TOML file, None where it has none or is no TOML (its reader then says so)."""
+    try:
+        return tomllib.loads(read_text(path)).get("format")
+    except tomllib.TOMLDecodeError:
+        return None
+
+
 def read_text(path: str | os.PathLike[str]) -> str:
     """Return a UTF-8 text file; an `InputError` where it can't be read."""
     try:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -151,6 +151,120 @@ def plot_surface(surface: object) -> Figure:
         axis.set_title(f"deviation, {title}", fontsize=9)
         axis.grid(False)
         figure.colorbar(image, ax=axis, label="µm")
+    return figure
+
+
+def plot_budget(found: Mapping[str, Mapping[str, float]], stack: object = None) -> Figure:
+    """Pareto chart of a lost motion budget's terms, closed form beside contact model, and below how the total scatters.
+
+    The line is the closed form's cumulative share of all terms' amounts; `stack` is a `reducer.Stack` or None.
+    """
+    from cycloid_fmu.reducer import ARCMIN, TERMS, Stack
+
+    closed, exact = found["standard"], found["geometric_sun_locked"]
+    names = sorted(TERMS, key=lambda n: -abs(closed[n]))
+    names = [n for n in names if closed[n] != 0.0 or exact[n] != 0.0]
+    figure, axes = new_figure(3 if stack is None else 5)
+    for axis in axes:
+        figure.delaxes(axis)
+    grid = figure.add_gridspec(3 if stack is None else 5, 1)
+    axis = figure.add_subplot(grid[:3])
+    place = np.arange(len(names))
+    for shift, terms, label in ((-0.2, closed, "closed form"), (0.2, exact, "contact model, sun locked")):
+        axis.bar(
+            place + shift, [terms[n] / ARCMIN for n in names], 0.38, label=f"{label}: {terms['total'] / ARCMIN:.3f}′"
+        )
+    axis.axhline(0.0, color="k", lw=0.8)
+    axis.set(ylabel="play at the output [arcmin]")
+    axis.set_xticks(place, [n.replace("_", "\n") for n in names], fontsize=7)
+    axis.grid(alpha=0.3, axis="y")
+    axis.legend(fontsize=8, frameon=False, loc="lower right")
+    share = axis.twinx()
+    amounts = np.abs([closed[n] for n in names])
+    share.plot(place, 100.0 * np.cumsum(amounts) / amounts.sum(), "k.-", lw=1)
+    share.set(ylabel="closed form, cumulative share [%]", ylim=(0.0, 105.0))
+    if stack is not None:
+        assert isinstance(stack, Stack)
+        axis = figure.add_subplot(grid[3:])
+        for name, label in (("standard", "closed form"), ("geometric", "contact model, sun locked")):
+            axis.hist(stack.samples[name] / ARCMIN, bins=40, alpha=0.5, density=True, label=label)
+        for span, label, height in (
+            (stack.worst_case, "worst case", 1.06),
+            (stack.root_sum_square, "root sum square", 1.14),
+        ):
+            axis.plot([v / ARCMIN for v in span], [height] * 2, "|-", transform=axis.get_xaxis_transform(),
+                      clip_on=False, label=label)  # fmt: skip
+        axis.set(xlabel="total play [arcmin]", ylabel="density")
+        axis.legend(fontsize=8, frameon=False)
+        axis.grid(alpha=0.3)
+    return figure
+
+
+# unit of a tolerance study's figures: for people, with its factor
+SHOWN = {"rad": ("arcsec", ARCSEC), "Pa": ("MPa", 1e-6), "m": ("µm", 1e6)}
+
+
+def plot_tolerance(result: object) -> Figure:
+    """Distribution of every figure of a tolerance study, with its limit and the share of drives that keep it."""
+    from cycloid_fmu.tolerance import FIGURES, PER_TORQUE, Result, yields
+
+    assert isinstance(result, Result)
+    study = result.study
+    names = list(dict.fromkeys(n for n, _ in study.columns))
+    limits, kept = study.tolerances.limits.stated(), yields(result)
+    figure, axes = new_figure((len(names) + 1) // 2, 2)
+    for axis in axes[len(names) :]:
+        figure.delaxes(axis)
+    for axis, name in zip(axes, names, strict=False):
+        unit, factor = SHOWN[FIGURES[name][0]]
+        values = result.figure(name)[result.independent] * factor
+        for k, column in enumerate(values.reshape(len(values), -1).T):
+            label = f"{study.torque[k]:g} N·m" if name in PER_TORQUE else None
+            axis.hist(column, bins=50, histtype="stepfilled", alpha=0.5, label=label)
+        if name in limits:
+            axis.axvline(
+                limits[name] * factor, color="k", ls="--", lw=1, label=f"limit: {kept[name]['share']:.1%} keep it"
+            )
+        axis.set(xlabel=f"{name.replace('_', ' ')} [{unit}]", ylabel="drives")
+        if axis.get_legend_handles_labels()[0]:
+            axis.legend(fontsize=8, frameon=False)
+    return figure
+
+
+def plot_indices(factors: Sequence[str], indices: Mapping[str, Mapping[str, NDArray[np.float64]]]) -> Figure:
+    """First-order and total Sobol index of each tolerance for each figure, with their 95 % intervals."""
+    figure, axes = new_figure((len(indices) + 1) // 2, 2)
+    for axis in axes[len(indices) :]:
+        figure.delaxes(axis)
+    place = np.arange(len(factors))
+    for axis, (name, found) in zip(axes, indices.items(), strict=False):
+        for shift, kind in ((-0.2, "first_order"), (0.2, "total")):
+            axis.bar(place + shift, found[kind], 0.38, yerr=found[f"{kind}_confidence"], capsize=2,
+                     error_kw={"lw": 0.8}, label=kind.replace("_", " "))  # fmt: skip
+        axis.set_xticks(place, [f.replace("_", " ") for f in factors], rotation=60, ha="right", fontsize=7)
+        axis.set(ylabel="Sobol index")
+        axis.set_title(name.replace("_", " "), fontsize=9)
+    axes[0].legend(fontsize=8, frameon=False)
+    figure.set_size_inches(figure.get_figwidth(), 1.4 * figure.get_figheight())
+    return figure
+
+
+def plot_allocation(factors: Sequence[str], scale: NDArray[np.float64], title: str) -> Figure:
+    """Width of each allocated tolerance relative to the stated one; narrower to the left of the line, wider beyond."""
+    figure, axes = new_figure(2)
+    figure.delaxes(axes[1])
+    axis = axes[0]
+    axis.set_subplotspec(figure.add_gridspec(1, 1)[0])
+    place = np.arange(len(factors))[::-1]
+    axis.barh(place, scale - 1.0, left=1.0, color=np.where(scale < 1.0, "C3", "C2"))
+    axis.axvline(1.0, color="k", lw=0.8)
+    axis.set_xscale("log")
+    ticks = [t for t in (0.1, 0.2, 0.5, 0.7, 1.0, 1.5, 2.0, 4.0) if 0.8 * scale.min() < t < 1.3 * scale.max()]
+    axis.set_xticks(ticks, [f"{t:g}" for t in ticks])
+    axis.minorticks_off()
+    axis.set_yticks(place, [f.replace("_", " ") for f in factors])
+    axis.set(xlabel="allocated tolerance / stated tolerance")
+    axis.set_title(title, fontsize=9)
     return figure
 
 

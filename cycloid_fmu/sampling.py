@@ -13,7 +13,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal, TypeVar, cast
 
 import numpy as np
@@ -129,11 +129,38 @@ class ProfileErrors(Config):
     correlation: Annotated[Correlation | None, pydantic.BeforeValidator(_correlation)] = Correlation()
 
 
+class Limits(Config):
+    """What a drive must keep to be good, each the largest allowed.
+
+    Attributes
+    ----------
+    angular_transmission_error
+        Largest less smallest transmission error over the crank angles, rad; at every load.
+    backlash, lost_motion
+        Largest over the crank angles, rad.
+    interference
+        Largest over the crank angles, m.
+    max_contact_pressure
+        Pa; at every load.
+    """
+
+    angular_transmission_error: Angle | None = None
+    backlash: Angle | None = None
+    lost_motion: Angle | None = None
+    interference: Length | None = None
+    max_contact_pressure: edge.Pressure | None = None
+
+    def stated(self) -> dict[str, float]:
+        """Return the limits that are stated, SI."""
+        return {n: v for n in type(self).model_fields if (v := getattr(self, n)) is not None}
+
+
 class Tolerances(Config):
     """The tolerances of a drive; what is not named has none and is sampled as nominal.
 
     `pin_circle_diameter` is the circle's diameter, `pin_radius` common to all pins, `pin_radius_each` each pin's own;
-    the other names are those of the pair file's `[errors]`.
+    the other names are those of the pair file's `[errors]`. `limits` are what a good drive keeps, `costs` what each
+    tolerance costs at its stated width, relative to the others (1 where not stated).
     """
 
     gear_profile: ProfileErrors | None = None
@@ -150,7 +177,22 @@ class Tolerances(Config):
     misalignment_yz: AngleError | None = None
     isometric: LengthError | None = None
     offset: LengthError | None = None
+    limits: Limits = Limits()
+    costs: dict[str, Annotated[float, pydantic.Field(gt=0.0)]] = pydantic.Field(default_factory=dict)
     text: str = ""
+
+    @pydantic.model_validator(mode="after")
+    def _costs_belong_to_tolerances(self) -> Tolerances:
+        for name in self.costs:
+            if name not in self.factors:
+                raise ValueError(f"[costs] {name}: there is no tolerance of this name; give it one or remove its cost")
+        return self
+
+    @property
+    def factors(self) -> tuple[str, ...]:
+        """Names of the errors that have a tolerance."""
+        others = ("limits", "costs", "text")
+        return tuple(n for n in type(self).model_fields if n not in others and getattr(self, n) is not None)
 
 
 def parse_tolerances(text: str, source: str) -> Tolerances:
@@ -215,15 +257,19 @@ def _exchange(
     n = positions.size
     for move in range(first.size):
         i, j = first[move], last[move]
-        moved_low, moved_high, kept_low, kept_high = np.inf, -np.inf, np.inf, -np.inf
-        k = (i + 1) % n
-        for step in range(n):
-            value = positions[k]
-            if step < (j - i) % n:
-                moved_low, moved_high = min(moved_low, value), max(moved_high, value)
-            else:
-                kept_low, kept_high = min(kept_low, value), max(kept_high, value)
-            k = (k + 1) % n
+        # The moved teeth first + 1 … last are one run of the array, or with first > last all but one.
+        low_end, high_end = min(i, j) + 1, max(i, j) + 1
+        run_low, run_high, rest_low, rest_high = np.inf, -np.inf, np.inf, -np.inf
+        for k in range(low_end, high_end):
+            run_low, run_high = min(run_low, positions[k]), max(run_high, positions[k])
+        for k in range(low_end):
+            rest_low, rest_high = min(rest_low, positions[k]), max(rest_high, positions[k])
+        for k in range(high_end, n):
+            rest_low, rest_high = min(rest_low, positions[k]), max(rest_high, positions[k])
+        if i < j:
+            moved_low, moved_high, kept_low, kept_high = run_low, run_high, rest_low, rest_high
+        else:
+            moved_low, moved_high, kept_low, kept_high = rest_low, rest_high, run_low, run_high
         gains, loses = positions[(i + 1) % n] - positions[i], positions[(j + 1) % n] - positions[j]
         low = max(kept_high - moved_low - cumulative, -single - gains, loses - single)
         high = min(cumulative - moved_high + kept_low, single - gains, loses + single)
@@ -234,10 +280,14 @@ def _exchange(
             energy = ((gains + shift) ** 2 - gains**2 + (loses - shift) ** 2 - loses**2) / (2.0 * sigma * sigma)
             if chances[move, 1] >= np.exp(-energy):
                 continue
-        k = i
-        while k != j:
-            k = (k + 1) % n
-            positions[k] += shift
+        if i < j:
+            for k in range(low_end, high_end):
+                positions[k] += shift
+        else:
+            for k in range(low_end):
+                positions[k] += shift
+            for k in range(high_end, n):
+                positions[k] += shift
 
 
 def sample_pitch(generator: np.random.Generator, teeth: int, errors: PitchErrors) -> Array:
@@ -318,15 +368,44 @@ def sample_surface(pair: Pair, tolerances: Tolerances, seed: int, elements: Elem
     """
     if not 0 <= seed <= LARGEST_SEED:
         raise edge.InputError(f"seed = {seed}: it must lie between 0 and {LARGEST_SEED}.")
-    g, size = pair.pair, elements or Elements()
+    streams = {name: error_stream(seed, name) for name in tolerances.factors}
+    return dataclasses.replace(
+        _drawn(pair, tolerances, streams, {}, elements or Elements()),
+        attributes={"seed": seed, "tolerances": tolerances.text},
+    )
+
+
+def surface_at(
+    pair: Pair, tolerances: Tolerances, point: Mapping[str, float], elements: Elements | None = None
+) -> ErrorSurface:
+    """Return the drive at a point of the unit cube that has one axis for each of the tolerances' `factors`.
+
+    A single error is its distribution's quantile there. Errors that are many (pitch, form, each pin's radius) are drawn
+    from a stream that the coordinate seeds: any even spread of points spreads the single errors as evenly, and the many
+    are as random as before.
+    """
+    streams = {name: error_stream(int(point[name] * 2.0**53), name) for name in tolerances.factors}
+    return _drawn(pair, tolerances, streams, point, elements or Elements())
+
+
+def _drawn(
+    pair: Pair,
+    tolerances: Tolerances,
+    streams: Mapping[str, np.random.Generator],
+    point: Mapping[str, float],
+    size: Elements,
+) -> ErrorSurface:
+    """Draw each error from its stream, single ones at the probability that `point` says where it says one."""
+    g = pair.pair
     changes: dict[str, Any] = {}
     for name in (*SCALAR_ERRORS, "pin_circle_diameter", "pin_radius_each"):
         # The circle's radius is toleranced by its diameter.
         error = getattr(tolerances, name, None)
         if error is None:
             continue
-        count = g.pins if name == "pin_radius_each" else 1
-        values = within_tolerance(error_stream(seed, name).random(count), error.tolerance, error.distribution)
+        single = name != "pin_radius_each"
+        chance = np.array([point[name]]) if single and name in point else streams[name].random(1 if single else g.pins)
+        values = within_tolerance(chance, error.tolerance, error.distribution)
         if name == "pin_radius_each":
             changes["pin_radius_deviation"] = values
         elif name == "pin_circle_diameter":
@@ -334,21 +413,13 @@ def sample_surface(pair: Pair, tolerances: Tolerances, seed: int, elements: Elem
         else:
             changes[name] = float(values[0])
     if tolerances.gear_pitch is not None:
-        stream = error_stream(seed, "gear_pitch")
-        rows = [sample_pitch(stream, g.gear_teeth, tolerances.gear_pitch) for _ in range(g.discs)]
+        rows = [sample_pitch(streams["gear_pitch"], g.gear_teeth, tolerances.gear_pitch) for _ in range(g.discs)]
         changes["tooth_cumulative_pitch"] = np.array(rows)
     if tolerances.pin_pitch is not None:
-        changes["pin_tangential"] = sample_pitch(error_stream(seed, "pin_pitch"), g.pins, tolerances.pin_pitch)
+        changes["pin_tangential"] = sample_pitch(streams["pin_pitch"], g.pins, tolerances.pin_pitch)
     if (form := tolerances.gear_profile) is not None:
-        stream = error_stream(seed, "gear_profile")
-        flanks = sample_profile(stream, g.discs * g.gear_teeth, size.profile, size.width, form)
+        flanks = sample_profile(streams["gear_profile"], g.discs * g.gear_teeth, size.profile, size.width, form)
         changes["gear_deviation"] = flanks.reshape(g.discs, g.gear_teeth, size.profile, size.width)
     if (form := tolerances.pin_profile) is not None:
-        stream = error_stream(seed, "pin_profile")
-        changes["pin_deviation"] = sample_profile(stream, g.pins, size.angle, size.width, form)
-    return dataclasses.replace(
-        nominal_surface(pair),
-        origin="sampled",
-        attributes={"seed": seed, "tolerances": tolerances.text},
-        **changes,
-    )
+        changes["pin_deviation"] = sample_profile(streams["pin_profile"], g.pins, size.angle, size.width, form)
+    return dataclasses.replace(nominal_surface(pair), origin="sampled", **changes)

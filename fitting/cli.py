@@ -25,6 +25,12 @@ app = typer.Typer(
 Recordings = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings of any kind that is read.")]
 PairFile = Annotated[Path, typer.Option("--pair", metavar="PAIR.toml", help="The nominal gear pair.")]
 PlotFile = Annotated[Path | None, typer.Option("--plot", metavar="FILE.png|pdf", help="Draw the result.")]
+HeadFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--read-head", metavar="HEAD.toml", help="Free the output angle of its single head's coaxiality error."
+    ),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result for scripts: SI, names as in the files.")]
 
 MaybePair = Annotated[Path | None, typer.Option("--pair", metavar="PAIR.toml", help="The nominal gear pair.")]
@@ -71,13 +77,18 @@ def _figures(
     return figures_of(surveyed, ratio, rated), pair
 
 
-def _curves(files: list[Path], ratio: float, mapping: Path | None) -> list[Curve]:
-    """Return the curves of recordings, one for each direction."""
+def _curves(files: list[Path], ratio: float, mapping: Path | None, read_head: Path | None) -> list[Curve]:
+    """Return the curves of recordings, one for each direction; with a read head, free of its coaxiality error."""
+    from fitting.coaxiality import read_read_head, without_coaxiality_error
     from fitting.curve import transmission_error_curves
-    from fitting.recording import open_bench_recording, read_mapping
+    from fitting.recording import open_bench_recording, read_bench_recording, read_mapping
 
     mapped = None if mapping is None else read_mapping(mapping)
-    return [c for f in files for c in transmission_error_curves(open_bench_recording(f, mapped), ratio)]
+    if read_head is None:
+        return [c for f in files for c in transmission_error_curves(open_bench_recording(f, mapped), ratio)]
+    head = read_read_head(read_head)
+    corrected = (without_coaxiality_error(read_bench_recording(f, mapped), head) for f in files)
+    return [c for one in corrected for c in transmission_error_curves(one, ratio)]
 
 
 @app.command()
@@ -86,6 +97,7 @@ def curve(
     pair_file: PairFile,
     mapping: MappingFile = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the curves (netCDF).")] = None,
+    read_head: HeadFile = None,
     plot: PlotFile = None,
     as_json: AsJson = False,
 ) -> None:
@@ -105,7 +117,7 @@ def curve(
     if plot is not None:
         plots.check_path(plot)
     pair = read_pair(pair_file)
-    curves = _curves(files, pair.ratio, mapping)
+    curves = _curves(files, pair.ratio, mapping, read_head)
     if output is not None:
         write_curves(curves, output)
     if plot is not None:
@@ -320,6 +332,7 @@ def identify(
     surface_file: Annotated[
         Path | None, typer.Option("--surface", metavar="S.nc", help="Write the identified error surface (netCDF).")
     ] = None,
+    read_head: HeadFile = None,
     plot: PlotFile = None,
     as_json: AsJson = False,
 ) -> None:
@@ -340,7 +353,7 @@ def identify(
     if plot is not None:
         plots.check_path(plot)
     pair = read_pair(pair_file)
-    curves = _curves(files, pair.ratio, mapping)
+    curves = _curves(files, pair.ratio, mapping, read_head)
     console = Console(stderr=True)
     with console.status("reading") as status:
         result = fit(curves, pair, lambda step: status.update(f"{step} …"))

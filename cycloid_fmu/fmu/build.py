@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import shutil
@@ -12,13 +13,16 @@ from pathlib import Path
 import numpy as np
 
 from cycloid_fmu import __version__, edge
+from cycloid_fmu.fmu.reducer_model import FirstStage
 from cycloid_fmu.pair import Pair
 from cycloid_fmu.surface import DESCRIPTIONS, DEVIATIONS, ErrorSurface, write_surface
 
 _SCRIPT = Path(__file__).with_name("cycloid_drive.py")
 
 
-def build_fmu(pair: Pair, surface: ErrorSurface, path: str | os.PathLike[str]) -> None:
+def build_fmu(
+    pair: Pair, surface: ErrorSurface, path: str | os.PathLike[str], first_stage: FirstStage | None = None
+) -> None:
     """Write an FMI 2.0 Co-Simulation FMU of the drive, whole or not at all.
 
     Parameters
@@ -27,6 +31,8 @@ def build_fmu(pair: Pair, surface: ErrorSurface, path: str | os.PathLike[str]) -
         The nominal pair and its errors; the surface file lies in the FMU's `resources/`.
     path
         The FMU file.
+    first_stage
+        What makes the drive an RV reducer, whose input is the sun; without it the input is the crank.
 
     Raises
     ------
@@ -40,7 +46,9 @@ def build_fmu(pair: Pair, surface: ErrorSurface, path: str | os.PathLike[str]) -
     target = Path(path)
     with tempfile.TemporaryDirectory(prefix="cycloid-fmu-") as folder, edge.written_whole(target) as temporary:
         place = Path(folder)
-        numbers = {"package_version": __version__, "pair": pair.numbers()}
+        numbers: dict[str, object] = {"package_version": __version__, "pair": pair.numbers()}
+        if first_stage is not None:
+            numbers["first_stage"] = dataclasses.asdict(first_stage)
         (place / NUMBERS).write_text(json.dumps(numbers, indent=1), encoding="utf-8")
         with (place / ARRAYS).open("wb") as file:
             arrays = {name: getattr(surface, name) for name in (*DESCRIPTIONS, *DEVIATIONS)}

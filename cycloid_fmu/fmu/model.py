@@ -228,7 +228,7 @@ class DriveModel:
         """Pa."""
         return self._load_sharing()[1]
 
-    _STATE = (
+    _STATE: tuple[str, ...] = (
         "crank_angle", "crank_speed", "torque", "friction_torque", "series_compliance", "_output_angle", "_deviation",
         "_x", "_stiffness", "_load", "_pushed", "_cold", "_play_cold",
     )  # fmt: skip

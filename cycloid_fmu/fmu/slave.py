@@ -17,6 +17,7 @@ from pythonfmu.variables import Integer, Real
 
 from cycloid_fmu import __version__
 from cycloid_fmu.fmu.model import DriveModel
+from cycloid_fmu.fmu.reducer_model import FirstStage, ReducerModel
 from cycloid_fmu.pair import LARGEST_DEVIATION, LARGEST_MISALIGNMENT, Pair
 from cycloid_fmu.surface import DESCRIPTIONS, PATTERNS, ErrorSurface, Life, unit_of
 
@@ -74,23 +75,25 @@ class DriveSlave(Fmi2Slave):  # type: ignore[misc]
             values: dict[str, Any] = {n: arrays[n] if arrays[n].shape else float(arrays[n]) for n in arrays.files}
             states = {n.removeprefix("life_"): values.pop(n) for n in arrays.files if n.startswith("life_")}
             surface = ErrorSurface(**values, life=Life(**states) if states else None)
-        self.model = model = DriveModel(Pair.from_numbers(numbers["pair"]), surface)
+        pair, stage = Pair.from_numbers(numbers["pair"]), numbers.get("first_stage")
+        model = DriveModel(pair, surface) if stage is None else ReducerModel(pair, surface, FirstStage(**stage))
+        self.model, driven = model, "crank" if stage is None else "sun"
         self._attributes: dict[str, dict[str, str]] = {}
         self._depends: dict[str, tuple[str, ...]] = {}
 
         inputs = ("flange_a.phi", "flange_a.w", "flange_b.tau")
-        self._add("flange_a.phi", "rad", "crank angle, counter-clockwise", "crank_angle", display="deg")
-        self._add("flange_a.w", "rad/s", "crank speed", "crank_speed", display="rev/min")
+        self._add("flange_a.phi", "rad", f"{driven} angle, counter-clockwise", "crank_angle", display="deg")
+        self._add("flange_a.w", "rad/s", f"{driven} speed", "crank_speed", display="rev/min")
         self._add("flange_b.tau", "N.m", "torque of the environment on the output, counter-clockwise", "torque")
         angle_and_torque = (inputs[0], inputs[2])
         for name, unit, text, attribute, display, least, depends in (
             ("flange_b.phi", "rad", "output angle", "output_angle", "deg", None, angle_and_torque),
             ("flange_b.w", "rad/s", "output speed at the present torque", "output_speed", "rev/min", None, inputs),
-            ("flange_a.tau", "N.m", "torque to give the crank", "crank_torque", None, None, angle_and_torque),
-            ("transmission_error", "rad", "output angle less crank angle/ratio", "transmission_error", "arcsec", None,
-             angle_and_torque),
-            ("backlash", "rad", "free rotation of the output with the crank locked; 0 where there is none", "backlash",
-             "arcsec", 0.0, inputs[:1]),
+            ("flange_a.tau", "N.m", f"torque to give the {driven}", "crank_torque", None, None, angle_and_torque),
+            ("transmission_error", "rad", f"output angle less {driven} angle/ratio", "transmission_error", "arcsec",
+             None, angle_and_torque),
+            ("backlash", "rad", f"free rotation of the output with the {driven} locked; 0 where there is none",
+             "backlash", "arcsec", 0.0, inputs[:1]),
             ("torsional_stiffness", "N.m/rad", "torsional stiffness at the output", "torsional_stiffness",
              "N.m/arcmin", 0.0, angle_and_torque),
             ("max_contact_pressure", "Pa", "largest contact pressure", "max_contact_pressure", "MPa", 0.0,

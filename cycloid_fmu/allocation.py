@@ -1,0 +1,204 @@
+"""Tolerance allocation: the cheapest tolerances that reach a yield.
+
+A tolerance's cost is taken as inversely proportional to its width, the usual reciprocal law: at a width s times the
+stated one it costs c/s, c its relative cost as stated. The same drives are scaled throughout (common random numbers),
+to first order in their errors; the exact kernel confirms what is found.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu import edge
+from cycloid_fmu.contact import SCALAR_ERRORS
+from cycloid_fmu.screening import error_vector
+from cycloid_fmu.surface import nominal_surface
+from cycloid_fmu.tolerance import (
+    Study,
+    demand,
+    figures_of,
+    figures_to_first_order,
+    points,
+    screen_of,
+    surface_of,
+)
+
+Array = NDArray[np.float64]
+NARROWEST, WIDEST = 0.05, 4.0  # of the stated tolerances
+_ROUNDS = 12
+_SLOPE_STEP = 0.03  # of a tolerance's logarithm
+
+
+@dataclasses.dataclass(frozen=True)
+class Allocation:
+    """Tolerances that reach a yield at least cost.
+
+    Attributes
+    ----------
+    scale
+        Width of each tolerance relative to the stated one, shape (factors,).
+    cost, stated_cost
+        Sum of the tolerances' relative costs, found and as stated.
+    first_order_yield, exact_yield
+        Share of the drives that keep all limits, by both kernels; the exact one reaches what was asked for.
+    stated_yield
+        The same of the tolerances as stated, to first order.
+    """
+
+    scale: Array
+    cost: float
+    stated_cost: float
+    first_order_yield: float
+    exact_yield: float
+    stated_yield: float
+
+
+def columns_of(study: Study) -> list[slice]:
+    """Return the columns of `screening.error_vector` that each factor fills; no two share one."""
+    g = study.pair.pair
+    teeth = g.discs * g.gear_teeth
+    many = {
+        "pin_pitch": slice(g.pins, 2 * g.pins),
+        "pin_radius_each": slice(2 * g.pins, 3 * g.pins),
+        "gear_pitch": slice(3 * g.pins, 3 * g.pins + teeth),
+    }
+    found = []
+    for name in study.factors:
+        scalar = "pin_circle_radius" if name == "pin_circle_diameter" else name
+        if scalar in SCALAR_ERRORS:
+            start = 3 * g.pins + teeth + SCALAR_ERRORS.index(scalar)
+            found.append(slice(start, start + 1))
+        else:
+            found.append(many[name])
+    return found
+
+
+def scaled(study: Study, scale: Array) -> Study:
+    """Return a study whose tolerances are so much wider; every drive's errors are as much larger."""
+    changes = {}
+    for name, factor in zip(study.factors, scale, strict=True):
+        stated = getattr(study.tolerances, name)
+        widths = ("single", "cumulative") if hasattr(stated, "single") else ("tolerance",)
+        changes[name] = stated.model_copy(update={w: getattr(stated, w) * float(factor) for w in widths})
+    return dataclasses.replace(study, tolerances=study.tolerances.model_copy(update=changes))
+
+
+def allocate(
+    study: Study, target: float, source: str, progress: Callable[[int], None] = lambda steps: None
+) -> Allocation:
+    """Return the cheapest tolerances by which a share `target` of the study's drives keeps all its limits.
+
+    From the stated tolerances on, the logarithm of the demand that the share just meets is made linear in the
+    logarithms of the widths; the cheapest step within a shrinking region has a closed form, c/(s λ) = slope.
+
+    Parameters
+    ----------
+    source
+        The tolerances' file, for messages.
+    progress
+        Told 1 after each step, `steps` times at least.
+
+    Raises
+    ------
+    edge.InputError
+        If there are no limits, the target is none, or no tolerances, however narrow, reach it.
+    """
+    limits = study.tolerances.limits.stated()
+    if not limits:
+        raise edge.InputError(f"{source}: [limits] is missing; a yield needs at least one limit.")
+    if not 0.0 < target < 1.0:
+        raise edge.InputError(f"--allocate {target:g}: the yield to reach must lie between 0 and 1.")
+    nominal = demand(study, figures_of(study, nominal_surface(study.pair))[None])
+    for name, taken in nominal.items():
+        if taken[0] > 1.0:
+            raise edge.InputError(
+                f"{source}: [limits] {name}: the error-free drive itself takes {taken[0]:.3g} times the limit, so no "
+                "tolerances reach the yield; widen the limit or change the pair."
+            )
+    costs = np.array([study.tolerances.costs.get(name, 1.0) for name in study.factors])
+    place = points(study)
+    errors = np.array([error_vector(study.pair, surface_of(study, row)) for row in place])
+    screen, columns = screen_of(study, WIDEST), columns_of(study)
+
+    def demands(scale: Array) -> Array:
+        grown = errors.copy()
+        for factor, column in zip(scale, columns, strict=True):
+            grown[:, column] *= factor
+        values = figures_to_first_order(study, screen, grown)
+        return np.asarray(np.max([*demand(study, values).values()], axis=0))
+
+    def reached(scale: Array) -> float:
+        return float(np.mean(demands(scale) <= 1.0))
+
+    def edge_of(scale: Array) -> float:
+        """Logarithm of the demand about the target's rank, averaged over a few ranks so that it is smooth."""
+        ordered = np.sort(demands(scale))
+        rank = target * (ordered.size - 1)
+        spread = max(2.0, 0.015 * ordered.size)
+        weight = np.exp(-0.5 * ((np.arange(ordered.size) - rank) / spread) ** 2)
+        return float(np.log(max((weight * ordered).sum() / weight.sum(), 1e-6)))
+
+    width = np.zeros(costs.size)
+    low, high = np.log(NARROWEST), np.log(WIDEST)
+    for step in range(_ROUNDS):
+        region = 0.6 * 0.77**step
+        here = edge_of(np.exp(width))
+        slope = np.empty(costs.size)
+        for i in range(costs.size):
+            moved = width.copy()
+            moved[i] += _SLOPE_STEP
+            slope[i] = (edge_of(np.exp(moved)) - here) / _SLOPE_STEP
+        box = np.maximum(width - region, low), np.minimum(width + region, high)
+        width = _cheapest_step(width, here, slope, costs, *box)
+        progress(1)
+    scale = np.exp(width)
+    # The linear step may end beyond the target: narrow all alike until it is met, first to first order, then exactly.
+    narrower = 1.0
+    while reached(narrower * scale) < target:
+        narrower *= 0.99
+        if narrower * scale.max() < NARROWEST:
+            raise edge.InputError(
+                f"--allocate {target:g}: no tolerances of {source}, narrowed to {NARROWEST:g} of their width, reach it."
+            )
+    while True:
+        trial = scaled(study, narrower * scale)
+        values = np.array([figures_of(trial, surface_of(trial, row)) for row in place])
+        exact = float(np.mean(np.max([*demand(trial, values).values()], axis=0) <= 1.0))
+        progress(1)
+        if exact >= target:
+            break
+        narrower *= 0.99
+    scale = narrower * scale
+    return Allocation(
+        scale=scale, cost=float((costs / scale).sum()), stated_cost=float(costs.sum()),
+        first_order_yield=reached(scale), exact_yield=exact, stated_yield=reached(np.ones(costs.size)),
+    )  # fmt: skip
+
+
+def steps() -> int:
+    """Return how many steps `allocate` tells of, at least."""
+    return _ROUNDS + 1
+
+
+def _cheapest_step(width: Array, here: float, slope: Array, costs: Array, low: Array, high: Array) -> Array:
+    """Minimise Σ c e^{-u} within the box where here + slope (u - width) ≤ 0, u the logarithms of the widths."""
+
+    def at(multiplier: float) -> Array:
+        with np.errstate(divide="ignore"):
+            free = np.where(slope > 0.0, np.log(costs / np.maximum(multiplier * slope, 1e-300)), high)
+        return np.clip(free, low, high)
+
+    def beyond(multiplier: float) -> float:
+        return here + float(slope @ (at(multiplier) - width))
+
+    least, most = 1e-9, 1e9
+    if beyond(least) <= 0.0:
+        return at(least)
+    for _ in range(100):
+        middle = float(np.sqrt(least * most))
+        least, most = (middle, most) if beyond(middle) > 0.0 else (least, middle)
+    return at(most)

@@ -1,0 +1,186 @@
+"""The whole RV reducer as a system model sees it: the drive with an involute stage before it and its crank bearings.
+
+The sun turns the planets, these the cranks, and the cycloid gears turn the carrier, on which the planets sit: so the
+crank angle is θ = a φ_b - b (φ_a + δ) with b = z_1/z_2, a = 1 + b and δ the sun's place within its play, and depends
+on the output that it moves. With s = 1/(1 + a/z_c) the output deviates by φ_b - φ_a/i = δ/i + s (x(θ) - β) from the
+ideal reducer, x the gear's deviation at its own torque and β the carrier's place in the crank bearings. Virtual work
+gives the torques: T = M + a τ at the output and -b τ at the sun, M at the gear and τ at the crank.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+from cycloid_fmu import contact
+from cycloid_fmu.fmu.model import DriveModel
+from cycloid_fmu.pair import Pair
+from cycloid_fmu.surface import ErrorSurface
+
+_STEP = 1e-13  # rad of the output: last step of the crank angle's iteration
+_DIFFERENCE = 1e-6  # rad of the crank, for the change of its torque
+
+
+@dataclasses.dataclass(frozen=True)
+class FirstStage:
+    """What stands around the cycloid stage.
+
+    Attributes
+    ----------
+    sun_teeth, planet_teeth
+        z_1, z_2.
+    sun_play
+        Free rotation of the sun with the planets held, two-sided, rad.
+    bearing_play
+        Free rotation of the carrier against the cycloid gears, two-sided, rad.
+    """
+
+    sun_teeth: int
+    planet_teeth: int
+    sun_play: float
+    bearing_play: float
+
+
+class ReducerModel(DriveModel):
+    """An RV reducer with history; `crank_angle` and `crank_torque` are the sun's.
+
+    Parameters
+    ----------
+    pair, surface
+        The cycloid stage and its errors; its output is the gear.
+    first_stage
+        Teeth and plays around it.
+    """
+
+    _STATE = (*DriveModel._STATE, "_crank_angle")
+
+    def __init__(self, pair: Pair, surface: ErrorSurface, first_stage: FirstStage) -> None:
+        teeth = pair.pair.gear_teeth
+        self._b = first_stage.sun_teeth / first_stage.planet_teeth
+        self._a = 1.0 + self._b
+        self._s = 1.0 / (1.0 + self._a / teeth)
+        self._crank_angle = 0.0
+        self._torque_rate: float | None = None
+        super().__init__(pair, surface)
+        self._ratio = teeth / (self._b * self._s)
+        self._sun_play = first_stage.sun_play
+        self._outer = 0.5 * first_stage.sun_play / self._ratio + 0.5 * self._s * first_stage.bearing_play
+
+    @property
+    def _theta(self) -> float:
+        return self._crank_angle
+
+    def _turn_crank(self, deviation: float, side: float) -> None:
+        """Put the crank where the sun and an output that deviates so have it, the sun's play on the given side."""
+        turns = self.crank_angle / (2.0 * math.pi * self._ratio)
+        reduced = 2.0 * math.pi * self._ratio * (turns - math.floor(turns))
+        self._crank_angle = (
+            -reduced * self.pair.pair.gear_teeth / self._ratio
+            + self._a * deviation
+            - 0.5 * self._b * side * self._sun_play
+        )
+        self._forget()
+
+    def _forget(self) -> None:
+        super()._forget()
+        self._torque_rate = None
+
+    def _elastic(self, torque: float, end: float) -> float:
+        side = math.copysign(1.0, torque) if torque != 0.0 else end
+        deviation = side * self._outer + self._s * self._x
+        crank_torque = (1.0 - self._s) / self._a * torque
+        for _ in range(50):
+            self._turn_crank(deviation, side)
+            super()._elastic(0.0 if torque == 0.0 else torque - self._a * crank_torque, end)
+            following = side * self._outer + self._s * self._x
+            before = crank_torque
+            if self._stiffness > 0.0:
+                crank_torque, _ = contact.crank_side(self._drive, self._theta, self._x, self._contacts)
+            moved, deviation = abs(following - deviation), following
+            if moved < _STEP and abs(crank_torque - before) <= 1e-12 * abs(torque):
+                break
+        self._load = torque
+        return deviation + self.series_compliance * torque
+
+    def _hold(self, deviation: float) -> None:
+        self._turn_crank(deviation, 0.0)
+        low, high, interference = self._solve_play()
+        if interference > 0.0:
+            self._x, _ = contact.equilibrium(self._drive, self._theta, 1e-9, self._x, self._contacts, self._cold)
+            low = high = self._x
+        side = 1.0 if deviation > self._s * high else -1.0
+        beyond = abs(deviation - self._s * (high if side > 0.0 else low)) - self._outer
+        if self._s * low <= deviation <= self._s * high or beyond <= 0.0:
+            self._x = min(max(deviation / self._s, low), high)
+            self._stiffness, self._load = 0.0, 0.0
+            return
+        self._turn_crank(deviation, side)
+        flange = (deviation - side * self._outer) / self._s
+        compliance = self.series_compliance / self._s**2
+        self._x, self._stiffness = contact.behind_compliance(
+            self._drive, self._theta, flange, compliance, self._x, self._contacts, self._cold
+        )
+        self._cold = False
+        self._load = (flange - self._x) * self._s / self.series_compliance if compliance > 0.0 else math.nan
+
+    def _crank_torque_rate(self) -> float:
+        """Change of the crank's torque with its angle at constant torque on the gear, N·m/rad."""
+        if self._torque_rate is None:
+            gear_torque = self._load - self._a * self._crank_side()[0]
+            rows, found = self._contacts.copy(), []
+            for step in (-_DIFFERENCE, _DIFFERENCE):
+                theta = self._theta + step
+                x, _ = contact.equilibrium(self._drive, theta, gear_torque, self._x, rows, False)
+                found.append(contact.crank_side(self._drive, theta, x, rows)[0])
+            self._torque_rate = (found[1] - found[0]) / (2.0 * _DIFFERENCE)
+        return self._torque_rate
+
+    @property
+    def output_speed(self) -> float:
+        """dφ_b/dt at the present torque, rad/s; 0 while friction or play hold the output."""
+        if self.crank_speed == 0.0 or self._pushed == 0.0:
+            self._settle()
+            return 0.0
+        rate = self._crank_side()[1]
+        if math.isnan(rate):
+            return 0.0
+        if self._stiffness > 0.0:
+            # The gear's torque changes with the crank's: ∂τ/∂M = -∂φ/∂θ (Maxwell).
+            rate -= self._a * self._crank_torque_rate() / ((1.0 - self._a * rate) * self._stiffness)
+        return -self.crank_speed * rate * self._b / (1.0 - self._a * rate)
+
+    @property
+    def crank_torque(self) -> float:
+        """Torque that the sun must be given, N·m."""
+        return -self._b * self._crank_side()[0]
+
+    @property
+    def torsional_stiffness(self) -> float:
+        """Stiffness at the flange with the sun locked, the compliance in series included, N·m/rad."""
+        self._settle()
+        if self._stiffness <= 0.0:
+            return 0.0
+        turned = 1.0 - self._a * self._crank_side()[1]
+        stiffness = self._stiffness * turned**2
+        if not math.isnan(self._load):
+            stiffness += self._a**2 * self._crank_torque_rate()
+        return 1.0 / (1.0 / stiffness + self.series_compliance)
+
+    @property
+    def backlash(self) -> float:
+        """Free rotation of the output with the sun locked, rad; that of the outer stages where the gears have none."""
+        self._settle()
+        ends = []
+        for side in (-1.0, 1.0):
+            x = self._x
+            for _ in range(50):
+                theta = self._theta + self._a * (side * self._outer + self._s * (x - self._x))
+                low, high, interference = contact.play(self._drive, theta, x, self._play_contacts, self._play_cold)
+                self._play_cold = interference > 0.0
+                if interference > 0.0:
+                    return 2.0 * self._outer
+                moved, x = abs((low if side < 0.0 else high) - x), low if side < 0.0 else high
+                if moved < _STEP:
+                    break
+            ends.append(x)
+        return 2.0 * self._outer + self._s * (ends[1] - ends[0])

@@ -1,0 +1,303 @@
+"""Many drives to first order in their errors: what screens a tolerance study before the exact kernel confirms it.
+
+At each crank angle and load the error-free pair is solved exactly, once. A drive's errors then change the gaps
+linearly, by the displacement of pin and flank along the common normal; arms and gaps follow the rotation to second
+order, Hertz's law is exact, and the equilibrium is solved for each drive. What is left out is how the errors
+change normals and curvatures.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu import contact
+from cycloid_fmu.contact import ARM, ARM_RATE, CURVATURE, GAP, SCALAR_ERRORS, _compiled
+from cycloid_fmu.pair import Pair
+from cycloid_fmu.surface import ErrorSurface, nominal_surface
+from cycloid_fmu.transmission import drive_of
+
+Array = NDArray[np.float64]
+(
+    _GAP, _ARM, _RATE, _CURVATURE, _RADIAL, _TANGENTIAL, _X, _Y, _HEIGHT, _CRANK, _FACING, _TURN, _PIN, _TOOTH,
+    _COLUMNS,
+) = range(15)  # fmt: skip
+_STEP = 1e-9  # rad: last step of an equilibrium
+
+
+class Contacts(NamedTuple):
+    """The error-free pair's contacts at each crank angle, from which drives are taken to first order.
+
+    Attributes
+    ----------
+    rows, number
+        Contacts nearer than the reach, shape (angles, contacts, columns), and how many there are, shape (angles,).
+    deviation
+        Rotation at which they were solved, shape (angles,), rad.
+    torque
+        N·m; 0 for the middle of the play.
+    """
+
+    rows: Array
+    number: NDArray[np.int64]
+    deviation: Array
+    torque: float
+
+
+def error_vector(pair: Pair, surface: ErrorSurface) -> Array:
+    """Return a drive's errors in one row: pins' radial, tangential, radius error, teeth's turns, then the scalars."""
+    turns = surface.tooth_cumulative_pitch.ravel() / pair.pair.pin_circle_radius
+    scalars = [getattr(surface, name) for name in SCALAR_ERRORS]
+    return np.concatenate(
+        [surface.pin_radial, surface.pin_tangential, surface.pin_radius_deviation, turns, np.array(scalars)]
+    )
+
+
+def error_free_contacts(pair: Pair, torque: float, crank_angle: Array, slices: int, reach: float) -> Contacts:
+    """Solve the error-free pair and keep the contacts whose gap is below the reach (m).
+
+    Parameters
+    ----------
+    torque
+        N·m on the output; at 0 the contacts are those at the middle of the play.
+    reach
+        By how much errors and their rotation may close a gap, m.
+    """
+    drive = drive_of(pair, nominal_surface(pair), slices)
+    kept = np.zeros((crank_angle.size, contact.contact_rows(drive).shape[0], _COLUMNS))
+    count, deviation = np.zeros(crank_angle.size, dtype=np.int64), np.zeros(crank_angle.size)
+    _sweep(drive, crank_angle, float(torque), reach, kept, count, deviation)
+    return Contacts(np.ascontiguousarray(kept[:, : max(int(count.max()), 1)]), count, deviation, float(torque))
+
+
+@_compiled
+def _sweep(
+    drive: contact.Drive, thetas: Array, torque: float, reach: float, kept: Array, count: NDArray[np.int64],
+    deviation: Array,
+) -> None:  # fmt: skip
+    contacts = contact.contact_rows(drive)
+    pins, slices = drive.teeth + 1, drive.centre_x.size
+    x, cold = 0.0, True
+    for i in range(thetas.size):
+        if torque == 0.0:
+            low, high, _ = contact.play(drive, thetas[i], x, contacts, cold)
+            x = 0.0 if math.isnan(low) else 0.5 * (low + high)
+        else:
+            x, _ = contact.equilibrium(drive, thetas[i], torque, x, contacts, cold)
+        contact.place(drive, thetas[i], x, contacts, False, math.inf)
+        cold = False
+        deviation[i] = x
+        number = 0
+        for row in range(contacts.shape[0]):
+            if not contacts[row, GAP] < reach:
+                continue
+            disc, slice_, pin = row // (2 * pins * slices), row // (2 * pins) % slices, row // 2 % pins
+            crank, ring, _ = contact._poses(drive, thetas[i], x, disc)
+            local = contact._local(drive, thetas[i], x, contacts, row)
+            direction = pin * 2.0 * math.pi / pins + ring
+            c, s = math.cos(direction), math.sin(direction)
+            nx, ny = local.normal_x, local.normal_y
+            one = kept[i, number]
+            one[_GAP], one[_ARM], one[_RATE] = contacts[row, GAP], contacts[row, ARM], contacts[row, ARM_RATE]
+            one[_CURVATURE] = contacts[row, CURVATURE]
+            one[_RADIAL], one[_TANGENTIAL] = nx * c + ny * s, ny * c - nx * s
+            one[_X], one[_Y], one[_HEIGHT] = nx, ny, drive.slice_z[slice_]
+            one[_CRANK] = nx * math.cos(crank) + ny * math.sin(crank)
+            one[_FACING] = local.facing
+            one[_TURN] = nx * local.gear_y - ny * local.gear_x
+            foot = pin * 2.0 * math.pi / pins + (crank - ring) / drive.teeth + contacts[row, contact.FOOT]
+            tooth = math.floor(foot * drive.teeth / (2.0 * math.pi)) % drive.teeth
+            one[_PIN], one[_TOOTH] = pin, disc * drive.teeth + tooth
+            number += 1
+        count[i] = number
+
+
+@_compiled
+def _gaps(rows: Array, count: int, pins: int, teeth: int, errors: Array, gaps: Array) -> None:
+    """Gaps of one drive at the error-free pair's rotation."""
+    scalars = 3 * pins + teeth
+    x, y, xz, yz = errors[scalars], errors[scalars + 1], errors[scalars + 2], errors[scalars + 3]
+    longer, circle = errors[scalars + 4], errors[scalars + 5]
+    smaller = errors[scalars + 7] - errors[scalars + 6]
+    offset = errors[scalars + 8]
+    for k in range(count):
+        one = rows[k]
+        pin, tooth = int(one[_PIN]), int(one[_TOOTH])
+        gaps[k] = (
+            one[_GAP] + one[_RADIAL] * (errors[pin] + circle) + one[_TANGENTIAL] * errors[pins + pin]
+            - errors[2 * pins + pin] + smaller - one[_FACING] * offset - one[_CRANK] * longer
+            - one[_X] * (x + one[_HEIGHT] * xz) - one[_Y] * (y + one[_HEIGHT] * yz)
+            + one[_TURN] * errors[3 * pins + tooth]
+        )  # fmt: skip
+
+
+@_compiled
+def _equilibrium(
+    rows: Array, count: int, gaps: Array, forces: Array, torque: float, start: float, pin_radius: float, width: float,
+    compliance_gear: float, compliance_pin: float, largest_log_radius: float,
+) -> tuple[float, float]:  # fmt: skip
+    """Rotation that balances the torque, from that of the error-free pair, and the largest pressure."""
+    x, low, high = start, -math.inf, math.inf
+    for k in range(count):
+        forces[k] = 0.0
+    for _ in range(60):
+        moment = stiffness = 0.0
+        touch = math.inf
+        for k in range(count):
+            arm, rate = rows[k, _ARM], rows[k, _RATE]
+            gap = gaps[k] - x * (arm + 0.5 * x * rate)
+            if gap >= 0.0:
+                now = arm + x * rate
+                if now * torque > 0.0:
+                    touch = min(touch, gap / abs(now))
+                forces[k] = 0.0
+                continue
+            arm += x * rate
+            force, spring, _ = contact.hertz(
+                -gap, rows[k, _CURVATURE], pin_radius, width, compliance_gear, compliance_pin, largest_log_radius,
+                forces[k],
+            )  # fmt: skip
+            forces[k] = force
+            moment += force * arm
+            stiffness += spring * arm * arm + force * rate
+        if torque > moment:
+            low = x
+        else:
+            high = x
+        if stiffness > 0.0:
+            step = (torque - moment) / stiffness
+        else:
+            step = math.copysign((touch if touch < math.inf else 0.0) + 1e-6, torque - moment)
+        if abs(step) < _STEP:
+            x += step
+            break
+        step = min(max(step, -1e-3), 1e-3)
+        x = x + step if low < x + step < high else 0.5 * (low + high)
+    pressure = 0.0
+    for k in range(count):
+        if forces[k] > 0.0:
+            half = contact.half_width(
+                forces[k], rows[k, _CURVATURE], pin_radius, width, compliance_gear, compliance_pin
+            )
+            pressure = max(pressure, 2.0 * forces[k] / (math.pi * half * width))
+    return x, pressure
+
+
+@_compiled
+def sweep(
+    contacts: Contacts, pins: int, teeth: int, errors: Array, pin_radius: float, width: float, compliance_gear: float,
+    compliance_pin: float, largest_log_radius: float, deviation: Array, pressure: Array,
+) -> None:  # fmt: skip
+    """Solve the loaded contact of many drives.
+
+    Parameters
+    ----------
+    contacts
+        Of the error-free pair at the load.
+    errors
+        Shape (drives, errors), rows of `error_vector`.
+    deviation, pressure
+        Overwritten, shape (drives, angles): rotation (rad) and largest contact pressure (Pa).
+    """
+    drives = errors.shape[0]
+    gaps, forces = np.empty(contacts.rows.shape[1]), np.empty(contacts.rows.shape[1])
+    turned = np.zeros(drives)
+    for i in range(contacts.number.size):
+        rows, count = contacts.rows[i], contacts.number[i]
+        for j in range(drives):
+            _gaps(rows, count, pins, teeth, errors[j], gaps)
+            turned[j], pressure[j, i] = _equilibrium(
+                rows, count, gaps, forces, contacts.torque, turned[j], pin_radius, width, compliance_gear,
+                compliance_pin, largest_log_radius,
+            )  # fmt: skip
+            deviation[j, i] = contacts.deviation[i] + turned[j]
+
+
+@_compiled
+def sweep_play(
+    contacts: Contacts, pins: int, teeth: int, errors: Array, low: Array, high: Array, interference: Array
+) -> None:
+    """Solve the play of many drives; overwrites arrays (drives, angles) as `contact.sweep_play` does."""
+    gaps = np.empty(contacts.rows.shape[1])
+    for i in range(contacts.number.size):
+        rows, count = contacts.rows[i], contacts.number[i]
+        for j in range(errors.shape[0]):
+            _gaps(rows, count, pins, teeth, errors[j], gaps)
+            below, above = -math.inf, math.inf
+            for k in range(count):
+                arm = rows[k, _ARM]
+                inside = arm * arm + 2.0 * rows[k, _RATE] * gaps[k]
+                if arm == 0.0 or inside < 0.0:
+                    continue
+                root = 2.0 * gaps[k] / (arm + math.copysign(math.sqrt(inside), arm))
+                if arm > 0.0:
+                    above = min(above, root)
+                else:
+                    below = max(below, root)
+            low[j, i], high[j, i] = contacts.deviation[i] + below, contacts.deviation[i] + above
+            interference[j, i] = 0.0
+            if below > above:
+                deepest = _deepest(rows, count, gaps, above, below)
+                if deepest > contact.TOUCHING:
+                    low[j, i] = high[j, i] = math.nan
+                    interference[j, i] = deepest
+
+
+@_compiled
+def _deepest(rows: Array, count: int, gaps: Array, first: float, last: float) -> float:
+    """Interference at the rotation between two where the smallest gap is largest, by halving where it turns."""
+    worst = 0.0
+    for _ in range(40):
+        x = 0.5 * (first + last)
+        worst, falling = math.inf, False
+        for k in range(count):
+            gap = gaps[k] - x * (rows[k, _ARM] + 0.5 * x * rows[k, _RATE])
+            if gap < worst:
+                worst, falling = gap, rows[k, _ARM] > 0.0
+        if falling:
+            last = x
+        else:
+            first = x
+    return -worst
+
+
+class Screen:
+    """The error-free pair at a study's loads and crank angles, ready to take drives from.
+
+    Parameters
+    ----------
+    pair
+        The nominal pair.
+    loads
+        (torque N·m, crank angles rad), one a sweep; torque 0 is the play.
+    slices, reach
+        As in `error_free_contacts`.
+    """
+
+    def __init__(self, pair: Pair, loads: Sequence[tuple[float, Array]], slices: int, reach: float) -> None:
+        g, material = pair.pair, pair.material
+        self.pair = pair
+        self._contacts = [error_free_contacts(pair, torque, angles, slices, reach) for torque, angles in loads]
+        self._sizes = g.pins, g.discs * g.gear_teeth
+        self._law = (
+            g.pin_radius, g.face_width / slices, material.gear.compliance, material.pin.compliance,
+            g.pin_circle_radius if g.contact_law == "capped" else math.inf,
+        )  # fmt: skip
+
+    def loaded(self, sweep_number: int, errors: Array) -> tuple[Array, Array]:
+        """Return transmission error (rad) and largest pressure (Pa), each of shape (drives, angles)."""
+        contacts = self._contacts[sweep_number]
+        deviation, pressure = (np.empty((len(errors), contacts.number.size)) for _ in range(2))
+        sweep(contacts, *self._sizes, errors, *self._law, deviation, pressure)
+        return deviation, pressure
+
+    def play(self, sweep_number: int, errors: Array) -> tuple[Array, Array]:
+        """Return backlash (rad, NaN without a free position) and interference (m), each (drives, angles)."""
+        contacts = self._contacts[sweep_number]
+        low, high, gap = (np.empty((len(errors), contacts.number.size)) for _ in range(3))
+        sweep_play(contacts, *self._sizes, errors, low, high, gap)
+        return high - low, gap

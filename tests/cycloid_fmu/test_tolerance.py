@@ -1,0 +1,335 @@
+"""Tolerance studies: designs, distributions, indices, workers, kills, checkpoints."""
+
+import dataclasses
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from common import EXAMPLES, make_pair
+from scipy import stats
+
+from cycloid_fmu import edge, tolerance
+from cycloid_fmu.pair import read_pair
+from cycloid_fmu.sampling import parse_tolerances, read_tolerances, surface_at, within_tolerance
+from cycloid_fmu.tolerance import Checkpoint, Study, check_study, figures_of, points, run, surface_of
+from cycloid_fmu.transmission import solve
+
+PAIR = read_pair(EXAMPLES / "drive-39-40.toml")
+SINGLE = """[pin_radius]
+tolerance = "1 um"
+[centre_distance_x]
+tolerance = "4 um"
+distribution = "uniform"
+[eccentricity]
+tolerance = "2 um"
+"""
+PATTERNS = """[gear_pitch]
+single = "3 um"
+cumulative = "8 um"
+[pin_radius_each]
+tolerance = "0.5 um"
+"""
+HEAD = 'format = "cycloid-tolerances/1"\n'
+
+
+def make_study(text=SINGLE + PATTERNS, samples=40, **keys):
+    fields = {"seed": 1, "torque": (181.0, -90.0), "angles": 40, **keys}
+    return Study(PAIR, parse_tolerances(HEAD + text, "t.toml"), samples, **fields)
+
+
+@pytest.mark.parametrize("design", ["sobol", "latin-hypercube", "saltelli"])
+def test_points_are_even_and_the_seed_s(design):
+    study = make_study(SINGLE, 320, design=design)
+    place = points(study)
+    assert place.shape == (320, 3)
+    assert (place == points(study)).all()
+    assert not (place == points(dataclasses.replace(study, seed=2))).any()
+    for column in place.T:
+        assert stats.kstest(column, "uniform").statistic < 0.04  # 320 random ones: 0.076 at 95 %
+
+
+def test_a_latin_hypercube_has_one_point_in_each_stratum():
+    place = points(make_study(SINGLE, 50, design="latin-hypercube"))
+    for column in place.T:
+        assert sorted(np.floor(column * 50).astype(int)) == list(range(50))
+
+
+def test_errors_have_their_stated_distribution_at_even_points():
+    study = make_study(SINGLE, 512)
+    drives = [surface_of(study, point) for point in points(study)]
+    for name, width, distribution in (("centre_distance_x", 4e-6, "uniform"), ("pin_radius", 1e-6, "normal")):
+        drawn = np.sort([getattr(d, name) for d in drives])
+        wanted = within_tolerance((np.arange(512) + 0.5) / 512, width, distribution)
+        assert np.abs(drawn - wanted)[20:-20].max() < 0.02 * width
+
+
+def test_an_axis_moves_its_own_error_alone():
+    study = make_study()
+    low, high = np.full(5, 0.25), np.full(5, 0.25)
+    names = {"gear_pitch": "tooth_cumulative_pitch", "pin_radius_each": "pin_radius_deviation"}
+    for axis, name in enumerate(study.factors):
+        high[:] = low
+        high[axis] = 0.75
+        one, two = (surface_of(study, p) for p in (low, high))
+        names_of = [f.name for f in dataclasses.fields(one) if f.name != "attributes"]
+        moved = [n for n in names_of if not np.array_equal(getattr(one, n), getattr(two, n))]
+        assert moved == [names.get(name, name)]
+
+
+def test_figures_are_those_of_the_analysis():
+    study = make_study()
+    surface = surface_at(PAIR, study.tolerances, dict.fromkeys(study.factors, 0.8), tolerance.FORM)
+    values = dict(zip(study.columns, figures_of(study, surface), strict=True))
+    angles = np.linspace(0.0, 2 * np.pi, 40, endpoint=False)
+    loaded = solve(PAIR, surface, study.torque, angles)
+    assert values["angular_transmission_error", 1] == np.ptp(loaded.transmission_error[1])
+    assert values["max_contact_pressure", 0] == loaded.max_contact_pressure[0].max()
+    assert values["backlash", None] == pytest.approx(loaded.backlash[::10].max(), rel=1e-9)
+    load = 0.03 * 181.0
+    up, down = solve(PAIR, surface, [load, -load], angles[::10]).transmission_error
+    assert values["lost_motion", None] == pytest.approx((up - down).max(), rel=1e-9)
+    assert values["lost_motion", None] > values["backlash", None]
+
+
+def test_workers_change_no_bit_and_neither_does_the_company_of_other_samples():
+    study = make_study()
+    alone, two = run(study), run(study, workers=2)
+    assert (alone.values == two.values).all()
+    point = points(study)
+    assert (figures_of(study, surface_of(study, point[33])) == alone.values[33]).all()
+
+
+def test_yield_of_a_linear_figure_is_its_distribution_s():
+    """The mean transmission error follows the pins' radius alone here; half of the drives lie beyond the median."""
+    study = make_study('[pin_radius]\ntolerance = "1 um"\n', 128, torque=(181.0,))
+    result = run(study)
+    mean = result.figure("mean_transmission_error")[:, 0]
+    radius = np.array([surface_of(study, p).pin_radius for p in result.point])
+    slope, _, correlation, *_ = stats.linregress(radius, mean)
+    assert abs(correlation) > 0.9999
+    drawn = (mean - mean.mean()) / slope
+    assert stats.kstest(3e6 * drawn, stats.truncnorm(-3, 3).cdf).statistic < 0.02
+    limit = float(np.median(result.figure("backlash")))
+    judged = dataclasses.replace(
+        study, tolerances=parse_tolerances(
+            f'{HEAD}[pin_radius]\ntolerance = "1 um"\n[limits]\nbacklash = "{limit!r} rad"\n', "t.toml"
+        )
+    )  # fmt: skip
+    found = tolerance.yields(dataclasses.replace(result, study=judged))
+    assert found["all"]["share"] == pytest.approx(0.5, abs=0.01)
+    assert found["all"]["low"] < 0.5 < found["all"]["high"]
+
+
+def test_sobol_indices_of_a_linear_figure_are_the_shares_of_variance():
+    """The mean transmission error is nearly linear in the two radii: their indices are their shares of its variance."""
+    text = '[pin_radius]\ntolerance = "1 um"\n[pin_circle_diameter]\ntolerance = "3 um"\n'
+    study = make_study(text, 1024, torque=(181.0,), angles=20, design="saltelli")
+    result = run(study, workers=2)
+    found = tolerance.sobol_indices(result)["mean_transmission_error"]
+    base = result.values[result.independent]
+    place = result.point[result.independent]
+    mean = base[:, [n for n, _ in study.columns].index("mean_transmission_error")]
+    errors = np.array([[s.pin_radius, s.pin_circle_radius] for s in (surface_of(study, p) for p in place)])
+    slopes = np.linalg.lstsq(errors - errors.mean(axis=0), mean - mean.mean(), rcond=None)[0]
+    share = (slopes * errors.std(axis=0)) ** 2
+    share /= share.sum()
+    order = [study.factors.index(n) for n in ("pin_radius", "pin_circle_diameter")]
+    for kind in ("first_order", "total"):
+        assert np.abs(found[kind][order] - share).max() < 0.03
+        assert (np.abs(found[kind][order] - share) <= found[f"{kind}_confidence"][order] + 0.01).all()
+
+
+# Checkpoints and kills
+
+
+def test_a_checkpoint_goes_on_where_it_was(tmp_path):
+    study = make_study()
+    whole = run(study)
+    kept = Checkpoint(tmp_path / "c", study)
+    kept.add(16, whole.values[16:32])
+    told = []
+    again = run(study, Checkpoint(tmp_path / "c", study), progress=told.append)
+    assert told == [16, 16, 8]  # that of the checkpoint first
+    assert (again.values == whole.values).all()
+    assert set(Checkpoint(tmp_path / "c", study).done) == {0, 16, 32}
+
+
+def test_a_checkpoint_cut_at_any_byte_loses_its_last_lines_alone(tmp_path):
+    study = make_study()
+    kept = Checkpoint(tmp_path / "c", study)
+    start = (tmp_path / "c").stat().st_size
+    values = np.arange(16.0 * len(study.columns)).reshape(16, -1) / 7
+    for first in (0, 16):
+        kept.add(first, values + first)
+    content = (tmp_path / "c").read_bytes()
+    ends = [content.index(b"\n", content.index(b'"first": %d,' % first)) for first in (0, 16)]
+    for size in range(start, len(content) + 1, 173):
+        (tmp_path / "c").write_bytes(content[:size])
+        read = Checkpoint(tmp_path / "c", study)
+        assert len(read.done) == sum(size >= end for end in ends)
+        for first, found in read.done.items():
+            assert (found == values + first).all()
+        read.add(32, values)
+        assert (Checkpoint(tmp_path / "c", study).done[32] == values).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [({"seed": 3}, "its seed differs: 1 there, 3 here"), ({"angles": 80}, "its angles differs: 40 there, 80 here"),
+     ({"design": "latin-hypercube"}, "its design differs: sobol there")],
+)  # fmt: skip
+def test_a_checkpoint_of_another_study_is_refused(tmp_path, change, said):
+    study = make_study()
+    Checkpoint(tmp_path / "c", study)
+    with pytest.raises(edge.InputError, match=said) as caught:
+        Checkpoint(tmp_path / "c", dataclasses.replace(study, **change))
+    assert str(caught.value).count("\n") == 0
+    (tmp_path / "c").write_text("something else\n")
+    with pytest.raises(edge.InputError, match="not a checkpoint"):
+        Checkpoint(tmp_path / "c", study)
+
+
+@pytest.fixture
+def files(tmp_path):
+    (tmp_path / "pair.toml").write_text((EXAMPLES / "drive-39-40.toml").read_text())
+    (tmp_path / "t.toml").write_text(HEAD + SINGLE + PATTERNS + '[limits]\nbacklash = "1.5 arcmin"\n')
+    return ("cycloid-fmu", "tolerance", "pair.toml", "--tolerances", "t.toml", "--angles", 40)
+
+
+def test_killed_in_mid_run_and_started_again(command, files, tmp_path):
+    words = [str(Path(sys.executable).with_name(files[0])), *map(str, files[1:])]
+    samples = 320
+    words += ["--samples", str(samples), "--workers", "1", "-o", "s.nc"]
+    checkpoint = tmp_path / "s.nc.checkpoint"
+    with subprocess.Popen(words, cwd=tmp_path, stderr=subprocess.DEVNULL) as process:
+        while not (checkpoint.exists() and checkpoint.read_bytes().count(b'"first"') >= 3):
+            assert process.poll() is None, "it ended before it was killed"
+            time.sleep(0.01)
+        process.send_signal(signal.SIGKILL)
+    assert checkpoint.read_bytes().count(b'"first"') < samples // tolerance.CHUNK
+    assert not (tmp_path / "s.nc").exists()
+    again = command(*files, "--samples", samples, "-o", "s.nc", "--plot", "p.png", "--json")
+    assert again.returncode == 0, again.stderr
+    assert not checkpoint.exists()
+    assert (tmp_path / "p.png").stat().st_size > 20000
+    pair, tolerances = read_pair(tmp_path / "pair.toml"), read_tolerances(tmp_path / "t.toml")
+    whole = run(Study(pair, tolerances, samples, 1, (181.0, -181.0), angles=40))
+    kept = xr.load_dataset(tmp_path / "s.nc")
+    for name in ("angular_transmission_error", "backlash", "lost_motion"):
+        assert (kept[name].values == whole.figure(name)).all()
+    found = json.loads(again.stdout)
+    assert found["statistics"]["backlash"]["mean"] == whole.figure("backlash").mean()
+    assert found["yields"]["all"]["share"] == np.mean(whole.figure("backlash") <= np.radians(1.5 / 60))
+
+
+@pytest.mark.parametrize(
+    ("text", "changes", "said"),
+    [
+        (SINGLE.replace('"2 um"', '"0 um"'), {}, "t.toml: [eccentricity] tolerance = 0: a distribution needs a width"),
+        ('[gear_pitch]\nsingle = "0 um"\ncumulative = "1 um"\n', {}, "t.toml: [gear_pitch] single = 0"),
+        ("", {}, "t.toml: no tolerance is stated"),
+        (SINGLE + "[costs]\noffset = 2\n", {}, "t.toml: [costs] offset: there is no tolerance of this name"),
+        (SINGLE + "[costs]\neccentricity = 0\n", {}, "t.toml: [costs] eccentricity = 0: it should be greater than 0"),
+        (SINGLE, {"torque": (0.0,)}, "--torque = 0 N*m: a study's loads must not be zero"),
+        (SINGLE, {"design": "saltelli", "samples": 20}, "--samples = 20: Sobol indices of 3 tolerances need 80"),
+        (SINGLE, {"pair": make_pair()}, "p.toml: [pair] rated_torque is missing"),
+        (SINGLE, {"seed": -1}, "--seed = -1: it must lie between 0 and"),
+    ],
+)
+def test_bad_studies_are_one_sentence(text, changes, said):
+    def prepare():
+        study = make_study(text + ('[limits]\nlost_motion = "1 arcmin"\n' if "pair" in changes else ""))
+        study = dataclasses.replace(study, **changes)
+        check_study(study, "p.toml", "t.toml")
+        points(study)
+
+    with pytest.raises(edge.InputError) as caught:
+        prepare()
+    assert str(caught.value).startswith(said)
+    assert str(caught.value).count("\n") == 0
+
+
+def test_a_scheduler_that_does_not_answer(command, files, tmp_path):
+    failed = command(*files, "--scheduler", "tcp://127.0.0.1:9", "-o", "s.nc")
+    assert (failed.returncode, failed.stdout) == (2, "")
+    assert failed.stderr.strip() == "--scheduler tcp://127.0.0.1:9: no scheduler answers there (OSError)."
+
+
+# A real cluster
+
+
+def _started(words, **environment):
+    return subprocess.Popen(
+        [sys.executable, "-m", "distributed.cli." + words[0], *words[1:]], stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL, env={**os.environ, **environment},
+    )  # fmt: skip
+
+
+@pytest.fixture
+def cluster():
+    """A scheduler in a process of its own and a function that starts a worker in another."""
+    pytest.importorskip("distributed")
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{one.getsockname()[1]}"
+    scheduler = _started(["dask_scheduler", "--host", address, "--no-dashboard"])
+    workers = []
+
+    def worker(**environment):
+        words = ["dask_worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard"]
+        workers.append(_started(words, **environment))
+        return workers[-1]
+
+    try:
+        yield address, worker
+    finally:
+        for process in (*workers, scheduler):
+            process.kill()
+        for process in (*workers, scheduler):
+            process.wait()
+
+
+def _wait_for(address, workers):
+    from distributed import Client
+
+    with Client(address, timeout=60, set_as_default=False) as client:
+        client.wait_for_workers(workers, timeout=60)
+
+
+def test_a_cluster_of_two_loses_a_worker_and_nothing_else(cluster):
+    address, worker = cluster
+    first, _ = worker(), worker()
+    _wait_for(address, 2)
+    study = make_study(samples=320)
+    done = []
+
+    def progress(samples):
+        done.append(samples)
+        if len(done) == 3:
+            first.kill()
+            first.wait()
+
+    found = run(study, scheduler=address, progress=progress)
+    assert sum(done) == 320
+    assert (found.values == run(study).values).all()
+
+
+def test_a_worker_of_another_version_is_refused(cluster, tmp_path):
+    address, worker = cluster
+    other = tmp_path / "cycloid_fmu-9.9.dist-info"
+    other.mkdir()
+    (other / "METADATA").write_text("Metadata-Version: 2.1\nName: cycloid-fmu\nVersion: 9.9\n")
+    with pytest.raises(edge.InputError, match="has no workers"):
+        run(make_study(), scheduler=address)
+    worker(PYTHONPATH=str(tmp_path))
+    _wait_for(address, 1)
+    with pytest.raises(edge.InputError, match=r"a worker has cycloid-fmu 9\.9, this process"):
+        run(make_study(), scheduler=address)
