@@ -577,33 +577,26 @@ class _CanLog(BenchFile):
 
 class _RecorderFile(BenchFile):
     def __init__(self, source: str) -> None:
-        from drivers.recording_format import read_recording
+        from drivers.recording_format import RecordingReader
 
-        self._read = read_recording(source)
-        channels = [RawChannel(c.name, c.unit, c.zero_reference) for c in self._read.header.channels]
-        super().__init__(source, tuple(channels), timed=True, ratio=self._read.header.ratio)
-        self.problems.extend(self._read.problems)
+        with RecordingReader(source) as reader:
+            header = reader.header
+        channels = [RawChannel(c.name, c.unit, c.zero_reference) for c in header.channels]
+        super().__init__(source, tuple(channels), timed=True, ratio=header.ratio)
 
     def pieces(self, names: Sequence[str]) -> Iterator[Piece]:
-        for name in names:
-            if len(self._read.samples[name]) == 0:
-                raise edge.InputError(f"{self.source}: the {name} channel has no samples.")
+        from drivers.recording_format import RecordingReader
 
-        def of(name: str) -> Iterator[Piece]:
-            s = self._read.samples[name]
-            # By the device's own clock where the angles share no instants: free of the delays on the way to the host.
-            time = s.time_host if self._shared(names) else self._read.aligned_time(name)
-            order = np.argsort(time, kind="stable")
-            for begin in range(0, len(s), PIECE):
-                part = order[begin : begin + PIECE]
-                yield Piece(time[part], {name: s.value[part]}, s.status[part])
-
-        yield from in_order([of(name) for name in names])
-
-    def _shared(self, names: Sequence[str]) -> bool:
-        """Whether most samples of both angles were taken at the same instants."""
-        angles = [self._read.samples[n].time_host for n in ("input_angle", "output_angle") if n in names]
-        return len(angles) < 2 or 2 * np.intersect1d(angles[0], angles[1]).size >= min(len(t) for t in angles)
+        silent = set(names)
+        with RecordingReader(self.source) as reader:
+            for samples, _ in reader.batches():
+                if samples.channel in names and len(samples):
+                    silent.discard(samples.channel)
+                    yield Piece(samples.time_host, {samples.channel: samples.value}, samples.status)
+            self.problems = list(reader.problems)
+        if silent:
+            said = " ".join([*self.problems, f"{self.source}: the {min(silent)} channel has no samples."])
+            raise edge.InputError(said)
 
 
 def in_order(streams: Sequence[Iterator[Piece]]) -> Iterator[Piece]:

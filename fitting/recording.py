@@ -29,6 +29,7 @@ OPTIONAL = {"temperature": "K"}
 ANGLES = ("input_angle", "output_angle")
 MAPPING_FORMAT = "cycloid-mapping/1"
 _TURN = 2.0 * np.pi
+_TOGETHER = 1 << 13  # samples of each channel that are put on one clock at a time
 _GAP = 2.5  # a step of time beyond this many usual ones is a gap: one lost sample makes a step of two
 
 
@@ -436,7 +437,7 @@ class _OneClock:
         status = np.zeros(size, np.uint8) if piece.status is None else piece.status
         for role, value in values.items():
             self._waiting[role].append((time - self._delays[role], value, status))
-        if all(self._waiting.values()):
+        if min(sum(t.size for t, _, _ in parts) for parts in self._waiting.values()) >= _TOGETHER:
             yield from self._flush(min(parts[-1][0][-1] for parts in self._waiting.values()), last=False)
 
     def finish(self) -> Iterator[tuple[Table, Bytes | None]]:

@@ -109,6 +109,32 @@ def test_what_a_recording_lacks_is_named(tmp_path):
         read_bench_recording(arrows(tmp_path / "b.arrows", samples=0))
 
 
+@pytest.mark.parametrize("torque_step", [1, 10])
+def test_channels_in_small_batches_of_their_own_come_together(tmp_path, torque_step):
+    """As a recorder writes them: batches of odd sizes in turn, many of them, the torque slower."""
+    n = 30000
+    time = np.arange(n) * 1e-3
+    values = {"input_angle": 5 * time, "output_angle": -5 * time / 39, "torque": 50 + time}
+    channels = tuple(
+        Channel(c, c, "test", "N*m" if c == "torque" else "rad", None, 1, 0.0, "absolute", "", "host") for c in values
+    )
+    with RecordingWriter(tmp_path / "a.arrows", Header(channels, {}, -39.0, "", "2026-01-01T00:00:00+00:00")) as writer:
+        for begin in range(0, n, 230):
+            for number, (c, value) in enumerate(values.items()):
+                step = torque_step if c == "torque" else 1
+                part = slice(begin + 70 * number if begin else 0, min(n, begin + 230 + 70 * number))
+                at = np.arange(n)[part]
+                at = at[at % step == 0]
+                if at.size:
+                    writer.write(Samples.checked(c, time[at], value[at]))
+    found = read_bench_recording(tmp_path / "a.arrows")
+    last = (n - 1) // torque_step * torque_step
+    assert found.time == pytest.approx(time[: last + 1])
+    assert found.output_angle == pytest.approx(-found.input_angle / 39)
+    assert found.torque == pytest.approx(50 + found.time)
+    assert not found.status.any()
+
+
 def test_a_sample_that_is_no_number_is_left_out_marked_and_named(tmp_path):
     found = read_bench_recording(arrows(tmp_path / "c.arrows", nan=True))
     assert found.time.size == 49
