@@ -507,6 +507,8 @@ def ensemble(
     load = 0.0 if torque is None else edge.quantity_option(torque, "N*m", "--torque")
     pair, surface = read_pair(pair_file), read_surface(surface_file)
     check_surface(pair, surface, str(pair_file), str(surface_file))
+    if surface.covariance is None:
+        raise edge.InputError(f"{surface_file}: there is no covariance of a fit; give what cycloid-fit identify wrote.")
     drawn = drawn_surfaces(pair, surface, count, seed)
     output.mkdir(parents=True, exist_ok=True)
     for number, one in enumerate(track(drawn, "writing", transient=True)):

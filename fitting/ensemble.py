@@ -7,7 +7,6 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from cycloid_fmu import edge
 from cycloid_fmu.pair import Pair
 from cycloid_fmu.surface import ErrorSurface, structured_value, with_structured
 from fitting.observation import scatter_names, with_scatter
@@ -36,11 +35,11 @@ def drawn_surfaces(pair: Pair, surface: ErrorSurface, count: int, seed: int) -> 
 
     Raises
     ------
-    edge.InputError
+    ValueError
         If the surface has no covariance.
     """
     if surface.covariance is None:
-        raise edge.InputError("the surface has no covariance of a fit; draw from one that cycloid-fit identify wrote.")
+        raise ValueError("the surface has no covariance")
     places = scatter_names(pair)
     names = [n for n in surface.covariance_of if n not in places]
     at = [surface.covariance_of.index(n) for n in (*names, *places) if n in surface.covariance_of]

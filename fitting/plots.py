@@ -150,6 +150,7 @@ def plot_plans(plans: Sequence[Plan]) -> Figure:
     """Standard error of each error with each set of runs, as a share of its tolerance; 1 where it would be held."""
     figure, (axis,) = new_figure(1)
     names = [*plans[-1].standard_error, *plans[-1].held]
+    figure.set_figheight(1.5 + 0.22 * len(names))
     for number, plan in enumerate(plans):
         share = [plan.standard_error.get(n, np.nan) / TOLERANCE[unit_of(n)] for n in names]
         axis.plot(share, np.arange(len(names)), "o", color=f"C{number}", label=plan.said)

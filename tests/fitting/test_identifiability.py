@@ -7,7 +7,7 @@ import pytest
 from common import BENCH, EXAMPLES
 
 from cycloid_fmu.pair import read_pair
-from cycloid_fmu.surface import read_surface, structured_value, surface_of_pair, with_structured, write_surface
+from cycloid_fmu.surface import read_surface, structured_value, surface_of_pair, write_surface
 from cycloid_fmu.transmission import error_sensitivity, solve
 from fitting.ensemble import drawn_surfaces
 from fitting.identifiability import bench_plans
@@ -139,9 +139,25 @@ def test_the_ensemble_s_band_is_as_wide_as_the_fit_is_uncertain(found, nominal, 
     assert width.max() < 1.0 * ARCSEC
 
 
-def test_a_surface_without_a_fit_can_not_be_drawn_from(nominal):
-    from cycloid_fmu import edge
-
-    surface = with_structured(nominal, surface_of_pair(nominal), {"eccentricity": 1e-6})
-    with pytest.raises(edge.InputError, match="no covariance"):
-        drawn_surfaces(nominal, surface, 1, 0)
+def test_plan_and_ensemble_from_the_command_line(command, found, nominal, tmp_path):
+    (tmp_path / "pair.toml").write_text(nominal.text)
+    write_surface(found.surface, tmp_path / "s.nc")
+    run = command("cycloid-fit", "plan", "pair.toml", "--torque", "20 N*m", "--torque", "200 N*m", "--samples", "12",
+                  "--plot", "p.png")  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    assert "C: 200 and 20 N·m both ways" in run.stdout
+    run = command("cycloid-fit", "ensemble", "s.nc", "--pair", "pair.toml", "-o", "drawn", "--count", "3")
+    assert run.returncode == 0, run.stderr
+    assert len(list((tmp_path / "drawn").iterdir())) == 3
+    for words, said in (
+        (("plan", "pair.toml", "--torque", "-20 N*m"), "--torque: it must be above zero"),
+        (
+            ("ensemble", "drawn/s-0000.nc", "--pair", "pair.toml", "-o", "again"),
+            "drawn/s-0000.nc: there is no covariance",
+        ),
+        (("ensemble", "s.nc", "--pair", "pair.toml", "-o", "again", "--plot", "b.png"), "--plot and --torque belong"),
+    ):
+        run = command("cycloid-fit", *words)
+        assert run.returncode == 2
+        assert said in run.stderr
+    assert not (tmp_path / "again").exists()
