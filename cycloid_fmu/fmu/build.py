@@ -8,6 +8,7 @@ import os
 import shutil
 import sys
 import tempfile
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -39,10 +40,12 @@ def build_fmu(
     edge.InputError
         If the folder does not exist.
     """
-    from pythonfmu import FmuBuilder
+    from pythonfmu import FmuBuilder, builder
 
     from cycloid_fmu.fmu.slave import ARRAYS, NUMBERS
 
+    # An FMU that ran in this process has brought its own copy of pythonfmu, which has no libraries to put into another.
+    builder.HERE = Path(str(metadata.distribution("pythonfmu").locate_file("pythonfmu")))
     target = Path(path)
     with tempfile.TemporaryDirectory(prefix="cycloid-fmu-") as folder, edge.written_whole(target) as temporary:
         place = Path(folder)

@@ -258,3 +258,30 @@ def test_bad_input_exits_2_with_a_sentence(command, tmp_path, words, said):
     assert said in run.stderr
     assert "Traceback" not in run.stderr
     assert [p.name for p in tmp_path.iterdir()] == ["pair.toml"]
+
+
+def test_a_process_that_ran_an_fmu_can_build_another(fmu, tmp_path):
+    """The FMU brings its own pythonfmu, which is imported where no other was, and is gone with the FMU's folder."""
+    script = f"""
+import shutil, zipfile, fmpy
+from fmpy.fmi2 import FMU2Slave
+folder = fmpy.extract({str(fmu)!r})
+description = fmpy.read_model_description({str(fmu)!r}, validate=False)
+slave = FMU2Slave(guid=description.guid, unzipDirectory=folder, instanceName="one",
+                  modelIdentifier=description.coSimulation.modelIdentifier)
+slave.instantiate()
+import pythonfmu
+assert pythonfmu.__file__.startswith(str(folder))
+slave.freeInstance()
+shutil.rmtree(folder)
+from cycloid_fmu.fmu.build import build_fmu
+from cycloid_fmu.pair import read_pair
+from cycloid_fmu.surface import nominal_surface
+pair = read_pair({str(CASES / "errors-39-40.toml")!r})
+build_fmu(pair, nominal_surface(pair), "again.fmu")
+names = zipfile.ZipFile("again.fmu").namelist()
+assert "binaries/linux64/CycloidDrive.so" in names, names
+assert "resources/pythonfmu/builder.py" in names, names
+"""
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
