@@ -84,22 +84,30 @@ def _live_line() -> Iterator[Callable[[Live], None]]:
 
 
 def _record(bench: Path, output: Path, **stops: Any) -> None:
+    from drivers.recorder import record_bench
+
+    with _recording_to(output), _live_line() as progress:
+        done = record_bench(bench, output, progress=progress, **stops)
+    _report(done)
+
+
+@contextlib.contextmanager
+def _recording_to(path: Path) -> Iterator[None]:
+    """Say what stopped a recording, with the exit status that belongs to it."""
     from drivers.encoder import EncoderError
-    from drivers.recorder import RecordingError, record_bench
+    from drivers.recorder import RecordingError
 
     try:
-        with _live_line() as progress:
-            done = record_bench(bench, output, progress=progress, **stops)
+        yield
     except KeyboardInterrupt:
         # Some versions of typer turn an interrupt into a failure of their own.
-        typer.echo(f"Interrupted; {output} has all that came.", err=True)
+        typer.echo(f"Interrupted; {path} has all that came.", err=True)
         raise typer.Exit(edge.INTERRUPTED) from None
     except edge.InputError:
         raise
     except (EncoderError, RecordingError) as problem:
         typer.echo(str(problem), err=True)
         raise typer.Exit(edge.FAILED) from None
-    _report(done)
 
 
 def _report(done: Recorded) -> None:
@@ -272,8 +280,6 @@ def run(
     """
     import subprocess
 
-    from drivers.encoder import EncoderError
-    from drivers.recorder import RecordingError
     from drivers.sequence import read_sequence, report_command, run_step
 
     made = read_sequence(sequence)
@@ -290,17 +296,8 @@ def run(
                 continue
             if made.file.drive is None:
                 typer.prompt("Press Enter when it runs", default="", show_default=False, err=True)
-            try:
-                with _live_line() as progress:
-                    said = run_step(made, step, trial, progress)
-            except KeyboardInterrupt:
-                typer.echo(f"Interrupted; {trial} has all that came.", err=True)
-                raise typer.Exit(edge.INTERRUPTED) from None
-            except edge.InputError:
-                raise
-            except (EncoderError, RecordingError) as problem:
-                typer.echo(str(problem), err=True)
-                raise typer.Exit(edge.FAILED) from None
+            with _recording_to(trial), _live_line() as progress:
+                said = run_step(made, step, trial, progress)
             if not said:
                 trial.rename(path)
                 break

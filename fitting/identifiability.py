@@ -12,7 +12,16 @@ from scipy import linalg
 from cycloid_fmu.pair import Pair
 from cycloid_fmu.surface import structured_names, surface_of_pair, unit_of
 from fitting.curve import Curve
-from fitting.observation import Linear, Observations, State, linearise, nuisance_columns, observations, scatter_parts
+from fitting.observation import (
+    Linear,
+    Observations,
+    State,
+    linearise,
+    nuisance_columns,
+    observations,
+    scatter_parts,
+    spread_of,
+)
 
 Array = NDArray[np.float64]
 ORDERS = (1, 2, 3)
@@ -87,17 +96,27 @@ def chosen_errors(observed: Observations, linear: Linear, names: Sequence[str], 
     spread
         Standard deviation of each scattered displacement of a pin or tooth, which blurs the errors, m.
     """
+    scattered = len(names) + np.flatnonzero(spread > 0.0)
+    information = _information(observed, linear, names, spread)
+    nuisances = np.arange(len(names) + spread.size, len(information))
+    order = np.concatenate([nuisances, scattered, np.arange(len(names))])
+    found = choose(information[np.ix_(order, order)], names, order.size - len(names))
+    return [n for n in names if n in found]
+
+
+def _information(observed: Observations, linear: Linear, names: Sequence[str], spread: Array) -> Array:
+    """Information matrix of errors, scatter and nuisances, each in units of what it may be before measuring.
+
+    Scatter and the nuisances that have a prior are known by it; the errors and the other nuisances by the data alone.
+    """
     nuisances, priors = nuisance_columns(observed, linear)
-    some = spread > 0.0
-    unit = np.where(np.isfinite(priors), priors, 1e-4)
+    known = np.isfinite(priors)
     columns = np.column_stack([
-        nuisances * unit, linear.scatter[:, some] * spread[some], linear.structured * tolerances_of(names)
+        linear.structured * tolerances_of(names), linear.scatter * spread, nuisances * np.where(known, priors, 1e-4)
     ])  # fmt: skip
     columns = observed.weight[:, None] * columns
-    information = columns.T @ columns
-    known = np.concatenate([np.isfinite(priors), np.ones(np.count_nonzero(some)), np.zeros(len(names))])
-    found = choose(information + np.diag(known), names, information.shape[0] - len(names))
-    return [n for n in names if n in found]
+    information: Array = columns.T @ columns
+    return information + np.diag(np.concatenate([np.zeros(len(names)), np.ones(spread.size), known]))
 
 
 def weakness(
@@ -172,15 +191,10 @@ def posterior_covariance(
     covariance
         Shape (chosen + scatter, chosen + scatter), m² or rad².
     """
-    nuisances, priors = nuisance_columns(observed, linear)
-    keep = [list(names).index(n) for n in chosen]
+    information = _information(observed, linear, names, spread)
+    chosen_first = [*(list(names).index(n) for n in chosen), *range(len(names), len(information))]
     scale = np.concatenate([tolerances_of(chosen), spread])
-    unit = np.where(np.isfinite(priors), priors, 1e-4)
-    columns = np.column_stack([linear.structured[:, keep], linear.scatter]) * scale
-    columns = observed.weight[:, None] * np.column_stack([columns, nuisances * unit])
-    matrix = columns.T @ columns
-    known = np.concatenate([np.zeros(len(chosen)), np.ones(spread.size), np.isfinite(priors).astype(float)])
-    covariance = linalg.inv(matrix + np.diag(known))[: scale.size, : scale.size]
+    covariance = linalg.inv(information[np.ix_(chosen_first, chosen_first)])[: scale.size, : scale.size]
     covariance = 0.5 * (covariance + covariance.T)
     return np.asarray(covariance * np.outer(scale, scale))
 
@@ -273,13 +287,12 @@ def plan(
     level = [noise / np.sqrt(c.sample_count[0]) for c in curves]
     observed = observations(curves, pair, level)
     names = errors_of(pair)
-    parts = scatter_parts(pair)
-    size = max(p.stop for p in parts.values())
-    state = State(surface_of_pair(pair), np.zeros(size), np.zeros(observed.bench.shape[1]))
+    spread = spread_of(pair, dict.fromkeys(scatter_parts(pair), scatter))
+    state = State(surface_of_pair(pair), np.zeros_like(spread), np.zeros(observed.bench.shape[1]))
     linear = linearise(pair, observed, state, names)
-    chosen = chosen_errors(observed, linear, names, np.full(size, scatter))
+    chosen = chosen_errors(observed, linear, names, spread)
     _, _, reasons = weakness(observed, linear, names, chosen)
-    covariance = posterior_covariance(observed, linear, names, chosen, np.full(size, scatter))
+    covariance = posterior_covariance(observed, linear, names, chosen, spread)
     error = np.sqrt(np.diag(covariance)[: len(chosen)])
     return Plan(said, dict(zip(chosen, error.tolist(), strict=True)), reasons)
 

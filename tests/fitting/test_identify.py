@@ -140,6 +140,20 @@ def test_choose_never_takes_what_is_not_known():
     assert choose(columns.T @ columns, names, 0) == ["pin_radius"]
 
 
+@pytest.mark.slow
+def test_coverage_where_noise_is_all_that_blurs(measured, nominal, made):
+    """Pooled over the fitted errors the 95 % intervals hold the truth; CYCLOID_SEEDS seeds of noise, else 200."""
+    seeds = int(os.environ.get("CYCLOID_SEEDS", "200"))
+    distances = [
+        list(standardised(identify(measured(1000 + s), nominal, held_out=False), made).values()) for s in range(seeds)
+    ]
+    pooled = np.abs(np.concatenate(distances)) < 1.959964
+    print(f"coverage {pooled.mean():.3f} of {pooled.size} intervals, {seeds} seeds")
+    # The spread of the estimate itself, seeds taken as independent.
+    spread = np.std([np.mean(np.abs(d) < 1.959964) for d in distances]) / np.sqrt(seeds)
+    assert 0.92 - 2 * spread * (seeds < 200) <= pooled.mean() <= 0.98 + 2 * spread * (seeds < 200)
+
+
 def random_drive(pair, generator):
     """A drive with structured errors within half their tolerance and 2 µm of scatter a pin that none of them holds."""
     names = errors_of(pair)
