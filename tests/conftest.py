@@ -1,6 +1,10 @@
+import contextlib
+import io
 import os
+import signal
 import subprocess
 import sys
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -14,14 +18,40 @@ sys.path.insert(0, str(Path(__file__).parent))  # common.py and brute_force.py
 
 
 @pytest.fixture
-def command(tmp_path):
-    """Run an installed command in an empty folder, as a user does."""
+def command(tmp_path, monkeypatch):
+    """Run a command in an empty folder, as a user does but in this process: a fresh one takes seconds to start."""
+    import matplotlib.pyplot
 
-    def run(*words, folder=tmp_path, **options):
+    def run(*words, folder=tmp_path, input=None):
+        (entry,) = metadata.entry_points(group="console_scripts", name=words[0])
+        out, error, code = io.StringIO(), io.StringIO(), 0
+        termination = signal.getsignal(signal.SIGTERM)
+        with monkeypatch.context() as patch, contextlib.redirect_stdout(out), contextlib.redirect_stderr(error):
+            patch.chdir(folder)
+            patch.setenv("COLUMNS", "200")
+            patch.setattr(sys, "argv", [str(word) for word in words])
+            patch.setattr(sys, "stdin", io.StringIO(input or ""))
+            try:
+                entry.load()()
+            except SystemExit as leaving:
+                code = leaving.code or 0
+            finally:
+                signal.signal(signal.SIGTERM, termination)
+                matplotlib.pyplot.close("all")
+        return subprocess.CompletedProcess(words, code, out.getvalue(), error.getvalue())
+
+    return run
+
+
+@pytest.fixture
+def installed_command(tmp_path):
+    """Run an installed command in an empty folder, in a process of its own."""
+
+    def run(*words, folder=tmp_path):
         name = str(Path(sys.executable).with_name(words[0]))
         return subprocess.run(
             [name, *map(str, words[1:])], cwd=folder, capture_output=True, text=True, timeout=300,
-            env={**os.environ, "COLUMNS": "200"}, **options,
+            env={**os.environ, "COLUMNS": "200"},
         )  # fmt: skip
 
     return run

@@ -88,3 +88,14 @@ def test_nothing_slow_is_imported_with_the_edge():
     assert (
         subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
     )
+
+
+@pytest.mark.parametrize("name", ["cycloid-fmu", "cycloid-fit", "cycloid-bench"])
+def test_the_commands_are_installed_and_say_what_is_wrong(installed_command, name):
+    """The other tests of the command line call its entry points in their own process."""
+    helped, refused = installed_command(name, "--help"), installed_command(name, "no-such-verb")
+    assert helped.returncode == 0
+    assert "Usage" in helped.stdout
+    assert refused.returncode == 2
+    assert "no-such-verb" in refused.stderr
+    assert "Traceback" not in refused.stderr
