@@ -2,7 +2,7 @@
 
 A tolerance's cost is taken as inversely proportional to its width, the usual reciprocal law: at a width s times the
 stated one it costs c/s, c its relative cost as stated. The same drives are scaled throughout (common random numbers),
-to first order in their errors; the exact kernel confirms what is found.
+to first order in their errors; the exact kernel confirms what is found on other drives.
 """
 
 from __future__ import annotations
@@ -23,8 +23,10 @@ from cycloid_fmu.tolerance import (
     figures_of,
     figures_to_first_order,
     points,
+    run,
     screen_of,
     surface_of,
+    yields,
 )
 
 Array = NDArray[np.float64]
@@ -44,7 +46,8 @@ class Allocation:
     cost, stated_cost
         Sum of the tolerances' relative costs, found and as stated.
     first_order_yield, exact_yield
-        Share of the drives that keep all limits, by both kernels; the exact one reaches what was asked for.
+        Share of the drives that keep all limits: of the study's own to first order, and of drives drawn anew by the
+        exact kernel, which reaches what was asked for.
     stated_yield
         The same of the tolerances as stated, to first order.
     """
@@ -88,9 +91,17 @@ def scaled(study: Study, scale: Array) -> Study:
 
 
 def allocate(
-    study: Study, target: float, source: str, progress: Callable[[int], None] = lambda steps: None
+    study: Study,
+    target: float,
+    source: str,
+    *,
+    workers: int = 1,
+    scheduler: str | None = None,
+    progress: Callable[[int], None] = lambda steps: None,
 ) -> Allocation:
-    """Return the cheapest tolerances by which a share `target` of the study's drives keeps all its limits.
+    """Return the cheapest tolerances by which a share `target` of the drives keeps all the study's limits.
+
+    They are found on the study's own drives and confirmed on as many others, drawn with the next seed.
 
     From the stated tolerances on, the logarithm of the demand that the share just meets is made linear in the
     logarithms of the widths; the cheapest step within a shrinking region has a closed form, c/(s λ) = slope.
@@ -99,6 +110,8 @@ def allocate(
     ----------
     source
         The tolerances' file, for messages.
+    workers, scheduler
+        Of the exact kernel, as in `tolerance.solved`.
     progress
         Told 1 after each step, `steps` times at least.
 
@@ -164,10 +177,10 @@ def allocate(
             raise edge.InputError(
                 f"--allocate {target:g}: no tolerances of {source}, narrowed to {NARROWEST:g} of their width, reach it."
             )
+    others = dataclasses.replace(study, seed=study.seed + 1)
     while True:
-        trial = scaled(study, narrower * scale)
-        values = np.array([figures_of(trial, surface_of(trial, row)) for row in place])
-        exact = float(np.mean(np.max([*demand(trial, values).values()], axis=0) <= 1.0))
+        confirmed = run(scaled(others, narrower * scale), workers=workers, scheduler=scheduler)
+        exact = yields(confirmed)["all"]["share"]
         progress(1)
         if exact >= target:
             break

@@ -574,10 +574,8 @@ def tolerance(
     study_of.check_study(study, str(pair_file), str(tolerances_file))
     if screen is not None or allocate is not None:
         study_of.check_first_order(study, str(tolerances_file))
-    if screen is not None and (scheduler is not None or not 0.0 < screen <= 1.0):
-        raise edge.InputError(
-            f"--screen {screen:g}: the share must lie between 0 and 1; screening takes seconds and no --scheduler."
-        )
+    if screen is not None and not 0.0 < screen <= 1.0:
+        raise edge.InputError(f"--screen {screen:g}: the share must lie between 0 and 1.")
     kept = None
     if output is not None and screen is None:
         kept = study_of.Checkpoint(output.with_name(output.name + ".checkpoint"), study)
@@ -592,7 +590,7 @@ def tolerance(
                 )
             else:
                 confirmation = study_of.screened(
-                    study, screen, workers=workers, progress=lambda done: bar.advance(task, done)
+                    study, screen, workers=workers, scheduler=scheduler, progress=lambda done: bar.advance(task, done)
                 )
                 result = confirmation.result
         except study_of.Interrupted as interrupted:
@@ -612,8 +610,9 @@ def tolerance(
         with Progress(console=Console(stderr=True), transient=True) as bar:
             task = bar.add_task("allocation", total=allocation_of.steps())
             allocation = allocation_of.allocate(
-                study, allocate, str(tolerances_file), lambda done: bar.advance(task, done)
-            )
+                study, allocate, str(tolerances_file), workers=workers, scheduler=scheduler,
+                progress=lambda done: bar.advance(task, done),
+            )  # fmt: skip
     indices = study_of.sobol_indices(result) if design == "saltelli" else {}
     if plot is not None:
         plots.save(plots.plot_tolerance(result), plot)

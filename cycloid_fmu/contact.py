@@ -761,13 +761,18 @@ def _load(drive: Drive, x: float, contacts: Array) -> tuple[float, float]:
 
 @_compiled
 def _to_touch(contacts: Array, x: float, direction: float) -> float:
-    """Rotation from x, in `direction` (±1), at which the first flank touches, to second order."""
+    """Rotation from x, in `direction` (±1), at which the first flank touches, to second order.
+
+    Rows solved elsewhere than at x count with what they foretell of it.
+    """
     best = math.inf
     for row in range(contacts.shape[0]):
-        gap = contacts[row, GAP]
+        gap, arm, rate = contacts[row, GAP], contacts[row, ARM], contacts[row, ARM_RATE]
         if not gap < math.inf:
             continue
-        arm, rate = direction * contacts[row, ARM], contacts[row, ARM_RATE]
+        since = x - contacts[row, AT]
+        gap -= since * (arm + 0.5 * since * rate)
+        arm = direction * (arm + since * rate)
         if arm <= 0.0 and not (gap > 1e-9 and rate > 0.0):
             continue
         inside = arm * arm + 2.0 * rate * gap
@@ -875,8 +880,8 @@ def _smallest_gap(contacts: Array, step: float) -> tuple[float, int]:
 def play(drive: Drive, theta: float, x: float, contacts: Array, cold: bool) -> tuple[float, float, float]:
     """Ends of the free rotation with the crank locked, and by how much there is none.
 
-    The middle is the rotation with the largest smallest gap (gaps are linearised and solved again until that changes
-    no more); from there each end is where the first flank touches.
+    From any free rotation each end is where the first flank touches. Where x is not free, the search begins from the
+    rotation with the largest smallest gap (gaps are linearised and solved again until that changes no more).
 
     Parameters
     ----------
@@ -896,6 +901,8 @@ def play(drive: Drive, theta: float, x: float, contacts: Array, cold: bool) -> t
     gap = 0.0
     for _ in range(100):
         gap, active = _smallest_gap(contacts, 0.0)
+        if gap > TOUCHING:
+            break
         if contacts[active, ARM] > 0.0:
             highest = x
         else:
@@ -931,19 +938,19 @@ def play(drive: Drive, theta: float, x: float, contacts: Array, cold: bool) -> t
         return math.nan, math.nan, -gap
     if gap <= 0.0:
         return x, x, 0.0
-    low = _first_touch(drive, theta, x, contacts, -1.0)
-    place(drive, theta, x, contacts, False, math.inf)
-    return low, _first_touch(drive, theta, x, contacts, 1.0), 0.0
+    return _first_touch(drive, theta, x, contacts, -1.0), _first_touch(drive, theta, x, contacts, 1.0), 0.0
 
 
 @_compiled
 def _first_touch(drive: Drive, theta: float, x: float, contacts: Array, direction: float) -> float:
+    # What a flank with deviations foretells reaches no farther than its next element.
+    clear = _CLEAR if drive.gear_deviation.size == 0 else math.inf
     for _ in range(50):
         step = min(_to_touch(contacts, x, direction), 1e-3)
         x += direction * step
         if abs(step) < _ROTATION_STEP:
             break
-        place(drive, theta, x, contacts, False, math.inf)
+        place(drive, theta, x, contacts, False, clear)
     return x
 
 

@@ -32,6 +32,7 @@ Array = NDArray[np.float64]
 Distribution = Literal["normal", "uniform"]
 FORMAT = "cycloid-tolerances/1"
 LARGEST_SEED = 2**63 - 1
+_SINGLE = (*SCALAR_ERRORS, "pin_circle_diameter")  # errors that are one number
 # How far a pitch may go of what is allowed: rounding in the sums that make positions from it must not exceed the limit.
 _WITHIN = 1.0 - 1e-9
 _SWEEPS = 100
@@ -384,7 +385,8 @@ def surface_at(
     from a stream that the coordinate seeds: any even spread of points spreads the single errors as evenly, and the many
     are as random as before.
     """
-    streams = {name: error_stream(int(point[name] * 2.0**53), name) for name in tolerances.factors}
+    many = (name for name in tolerances.factors if name not in _SINGLE)
+    streams = {name: error_stream(int(point[name] * 2.0**53), name) for name in many}
     return _drawn(pair, tolerances, streams, point, elements or Elements())
 
 
@@ -398,12 +400,12 @@ def _drawn(
     """Draw each error from its stream, single ones at the probability that `point` says where it says one."""
     g = pair.pair
     changes: dict[str, Any] = {}
-    for name in (*SCALAR_ERRORS, "pin_circle_diameter", "pin_radius_each"):
+    for name in (*_SINGLE, "pin_radius_each"):
         # The circle's radius is toleranced by its diameter.
         error = getattr(tolerances, name, None)
         if error is None:
             continue
-        single = name != "pin_radius_each"
+        single = name in _SINGLE
         chance = np.array([point[name]]) if single and name in point else streams[name].random(1 if single else g.pins)
         values = within_tolerance(chance, error.tolerance, error.distribution)
         if name == "pin_radius_each":

@@ -111,6 +111,7 @@ class Study:
         }
 
 
+@functools.cache
 def versions() -> dict[str, str]:
     """Return the versions of the packages that decide a result's last digits."""
     return {name: importlib.metadata.version(name) for name in _DECISIVE}
@@ -275,10 +276,22 @@ def figures_to_first_order(study: Study, screen: Screen, errors: Array) -> Array
     return np.column_stack([found[name] if k is None else found[name][k] for name, k in study.columns])
 
 
+def _check_versions(wanted: dict[str, str]) -> None:
+    """Refuse to work where other versions would compute other digits."""
+    here = versions()
+    for name, version in wanted.items():
+        if here[name] != version:
+            raise edge.InputError(
+                f"a worker has {name} {here[name]}, this process {version}; give all workers the same version."
+            )
+
+
 _screens: dict[str, Screen] = {}  # the last one of this process
 
 
-def _screening_task(study: Study, first: int, rows: Array) -> tuple[int, Array]:
+def _screening_task(wanted: dict[str, str], study: Study, first: int, rows: Array) -> tuple[int, Array]:
+    """Solve some samples to first order, as `_task` does exactly."""
+    _check_versions(wanted)
     key = json.dumps(study.identity())
     if key not in _screens:
         _screens.clear()
@@ -288,13 +301,8 @@ def _screening_task(study: Study, first: int, rows: Array) -> tuple[int, Array]:
 
 
 def _task(wanted: dict[str, str], study: Study, first: int, rows: Array) -> tuple[int, Array]:
-    """Solve some samples wherever this runs; refuse a worker that would compute other digits."""
-    here = versions()
-    for name, version in wanted.items():
-        if here[name] != version:
-            raise edge.InputError(
-                f"a worker has {name} {here[name]}, this process {version}; give all workers the same version."
-            )
+    """Solve some samples wherever this runs."""
+    _check_versions(wanted)
     return first, np.array([figures_of(study, surface_of(study, row)) for row in rows])
 
 
@@ -378,7 +386,11 @@ def _connected(scheduler: str) -> Any:
 
 
 def solved(
-    study: Study, waiting: Mapping[int, Array], workers: int, scheduler: str | None
+    study: Study,
+    waiting: Mapping[int, Array],
+    workers: int,
+    scheduler: str | None,
+    task: Callable[[dict[str, str], Study, int, Array], tuple[int, Array]] = _task,
 ) -> Iterator[tuple[int, Array]]:
     """Yield (first sample, figures) of the waiting tasks as they are finished, in any order.
 
@@ -390,6 +402,8 @@ def solved(
         Processes of this machine; 1 works in this one.
     scheduler
         Address of a dask scheduler, such as "tcp://host:8786"; its workers are used instead.
+    task
+        What solves them: the exact kernel, or that of first order.
 
     Raises
     ------
@@ -400,7 +414,7 @@ def solved(
 
     wanted = versions()
     if scheduler is None:
-        tasks = (joblib.delayed(_task)(wanted, study, first, rows) for first, rows in waiting.items())
+        tasks = (joblib.delayed(task)(wanted, study, first, rows) for first, rows in waiting.items())
         yield from joblib.Parallel(n_jobs=workers, return_as="generator_unordered", batch_size=1)(tasks)
         return
     client = _connected(scheduler)
@@ -408,7 +422,7 @@ def solved(
         from distributed import as_completed
 
         # Not through joblib's own dask backend: it scatters arguments, which are lost with a worker that is killed.
-        futures = [client.submit(_task, wanted, study, *task, pure=False) for task in waiting.items()]
+        futures = [client.submit(task, wanted, study, *rows, pure=False) for rows in waiting.items()]
         for future in as_completed(futures, loop=client.loop):
             yield future.result()
             future.release()
@@ -521,7 +535,12 @@ class Screened:
 
 
 def screened(
-    study: Study, share: float, *, workers: int = 1, progress: Callable[[int], None] = lambda samples: None
+    study: Study,
+    share: float,
+    *,
+    workers: int = 1,
+    scheduler: str | None = None,
+    progress: Callable[[int], None] = lambda samples: None,
 ) -> Screened:
     """Solve a study to first order and confirm a share of it by the exact kernel.
 
@@ -532,16 +551,14 @@ def screened(
     ----------
     share
         Of the samples, above 0 and at most 1.
-    workers, progress
+    workers, scheduler, progress
         As in `run`; each confirmed sample is told of once more.
     """
-    import joblib
-
     place = points(study)
     values = np.empty((len(place), len(study.columns)))
     size = 16 * CHUNK
-    tasks = (joblib.delayed(_screening_task)(study, k, place[k : k + size]) for k in range(0, len(place), size))
-    for first, found in joblib.Parallel(n_jobs=workers, return_as="generator_unordered", batch_size=1)(tasks):
+    tasks = {k: place[k : k + size] for k in range(0, len(place), size)}
+    for first, found in solved(study, tasks, workers, scheduler, _screening_task):
         values[first : first + len(found)] = found
         progress(len(found))
     taken = demand(study, values)
@@ -550,7 +567,7 @@ def screened(
     confirmed = np.sort(nearest[: max(1, math.ceil(share * len(place)))])
     exact = np.empty((confirmed.size, values.shape[1]))
     waiting = {k: place[confirmed[k : k + CHUNK]] for k in range(0, confirmed.size, CHUNK)}
-    for first, found in solved(study, waiting, workers, None):
+    for first, found in solved(study, waiting, workers, scheduler):
         exact[first : first + len(found)] = found
         progress(len(found))
     difference = {

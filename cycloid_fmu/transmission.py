@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -288,15 +289,16 @@ def solve(
         )  # fmt: skip
 
     finished = 0
-    with ThreadPoolExecutor(workers) as pool:
-        waiting = [pool.submit(part, first) for first in range(0, angles.size, PART)]
+    # One thread needs no pool: a study of thousands of drives would start one for each.
+    with ThreadPoolExecutor(workers) if workers > 1 else contextlib.nullcontext() as pool:
+        parts = range(0, angles.size, PART)
         try:
-            for future in waiting:
-                size = future.result()
+            for size in map(part, parts) if pool is None else pool.map(part, parts):
                 finished += size
                 progress(size * torques.size)
         except KeyboardInterrupt:
-            pool.shutdown(cancel_futures=True)
+            if pool is not None:
+                pool.shutdown(cancel_futures=True)
             raise Interrupted(result(slice(0, finished))) from None
     return result(slice(None))
 

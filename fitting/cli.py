@@ -124,7 +124,8 @@ def curve(
         plots.save(plot_curves(curves), plot)
     if as_json:
         data = curves_dataset(curves)
-        typer.echo(edge.json_text({str(k): v.values for k, v in {**data.coords, **data.data_vars}.items()}))
+        numbers = {str(k): v.values for k, v in {**data.coords, **data.data_vars}.items()}
+        typer.echo(edge.json_text({**numbers, "notes": [note for one in curves for note in one.notes]}))
         return
     rows = []
     for one in curves:

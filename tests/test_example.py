@@ -59,3 +59,24 @@ def test_the_wear_paper_s_figures(tmp_path):
     assert float(table["gear, deepest, bounded"][1].split()[0]) == pytest.approx(49.4, rel=0.04)
     assert float(table["gear, deepest, updated"][1].split()[0]) < 8.0
     assert (tmp_path / "wear_study.png").stat().st_size > 100000
+
+
+def test_the_rv_paper_s_tables(tmp_path):
+    """Table 10 can't be had from equation 21: its first row needs a cosine above 1, the others over 70 degrees."""
+    run = subprocess.run(
+        [sys.executable, str(EXAMPLES / "lost_motion_study.py")], cwd=tmp_path, capture_output=True, text=True,
+        timeout=300, env={**os.environ, "COLUMNS": "200"},
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    cells = [
+        [c.strip() for c in line.strip("│").split("│")] for line in run.stdout.splitlines() if line.startswith("│")
+    ]
+    tilts = [row for row in cells if len(row) == 6]
+    assert [row[2] for row in tilts] == ["0.5462′", "0.5976′", "0.5982′", "0.6018′", "0.6029′", "0.6032′", "0.6063′"]
+    assert {row[3] for row in tilts} == {"0.5488′"}
+    assert tilts[0][5] == "none: cos α = 1.043"
+    assert all(float(row[5].removesuffix("°")) > 70.0 for row in tilts[1:])
+    totals = {row[0]: row[4] for row in cells if len(row) == 5}
+    assert totals["standard"] == "1.9689′"
+    assert totals["as printed"] == "0.5488′"
+    assert (tmp_path / "lost_motion_study.png").stat().st_size > 30000

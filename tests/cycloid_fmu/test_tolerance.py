@@ -19,7 +19,7 @@ from scipy import stats
 from cycloid_fmu import edge, tolerance
 from cycloid_fmu.pair import read_pair
 from cycloid_fmu.sampling import parse_tolerances, read_tolerances, surface_at, within_tolerance
-from cycloid_fmu.tolerance import Checkpoint, Study, check_study, figures_of, points, run, surface_of
+from cycloid_fmu.tolerance import Checkpoint, Study, check_study, figures_of, points, run, screened, surface_of
 from cycloid_fmu.transmission import solve
 
 PAIR = read_pair(EXAMPLES / "drive-39-40.toml")
@@ -320,6 +320,11 @@ def test_a_cluster_of_two_loses_a_worker_and_nothing_else(cluster):
     found = run(study, scheduler=address, progress=progress)
     assert sum(done) == 320
     assert (found.values == run(study).values).all()
+    # The worker that is left screens as well as it solves.
+    few = make_study(samples=48)
+    there, here = (screened(few, 0.1, scheduler=where) for where in (address, None))
+    assert (there.result.values == here.result.values).all()
+    assert (there.confirmed == here.confirmed).all()
 
 
 def test_a_worker_of_another_version_is_refused(cluster, tmp_path):

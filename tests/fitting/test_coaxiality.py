@@ -102,6 +102,7 @@ def test_curve_without_the_head_s_error(command, tmp_path, measured_csv):
     words = ("cycloid-fit", "curve", "wrong.csv", "--pair", pair, "--json")
     corrected = command(*words, "--read-head", "rv-20e-read-head.toml")
     assert corrected.returncode == 0, corrected.stderr
+    assert any("standard uncertainty" in note for note in json.loads(corrected.stdout)["notes"])
     found = {n: np.array(json.loads(text)["transmission_error"][0]) for n, text in (
         ("corrected", corrected.stdout), ("as read", command(*words).stdout),
         ("true", command("cycloid-fit", "curve", plain, "--pair", pair, "--json").stdout),
