@@ -21,9 +21,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import spatial
 from scipy.optimize import least_squares
 from scipy.sparse import csr_array
-from scipy.spatial import cKDTree
 
 from cycloid_fmu import edge
 from cycloid_fmu.pair import Pair
@@ -223,7 +223,7 @@ def closest_on_tooth(pair: Pair, points: Complex) -> tuple[Array, Array, Complex
     span = 2.0 * np.pi / pair.pair.gear_teeth
     starts = np.linspace(0.0, span, 97)
     x, y = flank_points(pair, starts)
-    tree = cKDTree(np.column_stack([x, y]))
+    tree = spatial.cKDTree(np.column_stack([x, y]))
     alpha = starts[tree.query(np.column_stack([points.real, points.imag]))[1]]
     low, high = -0.05 * span, 1.05 * span
     for _ in range(20):
@@ -269,7 +269,7 @@ def outlying(surface: Integers, along: Array, z: Array, deviation: Array) -> tup
     """
     apart = 10.0 * (np.ptp(along) + np.ptp(z))
     places = np.column_stack([along, z, surface * apart])
-    nearest = cKDTree(places).query(places, k=min(_NEIGHBOURS + 1, along.size))[1]
+    nearest = spatial.cKDTree(places).query(places, k=min(_NEIGHBOURS + 1, along.size))[1]
     # A neighbour on another tooth (where a tooth has few points) says nothing.
     same = surface[nearest] == surface[:, None]
     same[:, 0] = False

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import math
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -264,7 +264,7 @@ def solve(
         drive = drive._replace(**_flank_points(pair, surface, profile))
     gear_map, pin_map = np.zeros((torques.size, *gear_shape)), np.zeros((torques.size, *pin_shape))
 
-    merging = Lock()
+    merging = threading.Lock()
 
     def part(first: int) -> int:
         last = min(first + PART, angles.size)

@@ -1,4 +1,5 @@
-"""From a bench run to the FMU of that very drive.
+"""From a bench run to the FMU of that very drive
+==============================================
 
 A simulated bench stands in for the real one: it turns the FMU of a drive with known errors and sends CANopen encoder
 frames over a virtual CAN bus. From there on everything is what you would do with your own drive: record, make the

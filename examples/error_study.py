@@ -1,4 +1,7 @@
-"""What each modification and error does to accuracy: the error-surface paper's study, and which conclusions hold.
+"""What each modification and error does to accuracy
+=================================================
+
+The error-surface paper's study, and which of its conclusions hold.
 
 One pair, one load, one error at a time. MTE and PPTE are the mean and peak-to-peak transmission error, MB and PPB those
 of the backlash, MCS the largest contact pressure; the last columns are the pins in contact. The paper's cases can't be

@@ -1,4 +1,7 @@
-"""The RV paper's tables 5 and 10 and its headline, beside what its own formulas and the contact model give.
+"""The RV paper's tables and headline
+==================================
+
+Its tables 5 and 10 and its headline, beside what its own formulas and the contact model give.
 
 rv-geometric-hysteresis: Liu et al. (2022). The paper takes the pressure angle of the first stage from simulated forces
 that it does not publish. What can be said all the same is which pressure angle its table 10 would need; no other term

@@ -1,4 +1,7 @@
-"""Record two CANopen encoders and a torque transducer, from Python.
+"""Record over CAN
+===============
+
+Two CANopen encoders and a torque transducer, from Python.
 
 A simulated bench in a thread stands in for yours: leave it out, and name your own bus in bench.toml, such as
 interface = "socketcan", channel = "can0".

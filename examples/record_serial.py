@@ -1,4 +1,7 @@
-"""Record a line-based counter on a serial port, from Python, and put its own clock on the host's.
+"""Record over a serial port
+=========================
+
+A line-based counter, from Python, with its own clock put on the host's.
 
 A simulated counter on a pseudo-terminal stands in for yours: leave it out, and name your own port in bench.toml, such
 as url = "/dev/ttyUSB0". Its clock runs 50 ppm fast, and its lines are late by what the scheduler likes.

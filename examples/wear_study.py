@@ -1,4 +1,7 @@
-"""The wear paper's figures 4 to 11 redrawn, and its results beside ours with the cause of each deviation.
+"""The wear paper's figures and results
+====================================
+
+Figures 4 to 11 redrawn, and its results beside ours with the cause of each deviation.
 
 loaded-contact-wear: Wang, Wei, Wang, Yang, Xu: Research on Loaded Contact Analysis and Tooth Wear Calculation Method of
 Cycloid-Pin Gear Reducer, Lubricants 11 (2023) 445.

@@ -1,0 +1,98 @@
+"""The documentation site: `python -m sphinx -W docs docs/_build`; its pictures are drawn by the examples meanwhile."""
+
+import shutil
+import sys
+from importlib import metadata
+from pathlib import Path
+
+from sphinx.application import Sphinx
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE))
+
+project = "cycloid-fmu"
+author = "the cycloid-fmu developers"
+version = release = metadata.version("cycloid-fmu")
+
+templates_path = ["_templates"]
+extensions = [
+    "myst_parser",
+    "numpydoc",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.intersphinx",
+    "sphinx.ext.mathjax",
+    "sphinx_gallery.gen_gallery",
+    "sphinxcontrib.typer",
+]
+root_doc = "index"
+exclude_patterns = ["_build", "generated/examples", "generated/*.inc.md", "**/README.rst", "**/GALLERY_HEADER.rst"]
+html_theme = "pydata_sphinx_theme"
+html_theme_options = {"show_toc_level": 2, "navigation_with_keys": False, "secondary_sidebar_items": ["page-toc"]}
+html_title = "cycloid-fmu"
+html_show_sourcelink = False
+
+myst_enable_extensions = ["amsmath", "attrs_inline", "colon_fence", "deflist", "dollarmath"]
+myst_heading_anchors = 3
+# A single pair of backticks in a docstring names something of the package, a standard or a file.
+default_role = "autolink"
+numpydoc_show_class_members = False
+numpydoc_xref_param_type = False
+autosummary_generate = True
+autodoc_typehints = "none"
+autodoc_default_options = {"members": True, "member-order": "bysource", "exclude-members": "model_config"}
+autodoc_inherit_docstrings = False
+# The gallery's settings hold a function, so Sphinx reads them anew each time.
+suppress_warnings = ["config.cache"]
+
+EXAMPLES = HERE / "generated" / "examples"
+
+
+def fresh_examples() -> None:
+    """Copy the examples to where what they write does no harm."""
+    shutil.rmtree(EXAMPLES, ignore_errors=True)
+    shutil.copytree(HERE.parent / "examples", EXAMPLES, ignore=shutil.ignore_patterns("__pycache__", "*_out"))
+    (EXAMPLES / "GALLERY_HEADER.rst").write_text(
+        "Gallery\n=======\n\nEvery picture and every number below was made by the example while this site was built.\n",
+        encoding="utf-8",
+    )
+
+
+def pictures(block: tuple, block_variables: dict, gallery: dict) -> str:
+    """Take the pictures that an example wrote since the last block: they are drawn without a screen."""
+    from sphinx_gallery.scrapers import figure_rst
+
+    images = []
+    for found in sorted(EXAMPLES.rglob("*.png")):
+        images.append(next(block_variables["image_path_iterator"]))
+        shutil.move(found, images[-1])
+    return figure_rst(images, gallery["src_dir"])
+
+
+fresh_examples()
+sphinx_gallery_conf = {
+    "examples_dirs": "generated/examples",
+    "gallery_dirs": "gallery",
+    "filename_pattern": r"\.py$",
+    "image_scrapers": (pictures,),
+    "reset_modules": (),
+    "matplotlib_animations": False,
+    "within_subsection_order": "FileNameSortKey",
+    "capture_repr": (),
+    "remove_config_comments": True,
+    "show_memory": False,
+    "min_reported_time": 1e9,
+    "abort_on_example_error": True,
+    "line_numbers": False,
+    "copyfile_regex": r".*\.(toml|csv)$",
+}
+
+
+def without_substitutions(app: object, what: str, name: str, thing: object, options: object, lines: list[str]) -> None:
+    """Docstrings write |x| for the absolute value, which reStructuredText takes for a substitution."""
+    lines[:] = [line.replace("|", "\\|") for line in lines]
+
+
+def setup(app: Sphinx) -> None:
+    """Connect what this site adds."""
+    app.connect("autodoc-process-docstring", without_substitutions)
