@@ -32,7 +32,7 @@ _NUMBER = r"[+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?"
 _QUANTITY = re.compile(rf"({_NUMBER}) (\S.*)")
 _EXAMPLES = {
     "m": "64 mm", "rad": "0.5 arcmin", "N": "5 N", "N*m": "181 N*m", "Pa": "206 GPa", "s": "10 ms", "rad/s": "15 rpm",
-    "rad/(N*m)": "0.02 arcsec/(N*m)", "1/Pa": "2.2e-8 1/Pa", "m^2/N": "1e-18 m^2/N",
+    "K": "300 K", "rad/(N*m)": "0.02 arcsec/(N*m)", "1/Pa": "2.2e-8 1/Pa", "m^2/N": "1e-18 m^2/N",
 }  # fmt: skip
 
 
@@ -120,14 +120,19 @@ def _reader(si: str) -> pydantic.BeforeValidator:
     return pydantic.BeforeValidator(lambda value: parse_quantity(value, si))
 
 
-Length = Annotated[float, _reader("m")]
-Angle = Annotated[float, _reader("rad")]
-Torque = Annotated[float, _reader("N*m")]
-Pressure = Annotated[float, _reader("Pa")]
-Seconds = Annotated[float, _reader("s")]
-Speed = Annotated[float, _reader("rad/s")]
-PressureViscosity = Annotated[float, _reader("1/Pa")]
-WearCoefficient = Annotated[float, _reader("m^2/N")]
+def _unit(si: str) -> Any:
+    return pydantic.Field(json_schema_extra={"quantity": _EXAMPLES[si], "si": si})
+
+
+Length = Annotated[float, _reader("m"), _unit("m")]
+Angle = Annotated[float, _reader("rad"), _unit("rad")]
+Torque = Annotated[float, _reader("N*m"), _unit("N*m")]
+Pressure = Annotated[float, _reader("Pa"), _unit("Pa")]
+Seconds = Annotated[float, _reader("s"), _unit("s")]
+Speed = Annotated[float, _reader("rad/s"), _unit("rad/s")]
+Temperature = Annotated[float, _reader("K"), _unit("K")]
+PressureViscosity = Annotated[float, _reader("1/Pa"), _unit("1/Pa")]
+WearCoefficient = Annotated[float, _reader("m^2/N"), _unit("m^2/N")]
 
 
 class Config(pydantic.BaseModel):

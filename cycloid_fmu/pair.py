@@ -125,10 +125,26 @@ PatternOfDiscs = Annotated[Any, pydantic.BeforeValidator(_pattern_of_discs)]
 
 
 class Errors(Config):
-    """The errors that a pair file states: what really was made and assembled. Signs: design.md section 3.
+    """The errors that a pair file states: what really was made and assembled.
 
-    `pin_radial`, `pin_tangential` and `tooth_cumulative_pitch` hold either {order: (amplitude m, phase rad)} or one
-    value for each pin or tooth; `pin_radius_each` one value for each pin.
+    Attributes
+    ----------
+    centre_distance_x, centre_distance_y
+        Offset of the gear, standing still in the frame, m.
+    misalignment_xz, misalignment_yz
+        Tilt of the gear's axis about mid-width, its +z end towards +x or +y, rad.
+    eccentricity, pin_circle_radius, pin_radius
+        What was made less what is drawn, m.
+    isometric, offset
+        Modification that was made less the one drawn, m.
+    pin_radial, pin_tangential
+        Position of the pins, > 0 outwards and counter-clockwise: a table `order_N = ["2.5 um", "40 deg"]` of amplitudes
+        and phases, {order: (m, rad)}, or a list of one length for each pin, m.
+    pin_radius_each
+        One length for each pin, m.
+    tooth_cumulative_pitch
+        Position of the teeth, > 0 counter-clockwise, as arc length at the pin circle radius: orders, a list, or a list
+        for each disc, m.
     """
 
     centre_distance_x: Deviation = 0.0
@@ -147,7 +163,23 @@ class Errors(Config):
 
 
 class Geometry(Config):
-    """The `[pair]` table."""
+    """The gear pair as drawn.
+
+    Attributes
+    ----------
+    gear_teeth, pins
+        z_c; z_p = z_c + 1.
+    pin_circle_radius, pin_radius, eccentricity, face_width
+        R_p, R_rp, e, b, m.
+    discs
+        Cycloid gears, evenly spread around the crank.
+    output
+        What turns: the gear in the fixed ring, or the ring round the gear that only orbits.
+    rated_torque
+        At the output, for limits and loads that are parts of it, N·m.
+    contact_law
+        "capped" bounds the flank's curvature radius in Hertz's logarithm by the pin circle radius.
+    """
 
     gear_teeth: int = pydantic.Field(ge=6, le=120, strict=True)
     pins: int = pydantic.Field(strict=True)

@@ -10,6 +10,8 @@ from sphinx.application import Sphinx
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
 
+import file_reference  # noqa: E402
+
 project = "cycloid-fmu"
 author = "the cycloid-fmu developers"
 version = release = metadata.version("cycloid-fmu")
@@ -70,6 +72,7 @@ def pictures(block: tuple, block_variables: dict, gallery: dict) -> str:
 
 
 fresh_examples()
+file_reference.write(HERE / "generated" / "files.md")
 sphinx_gallery_conf = {
     "examples_dirs": "generated/examples",
     "gallery_dirs": "gallery",

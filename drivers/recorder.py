@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 import pydantic
@@ -46,7 +46,7 @@ class Conditions(edge.Config):
     load: edge.Torque | None = None
     speed: edge.Speed | None = None
     direction: Literal["forward", "backward"] | None = None
-    temperature: Annotated[float, pydantic.BeforeValidator(lambda value: edge.parse_quantity(value, "K"))] | None = None
+    temperature: edge.Temperature | None = None
     note: str | None = None
 
 
