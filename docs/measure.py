@@ -70,9 +70,10 @@ def main() -> None:
         text = "\n\n".join(
             [
                 "# Measured figures",
-                f"By `python docs/measure.py{' --quick' if quick else ''}` on {cpu.get('brand_raw', machine['machine'])}, "
-                f"{os.cpu_count()} cores, {platform.system()}, Python {machine['python_version']}. Ratios are of one run, "
-                "each against the baseline that its benchmark names; times are medians.",
+                f"By `python docs/measure.py{' --quick' if quick else ''}` on "
+                f"{cpu.get('brand_raw', machine['machine'])}, {os.cpu_count()} cores, {platform.system()}, Python "
+                f"{machine['python_version']}. Ratios are of one run, each against the baseline that its benchmark "
+                "names; times are medians.",
                 "## Speed",
                 table(["file", "benchmark", "median", "beside it"], list(rows_of_benchmarks(speed))),
                 "## Accuracy and coverage",
