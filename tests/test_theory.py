@@ -1,0 +1,160 @@
+"""The theory pages: what they name exists, what has a source is on them, and their first-order tables hold."""
+
+import ast
+import functools
+import importlib
+import inspect
+import re
+import types
+from pathlib import Path
+
+import numpy as np
+import pytest
+from common import PAIR, make_pair
+
+from cycloid_fmu import contact
+from cycloid_fmu.surface import nominal_surface, with_structured
+from cycloid_fmu.transmission import drive_of, solve
+from fitting.metrics import DEFINITIONS
+
+ROOT = Path(__file__).parent.parent
+PAGES = {page.stem: page.read_text(encoding="utf-8") for page in sorted((ROOT / "docs" / "theory").glob("*.md"))}
+MODIFIED = PAIR + '[modification]\noffset = "-70 um"\nisometric = "-25 um"\n'
+SOURCED = ("contact", "sliding", "tooth_contact", "wear", "reducer")
+A_SOURCE = re.compile(r"paper|equations? \d|loaded-contact-wear|GB/T|Nabtesco|ISO \d|Modelica|\b(?:19|20)\d\d\b")
+
+
+def names_in(text):
+    """Whatever of the packages a page names in backticks, with its module."""
+    return set(re.findall(r"`~?((?:cycloid_fmu|fitting|drivers)(?:\.\w+)+)`", text))
+
+
+def resolved(name):
+    """Import the longest module of a dotted name and follow what is left."""
+    parts = name.split(".")
+    for size in range(len(parts), 0, -1):
+        try:
+            found = importlib.import_module(".".join(parts[:size]))
+        except ModuleNotFoundError:
+            continue
+        for part in parts[size:]:
+            found = getattr(found, part)
+        return found
+    raise AttributeError(name)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_what_a_page_names_exists(page):
+    names = names_in(PAGES[page])
+    assert names or page == "papers"
+    for name in names:
+        resolved(name)
+
+
+@functools.cache
+def declared_in(path):
+    """Names of the tests of a file, without importing it."""
+    tree = ast.parse((ROOT / path).read_text(encoding="utf-8"))
+    return {node.name for node in tree.body if isinstance(node, ast.FunctionDef) and node.name.startswith("test_")}
+
+
+def test_tests_and_examples_that_pages_name_exist():
+    text = "\n".join(PAGES.values())
+    for path, name in re.findall(r"`(tests/[\w/]+\.py)(?:::(test_\w+))?`", text):
+        assert not name or name in declared_in(path), name
+    everywhere = set().union(*(declared_in(p.relative_to(ROOT)) for p in (ROOT / "tests").rglob("test_*.py")))
+    assert set(re.findall(r"`(test_\w+)`", text)) <= everywhere
+    for path in re.findall(r"`(examples/[\w.-]+)`", text):
+        assert (ROOT / path).exists()
+
+
+def public_functions(module):
+    """Functions that a module defines, compiled ones too."""
+    for name, value in vars(module).items():
+        plain = getattr(value, "py_func", value)
+        if isinstance(plain, types.FunctionType) and plain.__module__ == module.__name__ and not name.startswith("_"):
+            yield name, plain
+
+
+@pytest.mark.parametrize("name", SOURCED)
+def test_every_function_with_a_source_is_on_a_page(name):
+    named = set().union(*(names_in(text) for text in PAGES.values()))
+    module = importlib.import_module(f"cycloid_fmu.{name}")
+    sourced = {n for n, f in public_functions(module) if A_SOURCE.search(inspect.getdoc(f) or "")}
+    assert sourced
+    assert not {n for n in sourced if f"cycloid_fmu.{name}.{n}" not in named}
+
+
+def test_every_figure_of_the_bench_is_defined():
+    assert {name for name in DEFINITIONS if f"`{name}`" not in PAGES["measurement"]} == set()
+
+
+def ideal(phase):
+    """K, S and L of the ideal pair, gear out."""
+    k = 1.3 * 40 / 64
+    stretch = np.sqrt(1.0 + k * k - 2.0 * k * np.cos(phase))
+    return k, stretch, 1.3e-3 * 39 * np.sin(phase) / stretch
+
+
+def gaps(surface):
+    drive = drive_of(make_pair(), surface)
+    rows = contact.contact_rows(drive)
+    contact.place(drive, 0.3, 0.0, rows, True, np.inf)
+    return rows[::2, contact.GAP]
+
+
+def test_first_order_effects_on_the_gap():
+    """The table of errors.md against differences of the exact gaps, at crank angle 0.3 rad, away from the roots."""
+    direction = 2.0 * np.pi * np.arange(40) / 40
+    phase = direction - 0.3
+    k, s, arm = ideal(phase)
+    tooth = np.floor(((direction + 0.3 / 39) % (2.0 * np.pi)) * 39 / (2.0 * np.pi))
+    normal = np.exp(0.3j) * (np.cos(phase) - k + 1j * np.sin(phase)) / s
+    wanted = {
+        "pin_radial_1_cos": (1.0 - k * np.cos(phase)) / s * np.cos(direction),
+        "pin_tangential_2_sin": k * np.sin(phase) / s * np.sin(2.0 * direction),
+        "pin_radius": -np.ones(40),
+        "pin_circle_radius": (1.0 - k * np.cos(phase)) / s,
+        "isometric": np.ones(40),
+        "offset": -(1.0 - k * np.cos(phase)) / s,
+        "eccentricity": (k - np.cos(phase)) / s,
+        "centre_distance_x": -normal.real,
+        "centre_distance_y": -normal.imag,
+        "tooth_cumulative_pitch_1_cos": -arm / 64e-3 * np.cos(2.0 * np.pi * tooth / 39),
+    }
+    assert -normal.real == pytest.approx(-(np.cos(phase + 0.3) - k * np.cos(0.3)) / s)
+    blank, step = nominal_surface(make_pair()), 1e-9
+    away = np.abs((phase + np.pi) % (2.0 * np.pi) - np.pi) > 0.3
+    for name, effect in wanted.items():
+        ends = [gaps(with_structured(make_pair(), blank, {name: v})) for v in (-step, step)]
+        found = (ends[1] - ends[0]) / (2.0 * step)
+        assert found[away] == pytest.approx(effect[away], abs=1e-4), name
+
+
+@pytest.mark.parametrize(
+    ("name", "order"), [("pin_radial_1_cos", 39), ("tooth_cumulative_pitch_1_cos", 40), ("centre_distance_x", 40)]
+)
+def test_orders_with_the_ring_as_output(name, order):
+    """The gear held: pins at multiples of z_c of an output turn, teeth and what stands still at multiples of z_p."""
+    pair = make_pair(MODIFIED, output="ring")
+    surface = with_structured(pair, nominal_surface(pair), {name: 1e-6})
+    angles = np.linspace(0.0, 2.0 * np.pi * 40, 40 * 80, endpoint=False)
+    error = solve(pair, surface, 100.0, angles, with_play=False).transmission_error[0]
+    assert int(np.argmax(np.abs(np.fft.rfft(error))[1:])) + 1 == order
+
+
+@pytest.mark.parametrize(("law", "dip"), [("capped", 0.17), ("as_printed", 0.27)])
+def test_load_dips_at_the_inflection(law, dip):
+    """Error-surface paper, figure 7d: one pin near the largest load carries less than both its neighbours."""
+    pair = make_pair(contact_law=law)
+    angles = np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
+    force = solve(pair, nominal_surface(pair), -181.0, angles, with_play=False).pin_force[0, :, 0]
+    beside = np.minimum(np.roll(force, 1, axis=1), np.roll(force, -1, axis=1))
+    share = np.where(beside > 0.5 * force.max(), 1.0 - force / np.maximum(beside, 1e-9), 0.0)
+    assert share.max() == pytest.approx(dip, abs=0.01)
+    # It is the pin whose contact is next to where the flank's curvature changes its sign.
+    angle, pin = np.unravel_index(share.argmax(), share.shape)
+    k = 1.3 * 40 / 64
+    inflection = np.arccos((1.0 + 40 * k * k) / (k * 41))
+    phase = (2.0 * np.pi * pin / 40 - angles[angle] + np.pi) % (2.0 * np.pi) - np.pi
+    assert abs(phase) == pytest.approx(inflection, abs=0.05)
