@@ -246,9 +246,9 @@ def _predicted(pair: Pair, fit: _Fit, curves: Sequence[Curve]) -> HeldOut:
                       for n in observed.bench_names])  # fmt: skip
     bench = np.split(observed.bench @ known, observed.ends)
     for curve, zero in zip(curves, bench, strict=True):
-        way = float(curve.direction) * np.sign(curve.ratio)
+        against = -float(curve.direction) * np.sign(curve.ratio)
         angles = curve.input_angle + fit.state.crank_offset
-        torque = curve.torque + way * fit.state.friction
+        torque = curve.torque + against * fit.state.friction
         error = solve(pair, fit.state.surface, torque, angles, with_play=False).transmission_error[0] + zero
         rest = curve.transmission_error - error
         left.append(rest if curve.common_zero else rest - rest.mean())

@@ -197,13 +197,13 @@ def linearise(pair: Pair, observed: Observations, state: State, names: Sequence[
     pins, teeth = slice(scalars, scalars + 2 * g.pins), slice(scalars + 3 * g.pins, None)
 
     def of(curve: Curve) -> tuple[Array, ...]:
-        way = float(curve.direction) * np.sign(curve.ratio)
+        against = -float(curve.direction) * np.sign(curve.ratio)
         model, jacobian, each, further = error_sensitivity(
-            pair, state.surface, curve.torque + way * state.friction, curve.input_angle + state.crank_offset,
+            pair, state.surface, curve.torque + against * state.friction, curve.input_angle + state.crank_offset,
             list(names),
         )  # fmt: skip
         scatter = np.hstack([each[:, pins], each[:, teeth] / g.pin_circle_radius])
-        return model, jacobian, scatter, further[:, 0], way * further[:, 1]
+        return model, jacobian, scatter, further[:, 0], against * further[:, 1]
 
     # The kernel works without Python's lock.
     with ThreadPoolExecutor(os.cpu_count()) as pool:

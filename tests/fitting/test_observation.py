@@ -1,0 +1,35 @@
+"""The observation model against the drive that a system model steps."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from cycloid_fmu.fmu.model import DriveModel
+from cycloid_fmu.surface import surface_of_pair
+from fitting.identifiability import planned_curve
+from fitting.observation import State, linearise, observations, spread_of
+
+
+@pytest.mark.parametrize("output", ["gear", "ring"])
+@pytest.mark.parametrize(("direction", "torque"), [(1, 60.0), (1, -60.0), (-1, 60.0)])
+def test_friction_acts_against_the_motion(nominal, output, direction, torque):
+    """What a drive with dry friction does is what the fit calls the same friction torque."""
+    pair = nominal.model_copy(update={"pair": nominal.pair.model_copy(update={"output": output})})
+    drive = DriveModel(pair, surface_of_pair(pair))
+    drive.friction_torque, drive.torque = 5.0, torque
+    errors, angles = [], 10.0 + direction * np.arange(6) * 0.3
+    for angle in (10.0 - direction * 0.3, *angles):  # from the first on the lost motion is passed through
+        drive.crank_angle = float(angle)
+        drive.advance()
+        errors.append(drive.transmission_error)
+    curve = dataclasses.replace(planned_curve(pair.ratio, torque, direction, 6 / 39 / 100, 100), input_angle=angles)
+    observed = observations([curve], pair, [1e-6])
+    state = State(
+        surface_of_pair(pair), np.zeros(spread_of(pair, {}).size), np.zeros(observed.bench.shape[1]), friction=5.0
+    )
+    linear, more = (
+        linearise(pair, observed, dataclasses.replace(state, friction=f), ["eccentricity"]) for f in (5.0, 5.01)
+    )
+    assert linear.model == pytest.approx(errors[1:], abs=1e-10)
+    assert linear.by_friction == pytest.approx((more.model - linear.model) / 0.01, rel=1e-2)
