@@ -2,8 +2,8 @@
 
 The flank is the curve parallel, at the generating pin's radius r, to the path of the generating pin's centre in the
 gear, T(α) = R e^{iα} - e e^{i z_p α}: so the gap of a pin is the signed distance of its axis from T, plus r, less the
-pin's radius, and its foot on T and on the flank are the same α (design.md section 4, turned by -90° so that tooth 0
-begins at +x). A point is a complex number in the comments and a pair (x, y) in the code.
+pin's radius, and its foot on T and on the flank are the same α (docs/theory/contact.md; turned by -90° so that
+tooth 0 begins at +x). A point is a complex number in the comments and a pair (x, y) in the code.
 
 The unknown is x, the output's deviation from the ideal drive: gear angle -θ/z_c + x with the pin ring fixed, or ring
 angle θ/z_p + x with the gear held. Torque is what the environment puts on the output; force times arm balances it.
@@ -37,7 +37,7 @@ SCALAR_ERRORS = (
     "pin_circle_radius", "pin_radius", "isometric", "offset",
 )  # fmt: skip
 
-TOUCHING = 2e-10  # m: an interference below this counts as touching (design.md section 3)
+TOUCHING = 2e-10  # m: an interference below this counts as touching
 _FOOT_STEP = 1e-11  # m: Newton's last step along the flank; near a root the moment arm errs by a thousand times that
 _ROTATION_STEP = 1e-12  # rad: last step of the play's ends
 _LINEAR_STEP = 1e-9  # rad: below this Newton's last step of an equilibrium is made with the stiffnesses at hand
@@ -668,7 +668,7 @@ def hertz(
     """Force and stiffness of Hertz's line contact at a given approach.
 
     δ = (2F/πb)[V_c(ln(4|ρ_c|/a) - ½) + V_p(ln(4 R_rp/a) - ½)], a = sqrt(4 F ρ* (V_c + V_p)/(πb)) and
-    ρ* = 1/|1/R_rp + 1/ρ_c|, solved for F (loaded-contact-wear and error-surface papers; design.md section 4).
+    ρ* = 1/|1/R_rp + 1/ρ_c|, solved for F (loaded-contact-wear and error-surface papers; docs/theory/contact.md).
 
     Parameters
     ----------
@@ -1125,7 +1125,7 @@ def _larger_circle(drive: Drive, contacts: Array, row: int, pin: int, local: _Lo
 def sensitivities(drive: Drive, theta: float, x: float, contacts: Array, out: Array) -> float:
     """Derivatives of the deviation at constant torque by every error, by the implicit function of the equilibrium.
 
-    dx/dp = -(∂M/∂p)/(∂M/∂x) (design.md section 4), with the arms' own change included.
+    dx/dp = -(∂M/∂p)/(∂M/∂x) (docs/theory/errors.md), with the arms' own change included.
 
     Parameters
     ----------

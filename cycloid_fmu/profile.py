@@ -30,7 +30,7 @@ def flank_points(pair: Pair, alpha: ArrayLike) -> tuple[Array, Array]:
 
     Notes
     -----
-    Error-surface paper, equation 1, in the form of design.md section 4: x = R cos α - r cos(ϑ - α) - e cos z_p α and
+    Error-surface paper, equation 1, turned by -90°: x = R cos α - r cos(ϑ - α) - e cos z_p α and
     y = R sin α + r sin(ϑ - α) - e sin z_p α, with ϑ = atan2(k sin z_c α, 1 - k cos z_c α).
     """
     a = np.asarray(alpha, dtype=float)

@@ -1,7 +1,7 @@
 """The RV reducer around the cycloid stage: involute first stage, crank bearings, and the budget of its lost motion.
 
 Source: Liu et al., "Analysis of the coaxiality-geometric hysteresis model of a rotate vector reducer" (2022), in short
-the RV paper; design.md section 12 says which of its equations hold. All plays are two-sided, in radians at the output,
+the RV paper; docs/theory/reducer.md says which of its equations hold. Plays are two-sided, in radians at the output,
 > 0 is clearance. The file `cycloid-reducer/1` is read here; everything leaves this module in SI units.
 """
 
@@ -327,7 +327,7 @@ def standard(reducer: Reducer, values: Mapping[str, ArrayLike]) -> dict[str, Arr
 
     With d = e z_c and s = sqrt(1 - K²) the cycloid stage is [2 ΔR_rp - 2 ΔR_p s + 2 δr_p s - 2 δr_rp + δJ + ΔF_r/2 +
     2 K δt - K ΔF_p + 2 δΔR_rp - 2 δΔR_p s]/d - 2 K_n δe with K_n = ΔR_rp/(e² z_c) - [z_p²/(z_c R_p² s) +
-    s/(e² z_c)] ΔR_p (RV paper, equations 5, 16, 17 and 20; design.md section 12: the printed K_n has wrong dimensions).
+    s/(e² z_c)] ΔR_p (RV paper, equations 5, 16, 17 and 20; the printed K_n has wrong dimensions: docs/theory).
 
     Parameters
     ----------

@@ -55,7 +55,7 @@ def ideal_velocities(pair: Pair, phase: ArrayLike) -> Velocities:
     Notes
     -----
     loaded-contact-wear section 3.3 written out: v_1r = R_rp K (cos φ - K)/S², v_12 = (R_p S - R_rp)/z_c, with
-    K = e z_p/R_p and S = sqrt(1 + K² - 2K cos φ) (design.md section 11).
+    K = e z_p/R_p and S = sqrt(1 + K² - 2K cos φ) (docs/theory/wear.md).
     """
     g, cosine = pair.pair, np.cos(np.asarray(phase, dtype=float))
     k = g.eccentricity * g.pins / g.pin_circle_radius

@@ -1,6 +1,6 @@
 """The error surface: what really was made and assembled, beyond the nominal pair.
 
-Signs and names are those of design.md section 3; the file is netCDF, format `cycloid-surface/1`.
+Signs and names are those of docs/theory/errors.md; the file is netCDF, format `cycloid-surface/1`.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ FORMAT = "cycloid-tolerance-study/1"
 CHECKPOINT_FORMAT = "cycloid-tolerance-checkpoint/1"
 CHUNK = 16  # samples of one task
 PLAY_STEP = 10  # play and lost motion, which cost most and vary slowly, are taken at each tenth crank angle
-LOST_MOTION_LOAD = 0.03  # of the rated torque (GB/T 40731; design.md section 10)
+LOST_MOTION_LOAD = 0.03  # of the rated torque (GB/T 40731)
 FORM = Elements(profile=50, width=5, angle=25)  # of sampled form deviations
 # Packages whose versions decide the last digits.
 _DECISIVE = ("cycloid-fmu", "numba", "numpy", "scipy")

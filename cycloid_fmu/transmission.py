@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 FORMAT = "cycloid-analysis/1"
 PROFILE_ELEMENTS = 800  # of a tooth, as in the error-surface paper, where a surface does not say
 ANGLE_ELEMENTS = 400  # of half a pin
-SLICES_MISALIGNED = 20  # transmission error within 0.1 % to 0.5 mrad, by midpoints (design.md section 9)
+SLICES_MISALIGNED = 20  # transmission error within 0.1 % to 0.5 mrad, by midpoints (docs/theory/contact.md)
 PART = 360  # crank angles that are solved in a row, each from its neighbour
 
 
@@ -368,7 +368,7 @@ def analyze(
     workers: int = 1,
     progress: Callable[[int], None] = lambda angles: None,
 ) -> xr.Dataset:
-    """Return the labelled dataset of a crank sweep (format `cycloid-analysis/1`, design.md section 5).
+    """Return the labelled dataset of a crank sweep (format `cycloid-analysis/1`).
 
     Parameters are those of `solve`. Interrupted, it returns the crank angles that were finished, and the attribute
     `complete` is 0.

@@ -3,7 +3,7 @@
 A point of a flank loses k_0 p for each metre that the other surface slides past while the pressure p is on it. Summed
 over the sweep of the Hertz pressure this is h = N ∫ k_0 p(s - s_c(φ)) |v_12| dφ: bounded, and it conserves
 k_0 ∫ F |v_12| exactly on any grid, because each contact gives every element the part of the pressure's ellipse that
-lies on it (loaded-contact-wear equations 18 to 22; design.md section 11 says why not 2a|σ|).
+lies on it (loaded-contact-wear equations 18 to 22; docs/theory/wear.md says why not 2a|σ|).
 """
 
 from __future__ import annotations

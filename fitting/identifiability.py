@@ -26,7 +26,7 @@ from fitting.observation import (
 Array = NDArray[np.float64]
 ORDERS = (1, 2, 3)
 
-# Of each set of errors that move the transmission error alike the first is fitted (design.md section 3).
+# Of each set of errors that move the transmission error alike the first is fitted (docs/theory/errors.md).
 PREFERENCE = (
     "centre_distance_x", "centre_distance_y", "pin_radius", "pin_circle_radius", "eccentricity",
     *(f"{p}_{k}_{w}" for k in (2, 3) for p in ("pin_radial", "pin_tangential") for w in ("cos", "sin")),

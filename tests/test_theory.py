@@ -89,6 +89,12 @@ def test_every_figure_of_the_bench_is_defined():
     assert {name for name in DEFINITIONS if f"`{name}`" not in PAGES["measurement"]} == set()
 
 
+def test_pages_that_the_code_names_exist():
+    for source in (p for package in ("cycloid_fmu", "fitting", "drivers") for p in (ROOT / package).rglob("*.py")):
+        for page in re.findall(r"docs/theory/(\w+)\.md", source.read_text(encoding="utf-8")):
+            assert page in PAGES, source
+
+
 def ideal(phase):
     """K, S and L of the ideal pair, gear out."""
     k = 1.3 * 40 / 64
