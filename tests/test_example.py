@@ -10,6 +10,20 @@ import sys
 import pytest
 from common import EXAMPLES
 
+NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e-?\d+)?")
+
+
+def assert_page_agrees(section, rows, said):
+    """Each figure of ours in the third column of these rows of the papers' page is one that the example printed."""
+    text = (EXAMPLES.parent / "docs" / "theory" / "papers.md").read_text(encoding="utf-8")
+    table = [line.split("|") for line in text.split(f"({section})=")[1].split("\n(theory-")[0].splitlines()]
+    figures = [n for cells in table if len(cells) > 3 and rows in "|".join(cells) for n in NUMBER.findall(cells[3])]
+    assert figures
+    printed = [float(n) for n in NUMBER.findall(said)]
+    for figure in figures:
+        digits = len(figure.partition(".")[2])
+        assert any(round(n, digits) == float(figure) for n in printed), figure
+
 
 def test_from_the_bench_to_the_fmu_and_back(tmp_path):
     run = subprocess.run(
@@ -35,13 +49,15 @@ def test_from_the_bench_to_the_fmu_and_back(tmp_path):
 def test_what_each_error_does(tmp_path):
     """The study of the error-surface paper: design.md section 9 says which of its conclusions hold."""
     run = subprocess.run(
-        [sys.executable, str(EXAMPLES / "error_study.py")], cwd=tmp_path, capture_output=True, text=True, timeout=300
-    )
+        [sys.executable, str(EXAMPLES / "error_study.py")], cwd=tmp_path, capture_output=True, text=True, timeout=300,
+        env={**os.environ, "COLUMNS": "200"},
+    )  # fmt: skip
     assert run.returncode == 0, run.stderr
     lines = {line.strip("│ ").split("  ")[0]: "does not hold" not in line for line in run.stdout.splitlines()}
     assert lines["pitch leads PPTE"]
     assert lines["centre distance leads PPTE"]
     assert not lines["misalignment leads PPTE"]
+    assert_page_agrees("theory-paper-error-surface", "hold", run.stdout)
     assert (tmp_path / "error_study.png").stat().st_size > 10000
 
 
@@ -58,6 +74,7 @@ def test_the_wear_paper_s_figures(tmp_path):
     assert table["unloaded mesh interval"][:2] == ["0.1571 rad", "0.1571 rad"]
     assert float(table["gear, deepest, bounded"][1].split()[0]) == pytest.approx(49.4, rel=0.04)
     assert float(table["gear, deepest, updated"][1].split()[0]) < 8.0
+    assert_page_agrees("theory-paper-wear", "`examples/wear_study.py`", run.stdout)
     assert (tmp_path / "wear_study.png").stat().st_size > 100000
 
 
@@ -79,4 +96,6 @@ def test_the_rv_paper_s_tables(tmp_path):
     totals = {row[0]: row[4] for row in cells if len(row) == 5}
     assert totals["standard"] == "1.9689′"
     assert totals["as printed"] == "0.5488′"
+    for rows in ("`examples/lost_motion_study.py`", "::test_the_rv_paper_s_tables`"):
+        assert_page_agrees("theory-paper-rv", rows, run.stdout)
     assert (tmp_path / "lost_motion_study.png").stat().st_size > 30000
