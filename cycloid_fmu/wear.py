@@ -31,13 +31,13 @@ from cycloid_fmu.wear_law import Load, Regression, WearLaw
 
 Array = NDArray[np.float64]
 
-# Crank angles for each pin pitch: where one pitch is all there is, where every pin or tooth meets each phase once, and
-# where it meets it many times, each time a little on. Against ten times as many the felt depth of a worn drive errs by
-# a thousandth (tests/cycloid_fmu/test_wear.py).
-ANGLES = (128, 32, 6)
-# Half length, in half widths, of the arc over which a contact feels the loss. Ripples shorter than 1.64 a are worn in
-# their valleys, for the pressure's ellipse, centred on a crest, wears these more (its transform 2 J_1(ka)/ka is
-# negative); a mean over this length no longer shows them, so they can't grow. Shorter, the depth depends on the elements.
+# Crank angles in a crank turn: where the sweep is one pin pitch, where every pin or tooth meets each phase once, and
+# where it meets it many times, each time a little on. Against ten times as many, what a contact feels of the wear errs
+# by a few thousandths at most.
+ANGLES = (5120, 1280, 240)
+# Half length, in half widths, of the arc over which a contact feels the loss. The pressure's ellipse, centred on a
+# crest, wears ripples shorter than 1.64 a in their valleys (its transform, 2 J_1(ka)/ka, is negative there); a mean
+# over this length no longer shows them, so they can't grow. Over a shorter one the depth depends on the elements.
 _FELT = 1.5
 SENSIBLE_COEFFICIENTS = (1e-22, 1e-14)  # m²/N
 
@@ -103,7 +103,7 @@ def sweep_of(pair: Pair, surface: ErrorSurface) -> Sweep:
     fixed_alike = fixed_alike and frame
     meshes = (1 if fixed_alike else fixed) * (1 if moving_alike else moving)
     alike = fixed_alike + moving_alike
-    count = 1 + meshes * ANGLES[2] if alike == 0 else meshes * ANGLES[2 - alike]
+    count = (alike == 0) + meshes * math.ceil(ANGLES[2 - alike] / fixed)
     angle = np.linspace(0.0, 2.0 * np.pi * meshes / fixed, count, endpoint=False)
     ring = g.output == "ring"
     return Sweep(angle, moving_alike if not ring else fixed_alike, fixed_alike if not ring else moving_alike)

@@ -2,7 +2,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from common import ARCSEC, make_pair
+from common import ARCSEC, WEAR_PAIR, make_pair
 
 from cycloid_fmu import contact
 from cycloid_fmu.pair import parse_pair
@@ -19,18 +19,6 @@ from cycloid_fmu.tooth_contact import (
 )
 from cycloid_fmu.transmission import drive_of, solve
 
-WEAR_PAIR = """format = "cycloid-pair/1"
-[pair]
-gear_teeth = 39
-pins = 40
-pin_circle_radius = "66 mm"
-pin_radius = "3 mm"
-eccentricity = "1.3 mm"
-face_width = "10 mm"
-[modification]
-offset = "-50 um"
-isometric = "-30 um"
-"""
 PITCH = 2.0 * np.pi / 40
 
 
