@@ -207,6 +207,26 @@ def test_a_pin_that_stands_out_wears_most():
     assert (depth.gear == depth.gear[:1, :1]).all()
 
 
+def test_discs_with_the_same_teeth_wear_a_pin_alike():
+    """Half a crank turn later each disc is where the other was, so the mean over the discs is what each of them wears.
+
+    So a pin's depth is the same whichever disc's loads it is counted from: half the torque on one disc alone.
+    """
+    radial = np.zeros(40)
+    radial[[3, 23]] = -2e-6  # alike half a turn apart, as the discs are
+    rates = []
+    for discs, torque in ((1, -400.0), (2, -800.0)):
+        pair = make_pair(PAIR, discs=discs)
+        one = model(
+            pair, surface=dataclasses.replace(nominal_surface(pair), pin_radial=radial), loads=(load(torque),),
+            elements=(200, 100),
+        )  # fmt: skip
+        rates.append(wear_rate(one, one.surface).depth)
+    for body in ("gear", "pin"):
+        alone, both = (getattr(r, body)[0] for r in rates)
+        np.testing.assert_allclose(both, alone, atol=1e-3 * alone.max())
+
+
 def test_a_duty_cycle_mixes_its_loads():
     both = [load(-400.0, 3.0), load(300.0, 1.0)]
     rates = [
