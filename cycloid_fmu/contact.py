@@ -46,7 +46,7 @@ _INTERPOLATED = 1e-9  # m: what interpolation across slices may err on a clear p
 _CLEAR = 5e-7  # m: a pin predicted to be this clear is not solved again within one equilibrium
 # Deviations can't make a contact more conformal than this share of its nominal 1/ρ*: where wear leaves no curvature
 # between flank and pin Hertz's half width has no end, while the scar's own width is one. From 0.03 to 0.3 the wear
-# paper's pair wears within half a per cent equally (docs/wear.md).
+# paper's pair wears equally within 1 % (docs/wear.md).
 _CONFORMAL = 0.1
 _COUNTED = 0.01  # a pin counts as in contact above this share of the most loaded pin's force
 
