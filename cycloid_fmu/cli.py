@@ -431,13 +431,14 @@ def wear(
         )
         typer.echo(f"{text}: mean {new_mean} new, {worn_mean} worn; peak to peak {new_range} new, {worn_range} worn.")
     step = figures["step"]
+    deepest = " and ".join(
+        f"{(figures['updated'][key] - step['whole_steps'][key]) * 1e6:+.3f} µm"
+        for key in ("gear_depth_max", "pin_depth_max")
+    )
     typer.echo(
-        f"{step['count']} steps; halving all of them changes the depth by {step['halving_difference'] * 1e6:.3f} µm at "
-        f"most, the deepest of gear and pin by " + " and ".join(
-            f"{(figures['updated'][key] - step['whole_steps'][key]) * 1e6:+.3f} µm"
-            for key in ("gear_depth_max", "pin_depth_max")
-        ) + "."
-    )  # fmt: skip
+        f"Steps: {step['count']}; halving all of them changes the depth by at most "
+        f"{step['halving_difference'] * 1e6:.3f} µm, the deepest of gear and pin by {deepest}."
+    )
     typer.echo(f"Sliding work at friction coefficient 1: {figures['sliding_work']:.4g} J a crank turn.")
     if "sliding_loss" in figures:
         typer.echo(

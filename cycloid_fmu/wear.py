@@ -556,8 +556,9 @@ def depth_as_printed(model: WearModel, crank_turns: float) -> tuple[LoadedContac
 class Accuracy:
     """Accuracy over the sweep, mean and peak to peak: rad; arrays of shape (states,).
 
-    The transmission error is that under the heaviest load. Lost motion is the output's angle at 3 % of the rated torque
-    less that at -3 % (GB/T 40731); where the pair states none, of the heaviest load.
+    The transmission error is that under the heaviest load; backlash is 0 where there is no free position. Lost motion
+    is the output's angle at 3 % of the rated torque less that at -3 % (GB/T 40731); where the pair states none, of the
+    heaviest load.
     """
 
     transmission_error: Array
@@ -578,7 +579,8 @@ def accuracy(model: WearModel, depths: Sequence[Depth], half_width: float, worke
         surface = worn_surface(model, depth, half_width)
         found = solve(model.pair, surface, torques, angle, model.unworn.gear.shape[3], workers=workers)
         error, up, down = found.transmission_error
+        backlash = np.nan_to_num(found.backlash)
         # Without any load what is lost is the play.
-        lost = up - down if rated > 0.0 else found.backlash
-        rows.append([figure(values) for values in (error, found.backlash, lost) for figure in (np.mean, np.ptp)])
+        lost = up - down if rated > 0.0 else backlash
+        rows.append([figure(values) for values in (error, backlash, lost) for figure in (np.mean, np.ptp)])
     return Accuracy(*np.array(rows).T)

@@ -361,6 +361,10 @@ def test_wear_costs_accuracy_by_what_is_lost(run):
     largest_arm = 1.3e-3 * 39
     assert 0.3 * depth / largest_arm < curve.backlash[-1] - curve.backlash[0] < 1.2 * depth / largest_arm
     assert curve.transmission_error[-1] < curve.transmission_error[0] < 0
+    # Lost motion is the play and what 3 % of the load bends on both sides; less than the whole load does on one.
+    bent = curve.lost_motion - curve.backlash
+    assert (bent > 0.0).all()
+    assert (bent < -curve.transmission_error - 0.5 * curve.backlash).all()
 
 
 def test_the_worn_surface_travels(run, tmp_path):
