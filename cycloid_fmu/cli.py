@@ -424,11 +424,21 @@ def wear(
     ]  # fmt: skip
     print_table(f"{pair_file.name}, {figures['crank_turns']:g} crank turns", ["wear depth", *kinds.values()], rows)
     life = figures["life"]
-    for name, text in (("transmission_error", "Transmission error"), ("backlash", "Backlash")):
+    names = {"transmission_error": "Transmission error", "backlash": "Backlash", "lost_motion": "Lost motion"}
+    for name, text in names.items():
         new_mean, worn_mean, new_range, worn_range = (
             f"{life[key][k] * plots.ARCSEC:.3f}″" for key in (name, f"{name}_range") for k in (0, -1)
         )
         typer.echo(f"{text}: mean {new_mean} new, {worn_mean} worn; peak to peak {new_range} new, {worn_range} worn.")
+    step = figures["step"]
+    deepest = " and ".join(
+        f"{(figures['updated'][key] - step['whole_steps'][key]) * 1e6:+.3f} µm"
+        for key in ("gear_depth_max", "pin_depth_max")
+    )
+    typer.echo(
+        f"Steps: {step['count']}; halving all of them changes the depth by at most "
+        f"{step['halving_difference'] * 1e6:.3f} µm, the deepest of gear and pin by {deepest}."
+    )
     typer.echo(f"Sliding work at friction coefficient 1: {figures['sliding_work']:.4g} J a crank turn.")
     if "sliding_loss" in figures:
         typer.echo(

@@ -44,7 +44,10 @@ _LINEAR_STEP = 1e-9  # rad: below this Newton's last step of an equilibrium is m
 _BOUNDED = 2e-6  # m: in an equilibrium a gap above this need not be known exactly
 _INTERPOLATED = 1e-9  # m: what interpolation across slices may err on a clear pin's gap
 _CLEAR = 5e-7  # m: a pin predicted to be this clear is not solved again within one equilibrium
-_CONFORMAL = 0.1  # deviations can't make a contact more conformal than this share of its nominal 1/ρ*
+# Deviations can't make a contact more conformal than this share of its nominal 1/ρ*: where wear leaves no curvature
+# between flank and pin Hertz's half width has no end, while the scar's own width is one. From 0.03 to 0.3 the wear
+# paper's pair wears equally within 1 % (docs/wear.md).
+_CONFORMAL = 0.1
 _COUNTED = 0.01  # a pin counts as in contact above this share of the most loaded pin's force
 
 
@@ -505,7 +508,7 @@ def _raise(drive: Drive, theta: float, x: float, contacts: Array, bounded: float
                 if min(raised, last_raised) - sag < best[0]:
                     seen_ends = (last_seen, seen) if direction > 0 else (seen, last_seen)
                     piece = min(point, point - direction)
-                    closest = _closest_on_piece(drive, disc, slice_, number, pin, piece, seen_ends, gx, gy)
+                    closest = _closest_on_piece(drive, disc, slice_, number, pin, piece, seen_ends, gx, gy, fx, fy)
                     if closest[0] < best[0]:
                         best = closest
         _, at, gear_height, pin_height = best
@@ -519,28 +522,33 @@ def _raise(drive: Drive, theta: float, x: float, contacts: Array, bounded: float
             contacts, row, contacts[row, FOOT], place_, state, ox, oy, pin_radius + pin_height, x,
         )  # fmt: skip
         if drive.gear_curvature.size > 0:
-            added = _added_curvature(drive, disc, slice_, number, pin, at, state, fx, fy)
+            seen = _facing_place(drive, at, state, gear_height, fx, fy)
+            added = _added_curvature(drive, disc, slice_, number, pin, at, seen)
             hertz_curvature = 1.0 / pin_radius + contacts[row, CURVATURE]
             contacts[row, CURVATURE] += max(added, (_CONFORMAL - 1.0) * hertz_curvature)
 
 
 @_inlined
-def _added_curvature(
-    drive: Drive, disc: int, slice_: int, tooth: int, pin: int, alpha: float, state: _Tangency, fx: float, fy: float
-) -> float:
-    """Curvature that the deviations of flank and pin add where they touch, at tooth 0's α; f as in `_raised`."""
+def _facing_place(drive: Drive, alpha: float, state: _Tangency, height: float, fx: float, fy: float) -> float:
+    """Place on the pin that faces a raised point of the flank, at tooth 0's α; f as in `_raised`."""
+    _, _, _, _, bx, by, dx, dy = state
+    speed = math.sqrt(bx * bx + by * by)
+    radius = drive.generating_radius - height
+    # From the pin's axis to the flank, in the foot's frame and on tooth 0.
+    wx, wy = -dx - radius * bx / speed, -dy - radius * by / speed
+    ca, sa = math.cos(alpha), math.sin(alpha)
+    vx, vy = wx * ca - wy * sa, wx * sa + wy * ca
+    return _pin_place(drive, fx * vy - fy * vx, fx * vx + fy * vy)
+
+
+@_inlined
+def _added_curvature(drive: Drive, disc: int, slice_: int, tooth: int, pin: int, alpha: float, seen: float) -> float:
+    """Curvature that the deviations of flank and pin add where they touch, at tooth 0's α and a place on the pin."""
     points = drive.flank_alpha
     after = min(max(int(np.searchsorted(points, alpha)), 1), points.size - 1)
     share = (alpha - points[after - 1]) / (points[after] - points[after - 1])
     flank = (1.0 - share) * drive.gear_curvature[disc, slice_, tooth, after - 1]
     flank += share * drive.gear_curvature[disc, slice_, tooth, after]
-    _, _, _, _, bx, by, dx, dy = state
-    speed = math.sqrt(bx * bx + by * by)
-    # From the pin's axis to the flank, in the foot's frame and on tooth 0.
-    wx, wy = -dx - drive.generating_radius * bx / speed, -dy - drive.generating_radius * by / speed
-    ca, sa = math.cos(alpha), math.sin(alpha)
-    vx, vy = wx * ca - wy * sa, wx * sa + wy * ca
-    seen = _pin_place(drive, fx * vy - fy * vx, fx * vx + fy * vy)
     return flank + _on_pin(drive.pin_curvature, slice_, pin, seen)
 
 
@@ -572,12 +580,15 @@ def _closest_on_piece(
     seen: tuple[float, float],
     gx: float,
     gy: float,
+    fx: float,
+    fy: float,
 ) -> tuple[float, float, float, float]:
     """Smallest gap between two neighbouring points of the flank, its α, and the deviations of gear and pin there.
 
     `seen` are the places on the pin that face the two points; between them the pin's deviation bends at the middle of
-    each of its elements, so the piece is divided there.
+    each of its elements, so the piece is divided there; the place is nearly, not quite, linear in α.
     """
+    R, e, teeth = drive.circle_radius, drive.generating_eccentricity, drive.teeth
     a, b = drive.flank_alpha[piece], drive.flank_alpha[piece + 1]
     start, end = drive.gear_deviation[disc, slice_, tooth, piece], drive.gear_deviation[disc, slice_, tooth, piece + 1]
     rise = (end - start) / (b - a)
@@ -589,7 +600,11 @@ def _closest_on_piece(
         if (right - seen[1]) * (seen[1] - seen[0]) >= 0.0:
             high, right = b, seen[1]
         else:
-            high = a + (b - a) * (right - seen[0]) / (seen[1] - seen[0])
+            each = (b - a) / (seen[1] - seen[0])
+            high = a + (right - seen[0]) * each
+            state = _tangency(gx, gy, high, R, e, teeth)
+            high += (right - _facing_place(drive, high, state, start + rise * (high - a), fx, fy)) * each
+            high = min(max(high, low), b)
         pin_start, pin_end = (
             _on_pin(drive.pin_deviation, slice_, pin, left),
             _on_pin(drive.pin_deviation, slice_, pin, right),
@@ -597,8 +612,8 @@ def _closest_on_piece(
         pin_rise = (pin_end - pin_start) / max(high - low, 1e-3 * (b - a))
         at = 0.5 * (low + high)
         for _ in range(8):
-            state = _tangency(gx, gy, at, drive.circle_radius, drive.generating_eccentricity, drive.teeth)
-            height, pin_height = start + rise * (at - a), pin_start + pin_rise * (at - low)
+            state, height = _tangency(gx, gy, at, R, e, teeth), start + rise * (at - a)
+            pin_height = _on_pin(drive.pin_deviation, slice_, pin, _facing_place(drive, at, state, height, fx, fy))
             distance, fall, bend = _flank_distance(drive, state, height, rise)
             gap = distance - drive.pin_radius[pin] - pin_height
             if gap < best[0]:

@@ -288,7 +288,7 @@ def plot_simulation(results: Mapping[str, NDArray[np.float64]]) -> Figure:
 
 
 def plot_wear(model: WearModel, states: list[WearState], new: WearRate, figures: Mapping[str, Any]) -> Figure:
-    """Mesh of one pin when new, wear depth over both bodies, and depth, transmission error and backlash over life."""
+    """Mesh of one pin when new, wear depth over both bodies, and depth and accuracy over life."""
     from cycloid_fmu.sliding import velocities
     from cycloid_fmu.tooth_contact import loaded_contacts
     from cycloid_fmu.transmission import drive_of
@@ -354,11 +354,14 @@ def plot_wear(model: WearModel, states: list[WearState], new: WearRate, figures:
     axes[8].legend(fontsize=8, frameon=False)
     for axis, name, label in (
         (axes[9], "transmission_error", "mean TE [arcsec]"),
-        (axes[10], "backlash", "mean backlash [arcsec]"),
+        (axes[10], "backlash", "mean [arcsec]"),
+        (axes[10], "lost_motion", "mean [arcsec]"),
     ):
-        axis.plot(at, np.asarray(life[name]) * ARCSEC, ".-", ms=4, lw=1)
+        axis.plot(at, np.asarray(life[name]) * ARCSEC, ".-", ms=4, lw=1, label=name.replace("_", " "))
         axis.set(xlabel="million crank turns", ylabel=label)
-    for name, label in (("transmission_error_range", "TE"), ("backlash_range", "backlash")):
+    axes[10].legend(fontsize=8, frameon=False)
+    for name, label in (("transmission_error", "TE"), ("backlash", "backlash"), ("lost_motion", "lost motion")):
+        name = f"{name}_range"
         axes[11].plot(at, np.asarray(life[name]) * ARCSEC, ".-", ms=4, lw=1, label=label)
     axes[11].set(xlabel="million crank turns", ylabel="peak to peak [arcsec]")
     axes[11].legend(fontsize=8, frameon=False)

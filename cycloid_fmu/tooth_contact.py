@@ -5,6 +5,9 @@ that the pin's axis lies on the curve parallel to the flank at the pin's radius.
 distance of the axis from the centre of that rotation as it is; so one scalar equation gives the flank's parameter, and
 the angle between both points the rotation. On the flank from a tooth's root to its tip that distance only grows, on
 the flank behind it only falls: each has one solution or none, and which flank bears follows from the side alone.
+
+Where elements deviate, form and roughness or wear, a flank has many tangents to a pin. There every point of the flank
+says at which rotation it would meet the pin, in closed form, and the first to do so is the contact.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import contact
@@ -57,7 +61,7 @@ def unloaded_contact(pair: Pair, surface: ErrorSurface, crank_angle: ArrayLike, 
     Parameters
     ----------
     pair, surface
-        The nominal pair and its structured errors, taken at mid-width.
+        The nominal pair and its errors, taken at mid-width.
     crank_angle
         rad, shape (angles,).
     side
@@ -66,7 +70,7 @@ def unloaded_contact(pair: Pair, surface: ErrorSurface, crank_angle: ArrayLike, 
     Raises
     ------
     ValueError
-        If `side` is neither, or the surface has deviations of elements (their play: `transmission.solve`).
+        If `side` is neither.
 
     Notes
     -----
@@ -74,8 +78,6 @@ def unloaded_contact(pair: Pair, surface: ErrorSurface, crank_angle: ArrayLike, 
     """
     if side not in (-1, 1):
         raise ValueError(f"side = {side}: it must be -1 or 1, the sign of the torque")
-    if surface.gear_deviation is not None or surface.pin_deviation is not None:
-        raise ValueError("the tangency equations hold for smooth flanks; this surface has deviations of elements")
     drive = drive_of(pair, surface)
     theta = np.atleast_1d(np.asarray(crank_angle, dtype=float))[:, None, None]
     teeth = drive.teeth
@@ -96,7 +98,16 @@ def unloaded_contact(pair: Pair, surface: ErrorSurface, crank_angle: ArrayLike, 
     turn = 2.0 * half * tooth + drive.tooth_turn[np.arange(crank.shape[1])[None, :, None], tooth % teeth]
     turned = np.exp(1j * (gear + turn)) if drive.ring else np.exp(1j * turn)
     with np.errstate(invalid="ignore"):  # NaN where there is no contact
-        if drive.ring:
+        if drive.flank_alpha.size > 0:
+            alpha, error = np.empty(from_gear.shape), np.empty(from_gear.shape)
+            pin = np.arange(teeth + 1)
+            if drive.ring:
+                seen = (axis / turned, centre / turned, np.exp(1j * (2.0 * np.pi * pin / pin.size + ring)) / turned)
+            else:
+                facing = np.exp(1j * (2.0 * np.pi * pin / pin.size - gear)) / turned
+                seen = (from_gear / turned, np.zeros_like(turned), facing)
+            _first_touches(drive, *np.broadcast_arrays(*seen), tooth % teeth, first, float(side), alpha, error)
+        elif drive.ring:
             alpha = _where_radius(drive, reach, np.abs(axis), first, first + half, centre / turned)
             error = np.angle((_parallel(drive, alpha, reach).point * turned + centre) / axis)
         else:
@@ -109,6 +120,110 @@ def unloaded_contact(pair: Pair, surface: ErrorSurface, crank_angle: ArrayLike, 
         theta[:, 0, 0], error, alpha, np.where(np.isinf(smallest), math.nan, side * smallest),
         touching_pin // (teeth + 1), touching_pin % (teeth + 1),
     )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _first_touches(
+    drive: contact.Drive,
+    axis: NDArray[np.complex128],
+    offset: NDArray[np.complex128],
+    outwards: NDArray[np.complex128],
+    tooth: NDArray[np.int64],
+    first: float,
+    side: float,
+    alpha: Array,
+    error: Array,
+) -> None:
+    """Write the rotation at which each pin meets its flank with deviations, and the flank's parameter there.
+
+    Parameters
+    ----------
+    axis, offset, outwards, tooth
+        Pin's axis, the gear's centre, both from the centre of rotation, and the direction from the pin circle's centre
+        to the pin, turned into the frame of tooth 0; the tooth; shape (angles, discs, pins).
+    first
+        Parameter at which the flank begins; it is half a tooth long.
+    """
+    elements = drive.flank_alpha.size - 2
+    begin = np.searchsorted(drive.flank_alpha, first + 1e-12) if first > 0.0 else 0
+    end = begin + elements // 2 + 1
+    error[:] = math.nan
+    alpha[:] = math.nan
+    rotation, nominal = np.empty(elements + 2), np.empty(elements + 2)
+    for i, disc, pin in np.ndindex(axis.shape):
+        where = (axis[i, disc, pin], offset[i, disc, pin], outwards[i, disc, pin], disc, tooth[i, disc, pin], pin, side)
+        best = begin
+        for point in range(begin, end):
+            rotation[point] = _touch_rotation(drive, where, point, drive.flank_alpha[point], 1.0)
+            nominal[point] = _touch_rotation(drive, where, point, drive.flank_alpha[point], 0.0)
+            if rotation[point] < rotation[best]:
+                best = point
+        if not begin < best < end - 1:
+            continue
+        # How far below its ends a piece between two points may come.
+        sag = 0.25 * abs(nominal[best + 1] - 2.0 * nominal[best] + nominal[best - 1])
+        smallest, at = rotation[best], drive.flank_alpha[best]
+        for point in range(begin, end - 1):
+            if min(rotation[point], rotation[point + 1]) - sag > smallest:
+                continue
+            low, high = drive.flank_alpha[point], drive.flank_alpha[point + 1]
+            for _ in range(40):
+                left, right = high - 0.618034 * (high - low), low + 0.618034 * (high - low)
+                if _touch_rotation(drive, where, point, left, 1.0) < _touch_rotation(drive, where, point, right, 1.0):
+                    high = right
+                else:
+                    low = left
+            middle = _touch_rotation(drive, where, point, 0.5 * (low + high), 1.0)
+            if middle < smallest:
+                smallest, at = middle, 0.5 * (low + high)
+        error[i, disc, pin] = side * smallest
+        alpha[i, disc, pin] = at
+
+
+_Where = tuple[complex, complex, complex, int, int, int, float]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+def _touch_rotation(drive: contact.Drive, where: _Where, point: int, alpha: float, raised: float) -> float:
+    """Rotation of the output, times the side, at which a point of the flank meets its pin; infinite if it never does.
+
+    The point lies at α between the flank's points `point` and the next; `raised` is 1 with the deviations, 0 without.
+    """
+    axis, offset, outwards, disc, tooth, pin, side = where
+    after = min(point + 1, drive.flank_alpha.size - 1)
+    span = drive.flank_alpha[after] - drive.flank_alpha[point]
+    share = (alpha - drive.flank_alpha[point]) / span if span > 0.0 else 0.0
+    heights = drive.gear_deviation[disc, 0, tooth]
+    height = raised * ((1.0 - share) * heights[point] + share * heights[after])
+    pins, R, e = drive.teeth + 1, drive.circle_radius, drive.generating_eccentricity
+    k = e * pins / R
+    turn = complex(math.cos(alpha), math.sin(alpha))
+    wave = complex(math.cos(drive.teeth * alpha), math.sin(drive.teeth * alpha))
+    normal = turn * (1.0 - k * wave) / abs(1.0 - k * wave)
+    place = (R - e * wave) * turn - (drive.generating_radius - height) * normal + offset
+    # The pin goes round, by the output's rotation if it is the ring and against it if it is the gear.
+    sense = side if drive.ring else -side
+    distances, apart = abs(place) * abs(axis), place * axis.conjugate()
+    between = math.atan2(apart.imag, apart.real)
+    pin_height, rotation = 0.0, math.inf
+    for _ in range(5):
+        reach = drive.pin_radius[pin] + pin_height
+        cosine = (abs(place) ** 2 + abs(axis) ** 2 - reach * reach) / (2.0 * distances)
+        if abs(cosine) > 1.0:
+            return math.inf
+        rotation = between - sense * math.acos(cosine)
+        if raised == 0.0:
+            break
+        moved = complex(math.cos(rotation), math.sin(rotation))
+        facing = (axis * moved - place) * (outwards * moved).conjugate()
+        seen = (math.atan2(facing.imag, facing.real) / math.pi + 0.5) * drive.pin_deviation.shape[2] - 0.5
+        low = min(max(math.floor(seen), 0), drive.pin_deviation.shape[2] - 2)
+        part = min(max(seen - low, 0.0), 1.0)
+        last = pin_height
+        pin_height = (1.0 - part) * drive.pin_deviation[0, pin, low] + part * drive.pin_deviation[0, pin, low + 1]
+        if abs(pin_height - last) < 1e-14:
+            break
+    return sense * rotation
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from cycloid_fmu.wear import (
 )
 
 Array = NDArray[np.float64]
-FORMAT = "cycloid-wear-run/1"
+FORMAT = "cycloid-wear-run/2"
 LARGEST_LIFE = 24  # states that a worn surface keeps of its life
 
 
@@ -53,7 +53,7 @@ def _identity(model: WearModel, crank_turns: float) -> dict[str, str]:
         "pair": json.dumps(pair, sort_keys=True),
         "surface": surface.hexdigest(),
         "wear file": model.law.model_dump_json(exclude={"duty"}),
-        "load": json.dumps([[load.torque, load.crank_turns] for load in model.loads] + [crank_turns]),
+        "load": json.dumps([[load.torque, load.crank_turns] for load in model.loads] + [model.cycle, crank_turns]),
     }
     return {name: hashlib.sha256(text.encode()).hexdigest()[:16] for name, text in plain.items()}
 
@@ -61,19 +61,25 @@ def _identity(model: WearModel, crank_turns: float) -> dict[str, str]:
 def _write_history(path: Path, identity: dict[str, str], states: list[WearState]) -> None:
     import xarray as xr
 
+    depths = {f"{way}{body}_depth": (way, body) for way in ("", "whole_") for body in ("gear", "pin")}
     data = xr.Dataset(
         {
             "crank_turns": ("state", [s.crank_turns for s in states]),
-            "difference": ("state", [s.difference for s in states]),
-            "gear_depth": (("state", *DEVIATIONS["gear_deviation"]), np.stack([s.depth.gear for s in states])),
-            "pin_depth": (("state", *DEVIATIONS["pin_deviation"]), np.stack([s.depth.pin for s in states])),
+            "reach": ("state", [s.reach for s in states]),
+            **{
+                name: (
+                    ("state", *DEVIATIONS[f"{body}_deviation"]),
+                    np.stack([getattr(s.whole if way else s.depth, body) for s in states]),
+                )
+                for name, (way, body) in depths.items()
+            },
         },
         attrs={"format": FORMAT, **{f"checksum of the {name}": value for name, value in identity.items()}},
     )
-    for name in ("difference", "gear_depth", "pin_depth"):
+    for name in ("reach", *depths):
         data[name].attrs["units"] = "m"
     with edge.written_whole(path) as temporary:
-        data.to_netcdf(temporary, engine="h5netcdf", encoding={n: {"zlib": True} for n in ("gear_depth", "pin_depth")})
+        data.to_netcdf(temporary, engine="h5netcdf", encoding={name: {"zlib": True} for name in depths})
 
 
 def _read_history(path: Path, identity: dict[str, str]) -> list[WearState]:
@@ -90,8 +96,11 @@ def _read_history(path: Path, identity: dict[str, str]) -> list[WearState]:
             raise edge.InputError(
                 f"{path}: this unfinished run is of another {name}; remove it to begin anew, or give another --output."
             )
-    rows = (data[n].values for n in ("crank_turns", "gear_depth", "pin_depth", "difference"))
-    return [WearState(float(t), Depth(g, p), float(d)) for t, g, p, d in zip(*rows, strict=True)]
+    names = ("crank_turns", "gear_depth", "pin_depth", "whole_gear_depth", "whole_pin_depth", "reach")
+    return [
+        WearState(float(turns), Depth(gear, pin), Depth(whole_gear, whole_pin), float(reach))
+        for turns, gear, pin, whole_gear, whole_pin, reach in zip(*(data[n].values for n in names), strict=True)
+    ]
 
 
 class Interrupted(KeyboardInterrupt):
@@ -139,10 +148,10 @@ def run_wear(
     return states
 
 
-def surface_of_run(model: WearModel, states: list[WearState], smoothing: float) -> ErrorSurface:
+def surface_of_run(model: WearModel, states: list[WearState], half_width: float) -> ErrorSurface:
     """Return the worn surface at the end of a run, with at most `LARGEST_LIFE` states of its life."""
     chosen = np.unique(np.linspace(0, len(states) - 1, LARGEST_LIFE).round().astype(int))
-    surfaces = [worn_surface(model, states[k].depth, smoothing) for k in chosen]
+    surfaces = [worn_surface(model, states[k].depth, half_width) for k in chosen]
     turns = np.array([states[k].crank_turns for k in chosen])
     life = Life(turns, **{name: np.stack([getattr(s, name) for s in surfaces]) for name in DEVIATIONS})
     loads = ", ".join(f"{load.torque:g} N*m x {load.crank_turns:g}" for load in model.loads)
@@ -168,8 +177,8 @@ def wear_figures(model: WearModel, states: list[WearState], new: WearRate, worke
     """Return the figures of a run, SI, as `--json` prints them.
 
     `linear` is without profile update, `updated` the end of the history, `as_printed` by the paper's slip distance at
-    the contacts (the pin's mean leaves out 0.05 rad on both sides of the pole); `step` says how fine the history is,
-    `life` follows it.
+    the contacts (the pin's mean leaves out 0.05 rad on both sides of the pole); `step` says how fine the history is and
+    what halving all its steps changes: largest difference anywhere, and the depths in whole steps; `life` follows it.
     """
     turns = states[-1].crank_turns
     curve = accuracy(model, [s.depth for s in states], new.half_width, workers)
@@ -183,7 +192,11 @@ def wear_figures(model: WearModel, states: list[WearState], new: WearRate, worke
         "sliding_work": new.sliding_work,
         "wear_limit": wear_limit(model),
         "tooth_thickness": tooth_thickness(model.pair),
-        "step": {"count": len(states) - 1, "largest_difference": max(s.difference for s in states)},
+        "step": {
+            "count": len(states) - 1,
+            "halving_difference": states[-1].difference,
+            "whole_steps": _figures_of(model, states[-1].whole),
+        },
         "life": {
             "crank_turns": [s.crank_turns for s in states],
             "gear_depth_max": [float(s.depth.gear.max()) for s in states],

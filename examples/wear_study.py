@@ -117,6 +117,7 @@ rows = [
 ]  # fmt: skip
 print_table("Wear paper, 400 N·m, 3 million crank turns", ["figure", "paper", "here", "why"], rows)
 print(
-    f"{len(states) - 1} steps; a step and two half steps differ by {found['step']['largest_difference'] * um:.3f} µm."
+    f"{len(states) - 1} steps; halving all of them changes the depth by {found['step']['halving_difference'] * um:.3f} "
+    "µm at most."
 )
 print("wear_study.png shows figures 4 to 11.")

@@ -22,6 +22,8 @@ pin_radius = "3 mm"
 eccentricity = "1.3 mm"
 face_width = "10 mm"
 """
+# The wear paper's pair, its modifications with the signs that give clearance.
+WEAR_PAIR = PAIR.replace("64 mm", "66 mm") + '[modification]\noffset = "-50 um"\nisometric = "-30 um"\n'
 
 
 def make_pair(text=PAIR, **keys):

@@ -2,7 +2,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from common import ARCSEC, make_pair
+from common import ARCSEC, WEAR_PAIR, make_pair
 
 from cycloid_fmu import contact
 from cycloid_fmu.pair import parse_pair
@@ -19,18 +19,6 @@ from cycloid_fmu.tooth_contact import (
 )
 from cycloid_fmu.transmission import drive_of, solve
 
-WEAR_PAIR = """format = "cycloid-pair/1"
-[pair]
-gear_teeth = 39
-pins = 40
-pin_circle_radius = "66 mm"
-pin_radius = "3 mm"
-eccentricity = "1.3 mm"
-face_width = "10 mm"
-[modification]
-offset = "-50 um"
-isometric = "-30 um"
-"""
 PITCH = 2.0 * np.pi / 40
 
 
@@ -128,13 +116,44 @@ def test_an_unmodified_pair_touches_at_every_pin_of_its_side():
     assert np.abs(found.transmission_error).max() < 1e-7 * ARCSEC
 
 
-def test_unloaded_contact_says_what_it_can_t_do():
+def test_unloaded_contact_has_a_side():
     pair = wear_pair()
     with pytest.raises(ValueError, match="side = 0"):
         unloaded_contact(pair, nominal_surface(pair), [0.0], 0)
-    rough = dataclasses.replace(nominal_surface(pair), gear_deviation=np.zeros((1, 39, 10, 1)))
-    with pytest.raises(ValueError, match="smooth flanks"):
-        unloaded_contact(pair, rough, [0.0], 1)
+
+
+@pytest.mark.parametrize("keys", [{}, {"output": "ring"}, {"discs": 2}], ids=["gear", "ring", "two discs"])
+def test_deviations_of_nothing_change_nothing(keys):
+    """Point by point of the flank, each pin's own curve is that of the tangency equations."""
+    pair = wear_pair(**keys)
+    smooth, theta = with_errors(pair), np.linspace(0.0, 2 * np.pi, 12)
+    flat = dataclasses.replace(
+        smooth, gear_deviation=np.zeros((pair.pair.discs, 39, 400, 1)), pin_deviation=np.zeros((40, 200, 1))
+    )
+    for side in (-1, 1):
+        one, other = (unloaded_contact(pair, s, theta, side) for s in (smooth, flat))
+        both = np.isfinite(one.pin_error) & np.isfinite(other.pin_error)
+        # A contact at a root's very end may count on one side only.
+        assert both.sum() > 0.99 * max(np.isfinite(f.pin_error).sum() for f in (one, other)) > 150
+        np.testing.assert_allclose(other.pin_error[both], one.pin_error[both], atol=1e-6 * ARCSEC)
+        np.testing.assert_allclose(other.profile_parameter[both], one.profile_parameter[both], atol=2e-6)
+        np.testing.assert_allclose(other.transmission_error, one.transmission_error, atol=1e-6 * ARCSEC)
+
+
+@pytest.mark.parametrize("keys", [{}, {"output": "ring"}, {"discs": 2}], ids=["gear", "ring", "two discs"])
+def test_rough_flanks_and_pins_touch_where_their_play_ends(keys):
+    """Rotations at which points meet pins, in closed form, against gaps closed by Newton's method in the kernel."""
+    pair = wear_pair(**keys)
+    rng, theta = np.random.default_rng(2), np.linspace(0.0, 2 * np.pi, 25)
+    rough = dataclasses.replace(
+        with_errors(pair), gear_deviation=rng.normal(size=(pair.pair.discs, 39, 200, 1)) * 2e-7,
+        pin_deviation=rng.normal(size=(40, 100, 1)) * 2e-7,
+    )  # fmt: skip
+    play = solve(pair, rough, 0.0, theta)
+    assert np.isfinite(play.backlash).all()
+    for side, end in ((-1, play.play_low), (1, play.play_high)):
+        found = unloaded_contact(pair, rough, theta, side)
+        np.testing.assert_allclose(found.transmission_error, end, atol=5e-3 * ARCSEC)
 
 
 @pytest.mark.parametrize(
