@@ -118,7 +118,7 @@ def analyze(
         rows = []
         figures = statistics(data)
         for k, load in enumerate(data["torque"].values):
-            mte, ppte, mb, ppb = (figures[n][k] * plots.ARCSEC for n in ("MTE", "PPTE", "MB", "PPB"))
+            mte, ppte, mb, ppb = (figures[n][k] * edge.ARCSEC for n in ("MTE", "PPTE", "MB", "PPB"))
             count = data["contact_count"].values[k]
             deepest = data["interference"].values[k].max() * 1e6
             backlash = [f"{mb:.4f}″", f"{ppb:.4f}″"] if deepest == 0.0 else ["interference", f"{deepest:.3f} µm"]
@@ -334,11 +334,11 @@ def simulate(
     if as_json:
         typer.echo(edge.json_text(results))
         return
-    te = results["transmission_error"] * plots.ARCSEC
+    te = results["transmission_error"] * edge.ARCSEC
     print_table(
         fmu_file.name, ["figure", "value"],
         [["TE mean", f"{te.mean():.4f}″"], ["TE peak-peak", f"{np.ptp(te):.4f}″"],
-         ["backlash mean", f"{results['backlash'].mean() * plots.ARCSEC:.4f}″"],
+         ["backlash mean", f"{results['backlash'].mean() * edge.ARCSEC:.4f}″"],
          ["largest pressure", f"{results['max_contact_pressure'].max() * 1e-6:.1f} MPa"]],
     )  # fmt: skip
 
@@ -426,7 +426,7 @@ def wear(
     life = figures["life"]
     for name, text in (("transmission_error", "Transmission error"), ("backlash", "Backlash")):
         new_mean, worn_mean, new_range, worn_range = (
-            f"{life[key][k] * plots.ARCSEC:.3f}″" for key in (name, f"{name}_range") for k in (0, -1)
+            f"{life[key][k] * edge.ARCSEC:.3f}″" for key in (name, f"{name}_range") for k in (0, -1)
         )
         typer.echo(f"{text}: mean {new_mean} new, {worn_mean} worn; peak to peak {new_range} new, {worn_range} worn.")
     typer.echo(f"Sliding work at friction coefficient 1: {figures['sliding_work']:.4g} J a crank turn.")
