@@ -8,7 +8,6 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 from rich.console import Console
 
@@ -77,6 +76,7 @@ def analyze(
 
     Example: [cyan]cycloid-fmu analyze pair.toml --torque "-181 N*m" --torque "181 N*m" -o out.nc --plot out.png[/]
     """
+    import numpy as np
     from rich.progress import Progress
 
     from cycloid_fmu import plots
@@ -211,6 +211,8 @@ def measured(
 
     Example: [cyan]cycloid-fmu surface measured pair.toml --points cmm.csv -o surface.nc --plot surface.png[/]
     """
+    import numpy as np
+
     from cycloid_fmu import plots
     from cycloid_fmu.measuring import measured_surface, read_points
     from cycloid_fmu.pair import read_pair
@@ -312,6 +314,8 @@ def simulate(
 
     Example: [cyan]cycloid-fmu simulate drive.fmu --torque "100 N*m" --turns 2 -o run.csv --plot run.png[/]
     """
+    import numpy as np
+
     from cycloid_fmu import plots
     from cycloid_fmu.fmu.run import turn_crank
 
@@ -554,6 +558,7 @@ def tolerance(
 
     Example: [cyan]cycloid-fmu tolerance pair.toml --tolerances tolerances.toml --samples 10000 -o study.nc[/]
     """
+    import numpy as np
     from rich.progress import Progress
 
     from cycloid_fmu import plots
