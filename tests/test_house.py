@@ -81,16 +81,26 @@ def test_the_version_stands_in_one_place():
 
 
 def test_the_changelog_keeps_its_form():
-    """Keep a changelog 1.1.0: newest first, known groups, each once, every entry in one."""
+    """Keep a changelog 1.1.0: known groups in order, each once; in them the users in order, no entry twice."""
     text = (ROOT / "CHANGELOG.md").read_text()
-    versions = re.split(r"^## ", text, flags=re.M)[1:]
-    assert versions[0].startswith("[Unreleased]\n")
-    for version in versions:
-        groups = re.split(r"^### ", version, flags=re.M)
-        assert re.fullmatch(r"\[(Unreleased|\d+\.\d+\.\d+)\]( - \d{4}-\d\d-\d\d)?\s*", groups[0])
-        names = [group.partition("\n")[0] for group in groups[1:]]
-        order = ["Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"]
-        assert names == [name for name in order if name in names]
-        entries = [e for group in groups[1:] for e in re.split(r"\n(?=- )", group.partition("\n")[2].strip())]
-        assert all(e.startswith("- ") for e in entries)
-        assert len({" ".join(e.split()) for e in entries}) == len(entries)
+    versions = [block.splitlines() for block in re.split(r"^## ", text, flags=re.M)[1:]]
+    assert versions[0][0] == "[Unreleased]"
+    assert all(re.fullmatch(r"\[\d+\.\d+\.\d+\] - \d{4}-\d\d-\d\d", lines[0]) for lines in versions[1:])
+    users = ["The whole road", "The system modeller", "The test-bench engineer", "The gear designer"]
+    for lines in versions:
+        found, entries = {}, []
+        for line in lines[1:]:
+            if line.startswith("### "):
+                found[line[4:]] = []
+            elif line.startswith("#### "):
+                found[[*found][-1]].append(line[5:])
+            elif line.startswith("- "):
+                assert [*found.values()][-1], f"{line}: under no user"
+                entries.append(line[2:])
+            elif line:
+                assert line.startswith("  "), line
+                entries[-1] += line[1:]
+        groups = ["Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"]
+        assert [*found] == [name for name in groups if name in found]
+        assert all(each == [name for name in users if name in each] for each in found.values())
+        assert len(set(entries)) == len(entries)
