@@ -78,7 +78,7 @@ def test_the_wheel_alone_runs_the_three_commands(published, python, tmp_path):
     def run(*words):
         done = subprocess.run(
             [str(scripts / words[0]), *map(str, words[1:])],
-            cwd=tmp_path, env=settings, capture_output=True, text=True, timeout=600,
+            cwd=tmp_path, env=settings, capture_output=True, text=True, timeout=1800,
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
         return done.stdout
