@@ -8,7 +8,6 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 from rich.console import Console
 
@@ -77,6 +76,7 @@ def analyze(
 
     Example: [cyan]cycloid-fmu analyze pair.toml --torque "-181 N*m" --torque "181 N*m" -o out.nc --plot out.png[/]
     """
+    import numpy as np
     from rich.progress import Progress
 
     from cycloid_fmu import plots
@@ -118,7 +118,7 @@ def analyze(
         rows = []
         figures = statistics(data)
         for k, load in enumerate(data["torque"].values):
-            mte, ppte, mb, ppb = (figures[n][k] * plots.ARCSEC for n in ("MTE", "PPTE", "MB", "PPB"))
+            mte, ppte, mb, ppb = (figures[n][k] * edge.ARCSEC for n in ("MTE", "PPTE", "MB", "PPB"))
             count = data["contact_count"].values[k]
             deepest = data["interference"].values[k].max() * 1e6
             backlash = [f"{mb:.4f}″", f"{ppb:.4f}″"] if deepest == 0.0 else ["interference", f"{deepest:.3f} µm"]
@@ -211,6 +211,8 @@ def measured(
 
     Example: [cyan]cycloid-fmu surface measured pair.toml --points cmm.csv -o surface.nc --plot surface.png[/]
     """
+    import numpy as np
+
     from cycloid_fmu import plots
     from cycloid_fmu.measuring import measured_surface, read_points
     from cycloid_fmu.pair import read_pair
@@ -312,6 +314,8 @@ def simulate(
 
     Example: [cyan]cycloid-fmu simulate drive.fmu --torque "100 N*m" --turns 2 -o run.csv --plot run.png[/]
     """
+    import numpy as np
+
     from cycloid_fmu import plots
     from cycloid_fmu.fmu.run import turn_crank
 
@@ -334,11 +338,11 @@ def simulate(
     if as_json:
         typer.echo(edge.json_text(results))
         return
-    te = results["transmission_error"] * plots.ARCSEC
+    te = results["transmission_error"] * edge.ARCSEC
     print_table(
         fmu_file.name, ["figure", "value"],
         [["TE mean", f"{te.mean():.4f}″"], ["TE peak-peak", f"{np.ptp(te):.4f}″"],
-         ["backlash mean", f"{results['backlash'].mean() * plots.ARCSEC:.4f}″"],
+         ["backlash mean", f"{results['backlash'].mean() * edge.ARCSEC:.4f}″"],
          ["largest pressure", f"{results['max_contact_pressure'].max() * 1e-6:.1f} MPa"]],
     )  # fmt: skip
 
@@ -427,7 +431,7 @@ def wear(
     names = {"transmission_error": "Transmission error", "backlash": "Backlash", "lost_motion": "Lost motion"}
     for name, text in names.items():
         new_mean, worn_mean, new_range, worn_range = (
-            f"{life[key][k] * plots.ARCSEC:.3f}″" for key in (name, f"{name}_range") for k in (0, -1)
+            f"{life[key][k] * edge.ARCSEC:.3f}″" for key in (name, f"{name}_range") for k in (0, -1)
         )
         typer.echo(f"{text}: mean {new_mean} new, {worn_mean} worn; peak to peak {new_range} new, {worn_range} worn.")
     step = figures["step"]
@@ -564,6 +568,7 @@ def tolerance(
 
     Example: [cyan]cycloid-fmu tolerance pair.toml --tolerances tolerances.toml --samples 10000 -o study.nc[/]
     """
+    import numpy as np
     from rich.progress import Progress
 
     from cycloid_fmu import plots

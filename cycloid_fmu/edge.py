@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     import typer
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+ARCSEC = 648000.0 / math.pi
+"""Arcseconds in a radian: what people are shown."""
 
 _NUMBER = r"[+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?"
 _QUANTITY = re.compile(rf"({_NUMBER}) (\S.*)")

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
+from cycloid_fmu.edge import ARCSEC
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
 
     from cycloid_fmu.wear import WearModel, WearRate, WearState
 
-ARCSEC = 648000.0 / np.pi
 FORMATS = (".png", ".pdf")
 
 

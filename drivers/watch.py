@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from cycloid_fmu import edge
 from drivers.recorder import MARKS
 from drivers.recording_format import FloatArray, RecordingReader, Samples
 
@@ -28,7 +29,6 @@ WINDOW = 1 << 17  # samples of each channel that are looked at
 _POINTS = 1000  # that are drawn
 _TURNS = 16  # crank turns of the spectrum at most
 _ORDERS = 100
-_ARCSEC = math.pi / 648000
 _LOCAL = ("localhost", "127.0.0.1", "[::1]")
 
 
@@ -131,7 +131,7 @@ class Watcher:
             output = driven.value[inside]
         if len(angle) < 2:
             return {"te": None, "spectrum": None}
-        error = (output - angle / ratio) / _ARCSEC
+        error = (output - angle / ratio) * edge.ARCSEC
         error = error - error.mean()
         orders, amplitudes = order_spectrum(angle, error)
         step = max(1, len(angle) // _POINTS)

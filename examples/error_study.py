@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from cycloid_fmu.cli import print_table
+from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.pair import Modification, read_pair
-from cycloid_fmu.plots import ARCSEC, new_figure, save
+from cycloid_fmu.plots import new_figure, save
 from cycloid_fmu.surface import nominal_surface, with_structured
 from cycloid_fmu.transmission import analyze, slices_needed, statistics
 

@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from cycloid_fmu.cli import print_table
+from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.pair import read_pair
-from cycloid_fmu.plots import ARCSEC, new_figure, save
+from cycloid_fmu.plots import new_figure, save
 from cycloid_fmu.sliding import velocities
 from cycloid_fmu.surface import nominal_surface
 from cycloid_fmu.tooth_contact import contact_ratio, handovers, loaded_contacts, phase_of_pin, unloaded_contact

@@ -129,10 +129,10 @@ def curve(
         return
     rows = []
     for one in curves:
-        error = one.transmission_error * plots.ARCSEC
+        error = one.transmission_error * edge.ARCSEC
         rows.append(
             [Path(one.source).name, label_of(one), str(one.input_angle.size), f"{one.sample_count.mean():.1f}",
-             f"{error.mean():.3f}", f"{np.ptp(error):.3f}", f"{noise_of(one) * plots.ARCSEC:.3f}"]
+             f"{error.mean():.3f}", f"{np.ptp(error):.3f}", f"{noise_of(one) * edge.ARCSEC:.3f}"]
         )  # fmt: skip
     print_table(
         "Transmission error [arcsec]",
@@ -389,7 +389,7 @@ def print_figures(found: Figures) -> None:
 def print_identification(result: object, truth: dict[str, float] | None = None) -> None:
     """Print identified errors with their 95 % intervals, what is held and why; beside the truth where it is known."""
     from cycloid_fmu.cli import print_table
-    from cycloid_fmu.plots import ARCSEC
+    from cycloid_fmu.edge import ARCSEC
     from fitting.identify import Identification
 
     assert isinstance(result, Identification)

@@ -24,7 +24,6 @@ from fitting.recording import BenchRecording
 
 Array = NDArray[np.float64]
 FORMAT = "cycloid-read-head/1"
-_ARCSEC = 648000.0 / math.pi
 
 
 @dataclasses.dataclass(frozen=True)
@@ -119,9 +118,9 @@ def without_coaxiality_error(recording: BenchRecording, head: ReadHead) -> Bench
     error, uncertainty = angle_error(head, recording.torque)
     d = head.displacement
     notes = [
-        f"{recording.source}: the output angle is corrected by {-error.max() * _ARCSEC:.4f} … "
-        f"{-error.min() * _ARCSEC:.4f}″ for the read head's coaxiality, standard uncertainty "
-        f"{uncertainty.max() * _ARCSEC:.4f}″."
+        f"{recording.source}: the output angle is corrected by {-error.max() * edge.ARCSEC:.4f} … "
+        f"{-error.min() * edge.ARCSEC:.4f}″ for the read head's coaxiality, standard uncertainty "
+        f"{uncertainty.max() * edge.ARCSEC:.4f}″."
     ]
     if recording.torque.min() < d.low or recording.torque.max() > d.high:
         notes.append(

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from scipy import linalg, stats
 
 from cycloid_fmu import edge
+from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.pair import Pair
-from cycloid_fmu.plots import ARCSEC
 from cycloid_fmu.surface import ErrorSurface, structured_value, surface_of_pair, unit_of, with_structured
 from cycloid_fmu.transmission import solve
 from fitting.curve import Curve

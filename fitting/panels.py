@@ -10,8 +10,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.pair import Pair
-from cycloid_fmu.plots import ARCSEC
 from fitting.curve import Curve
 from fitting.metrics import Figures, LoopData, loop_marks
 

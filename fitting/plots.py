@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.pair import Pair
-from cycloid_fmu.plots import ARCSEC, new_figure
+from cycloid_fmu.plots import new_figure
 from cycloid_fmu.surface import ErrorSurface, unit_of
 from cycloid_fmu.transmission import solve
 from fitting.curve import Curve

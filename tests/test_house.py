@@ -1,0 +1,106 @@
+"""How the house is built: who imports whom, what loads when, and what the changelog looks like."""
+
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+from importlinter.cli import lint_imports
+
+ROOT = Path(__file__).parent.parent
+SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text())
+PACKAGES = ("cycloid_fmu", "fitting", "drivers")
+HEAVY = {
+    "numpy",
+    "numba",
+    "scipy",
+    "xarray",
+    "lmfit",
+    "matplotlib",
+    "pint",
+    "pyarrow",
+    "pandas",
+    "can",
+    "canopen",
+    "fmpy",
+}
+
+
+def test_nobody_imports_what_they_must_not(monkeypatch):
+    monkeypatch.chdir(ROOT)
+    assert lint_imports(config_filename="pyproject.toml", no_cache=True, no_logo=True) == 0
+
+
+def test_each_import_rule_can_be_broken(tmp_path):
+    for name in PACKAGES:
+        shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    for file, line in (
+        ("cycloid_fmu/edge.py", "import fitting"),
+        ("drivers/clock.py", "import cycloid_fmu.pair"),
+        ("fitting/curve.py", "import drivers.clock"),
+        ("cycloid_fmu/contact.py", "import cycloid_fmu.pair"),
+        ("fitting/recording.py", "import fitting.curve"),
+        ("fitting/metrics.py", "import cycloid_fmu.plots"),
+    ):
+        with (tmp_path / file).open("a") as module:
+            module.write(f"\n{line}\n")
+    code = "import sys; sys.path.insert(0, ''); from importlinter.cli import lint_imports; lint_imports(no_cache=True)"
+    run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    verdicts = re.findall(r"(KEPT|BROKEN)", run.stdout)
+    assert verdicts == ["BROKEN"] * len(SETTINGS["tool"]["importlinter"]["contracts"]), run.stdout + run.stderr
+
+
+@pytest.mark.parametrize(
+    ("modules", "allowed"),
+    [
+        ("cycloid_fmu, fitting, drivers, cycloid_fmu.cli, fitting.cli, drivers.cli", set()),
+        ("cycloid_fmu.pair, cycloid_fmu.profile, fitting.recording", {"numpy", "pyarrow"}),
+        ("cycloid_fmu.transmission", {"numpy", "numba", "scipy"}),  # numba looks whether SciPy is there
+        ("drivers.recorder, drivers.export, drivers.watch", {"numpy", "pyarrow"}),
+    ],
+)
+def test_what_is_slow_to_import_waits_until_it_is_needed(modules, allowed):
+    code = f"import sys, {modules}; print(*{{name.partition('.')[0] for name in sys.modules}})"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120)
+    loaded = set(run.stdout.split())
+    assert {name.strip().partition(".")[0] for name in modules.split(",")} <= loaded
+    assert loaded & HEAVY <= allowed
+
+
+def test_the_version_stands_in_one_place():
+    version = SETTINGS["project"]["version"]
+    assert metadata.version("cycloid-fmu") == version
+    said = subprocess.run(["git", "grep", "-lF", f'"{version}"'], cwd=ROOT, capture_output=True, text=True)
+    if said.returncode == 0:
+        assert said.stdout.split() == ["pyproject.toml"]
+
+
+def test_the_changelog_keeps_its_form():
+    """Keep a changelog 1.1.0: known groups in order, each once; in them the users in order, no entry twice."""
+    text = (ROOT / "CHANGELOG.md").read_text()
+    versions = [block.splitlines() for block in re.split(r"^## ", text, flags=re.M)[1:]]
+    assert versions[0][0] == "[Unreleased]"
+    assert all(re.fullmatch(r"\[\d+\.\d+\.\d+\] - \d{4}-\d\d-\d\d", lines[0]) for lines in versions[1:])
+    users = ["The whole road", "The system modeller", "The test-bench engineer", "The gear designer"]
+    for lines in versions:
+        found, entries = {}, []
+        for line in lines[1:]:
+            if line.startswith("### "):
+                found[line[4:]] = []
+            elif line.startswith("#### "):
+                found[[*found][-1]].append(line[5:])
+            elif line.startswith("- "):
+                assert [*found.values()][-1], f"{line}: under no user"
+                entries.append(line[2:])
+            elif line:
+                assert line.startswith("  "), line
+                entries[-1] += line[1:]
+        groups = ["Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"]
+        assert [*found] == [name for name in groups if name in found]
+        assert all(each == [name for name in users if name in each] for each in found.values())
+        assert len(set(entries)) == len(entries)

@@ -1,0 +1,99 @@
+"""What is published: the source archive, the wheel, and that the wheel alone is enough."""
+
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tarfile
+import tomllib
+import zipfile
+from pathlib import Path
+
+import fmpy
+import pytest
+from common import ARCSEC, BENCH, CASES, fresh_environment
+
+ROOT = Path(__file__).parent.parent
+VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+PYTHONS = [
+    python
+    for python in (shutil.which(f"python3.{minor}") for minor in (11, 12, 13))
+    if python and subprocess.run([python, "-c", ""], capture_output=True).returncode == 0
+]
+
+pytestmark = pytest.mark.slow
+
+
+def build(source, folder, *kinds):
+    """Build with the tools that are installed, so that nothing is downloaded."""
+    subprocess.run(
+        [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(folder), *kinds, str(source)],
+        check=True, capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def published(tmp_path_factory):
+    """The source archive, and the wheel that is built from it."""
+    folder = tmp_path_factory.mktemp("published")
+    build(ROOT, folder)
+    return folder / f"cycloid_fmu-{VERSION}.tar.gz", folder / f"cycloid_fmu-{VERSION}-py3-none-any.whl"
+
+
+def files_of_wheel(path):
+    with zipfile.ZipFile(path) as wheel:
+        return {name: hashlib.sha256(wheel.read(name)).hexdigest() for name in wheel.namelist()}
+
+
+def test_the_index_would_take_both(published):
+    run = subprocess.run(
+        [sys.executable, "-m", "twine", "check", "--strict", *map(str, published)], capture_output=True, text=True
+    )
+    assert run.returncode == 0, run.stdout + run.stderr
+
+
+def test_the_source_archive_is_the_repository(published):
+    known = subprocess.run(
+        ["git", "ls-files", "--cached", "--others", "--exclude-standard"], cwd=ROOT, capture_output=True, text=True
+    )
+    with tarfile.open(published[0]) as archive:
+        held = {name.partition("/")[2] for name in archive.getnames()} - {"PKG-INFO"}
+    if known.returncode == 0:
+        assert held == set(known.stdout.splitlines())
+    assert {"tests/test_packaging.py", "CITATION.cff", ".ci/run", "docs/index.md", "examples/bench_to_fmu.py"} <= held
+
+
+def test_archive_and_repository_build_the_same_wheel(published, tmp_path):
+    build(ROOT, tmp_path, "--wheel")
+    assert files_of_wheel(tmp_path / published[1].name) == files_of_wheel(published[1])
+
+
+@pytest.mark.parametrize("python", PYTHONS, ids=lambda path: Path(path).name)
+def test_the_wheel_alone_runs_the_three_commands(published, python, tmp_path):
+    scripts = fresh_environment(tmp_path / "environment", published[1], python=python)
+    settings = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "NUMBA_CACHE_DIR")}
+
+    def run(*words):
+        done = subprocess.run(
+            [str(scripts / words[0]), *map(str, words[1:])],
+            cwd=tmp_path, env=settings, capture_output=True, text=True, timeout=1800,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    case = CASES / "error-free-39-40.toml"
+    wanted = json.loads(case.with_suffix(".json").read_text())
+    loads = [word for r in wanted["results"] for word in ("--torque", f"{r['torque']:g} N*m")]
+    found = json.loads(run("cycloid-fmu", "analyze", case, *loads, "--angles", 16, "--turns", 39, "--json"))
+    assert found["crank_angle"] == pytest.approx(wanted["crank_angle"])
+    for load, result in enumerate(wanted["results"]):
+        assert found["transmission_error"][load] == pytest.approx(result["transmission_error"], abs=0.01 * ARCSEC)
+
+    run("cycloid-fmu", "build", case, "-o", "drive.fmu")
+    assert fmpy.read_model_description(str(tmp_path / "drive.fmu")).version == VERSION
+
+    curves = run("cycloid-fit", "curve", BENCH / "30Nm-forward.csv", "--pair", BENCH / "pair.toml", "--json")
+    assert json.loads(curves)
+    assert run("cycloid-bench", "list").startswith("protocols: amt21, ascii, canopen, dbc, modbus\n")
