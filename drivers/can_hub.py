@@ -30,7 +30,7 @@ from drivers.encoder import (
     EncoderSetupError,
     judge_sequence,
 )
-from drivers.recording_format import DUPLICATE, GAP, OUT_OF_ORDER, Event, FloatArray, IntArray
+from drivers.recording_format import CLOCK_JUMP, DUPLICATE, GAP, OUT_OF_ORDER, Event, FloatArray, IntArray
 
 logging.getLogger("canopen").addHandler(logging.NullHandler())  # what it warns of is raised or an event here
 
@@ -38,7 +38,6 @@ SYNC_ID = 0x80
 SYNC_COUNTER_MAX = 240
 BLOCK_SECONDS = 0.05  # of a block, and so of what a kill can cost besides the batch being written
 BLOCK_FRAMES = 4096
-CLOCK_JUMP = 1.0  # s between the stamps' step and the arrivals' that no bus and no scheduler explains
 _RECEIVE_BUFFER = 8 << 20
 _IP_MULTICAST_ALL = 49  # Linux: only the groups this very socket joined
 _BUS_OFF = 0x40  # of an error frame's identifier, as Linux and python-can number them

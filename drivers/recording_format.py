@@ -23,7 +23,7 @@ import os
 import sys
 import time
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeAlias
@@ -43,6 +43,7 @@ IntArray: TypeAlias = npt.NDArray[np.int64]
 ByteArray: TypeAlias = npt.NDArray[np.uint8]
 
 FLUSH_SECONDS = 1.0  # of samples that a power cut can cost; a kill costs none that `write` returned for
+CLOCK_JUMP = 1.0  # s between the stamps' step and the arrivals' that no bus and no scheduler explains
 _CLOCK = "clock: "
 _MESSAGE = b"\xff\xff\xff\xff"  # what every message of an Arrow stream begins with, at a multiple of eight bytes
 _END_OF_STREAM = _MESSAGE + b"\x00\x00\x00\x00"
@@ -98,24 +99,34 @@ class Event:
     text: str
 
 
-def clock_event(
-    time: float, channel: str, origin_device: float, origin_host: float, drift: float, uncertainty: float
-) -> Event:
-    """Return the event that says how a channel's own clock runs against the host's; see `Recording.clock`.
+@dataclasses.dataclass(frozen=True)
+class Clock:
+    """How a device's clock runs against the host's: host = origin_host + (1 + drift) (device - origin_device).
 
-    Parameters
+    Attributes
     ----------
-    time, channel
-        When and of which channel it is said.
-    origin_device, origin_host, drift
-        host = origin_host + (1 + drift) (device - origin_device), s.
+    origin_device, origin_host
+        A point of the line in the middle of the samples, s.
+    drift
+        Relative rate of the host's clock to the device's, less one.
     uncertainty
-        Half width at 95 %, s.
+        Half width at 95 %, s, at the ends of the samples, of a band about the line.
     """
-    said = {
-        "origin_device": origin_device, "origin_host": origin_host, "drift": drift, "uncertainty": uncertainty,
-    }  # fmt: skip
-    return Event(time, channel, _CLOCK + json.dumps(said))
+
+    origin_device: float
+    origin_host: float
+    drift: float
+    uncertainty: float
+
+    def host(self, device: npt.ArrayLike) -> FloatArray:
+        """Return the host's time, s, of device times, s: earliest arrival, the constant part of the delay included."""
+        away = np.asarray(device, np.float64) - self.origin_device
+        return np.asarray(self.origin_host + away + self.drift * away, np.float64)
+
+
+def clock_event(time: float, channel: str, clock: Clock, restarts: int) -> Event:
+    """Return the event that says how a channel's own clock runs after so many restarts; see `read_clocks`."""
+    return Event(time, channel, _CLOCK + json.dumps({**dataclasses.asdict(clock), "restarts": restarts}))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -214,10 +225,10 @@ class Recording:
     events: tuple[Event, ...]
     problems: tuple[str, ...]
 
-    def clock(self, channel: str) -> Mapping[str, float] | None:
-        """Return the last estimate of a channel's clock: the keys of `clock_event`; None where it has none."""
-        said = [e.text for e in self.events if e.channel == channel and e.text.startswith(_CLOCK)]
-        return dict(json.loads(said[-1].removeprefix(_CLOCK))) if said else None
+    def clock(self, channel: str) -> Clock | None:
+        """Return the last estimate of a channel's clock; None where it has none."""
+        clocks = _clocks(self.events).get(channel, {})
+        return clocks[max(clocks)] if clocks else None
 
     def aligned_time(self, channel: str) -> FloatArray:
         """Return when a channel's samples were taken, s since the start on the host's clock, shape (n,).
@@ -225,11 +236,68 @@ class Recording:
         By the channel's own clock where it has one and its offset and drift were estimated: free of the delays on the
         way to the host, which `time_host` has. Else `time_host`.
         """
-        samples, clock = self.samples[channel], self.clock(channel)
-        if clock is None or samples.time_device is None or np.any(samples.status & RESET):
+        return Alignment(_clocks(self.events).get(channel, {})).time(self.samples[channel])
+
+
+def _clocks(events: Iterable[Event]) -> dict[str, dict[int, Clock]]:
+    """Return the last estimate of each channel's clock after each of its restarts."""
+    found: dict[str, dict[int, Clock]] = {}
+    for event in events:
+        if event.text.startswith(_CLOCK):
+            said = json.loads(event.text.removeprefix(_CLOCK))
+            restarts = said.pop("restarts", 0)
+            found.setdefault(event.channel, {})[restarts] = Clock(**said)
+    return found
+
+
+def clock_restarts(samples: Samples, last: tuple[float, float] | None) -> npt.NDArray[np.bool_]:
+    """Return at which samples the device's clock starts anew, shape (n,).
+
+    Where they are marked reset, or the device's time goes back or ahead of the host's by more than `CLOCK_JUMP`.
+    Arrivals that were held up and then come at once are no restart.
+
+    Parameters
+    ----------
+    samples
+        Samples that have a device time.
+    last
+        Device and host time of the sample before, s; None at the beginning.
+    """
+    assert samples.time_device is not None
+    if not len(samples):
+        return np.zeros(0, np.bool_)
+    device, host = last if last is not None else (samples.time_device[0], samples.time_host[0])
+    step = np.diff(samples.time_device, prepend=device)
+    waited = np.diff(samples.time_host, prepend=host)
+    return ((samples.status & RESET) != 0) | (step < -CLOCK_JUMP) | (step > waited + CLOCK_JUMP)
+
+
+class Alignment:
+    """Puts one channel's samples, block by block in their order, on the host's clock by the device's own.
+
+    Parameters
+    ----------
+    clocks
+        The device's clock after each of its restarts, as `read_clocks` gives it.
+    """
+
+    def __init__(self, clocks: Mapping[int, Clock]) -> None:
+        self._clocks = clocks
+        self._restarts = 0
+        self._last: tuple[float, float] | None = None
+
+    def time(self, samples: Samples) -> FloatArray:
+        """Return when the samples were taken, s since the start; `time_host` where the device's clock is not known."""
+        if samples.time_device is None or not len(samples):
             return samples.time_host
-        away = samples.time_device - clock["origin_device"]
-        return clock["origin_host"] + away + clock["drift"] * away
+        number = self._restarts + np.cumsum(clock_restarts(samples, self._last))
+        self._restarts = int(number[-1])
+        self._last = float(samples.time_device[-1]), float(samples.time_host[-1])
+        time = samples.time_host.copy()
+        for restarts in np.unique(number).tolist():
+            if (clock := self._clocks.get(restarts)) is not None:
+                time[number == restarts] = clock.host(samples.time_device[number == restarts])
+        return time
 
 
 _COLUMNS: Mapping[str, tuple[pa.DataType, str, bool]] = {
@@ -676,6 +744,44 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
                 blocks[samples.channel].append(samples)
         joined = {n: _joined(n, b) for n, b in blocks.items()}
         return Recording(reader.header, joined, tuple(events), tuple(reader.problems))
+
+
+def read_clocks(path: str | os.PathLike[str], channels: Collection[str]) -> dict[str, dict[int, Clock]]:
+    """Return, for `Alignment`, how the own clocks of channels run: {channel: {after how many restarts: clock}}.
+
+    Channels without a clock of their own are not in it, nor those too short to tell. Two channels that one clock
+    stamped, such as those that one SYNC latches, share the better known of its two estimates: what was one instant
+    stays one. Where no channel has a clock of its own, the file is read only to each one's first samples.
+
+    Raises
+    ------
+    edge.InputError
+        If the file can't be read, is no recording or has another format.
+    """
+    first: dict[str, Samples] = {}
+    events: list[Event] = []
+    with RecordingReader(path) as reader:
+        for samples, said in reader.batches():
+            events.extend(said)
+            if len(samples) and samples.channel in channels:
+                first.setdefault(samples.channel, samples)
+            if len(first) == len(channels) and all(s.time_device is None for s in first.values()):
+                return {}
+    found = {name: clocks for name, clocks in _clocks(events).items() if name in channels}
+    names = list(found)
+    for number, one in enumerate(names):
+        for other in names[number + 1 :]:
+            if _stamps(first[one]) & _stamps(first[other]):
+                for restarts in found[one].keys() & found[other].keys():
+                    best = min(found[one][restarts], found[other][restarts], key=lambda clock: clock.uncertainty)
+                    found[one][restarts] = found[other][restarts] = best
+    return found
+
+
+def _stamps(samples: Samples) -> set[tuple[float, float]]:
+    """Return the pairs of device and host time of samples: two clocks have none in common."""
+    assert samples.time_device is not None
+    return set(zip(samples.time_device.tolist(), samples.time_host.tolist(), strict=True))
 
 
 if sys.byteorder != "little":  # Arrow buffers and the checksum are little-endian

@@ -6,6 +6,7 @@ the input locked or turning slowly; what counts is the windup, the output angle 
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -554,6 +555,9 @@ class Surveyed:
         The loops, or None.
     notes
         What was left out and why.
+    apart
+        Half the 95 % interval, rad of the output, of what the two angles' clocks may make the transmission error run
+        away over the whole recording.
     """
 
     source: str
@@ -565,6 +569,7 @@ class Surveyed:
     curves: tuple[Curve, ...]
     loops: LoopData | None
     notes: tuple[str, ...]
+    apart: float = 0.0
 
 
 _OVERVIEW = 1 << 20
@@ -677,9 +682,11 @@ def survey(
             notes.append(str(problem))
     elif loops is None and np.ptp(shortened.input_angle) > 0.0:
         notes.append(f"{stream.source}: the input turns and no ratio is known; --pair or --ratio is needed.")
+    duration = float(table["time"][-1] - table["time"][0])
+    speed = float(np.abs(np.diff(table["output_angle"])).sum()) / duration if duration > 0.0 else 0.0
     return Surveyed(
-        stream.source, shortened.checksum, overview.samples, float(table["time"][-1] - table["time"][0]), shortened,
-        overview.averaged, tuple(curves), loops, tuple(notes),
+        stream.source, shortened.checksum, overview.samples, duration, shortened, overview.averaged, tuple(curves),
+        loops, tuple(notes), 2.0 * stream.alignment * speed,
     )  # fmt: skip
 
 
@@ -817,6 +824,9 @@ def figures_of(surveyed: Sequence[Surveyed], ratio: float | None, rated_torque: 
                     "N·m; the transmission error holds the windup that this makes."
                 )
             figure = angular_transmission_error(curve, orders)
+            # Clocks that run apart add their way over one turn, for every turn begins anew.
+            uncertainty = math.hypot(figure.uncertainty, one.apart / max(curve.turns, 1.0))
+            figure = dataclasses.replace(figure, uncertainty=uncertainty)
             ways[way][f"{one.source}, {curve.torque:.4g} N*m, {way}"] = figure
     parts = {way: max(runs.values(), key=lambda f: f.value) for way, runs in ways.items() if runs}
     if parts:

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
+from drivers.recording_format import Alignment, Clock, RecordingReader, read_clocks
 
 Array = NDArray[np.float64]
 
@@ -85,6 +86,8 @@ class BenchFile(abc.ABC):
         Signed ratio of the drive, where the file says it.
     problems
         One sentence for each thing found wrong with the file; complete when all pieces were taken.
+    clocks
+        {channel: the clock that stamped it, in the host's time} where a device stamped it with a clock of its own.
     """
 
     source: str
@@ -92,6 +95,7 @@ class BenchFile(abc.ABC):
     timed: bool = False
     ratio: float | None = None
     problems: list[str] = field(default_factory=list)
+    clocks: dict[str, Clock] = field(default_factory=dict)
 
     @abc.abstractmethod
     def pieces(self, names: Sequence[str]) -> Iterator[Piece]:
@@ -577,22 +581,23 @@ class _CanLog(BenchFile):
 
 class _RecorderFile(BenchFile):
     def __init__(self, source: str) -> None:
-        from drivers.recording_format import RecordingReader
-
         with RecordingReader(source) as reader:
             header = reader.header
         channels = [RawChannel(c.name, c.unit, c.zero_reference) for c in header.channels]
         super().__init__(source, tuple(channels), timed=True, ratio=header.ratio)
 
     def pieces(self, names: Sequence[str]) -> Iterator[Piece]:
-        from drivers.recording_format import RecordingReader
-
+        known = read_clocks(self.source, names)
+        # The least certain stretch of a channel says how well its time is known.
+        self.clocks = {n: max(c.values(), key=lambda clock: clock.uncertainty) for n, c in known.items()}
+        alignments = {n: Alignment(known.get(n, {})) for n in names}
         silent = set(names)
         with RecordingReader(self.source) as reader:
             for samples, _ in reader.batches():
                 if samples.channel in names and len(samples):
                     silent.discard(samples.channel)
-                    yield Piece(samples.time_host, {samples.channel: samples.value}, samples.status)
+                    time = alignments[samples.channel].time(samples)
+                    yield Piece(time, {samples.channel: samples.value}, samples.status)
             self.problems = list(reader.problems)
         if silent:
             said = " ".join([*self.problems, f"{self.source}: the {min(silent)} channel has no samples."])

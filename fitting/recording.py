@@ -173,6 +173,9 @@ class BenchRecording:
         One sentence for each thing that a reader should know: what was left out, what was interpolated.
     temperature
         K, or None where none was recorded.
+    alignment
+        Half the 95 % interval, s, of how far the two angles' clocks may be apart at the recording's ends; 0 where one
+        clock stamped both, or none is known to be another.
     """
 
     time: Array
@@ -187,6 +190,7 @@ class BenchRecording:
     checksum: str
     notes: tuple[str, ...] = ()
     temperature: Array | None = None
+    alignment: float = 0.0
 
     def blocks(self) -> Iterator[Block]:
         """Yield the recording as one block."""
@@ -207,8 +211,8 @@ class BenchStream:
     ----------
     source, ratio, common_zero, known_index
         As in `BenchRecording`.
-    notes
-        What a reader should know; complete when all blocks were taken.
+    notes, alignment
+        As in `BenchRecording`; complete when all blocks were taken.
 
     Raises
     ------
@@ -225,6 +229,7 @@ class BenchStream:
         self.common_zero = self._zero_reference("output_angle") == "absolute"
         self.known_index = self._zero_reference("input_angle") == "absolute"
         self.notes: list[str] = []
+        self.alignment = 0.0
 
     @property
     def checksum(self) -> str:
@@ -266,13 +271,26 @@ class BenchStream:
             kept += block.time.size
             if block.time.size:
                 yield block
-        self.notes = [*self._file.problems, *(f"{self.source}: {n}" for n in (*merge.notes(), *tidy.notes()))]
+        said = [*self._clock_notes(), *merge.notes(), *tidy.notes()]
+        self.notes = [*self._file.problems, *(f"{self.source}: {n}" for n in said)]
         if self._mapping.input_angle is None:
             self.notes.append(f"{self.source}: no input angle is mapped; the input is taken as locked.")
         if kept < 2:
             raise edge.InputError(
                 " ".join([*self.notes, f"{self.source}: the recording has {kept or 'no'} samples; a curve needs more."])
             )
+
+    def _clock_notes(self) -> list[str]:
+        """Say which channels were put on the host's clock, and keep how well the two angles' are known to agree."""
+        clocks = {role: c for role, (name, _, _) in self._scales.items() if (c := self._file.clocks.get(name))}
+        apart = {clocks[role] for role in ANGLES if role in clocks}
+        if len(apart) == 2 or len(clocks.keys() & set(ANGLES)) == 1:
+            self.alignment = float(np.hypot.reduce([clock.uncertainty for clock in apart]))
+        return [
+            f"{role} has a clock of its own, which runs {-clock.drift * 1e6:+.3g} ppm fast; its samples were put on "
+            f"the host's to ± {clock.uncertainty * 1e6:.2g} µs (95 %)."
+            for role, clock in clocks.items()
+        ]
 
 
 def open_bench_recording(path: str | os.PathLike[str], mapping: FileMapping | None = None) -> BenchStream:
@@ -304,6 +322,7 @@ def read_bench_recording(path: str | os.PathLike[str], mapping: FileMapping | No
         checksum=stream.checksum,
         notes=tuple(stream.notes),
         temperature=None if blocks[0].temperature is None else joined("temperature"),
+        alignment=stream.alignment,
     )
 
 

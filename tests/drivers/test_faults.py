@@ -17,10 +17,11 @@ from drivers import encoder as encoder_module
 from drivers import recorder, serial_hub
 from drivers import recording_format as rf
 from drivers.bench import BenchRun, CanBench, simulate_motion
+from drivers.can_hub import BLOCK_SECONDS
 from drivers.encoder import EncoderSetupError
 from drivers.faults import Fault, at_wrong_baud, read_faults
 from drivers.recorder import open_encoders, record, record_bench
-from drivers.recording_format import read_recording
+from drivers.recording_format import read_clocks, read_recording
 from drivers.serial_bench import Amt21Bench, AsciiBench
 
 ROOT = Path(__file__).parents[2]
@@ -159,6 +160,12 @@ def test_counter_reset(tmp_path):
     (reset,) = marked(samples, rf.RESET)
     assert samples.counts[reset] == 0
     assert any("started anew" in t for t in texts(recording, "output_angle"))
+    # Its clock started anew as well: before and after, it is put on the host's by a line of its own.
+    clocks = read_clocks(tmp_path / "run.arrows", ["output_angle"])["output_angle"]
+    assert clocks.keys() == {0, 1}
+    late = samples.time_host - recording.aligned_time("output_angle")
+    assert late.min() > -max(clock.uncertainty for clock in clocks.values())
+    assert np.median(late) < 0.1
 
 
 def test_a_node_that_starts_anew_is_set_operational_again(tmp_path, bus_name):
@@ -286,8 +293,8 @@ record_bench("BENCH.toml", sys.argv[1], progress=lambda live: print(*live.sample
 """
 
 
-def kill_once(folder, group, number, after):
-    """Kill a recorder after so many of its loops; return what it had acknowledged and what the file holds."""
+def kill_once(folder, number, after, wait):
+    """Kill a recorder `wait` s into one of its loops; return what it had acknowledged and what the file holds."""
     environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
     path = folder / f"run-{number}.arrows"
     process = subprocess.Popen(
@@ -296,6 +303,7 @@ def kill_once(folder, group, number, after):
     said = ""
     for _ in range(after):
         said = process.stdout.readline()
+    time.sleep(wait)  # the moment itself: anywhere between two acknowledgements, within a write too
     process.kill()
     rest = process.stdout.read().split("\n")
     process.wait()
@@ -316,7 +324,9 @@ def test_kill_9_at_any_moment_loses_nothing_acknowledged(tmp_path, kills):
     for number in range(kills):
         with CanBench(motion, interface="udp_multicast", channel=group, speed_factor=20) as bench:
             bench.write_wiring(tmp_path / "BENCH.toml")
-            acknowledged, recording = kill_once(tmp_path, group, number, int(random.integers(2, 12)))
+            acknowledged, recording = kill_once(
+                tmp_path, number, int(random.integers(2, 12)), random.uniform(0.0, 2 * BLOCK_SECONDS)
+            )
         for have, n in zip(recording.samples.values(), acknowledged, strict=True):
             assert len(have) >= n
             assert not np.any(have.status & ~np.uint8(rf.ROLLOVER))

@@ -140,9 +140,9 @@ def test_lines_are_the_commanded_motion_and_their_clock_is_known(tmp_path):
     expected = np.interp(samples.time_device / 1.0002, motion.time, motion.output_angle)
     assert np.max(np.abs(samples.value - expected)) < 3e-5
     clock = recording.clock("output_angle")
-    reach = clock["uncertainty"] / (samples.time_device[-1] - samples.time_device[0])
-    assert clock["drift"] == pytest.approx(-200e-6, abs=2 * reach + 20e-6)
-    assert np.all(samples.time_host - recording.aligned_time("output_angle") > -clock["uncertainty"])
+    reach = clock.uncertainty / (samples.time_device[-1] - samples.time_device[0])
+    assert clock.drift == pytest.approx(-200e-6, abs=2 * reach + 20e-6)
+    assert np.all(samples.time_host - recording.aligned_time("output_angle") > -clock.uncertainty)
 
 
 def ascii_samples(config, data):
