@@ -269,7 +269,7 @@ def clock_restarts(samples: Samples, last: tuple[float, float] | None) -> npt.ND
     device, host = last if last is not None else (samples.time_device[0], samples.time_host[0])
     step = np.diff(samples.time_device, prepend=device)
     waited = np.diff(samples.time_host, prepend=host)
-    return ((samples.status & RESET) != 0) | (step < -CLOCK_JUMP) | (step > waited + CLOCK_JUMP)
+    return np.asarray((samples.status & RESET != 0) | (step < -CLOCK_JUMP) | (step > waited + CLOCK_JUMP))
 
 
 class Alignment:

@@ -661,7 +661,10 @@ def survey(
     table = overview.table()
     notes = list(stream.notes)
     shortened = BenchRecording(
-        **{n: table[n] for n in ("time", "input_angle", "output_angle", "torque")},
+        time=table["time"],
+        input_angle=table["input_angle"],
+        output_angle=table["output_angle"],
+        torque=table["torque"],
         status=np.zeros(table["time"].size, np.uint8),
         common_zero=stream.common_zero,
         known_index=stream.known_index,
