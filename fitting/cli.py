@@ -213,7 +213,7 @@ def metrics(
     plot: PlotFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """The standard figures: transmission error, lost motion, backlash, stiffness, hysteresis, starting torque.
+    """The standard figures: transmission error, lost motion, backlash, stiffness, hysteresis, starting torques.
 
     Example: [cyan]cycloid-fit metrics loop.csv *.arrows --ratio -39 --rated-torque "167 N*m"[/]
     """

@@ -1,4 +1,4 @@
-"""The standard figures: transmission error, lost motion, backlash, stiffness, hysteresis, starting torque.
+"""The standard figures: transmission error, lost motion, backlash, stiffness, hysteresis, starting torques.
 
 Each figure has its definition by name, its 95 % uncertainty and the loops or turns behind it. Loops are recorded with
 the input locked or turning slowly; what counts is the windup, the output angle less its share of the input angle.
@@ -18,7 +18,7 @@ from scipy import stats
 
 from cycloid_fmu import edge
 from fitting.curve import Curve, Folding, Spectrum, lag_of, significant, spectrum, synthesised
-from fitting.recording import BenchRecording, BenchStream, Block
+from fitting.recording import OPTIONAL, BenchRecording, BenchStream, Block
 
 Array = NDArray[np.float64]
 FORMAT = "cycloid-figures/1"
@@ -33,6 +33,7 @@ FRICTION_NEAR = 0.05
 _LOBE = 0.20  # a half loop goes beyond this
 _REST = 0.025  # and begins and ends below this
 _START = math.radians(1.0)  # of the crank: it has started
+_UNLOADED = 0.1  # of the torque on the input is what the output's may take of it in a start without load
 _REDRAWN = 200  # spectra drawn with the noise found, for the uncertainty of a largest and a smallest value
 
 DEFINITIONS = {
@@ -43,14 +44,16 @@ DEFINITIONS = {
     "lost_motion": "mean of loading and unloading branch at +3 % of the rated torque less that at -3 % (GB/T 40731, "
     "Nabtesco)",
     "torsional_stiffness": "torque over windup along the loading branches in the interval, mean of both sides",
-    "starting_torque": "largest torque on the output, while it drives, from a standstill until the crank has turned 1 "
-    "degree, mean of the starts",
+    "starting_torque": "largest torque on the input, the output without load, from a standstill until the crank has "
+    "turned 1 degree, mean of the starts (no-load starting torque)",
+    "back_driving_torque": "largest torque on the output, while it drives, from a standstill until the crank has "
+    "turned 1 degree, mean of the starts (overhauling starting torque)",
     "angular_transmission_error": "largest less smallest value over one output turn, in one direction, of the curve "
     "averaged over turns and made of the orders that stand out of the noise (GB/T 35089); the largest of the runs",
 }
 UNITS = {
     "hysteresis_loss": "rad", "backlash": "rad", "lost_motion": "rad", "torsional_stiffness": "N*m/rad",
-    "starting_torque": "N*m", "angular_transmission_error": "rad",
+    "starting_torque": "N*m", "back_driving_torque": "N*m", "angular_transmission_error": "rad",
 }  # fmt: skip
 
 
@@ -497,17 +500,30 @@ def _range_of(coefficient: NDArray[np.complex128], points: int) -> Array:
 # --------------------------------------------------------------------------------------------------- starting torques
 
 
-def starting_torques(recording: BenchRecording) -> list[float]:
-    """Return the torque of each start: from a standstill with next to no torque until the crank has turned a degree.
+@dataclass(frozen=True)
+class Start:
+    """One start: the samples from the standstill until the crank has turned a degree, and the largest torque in it."""
 
-    Counted are starts in which the torque on the output drives: it and the motion that follows have one direction, and
-    it has risen at least tenfold since the standstill began. N·m, magnitudes.
+    part: slice
+    peak: int
+    torque: float
+
+
+def starts_of(crank: Array, torque: Array, driven: Array) -> list[Start]:
+    """Return the starts of a recording: from a standstill with next to no torque until the crank has turned a degree.
+
+    Counted are starts in which the torque drives: it and the motion that follows have one direction, and it has risen
+    at least tenfold since the standstill began.
+
+    Parameters
+    ----------
+    crank, torque, driven
+        Crank angle (rad), torque (N·m) and angle (rad) of the shaft on which it is, arrays of shape (samples,).
     """
-    angle, torque = recording.input_angle, recording.torque
     found = []
     begin = 0
-    while begin < angle.size:
-        away = np.abs(angle[begin:] - angle[begin]) > _START
+    while begin < crank.size:
+        away = np.abs(crank[begin:] - crank[begin]) > _START
         moved = int(np.argmax(away)) if away.any() else 0
         if not moved:
             break
@@ -517,19 +533,52 @@ def starting_torques(recording: BenchRecording) -> list[float]:
         if largest > 0.0:
             at_rest = abs(float(np.median(torque[begin : begin + max(3, moved // 20)])))
             peak = begin + int(np.argmax(np.abs(torque[still])))
-            further = angle[start:]
-            onward = further[min(further.size - 1, 10 * moved)] - angle[begin]
-            driven = recording.output_angle[min(start + 10 * moved, angle.size - 1)] - recording.output_angle[begin]
-            if at_rest < 0.1 * largest and abs(onward) > 5.0 * _START and torque[peak] * driven > 0.0:
-                found.append(largest)
+            further = crank[start:]
+            onward = further[min(further.size - 1, 10 * moved)] - crank[begin]
+            way = driven[min(start + 10 * moved, crank.size - 1)] - driven[begin]
+            if at_rest < 0.1 * largest and abs(onward) > 5.0 * _START and torque[peak] * way > 0.0:
+                found.append(Start(still, peak, largest))
         begin = start if moved > 10 else begin + max(1, moved)
         # Motion goes on until the crank stands within the degree again for longer than a few samples.
-        while begin < angle.size:
-            ahead = angle[begin : begin + 200]
+        while begin < crank.size:
+            ahead = crank[begin : begin + 200]
             if np.ptp(ahead) <= 0.2 * _START and ahead.size > 10:
                 break
             begin += max(1, ahead.size // 2)
     return found
+
+
+def starting_torques(recording: BenchRecording, ratio: float | None) -> tuple[list[Start], list[str]]:
+    """Return the starts by a torque on the input with the output unloaded, and why others are none.
+
+    A start is without load where the torque on the output, through the ratio, is less than a tenth of that on the
+    input.
+
+    Parameters
+    ----------
+    recording
+        The recording; without a torque on the input there are no such starts.
+    ratio
+        Signed ratio.
+    """
+    if recording.input_torque is None:
+        return [], []
+    starts = starts_of(recording.input_angle, recording.input_torque, recording.input_angle)
+    if not starts:
+        return [], [f"{recording.source}: the torque on the input starts the crank nowhere from a standstill."]
+    if ratio is None:
+        return [], [
+            f"{recording.source}: starting_torque could not be given: no ratio says whether the output is loaded."
+        ]
+    free = [s for s in starts if float(np.abs(recording.torque[s.part]).max()) < _UNLOADED * abs(ratio) * s.torque]
+    if len(free) == len(starts):
+        return free, []
+    return free, [f"{recording.source}: {len(starts) - len(free)} of {len(starts)} starts are under load; left out."]
+
+
+def back_driving_torques(recording: BenchRecording) -> list[Start]:
+    """Return the starts by a torque on the output."""
+    return starts_of(recording.input_angle, recording.torque, recording.output_angle)
 
 
 # ------------------------------------------------------------------------------------------- from recordings to figures
@@ -578,7 +627,7 @@ _OVERVIEW = 1 << 20
 class _Overview:
     """Keeps the whole recording at a resolution that halves whenever it grows beyond twice `_OVERVIEW` samples."""
 
-    names = ("time", "input_angle", "output_angle", "torque", "temperature")
+    names = ("time", "input_angle", "output_angle", "torque", *OPTIONAL)
 
     def __init__(self) -> None:
         self.averaged = 1
@@ -588,7 +637,8 @@ class _Overview:
         self._held = 0
 
     def add(self, block: Block) -> None:
-        columns = [getattr(block, n) for n in self.names if getattr(block, n) is not None]
+        self.names = tuple(n for n in self.names if getattr(block, n) is not None)
+        columns = [getattr(block, n) for n in self.names]
         self.samples += block.time.size
         if self._rest is not None:
             columns = [np.concatenate([r, c]) for r, c in zip(self._rest, columns, strict=True)]
@@ -623,7 +673,7 @@ class _Overview:
             self._parts.append([np.atleast_1d(c.mean()) for c in self._rest])
             self._rest = None
         columns = [np.concatenate(c) for c in zip(*self._parts, strict=True)]
-        return dict(zip(self.names, columns, strict=False))
+        return dict(zip(self.names, columns, strict=True))
 
 
 def survey(
@@ -673,6 +723,7 @@ def survey(
         checksum=stream.checksum,
         notes=tuple(notes),
         temperature=table.get("temperature"),
+        input_torque=table.get("input_torque"),
     )
     loops, said = _loops_of(shortened, ratio, rated_torque)
     notes += said
@@ -839,15 +890,29 @@ def figures_of(surveyed: Sequence[Surveyed], ratio: float | None, rated_torque: 
             largest.value, largest.uncertainty, largest.unit, largest.definition, largest.interval,
             largest.interval_unit, largest.count, largest.counted, parts, runs,
         )  # fmt: skip
-    starts = [t for s in surveyed if s.loops is None for t in starting_torques(s.overview)]
-    if starts:
-        scatter = float(np.std(starts, ddof=1)) / math.sqrt(len(starts)) if len(starts) > 1 else math.nan
-        quantile = float(stats.t.ppf(0.975, len(starts) - 1)) if len(starts) > 1 else math.nan
-        name = "starting_torque"
-        figures[name] = Figure(
-            float(np.mean(starts)), quantile * scatter, UNITS[name], DEFINITIONS[name], None, "", len(starts), "starts"
-        )
+    started: dict[str, list[Start]] = {"starting_torque": [], "back_driving_torque": []}
+    for one in surveyed:
+        if one.loops is not None:
+            continue
+        found_starts, said = starting_torques(one.overview, ratio if ratio is not None else one.overview.ratio)
+        notes += said
+        back = back_driving_torques(one.overview)
+        started["starting_torque"] += found_starts
+        started["back_driving_torque"] += back
+        if one.averaged > 1 and (found_starts or back):
+            notes.append(f"{one.source}: torques of starts are means of {one.averaged} samples, the recording is long.")
+    for name, starts in started.items():
+        if starts:
+            figures[name] = _mean_start(name, [s.torque for s in starts])
     return Figures(figures, tuple(surveyed), tuple(spectra), rated_torque, ratio, tuple(dict.fromkeys(notes)))
+
+
+def _mean_start(name: str, torques: Sequence[float]) -> Figure:
+    half = math.nan
+    if len(torques) > 1:
+        quantile = float(stats.t.ppf(0.975, len(torques) - 1))
+        half = quantile * float(np.std(torques, ddof=1)) / math.sqrt(len(torques))
+    return Figure(float(np.mean(torques)), half, UNITS[name], DEFINITIONS[name], None, "", len(torques), "starts")
 
 
 def _pooled(figures: Sequence[Figure]) -> Figure:

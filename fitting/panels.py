@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cycloid_fmu.pair import Pair
 from cycloid_fmu.plots import ARCSEC
 from fitting.curve import Curve
-from fitting.metrics import Figures, LoopData, loop_marks
+from fitting.metrics import Figures, LoopData, back_driving_torques, loop_marks, starting_torques
 
 Array = NDArray[np.float64]
 
@@ -98,6 +98,7 @@ def panels_of(found: Figures, pair: Pair | None = None) -> list[Panel]:
         if spectra is not None:
             panels.append(spectra)
     panels += [p for s in found.surveyed if s.loops is not None for p in _loop_panels(s.loops)]
+    panels += _start_panels(found)
     panels.append(_torque_panel(found))
     return panels
 
@@ -183,6 +184,40 @@ def _loop_panels(loop: LoopData) -> list[Panel]:
         Panel(name, *axes, tuple(traces), said),
         Panel(f"{name}, around zero torque", *axes, tuple(middle), said),
     ]
+
+
+def _start_panels(found: Figures) -> list[Panel]:
+    """The torque of each start over the crank's way from the standstill, on the input and on the output."""
+    panels = []
+    runs = [s.overview for s in found.surveyed if s.loops is None]
+    kinds = (
+        ("input", "no-load starting torque", lambda one: starting_torques(one, found.ratio or one.ratio)[0]),
+        ("output", "back-driving torque", back_driving_torques),
+    )
+    for shaft, name, starts_in in kinds:
+        traces: list[Trace] = []
+        for one in runs:
+            torque = one.input_torque if shaft == "input" else one.torque
+            for start in starts_in(one):
+                assert torque is not None
+                way = np.degrees(np.abs(one.input_angle[start.part] - one.input_angle[start.part.start]))
+                colour = len(traces) // 2
+                traces.append(Trace("", way, np.abs(torque[start.part]), "thin", colour))
+                at = start.peak - start.part.start
+                traces.append(
+                    Trace("", way[at : at + 1], np.array([start.torque]), "points", colour, (f"{colour + 1}",))
+                )
+        if traces:
+            panels.append(
+                Panel(
+                    f"Starts by the {shaft}",
+                    "turned since the standstill [° of the crank]",
+                    f"torque on the {shaft} [N·m]",
+                    tuple(traces),
+                    f"The {name} is the mean of the marked largest values until the crank has turned 1°.",
+                )
+            )
+    return panels
 
 
 def _torque_panel(found: Figures) -> Panel:

@@ -25,8 +25,9 @@ Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 
 COLUMNS = {"time": "s", "input_angle": "rad", "output_angle": "rad", "torque": "N*m"}
-OPTIONAL = {"temperature": "K"}
+OPTIONAL = {"temperature": "K", "input_torque": "N*m"}
 ANGLES = ("input_angle", "output_angle")
+CHANNELS = (*ANGLES, "torque", *OPTIONAL)
 MAPPING_FORMAT = "cycloid-mapping/1"
 _TURN = 2.0 * np.pi
 _TOGETHER = 1 << 13  # samples of each channel that are put on one clock at a time
@@ -85,8 +86,10 @@ class FileMapping(edge.Config):
         Not needed where the file's channels bring their time with them.
     input_angle
         Left out where the input was locked and nothing measured it.
-    output_angle, torque, temperature
-        The channels; a temperature is not needed.
+    output_angle, torque
+        The channels.
+    temperature, input_torque
+        Not needed. The torque on the input gives the no-load starting torque.
     """
 
     ratio: float | None = None
@@ -96,6 +99,7 @@ class FileMapping(edge.Config):
     output_angle: ChannelMapping
     torque: ChannelMapping
     temperature: ChannelMapping | None = None
+    input_torque: ChannelMapping | None = None
 
 
 def read_mapping(path: str | os.PathLike[str]) -> FileMapping:
@@ -109,7 +113,7 @@ def read_mapping(path: str | os.PathLike[str]) -> FileMapping:
     source = str(path)
     table = edge.toml_table(edge.read_text(path), MAPPING_FORMAT, source)
     mapping = edge.validated(FileMapping, table, source)
-    for name in (*ANGLES, "torque", "temperature"):
+    for name in CHANNELS:
         channel = getattr(mapping, name)
         if channel is None:
             continue
@@ -139,6 +143,8 @@ class Block:
         K, or None where none was recorded.
     status
         Bits of the recording format: 1 a gap before, 32 an angle rolled over.
+    input_torque
+        N·m of the environment on the input, or None where none was recorded.
     """
 
     time: Array
@@ -147,6 +153,7 @@ class Block:
     torque: Array
     temperature: Array | None
     status: Bytes
+    input_torque: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -173,6 +180,8 @@ class BenchRecording:
         One sentence for each thing that a reader should know: what was left out, what was interpolated.
     temperature
         K, or None where none was recorded.
+    input_torque
+        N·m of the environment on the input, or None where none was recorded.
     alignment
         Half the 95 % interval, s, of how far the two angles' clocks may be apart at the recording's ends; 0 where one
         clock stamped both, or none is known to be another.
@@ -190,11 +199,15 @@ class BenchRecording:
     checksum: str
     notes: tuple[str, ...] = ()
     temperature: Array | None = None
+    input_torque: Array | None = None
     alignment: float = 0.0
 
     def blocks(self) -> Iterator[Block]:
         """Yield the recording as one block."""
-        yield Block(self.time, self.input_angle, self.output_angle, self.torque, self.temperature, self.status)
+        yield Block(
+            self.time, self.input_angle, self.output_angle, self.torque, self.temperature, self.status,
+            self.input_torque,
+        )  # fmt: skip
 
 
 class BenchStream:
@@ -253,9 +266,7 @@ class BenchStream:
         edge.InputError
             If a value of the file is no number, or it ends before a sample came.
         """
-        delays = {
-            n: m.delay for n in (*ANGLES, "torque", "temperature") if (m := getattr(self._mapping, n)) is not None
-        }
+        delays = {n: m.delay for n in CHANNELS if (m := getattr(self._mapping, n)) is not None}
         merge = _OneClock(self._scales, self._mapping.time, delays)
         tidy = _Tidy({n: getattr(self._mapping, n) for n in ANGLES}, self.source)
         names = list(dict.fromkeys(column for column, _, _ in self._scales.values()))
@@ -322,6 +333,7 @@ def read_bench_recording(path: str | os.PathLike[str], mapping: FileMapping | No
         checksum=stream.checksum,
         notes=tuple(stream.notes),
         temperature=None if blocks[0].temperature is None else joined("temperature"),
+        input_torque=None if blocks[0].input_torque is None else joined("input_torque"),
         alignment=stream.alignment,
     )
 
@@ -349,7 +361,7 @@ def _own_names(file: BenchFile) -> FileMapping:
         input_angle=ChannelMapping(column="input_angle", zero_reference=index),
         output_angle=ChannelMapping(column="output_angle"),
         torque=ChannelMapping(column="torque"),
-        temperature=ChannelMapping(column="temperature") if "temperature" in channels else None,
+        **{name: ChannelMapping(column=name) for name in OPTIONAL if name in channels},
     )
 
 
@@ -368,9 +380,7 @@ def _scales(file: BenchFile, mapping: FileMapping) -> dict[str, tuple[str, float
     """Return channel, scale and offset of each role of a mapping."""
     channels = {c.name: c for c in file.channels}
     found: dict[str, tuple[str, float, float]] = {}
-    roles: dict[str, ChannelMapping | TimeMapping | None] = {
-        n: getattr(mapping, n) for n in (*ANGLES, "torque", "temperature")
-    }
+    roles: dict[str, ChannelMapping | TimeMapping | None] = {n: getattr(mapping, n) for n in CHANNELS}
     if not file.timed:
         if mapping.time is None:
             raise edge.InputError(
@@ -626,7 +636,7 @@ class _Tidy:
                 table, bits, time = {n: v[onward] for n, v in table.items()}, bits[onward], time[onward]
                 steps = np.diff(time, prepend=self._last)
         if not time.size:
-            return Block(time, time, time, time, time if "temperature" in table else None, bits)
+            return Block(time, time, time, time, table.get("temperature"), bits, table.get("input_torque"))
         self._gaps_in(time, steps, bits)
         self._last = float(time[-1])
         for name, angle in self._angles.items():
@@ -640,6 +650,7 @@ class _Tidy:
             torque=table["torque"],
             temperature=table.get("temperature"),
             status=bits,
+            input_torque=table.get("input_torque"),
         )
 
     def _finite(self, table: Table) -> NDArray[np.bool_] | None:
