@@ -12,9 +12,10 @@ import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+import pydantic
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
@@ -54,6 +55,8 @@ class ChannelMapping(edge.Config):
         "absolute" where the zero is the same in every recording, the crank's being at pin 0.
     delay
         By how much later than the event its time is, such as "1.2 ms" of a filter or another clock.
+    drift
+        By how much faster, relative, the clock runs that stamped it, counted from its first sample: 100e-6 is 100 ppm.
     """
 
     column: str
@@ -63,6 +66,7 @@ class ChannelMapping(edge.Config):
     rollover: edge.Angle | None = None
     zero_reference: Literal["absolute", "incremental"] | None = None
     delay: edge.Seconds = 0.0
+    drift: Annotated[float, pydantic.Field(gt=-0.01, lt=0.01)] = 0.0
 
 
 class TimeMapping(edge.Config):
@@ -266,8 +270,8 @@ class BenchStream:
         edge.InputError
             If a value of the file is no number, or it ends before a sample came.
         """
-        delays = {n: m.delay for n in CHANNELS if (m := getattr(self._mapping, n)) is not None}
-        merge = _OneClock(self._scales, self._mapping.time, delays)
+        clocks = {n: (m.delay, m.drift) for n in CHANNELS if (m := getattr(self._mapping, n)) is not None}
+        merge = _OneClock(self._scales, self._mapping.time, clocks)
         tidy = _Tidy({n: getattr(self._mapping, n) for n in ANGLES}, self.source)
         names = list(dict.fromkeys(column for column, _, _ in self._scales.values()))
         kept = 0
@@ -425,11 +429,15 @@ class _OneClock:
     """
 
     def __init__(
-        self, scales: Mapping[str, tuple[str, float, float]], time: TimeMapping | None, delays: Mapping[str, float]
+        self,
+        scales: Mapping[str, tuple[str, float, float]],
+        time: TimeMapping | None,
+        clocks: Mapping[str, tuple[float, float]],
     ) -> None:
         self._scales = scales
-        self._delays = delays
-        self._together = len(set(delays.values())) == 1
+        self._clocks = clocks
+        self._begun: dict[str, float] = {}
+        self._together = len(set(clocks.values())) == 1
         self._rate = None if time is None else time.rate
         self._roles = [r for r in scales if r != "time"]
         self._master = "input_angle" if "input_angle" in scales else "output_angle"
@@ -460,14 +468,21 @@ class _OneClock:
             time = (self._came + np.arange(size)) / self._rate
         self._came += size
         if self._together and len(values) == len(self._roles) and not any(self._waiting.values()):
-            time = time if (delay := self._delays[self._master]) == 0.0 else time - delay
-            yield {"time": time, **values}, piece.status
+            yield {"time": self._corrected(self._master, time), **values}, piece.status
             return
         status = np.zeros(size, np.uint8) if piece.status is None else piece.status
         for role, value in values.items():
-            self._waiting[role].append((time - self._delays[role], value, status))
+            self._waiting[role].append((self._corrected(role, time), value, status))
         if min(sum(t.size for t, _, _ in parts) for parts in self._waiting.values()) >= _TOGETHER:
             yield from self._flush(min(parts[-1][0][-1] for parts in self._waiting.values()), last=False)
+
+    def _corrected(self, role: str, time: Array) -> Array:
+        """Return when samples were taken: without their delay, and by a clock that drifts no more."""
+        delay, drift = self._clocks[role]
+        if (delay, drift) == (0.0, 0.0) or not time.size:
+            return time
+        begun = self._begun.setdefault(role, float(time[0]))
+        return begun - delay + (time - begun) / (1.0 + drift)
 
     def finish(self) -> Iterator[tuple[Table, Bytes | None]]:
         if any(self._waiting.values()) and all(self._waiting.values()):
