@@ -73,7 +73,7 @@ class Channel:
     zero_reference
         "absolute": the zero is the same in every recording; "incremental": each recording has its own.
     identity
-        What the device says it is.
+        What the device says it is; behind a semicolon its state when it was opened.
     time_source
         What event `time_host` marks and whose clock it is.
     """

@@ -23,6 +23,7 @@ from drivers.faults import Fault, at_wrong_baud, read_faults
 from drivers.recorder import open_encoders, record, record_bench
 from drivers.recording_format import read_clocks, read_recording
 from drivers.serial_bench import Amt21Bench, AsciiBench
+from tests.drivers.test_bench_cli import needs_multicast
 
 ROOT = Path(__file__).parents[2]
 INPUT, OUTPUT, TORQUE = 0x181, 0x182, 0x2A0
@@ -312,12 +313,9 @@ def kill_once(folder, number, after, wait):
     return acknowledged, read_recording(path)
 
 
+@needs_multicast
 @pytest.mark.parametrize("kills", [1, pytest.param(KILLS, marks=pytest.mark.slow)])
 def test_kill_9_at_any_moment_loses_nothing_acknowledged(tmp_path, kills):
-    from tests.drivers.test_bench_cli import multicast_works
-
-    if not multicast_works():
-        pytest.skip("this machine's network carries no UDP multicast")
     random = np.random.default_rng(5)
     group = f"239.74.163.{80 + os.getpid() % 100}"
     motion = simulate_motion(ideal, BenchRun(torque=5.0, turns=2000))
@@ -378,10 +376,12 @@ def test_emergency(tmp_path, bus_name):
     assert any(t.startswith("EMCY 0x5530, register 0x01") for t in texts(recording, "input_angle"))
 
 
-def test_echoes_of_own_frames_are_counted_and_never_samples(tmp_path, bus_name):
+@pytest.mark.parametrize("interface", ["virtual", pytest.param("udp_multicast", marks=needs_multicast)])
+def test_echoes_of_own_frames_are_counted_and_never_samples(tmp_path, bus_name, interface):
     motion = slow_motion(1)
     path = tmp_path / "run.arrows"
-    with CanBench(motion, channel=bus_name, trigger="sync") as bench:
+    channel = bus_name if interface == "virtual" else f"239.74.164.{os.getpid() % 250}"
+    with CanBench(motion, interface=interface, channel=channel, trigger="sync") as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
         with open_encoders(toml) as encoders:
             hub = encoders[0]._hub
