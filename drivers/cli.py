@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from drivers.bench import CanBench, Motion
     from drivers.recorder import Live, Recorded
     from drivers.recording_format import RecordingReader
-    from drivers.serial_bench import Amt21Bench, AsciiBench
+    from drivers.serial_bench import Amt21Bench, AsciiBench, ModbusBench
 
 app = typer.Typer(
     name="cycloid-bench",
@@ -45,6 +45,7 @@ class Serial(StrEnum):
     """What stands on the simulated serial line."""
 
     amt21 = "amt21"
+    modbus = "modbus"
     ascii = "ascii"
 
 
@@ -188,7 +189,7 @@ def simulate(
     """
     from drivers.bench import BenchRun, CanBench, fmu_output_angle, simulate_hysteresis, simulate_motion
     from drivers.faults import read_faults
-    from drivers.serial_bench import Amt21Bench, AsciiBench
+    from drivers.serial_bench import Amt21Bench, AsciiBench, ModbusBench
 
     if fmu is None and ratio is None:
         raise edge.InputError("--fmu or --ratio is missing: give the drive's FMU, or the ratio of an ideal drive.")
@@ -219,9 +220,11 @@ def simulate(
     moved = simulate_hysteresis if hysteresis else simulate_motion
     motion = moved(fmu_output_angle(fmu) if fmu else lambda angle, _: angle / ideal, run)
     script = read_faults(faults) if faults is not None else []
-    made: CanBench | Amt21Bench | AsciiBench
+    made: CanBench | Amt21Bench | ModbusBench | AsciiBench
     if serial is Serial.amt21:
         made = Amt21Bench(motion, speed_factor=speed_factor or 1.0, faults=script)
+    elif serial is Serial.modbus:
+        made = ModbusBench(motion, speed_factor=speed_factor or 1.0, faults=script)
     elif serial is Serial.ascii:
         made = AsciiBench(motion, speed_factor=speed_factor or 1.0, clock_drift=clock_drift, faults=script)
     else:
@@ -234,7 +237,7 @@ def simulate(
 
 
 def _serve(
-    made: CanBench | Amt21Bench | AsciiBench,
+    made: CanBench | Amt21Bench | ModbusBench | AsciiBench,
     motion: Motion,
     wiring: Path,
     ratio: float | None,

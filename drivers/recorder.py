@@ -165,6 +165,10 @@ class ChannelState:
         Readings that came and are not written yet.
     time, value
         Of the newest sample: seconds since the start, SI; None before the first.
+    first
+        Value of the first sample.
+    lowest, highest
+        Values of the newest block.
     failure
         Why it is out just now, None where it is not.
     """
@@ -175,6 +179,9 @@ class ChannelState:
     waiting: int = 0
     time: float | None = None
     value: float | None = None
+    first: float | None = None
+    lowest: float | None = None
+    highest: float | None = None
     failure: EncoderError | None = None
 
 
@@ -297,6 +304,8 @@ class _Session:
         if not len(block):
             return
         state.time, state.value = float(block.time_host[-1]), float(block.value[-1])
+        state.first = float(block.value[0]) if state.first is None else state.first
+        state.lowest, state.highest = float(block.value.min()), float(block.value.max())
         if role == "input_angle":
             self._input = block
         elif role == "output_angle" and self._input is not None and self.ratio:
