@@ -576,9 +576,20 @@ def starting_torques(recording: BenchRecording, ratio: float | None) -> tuple[li
     return free, [f"{recording.source}: {len(starts) - len(free)} of {len(starts)} starts are under load; left out."]
 
 
-def back_driving_torques(recording: BenchRecording) -> list[Start]:
-    """Return the starts by a torque on the output."""
-    return starts_of(recording.input_angle, recording.torque, recording.output_angle)
+def back_driving_torques(recording: BenchRecording, ratio: float | None) -> tuple[list[Start], list[str]]:
+    """Return the starts by a torque on the output; where the input's is measured, those that it does not make.
+
+    Parameters
+    ----------
+    recording, ratio
+        As in `starting_torques`, whose rule holds the other way round.
+    """
+    starts = starts_of(recording.input_angle, recording.torque, recording.output_angle)
+    given = recording.input_torque
+    if given is None or ratio is None:
+        return starts, []
+    free = [s for s in starts if float(np.abs(given[s.part]).max()) * abs(ratio) < _UNLOADED * s.torque]
+    return free, []
 
 
 # ------------------------------------------------------------------------------------------- from recordings to figures
@@ -894,13 +905,14 @@ def figures_of(surveyed: Sequence[Surveyed], ratio: float | None, rated_torque: 
     for one in surveyed:
         if one.loops is not None:
             continue
-        found_starts, said = starting_torques(one.overview, ratio if ratio is not None else one.overview.ratio)
-        notes += said
-        back = back_driving_torques(one.overview)
-        started["starting_torque"] += found_starts
-        started["back_driving_torque"] += back
-        if one.averaged > 1 and (found_starts or back):
-            notes.append(f"{one.source}: torques of starts are means of {one.averaged} samples, the recording is long.")
+        for name, starts_by in (("starting_torque", starting_torques), ("back_driving_torque", back_driving_torques)):
+            starts, said = starts_by(one.overview, ratio if ratio is not None else one.overview.ratio)
+            started[name] += starts
+            notes += said
+            if one.averaged > 1 and starts:
+                notes.append(
+                    f"{one.source}: {name}: its torques are means of {one.averaged} samples of a long recording."
+                )
     for name, starts in started.items():
         if starts:
             figures[name] = _mean_start(name, [s.torque for s in starts])

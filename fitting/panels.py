@@ -187,36 +187,27 @@ def _loop_panels(loop: LoopData) -> list[Panel]:
 
 
 def _start_panels(found: Figures) -> list[Panel]:
-    """The torque of each start over the crank's way from the standstill, on the input and on the output."""
+    """The torque of each start over the time from the standstill until the crank has turned a degree."""
     panels = []
-    runs = [s.overview for s in found.surveyed if s.loops is None]
     kinds = (
-        ("input", "no-load starting torque", lambda one: starting_torques(one, found.ratio or one.ratio)[0]),
+        ("input", "no-load starting torque", starting_torques),
         ("output", "back-driving torque", back_driving_torques),
     )
-    for shaft, name, starts_in in kinds:
+    for shaft, name, starts_of in kinds:
         traces: list[Trace] = []
-        for one in runs:
+        for one in (s.overview for s in found.surveyed if s.loops is None):
             torque = one.input_torque if shaft == "input" else one.torque
-            for start in starts_in(one):
+            for start in starts_of(one, found.ratio or one.ratio)[0]:
                 assert torque is not None
-                way = np.degrees(np.abs(one.input_angle[start.part] - one.input_angle[start.part.start]))
-                colour = len(traces) // 2
-                traces.append(Trace("", way, np.abs(torque[start.part]), "thin", colour))
-                at = start.peak - start.part.start
-                traces.append(
-                    Trace("", way[at : at + 1], np.array([start.torque]), "points", colour, (f"{colour + 1}",))
-                )
+                time = one.time[start.part] - one.time[start.part.start]
+                number = len(traces) // 2
+                traces.append(Trace("", time, np.abs(torque[start.part]), "thin", number))
+                at = slice(start.peak - start.part.start, start.peak - start.part.start + 1)
+                traces.append(Trace("", time[at], np.array([start.torque]), "points", number, (str(number + 1),)))
         if traces:
-            panels.append(
-                Panel(
-                    f"Starts by the {shaft}",
-                    "turned since the standstill [° of the crank]",
-                    f"torque on the {shaft} [N·m]",
-                    tuple(traces),
-                    f"The {name} is the mean of the marked largest values until the crank has turned 1°.",
-                )
-            )
+            said = f"The {name} is the mean of the marked values, the largest until the crank has turned 1°."
+            axes = ("time since the standstill [s]", f"torque on the {shaft} [N·m]")
+            panels.append(Panel(f"Starts by the {shaft}", *axes, tuple(traces), said))
     return panels
 
 

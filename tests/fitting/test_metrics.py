@@ -199,14 +199,16 @@ T_OF_TWO = 4.30265 / np.sqrt(3)  # Student's t with two degrees of freedom, over
 def test_starts_by_the_output_are_found_where_its_torque_drives():
     angle, torque = started_at((3.0, 4.0, 5.0))
     made = recording(np.arange(torque.size) * 1e-3, angle, angle / -39, torque)
-    assert [s.torque for s in back_driving_torques(made)] == pytest.approx([3.0, 4.0, 5.0])
+    assert [s.torque for s in back_driving_torques(made, -39.0)[0]] == pytest.approx([3.0, 4.0, 5.0])
     found = figures_of([survey(made, -39.0, None)], -39.0, None).figures
     assert "starting_torque" not in found
     assert found["back_driving_torque"].value == pytest.approx(4.0)
     assert found["back_driving_torque"].uncertainty == pytest.approx(T_OF_TWO, rel=1e-4)
     assert found["back_driving_torque"].count == 3
     braked = recording(np.arange(torque.size) * 1e-3, -angle, -angle / -39, torque)
-    assert back_driving_torques(braked) == []
+    assert back_driving_torques(braked, -39.0) == ([], [])
+    driven = dataclasses.replace(made, input_torque=torque / 39)
+    assert back_driving_torques(driven, -39.0) == ([], []), "the input drives as well"
 
 
 def test_the_no_load_starting_torque_is_that_of_the_input():
@@ -224,6 +226,7 @@ def test_the_no_load_starting_torque_is_that_of_the_input():
     assert figure.value == pytest.approx(0.04)
     assert figure.uncertainty == pytest.approx(0.01 * T_OF_TWO, rel=1e-4)
     assert (figure.count, figure.counted, figure.unit) == (3, "starts", "N*m")
+    assert "back_driving_torque" not in found.figures
     assert "no-load starting torque" in figure.definition
     panels = {p.title: p for p in panels_of(found)}
     marked = [t for t in panels["Starts by the input"].traces if t.texts]
