@@ -378,7 +378,8 @@ class CanHub:
                 raise can.CanOperationError("bus-off")
         elif not message.is_remote_frame:
             with contextlib.suppress(Exception):  # a malformed service frame must not end the recording
-                self.network.notify(message.arbitration_id, message.data, message.timestamp)
+                stamp = time.time() if self._hardware else message.timestamp
+                self.network.notify(message.arbitration_id, message.data, stamp)
 
     def _take(self, block: list[can.Message]) -> None:
         """Sort a block's frames by identifier, each with the SYNC before it."""

@@ -168,7 +168,9 @@ def simulate(
     channel: Annotated[str | None, typer.Option(help="Channel of the bus.")] = None,
     trigger: Annotated[Trigger, typer.Option(help="What makes encoders on CAN send.")] = Trigger.controller,
     serial: Annotated[Serial | None, typer.Option(help="Encoders on a pseudo-terminal instead of CAN.")] = None,
-    clock_drift: Annotated[float, typer.Option(help="Of the ASCII counter's clock, relative, such as 50e-6.")] = 0.0,
+    clock_drift: Annotated[
+        float, typer.Option(help="Of the ASCII counter's or the virtual bus's clock, relative, such as 50e-6.")
+    ] = 0.0,
     hysteresis: Annotated[
         bool, typer.Option("--hysteresis", help="Lock the input; the torque goes 0, +T, 0, -T, 0, as often as --turns.")
     ] = False,
@@ -199,6 +201,8 @@ def simulate(
         raise edge.InputError(f"--speed-factor = {speed_factor}: the factor must be above zero.")
     if bus == "virtual" and output is None and serial is None:
         raise edge.InputError("--bus = virtual: this bus ends at its process; add -o RUN.arrows or use udp_multicast.")
+    if clock_drift and not (serial is Serial.ascii or (serial is None and bus == "virtual")):
+        raise edge.InputError(f"--clock-drift = {clock_drift}: only --serial ascii and --bus virtual have a clock.")
     run = BenchRun(
         torque=edge.quantity_option(torque, "N*m", "--torque"),
         turns=turns,
@@ -231,7 +235,7 @@ def simulate(
         group = "239.74.163.2" if bus == "udp_multicast" else "bench"
         made = CanBench(
             motion, interface=bus, channel=channel or group, trigger=trigger.value, speed_factor=speed_factor,
-            faults=script,
+            clock_drift=clock_drift or None, faults=script,
         )  # fmt: skip
     _serve(made, motion, write_bench, ratio, fmu.stem if fmu else "ideal", output)
 

@@ -18,9 +18,11 @@ from drivers import recording_format as rf
 from drivers.bench import BenchRun, CanBench, simulate_motion
 from drivers.can_hub import open_bus
 from drivers.encoder import BusConfig, EncoderConnectionError, EncoderSetupError
+from drivers.faults import Fault
 from drivers.recorder import open_encoders, read_bench, record_bench
 from drivers.recording_format import read_recording
 from drivers.supervision import Supervised
+from fitting.recording import read_bench_recording
 from tests.drivers.test_bench_cli import needs_multicast
 
 
@@ -48,8 +50,6 @@ def test_the_recorder_produces_sync_and_each_sample_answers_one(tmp_path, bus_na
 
 
 def test_event_timer_frames_are_stamped_by_themselves_and_gaps_are_told_by_the_timer(tmp_path, bus_name):
-    from drivers.faults import Fault
-
     motion = simulate_motion(ideal, BenchRun(torque=5.0, turns=1, samples_per_turn=100))
     path = tmp_path / "run.arrows"
     with CanBench(motion, channel=bus_name, trigger="timer", faults=[Fault("drop", 40, 3, 0x181)]) as bench:
@@ -59,6 +59,29 @@ def test_event_timer_frames_are_stamped_by_themselves_and_gaps_are_told_by_the_t
     assert np.flatnonzero(samples.status & rf.GAP).tolist() == [40]
     assert any("3 frame 0x181 missing by the event timer" in e.text for e in recording.events)
     assert "stamp of the frame" in recording.header.channels[0].time_source
+
+
+def test_an_interface_s_own_clock_is_put_on_the_host_s(tmp_path, bus_name):
+    """Stamps from power-up by a clock 300 ppm fast, through the whole road: what one SYNC latched stays a pair."""
+    motion = simulate_motion(ideal, BenchRun(torque=5.0, turns=3, samples_per_turn=96))
+    path = tmp_path / "run.arrows"
+    faults = [Fault("emergency", 100, target=0x181)]
+    with CanBench(motion, channel=bus_name, clock_drift=300e-6, faults=faults) as bench:
+        record_bench(bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39), path, idle=0.7)
+    recording = read_recording(path)
+    angle, clock = recording.samples["input_angle"], recording.clock("input_angle")
+    stamps = angle.time_device - angle.time_device[0]
+    np.testing.assert_allclose(stamps, (motion.time - motion.time[0])[: len(stamps)] * (1 + 300e-6), atol=1e-6)
+    reach = clock.uncertainty / stamps[-1]
+    assert clock.drift == pytest.approx(-300e-6, abs=2 * reach + 20e-6)
+    late = angle.time_host - recording.aligned_time("input_angle")
+    assert late.min() > -clock.uncertainty
+    (emergency,) = (e for e in recording.events if e.text.startswith("EMCY"))
+    assert 0 < emergency.time < angle.time_host[-1] + 1, "on the host's clock"
+    found = read_bench_recording(path)
+    assert found.alignment == 0.0
+    assert found.time.size >= len(motion.time) - 1
+    np.testing.assert_allclose(found.output_angle, ideal(found.input_angle, 5.0), atol=math.pi / (1 << 22))
 
 
 class Node:
