@@ -48,6 +48,7 @@ _CLOCK = "clock: "
 _MESSAGE = b"\xff\xff\xff\xff"  # what every message of an Arrow stream begins with, at a multiple of eight bytes
 _END_OF_STREAM = _MESSAGE + b"\x00\x00\x00\x00"
 _SEARCH_BYTES = 1 << 20
+_PIECE_BYTES = 1 << 22  # of a file, decoded at a time
 
 
 @dataclasses.dataclass(frozen=True)
@@ -316,7 +317,7 @@ def batch_checksum(sequence: int, events: str, samples: Samples) -> str:
     for name, (_, kind, _) in _COLUMNS.items():
         array = getattr(samples, name)
         if array is not None:
-            crc = zlib.crc32(np.ascontiguousarray(array, kind).tobytes(), crc)
+            crc = zlib.crc32(np.ascontiguousarray(array, kind).data, crc)
     return f"{crc:08x}"
 
 
@@ -499,33 +500,37 @@ def _header(metadata: Mapping[bytes, bytes] | None, source: str) -> Header:
         raise edge.InputError(f"{source}: the recording's header can't be understood ({problem}).") from None
 
 
-def _batch(batch: pa.RecordBatch, metadata: Mapping[bytes, bytes] | None) -> tuple[int, Samples, tuple[Event, ...]]:
+def _batch(
+    batch: pa.RecordBatch, metadata: Mapping[bytes, bytes] | None, names: Sequence[str]
+) -> tuple[int, Samples, tuple[Event, ...]]:
     """Return sequence number, samples and events of a batch; ValueError says why it can't be trusted."""
     text = {k.decode(): v.decode() for k, v in (metadata or {}).items()}
     if not {"sequence", "events", "crc32"} <= text.keys():
         raise ValueError("it has no sequence number, events or CRC-32")
-    batch.validate(full=True)
+    batch.validate()
     sequence, said = int(text["sequence"]), json.loads(text["events"])
     events = tuple(Event(**e) for e in said)
-    names = batch.column(0).unique().to_pylist()
-    if len(names) > 1:
-        raise ValueError(f"it mixes the channels {', '.join(names)}")
-    arrays = {
-        name: None if batch.column(name).null_count else np.asarray(batch.column(name).to_numpy(zero_copy_only=False))
-        for name in _COLUMNS
-    }
-    if names:
-        samples = Samples(channel=names[0], **arrays)  # type: ignore[arg-type]
-        candidates = [samples]
-    else:  # an empty batch has no row that names its channel: it is the one the CRC-32 fits
-        candidates = [Samples(channel=name, **arrays) for name in batch.column(0).dictionary.to_pylist()]  # type: ignore[arg-type]
-    for samples in candidates:
+    index = batch.column(0).indices
+    if index.null_count:
+        raise ValueError("a sample has no channel")
+    numbers = index.to_numpy()
+    if len(numbers) and (numbers != numbers[0]).any():
+        raise ValueError("it mixes channels")
+    if len(numbers) and not 0 <= numbers[0] < len(names):
+        raise ValueError("its channel is none of the header's")
+    columns = zip(_COLUMNS, batch.columns[1:], strict=True)
+    arrays = {name: None if column.null_count else column.to_numpy() for name, column in columns}
+    # An empty batch has no row that names its channel: it is the one the CRC-32 fits.
+    for name in [names[numbers[0]]] if len(numbers) else names:
+        samples = Samples(channel=name, **arrays)  # type: ignore[arg-type]
         if batch_checksum(sequence, text["events"], samples) == text["crc32"]:
             return sequence, samples, events
     raise ValueError("its CRC-32 is wrong")
 
 
-def _joined(name: str, blocks: Sequence[Samples]) -> Samples:
+def joined(name: str, blocks: Sequence[Samples]) -> Samples:
+    """Return a channel's blocks as one; a column that one of them lacks is None."""
+
     def column(attribute: str, kind: str) -> npt.NDArray[Any]:
         return np.concatenate([np.zeros(0, kind), *(getattr(b, attribute) for b in blocks)]).astype(kind)
 
@@ -591,7 +596,8 @@ class RecordingReader:
         self._good_end = self._offset
         self._next_sequence = 0
         self._lost: set[str] = set()
-        self._preamble = _preamble(expected, [c.name for c in self.header.channels])
+        self._names = [c.name for c in self.header.channels]
+        self._preamble = _preamble(expected, self._names)
 
     def __enter__(self) -> Self:
         return self
@@ -610,11 +616,16 @@ class RecordingReader:
             The end is where the recorder is just now, not a cut: it is no problem, and a later call goes on there.
         """
         while True:
+            for batch, metadata, end in self._sound():
+                self._offset = end
+                if (taken := self._judged(batch, metadata)) is not None:
+                    yield taken
+            # What is read many at a time stops at the end, at damage and where a piece is cut: one by one from there.
             size = self._path.stat().st_size
             if self._bytes(self._offset, 8) == _END_OF_STREAM:
                 return
-            taken = self._message(self._offset, size)
-            if taken is None:
+            found = self._message(self._offset, size)
+            if found is None:
                 if growing:
                     return
                 if not self._resume(size):
@@ -629,30 +640,59 @@ class RecordingReader:
                         )
                     return
                 continue
-            data, self._offset = taken
+            data, self._offset = found
             if data is None:
                 continue
-            number, self._number = self._number, self._number + 1
             try:
-                sequence, samples, said = _batch(*self._decoded(data))
-            except (ValueError, TypeError, KeyError, pa.ArrowException) as problem:
-                self.problems.append(f"{self.source}: batch {number} was left out: {problem}.")
-                self._lost = {c.name for c in self.header.channels}
-                self._next_sequence += 1
-                continue
-            if sequence != self._next_sequence:
-                self.problems.append(
-                    f"{self.source}: batch {number} has sequence number {sequence}, not {self._next_sequence}."
-                )
-                self._lost = {c.name for c in self.header.channels}
-            self._good_end, self._next_sequence = self._offset, sequence + 1
-            self.complete += 1
-            if len(samples) and samples.channel in self._lost:
-                status = samples.status.copy()
-                status[0] |= GAP
-                samples = dataclasses.replace(samples, status=status)
-                self._lost.discard(samples.channel)
-            yield samples, said
+                decoded = self._decoded(data)
+            except (ValueError, pa.ArrowException) as problem:
+                self._left_out(problem)
+            else:
+                if (taken := self._judged(*decoded)) is not None:
+                    yield taken
+
+    def _judged(
+        self, batch: pa.RecordBatch, metadata: Mapping[bytes, bytes] | None
+    ) -> tuple[Samples, tuple[Event, ...]] | None:
+        """Return samples and events of the next batch, marked where something is lost before; None if it is wrong."""
+        try:
+            sequence, samples, said = _batch(batch, metadata, self._names)
+        except (ValueError, TypeError, KeyError, pa.ArrowException) as problem:
+            self._left_out(problem)
+            return None
+        if sequence != self._next_sequence:
+            self.problems.append(
+                f"{self.source}: batch {self._number} has sequence number {sequence}, not {self._next_sequence}."
+            )
+            self._lost = set(self._names)
+        self._number += 1
+        self._good_end, self._next_sequence = self._offset, sequence + 1
+        self.complete += 1
+        if len(samples) and samples.channel in self._lost:
+            status = samples.status.copy()
+            status[0] |= GAP
+            samples = dataclasses.replace(samples, status=status)
+            self._lost.discard(samples.channel)
+        return samples, said
+
+    def _left_out(self, problem: Exception) -> None:
+        self.problems.append(f"{self.source}: batch {self._number} was left out: {problem}.")
+        self._lost = set(self._names)
+        self._number += 1
+        self._next_sequence += 1
+
+    def _sound(self) -> Iterator[tuple[pa.RecordBatch, Mapping[bytes, bytes] | None, int]]:
+        """Yield the next batches, each with the byte where it ends, as far as one piece of the file holds them."""
+        begin = self._offset - len(self._preamble)
+        source = pa.BufferReader(self._preamble + self._bytes(self._offset, _PIECE_BYTES))
+        with pa.ipc.open_stream(source) as reader:
+            reader.read_next_batch()
+            while True:
+                try:
+                    batch, metadata = reader.read_next_batch_with_custom_metadata()
+                except (StopIteration, ValueError, OSError, EOFError, pa.ArrowException):
+                    return
+                yield batch, metadata, begin + source.tell()
 
     @property
     def size(self) -> int:
@@ -700,14 +740,14 @@ class RecordingReader:
                 taken = self._message(at, size) if at % 8 == 0 else None
                 if taken is not None and taken[0] is not None:
                     try:
-                        _batch(*self._decoded(taken[0]))
+                        _batch(*self._decoded(taken[0]), self._names)
                     except (ValueError, TypeError, KeyError, pa.ArrowException):
                         pass
                     else:
                         self.problems.append(
                             f"{self.source}: damaged from byte {self._good_end} on; reading went on at byte {at}."
                         )
-                        self._lost = {c.name for c in self.header.channels}
+                        self._lost = set(self._names)
                         self._offset = at
                         return True
                 found = block.find(_MESSAGE, found + 1)
@@ -742,8 +782,8 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
             events.extend(said)
             if len(samples):
                 blocks[samples.channel].append(samples)
-        joined = {n: _joined(n, b) for n, b in blocks.items()}
-        return Recording(reader.header, joined, tuple(events), tuple(reader.problems))
+        samples_of = {n: joined(n, b) for n, b in blocks.items()}
+        return Recording(reader.header, samples_of, tuple(events), tuple(reader.problems))
 
 
 def read_clocks(path: str | os.PathLike[str], channels: Collection[str]) -> dict[str, dict[int, Clock]]:

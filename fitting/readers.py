@@ -23,11 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from drivers.recording_format import Alignment, Clock, RecordingReader, read_clocks
+from drivers.recording_format import Alignment, Clock, RecordingReader, Samples, joined, read_clocks
 
 Array = NDArray[np.float64]
 
 PIECE = 1 << 17  # samples of a piece: its arrays stay within a processor's cache
+_GATHERED = 1 << 13  # samples of a channel in our recorder's files
 TABLES = (".csv", ".txt", ".tsv", ".dat")
 CAN_LOGS = (".blf", ".asc", ".trc")
 
@@ -592,12 +593,24 @@ class _RecorderFile(BenchFile):
         self.clocks = {n: max(c.values(), key=lambda clock: clock.uncertainty) for n, c in known.items()}
         alignments = {n: Alignment(known.get(n, {})) for n in names}
         silent = set(names)
+        waiting: dict[str, list[Samples]] = {n: [] for n in names}
+
+        def piece(name: str) -> Piece:
+            samples = joined(name, waiting[name])
+            waiting[name].clear()
+            return Piece(alignments[name].time(samples), {name: samples.value}, samples.status)
+
         with RecordingReader(self.source) as reader:
             for samples, _ in reader.batches():
-                if samples.channel in names and len(samples):
+                if samples.channel in waiting and len(samples):
                     silent.discard(samples.channel)
-                    time = alignments[samples.channel].time(samples)
-                    yield Piece(time, {samples.channel: samples.value}, samples.status)
+                    waiting[samples.channel].append(samples)
+                    # A batch is a twentieth of a second; to take each by itself costs more than what is in it.
+                    if sum(map(len, waiting[samples.channel])) >= _GATHERED:
+                        yield piece(samples.channel)
+            for name in names:
+                if waiting[name]:
+                    yield piece(name)
             self.problems = list(reader.problems)
         if silent:
             said = " ".join([*self.problems, f"{self.source}: the {min(silent)} channel has no samples."])
