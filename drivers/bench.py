@@ -29,6 +29,7 @@ from drivers.recording_format import FloatArray, IntArray
 OutputAngle: TypeAlias = Callable[[FloatArray, FloatArray], FloatArray]
 
 _END_SECONDS = 2.0  # without any node operating: then nobody listens any more
+_UP_SECONDS = 1000.0  # since an interface with a clock of its own was powered
 UDP_SAMPLES_PER_SECOND = 2000.0  # four datagrams each; the kernel drops what a reader doesn't take in time
 _INPUT_NODE, _OUTPUT_NODE = 1, 2
 _TORQUE_ID, _TORQUE_SCALE = 0x2A0, 0.0001
@@ -290,13 +291,17 @@ def _object_dictionary(node: int, identifier: int, counts_per_turn: int, timer: 
 
 
 class _StampedNetwork(canopen.Network):  # type: ignore[misc]
-    """A network whose service frames carry the time of day, as the bus is told to keep the stamps it is given."""
+    """A network whose service frames are stamped by a clock, as the bus is told to keep the stamps it is given."""
 
     NOTIFIER_CYCLE = 0.02
 
+    def __init__(self, bus: can.BusABC, stamp: Callable[[float], float]) -> None:
+        super().__init__(bus)
+        self._stamp = stamp
+
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
         message = can.Message(
-            timestamp=time.time(),
+            timestamp=self._stamp(time.time()),
             arbitration_id=can_id,
             is_extended_id=can_id > 0x7FF,
             data=data,
@@ -326,6 +331,9 @@ class CanBench:
         Resolution, powers of two; the 32-bit position counts turns too and rolls over.
     speed_factor
         1: at the motion's own speed, 10: ten times as fast; None: as fast as the bus carries it without loss.
+    clock_drift
+        Virtual bus: its interface has a clock of its own, which counts from power-up and runs so much faster, relative,
+        than the host's; then the motion's own speed is the default. None: it has none.
     faults
         What goes wrong, see `faults.Fault`.
     """
@@ -340,11 +348,15 @@ class CanBench:
         input_counts_per_turn: int = 1 << 22,
         output_counts_per_turn: int = 1 << 25,
         speed_factor: float | None = None,
+        clock_drift: float | None = None,
         faults: Sequence[Fault] = (),
     ) -> None:
         self.motion, self.trigger, self.faults = motion, trigger, tuple(faults)
         self.bus_config = BusConfig(interface=interface, channel=channel)
         self.counts_per_turn = {_INPUT_NODE: input_counts_per_turn, _OUTPUT_NODE: output_counts_per_turn}
+        self.clock_drift, self._powered = clock_drift, time.time()
+        if clock_drift is not None and speed_factor is None:
+            speed_factor = 1.0
         own = 2 * math.pi / motion.run.samples_per_turn / motion.run.speed
         self._timer = own  # on the virtual bus the stamps are the motion's own
         if trigger == "sync":
@@ -353,6 +365,7 @@ class CanBench:
             self._interval = own / speed_factor
         else:
             self._interval = 0.0 if interface == "virtual" else 1 / UDP_SAMPLES_PER_SECOND
+        self._pace = self._interval / own
         if interface != "virtual":
             self._timer = self._interval
         self._changed = threading.Event()
@@ -366,7 +379,7 @@ class CanBench:
         """Put the nodes on the bus."""
         options: dict[str, Any] = {"preserve_timestamps": True} if self.bus_config.interface == "virtual" else {}
         self._bus = open_bus(self.bus_config, **options)
-        self._network = _StampedNetwork(self._bus)
+        self._network = _StampedNetwork(self._bus, self._stamp)
         self._network.connect()
         self._nodes = {}
         timer = max(1, round(self._timer * 1000)) if self.trigger == "timer" else None
@@ -420,6 +433,12 @@ class CanBench:
             f'signal = "torque"\nsync = {latched}\n',
         )
 
+    def _stamp(self, host: float) -> float:
+        """Return what the interface's clock shows at a time of the host's."""
+        if self.clock_drift is None:
+            return host
+        return _UP_SECONDS + (host - self._powered) * (1 + self.clock_drift)
+
     def _operational(self) -> list[bool]:
         return [node.nmt.state == "OPERATIONAL" for node in self._nodes.values()]
 
@@ -467,7 +486,8 @@ class CanBench:
         nodes = {0x180 + number: node for number, node in self._nodes.items()}
         silent: dict[int, int] = {}
         begun, ends = time.time(), math.inf
-        send, interval = self._bus.send, self._interval
+        send, interval, stamped = self._bus.send, self._interval, self._stamp
+        pace = self._pace if self.clock_drift is not None else 1.0
         for i, sample in enumerate(frames):
             while not any(self._operational()):
                 ends = min(ends, time.monotonic() + _END_SECONDS)
@@ -490,7 +510,8 @@ class CanBench:
                 node = nodes.get(identifier)
                 if node is not None and (node.nmt.state != "OPERATIONAL" or silent.get(node.id, -1) > i):
                     continue
-                send(can.Message(timestamp=begun + stamp, arbitration_id=identifier, is_extended_id=False, data=data))
+                when = stamped(begun + stamp * pace)
+                send(can.Message(timestamp=when, arbitration_id=identifier, is_extended_id=False, data=data))
             for number in [n for n, end in silent.items() if end == i]:
                 self._nodes[number].nmt.start_heartbeat(self._nodes[number].sdo[HEARTBEAT_TIME].raw)
             self.sent = i + 1

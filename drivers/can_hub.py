@@ -30,7 +30,7 @@ from drivers.encoder import (
     EncoderSetupError,
     judge_sequence,
 )
-from drivers.recording_format import DUPLICATE, GAP, OUT_OF_ORDER, Event, FloatArray, IntArray
+from drivers.recording_format import CLOCK_JUMP, DUPLICATE, GAP, OUT_OF_ORDER, Event, FloatArray, IntArray
 
 logging.getLogger("canopen").addHandler(logging.NullHandler())  # what it warns of is raised or an event here
 
@@ -38,7 +38,6 @@ SYNC_ID = 0x80
 SYNC_COUNTER_MAX = 240
 BLOCK_SECONDS = 0.05  # of a block, and so of what a kill can cost besides the batch being written
 BLOCK_FRAMES = 4096
-CLOCK_JUMP = 1.0  # s between the stamps' step and the arrivals' that no bus and no scheduler explains
 _RECEIVE_BUFFER = 8 << 20
 _IP_MULTICAST_ALL = 49  # Linux: only the groups this very socket joined
 _BUS_OFF = 0x40  # of an error frame's identifier, as Linux and python-can number them
@@ -79,7 +78,10 @@ class Frames:
 
 
 class _LoopbackMulticast(GeneralPurposeUdpMulticastBus):  # type: ignore[misc]
-    """UDP multicast that stays on this machine: joined and sent on the loopback interface, time to live 0."""
+    """UDP multicast that stays on this machine: joined and sent on the loopback interface, time to live 0.
+
+    `sent_last` says whether the datagram received last was sent by this very bus.
+    """
 
     def _create_socket(self, address_family: socket.AddressFamily) -> socket.socket:
         if address_family != socket.AF_INET:
@@ -95,18 +97,42 @@ class _LoopbackMulticast(GeneralPurposeUdpMulticastBus):  # type: ignore[misc]
             udp.bind(("", self.port))
             loopback = socket.inet_aton(_LOOPBACK)
             udp.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(self.group) + loopback)
-            udp.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, loopback)
-            udp.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
+            self._sender = socket.socket(address_family, socket.SOCK_DGRAM)
+            self._sender.bind((_LOOPBACK, 0))
+            self._sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, loopback)
+            self._sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
+            self._address = self._sender.getsockname()
         except OSError as problem:
             udp.close()
             raise can.CanInitializationError(problem.strerror) from problem
+        self.sent_last = False
         return udp
+
+    def send(self, data: bytes, timeout: float | None = None) -> None:
+        self._sender.settimeout(timeout)
+        try:
+            self._sender.sendto(data, self._send_destination)
+        except TimeoutError:
+            raise can.CanTimeoutError from None
+        except OSError as problem:
+            raise can.CanOperationError("failed to send via socket") from problem
+
+    def recv(self, timeout: float | None = None) -> tuple[bytes, Any, float] | None:
+        found: tuple[bytes, Any, float] | None = super().recv(timeout)
+        self.sent_last = found is not None and found[1] == self._address
+        return found
+
+    def shutdown(self) -> None:
+        self._sender.close()
+        super().shutdown()
 
 
 class LoopbackMulticastBus(UdpMulticastBus):  # type: ignore[misc]
-    """python-can's udp_multicast, kept on this machine.
+    """python-can's udp_multicast, kept on this machine, and with its own frames told from others'.
 
-    python-can's own joins the group on the default interface, so it reaches a network where the machine has one.
+    python-can's own joins the group on the default interface, so it reaches a network where the machine has one, and
+    all send from one port, so what comes back of a bus's own frames looks like anybody's. This one sends from a port of
+    its own: frames from there have `is_rx` False.
 
     Parameters
     ----------
@@ -120,6 +146,12 @@ class LoopbackMulticastBus(UdpMulticastBus):  # type: ignore[misc]
         can.BusABC.__init__(self, channel, **options)  # python-can's own would open its socket, too
         self._multicast = _LoopbackMulticast(channel, _PORT, 0)
         self._can_protocol = can.CanProtocol.CAN_FD if fd else can.CanProtocol.CAN_20
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        message, filtered = super()._recv_internal(timeout)
+        if message is not None and self._multicast.sent_last:
+            message.is_rx = False
+        return message, filtered
 
 
 def open_bus(config: BusConfig, **options: Any) -> can.BusABC:
@@ -346,7 +378,8 @@ class CanHub:
                 raise can.CanOperationError("bus-off")
         elif not message.is_remote_frame:
             with contextlib.suppress(Exception):  # a malformed service frame must not end the recording
-                self.network.notify(message.arbitration_id, message.data, message.timestamp)
+                stamp = time.time() if self._hardware else message.timestamp
+                self.network.notify(message.arbitration_id, message.data, stamp)
 
     def _take(self, block: list[can.Message]) -> None:
         """Sort a block's frames by identifier, each with the SYNC before it."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import struct
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -35,10 +36,16 @@ HEARTBEAT_TIME = 0x1017
 TPDOS = 4  # CiA 301 predefines so many
 _MISSED_HEARTBEATS = 3
 _NO_SUCH_OBJECT = (0x06020000, 0x06090011, 0x060A0023)
-_IDENTITY = {  # CiA 406: what the encoder says of itself besides counts and turns
-    0x6500: "operating status 0x{:04X}", 0x6503: "alarms 0x{:04X}", 0x6504: "supported alarms 0x{:04X}",
-    0x6505: "warnings 0x{:04X}", 0x6506: "supported warnings 0x{:04X}", 0x6507: "profile and software 0x{:08X}",
-    0x6508: "operating time {}", 0x6509: "offset {}", 0x650B: "encoder serial {}",
+# CiA 406: what the encoder says of itself besides counts and turns: index, subindex, whether signed.
+_IDENTITY = {
+    (0x6504, 0, False): "supported alarms 0x{:04X}", (0x6506, 0, False): "supported warnings 0x{:04X}",
+    (0x6507, 0, False): "profile and software 0x{:08X}", (0x6509, 0, True): "offset {}",
+    (0x650A, 1, True): "manufacturer offset {}", (0x650A, 2, True): "smallest position {}",
+    (0x650A, 3, True): "largest position {}", (0x650B, 0, False): "encoder serial {}",
+}  # fmt: skip
+_STATE = {
+    (0x6500, 0, False): "operating status 0x{:04X}", (0x6503, 0, False): "alarms 0x{:04X}",
+    (0x6505, 0, False): "warnings 0x{:04X}", (0x6508, 0, False): "operating time {}",
 }  # fmt: skip
 
 
@@ -137,9 +144,8 @@ class CanopenEncoder(Encoder):
         identifier, kind, timer, length = self._tpdo()
         step = kind if 1 <= kind <= 240 else None
         about = [f"node {self.config.node}, vendor 0x{vendor:08X}, product 0x{product:08X}, serial {serial}"]
-        for index, text in _IDENTITY.items():
-            value = self._object(index, 0, -1)
-            about += [text.format(value)] if value >= 0 else []
+        about += self._said(_IDENTITY)
+        state = self._said(_STATE)
         if self.config.quantity == "position":
             said = self._object(COUNTS_PER_TURN, 0, self.config.counts_per_turn)
             self._counts_per_turn = device_counts(self.config, said, self._where) if said else 0
@@ -158,7 +164,7 @@ class CanopenEncoder(Encoder):
             direction=self.config.direction,
             zero=self.config.zero,
             zero_reference=self.config.zero_reference,
-            identity=", ".join(about),
+            identity="; ".join(", ".join(part) for part in (about, state) if part),
             time_source=time_source(self.bus.interface, f"SYNC 0x{SYNC_ID:03X}" if step else "frame"),
         )
         self._reader = FrameReader(hub, identifier, length, step, self.name, timer / 1000 or None)
@@ -169,19 +175,32 @@ class CanopenEncoder(Encoder):
         self._node.emcy.add_callback(self._emergency)
         self._node.nmt.add_heartbeat_callback(self._on_heartbeat)
 
-    def _object(self, index: int, subindex: int, default: int | None = None) -> int:
-        """Return an unsigned object by SDO; `default` where the node has no such object."""
+    def _uploaded(self, index: int, subindex: int, *, optional: bool) -> bytes | None:
+        """Return an object by SDO; None where it is `optional` and the node has no such object."""
         try:
-            data = self._node.sdo.upload(index, subindex)
+            return bytes(self._node.sdo.upload(index, subindex))
         except canopen.SdoAbortedError as problem:
-            if default is not None and problem.code in _NO_SUCH_OBJECT:
-                return default
+            if optional and problem.code in _NO_SUCH_OBJECT:
+                return None
             raise EncoderProtocolError(f"{self._where} refuses 0x{index:04X}:{subindex:02X}: {problem}.") from problem
         except canopen.SdoCommunicationError as problem:
             raise EncoderTimeout(
                 f"{self._where} does not answer; is it powered, and are node and bit rate right?"
             ) from problem
-        return int.from_bytes(data, "little")
+
+    def _object(self, index: int, subindex: int, default: int | None = None) -> int:
+        """Return an unsigned object by SDO; `default` where the node has no such object."""
+        data = self._uploaded(index, subindex, optional=default is not None)
+        return int.from_bytes(data, "little") if data is not None else default or 0
+
+    def _said(self, objects: Mapping[tuple[int, int, bool], str]) -> list[str]:
+        """Return what these objects say, those left out that the node does not have."""
+        said = []
+        for (index, subindex, signed), text in objects.items():
+            data = self._uploaded(index, subindex, optional=True)
+            if data is not None:
+                said.append(text.format(int.from_bytes(data, "little", signed=signed)))
+        return said
 
     def _communication(self, index: int, subindex: int, default: int | None = None) -> int:
         """Return an object of the TPDO from the EDS, where the wiring names one, else from the node."""

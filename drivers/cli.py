@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from drivers.bench import CanBench, Motion
     from drivers.recorder import Live, Recorded
     from drivers.recording_format import RecordingReader
-    from drivers.serial_bench import Amt21Bench, AsciiBench
+    from drivers.serial_bench import Amt21Bench, AsciiBench, ModbusBench
 
 app = typer.Typer(
     name="cycloid-bench",
@@ -45,6 +45,7 @@ class Serial(StrEnum):
     """What stands on the simulated serial line."""
 
     amt21 = "amt21"
+    modbus = "modbus"
     ascii = "ascii"
 
 
@@ -167,7 +168,9 @@ def simulate(
     channel: Annotated[str | None, typer.Option(help="Channel of the bus.")] = None,
     trigger: Annotated[Trigger, typer.Option(help="What makes encoders on CAN send.")] = Trigger.controller,
     serial: Annotated[Serial | None, typer.Option(help="Encoders on a pseudo-terminal instead of CAN.")] = None,
-    clock_drift: Annotated[float, typer.Option(help="Of the ASCII counter's clock, relative, such as 50e-6.")] = 0.0,
+    clock_drift: Annotated[
+        float, typer.Option(help="Of the ASCII counter's or the virtual bus's clock, relative, such as 50e-6.")
+    ] = 0.0,
     hysteresis: Annotated[
         bool, typer.Option("--hysteresis", help="Lock the input; the torque goes 0, +T, 0, -T, 0, as often as --turns.")
     ] = False,
@@ -188,7 +191,7 @@ def simulate(
     """
     from drivers.bench import BenchRun, CanBench, fmu_output_angle, simulate_hysteresis, simulate_motion
     from drivers.faults import read_faults
-    from drivers.serial_bench import Amt21Bench, AsciiBench
+    from drivers.serial_bench import Amt21Bench, AsciiBench, ModbusBench
 
     if fmu is None and ratio is None:
         raise edge.InputError("--fmu or --ratio is missing: give the drive's FMU, or the ratio of an ideal drive.")
@@ -198,6 +201,8 @@ def simulate(
         raise edge.InputError(f"--speed-factor = {speed_factor}: the factor must be above zero.")
     if bus == "virtual" and output is None and serial is None:
         raise edge.InputError("--bus = virtual: this bus ends at its process; add -o RUN.arrows or use udp_multicast.")
+    if clock_drift and not (serial is Serial.ascii or (serial is None and bus == "virtual")):
+        raise edge.InputError(f"--clock-drift = {clock_drift}: only --serial ascii and --bus virtual have a clock.")
     run = BenchRun(
         torque=edge.quantity_option(torque, "N*m", "--torque"),
         turns=turns,
@@ -219,22 +224,24 @@ def simulate(
     moved = simulate_hysteresis if hysteresis else simulate_motion
     motion = moved(fmu_output_angle(fmu) if fmu else lambda angle, _: angle / ideal, run)
     script = read_faults(faults) if faults is not None else []
-    made: CanBench | Amt21Bench | AsciiBench
+    made: CanBench | Amt21Bench | ModbusBench | AsciiBench
     if serial is Serial.amt21:
         made = Amt21Bench(motion, speed_factor=speed_factor or 1.0, faults=script)
+    elif serial is Serial.modbus:
+        made = ModbusBench(motion, speed_factor=speed_factor or 1.0, faults=script)
     elif serial is Serial.ascii:
         made = AsciiBench(motion, speed_factor=speed_factor or 1.0, clock_drift=clock_drift, faults=script)
     else:
         group = "239.74.163.2" if bus == "udp_multicast" else "bench"
         made = CanBench(
             motion, interface=bus, channel=channel or group, trigger=trigger.value, speed_factor=speed_factor,
-            faults=script,
+            clock_drift=clock_drift or None, faults=script,
         )  # fmt: skip
     _serve(made, motion, write_bench, ratio, fmu.stem if fmu else "ideal", output)
 
 
 def _serve(
-    made: CanBench | Amt21Bench | AsciiBench,
+    made: CanBench | Amt21Bench | ModbusBench | AsciiBench,
     motion: Motion,
     wiring: Path,
     ratio: float | None,

@@ -9,43 +9,12 @@ chooses this edge as the solution of a linear programme).
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import numpy.typing as npt
 
-from drivers.recording_format import FloatArray
+from drivers.recording_format import Clock, FloatArray
 
 _COVERAGE = 5.0  # found in trials: with it the band holds the true line at both ends in 95 % of them
-
-
-@dataclasses.dataclass(frozen=True)
-class ClockFit:
-    """The line host = origin_host + (1 + drift) (device - origin_device).
-
-    Attributes
-    ----------
-    origin_device, origin_host
-        A point of the line in the middle of the samples, s.
-    drift
-        Relative rate of the host's clock to the device's, less one.
-    uncertainty
-        Half width, s, at the ends of the samples, of a band about the line that holds the true one 19 times of 20:
-        from how far the line would move without the points that hold it. The smallest delay is not in it.
-    samples
-        How many arrivals it rests on.
-    """
-
-    origin_device: float
-    origin_host: float
-    drift: float
-    uncertainty: float
-    samples: int
-
-    def host(self, device: npt.ArrayLike) -> FloatArray:
-        """Return the host's time, s, of device times, s: earliest arrival, the constant part of the delay included."""
-        away = np.asarray(device, np.float64) - self.origin_device
-        return np.asarray(self.origin_host + away + self.drift * away, np.float64)
 
 
 def lower_hull(x: FloatArray, y: FloatArray) -> npt.NDArray[np.intp]:
@@ -105,8 +74,12 @@ class ClockEstimate:
         self._sum += float(np.sum(away))
         self.samples += len(device)
 
-    def fit(self) -> ClockFit | None:
-        """Return the line, None where there are too few arrivals to tell how well it is known."""
+    def fit(self) -> Clock | None:
+        """Return the line, None where there are too few arrivals to tell how well it is known.
+
+        Its uncertainty, which holds the true line 19 times of 20, comes from how far the line would move without the
+        points that hold it; the smallest delay of all is not in it.
+        """
         if not self._layers or min(map(len, self._layers)) < 2:
             return None
         middle = self._sum / self.samples
@@ -114,9 +87,7 @@ class ClockEstimate:
         (at, drift), (other_at, other_drift) = lines
         # What the line would be without the points that hold it says how well they hold it.
         moved = [abs(other_at - at + (other_drift - drift) * (end - middle)) for end in (*self._ends, middle)]
-        return ClockFit(
-            middle + self._start[0], middle + at + self._start[1], drift, _COVERAGE * max(moved), self.samples
-        )
+        return Clock(middle + self._start[0], middle + at + self._start[1], drift, _COVERAGE * max(moved))
 
 
 def _edge_at(x: FloatArray, y: FloatArray, middle: float) -> tuple[float, float]:

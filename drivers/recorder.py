@@ -165,6 +165,10 @@ class ChannelState:
         Readings that came and are not written yet.
     time, value
         Of the newest sample: seconds since the start, SI; None before the first.
+    first
+        Value of the first sample.
+    lowest, highest
+        Values of the newest block.
     failure
         Why it is out just now, None where it is not.
     """
@@ -175,6 +179,9 @@ class ChannelState:
     waiting: int = 0
     time: float | None = None
     value: float | None = None
+    first: float | None = None
+    lowest: float | None = None
+    highest: float | None = None
     failure: EncoderError | None = None
 
 
@@ -261,6 +268,8 @@ class _Session:
         self.live = Live({e.channel.name: ChannelState() for e in encoders})
         self._clocks = {e.channel.name: ClockEstimate() for e in encoders}
         self._clock_said = dict.fromkeys(self._clocks, 0.0)
+        self._clock_last: dict[str, tuple[float, float]] = {}
+        self._restarts = dict.fromkeys(self._clocks, 0)
         self._input: Samples | None = None
         self._zero: float | None = None
         self._rates = (time.monotonic(), dict.fromkeys(self.live.channels, 0))
@@ -295,6 +304,8 @@ class _Session:
         if not len(block):
             return
         state.time, state.value = float(block.time_host[-1]), float(block.value[-1])
+        state.first = float(block.value[0]) if state.first is None else state.first
+        state.lowest, state.highest = float(block.value.min()), float(block.value.max())
         if role == "input_angle":
             self._input = block
         elif role == "output_angle" and self._input is not None and self.ratio:
@@ -308,25 +319,30 @@ class _Session:
                 self.live.transmission_error = error - self._zero
 
     def _clock(self, block: Samples) -> list[Event]:
-        """Follow the device's clock and say now and then, and at the end, what is known of it."""
-        if block.time_device is None:
+        """Follow the device's clock and say now and then, and when it ends, what is known of it."""
+        if block.time_device is None or not len(block):
             return []
-        clock = self._clocks[block.channel]
-        if np.any(block.status & rf.RESET):  # its clock started anew, too
-            clock = self._clocks[block.channel] = ClockEstimate()
-        clock.add(block.time_device, block.time_host)
-        if block.time_host[-1] - self._clock_said[block.channel] < _CLOCK_SECONDS:
-            return []
-        return self.clock_event(block.channel)
+        name = block.channel
+        restarts = np.flatnonzero(rf.clock_restarts(block, self._clock_last.get(name)))
+        self._clock_last[name] = float(block.time_device[-1]), float(block.time_host[-1])
+        said: list[Event] = []
+        for part in np.split(np.arange(len(block)), restarts):
+            if len(part) and part[0] in restarts:
+                said += self.clock_event(name)
+                self._clocks[name], self._restarts[name] = ClockEstimate(), self._restarts[name] + 1
+            self._clocks[name].add(block.time_device[part], block.time_host[part])
+        if block.time_host[-1] - self._clock_said[name] >= _CLOCK_SECONDS:
+            said += self.clock_event(name)
+        return said
 
     def clock_event(self, name: str) -> list[Event]:
         """Return what is known of a channel's clock, as an event."""
-        fit = self._clocks[name].fit()
-        if fit is None:
+        clock = self._clocks[name].fit()
+        if clock is None:
             return []
         now = steady_time() - self.epoch
         self._clock_said[name] = now
-        return [rf.clock_event(now, name, fit.origin_device, fit.origin_host, fit.drift, fit.uncertainty)]
+        return [rf.clock_event(now, name, clock, self._restarts[name])]
 
     def _jump(self, name: str) -> list[Event]:
         """Say that somebody set the host's calendar clock; our own stamps do not follow it, a kernel's do."""

@@ -23,7 +23,7 @@ import os
 import sys
 import time
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeAlias
@@ -43,10 +43,12 @@ IntArray: TypeAlias = npt.NDArray[np.int64]
 ByteArray: TypeAlias = npt.NDArray[np.uint8]
 
 FLUSH_SECONDS = 1.0  # of samples that a power cut can cost; a kill costs none that `write` returned for
+CLOCK_JUMP = 1.0  # s between the stamps' step and the arrivals' that no bus and no scheduler explains
 _CLOCK = "clock: "
 _MESSAGE = b"\xff\xff\xff\xff"  # what every message of an Arrow stream begins with, at a multiple of eight bytes
 _END_OF_STREAM = _MESSAGE + b"\x00\x00\x00\x00"
 _SEARCH_BYTES = 1 << 20
+_PIECE_BYTES = 1 << 22  # of a file, decoded at a time
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,7 +74,7 @@ class Channel:
     zero_reference
         "absolute": the zero is the same in every recording; "incremental": each recording has its own.
     identity
-        What the device says it is.
+        What the device says it is; behind a semicolon its state when it was opened.
     time_source
         What event `time_host` marks and whose clock it is.
     """
@@ -98,24 +100,34 @@ class Event:
     text: str
 
 
-def clock_event(
-    time: float, channel: str, origin_device: float, origin_host: float, drift: float, uncertainty: float
-) -> Event:
-    """Return the event that says how a channel's own clock runs against the host's; see `Recording.clock`.
+@dataclasses.dataclass(frozen=True)
+class Clock:
+    """How a device's clock runs against the host's: host = origin_host + (1 + drift) (device - origin_device).
 
-    Parameters
+    Attributes
     ----------
-    time, channel
-        When and of which channel it is said.
-    origin_device, origin_host, drift
-        host = origin_host + (1 + drift) (device - origin_device), s.
+    origin_device, origin_host
+        A point of the line in the middle of the samples, s.
+    drift
+        Relative rate of the host's clock to the device's, less one.
     uncertainty
-        Half width at 95 %, s.
+        Half width at 95 %, s, at the ends of the samples, of a band about the line.
     """
-    said = {
-        "origin_device": origin_device, "origin_host": origin_host, "drift": drift, "uncertainty": uncertainty,
-    }  # fmt: skip
-    return Event(time, channel, _CLOCK + json.dumps(said))
+
+    origin_device: float
+    origin_host: float
+    drift: float
+    uncertainty: float
+
+    def host(self, device: npt.ArrayLike) -> FloatArray:
+        """Return the host's time, s, of device times, s: earliest arrival, the constant part of the delay included."""
+        away = np.asarray(device, np.float64) - self.origin_device
+        return np.asarray(self.origin_host + away + self.drift * away, np.float64)
+
+
+def clock_event(time: float, channel: str, clock: Clock, restarts: int) -> Event:
+    """Return the event that says how a channel's own clock runs after so many restarts; see `read_clocks`."""
+    return Event(time, channel, _CLOCK + json.dumps({**dataclasses.asdict(clock), "restarts": restarts}))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -214,10 +226,10 @@ class Recording:
     events: tuple[Event, ...]
     problems: tuple[str, ...]
 
-    def clock(self, channel: str) -> Mapping[str, float] | None:
-        """Return the last estimate of a channel's clock: the keys of `clock_event`; None where it has none."""
-        said = [e.text for e in self.events if e.channel == channel and e.text.startswith(_CLOCK)]
-        return dict(json.loads(said[-1].removeprefix(_CLOCK))) if said else None
+    def clock(self, channel: str) -> Clock | None:
+        """Return the last estimate of a channel's clock; None where it has none."""
+        clocks = _clocks(self.events).get(channel, {})
+        return clocks[max(clocks)] if clocks else None
 
     def aligned_time(self, channel: str) -> FloatArray:
         """Return when a channel's samples were taken, s since the start on the host's clock, shape (n,).
@@ -225,11 +237,68 @@ class Recording:
         By the channel's own clock where it has one and its offset and drift were estimated: free of the delays on the
         way to the host, which `time_host` has. Else `time_host`.
         """
-        samples, clock = self.samples[channel], self.clock(channel)
-        if clock is None or samples.time_device is None or np.any(samples.status & RESET):
+        return Alignment(_clocks(self.events).get(channel, {})).time(self.samples[channel])
+
+
+def _clocks(events: Iterable[Event]) -> dict[str, dict[int, Clock]]:
+    """Return the last estimate of each channel's clock after each of its restarts."""
+    found: dict[str, dict[int, Clock]] = {}
+    for event in events:
+        if event.text.startswith(_CLOCK):
+            said = json.loads(event.text.removeprefix(_CLOCK))
+            restarts = said.pop("restarts", 0)
+            found.setdefault(event.channel, {})[restarts] = Clock(**said)
+    return found
+
+
+def clock_restarts(samples: Samples, last: tuple[float, float] | None) -> npt.NDArray[np.bool_]:
+    """Return at which samples the device's clock starts anew, shape (n,).
+
+    Where they are marked reset, or the device's time goes back or ahead of the host's by more than `CLOCK_JUMP`.
+    Arrivals that were held up and then come at once are no restart.
+
+    Parameters
+    ----------
+    samples
+        Samples that have a device time.
+    last
+        Device and host time of the sample before, s; None at the beginning.
+    """
+    assert samples.time_device is not None
+    if not len(samples):
+        return np.zeros(0, np.bool_)
+    device, host = last if last is not None else (samples.time_device[0], samples.time_host[0])
+    step = np.diff(samples.time_device, prepend=device)
+    waited = np.diff(samples.time_host, prepend=host)
+    return np.asarray((samples.status & RESET != 0) | (step < -CLOCK_JUMP) | (step > waited + CLOCK_JUMP))
+
+
+class Alignment:
+    """Puts one channel's samples, block by block in their order, on the host's clock by the device's own.
+
+    Parameters
+    ----------
+    clocks
+        The device's clock after each of its restarts, as `read_clocks` gives it.
+    """
+
+    def __init__(self, clocks: Mapping[int, Clock]) -> None:
+        self._clocks = clocks
+        self._restarts = 0
+        self._last: tuple[float, float] | None = None
+
+    def time(self, samples: Samples) -> FloatArray:
+        """Return when the samples were taken, s since the start; `time_host` where the device's clock is not known."""
+        if samples.time_device is None or not len(samples):
             return samples.time_host
-        away = samples.time_device - clock["origin_device"]
-        return clock["origin_host"] + away + clock["drift"] * away
+        number = self._restarts + np.cumsum(clock_restarts(samples, self._last))
+        self._restarts = int(number[-1])
+        self._last = float(samples.time_device[-1]), float(samples.time_host[-1])
+        time = samples.time_host.copy()
+        for restarts in np.unique(number).tolist():
+            if (clock := self._clocks.get(restarts)) is not None:
+                time[number == restarts] = clock.host(samples.time_device[number == restarts])
+        return time
 
 
 _COLUMNS: Mapping[str, tuple[pa.DataType, str, bool]] = {
@@ -248,7 +317,7 @@ def batch_checksum(sequence: int, events: str, samples: Samples) -> str:
     for name, (_, kind, _) in _COLUMNS.items():
         array = getattr(samples, name)
         if array is not None:
-            crc = zlib.crc32(np.ascontiguousarray(array, kind).tobytes(), crc)
+            crc = zlib.crc32(np.ascontiguousarray(array, kind).data, crc)
     return f"{crc:08x}"
 
 
@@ -431,33 +500,37 @@ def _header(metadata: Mapping[bytes, bytes] | None, source: str) -> Header:
         raise edge.InputError(f"{source}: the recording's header can't be understood ({problem}).") from None
 
 
-def _batch(batch: pa.RecordBatch, metadata: Mapping[bytes, bytes] | None) -> tuple[int, Samples, tuple[Event, ...]]:
+def _batch(
+    batch: pa.RecordBatch, metadata: Mapping[bytes, bytes] | None, names: Sequence[str]
+) -> tuple[int, Samples, tuple[Event, ...]]:
     """Return sequence number, samples and events of a batch; ValueError says why it can't be trusted."""
     text = {k.decode(): v.decode() for k, v in (metadata or {}).items()}
     if not {"sequence", "events", "crc32"} <= text.keys():
         raise ValueError("it has no sequence number, events or CRC-32")
-    batch.validate(full=True)
+    batch.validate()
     sequence, said = int(text["sequence"]), json.loads(text["events"])
     events = tuple(Event(**e) for e in said)
-    names = batch.column(0).unique().to_pylist()
-    if len(names) > 1:
-        raise ValueError(f"it mixes the channels {', '.join(names)}")
-    arrays = {
-        name: None if batch.column(name).null_count else np.asarray(batch.column(name).to_numpy(zero_copy_only=False))
-        for name in _COLUMNS
-    }
-    if names:
-        samples = Samples(channel=names[0], **arrays)  # type: ignore[arg-type]
-        candidates = [samples]
-    else:  # an empty batch has no row that names its channel: it is the one the CRC-32 fits
-        candidates = [Samples(channel=name, **arrays) for name in batch.column(0).dictionary.to_pylist()]  # type: ignore[arg-type]
-    for samples in candidates:
+    index = batch.column(0).indices
+    if index.null_count:
+        raise ValueError("a sample has no channel")
+    numbers = index.to_numpy()
+    if len(numbers) and (numbers != numbers[0]).any():
+        raise ValueError("it mixes channels")
+    if len(numbers) and not 0 <= numbers[0] < len(names):
+        raise ValueError("its channel is none of the header's")
+    columns = zip(_COLUMNS, batch.columns[1:], strict=True)
+    arrays = {name: None if column.null_count else column.to_numpy() for name, column in columns}
+    # An empty batch has no row that names its channel: it is the one the CRC-32 fits.
+    for name in [names[numbers[0]]] if len(numbers) else names:
+        samples = Samples(channel=name, **arrays)  # type: ignore[arg-type]
         if batch_checksum(sequence, text["events"], samples) == text["crc32"]:
             return sequence, samples, events
     raise ValueError("its CRC-32 is wrong")
 
 
-def _joined(name: str, blocks: Sequence[Samples]) -> Samples:
+def joined(name: str, blocks: Sequence[Samples]) -> Samples:
+    """Return a channel's blocks as one; a column that one of them lacks is None."""
+
     def column(attribute: str, kind: str) -> npt.NDArray[Any]:
         return np.concatenate([np.zeros(0, kind), *(getattr(b, attribute) for b in blocks)]).astype(kind)
 
@@ -523,7 +596,8 @@ class RecordingReader:
         self._good_end = self._offset
         self._next_sequence = 0
         self._lost: set[str] = set()
-        self._preamble = _preamble(expected, [c.name for c in self.header.channels])
+        self._names = [c.name for c in self.header.channels]
+        self._preamble = _preamble(expected, self._names)
 
     def __enter__(self) -> Self:
         return self
@@ -542,11 +616,16 @@ class RecordingReader:
             The end is where the recorder is just now, not a cut: it is no problem, and a later call goes on there.
         """
         while True:
+            for batch, metadata, end in self._sound():
+                self._offset = end
+                if (taken := self._judged(batch, metadata)) is not None:
+                    yield taken
+            # What is read many at a time stops at the end, at damage and where a piece is cut: one by one from there.
             size = self._path.stat().st_size
             if self._bytes(self._offset, 8) == _END_OF_STREAM:
                 return
-            taken = self._message(self._offset, size)
-            if taken is None:
+            found = self._message(self._offset, size)
+            if found is None:
                 if growing:
                     return
                 if not self._resume(size):
@@ -561,30 +640,59 @@ class RecordingReader:
                         )
                     return
                 continue
-            data, self._offset = taken
+            data, self._offset = found
             if data is None:
                 continue
-            number, self._number = self._number, self._number + 1
             try:
-                sequence, samples, said = _batch(*self._decoded(data))
-            except (ValueError, TypeError, KeyError, pa.ArrowException) as problem:
-                self.problems.append(f"{self.source}: batch {number} was left out: {problem}.")
-                self._lost = {c.name for c in self.header.channels}
-                self._next_sequence += 1
-                continue
-            if sequence != self._next_sequence:
-                self.problems.append(
-                    f"{self.source}: batch {number} has sequence number {sequence}, not {self._next_sequence}."
-                )
-                self._lost = {c.name for c in self.header.channels}
-            self._good_end, self._next_sequence = self._offset, sequence + 1
-            self.complete += 1
-            if len(samples) and samples.channel in self._lost:
-                status = samples.status.copy()
-                status[0] |= GAP
-                samples = dataclasses.replace(samples, status=status)
-                self._lost.discard(samples.channel)
-            yield samples, said
+                decoded = self._decoded(data)
+            except (ValueError, pa.ArrowException) as problem:
+                self._left_out(problem)
+            else:
+                if (taken := self._judged(*decoded)) is not None:
+                    yield taken
+
+    def _judged(
+        self, batch: pa.RecordBatch, metadata: Mapping[bytes, bytes] | None
+    ) -> tuple[Samples, tuple[Event, ...]] | None:
+        """Return samples and events of the next batch, marked where something is lost before; None if it is wrong."""
+        try:
+            sequence, samples, said = _batch(batch, metadata, self._names)
+        except (ValueError, TypeError, KeyError, pa.ArrowException) as problem:
+            self._left_out(problem)
+            return None
+        if sequence != self._next_sequence:
+            self.problems.append(
+                f"{self.source}: batch {self._number} has sequence number {sequence}, not {self._next_sequence}."
+            )
+            self._lost = set(self._names)
+        self._number += 1
+        self._good_end, self._next_sequence = self._offset, sequence + 1
+        self.complete += 1
+        if len(samples) and samples.channel in self._lost:
+            status = samples.status.copy()
+            status[0] |= GAP
+            samples = dataclasses.replace(samples, status=status)
+            self._lost.discard(samples.channel)
+        return samples, said
+
+    def _left_out(self, problem: Exception) -> None:
+        self.problems.append(f"{self.source}: batch {self._number} was left out: {problem}.")
+        self._lost = set(self._names)
+        self._number += 1
+        self._next_sequence += 1
+
+    def _sound(self) -> Iterator[tuple[pa.RecordBatch, Mapping[bytes, bytes] | None, int]]:
+        """Yield the next batches, each with the byte where it ends, as far as one piece of the file holds them."""
+        begin = self._offset - len(self._preamble)
+        source = pa.BufferReader(self._preamble + self._bytes(self._offset, _PIECE_BYTES))
+        with pa.ipc.open_stream(source) as reader:
+            reader.read_next_batch()
+            while True:
+                try:
+                    batch, metadata = reader.read_next_batch_with_custom_metadata()
+                except (StopIteration, ValueError, OSError, EOFError, pa.ArrowException):
+                    return
+                yield batch, metadata, begin + source.tell()
 
     @property
     def size(self) -> int:
@@ -632,14 +740,14 @@ class RecordingReader:
                 taken = self._message(at, size) if at % 8 == 0 else None
                 if taken is not None and taken[0] is not None:
                     try:
-                        _batch(*self._decoded(taken[0]))
+                        _batch(*self._decoded(taken[0]), self._names)
                     except (ValueError, TypeError, KeyError, pa.ArrowException):
                         pass
                     else:
                         self.problems.append(
                             f"{self.source}: damaged from byte {self._good_end} on; reading went on at byte {at}."
                         )
-                        self._lost = {c.name for c in self.header.channels}
+                        self._lost = set(self._names)
                         self._offset = at
                         return True
                 found = block.find(_MESSAGE, found + 1)
@@ -674,8 +782,46 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
             events.extend(said)
             if len(samples):
                 blocks[samples.channel].append(samples)
-        joined = {n: _joined(n, b) for n, b in blocks.items()}
-        return Recording(reader.header, joined, tuple(events), tuple(reader.problems))
+        samples_of = {n: joined(n, b) for n, b in blocks.items()}
+        return Recording(reader.header, samples_of, tuple(events), tuple(reader.problems))
+
+
+def read_clocks(path: str | os.PathLike[str], channels: Collection[str]) -> dict[str, dict[int, Clock]]:
+    """Return, for `Alignment`, how the own clocks of channels run: {channel: {after how many restarts: clock}}.
+
+    Channels without a clock of their own are not in it, nor those too short to tell. Two channels that one clock
+    stamped, such as those that one SYNC latches, share the better known of its two estimates: what was one instant
+    stays one. Where no channel has a clock of its own, the file is read only to each one's first samples.
+
+    Raises
+    ------
+    edge.InputError
+        If the file can't be read, is no recording or has another format.
+    """
+    first: dict[str, Samples] = {}
+    events: list[Event] = []
+    with RecordingReader(path) as reader:
+        for samples, said in reader.batches():
+            events.extend(said)
+            if len(samples) and samples.channel in channels:
+                first.setdefault(samples.channel, samples)
+            if len(first) == len(channels) and all(s.time_device is None for s in first.values()):
+                return {}
+    found = {name: clocks for name, clocks in _clocks(events).items() if name in channels}
+    names = list(found)
+    for number, one in enumerate(names):
+        for other in names[number + 1 :]:
+            if _stamps(first[one]) & _stamps(first[other]):
+                for restarts in found[one].keys() & found[other].keys():
+                    best = min(found[one][restarts], found[other][restarts], key=lambda clock: clock.uncertainty)
+                    found[one][restarts] = found[other][restarts] = best
+    return found
+
+
+def _stamps(samples: Samples) -> set[tuple[float, float]]:
+    """Return the pairs of device and host time of samples: two clocks have none in common."""
+    assert samples.time_device is not None
+    return set(zip(samples.time_device.tolist(), samples.time_host.tolist(), strict=True))
 
 
 if sys.byteorder != "little":  # Arrow buffers and the checksum are little-endian

@@ -8,7 +8,9 @@ import itertools
 import math
 import os
 import shlex
+import shutil
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -20,7 +22,7 @@ import pydantic
 from cycloid_fmu import edge
 from drivers import recording_format as rf
 from drivers.encoder import EncoderError, EncoderTimeout
-from drivers.recorder import Bench, Live, open_encoders, read_bench, record
+from drivers.recorder import Bench, ChannelState, Live, open_encoders, read_bench, record
 from drivers.recording_format import Samples, read_recording
 
 FORMAT = "cycloid-sequence/1"
@@ -242,24 +244,27 @@ class _End:
 
     def __init__(self, step: Step) -> None:
         self.step = step
-        self._first: float | None = None
         self._peaks = 0
         self.reached = False
 
     def __call__(self, live: Live) -> None:
-        """Look at the newest values."""
+        """Look at the newest blocks."""
         angle, torque = (live.channels.get(n) for n in ("input_angle", "torque"))
         if self.step.is_hysteresis:
             if torque is not None and torque.value is not None:
-                # Peaks are passed in turn, + then -, so many as the loops have; then back to zero.
-                sign = 1 if self._peaks % 2 == 0 else -1
+                self._pass_peaks(torque)
                 done = self._peaks == 2 * self.step.turns
-                if not done and sign * torque.value >= _AT_PEAK * self.step.torque:
-                    self._peaks += 1
                 self.reached = done and abs(torque.value) <= _NEAR_ZERO * self.step.torque
-        elif angle is not None and angle.value is not None:
-            self._first = angle.value if self._first is None else self._first
-            self.reached = abs(angle.value - self._first) >= 2 * math.pi * self.step.turns
+        elif angle is not None and angle.value is not None and angle.first is not None:
+            self.reached = abs(angle.value - angle.first) >= 2 * math.pi * self.step.turns
+
+    def _pass_peaks(self, torque: ChannelState) -> None:
+        """Count the peaks, which are passed in turn, + then -, so many as the loops have."""
+        peak = _AT_PEAK * self.step.torque
+        for _ in range(2):  # a block may hold one of each
+            furthest = torque.highest if self._peaks % 2 == 0 else -(torque.lowest or 0.0)
+            if self._peaks < 2 * self.step.turns and furthest is not None and furthest >= peak:
+                self._peaks += 1
 
 
 @contextlib.contextmanager
@@ -335,9 +340,13 @@ def _opened(sequence: TestSequence, process: Any) -> tuple[Bench, list[Any], con
 
 
 def report_command(sequence: TestSequence, recordings: Sequence[Path]) -> list[str] | None:
-    """Return the `cycloid-fit report` of these recordings, None where the sequence asks for none."""
+    """Return the `cycloid-fit report` of these recordings, None where the sequence asks for none.
+
+    The command is the one beside this Python, so that no environment has to be activated.
+    """
     file = sequence.file
     if file.report is None or not recordings:
         return None
     pair = ["--pair", str(sequence.folder / file.pair)] if file.pair is not None else []
-    return ["cycloid-fit", "report", *map(str, recordings), *pair, "-o", str(sequence.folder / file.report)]
+    beside = shutil.which("cycloid-fit", path=str(Path(sys.executable).parent)) or "cycloid-fit"
+    return [beside, "report", *map(str, recordings), *pair, "-o", str(sequence.folder / file.report)]

@@ -17,6 +17,9 @@ from types import TracebackType
 from typing import Literal, Self
 
 import numpy as np
+from pymodbus.framer import FramerRTU
+from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
+from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadHoldingRegistersResponse
 
 from cycloid_fmu import edge
 from drivers.amt21_encoder import check_bits
@@ -218,6 +221,68 @@ class Amt21Bench(_PtyBench):
                     if whole and question == address:
                         self.answered[address].append(i)
                     asked += 1
+
+
+class ModbusBench(_PtyBench):
+    """A bench of two Modbus RTU encoders on one line, which is a pseudo-terminal: record `url`.
+
+    A context manager. Each device holds its position, 32 bits that count turns too, in the holding registers 0 and 1,
+    high word first; any other request gets the exception "illegal data address". The motion begins with the first
+    question and runs at its own speed times `speed_factor`. The torque is not on this line.
+
+    Parameters
+    ----------
+    motion, speed_factor, baud_rate, faults
+        See `_PtyBench`; a fault's `sample` is the number of the question, its `target` the device.
+    devices
+        Address of the input's and the output's encoder.
+    counts_per_turn
+        Resolution.
+    """
+
+    def __init__(
+        self,
+        motion: Motion,
+        *,
+        devices: tuple[int, int] = (1, 2),
+        counts_per_turn: int = 1 << 18,
+        speed_factor: float = 1.0,
+        baud_rate: int = 115_200,
+        faults: Sequence[Fault] = (),
+    ) -> None:
+        super().__init__(motion, speed_factor=speed_factor, baud_rate=baud_rate, faults=faults)
+        self.devices, self.counts_per_turn = devices, counts_per_turn
+
+    def write_wiring(self, path: str | os.PathLike[str], *, ratio: float | None = None, pair: str = "") -> Path:
+        """Write the `BENCH.toml` that records this bench and return its path."""
+        channels = "".join(
+            f'\n[channel.{name}]\nprotocol = "modbus"\nport = "tty"\ndevice = {device}\nregister = 0\n'
+            f"counts_per_turn = {self.counts_per_turn}\nsigned = true\n"
+            for name, device in zip(("input_angle", "output_angle"), self.devices, strict=True)
+        )
+        return self._wiring(path, channels, ratio, pair)
+
+    def _run(self) -> None:
+        angles = (self.motion.input_angle, self.motion.output_angle)
+        words = {d: quantised(a, self.counts_per_turn) % (1 << 32) for d, a in zip(self.devices, angles, strict=True)}
+        framer = FramerRTU(DecodePDU(True))
+        asked, waiting = 0, b""
+        while not self._stopping.is_set():
+            if not select.select([self._bench], [], [], 0.05)[0]:
+                waiting = b""  # a pause ends a frame
+                continue
+            with contextlib.suppress(OSError):
+                waiting += os.read(self._bench, 256)
+            used, request = framer.handleFrame(waiting, 0, 0)
+            waiting = waiting[used:]
+            if request is None or request.dev_id not in words:
+                continue
+            answer: ModbusPDU = ExceptionResponse(request.function_code, 2, device_id=request.dev_id)
+            if isinstance(request, ReadHoldingRegistersRequest) and (request.address, request.count) == (0, 2):
+                high, low = divmod(int(words[request.dev_id][self._sample()]), 1 << 16)
+                answer = ReadHoldingRegistersResponse(registers=[high, low], dev_id=request.dev_id)
+            self._put(framer.buildFrame(answer), self._fault(asked, request.dev_id), after=8)
+            asked += 1
 
 
 class AsciiBench(_PtyBench):

@@ -55,7 +55,8 @@ class PortHub:
                 parity=config.parity,
                 stopbits=config.stop_bits,
                 timeout=ANSWER_SECONDS,
-                write_timeout=1.0,
+                # pyserial's RFC 2217 client has its own and refuses any other.
+                write_timeout=None if config.url.startswith("rfc2217:") else 1.0,
             )
         except (serial.SerialException, ValueError, OSError) as problem:
             raise EncoderSetupError(f'The serial port "{config.url}" does not open: {_reason(problem)}.') from problem

@@ -8,7 +8,7 @@ from typing import Any, Self
 
 from cycloid_fmu import edge
 from drivers.encoder import Encoder, EncoderConnectionError, EncoderError, steady_time
-from drivers.recording_format import GAP, RESET, Event, Samples
+from drivers.recording_format import GAP, RESET, Channel, Event, Samples
 
 RETRY_SECONDS = 0.5
 
@@ -98,7 +98,7 @@ class Supervised(Encoder):
         while not self._stopping.wait(RETRY_SECONDS):
             try:
                 self.encoder.__enter__()
-                if self.encoder.channel != self.channel:
+                if _device(self.encoder.channel) != _device(self.channel):
                     raise EncoderConnectionError(
                         f"another device answers: {self.encoder.channel.identity}, not {self.channel.identity}"
                     )
@@ -111,3 +111,8 @@ class Supervised(Encoder):
             else:
                 self._reopened.set()
                 return
+
+
+def _device(channel: Channel) -> Channel:
+    """Return a channel without its device's state, such as operating time, which changes while it is away."""
+    return dataclasses.replace(channel, identity=channel.identity.partition(";")[0])

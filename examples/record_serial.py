@@ -35,7 +35,7 @@ def main() -> None:
     if clock is not None:
         late = samples.time_host - recording.aligned_time("output_angle")
         print(
-            f"clock: drift {clock['drift'] * 1e6:+.1f} ppm, known to {clock['uncertainty'] * 1e6:.0f} us; "
+            f"clock: drift {clock.drift * 1e6:+.1f} ppm, known to {clock.uncertainty * 1e6:.0f} us; "
             f"lines came {np.median(late) * 1e6:.0f} us late in the median, {late.max() * 1e6:.0f} us at most"
         )
 

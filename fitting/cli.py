@@ -15,7 +15,7 @@ from cycloid_fmu import edge
 if TYPE_CHECKING:
     from cycloid_fmu.pair import Pair
     from fitting.curve import Curve
-    from fitting.metrics import Figure, Figures
+    from fitting.metrics import Figure, Figures, Surveyed
 
 app = typer.Typer(
     no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich",
@@ -41,10 +41,37 @@ MappingFile = Annotated[
 ]
 
 
+@dataclasses.dataclass(frozen=True)
+class _Taken:
+    """Figures of the recordings that could be taken, the pair where one is named, and what became of the others.
+
+    `left_out` has a sentence for each of these, which is a note of the figures too; `status` is the exit status.
+    """
+
+    figures: Figures
+    pair: Pair | None
+    left_out: list[str]
+    status: int
+
+    def say(self, *, as_json: bool) -> None:
+        """Print figures and notes for people, or the figures for scripts; leave with the status that belongs to it."""
+        from fitting.metrics import figures_json
+
+        if as_json:
+            typer.echo(edge.json_text(figures_json(self.figures)))
+        else:
+            print_figures(self.figures)
+        _say_notes(self.left_out if as_json and self.figures.figures else list(self.figures.notes))
+        if not self.figures.figures:
+            raise edge.InputError("No figure could be computed.")
+        if self.status:
+            raise typer.Exit(self.status)
+
+
 def _figures(
     files: list[Path], pair_file: Path | None, ratio: float | None, rated_torque: str | None, mapping: Path | None
-) -> tuple[Figures, Pair | None]:
-    """Take recordings with a progress bar and return their figures, and the pair where one is named."""
+) -> _Taken:
+    """Take recordings with a progress bar; one that can't be read, or an interrupt, leaves the others' figures."""
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
@@ -64,7 +91,9 @@ def _figures(
         ratio, rated = pair.ratio, rated if rated is not None else pair.pair.rated_torque
     mapped = None if mapping is None else read_mapping(mapping)
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    surveyed = []
+    surveyed: list[Surveyed] = []
+    left_out: list[str] = []
+    status = 0
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("reading")
         for number, file in enumerate(files, start=1):
@@ -73,8 +102,21 @@ def _figures(
             def progress(samples: int, said: str = said) -> None:
                 bar.update(task, description=f"{said}: {samples / 1e6:.1f} million samples")
 
-            surveyed.append(survey(open_bench_recording(file, mapped), ratio, rated, progress))
-    return figures_of(surveyed, ratio, rated), pair
+            try:
+                surveyed.append(survey(open_bench_recording(file, mapped), ratio, rated, progress))
+            except edge.InputError as problem:
+                left_out.append(str(problem))
+                status = edge.BAD_INPUT
+            except KeyboardInterrupt:
+                if not surveyed:
+                    raise
+                left_out.append(f"Interrupted: {len(surveyed)} of {len(files)} recordings were taken.")
+                status = edge.INTERRUPTED
+                break
+    if not surveyed:
+        raise edge.InputError("\n".join(left_out))
+    found = figures_of(surveyed, ratio, rated)
+    return _Taken(dataclasses.replace(found, notes=(*left_out, *found.notes)), pair, left_out, status)
 
 
 def _curves(files: list[Path], ratio: float, mapping: Path | None, read_head: Path | None) -> list[Curve]:
@@ -213,7 +255,7 @@ def metrics(
     plot: PlotFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """The standard figures: transmission error, lost motion, backlash, stiffness, hysteresis, starting torque.
+    """The standard figures: transmission error, lost motion, backlash, stiffness, hysteresis, starting torques.
 
     Example: [cyan]cycloid-fit metrics loop.csv *.arrows --ratio -39 --rated-torque "167 N*m"[/]
     """
@@ -224,20 +266,13 @@ def metrics(
 
     if plot is not None:
         plots.check_path(plot)
-    found, pair = _figures(files, pair_file, ratio, rated_torque, mapping)
+    taken = _figures(files, pair_file, ratio, rated_torque, mapping)
     if plot is not None:
-        plots.save(plot_panels(panels_of(found, pair)), plot)
-    text = edge.json_text(figures_json(found))
+        plots.save(plot_panels(panels_of(taken.figures, taken.pair)), plot)
     if output is not None:
         with edge.written_whole(output) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-    if as_json:
-        typer.echo(text)
-    else:
-        print_figures(found)
-        _say_notes(list(found.notes))
-    if not found.figures:
-        raise edge.InputError("No figure could be computed." if not as_json else "\n".join(found.notes))
+            temporary.write_text(edge.json_text(figures_json(taken.figures)), encoding="utf-8")
+    taken.say(as_json=as_json)
 
 
 @app.command()
@@ -248,6 +283,7 @@ def report(
     ratio: Ratio = None,
     rated_torque: RatedTorque = None,
     mapping: MappingFile = None,
+    as_json: AsJson = False,
 ) -> None:
     """A report to hand on: figures, curves, orders, loops, what was left out and why. One file, HTML or PDF.
 
@@ -256,12 +292,9 @@ def report(
     from fitting.report import check_report_path, write_report
 
     check_report_path(output)
-    found, pair = _figures(files, pair_file, ratio, rated_torque, mapping)
-    write_report(found, output, pair)
-    print_figures(found)
-    _say_notes(list(found.notes))
-    if not found.figures:
-        raise edge.InputError("No figure could be computed; the report says why.")
+    taken = _figures(files, pair_file, ratio, rated_torque, mapping)
+    write_report(taken.figures, output, taken.pair)
+    taken.say(as_json=as_json)
 
 
 @app.command()
@@ -295,7 +328,7 @@ def compare(
         if file.suffix.lower() == ".json":
             sides.append(read_figures(file))
         else:
-            found, _ = _figures([file], pair_file, ratio, rated_torque, mapping)
+            found = _figures([file], pair_file, ratio, rated_torque, mapping).figures
             sides.append(found.figures)
             notes += found.notes
     changes, said = compare_figures(*sides)

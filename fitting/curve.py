@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 FORMAT = "cycloid-curve/1"
 POINTS = 1 << 15  # most points of a turn: orders up to a quarter of them are told
 _FIRST = 1 << 20  # samples from which the number of points is found
+_RAMP = np.pi / 648000.0  # over a whole recording: what runs away by less is not said
 _REVERSAL = np.radians(2.0)  # of the crank: what turns back less is vibration; beyond the lost motion of any drive
 
 
@@ -179,6 +180,12 @@ class _Fold:
         n, x, y, xx, xy = self._line
         spread = n * xx - x * x
         return float((n * xy - x * y) / spread) if n > 2 and spread > 0.0 else 0.0
+
+    def amplitude(self) -> float:
+        """Return half of what the transmission error, averaged over turns, goes up and down."""
+        filled = self.repeats > 0
+        mean = self._sums[0][filled] / self.repeats[filled]
+        return 0.5 * float(np.ptp(mean))
 
     def finish(self) -> None:
         """Close the turn under way: what comes then is another one."""
@@ -374,6 +381,7 @@ class Folding:
             )
         for fold in kept:
             _check_ratio(fold, self.source)
+            notes += _ramp_note(fold, self.source)
         checksum = stream.checksum
         return [
             f.curve(
@@ -387,7 +395,8 @@ class Folding:
 def _check_ratio(fold: _Fold, source: str) -> None:
     """Refuse angles that do not belong to the ratio; say what they look like."""
     ratio, drift, way = fold.ratio, fold.drift(), fold.way
-    if abs(drift * ratio) <= 0.02 and abs(drift * way) <= np.radians(1.0):
+    # Below a thousandth it is no other ratio: clocks that drift apart, which `_ramp_note` says.
+    if abs(drift * ratio) <= 1e-3 or (abs(drift * ratio) <= 0.02 and abs(drift * way) <= np.radians(1.0)):
         return
     slope = 1.0 / ratio + drift
     said = f"{source}: the output turns {slope:.6g} of the input, the ratio {ratio:g} means {1.0 / ratio:.6g}; "
@@ -403,6 +412,25 @@ def _check_ratio(fold: _Fold, source: str) -> None:
         if abs(slope * ratio / factor - 1.0) < 0.02:
             raise edge.InputError(f"{said}{cause}; check the pair, the directions and the units.")
     raise edge.InputError(f"{said}check the pair, the directions and the counts per turn.")
+
+
+def _ramp_note(fold: _Fold, source: str) -> list[str]:
+    """Say where the transmission error runs away turn by turn, which no gear does.
+
+    A wave of amplitude A over N turns shows a slope of at most 12A/(2πN) over all of them (least squares against a
+    sine of one period a turn); only more than three times that is said.
+    """
+    ratio, turns = abs(fold.ratio), fold.way / (2.0 * np.pi * abs(fold.ratio))
+    ramp = fold.drift() * 2.0 * np.pi * ratio
+    wave = 12.0 * fold.amplitude() / (2.0 * np.pi * turns**2)
+    if turns < 2.0 or abs(ramp) < 3.0 * wave or abs(ramp) * turns < _RAMP:
+        return []
+    arcsec = 648000.0 / np.pi
+    return [
+        f"{source}: the transmission error runs away by {abs(ramp) * arcsec:.3g}″ a turn of the output, as it does "
+        f"where the output angle's clock runs {-fold.drift() * fold.ratio * 1e6:+.3g} ppm fast, or the rig warms up; "
+        "the curve holds it. Give a clock's as drift in the mapping."
+    ]
 
 
 def transmission_error_curves(recording: BenchRecording | BenchStream, ratio: float) -> list[Curve]:

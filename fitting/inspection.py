@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from fitting.readers import BenchFile, RawChannel, unit_text
-from fitting.recording import MAPPING_FORMAT
+from fitting.recording import CHANNELS, MAPPING_FORMAT, OPTIONAL
 
 Array = NDArray[np.float64]
 
@@ -139,7 +139,13 @@ def propose(file: BenchFile, looks: Sequence[Look], dbc: str | None = None) -> P
         rising = [one for one in left if one.values.size > 1 and (np.diff(one.values) > 0).all()]
         timed = [one for one in rising if _measures(one.channel.unit, "time")] or _named(rising, "time")
         choose("time", timed)
-    choose("torque", [o for o in left if _measures(o.channel.unit, "torque")] or _named(left, "torque"))
+    torques = [o for o in left if _measures(o.channel.unit, "torque")] or _named(left, "torque")
+    driving = _named(torques, "input_angle")  # one that bears the input's name is on it, where there is another
+    if driving and len(torques) > len(driving):
+        roles["input_torque"] = driving[0]
+        left.remove(driving[0])
+        torques = [o for o in torques if o not in driving]
+    choose("torque", torques)
     hot = [o for o in left if _measures(o.channel.unit, "temperature")]
     choose("temperature", hot)
     angles = [o for o in left if _is_angle(o.channel.unit)]
@@ -173,10 +179,10 @@ def _mapping_text(roles: dict[str, Look], file: BenchFile, dbc: str | None) -> s
             lines.append(
                 'rate = 1000.0               # samples a second: no channel looks like the time; or column = "…"'
             )
-    for role in ("input_angle", "output_angle", "torque", "temperature"):
+    for role in CHANNELS:
         if role in roles:
             lines += ["", f"[{role}]", *_channel_lines(roles[role], role)]
-        elif role != "temperature":
+        elif role not in OPTIONAL:
             where = "  (leave the table out where the input was locked)" if role == "input_angle" else ""
             lines += ["", f"# no channel looks like the {role}{where}", f"# [{role}]", '# column = "…"']
     return "\n".join(lines) + "\n"

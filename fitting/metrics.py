@@ -1,4 +1,4 @@
-"""The standard figures: transmission error, lost motion, backlash, stiffness, hysteresis, starting torque.
+"""The standard figures: transmission error, lost motion, backlash, stiffness, hysteresis, starting torques.
 
 Each figure has its definition by name, its 95 % uncertainty and the loops or turns behind it. Loops are recorded with
 the input locked or turning slowly; what counts is the windup, the output angle less its share of the input angle.
@@ -6,6 +6,7 @@ the input locked or turning slowly; what counts is the windup, the output angle 
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -17,7 +18,7 @@ from scipy import stats
 
 from cycloid_fmu import edge
 from fitting.curve import Curve, Folding, Spectrum, lag_of, significant, spectrum, synthesised
-from fitting.recording import BenchRecording, BenchStream, Block
+from fitting.recording import OPTIONAL, BenchRecording, BenchStream, Block
 
 Array = NDArray[np.float64]
 FORMAT = "cycloid-figures/1"
@@ -32,6 +33,7 @@ FRICTION_NEAR = 0.05
 _LOBE = 0.20  # a half loop goes beyond this
 _REST = 0.025  # and begins and ends below this
 _START = math.radians(1.0)  # of the crank: it has started
+_UNLOADED = 0.1  # of the torque on the input is what the output's may take of it in a start without load
 _REDRAWN = 200  # spectra drawn with the noise found, for the uncertainty of a largest and a smallest value
 
 DEFINITIONS = {
@@ -42,14 +44,16 @@ DEFINITIONS = {
     "lost_motion": "mean of loading and unloading branch at +3 % of the rated torque less that at -3 % (GB/T 40731, "
     "Nabtesco)",
     "torsional_stiffness": "torque over windup along the loading branches in the interval, mean of both sides",
-    "starting_torque": "largest torque on the output, while it drives, from a standstill until the crank has turned 1 "
-    "degree, mean of the starts",
+    "starting_torque": "largest torque on the input, the output without load, from a standstill until the crank has "
+    "turned 1 degree, mean of the starts (no-load starting torque)",
+    "back_driving_torque": "largest torque on the output, while it drives, from a standstill until the crank has "
+    "turned 1 degree, mean of the starts (overhauling starting torque)",
     "angular_transmission_error": "largest less smallest value over one output turn, in one direction, of the curve "
     "averaged over turns and made of the orders that stand out of the noise (GB/T 35089); the largest of the runs",
 }
 UNITS = {
     "hysteresis_loss": "rad", "backlash": "rad", "lost_motion": "rad", "torsional_stiffness": "N*m/rad",
-    "starting_torque": "N*m", "angular_transmission_error": "rad",
+    "starting_torque": "N*m", "back_driving_torque": "N*m", "angular_transmission_error": "rad",
 }  # fmt: skip
 
 
@@ -496,17 +500,30 @@ def _range_of(coefficient: NDArray[np.complex128], points: int) -> Array:
 # --------------------------------------------------------------------------------------------------- starting torques
 
 
-def starting_torques(recording: BenchRecording) -> list[float]:
-    """Return the torque of each start: from a standstill with next to no torque until the crank has turned a degree.
+@dataclass(frozen=True)
+class Start:
+    """One start: the samples from the standstill until the crank has turned a degree, and the largest torque in it."""
 
-    Counted are starts in which the torque on the output drives: it and the motion that follows have one direction, and
-    it has risen at least tenfold since the standstill began. N·m, magnitudes.
+    part: slice
+    peak: int
+    torque: float
+
+
+def starts_of(crank: Array, torque: Array, driven: Array) -> list[Start]:
+    """Return the starts of a recording: from a standstill with next to no torque until the crank has turned a degree.
+
+    Counted are starts in which the torque drives: it and the motion that follows have one direction, and it has risen
+    at least tenfold since the standstill began.
+
+    Parameters
+    ----------
+    crank, torque, driven
+        Crank angle (rad), torque (N·m) and angle (rad) of the shaft on which it is, arrays of shape (samples,).
     """
-    angle, torque = recording.input_angle, recording.torque
     found = []
     begin = 0
-    while begin < angle.size:
-        away = np.abs(angle[begin:] - angle[begin]) > _START
+    while begin < crank.size:
+        away = np.abs(crank[begin:] - crank[begin]) > _START
         moved = int(np.argmax(away)) if away.any() else 0
         if not moved:
             break
@@ -516,19 +533,63 @@ def starting_torques(recording: BenchRecording) -> list[float]:
         if largest > 0.0:
             at_rest = abs(float(np.median(torque[begin : begin + max(3, moved // 20)])))
             peak = begin + int(np.argmax(np.abs(torque[still])))
-            further = angle[start:]
-            onward = further[min(further.size - 1, 10 * moved)] - angle[begin]
-            driven = recording.output_angle[min(start + 10 * moved, angle.size - 1)] - recording.output_angle[begin]
-            if at_rest < 0.1 * largest and abs(onward) > 5.0 * _START and torque[peak] * driven > 0.0:
-                found.append(largest)
+            further = crank[start:]
+            onward = further[min(further.size - 1, 10 * moved)] - crank[begin]
+            way = driven[min(start + 10 * moved, crank.size - 1)] - driven[begin]
+            if at_rest < 0.1 * largest and abs(onward) > 5.0 * _START and torque[peak] * way > 0.0:
+                found.append(Start(still, peak, largest))
         begin = start if moved > 10 else begin + max(1, moved)
         # Motion goes on until the crank stands within the degree again for longer than a few samples.
-        while begin < angle.size:
-            ahead = angle[begin : begin + 200]
+        while begin < crank.size:
+            ahead = crank[begin : begin + 200]
             if np.ptp(ahead) <= 0.2 * _START and ahead.size > 10:
                 break
             begin += max(1, ahead.size // 2)
     return found
+
+
+def starting_torques(recording: BenchRecording, ratio: float | None) -> tuple[list[Start], list[str]]:
+    """Return the starts by a torque on the input with the output unloaded, and why others are none.
+
+    A start is without load where the torque on the output, through the ratio, is less than a tenth of that on the
+    input.
+
+    Parameters
+    ----------
+    recording
+        The recording; without a torque on the input there are no such starts.
+    ratio
+        Signed ratio.
+    """
+    if recording.input_torque is None:
+        return [], []
+    starts = starts_of(recording.input_angle, recording.input_torque, recording.input_angle)
+    if not starts:
+        return [], [f"{recording.source}: the torque on the input starts the crank nowhere from a standstill."]
+    if ratio is None:
+        return [], [
+            f"{recording.source}: starting_torque could not be given: no ratio says whether the output is loaded."
+        ]
+    free = [s for s in starts if float(np.abs(recording.torque[s.part]).max()) < _UNLOADED * abs(ratio) * s.torque]
+    if len(free) == len(starts):
+        return free, []
+    return free, [f"{recording.source}: {len(starts) - len(free)} of {len(starts)} starts are under load; left out."]
+
+
+def back_driving_torques(recording: BenchRecording, ratio: float | None) -> tuple[list[Start], list[str]]:
+    """Return the starts by a torque on the output; where the input's is measured, those that it does not make.
+
+    Parameters
+    ----------
+    recording, ratio
+        As in `starting_torques`, whose rule holds the other way round.
+    """
+    starts = starts_of(recording.input_angle, recording.torque, recording.output_angle)
+    given = recording.input_torque
+    if given is None or ratio is None:
+        return starts, []
+    free = [s for s in starts if float(np.abs(given[s.part]).max()) * abs(ratio) < _UNLOADED * s.torque]
+    return free, []
 
 
 # ------------------------------------------------------------------------------------------- from recordings to figures
@@ -554,6 +615,9 @@ class Surveyed:
         The loops, or None.
     notes
         What was left out and why.
+    apart
+        Half the 95 % interval, rad of the output, of what the two angles' clocks may make the transmission error run
+        away over the whole recording.
     """
 
     source: str
@@ -565,6 +629,7 @@ class Surveyed:
     curves: tuple[Curve, ...]
     loops: LoopData | None
     notes: tuple[str, ...]
+    apart: float = 0.0
 
 
 _OVERVIEW = 1 << 20
@@ -573,7 +638,7 @@ _OVERVIEW = 1 << 20
 class _Overview:
     """Keeps the whole recording at a resolution that halves whenever it grows beyond twice `_OVERVIEW` samples."""
 
-    names = ("time", "input_angle", "output_angle", "torque", "temperature")
+    names = ("time", "input_angle", "output_angle", "torque", *OPTIONAL)
 
     def __init__(self) -> None:
         self.averaged = 1
@@ -583,7 +648,8 @@ class _Overview:
         self._held = 0
 
     def add(self, block: Block) -> None:
-        columns = [getattr(block, n) for n in self.names if getattr(block, n) is not None]
+        self.names = tuple(n for n in self.names if getattr(block, n) is not None)
+        columns = [getattr(block, n) for n in self.names]
         self.samples += block.time.size
         if self._rest is not None:
             columns = [np.concatenate([r, c]) for r, c in zip(self._rest, columns, strict=True)]
@@ -618,7 +684,7 @@ class _Overview:
             self._parts.append([np.atleast_1d(c.mean()) for c in self._rest])
             self._rest = None
         columns = [np.concatenate(c) for c in zip(*self._parts, strict=True)]
-        return dict(zip(self.names, columns, strict=False))
+        return dict(zip(self.names, columns, strict=True))
 
 
 def survey(
@@ -656,7 +722,10 @@ def survey(
     table = overview.table()
     notes = list(stream.notes)
     shortened = BenchRecording(
-        **{n: table[n] for n in ("time", "input_angle", "output_angle", "torque")},
+        time=table["time"],
+        input_angle=table["input_angle"],
+        output_angle=table["output_angle"],
+        torque=table["torque"],
         status=np.zeros(table["time"].size, np.uint8),
         common_zero=stream.common_zero,
         known_index=stream.known_index,
@@ -665,6 +734,7 @@ def survey(
         checksum=stream.checksum,
         notes=tuple(notes),
         temperature=table.get("temperature"),
+        input_torque=table.get("input_torque"),
     )
     loops, said = _loops_of(shortened, ratio, rated_torque)
     notes += said
@@ -677,9 +747,11 @@ def survey(
             notes.append(str(problem))
     elif loops is None and np.ptp(shortened.input_angle) > 0.0:
         notes.append(f"{stream.source}: the input turns and no ratio is known; --pair or --ratio is needed.")
+    duration = float(table["time"][-1] - table["time"][0])
+    speed = float(np.abs(np.diff(table["output_angle"])).sum()) / duration if duration > 0.0 else 0.0
     return Surveyed(
-        stream.source, shortened.checksum, overview.samples, float(table["time"][-1] - table["time"][0]), shortened,
-        overview.averaged, tuple(curves), loops, tuple(notes),
+        stream.source, shortened.checksum, overview.samples, duration, shortened, overview.averaged, tuple(curves),
+        loops, tuple(notes), 2.0 * stream.alignment * speed,
     )  # fmt: skip
 
 
@@ -817,6 +889,9 @@ def figures_of(surveyed: Sequence[Surveyed], ratio: float | None, rated_torque: 
                     "N·m; the transmission error holds the windup that this makes."
                 )
             figure = angular_transmission_error(curve, orders)
+            # Clocks that run apart add their way over one turn, for every turn begins anew.
+            uncertainty = math.hypot(figure.uncertainty, one.apart / max(curve.turns, 1.0))
+            figure = dataclasses.replace(figure, uncertainty=uncertainty)
             ways[way][f"{one.source}, {curve.torque:.4g} N*m, {way}"] = figure
     parts = {way: max(runs.values(), key=lambda f: f.value) for way, runs in ways.items() if runs}
     if parts:
@@ -826,15 +901,30 @@ def figures_of(surveyed: Sequence[Surveyed], ratio: float | None, rated_torque: 
             largest.value, largest.uncertainty, largest.unit, largest.definition, largest.interval,
             largest.interval_unit, largest.count, largest.counted, parts, runs,
         )  # fmt: skip
-    starts = [t for s in surveyed if s.loops is None for t in starting_torques(s.overview)]
-    if starts:
-        scatter = float(np.std(starts, ddof=1)) / math.sqrt(len(starts)) if len(starts) > 1 else math.nan
-        quantile = float(stats.t.ppf(0.975, len(starts) - 1)) if len(starts) > 1 else math.nan
-        name = "starting_torque"
-        figures[name] = Figure(
-            float(np.mean(starts)), quantile * scatter, UNITS[name], DEFINITIONS[name], None, "", len(starts), "starts"
-        )
+    started: dict[str, list[Start]] = {"starting_torque": [], "back_driving_torque": []}
+    for one in surveyed:
+        if one.loops is not None:
+            continue
+        for name, starts_by in (("starting_torque", starting_torques), ("back_driving_torque", back_driving_torques)):
+            starts, said = starts_by(one.overview, ratio if ratio is not None else one.overview.ratio)
+            started[name] += starts
+            notes += said
+            if one.averaged > 1 and starts:
+                notes.append(
+                    f"{one.source}: {name}: its torques are means of {one.averaged} samples of a long recording."
+                )
+    for name, starts in started.items():
+        if starts:
+            figures[name] = _mean_start(name, [s.torque for s in starts])
     return Figures(figures, tuple(surveyed), tuple(spectra), rated_torque, ratio, tuple(dict.fromkeys(notes)))
+
+
+def _mean_start(name: str, torques: Sequence[float]) -> Figure:
+    half = math.nan
+    if len(torques) > 1:
+        quantile = float(stats.t.ppf(0.975, len(torques) - 1))
+        half = quantile * float(np.std(torques, ddof=1)) / math.sqrt(len(torques))
+    return Figure(float(np.mean(torques)), half, UNITS[name], DEFINITIONS[name], None, "", len(torques), "starts")
 
 
 def _pooled(figures: Sequence[Figure]) -> Figure:

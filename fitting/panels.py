@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.pair import Pair
 from fitting.curve import Curve
-from fitting.metrics import Figures, LoopData, loop_marks
+from fitting.metrics import Figures, LoopData, back_driving_torques, loop_marks, starting_torques
 
 Array = NDArray[np.float64]
 
@@ -98,6 +98,7 @@ def panels_of(found: Figures, pair: Pair | None = None) -> list[Panel]:
         if spectra is not None:
             panels.append(spectra)
     panels += [p for s in found.surveyed if s.loops is not None for p in _loop_panels(s.loops)]
+    panels += _start_panels(found)
     panels.append(_torque_panel(found))
     return panels
 
@@ -183,6 +184,31 @@ def _loop_panels(loop: LoopData) -> list[Panel]:
         Panel(name, *axes, tuple(traces), said),
         Panel(f"{name}, around zero torque", *axes, tuple(middle), said),
     ]
+
+
+def _start_panels(found: Figures) -> list[Panel]:
+    """The torque of each start over the time from the standstill until the crank has turned a degree."""
+    panels = []
+    kinds = (
+        ("input", "no-load starting torque", starting_torques),
+        ("output", "back-driving torque", back_driving_torques),
+    )
+    for shaft, name, starts_of in kinds:
+        traces: list[Trace] = []
+        for one in (s.overview for s in found.surveyed if s.loops is None):
+            torque = one.input_torque if shaft == "input" else one.torque
+            for start in starts_of(one, found.ratio or one.ratio)[0]:
+                assert torque is not None
+                time = one.time[start.part] - one.time[start.part.start]
+                number = len(traces) // 2
+                traces.append(Trace("", time, np.abs(torque[start.part]), "thin", number))
+                at = slice(start.peak - start.part.start, start.peak - start.part.start + 1)
+                traces.append(Trace("", time[at], np.array([start.torque]), "points", number, (str(number + 1),)))
+        if traces:
+            said = f"The {name} is the mean of the marked values, the largest until the crank has turned 1°."
+            axes = ("time since the standstill [s]", f"torque on the {shaft} [N·m]")
+            panels.append(Panel(f"Starts by the {shaft}", *axes, tuple(traces), said))
+    return panels
 
 
 def _torque_panel(found: Figures) -> Panel:

@@ -23,10 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
+from drivers.recording_format import Alignment, Clock, RecordingReader, Samples, joined, read_clocks
 
 Array = NDArray[np.float64]
 
 PIECE = 1 << 17  # samples of a piece: its arrays stay within a processor's cache
+_GATHERED = 1 << 13  # samples of a channel in our recorder's files
 TABLES = (".csv", ".txt", ".tsv", ".dat")
 CAN_LOGS = (".blf", ".asc", ".trc")
 
@@ -85,6 +87,8 @@ class BenchFile(abc.ABC):
         Signed ratio of the drive, where the file says it.
     problems
         One sentence for each thing found wrong with the file; complete when all pieces were taken.
+    clocks
+        {channel: the clock that stamped it, in the host's time} where a device stamped it with a clock of its own.
     """
 
     source: str
@@ -92,6 +96,7 @@ class BenchFile(abc.ABC):
     timed: bool = False
     ratio: float | None = None
     problems: list[str] = field(default_factory=list)
+    clocks: dict[str, Clock] = field(default_factory=dict)
 
     @abc.abstractmethod
     def pieces(self, names: Sequence[str]) -> Iterator[Piece]:
@@ -577,22 +582,35 @@ class _CanLog(BenchFile):
 
 class _RecorderFile(BenchFile):
     def __init__(self, source: str) -> None:
-        from drivers.recording_format import RecordingReader
-
         with RecordingReader(source) as reader:
             header = reader.header
         channels = [RawChannel(c.name, c.unit, c.zero_reference) for c in header.channels]
         super().__init__(source, tuple(channels), timed=True, ratio=header.ratio)
 
     def pieces(self, names: Sequence[str]) -> Iterator[Piece]:
-        from drivers.recording_format import RecordingReader
-
+        known = read_clocks(self.source, names)
+        # The least certain stretch of a channel says how well its time is known.
+        self.clocks = {n: max(c.values(), key=lambda clock: clock.uncertainty) for n, c in known.items()}
+        alignments = {n: Alignment(known.get(n, {})) for n in names}
         silent = set(names)
+        waiting: dict[str, list[Samples]] = {n: [] for n in names}
+
+        def piece(name: str) -> Piece:
+            samples = joined(name, waiting[name])
+            waiting[name].clear()
+            return Piece(alignments[name].time(samples), {name: samples.value}, samples.status)
+
         with RecordingReader(self.source) as reader:
             for samples, _ in reader.batches():
-                if samples.channel in names and len(samples):
+                if samples.channel in waiting and len(samples):
                     silent.discard(samples.channel)
-                    yield Piece(samples.time_host, {samples.channel: samples.value}, samples.status)
+                    waiting[samples.channel].append(samples)
+                    # A batch is a twentieth of a second; to take each by itself costs more than what is in it.
+                    if sum(map(len, waiting[samples.channel])) >= _GATHERED:
+                        yield piece(samples.channel)
+            for name in names:
+                if waiting[name]:
+                    yield piece(name)
             self.problems = list(reader.problems)
         if silent:
             said = " ".join([*self.problems, f"{self.source}: the {min(silent)} channel has no samples."])

@@ -12,9 +12,10 @@ import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+import pydantic
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
@@ -25,8 +26,9 @@ Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 
 COLUMNS = {"time": "s", "input_angle": "rad", "output_angle": "rad", "torque": "N*m"}
-OPTIONAL = {"temperature": "K"}
+OPTIONAL = {"temperature": "K", "input_torque": "N*m"}
 ANGLES = ("input_angle", "output_angle")
+CHANNELS = (*ANGLES, "torque", *OPTIONAL)
 MAPPING_FORMAT = "cycloid-mapping/1"
 _TURN = 2.0 * np.pi
 _TOGETHER = 1 << 13  # samples of each channel that are put on one clock at a time
@@ -53,6 +55,8 @@ class ChannelMapping(edge.Config):
         "absolute" where the zero is the same in every recording, the crank's being at pin 0.
     delay
         By how much later than the event its time is, such as "1.2 ms" of a filter or another clock.
+    drift
+        By how much faster, relative, the clock runs that stamped it, counted from its first sample: 100e-6 is 100 ppm.
     """
 
     column: str
@@ -62,6 +66,7 @@ class ChannelMapping(edge.Config):
     rollover: edge.Angle | None = None
     zero_reference: Literal["absolute", "incremental"] | None = None
     delay: edge.Seconds = 0.0
+    drift: Annotated[float, pydantic.Field(gt=-0.01, lt=0.01)] = 0.0
 
 
 class TimeMapping(edge.Config):
@@ -85,8 +90,10 @@ class FileMapping(edge.Config):
         Not needed where the file's channels bring their time with them.
     input_angle
         Left out where the input was locked and nothing measured it.
-    output_angle, torque, temperature
-        The channels; a temperature is not needed.
+    output_angle, torque
+        The channels.
+    temperature, input_torque
+        Not needed. The torque on the input gives the no-load starting torque.
     """
 
     ratio: float | None = None
@@ -96,6 +103,7 @@ class FileMapping(edge.Config):
     output_angle: ChannelMapping
     torque: ChannelMapping
     temperature: ChannelMapping | None = None
+    input_torque: ChannelMapping | None = None
 
 
 def read_mapping(path: str | os.PathLike[str]) -> FileMapping:
@@ -109,7 +117,7 @@ def read_mapping(path: str | os.PathLike[str]) -> FileMapping:
     source = str(path)
     table = edge.toml_table(edge.read_text(path), MAPPING_FORMAT, source)
     mapping = edge.validated(FileMapping, table, source)
-    for name in (*ANGLES, "torque", "temperature"):
+    for name in CHANNELS:
         channel = getattr(mapping, name)
         if channel is None:
             continue
@@ -139,6 +147,8 @@ class Block:
         K, or None where none was recorded.
     status
         Bits of the recording format: 1 a gap before, 32 an angle rolled over.
+    input_torque
+        N·m of the environment on the input, or None where none was recorded.
     """
 
     time: Array
@@ -147,6 +157,7 @@ class Block:
     torque: Array
     temperature: Array | None
     status: Bytes
+    input_torque: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -173,6 +184,11 @@ class BenchRecording:
         One sentence for each thing that a reader should know: what was left out, what was interpolated.
     temperature
         K, or None where none was recorded.
+    input_torque
+        N·m of the environment on the input, or None where none was recorded.
+    alignment
+        Half the 95 % interval, s, of how far the two angles' clocks may be apart at the recording's ends; 0 where one
+        clock stamped both, or none is known to be another.
     """
 
     time: Array
@@ -187,10 +203,15 @@ class BenchRecording:
     checksum: str
     notes: tuple[str, ...] = ()
     temperature: Array | None = None
+    input_torque: Array | None = None
+    alignment: float = 0.0
 
     def blocks(self) -> Iterator[Block]:
         """Yield the recording as one block."""
-        yield Block(self.time, self.input_angle, self.output_angle, self.torque, self.temperature, self.status)
+        yield Block(
+            self.time, self.input_angle, self.output_angle, self.torque, self.temperature, self.status,
+            self.input_torque,
+        )  # fmt: skip
 
 
 class BenchStream:
@@ -207,8 +228,8 @@ class BenchStream:
     ----------
     source, ratio, common_zero, known_index
         As in `BenchRecording`.
-    notes
-        What a reader should know; complete when all blocks were taken.
+    notes, alignment
+        As in `BenchRecording`; complete when all blocks were taken.
 
     Raises
     ------
@@ -225,6 +246,7 @@ class BenchStream:
         self.common_zero = self._zero_reference("output_angle") == "absolute"
         self.known_index = self._zero_reference("input_angle") == "absolute"
         self.notes: list[str] = []
+        self.alignment = 0.0
 
     @property
     def checksum(self) -> str:
@@ -248,10 +270,8 @@ class BenchStream:
         edge.InputError
             If a value of the file is no number, or it ends before a sample came.
         """
-        delays = {
-            n: m.delay for n in (*ANGLES, "torque", "temperature") if (m := getattr(self._mapping, n)) is not None
-        }
-        merge = _OneClock(self._scales, self._mapping.time, delays)
+        clocks = {n: (m.delay, m.drift) for n in CHANNELS if (m := getattr(self._mapping, n)) is not None}
+        merge = _OneClock(self._scales, self._mapping.time, clocks)
         tidy = _Tidy({n: getattr(self._mapping, n) for n in ANGLES}, self.source)
         names = list(dict.fromkeys(column for column, _, _ in self._scales.values()))
         kept = 0
@@ -266,13 +286,26 @@ class BenchStream:
             kept += block.time.size
             if block.time.size:
                 yield block
-        self.notes = [*self._file.problems, *(f"{self.source}: {n}" for n in (*merge.notes(), *tidy.notes()))]
+        said = [*self._clock_notes(), *merge.notes(), *tidy.notes()]
+        self.notes = [*self._file.problems, *(f"{self.source}: {n}" for n in said)]
         if self._mapping.input_angle is None:
             self.notes.append(f"{self.source}: no input angle is mapped; the input is taken as locked.")
         if kept < 2:
             raise edge.InputError(
                 " ".join([*self.notes, f"{self.source}: the recording has {kept or 'no'} samples; a curve needs more."])
             )
+
+    def _clock_notes(self) -> list[str]:
+        """Say which channels were put on the host's clock, and keep how well the two angles' are known to agree."""
+        clocks = {role: c for role, (name, _, _) in self._scales.items() if (c := self._file.clocks.get(name))}
+        apart = {clocks[role] for role in ANGLES if role in clocks}
+        if len(apart) == 2 or len(clocks.keys() & set(ANGLES)) == 1:
+            self.alignment = float(np.hypot.reduce([clock.uncertainty for clock in apart]))
+        return [
+            f"{role} has a clock of its own, which runs {-clock.drift * 1e6:+.3g} ppm fast; its samples were put on "
+            f"the host's to ± {clock.uncertainty * 1e6:.2g} µs (95 %)."
+            for role, clock in clocks.items()
+        ]
 
 
 def open_bench_recording(path: str | os.PathLike[str], mapping: FileMapping | None = None) -> BenchStream:
@@ -304,6 +337,8 @@ def read_bench_recording(path: str | os.PathLike[str], mapping: FileMapping | No
         checksum=stream.checksum,
         notes=tuple(stream.notes),
         temperature=None if blocks[0].temperature is None else joined("temperature"),
+        input_torque=None if blocks[0].input_torque is None else joined("input_torque"),
+        alignment=stream.alignment,
     )
 
 
@@ -330,7 +365,7 @@ def _own_names(file: BenchFile) -> FileMapping:
         input_angle=ChannelMapping(column="input_angle", zero_reference=index),
         output_angle=ChannelMapping(column="output_angle"),
         torque=ChannelMapping(column="torque"),
-        temperature=ChannelMapping(column="temperature") if "temperature" in channels else None,
+        **{name: ChannelMapping(column=name) for name in OPTIONAL if name in channels},
     )
 
 
@@ -349,9 +384,7 @@ def _scales(file: BenchFile, mapping: FileMapping) -> dict[str, tuple[str, float
     """Return channel, scale and offset of each role of a mapping."""
     channels = {c.name: c for c in file.channels}
     found: dict[str, tuple[str, float, float]] = {}
-    roles: dict[str, ChannelMapping | TimeMapping | None] = {
-        n: getattr(mapping, n) for n in (*ANGLES, "torque", "temperature")
-    }
+    roles: dict[str, ChannelMapping | TimeMapping | None] = {n: getattr(mapping, n) for n in CHANNELS}
     if not file.timed:
         if mapping.time is None:
             raise edge.InputError(
@@ -396,11 +429,15 @@ class _OneClock:
     """
 
     def __init__(
-        self, scales: Mapping[str, tuple[str, float, float]], time: TimeMapping | None, delays: Mapping[str, float]
+        self,
+        scales: Mapping[str, tuple[str, float, float]],
+        time: TimeMapping | None,
+        clocks: Mapping[str, tuple[float, float]],
     ) -> None:
         self._scales = scales
-        self._delays = delays
-        self._together = len(set(delays.values())) == 1
+        self._clocks = clocks
+        self._begun: dict[str, float] = {}
+        self._together = len(set(clocks.values())) == 1
         self._rate = None if time is None else time.rate
         self._roles = [r for r in scales if r != "time"]
         self._master = "input_angle" if "input_angle" in scales else "output_angle"
@@ -431,14 +468,21 @@ class _OneClock:
             time = (self._came + np.arange(size)) / self._rate
         self._came += size
         if self._together and len(values) == len(self._roles) and not any(self._waiting.values()):
-            time = time if (delay := self._delays[self._master]) == 0.0 else time - delay
-            yield {"time": time, **values}, piece.status
+            yield {"time": self._corrected(self._master, time), **values}, piece.status
             return
         status = np.zeros(size, np.uint8) if piece.status is None else piece.status
         for role, value in values.items():
-            self._waiting[role].append((time - self._delays[role], value, status))
+            self._waiting[role].append((self._corrected(role, time), value, status))
         if min(sum(t.size for t, _, _ in parts) for parts in self._waiting.values()) >= _TOGETHER:
             yield from self._flush(min(parts[-1][0][-1] for parts in self._waiting.values()), last=False)
+
+    def _corrected(self, role: str, time: Array) -> Array:
+        """Return when samples were taken: without their delay, and by a clock that drifts no more."""
+        delay, drift = self._clocks[role]
+        if (delay, drift) == (0.0, 0.0) or not time.size:
+            return time
+        begun = self._begun.setdefault(role, float(time[0]))
+        return begun - delay + (time - begun) / (1.0 + drift)
 
     def finish(self) -> Iterator[tuple[Table, Bytes | None]]:
         if any(self._waiting.values()) and all(self._waiting.values()):
@@ -607,7 +651,7 @@ class _Tidy:
                 table, bits, time = {n: v[onward] for n, v in table.items()}, bits[onward], time[onward]
                 steps = np.diff(time, prepend=self._last)
         if not time.size:
-            return Block(time, time, time, time, time if "temperature" in table else None, bits)
+            return Block(time, time, time, time, table.get("temperature"), bits, table.get("input_torque"))
         self._gaps_in(time, steps, bits)
         self._last = float(time[-1])
         for name, angle in self._angles.items():
@@ -621,6 +665,7 @@ class _Tidy:
             torque=table["torque"],
             temperature=table.get("temperature"),
             status=bits,
+            input_torque=table.get("input_torque"),
         )
 
     def _finite(self, table: Table) -> NDArray[np.bool_] | None:

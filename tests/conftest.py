@@ -30,7 +30,7 @@ def command(tmp_path, monkeypatch):
             patch.chdir(folder)
             patch.setenv("COLUMNS", "200")
             patch.setattr(sys, "argv", [str(word) for word in words])
-            patch.setattr(sys, "stdin", io.StringIO(input or ""))
+            patch.setattr(sys, "stdin", io.StringIO(input or "") if not hasattr(input, "readline") else input)
             try:
                 entry.load()()
             except SystemExit as leaving:

@@ -61,14 +61,14 @@ def test_the_recording_is_the_commanded_motion(tmp_path, bits):
         samples = recording.samples[name]
         answered = np.array(bench.answered[address])[1:]  # the first answer told the encoder's presence
         commanded = getattr(motion, name)[answered[: len(samples)]]
-        assert len(samples) > 100
+        assert len(samples) > 30
         assert np.max(np.abs(samples.value - commanded)) <= half_a_count * (1 + 1e-6)
         assert np.all(np.diff(samples.time_host) > 0)
         assert not np.any(samples.status & ~np.uint8(rf.ROLLOVER))
 
 
 def test_a_word_with_wrong_check_bits_is_never_an_angle(tmp_path):
-    run = BenchRun(torque=5.0, turns=1, samples_per_turn=100, speed=8 * math.pi)
+    run = BenchRun(torque=5.0, turns=1, samples_per_turn=100, speed=2 * math.pi)
     motion = simulate_motion(lambda angle, torque: angle / 40, run)
     path = tmp_path / "run.arrows"
     faults = [Fault("corrupt", question) for question in (22, 24, 31)]

@@ -7,11 +7,12 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
 from drivers.clock import ClockEstimate, lower_hull
+from drivers.recording_format import RESET, Alignment, Clock, Samples, clock_restarts
 
 START = 1.7e9  # seconds since 1970: differences must survive them
 
 
-def estimated(device, host, blocks=100):
+def estimated(device, host, blocks=10):
     clock = ClockEstimate()
     for part in np.array_split(np.arange(len(device)), blocks):
         clock.add(device[part], host[part])
@@ -60,9 +61,9 @@ def test_without_delays_it_is_exact():
 
 def test_blocks_make_no_difference_and_memory_does_not_grow():
     random = np.random.default_rng(3)
-    device = np.arange(50_000) / 1000
+    device = np.arange(20_000) / 1000
     host = START + device * (1 + 1e-5) + random.exponential(1e-3, len(device))
-    once, often = estimated(device, host, 1), estimated(device, host, 5000)
+    once, often = estimated(device, host, 1), estimated(device, host, 2000)
     assert often.drift == once.drift
     assert often.origin_host == pytest.approx(once.origin_host, abs=1e-6)
     assert often.uncertainty == pytest.approx(once.uncertainty, rel=1e-9)
@@ -85,3 +86,39 @@ def test_the_lower_hull_is_that_of_qhull(points):
     assert np.all(y >= height - 1e-9), "no point lies below it"
     corners = set(ConvexHull(np.column_stack([x, y])).vertices.tolist())
     assert set(found.tolist()) <= corners
+
+
+@given(
+    at=st.lists(st.integers(1, 99), max_size=3, unique=True), anew=st.floats(-5.0, 0.4), cut=st.integers(0, 100),
+    stall=st.integers(0, 99), held=st.floats(0.0, 30.0),
+)  # fmt: skip
+def test_a_clock_that_starts_anew_is_told_from_arrivals_that_were_held_up(at, anew, cut, stall, held):
+    """A device restarts at any samples, with or without a mark; a stall of the line delivers many samples at once."""
+    taken = 50.0 + np.arange(100) * 0.02
+    device = taken.copy()
+    for begin in at:
+        device[begin:] = taken[begin:] - taken[begin] + anew
+    host = np.maximum(taken, np.where(np.arange(100) >= stall, min(taken[stall] + held, taken[-1] + held), 0.0))
+    samples = Samples.checked("x", host, taken, time_device=device)
+    both = np.flatnonzero(clock_restarts(samples, None)).tolist()
+    # Two restarts within a second of device time show no step of their own, nor a stall that hides one.
+    assert set(both) <= set(at)
+    if len(at) <= 1:
+        assert both == at
+    status = np.zeros(100, np.uint8)
+    status[at] = RESET
+    marked = Samples.checked("x", host, taken, time_device=device, status=status)
+    assert np.flatnonzero(clock_restarts(marked, None)).tolist() == sorted(at)
+    # Block by block it is the same, and each stretch is put on the host's clock by its own line.
+    starts = [0, *sorted(at)]
+    clocks = {i: Clock(device[begin], taken[begin], 0.0, 0.0) for i, begin in enumerate(starts)}
+    alignment = Alignment(clocks)
+    parts = [Samples.checked("x", host[p], taken[p], time_device=device[p], status=status[p])
+             for p in (slice(0, cut), slice(cut, None))]  # fmt: skip
+    np.testing.assert_allclose(np.concatenate([alignment.time(p) for p in parts]), taken, atol=1e-9)
+
+
+def test_a_stretch_whose_clock_is_not_known_keeps_the_host_s_time():
+    samples = Samples.checked("x", [1.0, 2.0, 3.0], [0.0, 0.0, 0.0], time_device=[7.0, 8.0, 0.5])
+    found = Alignment({1: Clock(0.5, 2.9, 0.1, 0.0)}).time(samples)
+    assert found.tolist() == [1.0, 2.0, 2.9]

@@ -17,11 +17,13 @@ from drivers import encoder as encoder_module
 from drivers import recorder, serial_hub
 from drivers import recording_format as rf
 from drivers.bench import BenchRun, CanBench, simulate_motion
+from drivers.can_hub import BLOCK_SECONDS
 from drivers.encoder import EncoderSetupError
 from drivers.faults import Fault, at_wrong_baud, read_faults
 from drivers.recorder import open_encoders, record, record_bench
-from drivers.recording_format import read_recording
+from drivers.recording_format import read_clocks, read_recording
 from drivers.serial_bench import Amt21Bench, AsciiBench
+from tests.drivers.test_bench_cli import needs_multicast
 
 ROOT = Path(__file__).parents[2]
 INPUT, OUTPUT, TORQUE = 0x181, 0x182, 0x2A0
@@ -159,6 +161,12 @@ def test_counter_reset(tmp_path):
     (reset,) = marked(samples, rf.RESET)
     assert samples.counts[reset] == 0
     assert any("started anew" in t for t in texts(recording, "output_angle"))
+    # Its clock started anew as well: before and after, it is put on the host's by a line of its own.
+    clocks = read_clocks(tmp_path / "run.arrows", ["output_angle"])["output_angle"]
+    assert clocks.keys() == {0, 1}
+    late = samples.time_host - recording.aligned_time("output_angle")
+    assert late.min() > -max(clock.uncertainty for clock in clocks.values())
+    assert np.median(late) < 0.1
 
 
 def test_a_node_that_starts_anew_is_set_operational_again(tmp_path, bus_name):
@@ -286,8 +294,8 @@ record_bench("BENCH.toml", sys.argv[1], progress=lambda live: print(*live.sample
 """
 
 
-def kill_once(folder, group, number, after):
-    """Kill a recorder after so many of its loops; return what it had acknowledged and what the file holds."""
+def kill_once(folder, number, after, wait):
+    """Kill a recorder `wait` s into one of its loops; return what it had acknowledged and what the file holds."""
     environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
     path = folder / f"run-{number}.arrows"
     process = subprocess.Popen(
@@ -296,6 +304,7 @@ def kill_once(folder, group, number, after):
     said = ""
     for _ in range(after):
         said = process.stdout.readline()
+    time.sleep(wait)  # the moment itself: anywhere between two acknowledgements, within a write too
     process.kill()
     rest = process.stdout.read().split("\n")
     process.wait()
@@ -304,19 +313,18 @@ def kill_once(folder, group, number, after):
     return acknowledged, read_recording(path)
 
 
+@needs_multicast
 @pytest.mark.parametrize("kills", [1, pytest.param(KILLS, marks=pytest.mark.slow)])
 def test_kill_9_at_any_moment_loses_nothing_acknowledged(tmp_path, kills):
-    from tests.drivers.test_bench_cli import multicast_works
-
-    if not multicast_works():
-        pytest.skip("this machine's network carries no UDP multicast")
     random = np.random.default_rng(5)
     group = f"239.74.163.{80 + os.getpid() % 100}"
     motion = simulate_motion(ideal, BenchRun(torque=5.0, turns=2000))
     for number in range(kills):
         with CanBench(motion, interface="udp_multicast", channel=group, speed_factor=20) as bench:
             bench.write_wiring(tmp_path / "BENCH.toml")
-            acknowledged, recording = kill_once(tmp_path, group, number, int(random.integers(2, 12)))
+            acknowledged, recording = kill_once(
+                tmp_path, number, int(random.integers(2, 12)), random.uniform(0.0, 2 * BLOCK_SECONDS)
+            )
         for have, n in zip(recording.samples.values(), acknowledged, strict=True):
             assert len(have) >= n
             assert not np.any(have.status & ~np.uint8(rf.ROLLOVER))
@@ -368,10 +376,12 @@ def test_emergency(tmp_path, bus_name):
     assert any(t.startswith("EMCY 0x5530, register 0x01") for t in texts(recording, "input_angle"))
 
 
-def test_echoes_of_own_frames_are_counted_and_never_samples(tmp_path, bus_name):
+@pytest.mark.parametrize("interface", ["virtual", pytest.param("udp_multicast", marks=needs_multicast)])
+def test_echoes_of_own_frames_are_counted_and_never_samples(tmp_path, bus_name, interface):
     motion = slow_motion(1)
     path = tmp_path / "run.arrows"
-    with CanBench(motion, channel=bus_name, trigger="sync") as bench:
+    channel = bus_name if interface == "virtual" else f"239.74.164.{os.getpid() % 250}"
+    with CanBench(motion, interface=interface, channel=channel, trigger="sync") as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
         with open_encoders(toml) as encoders:
             hub = encoders[0]._hub

@@ -1,5 +1,6 @@
 """A test sequence from its file to its recordings, driven by the simulated bench in a process of its own."""
 
+import contextlib
 import itertools
 import math
 import os
@@ -66,6 +67,83 @@ def test_a_driven_sequence_records_every_step(tmp_path, monkeypatch):
     assert np.ptp(loop["input_angle"].value) == 0
     assert loop["torque"].value.max() == pytest.approx(100, rel=0.02)
     assert loop["torque"].value.min() == pytest.approx(-100, rel=0.02)
+
+
+class Person:
+    """Reads the prompts in turn: a motion is set on the bench before Enter is pressed, a text is the answer."""
+
+    def __init__(self, bus_name, *script):
+        self.bus_name, self.script = bus_name, list(script)
+        self.benches = contextlib.ExitStack()
+
+    def readline(self):
+        now = self.script.pop(0)
+        if isinstance(now, str):
+            return now + "\n"
+        self.benches.close()  # the bench of the step before is switched off
+        self.benches.enter_context(CanBench(now, channel=self.bus_name, speed_factor=8.0))
+        return "\n"
+
+
+def moved(**options):
+    made = simulate_hysteresis if options.pop("hysteresis", False) else simulate_motion
+    return made(lambda angle, torque: -angle / 39 + 1e-6 * torque, BenchRun(**{"speed": 10 * math.pi, **options}))
+
+
+def test_a_prompted_sequence_goes_on_after_a_step_that_fell_short_and_hands_over_its_report(
+    command, tmp_path, wiring, bus_name
+):
+    """A brake set wrong at first; then all steps; at the end the real `cycloid-fit report`. No prompt is left over."""
+    from common import EXAMPLES
+
+    (tmp_path / "drive.toml").write_text((EXAMPLES / "drive-39-40.toml").read_text())
+    handed = 'pair = "drive.toml"\nreport = "report.html"\n'
+    (tmp_path / "sequence.toml").write_text(
+        SEQUENCE.replace("turns = 3", "turns = 40") + handed + '[hysteresis]\ntorque = "100 N*m"\n'
+    )
+    person = Person(
+        bus_name,
+        moved(torque=15.0, turns=41), "y",
+        moved(torque=20.0, turns=41),
+        moved(torque=-20.0, turns=41, direction="backward"),
+        moved(torque=100.0, turns=1, samples_per_turn=4000, hysteresis=True),
+    )  # fmt: skip
+    with person.benches:
+        run = command("cycloid-bench", "run", "sequence.toml", input=person)
+    assert run.returncode == 0, run.stderr
+    assert person.script == []
+    assert "1 of 3: 300 rpm forward, +20 N*m on the output, 40 crank turns." in run.stdout
+    assert "3 of 3: Lock the input. Torque 0 → +100 → 0 → −100 → 0 N*m, 1 times." in run.stdout
+    short = "300rpm-20Nm-forward.trial-1.arrows: not reached: the mean torque is 15 N*m, not 20 ± 1."
+    assert short in run.stderr
+    assert run.stderr.count("Press Enter when it runs") == 4
+    kept = {p.name for p in tmp_path.glob("*.arrows")}
+    steps = {"300rpm-20Nm-forward.arrows", "300rpm-20Nm-backward.arrows", "hysteresis-100Nm.arrows"}
+    assert kept == steps | {"300rpm-20Nm-forward.trial-1.arrows"}
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert all(name in page for name in ("Angular transmission error", "Lost motion", *steps))
+    assert "trial-1" not in page
+
+
+def test_a_step_that_is_given_up_is_kept_and_said_and_what_is_recorded_is_passed_over(
+    command, tmp_path, wiring, bus_name
+):
+    (tmp_path / "sequence.toml").write_text(SEQUENCE)
+    person = Person(bus_name, moved(torque=20.0, turns=4), moved(torque=-20.0, turns=4), "n")
+    with person.benches:
+        run = command("cycloid-bench", "run", "sequence.toml", input=person)
+    assert run.returncode == 1, run.stdout + run.stderr
+    assert "the crank turns the other way, not backward" in run.stderr
+    assert {p.name for p in tmp_path.glob("*.arrows")} == {
+        "300rpm-20Nm-forward.arrows", "300rpm-20Nm-backward.trial-1.arrows",
+    }  # fmt: skip
+    # Made again it goes on with what is missing, under the next free name.
+    person = Person(bus_name, moved(torque=-20.0, turns=4, direction="backward"))
+    with person.benches:
+        run = command("cycloid-bench", "run", "sequence.toml", input=person)
+    assert run.returncode == 0, run.stderr
+    assert run.stderr.count("Press Enter when it runs") == 1
+    assert (tmp_path / "300rpm-20Nm-backward.arrows").exists()
 
 
 def step_and_samples(tmp_path, wiring, step_number=0, motion=None, **run_options):

@@ -1,8 +1,11 @@
 import json
+import signal
 
 import numpy as np
 import pytest
 from common import BENCH
+
+from fitting import metrics
 
 
 def test_identify_from_the_command_line(command, tmp_path):
@@ -52,3 +55,43 @@ def test_bad_recordings_exit_2_and_write_nothing(command, tmp_path, verb, conten
     assert "run.csv" in run.stderr
     assert "Traceback" not in run.stderr
     assert [p.name for p in tmp_path.iterdir()] == ["run.csv"]
+
+
+FILES = [BENCH / f"{load}-forward.csv" for load in ("30Nm", "100Nm", "250Nm")]
+
+
+@pytest.mark.parametrize("verb", ["metrics", "report"])
+def test_an_interrupt_keeps_the_figures_of_the_files_that_were_taken(command, tmp_path, monkeypatch, verb):
+    survey = metrics.survey
+
+    def interrupted(stream, *rest):
+        def progress(samples):
+            if stream.source == str(FILES[2]):
+                signal.raise_signal(signal.SIGINT)
+
+        return survey(stream, *rest[:2], progress)
+
+    monkeypatch.setattr(metrics, "survey", interrupted)
+    output = "figures.json" if verb == "metrics" else "report.html"
+    run = command("cycloid-fit", verb, *FILES, "--ratio", "-39", "-o", output, "--json")
+    assert run.returncode == 130, run.stderr
+    found = json.loads(run.stdout)
+    assert len(found["angular_transmission_error"]["runs"]) == len(found["data"]) == 2
+    assert found["notes"][0] == "Interrupted: 2 of 3 recordings were taken."
+    assert run.stderr.split() == found["notes"][0].split()
+    text = (tmp_path / output).read_text(encoding="utf-8")
+    assert text.rstrip() == run.stdout.rstrip() if verb == "metrics" else "2 of 3 recordings were taken" in text
+
+
+def test_a_file_that_can_t_be_read_costs_its_own_figures_alone(command, tmp_path):
+    (tmp_path / "cut.tdms").write_bytes(b"TDSm\x0e\0")
+    run = command("cycloid-fit", "metrics", "cut.tdms", FILES[0], "none.csv", "--ratio", "-39", "-o", "f.json")
+    assert run.returncode == 2
+    assert "angular_transmission_error" in run.stdout
+    assert "cut.tdms: " in run.stderr
+    assert "none.csv: No such file" in run.stderr
+    assert list(json.loads((tmp_path / "f.json").read_text())["data"]) == [str(FILES[0])]
+    run = command("cycloid-fit", "metrics", "cut.tdms", "none.csv", "--ratio", "-39", "-o", "g.json")
+    assert run.returncode == 2
+    assert len(run.stderr.strip().splitlines()) == 2
+    assert not (tmp_path / "g.json").exists()

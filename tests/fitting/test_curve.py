@@ -1,13 +1,16 @@
 import itertools
+import re
 
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cycloid_fmu import edge
 from fitting.curve import Folding, noise_of, transmission_error_curve, transmission_error_curves, write_curves
+from fitting.metrics import figures_of, survey
+from fitting.panels import panels_of
 from fitting.recording import BenchRecording, Block
 
 
@@ -122,3 +125,45 @@ def test_standstill_is_left_out_and_both_directions_are_told_apart():
     assert any("stood" in note for note in forward.notes)
     with pytest.raises(edge.InputError, match="both directions"):
         transmission_error_curve(recorded(angle, error), -39.0)
+
+
+@given(ppm=st.floats(-300, 300), forwards=st.booleans(), turns=st.floats(3.0, 12.0), seed=st.integers(0, 99))
+@settings(max_examples=30)
+def test_a_transmission_error_that_runs_away_is_said_and_no_other_is(ppm, forwards, turns, seed):
+    """The output's clock runs `ppm` fast; orders 1 and 39 of any phase, cut anywhere, are no ramp."""
+    rng = np.random.default_rng(seed)
+    phase = rng.uniform(0, 2 * np.pi, 2)
+    angle = (1 if forwards else -1) * np.arange(int(turns * 39 * 20)) * 2 * np.pi / 20
+
+    def error(phi):
+        return 1e-4 * np.cos(phi / 39 + phase[0]) + 1e-4 * np.cos(phi + phase[1])
+
+    seen = angle / (1 + ppm * 1e-6)  # at the time stamped the output was where it is shown a little earlier
+    made = recorded(angle, error(seen) - (seen - angle) / 39)
+    curve = transmission_error_curve(made, -39.0)
+    said = [note for note in curve.notes if "runs away" in note]
+    ramp = ppm * 1e-6 * 2 * np.pi
+    wave = 12 / (2 * np.pi * turns**2)  # slope of a wave of amplitude 1 a turn; the ramp's own sawtooth is one, too
+    if abs(ramp) > 2 * 3 * wave * (2e-4 + abs(ramp) / 2):
+        shown = float(said[0].split("clock runs ")[1].split(" ppm")[0])
+        assert shown == pytest.approx(ppm, rel=0.35)
+    if abs(ramp) * turns < 0.9 * np.pi / 648000:
+        assert said == []
+
+
+def test_a_recording_of_less_than_a_turn_gives_its_curve_and_says_what_is_missing():
+    angle = np.arange(0, 0.6 * 2 * np.pi * 39, 2 * np.pi / 64)
+    made = recorded(angle, 1e-4 * np.cos(angle))
+    surveyed = survey(made, -39.0, None)
+    (curve,) = surveyed.curves
+    assert curve.turns == pytest.approx(0.6, rel=1e-3)
+    found = figures_of([surveyed], -39.0, None)
+    assert "angular_transmission_error" not in found.figures
+    (note,) = (n for n in found.notes if "output turn" in n)
+    said = (
+        r"run\.arrows: 6[01]\.\d% of an output turn was recorded; its orders need all of it\. No angular transmission "
+    )
+    assert re.fullmatch(rf"{said}error is given for it\.", note), note
+    titles = [panel.title for panel in panels_of(found)]
+    assert "Transmission error over one output turn" in titles
+    assert "Orders of the output" not in titles

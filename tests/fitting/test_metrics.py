@@ -1,3 +1,4 @@
+import dataclasses
 import json
 import os
 
@@ -6,10 +7,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fitting import metrics
 from fitting.curve import spectrum, transmission_error_curve
-from fitting.metrics import angular_transmission_error, figures_of, starting_torques, survey
-from fitting.recording import BenchRecording
+from fitting.metrics import (
+    angular_transmission_error,
+    back_driving_torques,
+    figures_of,
+    starting_torques,
+    survey,
+)
+from fitting.panels import panels_of
+from fitting.recording import BenchRecording, open_bench_recording
 
+SEEDS = int(os.environ.get("CYCLOID_SEEDS", "100"))
 ARCMIN = np.pi / 10800
 ARCSEC = ARCMIN / 60
 
@@ -143,12 +153,12 @@ FINE = np.linspace(0, 2 * np.pi, 200000)
 
 
 @pytest.mark.parametrize(("turns", "each", "highest"), [(3.2, 9999.7, 1560), (1.0, 8192, 1560), (2.0, 4000, 40)])
-def test_known_orders_come_back_within_their_uncertainty(turns, each, highest):
+@pytest.mark.parametrize("seeds", [3, pytest.param(SEEDS, marks=pytest.mark.slow)])
+def test_known_orders_come_back_within_their_uncertainty(turns, each, highest, seeds):
     """Points that hold uneven numbers of samples at uneven angles, one turn and several.
 
-    `CYCLOID_SEEDS` of 100 or more shows the coverage itself: 90 to 99 of 100.
+    The slow one shows the coverage itself: 90 to 99 of 100.
     """
-    seeds = int(os.environ.get("CYCLOID_SEEDS", "10"))
     known = {k: v for k, v in KNOWN.items() if k <= highest}
     true_range = np.ptp(sum(a * np.cos(k * FINE - p) for k, (a, p) in known.items()))
     inside = np.zeros(len(known) + 1)
@@ -173,19 +183,79 @@ def test_phases_of_orders_count_from_crank_angle_zero():
     assert others.max() < 1e-3 * ARCSEC
 
 
-def test_starts_are_found_where_the_torque_drives():
-    """The torque grows while the crank stands; it starts at 3, 4 and 5 N·m and runs on at less."""
-    torque, angle = [], []
-    at = 0.0
-    for start in (3.0, 4.0, 5.0):
+def started_at(levels):
+    """Crank angle and torque: the torque grows while the crank stands, which starts at these levels and runs on."""
+    torque, angle, at = [], [], 0.0
+    for start in levels:
         torque += [np.linspace(0, start, 400), np.full(400, 0.8 * start), np.zeros(200)]
         angle += [np.full(400, at), at - np.linspace(0, 20, 400), np.full(200, at - 20)]
         at -= 20
-    torque, angle = np.concatenate(torque), np.concatenate(angle)
+    return np.concatenate(angle), np.concatenate(torque)
+
+
+T_OF_TWO = 4.30265 / np.sqrt(3)  # Student's t with two degrees of freedom, over the root of three starts
+
+
+def test_starts_by_the_output_are_found_where_its_torque_drives():
+    angle, torque = started_at((3.0, 4.0, 5.0))
     made = recording(np.arange(torque.size) * 1e-3, angle, angle / -39, torque)
-    assert starting_torques(made) == pytest.approx([3.0, 4.0, 5.0])
-    found = figures_of([survey(made, -39.0, None)], -39.0, None).figures["starting_torque"]
-    assert found.value == pytest.approx(4.0)
-    assert found.uncertainty == pytest.approx(4.30265 / np.sqrt(3), rel=1e-4)  # Student's t, two degrees of freedom
+    assert [s.torque for s in back_driving_torques(made, -39.0)[0]] == pytest.approx([3.0, 4.0, 5.0])
+    found = figures_of([survey(made, -39.0, None)], -39.0, None).figures
+    assert "starting_torque" not in found
+    assert found["back_driving_torque"].value == pytest.approx(4.0)
+    assert found["back_driving_torque"].uncertainty == pytest.approx(T_OF_TWO, rel=1e-4)
+    assert found["back_driving_torque"].count == 3
     braked = recording(np.arange(torque.size) * 1e-3, -angle, -angle / -39, torque)
-    assert starting_torques(braked) == []
+    assert back_driving_torques(braked, -39.0) == ([], [])
+    driven = dataclasses.replace(made, input_torque=torque / 39)
+    assert back_driving_torques(driven, -39.0) == ([], []), "the input drives as well"
+
+
+def test_the_no_load_starting_torque_is_that_of_the_input():
+    """Starts at 30, 40 and 50 mN·m of the motor, the output free; a fourth one, against a brake, is none."""
+    angle, given = started_at((-0.03, -0.04, -0.05, -0.5))
+    output = np.where(np.arange(given.size) < 3000, 0.05 * np.sin(np.arange(given.size)), 15.0)
+    made = recording(np.arange(given.size) * 1e-3, angle, angle / -39, output)
+    made = dataclasses.replace(made, input_torque=given)
+    starts, said = starting_torques(made, -39.0)
+    assert [s.torque for s in starts] == pytest.approx([0.03, 0.04, 0.05])
+    assert [int(s.peak) for s in starts] == pytest.approx([399, 1399, 2399], abs=22)  # within the crank's first degree
+    assert said == ["run.csv: 1 of 4 starts are under load; left out."]
+    found = figures_of([survey(made, -39.0, 167.0)], -39.0, 167.0)
+    figure = found.figures["starting_torque"]
+    assert figure.value == pytest.approx(0.04)
+    assert figure.uncertainty == pytest.approx(0.01 * T_OF_TWO, rel=1e-4)
+    assert (figure.count, figure.counted, figure.unit) == (3, "starts", "N*m")
+    assert "back_driving_torque" not in found.figures
+    assert "no-load starting torque" in figure.definition
+    panels = {p.title: p for p in panels_of(found)}
+    marked = [t for t in panels["Starts by the input"].traces if t.texts]
+    assert [float(t.y[0]) for t in marked] == pytest.approx([0.03, 0.04, 0.05])
+
+
+def test_what_keeps_a_start_from_being_one_is_said():
+    angle, given = started_at((-0.03,))
+    made = recording(np.arange(given.size) * 1e-3, angle, angle / -39, 0.0, ratio=None)
+    made = dataclasses.replace(made, input_torque=given)
+    assert "no ratio says whether the output is loaded" in starting_torques(made, None)[1][0]
+    still = dataclasses.replace(made, input_angle=0.0 * angle)
+    assert "starts the crank nowhere from a standstill" in starting_torques(still, -39.0)[1][0]
+    assert starting_torques(recording(made.time, angle, angle / -39, 0.0), -39.0) == ([], [])
+
+
+def test_the_input_s_torque_is_read_from_a_table_and_survives_an_overview(command, tmp_path, monkeypatch):
+    angle, given = started_at((-0.03, -0.04, -0.05))
+    columns = zip(np.arange(given.size) * 1e-3, angle, angle / -39, 0.0 * angle, given * 1e3, strict=True)
+    header = "time [s],input_angle [rad],output_angle [rad],torque [N*m],input_torque [mN*m]"
+    rows = "\n".join(",".join(f"{v:.9f}" for v in row) for row in columns)
+    (tmp_path / "start.csv").write_text(f"{header}\n{rows}\n")
+    run = command("cycloid-fit", "metrics", "start.csv", "--ratio", "-39", "--json", "--plot", "start.png")
+    assert run.returncode == 0, run.stderr
+    assert json.loads(run.stdout)["starting_torque"]["value"] == pytest.approx(0.04)
+    assert json.loads(run.stdout)["starting_torque"]["starts"] == 3
+    monkeypatch.setattr(metrics, "_OVERVIEW", 500)  # as if it were too long to be kept whole
+    surveyed = survey(open_bench_recording(tmp_path / "start.csv"), -39.0, None)
+    assert surveyed.averaged == 2
+    found = figures_of([surveyed], -39.0, None)
+    assert found.figures["starting_torque"].value == pytest.approx(0.04, rel=0.02)
+    assert any("means of 2 samples" in note for note in found.notes)

@@ -343,6 +343,30 @@ def test_a_late_output_angle_is_found_by_changes_of_speed_and_a_delay_takes_it_a
     assert lag_of(read_bench_recording(steady), -39.0) is None
 
 
+def test_a_drift_in_the_mapping_takes_two_clocks_apart_together(tmp_path):
+    """Two groups of one MDF file, one stamped by a clock 100 ppm fast: the TE runs away until the mapping says so."""
+    asammdf = pytest.importorskip("asammdf")
+    time = 5.0 + np.arange(20000) / 100.0
+    crank = 60.0 * time
+    with asammdf.MDF(version="4.10") as mdf:
+        mdf.append([asammdf.Signal(crank, time, unit="rad", name="input_angle")])
+        mdf.append([asammdf.Signal(np.full(time.size, 50.0), time, unit="Nm", name="torque")])
+        late = time[0] + (time - time[0]) * (1 + 100e-6)
+        mdf.append([asammdf.Signal(-crank / 39 + 1e-4 * np.cos(crank), late, unit="rad", name="output_angle")])
+        mdf.save(tmp_path / "a.mf4")
+    runs_away = transmission_error_curve(read_bench_recording(tmp_path / "a.mf4"), -39.0)
+    (note,) = (n for n in runs_away.notes if "runs away" in n)
+    assert "clock runs +100 ppm fast" in note
+    assert f"by {100e-6 * 2 * np.pi * 206264.8:.3g}″ a turn" in note
+    columns = "".join(f'[{n}]\ncolumn = "{n}"\n' for n in ("input_angle", "torque", "output_angle"))
+    found = read_bench_recording(tmp_path / "a.mf4", mapping(tmp_path, f"{columns}drift = 100e-6\n"))
+    # What is left is the error of interpolating a wave over steps of 0.6 rad.
+    assert found.output_angle + found.input_angle / 39 == pytest.approx(1e-4 * np.cos(found.input_angle), abs=6e-6)
+    assert not any("runs away" in n for n in transmission_error_curve(found, -39.0).notes)
+    with pytest.raises(edge.InputError, match=r"\[output_angle\] drift = 0.5: it should be less than 0.01"):
+        mapping(tmp_path, f"{columns}drift = 0.5\n")
+
+
 @pytest.mark.parametrize("gap", [0.2, 0.8])
 def test_a_rollover_within_a_gap_is_counted_by_the_output_angle(tmp_path, gap):
     """Both angles roll over at a turn; in the gap the crank turns several times unseen."""
@@ -412,8 +436,8 @@ def test_what_inspect_proposes_reads_the_file(tmp_path, name):
 
 
 def write_strange_table(path):
-    header = "Zeit [s];Drehmoment [Nm];Winkel 1 [°];Winkel 2 [°]\n"
-    rows = rows_of([TIME, TORQUE, np.degrees(OUTPUT), np.degrees(INPUT)], ";", ",")
+    header = "Zeit [s];Drehmoment Motor [Nm];Drehmoment [Nm];Winkel 1 [°];Winkel 2 [°]\n"
+    rows = rows_of([TIME, 0.01 * TORQUE, TORQUE, np.degrees(OUTPUT), np.degrees(INPUT)], ";", ",")
     path.write_text(header + "\n".join(rows) + "\n", encoding="utf-8")
 
 
@@ -423,6 +447,7 @@ def test_inspect_from_the_command_line(command, tmp_path):
     assert run.returncode == 0, run.stderr
     assert "Winkel 2" in run.stdout
     assert read_mapping(tmp_path / "map.toml").input_angle.column == "Winkel 2"
+    assert read_mapping(tmp_path / "map.toml").input_torque.column == "Drehmoment Motor"
     assert (tmp_path / "channels.png").stat().st_size > 10000
     (tmp_path / "cut.mf4").write_bytes(b"MDF     4.10    " + bytes(100))
     run = command("cycloid-fit", "inspect", "cut.mf4")

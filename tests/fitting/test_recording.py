@@ -4,9 +4,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cycloid_fmu import edge
-from drivers.recording_format import GAP, Channel, Header, RecordingWriter, Samples
-from fitting.recording import read_bench_recording
+from drivers.clock import ClockEstimate
+from drivers.recording_format import (
+    GAP,
+    Channel,
+    Header,
+    RecordingWriter,
+    Samples,
+    clock_event,
+    read_clocks,
+    read_recording,
+)
+from fitting.curve import transmission_error_curve
+from fitting.metrics import figures_of, survey
+from fitting.recording import open_bench_recording, read_bench_recording
 
+ARCSEC = np.pi / 648000
 HEADER = "time [s],input_angle [rad],output_angle [rad],torque [N*m]"
 
 
@@ -140,3 +153,106 @@ def test_a_sample_that_is_no_number_is_left_out_marked_and_named(tmp_path):
     assert found.time.size == 49
     assert np.flatnonzero(found.status & GAP).tolist() == [7]
     assert "output_angle is not a finite number in sample 7" in found.notes[0]
+
+
+SPEED = 100 * 2 * np.pi / 60  # of the crank, rad/s: 100 rpm
+DRIFT = 100e-6
+
+
+def error(angle):
+    return 20 * ARCSEC * np.cos(angle)
+
+
+def drifting(path, *, seconds=100.0, rate=500.0, delay=1e-3, restart=False, both=False):
+    """Output angles stamped by a clock that runs 100 ppm fast, reaching the host late; the crank's by the host's own.
+
+    With `restart` the output's clock starts anew half way, with `both` it stamps both angles at the same instants.
+    """
+    rng = np.random.default_rng(3)
+    time = np.arange(int(seconds * rate)) / rate
+    later = time if both else time + 0.3 / rate
+    device = later * (1 + DRIFT) + 5000.0
+    half = time.size // 2
+    if restart:
+        device[half:] -= device[half] - 0.1
+    arrived = np.maximum.accumulate(later + rng.exponential(delay, time.size))
+    angles = {"input_angle": SPEED * time, "output_angle": -SPEED * later / 39 + error(SPEED * later)}
+    channels = tuple(Channel(n, n, "t", "rad", None, 1, 0.0, "absolute", "", "") for n in angles)
+    channels += (Channel("torque", "torque", "t", "N*m", None, 1, 0.0, "absolute", "", ""),)
+    owned = ("input_angle", "output_angle") if both else ("output_angle",)
+    clocks, restarts = {n: ClockEstimate() for n in owned}, 0
+    with RecordingWriter(path, Header(channels, {}, -39.0, "", "2026-01-01T00:00:00+00:00")) as writer:
+        for begin in range(0, time.size, 250):
+            s = slice(begin, begin + 250)
+            if restart and begin == half:
+                clocks, restarts = {n: ClockEstimate() for n in owned}, 1
+            writer.write(Samples.checked("torque", time[s], np.full(250, 50.0)))
+            for name, angle in angles.items():
+                if name not in owned:
+                    writer.write(Samples.checked(name, time[s], angle[s]))
+                    continue
+                clocks[name].add(device[s], arrived[s])
+                said = []
+                if (fit := clocks[name].fit()) is not None:
+                    said = [clock_event(arrived[s][-1], name, fit, restarts)]
+                writer.write(Samples.checked(name, arrived[s], angle[s], time_device=device[s]), said)
+    return path
+
+
+def left(time, output, at, crank):
+    """The transmission error that is not the drive's, rad, where the output angle is taken to be of these times."""
+    kept = slice(10, -10)
+    return (np.interp(at, time, output) + crank / 39 - error(crank))[kept], at[kept]
+
+
+@pytest.mark.parametrize("restart", [False, True])
+def test_two_clocks_that_drift_apart_are_put_on_one(tmp_path, restart):
+    """100 ppm at 100 rpm let the transmission error run away by 5.5″ a second; 1 ms of delay is 55″."""
+    path = drifting(tmp_path / "a.arrows", restart=restart)
+    raw = read_recording(path).samples
+    output, crank = raw["output_angle"], raw["input_angle"]
+    if not restart:
+        bare = output.time_device - output.time_device[0] + 0.3 / 500
+        runs, at = left(bare, output.value, crank.time_host, crank.value)
+        assert np.polyfit(at, runs, 1)[0] == pytest.approx(DRIFT * SPEED / 39, rel=0.02)
+    late, _ = left(output.time_host, output.value, crank.time_host, crank.value)
+    assert np.std(late) > 30 * ARCSEC
+    found = read_bench_recording(path)
+    rest, at = left(found.time, found.output_angle, found.time, found.input_angle)
+    ramp = np.polyfit(at, rest, 1)[0] * 100.0
+    reach = 2 * found.alignment * SPEED / 39
+    assert 0.0 < reach < 1.0 * ARCSEC
+    assert abs(ramp) < reach + 0.02 * ARCSEC
+    assert np.std(rest) < 0.1 * ARCSEC
+    clocks = read_clocks(path, ["output_angle"])["output_angle"]
+    assert len(clocks) == 1 + restart
+    assert found.alignment == max(c.uncertainty for c in clocks.values())
+    (note,) = (n for n in found.notes if "clock of its own" in n)
+    assert "output_angle has a clock of its own, which runs +100 ppm fast" in note
+
+
+def test_what_is_left_of_the_drift_is_in_the_figure_s_uncertainty(tmp_path):
+    """Few samples with long delays: the clock is known badly, so the transmission error is too."""
+    path = drifting(tmp_path / "a.arrows", seconds=60.0, rate=100.0, delay=20e-3)
+    surveyed = survey(open_bench_recording(path), None, None)
+    (curve,) = surveyed.curves
+    figure = figures_of([surveyed], -39.0, None).figures["angular_transmission_error"]
+    run_away = 2 * read_bench_recording(path).alignment * SPEED / 39
+    assert surveyed.apart == pytest.approx(run_away, rel=0.02)
+    assert figure.uncertainty >= surveyed.apart / curve.turns > 1e-3 * ARCSEC
+    assert abs(figure.value - 40 * ARCSEC) < figure.uncertainty + 0.1 * ARCSEC
+
+
+def test_angles_that_one_clock_stamped_stay_pairs(tmp_path):
+    """Latched by one SYNC and stamped by one interface: whatever its clock does, no instant is made two."""
+    found = read_bench_recording(drifting(tmp_path / "a.arrows", seconds=20.0, both=True))
+    assert found.alignment == 0.0
+    assert found.time.size > 9000
+    assert not any("interpolated" in note for note in found.notes)
+    assert found.output_angle == pytest.approx(-found.input_angle / 39 + error(found.input_angle), abs=1e-12)
+    assert transmission_error_curve(found, -39.0).turns == pytest.approx(20 * SPEED / (2 * np.pi * 39), rel=1e-3)
+
+
+def test_without_a_clock_of_its_own_only_the_first_samples_are_read(tmp_path):
+    path = arrows(tmp_path / "a.arrows", samples=5000)
+    assert read_clocks(path, ["input_angle", "output_angle", "torque"]) == {}
