@@ -8,7 +8,6 @@ same reference in both versions.
 from __future__ import annotations
 
 import dataclasses
-import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -287,24 +286,3 @@ def variables(
         dataclasses.replace(v, initially=initially.get(v.name, shaping)) if v.causality == "output" else v
         for v in found
     )
-
-
-def check_losses(rows: tuple[tuple[float, ...], ...]) -> None:
-    """Refuse a loss table that is none.
-
-    Raises
-    ------
-    ValueError
-        If speeds don't ascend from 0, an efficiency lies outside (0, 1] or [0, 1], or a torque is below 0; the text is
-        one sentence.
-    """
-    for i, (speed, forward, backward, torque_forward, torque_backward) in enumerate(rows, start=1):
-        if not (speed == 0.0 if i == 1 else rows[i - 2][0] < speed < math.inf):
-            raise ValueError(f"loss_table[{i},1] = {speed:g}: speeds must ascend from 0")
-        if not 0.0 < forward <= 1.0:
-            raise ValueError(f"loss_table[{i},2] = {forward:g}: an efficiency lies above 0 and not above 1")
-        if not 0.0 <= backward <= 1.0:
-            raise ValueError(f"loss_table[{i},3] = {backward:g}: an efficiency lies between 0 and 1")
-        for j, torque in ((4, torque_forward), (5, torque_backward)):
-            if not 0.0 <= torque < math.inf:
-                raise ValueError(f"loss_table[{i},{j}] = {torque:g}: a friction torque is not below 0")
