@@ -21,10 +21,10 @@ if sys.platform == "linux":
         atexit.register(ctypes.CDLL(str(_library)).finalizePythonInterpreter)
 
 try:
-    from cycloid_fmu.fmu.slave import DriveSlave
+    from cycloid_fmu.fmu.slave import DriveSlave2
 except ImportError as problem:
     raise ImportError(f"this FMU needs the Python package cycloid-fmu in the host's Python: {problem}") from problem
 
 
-class CycloidDrive(DriveSlave):
+class CycloidDrive(DriveSlave2):
     """Cycloid-pin gear drive; the class' name is the FMU's model identifier."""

@@ -18,7 +18,8 @@ from cycloid_fmu.surface import DESCRIPTIONS, PATTERNS, ErrorSurface, structured
 
 ORDERS = (1, 2, 3)
 ARRAYS = ("pin_radial", "pin_tangential", "pin_radius_deviation")
-LOSSLESS = ((0.0, 1.0, 1.0, 0.0, 0.0),)
+LossRow = tuple[float, float, float, float, float]
+LOSSLESS: tuple[LossRow, ...] = ((0.0, 1.0, 1.0, 0.0, 0.0),)
 LARGEST_STEP = 1e-3  # s: default of `largest_step`
 FRICTION_DISPLACEMENT = 2e-5  # rad of the output over which the compliant interface's dry friction builds up
 LOSS_SPEED = 1e-2  # rad/s of flange_a below which the losses' torque goes to zero with the speed
@@ -63,7 +64,7 @@ class Interface:
 
     kind: Literal["kinematic", "compliant"] = "kinematic"
     output_inertia: float = 0.0
-    losses: tuple[tuple[float, float, float, float, float], ...] = LOSSLESS
+    losses: tuple[LossRow, ...] = LOSSLESS
     driven: Literal["crank", "sun"] = "crank"
 
 
