@@ -16,6 +16,7 @@ import numpy as np
 from cycloid_fmu.pair import LARGEST_DEVIATION, LARGEST_MISALIGNMENT, Pair
 from cycloid_fmu.surface import DESCRIPTIONS, PATTERNS, ErrorSurface, structured_names, structured_value, unit_of
 
+INTERFACES = ("kinematic", "compliant")
 ORDERS = (1, 2, 3)
 ARRAYS = ("pin_radial", "pin_tangential", "pin_radius_deviation")
 LossRow = tuple[float, float, float, float, float]
