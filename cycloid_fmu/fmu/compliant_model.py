@@ -62,6 +62,10 @@ class CompliantModel(DriveModel):
         "output_inertia",
     )  # fmt: skip
     _CACHES = (*DriveModel._CACHES, "_solved_at", "_solved")
+    _MOVED = (
+        *DriveModel._MOVED, "crank_angle", "_output_angle", "_output_speed", "_bristle", "_seen", "dissipated_energy",
+        "_solved_at", "_solved",
+    )  # fmt: skip
 
     def __init__(
         self,
@@ -176,8 +180,11 @@ class CompliantModel(DriveModel):
         return {**kept, "torque": self._load_torque, "series_compliance": self.series_compliance,
                 "backlash_on": self.backlash_on}  # fmt: skip
 
+    def _before(self) -> tuple[Any, ...]:
+        return tuple(getattr(self, name) for name in self._MOVED)
+
     def check_step(self, step: float) -> None:
-        """Refuse a step that is none or larger than the stated one."""
+        """Refuse a step that is none or longer than the largest."""
         super().check_step(step)
         if step > self.largest_step * (1.0 + 1e-9):
             raise StepError(f"a step of {step:g} s: largest_step is {self.largest_step:g} s")

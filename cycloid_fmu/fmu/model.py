@@ -220,21 +220,21 @@ class DriveModel:
             If the step is refused; nothing has moved then.
         """
         self.check_step(step)
-        kept = self._kept()
+        kept, contacts = self._before(), self._contacts.copy()
         try:
             self._move(step)
         except StepError:
-            self._put_back(kept)
+            self._forget()
+            self._contacts = contacts
+            for name, value in zip(self._MOVED, kept, strict=True):
+                setattr(self, name, value)
             raise
 
-    def _kept(self) -> tuple[Any, ...]:
-        rows = self._contacts.copy(), self._play_contacts.copy()
-        return tuple(getattr(self, n, None) for n in (*self._STATE, *self._CACHES)), *rows
+    # What a step changes besides the contacts.
+    _MOVED: tuple[str, ...] = ("_placed", "_x", "_stiffness", "_load", "_pushed", "_side", "_cold")
 
-    def _put_back(self, kept: tuple[Any, ...]) -> None:
-        values, self._contacts, self._play_contacts = kept
-        for name, value in zip((*self._STATE, *self._CACHES), values, strict=True):
-            setattr(self, name, value)
+    def _before(self) -> tuple[Any, ...]:
+        return self._placed, self._x, self._stiffness, self._load, self._pushed, self._side, self._cold
 
     def _move(self, step: float) -> None:
         self._placed = self._reduced(self.crank_angle)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
+from typing import Any
 
 from cycloid_fmu import contact
 from cycloid_fmu.fmu.model import DriveModel
@@ -57,6 +58,7 @@ class ReducerModel(DriveModel):
     """
 
     _STATE = (*DriveModel._STATE, "_crank_angle")
+    _MOVED = (*DriveModel._MOVED, "_crank_angle")
 
     def __init__(
         self,
@@ -83,6 +85,9 @@ class ReducerModel(DriveModel):
     def _outer(self) -> float:
         """Half of what the sun's and the bearings' play are at the output, rad."""
         return 0.5 * (self._sun_play / self._ratio + self._s * self._stage.bearing_play) if self.backlash_on else 0.0
+
+    def _before(self) -> tuple[Any, ...]:
+        return *super()._before(), self._crank_angle
 
     @property
     def _theta(self) -> float:

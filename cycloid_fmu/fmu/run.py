@@ -250,14 +250,15 @@ def turn_crank(
     Returns
     -------
     results
-        {"time" s, "flange_a.phi" rad and the outputs: shape (samples,)}.
+        {"time" s, the inputs and the outputs: shape (samples,)}.
     """
     count = max(2, round(abs(turns) * samples) + 1)
     angle = np.linspace(0.0, 2.0 * math.pi * turns, count)
     time = np.abs(angle) / crank_speed
     speed = math.copysign(crank_speed, turns)
     results = follow(path, angle, torque, crank_speed=speed, step=float(time[1]))
-    return {"time": time, "flange_a.phi": angle, **results}
+    given = {"flange_a.phi": angle, "flange_a.w": np.full(count, speed), "flange_b.tau": np.full(count, torque)}
+    return {"time": time, **given, **results}
 
 
 def si_unit(unit: str) -> str:

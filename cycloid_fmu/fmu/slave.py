@@ -6,8 +6,11 @@ wrong reference, a foreign state, parameters that contradict each other. A step 
 
 from __future__ import annotations
 
+import atexit
+import contextlib
 import ctypes
 import functools
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -39,6 +42,14 @@ def kept_alive(method: _Method) -> _Method:
     return cast(_Method, guarded)
 
 
+@functools.cache
+def _release_at_exit(library: Path) -> None:
+    """Release early what both libraries give back twice when a Python host on Linux exits: a static object."""
+    if sys.platform == "linux":
+        with contextlib.suppress(OSError, AttributeError):
+            atexit.register(ctypes.CDLL(str(library)).finalizePythonInterpreter)
+
+
 class DriveSlave:
     """What both slaves do; the libraries' own classes come behind it."""
 
@@ -46,7 +57,8 @@ class DriveSlave:
     log_queue: list[Any]
     core: Core
 
-    def _open(self, resources: str) -> None:
+    def _open(self, resources: str, platform: str) -> None:
+        _release_at_exit(Path(resources).parent / "binaries" / platform / "CycloidDrive.so")
         self.core = Core(Path(resources), self.fmi_version)
         self._getters, self._put = self.core.getters, self.core.put
 
@@ -109,7 +121,7 @@ class DriveSlave2(DriveSlave, Fmi2Slave):  # type: ignore[misc]
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self.default_experiment = DefaultExperiment(start_time=0.0, stop_time=1.0, step_size=1e-3)
-        self._open(self.resources)
+        self._open(self.resources, "linux64")
 
     def _refuse(self, message: str) -> None:
         self.log(message, Fmi2Status.discard)
