@@ -169,7 +169,7 @@ class CompliantModel(DriveModel):
             still.advance()
             self._output_angle, self._output_speed = still.output_angle, still.output_speed
             for _ in range(5 if self._load_torque != 0.0 else 0):
-                # The energy's torque and that of the quasi-static balance differ by 1e-4 (`contact.elastic_energy`).
+                # The energy's torque and that of the quasi-static balance differ a little (`contact.elastic_energy`).
                 torque = self._contact(self._reduced(self.crank_angle), self.transmission_error)[2]
                 self._output_angle += (self._load_torque - torque) * (1.0 / self._stiffness + self.series_compliance)
         self._seen = self._output_angle
