@@ -43,14 +43,17 @@ def put(model, crank, deviation, crank_speed=0.0, deviation_speed=0.0):
 
 
 class Work:
-    """What the surroundings do on a model that is led along straight lines, by the trapezoidal rule."""
+    """What the surroundings do on a model that is led along straight lines, by the trapezoidal rule.
+
+    `unknown` bounds what the rule may err where torques are monotonic over each part.
+    """
 
     def __init__(self, model, crank=0.0, deviation=0.0):
         self.model, self.place = model, (crank, deviation)
         put(model, crank, deviation)
         model.forget_history()
         model.advance()
-        self.done = self.throughput = 0.0
+        self.done = self.throughput = self.unknown = 0.0
         self.stored = model.elastic_energy
 
     def lead(self, crank, deviation, parts=1, step=1e-3):
@@ -61,9 +64,9 @@ class Work:
             before = model.crank_torque, model.torque
             model.advance(step / parts)
             turned = way[0], way[0] / PLAY.ratio + way[1]
-            work = [
-                0.5 * (a + b) * w for a, b, w in zip(before, (model.crank_torque, model.torque), turned, strict=True)
-            ]
+            torques = list(zip(before, (model.crank_torque, model.torque), turned, strict=True))
+            work = [0.5 * (a + b) * w for a, b, w in torques]
+            self.unknown += sum(0.5 * abs((b - a) * w) for a, b, w in torques)
             self.done += sum(work)
             self.throughput += sum(map(abs, work))
             self.place = tuple(np.add(self.place, way))
@@ -120,8 +123,7 @@ def test_a_closed_cycle_gives_nothing_back(corners):
         work = Work(compliant(**parameters))
         for crank, deviation in (*corners, (0.0, 0.0)):
             work.lead(crank, deviation, parts=40, step=1e-3)
-        # Sums over straight parts of a curved force: what is left shrinks with the square of the parts' length.
-        assert work.taken > -2e-3 * work.throughput - 1e-12
+        assert work.taken > -work.unknown - 1e-12
 
 
 def test_the_energy_s_balance_closes_as_the_path_is_walked_in_finer_parts():
