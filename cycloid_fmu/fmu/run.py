@@ -6,12 +6,13 @@ import csv
 import math
 import os
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
+from fmpy.fmi1 import FMICallException
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import edge
@@ -73,8 +74,8 @@ class Fmu:
         fmpy's descriptions by name.
     """
 
-    def __init__(self, path: str | os.PathLike[str], description: Any, slave: Any) -> None:
-        self.path, self.slave = path, slave
+    def __init__(self, path: str | os.PathLike[str], description: Any, slave: Any, said: list[str]) -> None:
+        self.path, self.slave, self._said = path, slave, said
         self.variables = {v.name: v for v in description.modelVariables}
         self._new = description.fmiVersion.startswith("3")
 
@@ -107,22 +108,32 @@ class Fmu:
         """Set start values and leave initialization."""
         if not self._new:
             self.slave.setupExperiment(startTime=0.0)
-        self.slave.enterInitializationMode()
-        self.set(values or {})
-        self.slave.exitInitializationMode()
+        try:
+            self.slave.enterInitializationMode()
+            self.set(values or {})
+            self.slave.exitInitializationMode()
+        except FMICallException as problem:
+            self._raise("the start", problem)
 
     def step(self, time: float, step: float) -> None:
-        """Make a step, s."""
-        self.slave.doStep(time, step)
+        """Make a step, s; an `edge.InputError` has the FMU's message where it refuses it."""
+        try:
+            self.slave.doStep(time, step)
+        except FMICallException as problem:
+            self._raise(f"the step from {time:g} s", problem)
+
+    def _raise(self, what: str, problem: Exception) -> NoReturn:
+        why = self._said[-1] if self._said else str(problem)
+        raise edge.InputError(f"{self.path}: {what} was refused: {why.rstrip('.')}.") from None
 
 
 @contextmanager
-def opened(path: str | os.PathLike[str], needed: Sequence[str] = ()) -> Iterator[Fmu]:
+def opened(path: str | os.PathLike[str], inputs: Iterable[str] = (), outputs: Iterable[str] = ()) -> Iterator[Fmu]:
     """Instantiate an FMU, and terminate and free it afterwards.
 
     Parameters
     ----------
-    needed
+    inputs, outputs
         Variables without which it is not what is wanted.
 
     Raises
@@ -131,24 +142,39 @@ def opened(path: str | os.PathLike[str], needed: Sequence[str] = ()) -> Iterator
         If the file is no co-simulation FMU or lacks a variable.
     """
     import fmpy
-    from fmpy.fmi2 import FMU2Slave
+    from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
     from fmpy.fmi3 import FMU3Slave
 
-    description = _description(path)
-    missing = [n for n in needed if n not in {v.name for v in description.modelVariables}]
-    if description.coSimulation is None or missing:
-        what = f"this FMU has no variable {missing[0]}" if missing else "this FMU is not for co-simulation"
-        raise edge.InputError(f"{path}: {what}; it is not one of a cycloid drive with the kinematic interface.")
+    description, said = _description(path), list[str]()
+
+    def listen(*words: Any) -> None:
+        said.append(words[-1].decode("utf-8", "replace").splitlines()[-1])
+
+    if description.coSimulation is None:
+        raise edge.InputError(f"{path}: this FMU is not for co-simulation.")
+    causalities = {v.name: v.causality for v in description.modelVariables}
+    for causality, names in (("input", inputs), ("output", outputs)):
+        for name in names:
+            if causalities.get(name) != causality:
+                raise edge.InputError(f"{path}: this FMU has no {causality} {name}.")
     folder = fmpy.extract(str(path))
-    slave = (FMU3Slave if description.fmiVersion.startswith("3") else FMU2Slave)(
+    new = description.fmiVersion.startswith("3")
+    slave = (FMU3Slave if new else FMU2Slave)(
         guid=description.guid,
         unzipDirectory=folder,
         modelIdentifier=description.coSimulation.modelIdentifier,
         instanceName="drive",
     )
     try:
-        slave.instantiate()
-        yield Fmu(path, description, slave)
+        if new:
+            slave.instantiate(loggingOn=True, logMessage=listen)
+        else:
+            callbacks = fmi2CallbackFunctions(
+                *(getattr(defaultCallbacks, n) for n, _ in fmi2CallbackFunctions._fields_)
+            )
+            callbacks.logger = fmi2CallbackLoggerTYPE(listen)
+            slave.instantiate(callbacks=callbacks, loggingOn=True)
+        yield Fmu(path, description, slave, said)
         slave.terminate()
     finally:
         if slave.component:
@@ -187,7 +213,7 @@ def lead(
         {name: shape (samples,)}, SI.
     """
     found = np.empty((time.size, len(outputs)))
-    with opened(path, [*inputs, *outputs]) as fmu:
+    with opened(path, inputs, outputs) as fmu:
         moving = "largest_step" in fmu.variables
         fmu.initialize({**(parameters or {}), **{n: float(v[0]) for n, v in inputs.items()}})
         put, get = fmu.writer(list(inputs)), fmu.reader(outputs)
