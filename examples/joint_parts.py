@@ -1,8 +1,14 @@
 """What stands around the drive in a robot joint, as FMUs of their own: a servo motor and an arm's weight."""
 
 import math
+from collections.abc import Mapping
+from pathlib import Path
 
+import numpy as np
 from pythonfmu import Fmi2Causality, Fmi2Slave, Fmi2Variability, Real
+
+STEP, END = 2e-4, 1.0  # s
+CHAIN = {"series_compliance": 5e-6, "mesh_damping": 200.0}  # bearings, housing and flange around the gear
 
 
 class JointPart(Fmi2Slave):
@@ -88,3 +94,15 @@ class Arm(JointPart):
     def do_step(self, current_time, step_size):
         self.flange__tau = -9.81 * self.mass * self.length * math.sin(self.flange__phi)
         return True
+
+
+def moved(ssp: Path, parameters: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Time and path error of the joint, s and rad."""
+    from fmpy.ssp.simulation import simulate_ssp
+    from fmpy.ssp.ssd import Parameter, ParameterSet
+
+    every = {**{f"drive.{n}": v for n, v in CHAIN.items()}, **{f"motor.{n}": v for n, v in parameters.items()}}
+    chosen = ParameterSet()
+    chosen.parameters = [Parameter(name=n, type="Real", value=v) for n, v in every.items()]
+    rows = simulate_ssp(str(ssp), stop_time=END, step_size=STEP, parameter_set=chosen)
+    return rows["time"] + STEP, rows["drive.flange_b.phi"] - rows["motor.path"]

@@ -17,9 +17,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 import bench_to_fmu
 import numpy as np
 from fmpy import read_model_description
-from fmpy.ssp.simulation import simulate_ssp
-from fmpy.ssp.ssd import Parameter, ParameterSet
-from joint_parts import Motor
+from joint_parts import END, Motor, moved
 from numpy.typing import NDArray
 
 from cycloid_fmu.fmu.build import build_fmu
@@ -31,8 +29,6 @@ from cycloid_fmu.surface import ErrorSurface, read_surface, surface_of_pair
 
 HERE, OUT = Path(__file__).parent, Path("robot_joint_out")
 ARM = Interface("compliant", output_inertia=2.0)  # kg·m², the arm's, beside the stiff contacts
-STEP, END = 2e-4, 1.0
-CHAIN = {"series_compliance": 5e-6, "mesh_damping": 200.0}  # bearings, housing and flange around the gear
 COMPONENTS = {"motor": "Motor.fmu", "drive": "drive.fmu", "arm": "Arm.fmu"}
 CONNECTIONS = (
     ("motor", "flange.phi", "drive", "flange_a.phi"), ("motor", "flange.w", "drive", "flange_a.w"),
@@ -42,7 +38,7 @@ CONNECTIONS = (
 Array = NDArray[np.float64]
 
 
-def write_ssp(path: Path, fmus: Path, step: float = STEP, end: float = END) -> None:
+def write_ssp(path: Path, fmus: Path) -> None:
     """Package the joint's FMUs as an SSP: components, connectors and connections in `SystemStructure.ssd`."""
     ns = "http://ssp-standard.org/SSP1/SystemStructure"
     common = f"{ns}Common"
@@ -67,7 +63,7 @@ def write_ssp(path: Path, fmus: Path, step: float = STEP, end: float = END) -> N
             connections, f"{{{ns}Description}}Connection", startElement=a, startConnector=start, endElement=b,
             endConnector=stop,
         )  # fmt: skip
-    SubElement(root, f"{{{ns}Description}}DefaultExperiment", startTime="0", stopTime=str(end))
+    SubElement(root, f"{{{ns}Description}}DefaultExperiment", startTime="0", stopTime=str(END))
     indent(root)
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("SystemStructure.ssd", tostring(root, encoding="utf-8", xml_declaration=True))
@@ -88,15 +84,6 @@ def joint(pair: Pair, surface: ErrorSurface, path: Path) -> Path:
             subprocess.run([sys.executable, "-m", "pythonfmu", *map(str, words)], check=True, cwd=HERE)
         write_ssp(path, place)
     return path
-
-
-def moved(ssp: Path, parameters: Mapping[str, float]) -> tuple[Array, Array]:
-    """Time and path error of the joint, s and rad."""
-    every = {**{f"drive.{n}": v for n, v in CHAIN.items()}, **{f"motor.{n}": v for n, v in parameters.items()}}
-    chosen = ParameterSet()
-    chosen.parameters = [Parameter(name=n, type="Real", value=v) for n, v in every.items()]
-    rows = simulate_ssp(str(ssp), stop_time=END, step_size=STEP, parameter_set=chosen)
-    return rows["time"] + STEP, rows["drive.flange_b.phi"] - rows["motor.path"]
 
 
 def compensation(fmu: Path, load: float) -> dict[str, float]:
