@@ -268,12 +268,16 @@ def test_an_inertia_inside_crosses_the_play_and_bounces_without_gaining():
 
 
 def coupled(h, delayed, damping=0.0, periods=20):
-    """Largest swing at the end over that at the start, of a mass outside: ω₀h as h, torque held over each step."""
-    model = compliant(mesh_damping=damping)
+    """Largest swing at the end over that at the start, of a mass outside: ω₀h as h, torque held over each step.
+
+    The damping is given in k h/2.
+    """
+    model = compliant()
     rest = float(solve(PLAY, SURFACE, 100.0, 0.3).transmission_error[0, 0])
     put(model, 0.3, rest)
     stiffness, load = model.torsional_stiffness, model.torque
     inertia, step = 0.05, h / math.sqrt(stiffness / 0.05)
+    model.mesh_damping = damping * stiffness * step / 2.0
     x, v, torque, swings = 1e-8, 0.0, None, []
     for _ in range(round(periods * 2 * math.pi / h)):
         put(model, 0.3, rest + x, 0.0, v)
@@ -294,7 +298,9 @@ def test_a_stiff_contact_stays_stable_at_a_step_where_a_late_torque_does_not():
     assert coupled(0.05, delayed=True) > 50.0
     assert coupled(0.05, delayed=False) == pytest.approx(math.exp(20 * math.pi / 2 * 0.05), rel=0.15)
     # Held over each step h the torque is h/2 late; damping above k h/2 makes up for that.
-    assert coupled(0.05, delayed=False, damping=300.0) < 0.5
+    assert coupled(0.05, delayed=False, damping=2.0) < 0.5
+    assert coupled(0.05, delayed=False, damping=0.5) > 1.5
+    assert coupled(0.05, delayed=True, damping=4.0) < 0.5
 
 
 @pytest.mark.parametrize(
