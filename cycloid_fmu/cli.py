@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 import os
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,6 +16,9 @@ from rich.console import Console
 from cycloid_fmu import edge
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from cycloid_fmu.pair import Pair
     from cycloid_fmu.surface import ErrorSurface
 
@@ -53,6 +58,15 @@ def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
     for row in rows:
         table.add_row(*row)
     Console().print(table)
+
+
+@contextlib.contextmanager
+def _bar(what: str, total: int) -> Iterator[Callable[[int], None]]:
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(what, total=total)
+        yield lambda done: bar.advance(task, done)
 
 
 @app.command()
@@ -252,17 +266,45 @@ def build(
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="The FMU file.")],
     surface_file: SurfaceFile = None,
+    interface: Annotated[
+        str,
+        typer.Option(
+            help="kinematic: crank motion and load in, output motion out; compliant: both motions in, both torques out."
+        ),
+    ] = "kinematic",
+    output_inertia: Annotated[
+        str | None,
+        typer.Option(
+            metavar='"J kg*m^2"', help="Inertia on the output inside a compliant FMU, which then takes the load."
+        ),
+    ] = None,
+    losses: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="LOSSES.csv",
+            help="Losses: speed [rpm],eta_mf1 [1],eta_mf2 [1],tau_bf1 [N*m],tau_bf2 [N*m], as Modelica's LossyGear.",
+        ),
+    ] = None,
+    fmi: Annotated[str, typer.Option(help="FMI version, 2.0 or 3.0.")] = "2.0",
 ) -> None:
-    """Build an FMI 2.0 Co-Simulation FMU of the drive, or of a whole RV reducer with the sun as input.
+    """Build a Co-Simulation FMU of the drive, or of a whole RV reducer with the sun as input.
 
     Example: [cyan]cycloid-fmu build pair.toml --surface identified.nc -o drive.fmu[/]
     """
     from cycloid_fmu import reducer as rv
-    from cycloid_fmu.fmu.build import build_fmu
+    from cycloid_fmu.fmu import build as builder
+    from cycloid_fmu.fmu.variables import INTERFACES, LOSSLESS, Interface
     from cycloid_fmu.surface import check_surface, read_surface
 
     if output.suffix != ".fmu":
         raise edge.InputError(f"--output {output}: the name must end in .fmu.")
+    if interface not in INTERFACES:
+        raise edge.InputError(f"--interface {interface}: it must be one of {', '.join(INTERFACES)}.")
+    if fmi not in ("2.0", "3.0"):
+        raise edge.InputError(f"--fmi {fmi}: it must be 2.0 or 3.0.")
+    inertia = 0.0 if output_inertia is None else edge.quantity_option(output_inertia, "kg*m^2", "--output-inertia")
+    table = LOSSLESS if losses is None else builder.read_losses(losses)
+    offered = Interface(interface, inertia, table)  # type: ignore[arg-type]
     if edge.format_of(pair_file) == rv.FORMAT:
         reducer = rv.read_reducer(pair_file)
         for warning in rv.contradictions(reducer, str(pair_file)):
@@ -271,10 +313,11 @@ def build(
         if surface_file is not None:
             surface = read_surface(surface_file)
             check_surface(reducer.stage, surface, str(pair_file), str(surface_file))
-        build_fmu(reducer.stage, surface, output, rv.first_stage_of(reducer))
+        stage = rv.first_stage_of(reducer)
+        builder.build_fmu(reducer.stage, surface, output, stage, interface=offered, fmi_version=fmi)  # type: ignore[arg-type]
         return
     pair, surface = _load(pair_file, surface_file)
-    build_fmu(pair, surface, output)
+    builder.build_fmu(pair, surface, output, interface=offered, fmi_version=fmi)  # type: ignore[arg-type]
 
 
 FmuFile = Annotated[Path, typer.Argument(metavar="DRIVE.fmu", help="An FMU made by cycloid-fmu build.")]
@@ -299,24 +342,17 @@ def inspect(fmu_file: FmuFile, as_json: AsJson = False) -> None:
         raise typer.Exit(edge.FAILED)
 
 
-@app.command()
-def simulate(
-    fmu_file: FmuFile,
-    torque: Annotated[str, typer.Option(help='Torque on the output, such as "100 N*m".')],
-    turns: Annotated[float, typer.Option(help="Crank turns; below zero turns backwards.")] = 1.0,
-    speed: Annotated[str, typer.Option(help="Crank speed.")] = "600 rpm",
-    samples: Annotated[int, typer.Option(min=2, help="Samples for each crank turn.")] = 360,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the results (CSV).")] = None,
-    plot: PlotFile = None,
-    as_json: AsJson = False,
-) -> None:
-    """Turn the crank of an FMU at constant speed and torque (with fmpy).
+MotionFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--input",
+        metavar="MOTION.csv",
+        help="The inputs over time: time [s] and a column each, such as flange_a.phi [rad]; a recording will do.",
+    ),
+]
 
-    Example: [cyan]cycloid-fmu simulate drive.fmu --torque "100 N*m" --turns 2 -o run.csv --plot run.png[/]
-    """
-    import numpy as np
 
-    from cycloid_fmu import plots
+def _motion(fmu_file: Path, torque: str, turns: float, speed: str, samples: int) -> dict[str, NDArray[np.float64]]:
     from cycloid_fmu.fmu.run import turn_crank
 
     load = edge.quantity_option(torque, "N*m", "--torque")
@@ -325,14 +361,43 @@ def simulate(
         raise edge.InputError(f'--speed = "{speed}": it must be above zero; turn backwards with --turns below zero.')
     if turns == 0.0:
         raise edge.InputError("--turns = 0: it must not be zero.")
+    return turn_crank(fmu_file, load, turns, crank_speed, samples)
+
+
+@app.command()
+def simulate(
+    fmu_file: FmuFile,
+    torque: Annotated[str | None, typer.Option(help='Torque on the output, such as "100 N*m".')] = None,
+    turns: Annotated[float, typer.Option(help="Crank turns; below zero turns backwards.")] = 1.0,
+    speed: Annotated[str, typer.Option(help="Crank speed.")] = "600 rpm",
+    samples: Annotated[int, typer.Option(min=2, help="Samples for each crank turn.")] = 360,
+    motion: MotionFile = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the results (CSV).")] = None,
+    plot: PlotFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Turn the crank of an FMU at constant speed and torque, or lead it through a motion (with fmpy).
+
+    Example: [cyan]cycloid-fmu simulate drive.fmu --torque "100 N*m" --turns 2 -o run.csv --plot run.png[/]
+    """
+    import numpy as np
+
+    from cycloid_fmu import plots
+    from cycloid_fmu.fmu import run
+
+    if (torque is None) == (motion is None):
+        raise edge.InputError("simulate needs --torque, or --input with the inputs over time.")
     if plot is not None:
         plots.check_path(plot)
-    results = turn_crank(fmu_file, load, turns, crank_speed, samples)
+    if motion is None:
+        results = _motion(fmu_file, torque or "", turns, speed, samples)
+    else:
+        time, inputs = run.read_inputs(motion, fmu_file)
+        with _bar("samples", time.size) as progress:
+            found = run.lead(fmu_file, inputs, list(run.units_of(fmu_file, "output")), time, progress=progress)
+        results = {"time": time, **inputs, **found}
     if output is not None:
-        with edge.written_whole(output) as temporary, temporary.open("w", encoding="utf-8") as file:
-            names = list(results)
-            np.savetxt(file, np.column_stack([results[n] for n in names]), delimiter=",", header=",".join(names),
-                       comments="", fmt="%.12g")  # fmt: skip
+        run.write_motion(output, results, fmu_file)
     if plot is not None:
         plots.save(plots.plot_simulation(results), plot)
     if as_json:
@@ -345,6 +410,50 @@ def simulate(
          ["backlash mean", f"{results['backlash'].mean() * edge.ARCSEC:.4f}″"],
          ["largest pressure", f"{results['max_contact_pressure'].max() * 1e-6:.1f} MPa"]],
     )  # fmt: skip
+
+
+@app.command()
+def compare(
+    fmu_file: FmuFile,
+    other: Annotated[Path, typer.Argument(metavar="OTHER.fmu|RECORDING.csv", help="Another FMU, or a recording.")],
+    motion: MotionFile = None,
+    plot: PlotFile = None,
+    as_json: AsJson = False,
+) -> None:
+    """Lead two FMUs, or an FMU and the drive of a recording, through the same motion and tell their differences.
+
+    A recording (CSV, as `cycloid-bench export` and `simulate -o` write it) has the motion itself.
+
+    Example: [cyan]cycloid-fmu compare exact.fmu native.fmu --input motion.csv --plot differences.png[/]
+    """
+    import numpy as np
+
+    from cycloid_fmu import plots
+    from cycloid_fmu.fmu import run
+
+    if plot is not None:
+        plots.check_path(plot)
+    recorded = other.suffix != ".fmu"
+    if not recorded and motion is None:
+        raise edge.InputError("compare needs --input with the inputs over time, unless it compares with a recording.")
+    source = motion or other
+    runs = 1 if recorded else 2
+    with _bar("samples", runs * (run.read_inputs(source, fmu_file)[0].size - 1)) as progress:
+        time, pairs = run.compare(fmu_file, other, source, progress)
+    if plot is not None:
+        plots.save(plots.plot_comparison(time, pairs, fmu_file.name, other.name), plot)
+    figures = {
+        name: {"mean": float(d.mean()), "rms_about_mean": float(d.std()), "largest": float(np.abs(d).max())}
+        for name, d in ((n, a - b) for n, (a, b) in pairs.items())
+    }
+    if as_json:
+        typer.echo(edge.json_text(figures))
+        return
+    rows = []
+    for name, found in figures.items():
+        unit, factor = plots.DIFFERENCE_UNITS.get(name, ("", 1.0))
+        rows.append([name, unit, *(f"{v * factor:.4g}" for v in found.values())])
+    print_table(f"{fmu_file.name} less {other.name}", ["variable", "unit", "mean", "rms about it", "largest"], rows)
 
 
 @app.command()

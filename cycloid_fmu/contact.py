@@ -1120,6 +1120,77 @@ def crank_side(drive: Drive, theta: float, x: float, contacts: Array) -> tuple[f
     return crank_torque, -coupling / stiffness if stiffness > 0.0 else math.nan
 
 
+@_compiled
+def elastic_energy(drive: Drive, theta: float, x: float, contacts: Array) -> tuple[float, float, float]:
+    """Energy stored in the contacts, with its derivatives, from rows solved at deviation x.
+
+    A contact stores U = ½Fδ - ¼κF² for Hertz's law δ = κF(H - ln F) (κ as in `hertz`), and ∂U/∂κ_c = ½F/k ∂F/∂κ_c by
+    the flank's curvature κ_c, which moves with the foot. The torques F L of `equilibrium` and `crank_side` leave the
+    second part out: up to 2e-3 of them, but what makes them the gradient of one energy.
+
+    Returns
+    -------
+    energy, by_angle, by_rotation
+        U (J), ∂U/∂θ at a fixed output angle and ∂U/∂φ_b (N·m).
+    """
+    pins, slices = drive.teeth + 1, drive.centre_x.size
+    energy = by_angle = by_rotation = 0.0
+    kappa = (drive.compliance_gear + drive.compliance_pin) / (math.pi * drive.slice_width)
+    for row in range(contacts.shape[0]):
+        force = contacts[row, FORCE]
+        if force <= 0.0:
+            continue
+        local = _local(drive, theta, x, contacts, row)
+        crank = theta + drive.crank_phase[row // (2 * pins * slices)]
+        vx, vy = drive.eccentricity * math.sin(crank), -drive.eccentricity * math.cos(crank)
+        normal = vx * local.normal_x + vy * local.normal_y
+        tangent = vy * local.normal_x - vx * local.normal_y
+        bending = 0.5 * force * contacts[row, FORCE_BY_CURVATURE] * contacts[row, CURVATURE_RATE]
+        bending /= contacts[row, STIFFNESS]
+        energy -= 0.5 * force * contacts[row, GAP] + 0.25 * kappa * force * force
+        by_angle += bending * tangent * local.foot - force * normal
+        by_rotation += bending * contacts[row, FOOT_RATE] + force * contacts[row, ARM]
+    return energy, by_angle, by_rotation
+
+
+@_compiled
+def press(
+    drive: Drive, theta: float, flange: float, compliance: float, x: float, contacts: Array, cold: bool
+) -> tuple[float, float, float, float, float]:
+    """Solve the contacts with the flange held at a deviation, behind a compliance in series.
+
+    Parameters
+    ----------
+    drive, theta, x, contacts, cold
+        As in `equilibrium`.
+    flange, compliance
+        Deviation of the flange (rad), compliance between it and the contacts (rad/(N·m), 0 where there is none).
+
+    Returns
+    -------
+    x, stiffness, energy, by_angle, by_rotation
+        Deviation (rad) and stiffness (N·m/rad) of the contacts; stored energy (J), the series compliance's included,
+        and its derivatives by crank and flange (N·m).
+    """
+    if compliance == 0.0:
+        place(drive, theta, flange, contacts, cold, math.inf, _BOUNDED)
+        _, stiffness = _load(drive, flange, contacts)
+        energy, by_angle, by_rotation = elastic_energy(drive, theta, flange, contacts)
+        return flange, stiffness, energy, by_angle, by_rotation
+    x, stiffness = behind_compliance(drive, theta, flange, compliance, x, contacts, cold)
+    energy = by_angle = by_rotation = 0.0
+    for _ in range(10):
+        place(drive, theta, x, contacts, False, math.inf, _BOUNDED)
+        _, stiffness = _load(drive, x, contacts)
+        energy, by_angle, by_rotation = elastic_energy(drive, theta, x, contacts)
+        step = (flange - x - compliance * by_rotation) / (1.0 + compliance * stiffness)
+        if abs(step) < _ROTATION_STEP:
+            break
+        x += step
+    twist = flange - x
+    return x, stiffness, energy + 0.5 * twist * twist / compliance, by_angle, twist / compliance
+
+
 @_inlined
 def _larger_circle(drive: Drive, contacts: Array, row: int, pin: int, local: _Local) -> float:
     """Change of the contact's torque with R: the flank moves along the foot's radius, its foot and curvature change."""

@@ -35,6 +35,7 @@ _QUANTITY = re.compile(rf"({_NUMBER}) (\S.*)")
 _EXAMPLES = {
     "m": "64 mm", "rad": "0.5 arcmin", "N": "5 N", "N*m": "181 N*m", "Pa": "206 GPa", "s": "10 ms", "rad/s": "15 rpm",
     "K": "300 K", "rad/(N*m)": "0.02 arcsec/(N*m)", "1/Pa": "2.2e-8 1/Pa", "m^2/N": "1e-18 m^2/N",
+    "kg*m^2": "0.05 kg*m^2",
 }  # fmt: skip
 
 

@@ -287,6 +287,36 @@ def plot_simulation(results: Mapping[str, NDArray[np.float64]]) -> Figure:
     return figure
 
 
+# What differences of an FMU's variables are shown in.
+DIFFERENCE_UNITS = {
+    "flange_a.phi": ("arcsec", ARCSEC), "flange_b.phi": ("arcsec", ARCSEC), "transmission_error": ("arcsec", ARCSEC),
+    "backlash": ("arcsec", ARCSEC), "flange_a.w": ("rad/s", 1.0), "flange_b.w": ("rad/s", 1.0),
+    "flange_a.tau": ("N·m", 1.0), "flange_b.tau": ("N·m", 1.0), "torsional_stiffness": ("N·m/arcmin", np.pi / 10800.0),
+    "max_contact_pressure": ("MPa", 1e-6), "power_loss": ("W", 1.0), "elastic_energy": ("J", 1.0),
+    "dissipated_energy": ("J", 1.0),
+}  # fmt: skip
+
+
+def plot_comparison(
+    time: NDArray[np.float64],
+    pairs: Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]],
+    one: str,
+    other: str,
+) -> Figure:
+    """Difference of each variable that two FMUs, or an FMU and a recording, have in common, over time."""
+    figure, axes = new_figure((len(pairs) + 1) // 2, 2, sharex=True)
+    for axis, (name, (first, second)) in zip(axes, pairs.items(), strict=False):
+        unit, factor = DIFFERENCE_UNITS.get(name, ("", 1.0))
+        axis.plot(time, (first - second) * factor, lw=1.0)
+        axis.set(ylabel=f"{name} [{unit}]")
+    for axis in axes[len(pairs) :]:
+        axis.set_axis_off()
+    for axis in axes[-2:]:
+        axis.set(xlabel="time [s]")
+    figure.suptitle(f"{one} less {other}")
+    return figure
+
+
 def plot_wear(model: WearModel, states: list[WearState], new: WearRate, figures: Mapping[str, Any]) -> Figure:
     """Mesh of one pin when new, wear depth over both bodies, and depth and accuracy over life."""
     from cycloid_fmu.sliding import velocities

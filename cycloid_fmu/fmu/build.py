@@ -2,29 +2,45 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
+import importlib
 import json
+import math
 import os
 import shutil
 import sys
 import tempfile
+import zipfile
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from cycloid_fmu import __version__, edge
+from cycloid_fmu.fmu.description import Version
+from cycloid_fmu.fmu.losses import check_losses
+from cycloid_fmu.fmu.parts import parts
 from cycloid_fmu.fmu.reducer_model import FirstStage
+from cycloid_fmu.fmu.variables import Interface, LossRow, variables
 from cycloid_fmu.pair import Pair
 from cycloid_fmu.surface import DESCRIPTIONS, DEVIATIONS, ErrorSurface, write_surface
 
-_SCRIPT = Path(__file__).with_name("cycloid_drive.py")
+_LIBRARIES = {"2.0": "pythonfmu", "3.0": "pythonfmu3"}
+_SCRIPTS = {"2.0": "cycloid_drive.py", "3.0": "cycloid_drive3.py"}
 
 
 def build_fmu(
-    pair: Pair, surface: ErrorSurface, path: str | os.PathLike[str], first_stage: FirstStage | None = None
+    pair: Pair,
+    surface: ErrorSurface,
+    path: str | os.PathLike[str],
+    first_stage: FirstStage | None = None,
+    *,
+    interface: Interface | None = None,
+    fmi_version: Version = "2.0",
 ) -> None:
-    """Write an FMI 2.0 Co-Simulation FMU of the drive, whole or not at all.
+    """Write a Co-Simulation FMU of the drive that runs in a Python host, whole or not at all.
 
     Parameters
     ----------
@@ -34,43 +50,100 @@ def build_fmu(
         The FMU file.
     first_stage
         What makes the drive an RV reducer, whose input is the sun; without it the input is the crank.
+    interface
+        What the FMU offers; the kinematic interface by default.
+    fmi_version
+        "2.0" or "3.0".
 
     Raises
     ------
     edge.InputError
-        If the folder does not exist.
+        If the folder does not exist, the loss table is none, or the interface and a first stage don't go together.
     """
-    from pythonfmu import FmuBuilder, builder
+    from cycloid_fmu.fmu.core import NUMBERS, SURFACE
 
-    from cycloid_fmu.fmu.slave import ARRAYS, NUMBERS
-
-    # An FMU that ran in this process has brought its own copy of pythonfmu, which has no libraries to put into another.
-    builder.HERE = Path(str(metadata.distribution("pythonfmu").locate_file("pythonfmu")))
+    interface = checked_interface(interface or Interface(), first_stage)
+    library = _LIBRARIES[fmi_version]
+    builder: Any = importlib.import_module(f"{library}.builder")
+    # An FMU that ran in this process has brought its own copy of the library, which has no binaries for another.
+    builder.HERE = Path(str(metadata.distribution(library).locate_file(library)))
     target = Path(path)
     with tempfile.TemporaryDirectory(prefix="cycloid-fmu-") as folder, edge.written_whole(target) as temporary:
         place = Path(folder)
-        numbers: dict[str, object] = {"package_version": __version__, "pair": pair.numbers()}
+        numbers: dict[str, object] = {
+            "package_version": __version__, "pair": pair.numbers(), "interface": dataclasses.asdict(interface),
+        }  # fmt: skip
         if first_stage is not None:
             numbers["first_stage"] = dataclasses.asdict(first_stage)
         (place / NUMBERS).write_text(json.dumps(numbers, indent=1), encoding="utf-8")
-        with (place / ARRAYS).open("wb") as file:
+        with (place / SURFACE).open("wb") as file:
             arrays = {name: getattr(surface, name) for name in (*DESCRIPTIONS, *DEVIATIONS)}
             if surface.life is not None:
                 arrays.update({f"life_{n}": a for n, a in vars(surface.life).items()})
             np.savez(file, allow_pickle=False, **{n: a for n, a in arrays.items() if a is not None})
         write_surface(surface, place / "surface.nc")
-        script = Path(shutil.copy(_SCRIPT, place))
-        built = place / "built.fmu"
+        script = Path(shutil.copy(Path(__file__).with_name(_SCRIPTS[fmi_version]), place))
         try:
-            FmuBuilder.build_FMU(
+            builder.FmuBuilder.build_FMU(
                 script,
-                dest=built,
-                project_files=[place / NUMBERS, place / ARRAYS, place / "surface.nc"],
+                dest=place,
+                project_files=[place / NUMBERS, place / SURFACE, place / "surface.nc"],
                 canGetAndSetFMUstate=True,
                 canSerializeFMUstate=True,
+                canGetAndSetFMUState=True,
+                canSerializeFMUState=True,
             )
         finally:
             # The builder leaves the script's folder and module behind, and the next build would find the old one.
             sys.path[:] = [p for p in sys.path if p != str(place)]
             sys.modules.pop(script.stem, None)
+        built = place / "CycloidDrive.fmu"
+        table = variables(pair, surface, interface, fmi_version)
+        with zipfile.ZipFile(built, "a", zipfile.ZIP_DEFLATED) as archive:
+            for name, content in parts(pair, interface, table, fmi_version, [library]).items():
+                archive.writestr(name, content)
         shutil.copyfile(built, temporary)
+
+
+def checked_interface(interface: Interface, first_stage: FirstStage | None) -> Interface:
+    """Return the interface as an FMU of this drive has it; an `InputError` says what does not go together."""
+    if first_stage is not None and interface.kind == "compliant":
+        raise edge.InputError("--interface compliant: an RV reducer has the kinematic interface alone.")
+    if interface.output_inertia != 0.0 and interface.kind == "kinematic":
+        raise edge.InputError("--output-inertia: the kinematic interface has none; use --interface compliant.")
+    if not 0.0 <= interface.output_inertia < math.inf:
+        raise edge.InputError(f"--output-inertia = {interface.output_inertia:g} kg*m^2: it must not be below zero.")
+    try:
+        check_losses(interface.losses)
+    except ValueError as problem:
+        raise edge.InputError(f"{problem}.") from None
+    return interface if first_stage is None else dataclasses.replace(interface, driven="sun")
+
+
+def read_losses(path: str | os.PathLike[str]) -> tuple[LossRow, ...]:
+    """Return the rows of a loss table: a CSV file, `speed [rpm],eta_mf1 [1],eta_mf2 [1],tau_bf1 [N*m],tau_bf2 [N*m]`.
+
+    Raises
+    ------
+    edge.InputError
+        If the file can't be read, a column or its unit is missing, or a row is none of a loss table.
+    """
+    wanted = {"speed": "rad/s", "eta_mf1": "1", "eta_mf2": "1", "tau_bf1": "N*m", "tau_bf2": "N*m"}
+    lines = list(csv.reader(edge.read_text(path).splitlines()))
+    if len(lines) < 2:
+        raise edge.InputError(f"{path}: a loss table has a header and at least one row.")
+    columns = edge.unit_columns(lines[0], wanted, str(path))
+    rows = []
+    for number, line in enumerate(lines[1:], start=2):
+        try:
+            cells = [float(line[place]) * scale for place, scale in (columns[name] for name in wanted)]
+        except (IndexError, ValueError):
+            raise edge.InputError(
+                f"{path}: line {number}: {','.join(line)}: it needs a number in each column."
+            ) from None
+        rows.append((cells[0], cells[1], cells[2], cells[3], cells[4]))
+    try:
+        check_losses(rows)
+    except ValueError as problem:
+        raise edge.InputError(f"{path}: {problem}.") from None
+    return tuple(rows)

@@ -7,17 +7,23 @@ is carried along by the nearer end. At zero torque without friction these ends a
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from cycloid_fmu import contact
+from cycloid_fmu.fmu.losses import check_losses, loss_torque
+from cycloid_fmu.fmu.variables import LOSSLESS, ORDERS
 from cycloid_fmu.pair import Pair
 from cycloid_fmu.surface import ErrorSurface, structured_names, structured_value, surface_after, with_structured
 from cycloid_fmu.transmission import drive_of, slices_needed
 
-ORDERS = (1, 2, 3)
+
+class StepError(ValueError):
+    """A step that the model refuses; the text is one sentence."""
 
 
 class DriveModel:
@@ -27,6 +33,8 @@ class DriveModel:
     ----------
     pair, surface
         The nominal pair and its errors.
+    losses
+        Rows of the loss table (`variables.Interface.losses`).
 
     Attributes
     ----------
@@ -34,25 +42,42 @@ class DriveModel:
         Inputs: rad, rad/s, N·m of the environment on the output.
     friction_torque, series_compliance
         Parameters: dry friction at the output (N·m) and compliance of the rest of the chain (rad/(N·m)).
+    backlash_on
+        Whether the play acts; without it the flanks of both sides touch at zero torque.
+    loss_table
+        Rows as `losses`, checked by `check`.
     """
 
-    def __init__(self, pair: Pair, surface: ErrorSurface) -> None:
+    def __init__(self, pair: Pair, surface: ErrorSurface, losses: Sequence[Sequence[float]] = LOSSLESS) -> None:
         self.pair, self.surface = pair, surface
         self.crank_angle = self.crank_speed = self.torque = 0.0
         self.friction_torque = self.series_compliance = 0.0
-        self.errors = {name: structured_value(pair, surface, name) for name in structured_names(ORDERS)}
-        self._stated = dict(self.errors)
+        self.backlash_on = True
+        self.loss_table = [list(row) for row in losses]
+        self._as_built, self._pin_arrays = surface, dict[str, list[float]]()
+        self._stated = self._structured()
+        self.errors = dict(self._stated)
         self._crank_turns_worn = math.nan if surface.life is None else float(surface.life.crank_turns[-1])
         self._ratio = pair.ratio
         # Everything repeats after one turn of the gear in the ring; a reduced angle keeps its digits.
         self._period = 2.0 * math.pi * (pair.pair.gear_teeth if pair.pair.output == "gear" else pair.pair.pins)
         self._output_angle: float | None = None
+        self._deviation = self._placed = 0.0
         self._rebuild()
 
+    def _structured(self) -> dict[str, float]:
+        return {name: structured_value(self.pair, self.surface, name) for name in structured_names(ORDERS)}
+
+    def _changed(self) -> dict[str, float]:
+        return {n: v for n, v in self.errors.items() if v != self._stated[n]}
+
+    def check(self) -> None:
+        """Refuse parameters that contradict each other; a `ValueError` says which in one sentence."""
+        check_losses(self.loss_table)
+
     def _rebuild(self) -> None:
-        changed = {n: v for n, v in self.errors.items() if v != self._stated[n]}
         worn = self.surface if self.surface.life is None else surface_after(self.surface, self._crank_turns_worn)
-        surface = with_structured(self.pair, worn, changed)
+        surface = with_structured(self.pair, worn, self._changed())
         self._drive = drive_of(self.pair, surface, slices_needed(surface))
         self._contacts = contact.contact_rows(self._drive)
         self._play_contacts = contact.contact_rows(self._drive)
@@ -60,7 +85,7 @@ class DriveModel:
         self._pin_force, self._pin_pressure = np.zeros(shape), np.zeros(shape)
         self._cold = self._play_cold = True
         self._x, self._stiffness, self._load = 0.0, 0.0, 0.0
-        self._pushed = 0.0
+        self._pushed = self._side = 0.0
         self._forget()
 
     def _forget(self) -> None:
@@ -74,6 +99,25 @@ class DriveModel:
             self.errors[name] = value
             self._rebuild()
 
+    def pin_errors(self, name: str) -> list[float]:
+        """Return the errors of each pin (m), one of `ARRAYS`, the structured errors set since included."""
+        values: list[float] = getattr(with_structured(self.pair, self.surface, self._changed()), name).tolist()
+        return values
+
+    def set_pin_errors(self, name: str, values: Sequence[float]) -> None:
+        """Set the errors of each pin (m), from the next step on; the structured errors then say what they hold."""
+        if list(values) != self.pin_errors(name):
+            self._put_pin_errors({**self._pin_arrays, name: list(values)})
+            held = {n: v for n, v in self._stated.items() if n.startswith(f"{name}_")}
+            self.errors.update(held)
+            self._rebuild()
+
+    def _put_pin_errors(self, arrays: Mapping[str, Sequence[float]]) -> None:
+        self._pin_arrays = {name: list(values) for name, values in arrays.items()}
+        given: dict[str, Any] = {name: np.array(values) for name, values in self._pin_arrays.items()}
+        self.surface = dataclasses.replace(self._as_built, **given)
+        self._stated = self._structured()
+
     @property
     def crank_turns_worn(self) -> float:
         """Crank turns since new, of a surface that holds a life: how far it is worn, from the next step on."""
@@ -86,9 +130,12 @@ class DriveModel:
             self._crank_turns_worn = turns
             self._rebuild()
 
+    def _reduced(self, crank_angle: float) -> float:
+        return crank_angle - self._period * math.floor(crank_angle / self._period)
+
     @property
     def _theta(self) -> float:
-        return self.crank_angle - self._period * math.floor(self.crank_angle / self._period)
+        return self._placed
 
     def _solve_play(self) -> tuple[float, float, float]:
         if self._play is None:
@@ -96,22 +143,47 @@ class DriveModel:
             self._play_cold = math.isnan(self._play[0])
         return self._play
 
+    def _shift(self, side: float) -> float:
+        """How far the play that does not act would let the output go to a side (±1), rad."""
+        if self.backlash_on:
+            return 0.0
+        low, high, interference = self._solve_play()
+        return 0.5 * side * (high - low) if interference == 0.0 else 0.0
+
+    def _touch_rate(self, x: float, side: float) -> float:
+        contact.place(self._drive, self._theta, x, self._play_contacts, self._play_cold, math.inf)
+        return contact.touch_rate(self._drive, self._theta, x, self._play_contacts, side)
+
+    def _shift_rate(self, side: float) -> float:
+        """Change of `_shift` with the crank's angle (1)."""
+        if self.backlash_on:
+            return 0.0
+        low, high, interference = self._solve_play()
+        if interference > 0.0:
+            return 0.0
+        return 0.5 * side * (self._touch_rate(high, 1.0) - self._touch_rate(low, -1.0))
+
     def _elastic(self, torque: float, end: float) -> float:
         """Flange deviation at a torque through the teeth; at torque 0 the given end of the play (-1, 0, 1)."""
         if torque == 0.0:
             low, high, interference = self._solve_play()
             if interference == 0.0:
+                self._side = end
                 self._x = 0.5 * (low + high) + 0.5 * end * (high - low)
                 self._stiffness, self._load = 0.0, 0.0
-                return self._x
+                return self._x - self._shift(end)
         self._x, self._stiffness = contact.equilibrium(
             self._drive, self._theta, torque, self._x, self._contacts, self._cold
         )
-        self._cold, self._load = False, torque
-        return self._x + self.series_compliance * torque
+        self._cold, self._load, self._side = False, torque, math.copysign(1.0, torque)
+        return self._x + self.series_compliance * torque - self._shift(self._side)
 
     def _hold(self, deviation: float) -> None:
         """Find the teeth's state when the flange stands still at a deviation inside the hysteresis."""
+        if not self.backlash_on:
+            low, high, _ = self._solve_play()
+            self._side = 1.0 if deviation > 0.5 * (low + high) else -1.0
+            deviation += self._shift(self._side)
         self._x, self._stiffness = contact.behind_compliance(
             self._drive, self._theta, deviation, self.series_compliance, self._x, self._contacts, self._cold
         )
@@ -129,8 +201,43 @@ class DriveModel:
         assert self._output_angle is not None
         return self._output_angle
 
-    def advance(self) -> None:
-        """Move to the inputs' present values, from the state before."""
+    def check_step(self, step: float) -> None:
+        """Refuse a step (s) that leads nowhere; a `StepError` says why."""
+        if not 0.0 <= step < math.inf:
+            raise StepError(f"a step of {step:g} s: it must be finite and not below 0")
+
+    def advance(self, step: float = 0.0) -> None:
+        """Move to the inputs' present values, from the state before.
+
+        Parameters
+        ----------
+        step
+            How long that takes, s: the drive is quasi-static, so it does not matter.
+
+        Raises
+        ------
+        StepError
+            If the step is refused; nothing has moved then.
+        """
+        self.check_step(step)
+        kept, contacts = self._before(), self._contacts.copy()
+        try:
+            self._move(step)
+        except StepError:
+            self._forget()
+            self._contacts = contacts
+            for name, value in zip(self._MOVED, kept, strict=True):
+                setattr(self, name, value)
+            raise
+
+    # What a step changes besides the contacts.
+    _MOVED: tuple[str, ...] = ("_placed", "_x", "_stiffness", "_load", "_pushed", "_side", "_cold")
+
+    def _before(self) -> tuple[Any, ...]:
+        return self._placed, self._x, self._stiffness, self._load, self._pushed, self._side, self._cold
+
+    def _move(self, step: float) -> None:
+        self._placed = self._reduced(self.crank_angle)
         self._forget()
         ideal = self.crank_angle / self._ratio
         if self._output_angle is None:
@@ -153,6 +260,8 @@ class DriveModel:
                     deviation = low
                 else:
                     self._hold(before)
+        if not math.isfinite(deviation):
+            raise StepError(f"flange_b.tau = {self.torque:g} N.m: the contacts can't be solved at this torque")
         self._output_angle = ideal + deviation
         self._deviation = deviation
 
@@ -171,13 +280,18 @@ class DriveModel:
         if self._crank is None:
             self._settle()
             if self._stiffness > 0.0:
-                self._crank = contact.crank_side(self._drive, self._theta, self._x, self._contacts)
+                torque, rate = contact.crank_side(self._drive, self._theta, self._x, self._contacts)
+                if not self.backlash_on:
+                    # The flange is pressed by its deviation and by the play that is not there.
+                    pressed = self._contacts[self._contacts[:, contact.FORCE] > 0.0]
+                    gone = self._shift_rate(self._side)
+                    torque += gone * float(pressed[:, contact.FORCE] @ pressed[:, contact.ARM])
+                    rate -= gone
+                self._crank = torque, rate
+            elif self.backlash_on:
+                self._crank = 0.0, self._touch_rate(self._x, self._pushed)
             else:
-                contact.place(self._drive, self._theta, self._x, self._play_contacts, self._play_cold, math.inf)
-                self._crank = (
-                    0.0,
-                    contact.touch_rate(self._drive, self._theta, self._x, self._play_contacts, self._pushed),
-                )
+                self._crank = 0.0, self._touch_rate(self._solve_play()[1], 1.0) - self._shift_rate(1.0)
         return self._crank
 
     @property
@@ -186,20 +300,32 @@ class DriveModel:
         if self.crank_speed == 0.0:
             return 0.0
         rate = self._crank_side()[1]
-        carried = self._pushed != 0.0
+        carried = self._pushed != 0.0 or not (self.backlash_on or self.friction_torque > 0.0)
         return self.crank_speed * rate if carried and not math.isnan(rate) else 0.0
 
     @property
-    def crank_torque(self) -> float:
-        """Torque that the crank must be given, N·m."""
+    def _driving_torque(self) -> float:
+        """Torque that the teeth ask of the input, N·m."""
         return self._crank_side()[0]
+
+    @property
+    def crank_torque(self) -> float:
+        """Torque that the crank must be given, losses included, N·m."""
+        torque = self._driving_torque
+        return torque + loss_torque(self.loss_table, self.crank_speed, torque)
+
+    @property
+    def power_loss(self) -> float:
+        """Power lost in the mesh and bearings and to the friction at the output, W."""
+        lost = loss_torque(self.loss_table, self.crank_speed, self._driving_torque) * self.crank_speed
+        return lost + self.friction_torque * abs(self.output_speed)
 
     @property
     def backlash(self) -> float:
         """Free rotation of the output with the crank locked, rad; 0 where there is none."""
         self._settle()
         low, high, interference = self._solve_play()
-        return high - low if interference == 0.0 else 0.0
+        return high - low if interference == 0.0 and self.backlash_on else 0.0
 
     @property
     def torsional_stiffness(self) -> float:
@@ -219,6 +345,18 @@ class DriveModel:
         return self._sharing
 
     @property
+    def pin_force(self) -> list[float]:
+        """Force on each pin, disc by disc, N."""
+        self._load_sharing()
+        return self._pin_force.ravel().tolist() if self._stiffness > 0.0 else [0.0] * self._pin_force.size
+
+    @property
+    def pin_pressure(self) -> list[float]:
+        """Largest pressure on each pin, disc by disc, Pa."""
+        self._load_sharing()
+        return self._pin_pressure.ravel().tolist() if self._stiffness > 0.0 else [0.0] * self._pin_pressure.size
+
+    @property
     def contact_count(self) -> int:
         """Pins that carry more than 1 % of the most loaded pin's force."""
         return self._load_sharing()[0]
@@ -230,15 +368,21 @@ class DriveModel:
 
     _STATE: tuple[str, ...] = (
         "crank_angle", "crank_speed", "torque", "friction_torque", "series_compliance", "_output_angle", "_deviation",
-        "_x", "_stiffness", "_load", "_pushed", "_cold", "_play_cold",
+        "_placed",
+        "_x", "_stiffness", "_load", "_pushed", "_side", "_cold", "_play_cold", "backlash_on",
     )  # fmt: skip
 
+    # What was found from the state since; kept with it so that reading an output is the same before and after.
+    _CACHES: tuple[str, ...] = ("_play", "_crank", "_sharing")
+
     def state(self) -> dict[str, Any]:
-        """Return everything that later steps depend on, as plain values (for JSON)."""
-        kept = {name: getattr(self, name, None) for name in self._STATE}
+        """Return everything that later steps and outputs depend on, as plain values (for JSON)."""
         return {
-            **kept,
+            **{name: getattr(self, name) for name in (*self._STATE, *self._CACHES)},
+            "pins": [self._pin_force.tolist(), self._pin_pressure.tolist()],
             "errors": dict(self.errors),
+            "pin_errors": dict(self._pin_arrays),
+            "loss_table": [list(row) for row in self.loss_table],
             "crank_turns_worn": self._crank_turns_worn,
             "contacts": self._contacts.tolist(),
             "play_contacts": self._play_contacts.tolist(),
@@ -246,10 +390,14 @@ class DriveModel:
 
     def restore(self, state: dict[str, Any]) -> None:
         """Return to a state given by `state`."""
+        if state["pin_errors"] != self._pin_arrays:
+            self._put_pin_errors(state["pin_errors"])
         self.errors = dict(state["errors"])
+        self.loss_table = [list(row) for row in state["loss_table"]]
         self._crank_turns_worn = state["crank_turns_worn"]
         self._rebuild()
-        for name in self._STATE:
+        for name in (*self._STATE, *self._CACHES):
             setattr(self, name, state[name])
+        self._pin_force, self._pin_pressure = (np.array(values) for values in state["pins"])
         self._contacts = np.array(state["contacts"])
         self._play_contacts = np.array(state["play_contacts"])

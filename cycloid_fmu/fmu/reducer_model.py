@@ -11,9 +11,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
+from typing import Any
 
 from cycloid_fmu import contact
 from cycloid_fmu.fmu.model import DriveModel
+from cycloid_fmu.fmu.variables import LOSSLESS
 from cycloid_fmu.pair import Pair
 from cycloid_fmu.surface import ErrorSurface
 
@@ -50,21 +53,41 @@ class ReducerModel(DriveModel):
         The cycloid stage and its errors; its output is the gear.
     first_stage
         Teeth and plays around it.
+    losses
+        As of `DriveModel`, at the sun.
     """
 
     _STATE = (*DriveModel._STATE, "_crank_angle")
+    _MOVED = (*DriveModel._MOVED, "_crank_angle")
 
-    def __init__(self, pair: Pair, surface: ErrorSurface, first_stage: FirstStage) -> None:
+    def __init__(
+        self,
+        pair: Pair,
+        surface: ErrorSurface,
+        first_stage: FirstStage,
+        losses: Sequence[Sequence[float]] = LOSSLESS,
+    ) -> None:
         teeth = pair.pair.gear_teeth
         self._b = first_stage.sun_teeth / first_stage.planet_teeth
         self._a = 1.0 + self._b
         self._s = 1.0 / (1.0 + self._a / teeth)
         self._crank_angle = 0.0
         self._torque_rate: float | None = None
-        super().__init__(pair, surface)
+        super().__init__(pair, surface, losses)
         self._ratio = teeth / (self._b * self._s)
-        self._sun_play = first_stage.sun_play
-        self._outer = 0.5 * first_stage.sun_play / self._ratio + 0.5 * self._s * first_stage.bearing_play
+        self._stage = first_stage
+
+    @property
+    def _sun_play(self) -> float:
+        return self._stage.sun_play if self.backlash_on else 0.0
+
+    @property
+    def _outer(self) -> float:
+        """Half of what the sun's and the bearings' play are at the output, rad."""
+        return 0.5 * (self._sun_play / self._ratio + self._s * self._stage.bearing_play) if self.backlash_on else 0.0
+
+    def _before(self) -> tuple[Any, ...]:
+        return *super()._before(), self._crank_angle
 
     @property
     def _theta(self) -> float:
@@ -87,12 +110,12 @@ class ReducerModel(DriveModel):
 
     def _elastic(self, torque: float, end: float) -> float:
         side = math.copysign(1.0, torque) if torque != 0.0 else end
-        deviation = side * self._outer + self._s * self._x
+        deviation = side * self._outer + self._s * (self._x - self._shift(side))
         crank_torque = (1.0 - self._s) / self._a * torque
         for _ in range(50):
             self._turn_crank(deviation, side)
             super()._elastic(0.0 if torque == 0.0 else torque - self._a * crank_torque, end)
-            following = side * self._outer + self._s * self._x
+            following = side * self._outer + self._s * (self._x - self._shift(side))
             before = crank_torque
             if self._stiffness > 0.0:
                 crank_torque, _ = contact.crank_side(self._drive, self._theta, self._x, self._contacts)
@@ -108,6 +131,8 @@ class ReducerModel(DriveModel):
         if interference > 0.0:
             self._x, _ = contact.equilibrium(self._drive, self._theta, 1e-9, self._x, self._contacts, self._cold)
             low = high = self._x
+        elif not self.backlash_on:
+            low = high = 0.5 * (low + high)
         side = 1.0 if deviation > self._s * high else -1.0
         beyond = abs(deviation - self._s * (high if side > 0.0 else low)) - self._outer
         if self._s * low <= deviation <= self._s * high or beyond <= 0.0:
@@ -115,7 +140,8 @@ class ReducerModel(DriveModel):
             self._stiffness, self._load = 0.0, 0.0
             return
         self._turn_crank(deviation, side)
-        flange = (deviation - side * self._outer) / self._s
+        self._side = side
+        flange = (deviation - side * self._outer) / self._s + self._shift(side)
         compliance = self.series_compliance / self._s**2
         self._x, self._stiffness = contact.behind_compliance(
             self._drive, self._theta, flange, compliance, self._x, self._contacts, self._cold
@@ -150,8 +176,7 @@ class ReducerModel(DriveModel):
         return -self.crank_speed * rate * self._b / (1.0 - self._a * rate)
 
     @property
-    def crank_torque(self) -> float:
-        """Torque that the sun must be given, N·m."""
+    def _driving_torque(self) -> float:
         return -self._b * self._crank_side()[0]
 
     @property
@@ -170,6 +195,8 @@ class ReducerModel(DriveModel):
     def backlash(self) -> float:
         """Free rotation of the output with the sun locked, rad; that of the outer stages where the gears have none."""
         self._settle()
+        if not self.backlash_on:
+            return 0.0
         ends = []
         for side in (-1.0, 1.0):
             x = self._x

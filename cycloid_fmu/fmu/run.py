@@ -1,23 +1,29 @@
-"""Look into an FMU and turn its crank, with fmpy."""
+"""Look into FMUs of drives, lead them through a motion and compare them, with fmpy; FMI 2.0 and 3.0 alike."""
 
 from __future__ import annotations
 
+import csv
 import math
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
+from pathlib import Path
+from typing import Any, NoReturn
 
 import numpy as np
+from fmpy.fmi1 import FMICallException
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import edge
 
+Array = NDArray[np.float64]
 OUTPUTS = (
     "flange_b.phi", "flange_b.w", "flange_a.tau", "transmission_error", "backlash", "torsional_stiffness",
     "max_contact_pressure",
 )  # fmt: skip
+# What a bench calls the flanges' variables.
+RECORDED = {"input_angle": "flange_a.phi", "output_angle": "flange_b.phi", "torque": "flange_b.tau"}
 
 
 def described(path: str | os.PathLike[str]) -> tuple[list[dict[str, Any]], list[str]]:
@@ -57,31 +63,168 @@ def _description(path: str | os.PathLike[str]) -> Any:
         raise edge.InputError(f"{path}: this is not an FMU ({type(problem).__name__}: {problem}).") from None
 
 
-@contextmanager
-def _instance(path: str | os.PathLike[str]) -> Iterator[tuple[Any, dict[str, int]]]:
-    import fmpy
-    from fmpy.fmi2 import FMU2Slave
+class Fmu:
+    """One instance of a co-simulation FMU, its variables by name; made by `opened`.
 
-    description = _description(path)
-    references = {v.name: v.valueReference for v in description.modelVariables}
-    missing = [n for n in ("flange_a.phi", "flange_b.tau", "flange_b.phi") if n not in references]
-    if missing:
-        raise edge.InputError(f"{path}: this FMU has no variable {missing[0]}; it is not one of a cycloid drive.")
+    Attributes
+    ----------
+    path
+        The file.
+    variables
+        fmpy's descriptions by name.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], description: Any, slave: Any, said: list[str]) -> None:
+        self.path, self.slave, self._said = path, slave, said
+        self.variables = {v.name: v for v in description.modelVariables}
+        self._new = description.fmiVersion.startswith("3")
+
+    def names(self, causality: str) -> list[str]:
+        """Names of the scalar real variables of a causality."""
+        kind = "Float64" if self._new else "Real"
+        return [n for n, v in self.variables.items() if (v.causality, v.type) == (causality, kind) and not v.dimensions]
+
+    def set(self, values: Mapping[str, float]) -> None:
+        """Set real and boolean variables by name."""
+        for name, value in values.items():
+            variable = self.variables[name]
+            kind = {"Real": "Real", "Float64": "Float64", "Boolean": "Boolean"}[variable.type]
+            given = bool(value) if kind == "Boolean" else float(value)
+            getattr(self.slave, f"set{kind}")([variable.valueReference], [given])
+
+    def reader(self, names: Sequence[str]) -> Callable[[], list[float]]:
+        """Return a function that gives the present values of real variables."""
+        references = [self.variables[n].valueReference for n in names]
+        get = self.slave.getFloat64 if self._new else self.slave.getReal
+        return lambda: get(references)
+
+    def writer(self, names: Sequence[str]) -> Callable[[Sequence[float]], None]:
+        """Return a function that sets real variables."""
+        references = [self.variables[n].valueReference for n in names]
+        put = self.slave.setFloat64 if self._new else self.slave.setReal
+        return lambda values: put(references, values)
+
+    def initialize(self, values: Mapping[str, float] | None = None) -> None:
+        """Set start values and leave initialization."""
+        if not self._new:
+            self.slave.setupExperiment(startTime=0.0)
+        try:
+            self.slave.enterInitializationMode()
+            self.set(values or {})
+            self.slave.exitInitializationMode()
+        except FMICallException as problem:
+            self._raise("the start", problem)
+
+    def step(self, time: float, step: float) -> None:
+        """Make a step, s; an `edge.InputError` has the FMU's message where it refuses it."""
+        try:
+            self.slave.doStep(time, step)
+        except FMICallException as problem:
+            self._raise(f"the step from {time:g} s", problem)
+
+    def _raise(self, what: str, problem: Exception) -> NoReturn:
+        why = self._said[-1] if self._said else str(problem)
+        raise edge.InputError(f"{self.path}: {what} was refused: {why.rstrip('.')}.") from None
+
+
+@contextmanager
+def opened(path: str | os.PathLike[str], inputs: Iterable[str] = (), outputs: Iterable[str] = ()) -> Iterator[Fmu]:
+    """Instantiate an FMU, and terminate and free it afterwards.
+
+    Parameters
+    ----------
+    inputs, outputs
+        Variables without which it is not what is wanted.
+
+    Raises
+    ------
+    edge.InputError
+        If the file is no co-simulation FMU or lacks a variable.
+    """
+    import fmpy
+    from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
+    from fmpy.fmi3 import FMU3Slave
+
+    description, said = _description(path), list[str]()
+
+    def listen(*words: Any) -> None:
+        said.append(words[-1].decode("utf-8", "replace").splitlines()[-1])
+
+    if description.coSimulation is None:
+        raise edge.InputError(f"{path}: this FMU is not for co-simulation.")
+    causalities = {v.name: v.causality for v in description.modelVariables}
+    for causality, names in (("input", inputs), ("output", outputs)):
+        for name in names:
+            if causalities.get(name) != causality:
+                raise edge.InputError(f"{path}: this FMU has no {causality} {name}.")
     folder = fmpy.extract(str(path))
-    slave = FMU2Slave(
+    new = description.fmiVersion.startswith("3")
+    slave = (FMU3Slave if new else FMU2Slave)(
         guid=description.guid,
         unzipDirectory=folder,
         modelIdentifier=description.coSimulation.modelIdentifier,
         instanceName="drive",
     )
     try:
-        slave.instantiate()
-        yield slave, references
+        if new:
+            slave.instantiate(loggingOn=True, logMessage=listen)
+        else:
+            callbacks = fmi2CallbackFunctions(
+                *(getattr(defaultCallbacks, n) for n, _ in fmi2CallbackFunctions._fields_)
+            )
+            callbacks.logger = fmi2CallbackLoggerTYPE(listen)
+            slave.instantiate(callbacks=callbacks, loggingOn=True)
+        yield Fmu(path, description, slave, said)
         slave.terminate()
     finally:
         if slave.component:
             slave.freeInstance()
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def lead(
+    path: str | os.PathLike[str],
+    inputs: Mapping[str, Array],
+    outputs: Sequence[str],
+    time: Array,
+    *,
+    parameters: Mapping[str, float] | None = None,
+    progress: Callable[[int], None] = lambda done: None,
+) -> dict[str, Array]:
+    """Lead an FMU through given values of its inputs and return outputs at each.
+
+    An FMU that takes the angle of a flange whose speed is given too gets both at the start of each step, from which it
+    moves on by itself; other inputs are those at the step's end.
+
+    Parameters
+    ----------
+    inputs
+        {name: shape (samples,)}, SI; the first sample is the initial state.
+    outputs, time
+        Names of real outputs; s, shape (samples,), ascending.
+    parameters
+        Values set before initialisation.
+    progress
+        Told the number of samples done since the last call.
+
+    Returns
+    -------
+    results
+        {name: shape (samples,)}, SI.
+    """
+    found = np.empty((time.size, len(outputs)))
+    with opened(path, inputs, outputs) as fmu:
+        moving = "largest_step" in fmu.variables
+        fmu.initialize({**(parameters or {}), **{n: float(v[0]) for n, v in inputs.items()}})
+        put, get = fmu.writer(list(inputs)), fmu.reader(outputs)
+        rows = np.column_stack(list(inputs.values())).tolist() if inputs else [[]] * time.size
+        found[0] = get()
+        for i in range(1, time.size):
+            put(rows[i - 1 if moving else i])
+            fmu.step(float(time[i - 1]), float(time[i] - time[i - 1]))
+            found[i] = get()
+            progress(1)
+    return dict(zip(outputs, found.T, strict=True))
 
 
 def follow(
@@ -92,7 +235,7 @@ def follow(
     *,
     crank_speed: float = 0.0,
     step: float = 1e-3,
-) -> dict[str, NDArray[np.float64]]:
+) -> dict[str, Array]:
     """Lead an FMU through given crank angles and torques and return its outputs at each.
 
     Parameters
@@ -114,25 +257,13 @@ def follow(
         {name: shape (samples,)}, SI.
     """
     angles, torques = (np.asarray(v, dtype=float) for v in np.broadcast_arrays(crank_angle, torque))
-    found = np.empty((angles.size, len(outputs)))
-    with _instance(path) as (slave, references):
-        inputs = [references[n] for n in ("flange_a.phi", "flange_a.w", "flange_b.tau")]
-        wanted = [references[n] for n in outputs]
-        slave.setupExperiment(startTime=0.0)
-        slave.enterInitializationMode()
-        slave.setReal(inputs, [float(angles[0]), crank_speed, float(torques[0])])
-        slave.exitInitializationMode()
-        found[0] = slave.getReal(wanted)
-        for i in range(1, angles.size):
-            slave.setReal(inputs, [float(angles[i]), crank_speed, float(torques[i])])
-            slave.doStep((i - 1) * step, step)
-            found[i] = slave.getReal(wanted)
-    return dict(zip(outputs, found.T, strict=True))
+    given = {"flange_a.phi": angles, "flange_a.w": np.full(angles.size, crank_speed), "flange_b.tau": torques}
+    return lead(path, given, outputs, step * np.arange(angles.size, dtype=np.float64))
 
 
 def turn_crank(
     path: str | os.PathLike[str], torque: float, turns: float, crank_speed: float, samples: int
-) -> dict[str, NDArray[np.float64]]:
+) -> dict[str, Array]:
     """Turn the crank of an FMU at constant speed and torque.
 
     Parameters
@@ -145,11 +276,150 @@ def turn_crank(
     Returns
     -------
     results
-        {"time" s, "flange_a.phi" rad and the outputs: shape (samples,)}.
+        {"time" s, the inputs and the outputs: shape (samples,)}.
     """
     count = max(2, round(abs(turns) * samples) + 1)
     angle = np.linspace(0.0, 2.0 * math.pi * turns, count)
     time = np.abs(angle) / crank_speed
     speed = math.copysign(crank_speed, turns)
     results = follow(path, angle, torque, crank_speed=speed, step=float(time[1]))
-    return {"time": time, "flange_a.phi": angle, **results}
+    given = {"flange_a.phi": angle, "flange_a.w": np.full(count, speed), "flange_b.tau": np.full(count, torque)}
+    return {"time": time, **given, **results}
+
+
+def si_unit(unit: str) -> str:
+    """Return an FMU's unit as quantities are written elsewhere: N.m is N*m."""
+    return unit.replace(".", "*").replace("m2", "m^2")
+
+
+def read_motion(path: str | os.PathLike[str], units: Mapping[str, str]) -> tuple[Array, dict[str, Array]]:
+    """Read a table of variables over time: a CSV file whose header says units, such as a recording or a simulation.
+
+    Parameters
+    ----------
+    path
+        The file: `time [s]` and columns under a variable's name, or a bench's `input_angle`, `output_angle`, `torque`.
+    units
+        SI unit of each variable that is looked for; other columns are passed over.
+
+    Returns
+    -------
+    time, values
+        s, shape (samples,); {variable: shape (samples,)}, SI.
+
+    Raises
+    ------
+    edge.InputError
+        If the file can't be read, has no time, or a line has no number where one belongs.
+    """
+    lines = list(csv.reader(edge.read_text(path).splitlines()))
+    header = lines[0] if lines else []
+    named = [cell.strip().partition("[")[0].strip() for cell in header]
+    known = {n: RECORDED.get(n, n) for n in named if RECORDED.get(n, n) in units}
+    columns = edge.unit_columns(header, {"time": "s", **{n: units[v] for n, v in known.items()}}, str(path))
+    rows = []
+    for number, line in enumerate(lines[1:], start=2):
+        try:
+            row = [float(line[place]) * scale for place, scale in columns.values()]
+        except (IndexError, ValueError):
+            row = [math.nan]
+        if not all(map(math.isfinite, row)):
+            raise edge.InputError(f"{path}: line {number}: it needs a number in each column.")
+        rows.append(row)
+    found = dict(zip(columns, np.array(rows).reshape(len(rows), len(columns)).T, strict=True))
+    time = found.pop("time")
+    if time.size < 2 or np.any(np.diff(time) <= 0.0):
+        raise edge.InputError(f"{path}: time [s] must ascend over at least two lines.")
+    return time, {known[n]: v for n, v in found.items()}
+
+
+def write_motion(path: str | os.PathLike[str], results: Mapping[str, Array], fmu: str | os.PathLike[str]) -> None:
+    """Write `time` and an FMU's variables over it as the CSV table that `read_motion` reads, whole or not at all."""
+    units = {"time": "s", **units_of(fmu, "input"), **units_of(fmu, "output")}
+    header = ",".join(f"{name} [{units[name]}]" for name in results)
+    with edge.written_whole(path) as temporary, temporary.open("w", encoding="utf-8") as file:
+        np.savetxt(
+            file, np.column_stack(list(results.values())), delimiter=",", header=header, comments="", fmt="%.12g"
+        )
+
+
+def units_of(path: str | os.PathLike[str], causality: str) -> dict[str, str]:
+    """Return the SI units of an FMU's scalar real variables of one causality, by name.
+
+    Raises
+    ------
+    edge.InputError
+        If the file is no FMU.
+    """
+    return {
+        v.name: si_unit(v.unit or "1")
+        for v in _description(path).modelVariables
+        if v.causality == causality and v.type in ("Real", "Float64") and not v.dimensions
+    }
+
+
+def read_inputs(path: str | os.PathLike[str], fmu: str | os.PathLike[str]) -> tuple[Array, dict[str, Array]]:
+    """Read the inputs of an FMU over time; speeds that are missing are the angles' derivatives.
+
+    Raises
+    ------
+    edge.InputError
+        As `read_motion`, and if an input is missing.
+    """
+    units = units_of(fmu, "input")
+    time, values = read_motion(path, units)
+    for name in units:
+        angle = name.removesuffix(".w") + ".phi"
+        if name not in values and name.endswith(".w") and angle in values:
+            values[name] = np.gradient(values[angle], time)
+        if name not in values:
+            raise edge.InputError(f'{path}: there is no column "{name} [{units[name]}]", an input of {Path(fmu).name}.')
+    return time, {name: values[name] for name in units}
+
+
+def compare(
+    one: str | os.PathLike[str],
+    other: str | os.PathLike[str],
+    motion: str | os.PathLike[str],
+    progress: Callable[[int], None] = lambda done: None,
+) -> tuple[Array, dict[str, tuple[Array, Array]]]:
+    """Lead two FMUs, or an FMU and the drive of a recording, through the same motion.
+
+    Parameters
+    ----------
+    one
+        An FMU.
+    other
+        Another one; or the table (CSV) of what was recorded or simulated, `motion` itself.
+    motion
+        The table of the inputs.
+
+    Returns
+    -------
+    time, pairs
+        s; {output that both have: its values in either}, SI.
+
+    Raises
+    ------
+    edge.InputError
+        If the two have different inputs or no output in common.
+    """
+    inputs, outputs = units_of(one, "input"), units_of(one, "output")
+    if Path(other).suffix != ".fmu":
+        time, given = read_inputs(motion, one)
+        _, recorded = read_motion(other, outputs)
+        shared = [n for n in outputs if n in recorded]
+        if not shared:
+            raise edge.InputError(f"{other}: it has no column of an output of {Path(one).name}, such as output_angle.")
+        found = lead(one, given, shared, time, progress=progress)
+        return time, {n: (found[n], recorded[n]) for n in shared}
+    others = units_of(other, "input")
+    for name in (*inputs, *others):
+        if name not in inputs or name not in others:
+            has, lacks = (one, other) if name in inputs else (other, one)
+            raise edge.InputError(f"{lacks}: it has no input {name}, which {has} has; only like interfaces compare.")
+    theirs = units_of(other, "output")
+    shared = [n for n in outputs if n in theirs]
+    time, given = read_inputs(motion, one)
+    found, second = (lead(path, given, shared, time, progress=progress) for path in (one, other))
+    return time, {n: (found[n], second[n]) for n in shared}

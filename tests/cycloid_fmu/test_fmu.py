@@ -79,7 +79,7 @@ def test_every_variable_is_described_with_its_unit(fmu):
     displays = {d.name for d in units["rad"].displayUnits}
     assert variables["transmission_error"].displayUnit in displays
     assert float(variables["backlash"].min) == 0.0
-    assert len(description.initialUnknowns) == len(description.outputs) == 8
+    assert len(description.initialUnknowns) == len(description.outputs) == 9
     assert {u.variable.name for u in description.initialUnknowns} == {u.variable.name for u in description.outputs}
 
 
@@ -233,7 +233,7 @@ def test_commands_build_inspect_simulate(command, tmp_path):
     error = np.array(json.loads(run.stdout)["transmission_error"]) * 206265
     assert error.mean() == pytest.approx(-4.5015, abs=2e-3)
     table = np.loadtxt(tmp_path / "r.csv", delimiter=",", skiprows=1)
-    assert table.shape == (101, 9)
+    assert table.shape == (101, 11)
     assert (tmp_path / "r.png").stat().st_size > 5000
 
 

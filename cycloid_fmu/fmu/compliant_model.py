@@ -1,0 +1,311 @@
+"""The drive between two flanges whose motion comes from outside: angles and speeds in, torques out.
+
+Contacts, series compliance and friction store one energy E(θ, φ_b) whose derivatives are the torques, so nothing is
+gained over a closed cycle; damping, losses and sliding friction only take. Between communication points the flanges
+move on at their speeds: the torques at the end of a step are not a step late. With an inertia on the output inside,
+its motion is solved here, in sub-steps that keep the energy's balance (a discrete gradient: O. Gonzalez, Time
+integration and discrete Hamiltonian systems, J. Nonlinear Sci. 6, 1996, in one dimension).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from cycloid_fmu import contact
+from cycloid_fmu.fmu.losses import loss_torque
+from cycloid_fmu.fmu.model import DriveModel, StepError
+from cycloid_fmu.fmu.variables import FRICTION_DISPLACEMENT, LARGEST_STEP, LOSSLESS
+from cycloid_fmu.pair import Pair
+from cycloid_fmu.surface import ErrorSurface
+
+FARTHEST = 0.01  # rad: flanges further than this from the ideal ratio are a mistake of the model around the drive
+_SUB_STEP = 0.2  # rad of the output inertia's own oscillation in one sub-step
+_CRANK_STEP = 0.02  # rad of the crank in one sub-step of what is dissipated
+_DEVIATION_STEP = 5e-6  # rad of the deviation likewise
+_MOST_SUB_STEPS = 20000
+_SAME = 1e-11  # rad: over a shorter way the torque of its middle is taken instead of an energy difference
+_CLOSE = 1e-15  # rad: last change of a sub-step's solution
+
+
+class CompliantModel(DriveModel):
+    """A cycloid-pin drive between two flanges, stepped by `advance`.
+
+    Parameters
+    ----------
+    pair, surface, losses
+        As of `DriveModel`.
+    output_inertia
+        Moment of inertia on the output inside, kg·m²; 0 where there is none.
+
+    Attributes
+    ----------
+    crank_angle, crank_speed, output_angle, output_speed
+        Of both flanges, rad and rad/s: inputs, but with an output inertia those of the output are its state.
+    torque
+        Torque into the drive at the output, N·m; with an output inertia the load on that, an input.
+    mesh_damping
+        Damping of the contacts at the output, N·m·s/rad. Its torque is at most the contacts' own (as in Modelica's
+        `ElastoBacklash2`): it acts in contact only and never pulls.
+    friction_torque
+        Dry friction at the output, N·m: an elastic-plastic element that slides beyond `FRICTION_DISPLACEMENT`.
+    largest_step
+        Communication step above which `advance` refuses, s.
+    dissipated_energy
+        J since the start.
+    """
+
+    _STATE = (
+        *(n for n in DriveModel._STATE if n not in ("torque", "_deviation", "_pushed")),
+        "_output_speed", "_load_torque", "_bristle", "_seen", "mesh_damping", "dissipated_energy", "largest_step",
+        "output_inertia",
+    )  # fmt: skip
+    _CACHES = (*DriveModel._CACHES, "_solved_at", "_solved")
+    _MOVED = (
+        *DriveModel._MOVED, "crank_angle", "_output_angle", "_output_speed", "_bristle", "_seen", "dissipated_energy",
+        "_solved_at", "_solved",
+    )  # fmt: skip
+
+    def __init__(
+        self,
+        pair: Pair,
+        surface: ErrorSurface,
+        losses: Sequence[Sequence[float]] = LOSSLESS,
+        output_inertia: float = 0.0,
+    ) -> None:
+        self._held, self.output_inertia = output_inertia == 0.0, output_inertia
+        self._bristle = self._seen = 0.0  # how far friction is strained, and the output angle that it has followed to
+        self._output_speed = self._load_torque = self.dissipated_energy = 0.0
+        self.mesh_damping, self.largest_step = 0.0, LARGEST_STEP
+        super().__init__(pair, surface, losses)
+        self._output_angle: float = 0.0
+
+    def _rebuild(self) -> None:
+        super()._rebuild()
+        self._solved_at: Sequence[float] = ()
+        self._solved: Sequence[float] = ()
+        self._stiffest = 0.0
+
+    @property
+    def output_angle(self) -> float:
+        """φ_b, rad."""
+        return self._output_angle
+
+    @output_angle.setter
+    def output_angle(self, value: float) -> None:
+        self._output_angle = value
+
+    @property
+    def output_speed(self) -> float:
+        """dφ_b/dt, rad/s."""
+        return self._output_speed
+
+    @output_speed.setter
+    def output_speed(self, value: float) -> None:
+        self._output_speed = value
+
+    def _contact(self, theta: float, deviation: float) -> tuple[float, float, float]:
+        """Energy of contacts and series compliance, with its derivatives by crank and output angle."""
+        flange, rate = deviation, 0.0
+        if not -FARTHEST < deviation < FARTHEST:
+            raise StepError(
+                f"flange_b.phi is {deviation:g} rad from flange_a.phi/ratio: it must stay within {FARTHEST:g} rad"
+            )
+        self._forget()
+        self._placed = theta
+        if not self.backlash_on:
+            low, high, interference = self._solve_play()
+            if interference == 0.0:
+                self._side = 1.0 if deviation >= 0.5 * (low + high) else -1.0
+                flange += self._shift(self._side)
+                rate = self._shift_rate(self._side)
+        self._x, self._stiffness, energy, by_angle, by_rotation = contact.press(
+            self._drive, theta, flange, self.series_compliance, self._x, self._contacts, self._cold
+        )
+        self._cold = False
+        if not math.isfinite(by_rotation):
+            self._cold = True
+            raise StepError("the contacts could not be solved at this place of the flanges")
+        return energy, by_angle + rate * by_rotation, by_rotation
+
+    def _damping(self, elastic: float, speed: float) -> float:
+        """Torque of the contacts' damping at the output, N·m."""
+        return math.copysign(min(self.mesh_damping * abs(speed), abs(elastic)), speed)
+
+    def _rub(self, way: float) -> tuple[float, float]:
+        """Move the friction's bristle by a way of the output: work done on it and what of it is lost, J."""
+        before = self._bristle
+        self._bristle = min(max(before + way, -FRICTION_DISPLACEMENT), FRICTION_DISPLACEMENT)
+        lost = self.friction_torque * abs(before + way - self._bristle)
+        stored = 0.5 * self.friction_torque / FRICTION_DISPLACEMENT * (self._bristle**2 - before**2)
+        return stored + lost, lost
+
+    def _solve(self) -> Sequence[float]:
+        """Energy and torques at the flanges' present place: energy, torques at a and b, loss torque, damping."""
+        at = [
+            self.crank_angle, self.crank_speed, self._output_angle, self._output_speed, self._bristle, self._seen,
+            self.friction_torque, self.series_compliance, self.mesh_damping, float(self.backlash_on),
+        ]  # fmt: skip
+        if at != self._solved_at:
+            deviation = self.transmission_error
+            energy, by_angle, by_rotation = self._contact(self._reduced(self.crank_angle), deviation)
+            damping = self._damping(by_rotation, self._output_speed - self.crank_speed / self._ratio)
+            transmitted = by_angle - damping / self._ratio
+            strain = self._bristle + self._output_angle - self._seen
+            strain = min(max(strain / FRICTION_DISPLACEMENT, -1.0), 1.0)
+            energy += 0.5 * self.friction_torque * FRICTION_DISPLACEMENT * strain**2
+            lost = loss_torque(self.loss_table, self.crank_speed, transmitted)
+            output = by_rotation + damping + self.friction_torque * strain
+            self._solved_at, self._solved = at, [energy, transmitted + lost, output, lost, damping]
+        return self._solved
+
+    def forget_history(self) -> None:
+        """Make the next step start without history: friction unstrained and, with an inertia, at rest on the load."""
+        self._bristle = self.dissipated_energy = 0.0
+        if not self._held:
+            still = DriveModel(self.pair, self.surface)
+            still.restore({**still.state(), **self._shared(still)})
+            still.advance()
+            self._output_angle, self._output_speed = still.output_angle, still.output_speed
+            for _ in range(5 if self._load_torque != 0.0 else 0):
+                # The energy's torque and that of the quasi-static balance differ a little (`contact.elastic_energy`).
+                torque = self._contact(self._reduced(self.crank_angle), self.transmission_error)[2]
+                self._output_angle += (self._load_torque - torque) * (1.0 / self._stiffness + self.series_compliance)
+        self._seen = self._output_angle
+
+    def _shared(self, still: DriveModel) -> dict[str, Any]:
+        own = self.state()
+        kept = {n: own[n] for n in ("errors", "pin_errors", "crank_turns_worn", "crank_angle", "crank_speed")}
+        return {**kept, "torque": self._load_torque, "series_compliance": self.series_compliance,
+                "backlash_on": self.backlash_on}  # fmt: skip
+
+    def _before(self) -> tuple[Any, ...]:
+        return tuple(getattr(self, name) for name in self._MOVED)
+
+    def check_step(self, step: float) -> None:
+        """Refuse a step that is none or longer than the largest."""
+        super().check_step(step)
+        if step > self.largest_step * (1.0 + 1e-9):
+            raise StepError(f"a step of {step:g} s: largest_step is {self.largest_step:g} s")
+
+    def _move(self, step: float) -> None:
+        """Move the flanges on for a step, from the inputs' values at its start."""
+        if self._held:
+            self._follow(step)
+        else:
+            self._swing(step)
+        self._solve()
+
+    def _follow(self, step: float) -> None:
+        """Both flanges move at their speeds."""
+        crank, output = self.crank_angle, self._output_angle
+        lost = self._rub(output - self._seen)[1]
+        crank_way, way = self.crank_speed * step, self._output_speed * step
+        deviation_way = way - crank_way / self._ratio
+        count = 1
+        dissipative = self.mesh_damping > 0.0 or any(tuple(row[1:]) != LOSSLESS[0][1:] for row in self.loss_table)
+        if dissipative:
+            parts = max(abs(crank_way) / _CRANK_STEP, abs(deviation_way) / _DEVIATION_STEP)
+            count = min(max(math.ceil(parts), 1), 100)
+        power = self._power() if dissipative else 0.0
+        for i in range(1, count + 1):
+            lost += self._rub(way / count)[1]
+            self._seen = self._output_angle = output + way * i / count
+            self.crank_angle = crank + crank_way * i / count
+            if dissipative:
+                following = self._power()
+                lost += 0.5 * (power + following) * step / count
+                power = following
+        self.dissipated_energy += lost
+
+    def _power(self) -> float:
+        """Power of damping and losses, W."""
+        _, _, _, lost, damping = self._solve()
+        return lost * self.crank_speed + damping * (self._output_speed - self.crank_speed / self._ratio)
+
+    def _sub_steps(self, step: float) -> int:
+        if self._stiffest == 0.0:
+            _, self._stiffest = contact.equilibrium(
+                self._drive, 0.0, self.pair.pair.rated_torque or 100.0, 0.0, contact.contact_rows(self._drive), True
+            )
+        stiffness = 1.0 / (1.0 / self._stiffest + self.series_compliance)
+        stiffness += self.friction_torque / FRICTION_DISPLACEMENT
+        count = max(1, math.ceil(step * math.sqrt(stiffness / self.output_inertia) / _SUB_STEP))
+        if count > _MOST_SUB_STEPS:
+            raise StepError(
+                f"output_inertia = {self.output_inertia:g} kg.m2: so small a one swings {count} sub-steps in a step of "
+                f"{step:g} s, and at most {_MOST_SUB_STEPS} are made"
+            )
+        return count
+
+    def _swing(self, step: float) -> None:
+        """The output's inertia moves under load, contacts and friction while the crank turns at its speed."""
+        count = self._sub_steps(step)
+        part, crank = step / count, self.crank_angle
+        for i in range(count if step > 0.0 else 0):
+            self.crank_angle = crank + self.crank_speed * step * (i + 0.5) / count
+            self._sub_step(part)
+        self.crank_angle = crank + self.crank_speed * step
+
+    def _sub_step(self, part: float) -> None:
+        theta, ideal = self._reduced(self.crank_angle), self.crank_angle / self._ratio
+        start, speed, bristle = self._output_angle, self._output_speed, self._bristle
+        turning = self.crank_speed / self._ratio
+        energy, crank_torque, elastic = self._contact(theta, start - ideal)
+        stiffness, inertia = self._stiffness, self.output_inertia
+        way = part * speed + 0.5 * part**2 / inertia * (self._load_torque - elastic)
+        lost = damping = 0.0
+        for _ in range(30):
+            following, crank_torque, at_end = self._contact(theta, start + way - ideal)
+            mean = (following - energy) / way if abs(way) > _SAME else 0.5 * (elastic + at_end)
+            damping = self._damping(mean, way / part - turning)
+            self._bristle = bristle
+            work, lost = self._rub(way)
+            friction = work / way if abs(way) > _SAME else self.friction_torque * bristle / FRICTION_DISPLACEMENT
+            short = self._load_torque - mean - damping - friction - 2.0 * inertia * (way - part * speed) / part**2
+            stiff = 0.5 * max(stiffness, self._stiffness) + self.mesh_damping / part
+            change = short / (2.0 * inertia / part**2 + stiff)
+            if abs(change) <= _CLOSE + 1e-10 * abs(way):
+                break
+            way += change
+        self._seen = self._output_angle = start + way
+        self._output_speed = 2.0 * way / part - speed
+        crank_loss = loss_torque(self.loss_table, self.crank_speed, crank_torque - damping / self._ratio)
+        self.dissipated_energy += lost + damping * (way - turning * part) + crank_loss * self.crank_speed * part
+
+    @property
+    def crank_torque(self) -> float:
+        """Torque into the drive at the crank, N·m."""
+        return self._solve()[1]
+
+    @property
+    def torque(self) -> float:
+        """Torque into the drive at the output, N·m; with an output inertia the load on that."""
+        if not self._held:
+            return self._load_torque
+        return self._solve()[2]
+
+    @torque.setter
+    def torque(self, value: float) -> None:
+        self._load_torque = value
+
+    @property
+    def transmission_error(self) -> float:
+        """φ_b - φ_a/ratio, rad."""
+        return self._output_angle - self.crank_angle / self._ratio
+
+    @property
+    def elastic_energy(self) -> float:
+        """Energy stored in contacts, series compliance and friction, J."""
+        return self._solve()[0]
+
+    @property
+    def power_loss(self) -> float:
+        """Power of damping, losses and sliding friction, W."""
+        sliding = abs(self._bristle + self._output_angle - self._seen) >= FRICTION_DISPLACEMENT
+        return self._power() + (self.friction_torque * abs(self._output_speed) if sliding else 0.0)
+
+    def _settle(self) -> float:
+        self._solve()
+        return self._output_angle

@@ -1,0 +1,201 @@
+"""What the slaves of FMI 2.0 and 3.0 share: the model from the FMU's resources, its variables by reference, its state.
+
+A value that is no value is refused without an exception, which the slaves' library would make fatal: it is not set, a
+message says so, and steps are refused until it is set right.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import re
+import struct
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cycloid_fmu import __version__
+from cycloid_fmu.fmu.compliant_model import CompliantModel
+from cycloid_fmu.fmu.description import Version
+from cycloid_fmu.fmu.model import DriveModel, StepError
+from cycloid_fmu.fmu.reducer_model import FirstStage, ReducerModel
+from cycloid_fmu.fmu.variables import ARRAYS, Interface, Variable, variables
+from cycloid_fmu.pair import Pair
+from cycloid_fmu.surface import ErrorSurface, Life
+
+NUMBERS, SURFACE = "pair.json", "surface.npz"
+MAGIC, STATE_VERSION = b"cycloid state\0\0\0", 1
+_HEAD = struct.Struct("<16sII32sQ")  # magic, version, checksum, hash of the resources, length
+_ATTRIBUTES = {
+    "flange_a.phi": "crank_angle", "flange_a.w": "crank_speed", "flange_a.tau": "crank_torque",
+    "flange_b.phi": "output_angle", "flange_b.w": "output_speed", "flange_b.tau": "torque",
+}  # fmt: skip
+
+
+def interface_from(numbers: dict[str, Any]) -> Interface:
+    """Return the interface that a builder wrote into the resources."""
+    return Interface(**{**numbers, "losses": tuple(tuple(row) for row in numbers["losses"])})
+
+
+def model_of(
+    pair: Pair, surface: ErrorSurface, interface: Interface, first_stage: FirstStage | None = None
+) -> DriveModel:
+    """Return the model behind an interface."""
+    if interface.kind == "compliant":
+        return CompliantModel(pair, surface, interface.losses, interface.output_inertia)
+    if first_stage is not None:
+        return ReducerModel(pair, surface, first_stage, interface.losses)
+    return DriveModel(pair, surface, interface.losses)
+
+
+class Core:
+    """The model and its variables, from an FMU's resources.
+
+    Parameters
+    ----------
+    resources
+        The FMU's folder.
+    version
+        Of FMI.
+
+    Attributes
+    ----------
+    model, table
+        The drive, and its variables in the order of their references.
+    faults
+        What was refused and not set right since: a sentence for each variable's reference.
+    """
+
+    def __init__(self, resources: Path, version: Version) -> None:
+        text, stored = (resources / NUMBERS).read_bytes(), (resources / SURFACE).read_bytes()
+        numbers = json.loads(text)
+        if numbers["package_version"] != __version__:
+            raise RuntimeError(
+                f"this FMU was built with cycloid-fmu {numbers['package_version']}, installed is {__version__}; build "
+                "the FMU again or install that version"
+            )
+        with np.load(resources / SURFACE) as arrays:
+            values: dict[str, Any] = {n: arrays[n] if arrays[n].shape else float(arrays[n]) for n in arrays.files}
+            states = {n.removeprefix("life_"): values.pop(n) for n in arrays.files if n.startswith("life_")}
+        surface = ErrorSurface(**values, life=Life(**states) if states else None)
+        pair, stage = Pair.from_numbers(numbers["pair"]), numbers.get("first_stage")
+        interface = interface_from(numbers["interface"])
+        self.model = model_of(pair, surface, interface, None if stage is None else FirstStage(**stage))
+        self.table = variables(pair, surface, interface, version)
+        self.faults: dict[int, str] = {}
+        self.time = 0.0
+        self._hash = hashlib.sha256(text + stored).digest()
+        accesses = [self._access(variable) for variable in self.table]
+        self.getters = [getter for getter, _ in accesses]
+        self._setters = [setter for _, setter in accesses]
+
+    def _access(self, variable: Variable) -> tuple[Callable[[], Any], Callable[[Any], None] | None]:
+        model, name = self.model, variable.name
+        setter: Callable[[Any], None] | None
+        cell = re.fullmatch(r"loss_table\[(\d+),(\d+)\]", name)
+        if name == "time":
+            return (lambda: self.time), None
+        if name in model.errors:
+            return (lambda: model.errors[name]), (lambda v: model.set_error(name, v))
+        if name in ARRAYS:
+            return (lambda: model.pin_errors(name)), (lambda v: model.set_pin_errors(name, v))
+        if cell:
+            i, j = int(cell[1]) - 1, int(cell[2]) - 1
+
+            def put(value: float) -> None:
+                model.loss_table[i][j] = value
+
+            return (lambda: model.loss_table[i][j]), put
+        attribute = _ATTRIBUTES.get(name, name)
+        setter = None if variable.causality == "output" else (lambda v: setattr(model, attribute, v))
+        return (lambda: getattr(model, attribute)), setter
+
+    def put(self, reference: int, value: Any) -> str:
+        """Set a variable; what is no value for it is refused with a sentence, else the answer is empty.
+
+        Raises
+        ------
+        ValueError
+            If there is no such variable or it can't be set.
+        """
+        if not 0 <= reference < len(self.table):
+            raise ValueError(f"there is no variable with the value reference {reference}")
+        variable, setter = self.table[reference], self._setters[reference]
+        if setter is None:
+            raise ValueError(f"{variable.name} can't be set: its causality is {variable.causality}")
+        least = -math.inf if variable.least is None else variable.least
+        most = math.inf if variable.most is None else variable.most
+        for one in value if variable.dimensions else (value,):
+            if not (least <= one <= most and -math.inf < one < math.inf):
+                limits = "it must be finite"
+                if variable.least is not None or variable.most is not None:
+                    limits += f" and lie between {least:g} and {most:g}"
+                self.faults[reference] = f"{variable.name} = {one:g}: {limits}"
+                return self.faults[reference]
+        setter(value)
+        if self.faults:
+            self.faults.pop(reference, None)
+        return ""
+
+    def start(self) -> None:
+        """Settle at the initial inputs, without history; a `ValueError` says what forbids it."""
+        if self.faults:
+            raise ValueError("; ".join(self.faults.values()))
+        self.model.check()
+        self.model.forget_history()
+        self.model.advance()
+
+    def step(self, time: float, step: float) -> str:
+        """Make a step; why it is refused, else an empty answer. A refused step leaves all as it was."""
+        if self.faults:
+            return "no step before this is set right: " + "; ".join(self.faults.values())
+        try:
+            self.model.advance(step)
+        except StepError as problem:
+            return str(problem)
+        self.time = time + step
+        return ""
+
+    def state(self) -> dict[str, Any]:
+        """Return the state, of plain values."""
+        return {"drive": self._hash.hex(), "time": self.time, "model": self.model.state()}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Return to a state; a `ValueError` refuses one of another FMU."""
+        if state["drive"] != self._hash.hex():
+            raise ValueError("this state belongs to another drive: it was taken from an FMU with other resources")
+        self.model.restore(state["model"])
+        self.time = state["time"]
+        self.faults.clear()
+
+
+def state_to_bytes(state: dict[str, Any]) -> bytes:
+    """Return a state as bytes that any process on any machine reads: magic, version, checksum, drive, length, JSON."""
+    body = json.dumps(state, separators=(",", ":")).encode()
+    return _HEAD.pack(MAGIC, STATE_VERSION, zlib.crc32(body), bytes.fromhex(state["drive"]), len(body)) + body
+
+
+def state_from_bytes(data: bytes) -> dict[str, Any]:
+    """Return the state in the bytes of `state_to_bytes`.
+
+    Raises
+    ------
+    ValueError
+        If the bytes are something else, damaged, or of another version; the text is one sentence.
+    """
+    if len(data) < _HEAD.size or data[: len(MAGIC)] != MAGIC:
+        raise ValueError("these bytes are not the state of a cycloid drive")
+    _, version, checksum, drive, length = _HEAD.unpack_from(data)
+    if version != STATE_VERSION:
+        raise ValueError(f"this state has version {version}, this FMU reads version {STATE_VERSION}")
+    body = data[_HEAD.size :]
+    if len(body) != length or zlib.crc32(body) != checksum:
+        raise ValueError("this state is damaged: its checksum does not fit")
+    state: dict[str, Any] = json.loads(body)
+    if state["drive"] != drive.hex():
+        raise ValueError("this state is damaged: it names two drives")
+    return state

@@ -1,0 +1,80 @@
+"""The model description's parts that come from the table of variables, of FMI 2.0 and 3.0, for any kind of FMU."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+from xml.etree.ElementTree import Element, SubElement
+
+from cycloid_fmu.fmu.variables import UNITS, Variable
+
+Version = Literal["2.0", "3.0"]
+_TYPES = {
+    "2.0": {"real": "Real", "integer": "Integer", "boolean": "Boolean"},
+    "3.0": {"real": "Float64", "integer": "Int32", "boolean": "Boolean"},
+}
+
+
+def _text(variable: Variable, value: float) -> str:
+    if variable.kind == "boolean":
+        return "true" if value else "false"
+    return str(int(value)) if variable.kind == "integer" else repr(float(value))
+
+
+def unit_definitions(table: Sequence[Variable]) -> Element:
+    """Return `<UnitDefinitions>` of the units that the variables have; both versions write them alike."""
+    root = Element("UnitDefinitions")
+    for unit in dict.fromkeys(v.unit for v in table if v.unit is not None):
+        base, displays = UNITS[unit]
+        node = SubElement(root, "Unit", name=unit)
+        SubElement(node, "BaseUnit", {k: str(v) for k, v in base.items()})
+        for display, factor in displays.items():
+            SubElement(node, "DisplayUnit", name=display, factor=repr(float(factor)))
+    return root
+
+
+def model_variables(table: Sequence[Variable], version: Version) -> Element:
+    """Return `<ModelVariables>`; the place in the table is the value reference."""
+    root = Element("ModelVariables")
+    for reference, variable in enumerate(table):
+        outer = {
+            "name": variable.name, "valueReference": str(reference), "description": variable.description,
+            "causality": variable.causality, "variability": variable.variability,
+        }  # fmt: skip
+        if variable.causality == "parameter":
+            outer["initial"] = "exact"
+        start = variable.start
+        inner = {"unit": variable.unit, "displayUnit": variable.display}
+        if variable.kind != "boolean":
+            limits = {"min": variable.least, "max": variable.most, "nominal": variable.nominal}
+            inner.update({k: None if v is None else _text(variable, v) for k, v in limits.items()})
+        if start is not None:
+            values = start if isinstance(start, tuple) else (start,)
+            inner["start"] = " ".join(_text(variable, v) for v in values)
+        given = {k: v for k, v in inner.items() if v is not None}
+        kind = _TYPES[version][variable.kind]
+        if version == "2.0":
+            SubElement(SubElement(root, "ScalarVariable", outer), kind, given)
+        else:
+            node = SubElement(root, kind, {**outer, **given})
+            for length in variable.dimensions:
+                SubElement(node, "Dimension", start=str(length))
+    return root
+
+
+def model_structure(table: Sequence[Variable], version: Version) -> Element:
+    """Return `<ModelStructure>`: outputs with the inputs that they depend on, and with the parameters initially."""
+    root, base = Element("ModelStructure"), 1 if version == "2.0" else 0
+    places = {v.name: i + base for i, v in enumerate(table)}
+    for section, item in (("Outputs", "Output"), ("InitialUnknowns", "InitialUnknown")):
+        node = SubElement(root, section) if version == "2.0" else root
+        for variable in table:
+            if variable.causality != "output":
+                continue
+            names = variable.depends if section == "Outputs" else (*variable.depends, *variable.initially)
+            known = " ".join(str(places[n]) for n in sorted(names, key=places.__getitem__))
+            if version == "2.0":
+                SubElement(node, "Unknown", index=str(places[variable.name]), dependencies=known)
+            else:
+                SubElement(node, item, valueReference=str(places[variable.name]), dependencies=known)
+    return root

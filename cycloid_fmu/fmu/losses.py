@@ -1,0 +1,69 @@
+"""Losses of the mesh and bearings as Modelica's `LossyGear` has them: a table over the input's speed."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+
+from cycloid_fmu.fmu.variables import LOSS_SPEED
+
+Row = Sequence[float]
+
+
+def interpolated(table: Sequence[Row], speed: float) -> tuple[float, float, float, float]:
+    """Efficiencies and friction torques at a speed: linear between the rows, held beyond the last."""
+    speed = abs(speed)
+    for below, above in itertools.pairwise(table):
+        if speed < above[0]:
+            share = (speed - below[0]) / (above[0] - below[0])
+            a, b, c, d = (low + share * (high - low) for low, high in zip(below[1:], above[1:], strict=True))
+            return a, b, c, d
+    _, a, b, c, d = table[-1]
+    return a, b, c, d
+
+
+def loss_torque(table: Sequence[Row], speed: float, torque: float) -> float:
+    """Torque that friction adds at flange_a, of the sign of the speed.
+
+    `Modelica.Mechanics.Rotational.Components.LossyGear`: with τ the torque that the teeth ask for, flange_a needs
+    τ/η_mf1 + τ_bf1 while power flows from a to b and η_mf2 τ + τ_bf2 while it flows back. Modelica's stuck mode, in
+    which the torque follows from the rest of the system, is here a ramp through zero below `LOSS_SPEED`: whoever
+    prescribes the motion gets no torque at rest.
+
+    Parameters
+    ----------
+    table
+        Rows of |w|, η_mf1, η_mf2, τ_bf1, τ_bf2 (`Interface.losses`).
+    speed, torque
+        Of flange_a, rad/s and N·m.
+    """
+    if speed == 0.0:
+        return 0.0
+    forward, backward, friction_forward, friction_backward = interpolated(table, speed)
+    if torque * speed >= 0.0:
+        lost = abs(torque) * (1.0 / forward - 1.0) + friction_forward
+    else:
+        lost = abs(torque) * (1.0 - backward) + friction_backward
+    return math.copysign(lost * min(1.0, abs(speed) / LOSS_SPEED), speed)
+
+
+def check_losses(rows: Sequence[Row]) -> None:
+    """Refuse a loss table that is none.
+
+    Raises
+    ------
+    ValueError
+        If speeds don't ascend from 0, an efficiency is not between 0 and 1 or a torque is below 0; the text is one
+        sentence.
+    """
+    for i, (speed, forward, backward, *torques) in enumerate(rows, start=1):
+        if not (speed == 0.0 if i == 1 else rows[i - 2][0] < speed < math.inf):
+            raise ValueError(f"loss_table[{i},1] = {speed:g}: speeds must ascend from 0")
+        if not 0.0 < forward <= 1.0:
+            raise ValueError(f"loss_table[{i},2] = {forward:g}: an efficiency lies above 0 and not above 1")
+        if not 0.0 <= backward <= 1.0:
+            raise ValueError(f"loss_table[{i},3] = {backward:g}: an efficiency lies between 0 and 1")
+        for j, torque in enumerate(torques, start=4):
+            if not 0.0 <= torque < math.inf:
+                raise ValueError(f"loss_table[{i},{j}] = {torque:g}: a friction torque must not be below 0")

@@ -1,0 +1,130 @@
+"""What lies in every FMU beside model description and binaries: documentation, icon, licences and terminals."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from importlib import metadata
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+import numpy as np
+
+from cycloid_fmu import __version__
+from cycloid_fmu.fmu.description import Version
+from cycloid_fmu.fmu.variables import Interface, Variable
+from cycloid_fmu.pair import Pair
+from cycloid_fmu.profile import flank_points
+
+_FLANGE = "Modelica.Mechanics.Rotational.Interfaces.Flange_"
+_PAGE = """<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><title>Cycloid drive</title>
+<style>body{font-family:sans-serif;max-width:60em;margin:2em auto;padding:0 1em}
+td,th{text-align:left;padding:.15em .8em .15em 0;border-bottom:1px solid #ccc;vertical-align:top}</style></head><body>
+<h1>Cycloid drive {{ g.gear_teeth }}/{{ g.pins }}, {{ interface.kind }} interface</h1>
+<p>Pin circle radius {{ '%g' % (g.pin_circle_radius * 1e3) }} mm, pin radius {{ '%g' % (g.pin_radius * 1e3) }} mm,
+eccentricity {{ '%g' % (g.eccentricity * 1e3) }} mm, ratio {{ '%g' % ratio }}{% if g.discs > 1 %}, {{ g.discs }}
+discs{% endif %}. Made by cycloid-fmu {{ version }}.</p>
+<p>Angles are counter-clockwise; torques are positive into the drive at their flange, as in Modelica.</p>
+{% if interface.kind == "kinematic" %}<p>The drive is quasi-static: a step moves it to the inputs that stand when it is
+made, whatever its length. At zero torque the output stays inside its play until a flank pushes it; with
+<code>friction_torque</code> it stands until torque or crank carry it.</p>
+{% else %}<p>Contacts store one energy whose derivatives are both torques. Between communication points the flanges move
+on at their speeds, so give speeds that belong to the angles. A step longer than <code>largest_step</code> is refused.
+The contacts are stiff: with a body of inertia J on the output, steps h must keep h &radic;(k/J) well below 1, k being
+<code>torsional_stiffness</code>{% if interface.output_inertia %}; the output's own inertia is inside and solved in
+sub-steps{% endif %}.</p>{% endif %}
+<p>A step that is refused is discarded with a message and leaves everything as it was.</p>
+<h2>Variables</h2>
+<table><tr><th>name<th>causality<th>unit<th>meaning</tr>
+{% for v in table %}<tr><td><code>{{ v.name }}</code><td>{{ v.causality }}<td>{{ v.unit or "" }}<td>{{ v.description }}
+</tr>{% endfor %}</table>
+<h2>Losses</h2>
+<p><code>loss_table</code> is <code>lossTable</code> of Modelica's LossyGear: speed of flange_a, efficiency from a to b
+and from b to a, friction torque at flange_a in the same two cases; linear between the rows, held beyond the last.</p>
+</body></html>
+"""
+
+
+def documentation(pair: Pair, interface: Interface, table: Sequence[Variable]) -> str:
+    """Return the documentation page (HTML)."""
+    import jinja2
+
+    page = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(_PAGE)
+    return page.render(g=pair.pair, ratio=pair.ratio, interface=interface, table=table, version=__version__)
+
+
+def terminals(interface: Interface) -> bytes:
+    """Return `terminalsAndIcons.xml` of FMI 3.0: both flanges as Modelica's, the torque flowing in."""
+    root = Element("fmiTerminalsAndIcons", fmiVersion="3.0")
+    graphical = SubElement(root, "GraphicalRepresentation")
+    corners = {"x1": "-100", "y1": "-100", "x2": "100", "y2": "100"}
+    SubElement(graphical, "CoordinateSystem", {**corners, "suggestedScalingFactorTo_mm": "0.1"})
+    SubElement(graphical, "Icon", corners)
+    node = SubElement(root, "Terminals")
+    for end, text in (("a", f"{interface.driven} side"), ("b", "output side")):
+        flange = SubElement(
+            node, "Terminal", name=f"flange_{end}", matchingRule="plug", terminalKind=_FLANGE + end, description=text
+        )
+        for member, kind in (("phi", "signal"), ("tau", "inflow")):
+            SubElement(
+                flange, "TerminalMemberVariable", variableName=f"flange_{end}.{member}", memberName=member,
+                variableKind=kind,
+            )  # fmt: skip
+    indent(root)
+    return bytes(tostring(root, encoding="utf-8", xml_declaration=True))
+
+
+def icon(pair: Pair) -> bytes:
+    """Return a picture of the gear in its pins (PNG, 256 x 256)."""
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Circle
+
+    g = pair.pair
+    figure = Figure(figsize=(2.56, 2.56))
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set_axis_off()
+    axes.set_aspect("equal")
+    x, y = flank_points(pair, np.linspace(0.0, 2.0 * np.pi, 60 * g.gear_teeth))
+    axes.fill(x + g.eccentricity, y, color="#9fb4c7", ec="#33475b", lw=0.8)
+    around = 2.0 * np.pi * np.arange(g.pins) / g.pins
+    for angle in around:
+        centre = g.pin_circle_radius * np.cos(angle), g.pin_circle_radius * np.sin(angle)
+        axes.add_patch(Circle(centre, g.pin_radius, color="#33475b"))
+    outer = 1.04 * (g.pin_circle_radius + g.pin_radius)
+    axes.add_patch(Circle((0.0, 0.0), outer, fill=False, ec="#33475b", lw=2.0))
+    axes.add_patch(Circle((g.eccentricity, 0.0), 0.3 * g.pin_circle_radius, color="#33475b"))
+    axes.set(xlim=(-1.03 * outer, 1.03 * outer), ylim=(-1.03 * outer, 1.03 * outer))
+    with io.BytesIO() as file:
+        figure.savefig(file, dpi=100, format="png", transparent=True)
+        return file.getvalue()
+
+
+def licences(packages: Sequence[str]) -> str:
+    """Return the licence texts of this package and of others whose files lie in the FMU."""
+    found = []
+    for package in ("cycloid-fmu", *packages):
+        texts = [f.read_text() for f in metadata.files(package) or [] if f.name.upper().startswith("LICENSE")]
+        found.append(f"{package}\n{'=' * len(package)}\n\n" + "\n".join(texts))
+    return "\n\n".join(found)
+
+
+def parts(
+    pair: Pair, interface: Interface, table: Sequence[Variable], version: Version, packages: Sequence[str] = ()
+) -> dict[str, bytes]:
+    """Return the files to add to an FMU's archive: {path in the archive: content}.
+
+    Parameters
+    ----------
+    pair, interface, table, version
+        What the FMU is made of.
+    packages
+        Installed packages whose files lie in the FMU, for their licences.
+    """
+    found = {
+        "documentation/index.html": documentation(pair, interface, table).encode(),
+        "documentation/licenses/license.txt": licences(packages).encode(),
+    }
+    if version == "2.0":
+        return {**found, "model.png": icon(pair)}
+    return {**found, "terminalsAndIcons/terminalsAndIcons.xml": terminals(interface),
+            "terminalsAndIcons/icon.png": icon(pair)}  # fmt: skip

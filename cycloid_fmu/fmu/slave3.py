@@ -1,0 +1,70 @@
+"""The FMI 3.0 Co-Simulation slave, on pythonfmu3."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+from xml.etree.ElementTree import Element
+
+from pythonfmu3 import DefaultExperiment, Fmi3Slave, Fmi3StepResult
+from pythonfmu3.enums import Fmi3Status
+
+from cycloid_fmu import __version__
+from cycloid_fmu.fmu.slave import DESCRIPTION, DriveSlave, kept_alive
+
+
+class DriveSlave3(DriveSlave, Fmi3Slave):  # type: ignore[misc]
+    """Cycloid-pin gear drive with its manufacturing and assembly errors, FMI 3.0."""
+
+    fmi_version = "3.0"
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(**kwargs)
+        self.author, self.license, self.version, self.description = "cycloid-fmu", "MIT", __version__, DESCRIPTION
+        self.default_experiment = DefaultExperiment(start_time=0.0, stop_time=1.0, step_size=1e-3)
+        self._open(self.resources, "x86_64-linux")
+        self._sizes = [math.prod(v.dimensions) for v in self.core.table]
+
+    def _refuse(self, message: str) -> None:
+        self.log(message, Fmi3Status.discard)
+
+    @kept_alive
+    def do_step(self, current_time: float, step_size: float) -> Fmi3StepResult:
+        """Make a step; a refused one is discarded with a message."""
+        refused = self.core.step(current_time, step_size)
+        if refused:
+            self._refuse(refused)
+        return Fmi3StepResult(Fmi3Status.discard if refused else Fmi3Status.ok)
+
+    @kept_alive
+    def get_float64(self, vrs: Sequence[int]) -> list[float]:
+        """Return values by reference, those of arrays row by row."""
+        found: list[float] = []
+        for v in vrs:
+            value = self._getters[v]()
+            found += value if isinstance(value, list) else (value,)
+        return found
+
+    get_int32 = get_boolean = get_float64
+
+    @kept_alive
+    def set_float64(self, vrs: Sequence[int], values: Sequence[Any]) -> None:
+        """Set values by reference, those of arrays row by row."""
+        given: list[Any] = []
+        first = 0
+        for v in vrs:
+            last = first + (self._sizes[v])
+            given.append(values[first:last] if self.core.table[v].dimensions else values[first])
+            first = last
+        self._set(vrs, given)
+
+    set_int32 = set_boolean = set_float64
+
+    def to_xml(self, model_options: dict[str, str] | None = None) -> Element:
+        """Return the model description."""
+        root = self._described(super().to_xml(model_options or {}))
+        simulation = root.find("CoSimulation")
+        assert simulation is not None
+        simulation.set("canHandleVariableCommunicationStepSize", "true")
+        return root

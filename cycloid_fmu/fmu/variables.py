@@ -1,0 +1,290 @@
+"""The one table of FMU variables; slaves and model descriptions, Python or native, FMI 2.0 or 3.0, are made of it.
+
+Names follow Modelica.Mechanics.Rotational; torques are positive into the drive at their flange. A variable's place in
+the table is its value reference. What only FMI 3.0 has, `time` and the arrays, stands last, so that a scalar has the
+same reference in both versions.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from cycloid_fmu.pair import LARGEST_DEVIATION, LARGEST_MISALIGNMENT, Pair
+from cycloid_fmu.surface import DESCRIPTIONS, PATTERNS, ErrorSurface, structured_names, structured_value, unit_of
+
+INTERFACES = ("kinematic", "compliant")
+ORDERS = (1, 2, 3)
+ARRAYS = ("pin_radial", "pin_tangential", "pin_radius_deviation")
+LossRow = tuple[float, float, float, float, float]
+LOSSLESS: tuple[LossRow, ...] = ((0.0, 1.0, 1.0, 0.0, 0.0),)
+LARGEST_STEP = 1e-3  # s: default of `largest_step`
+FRICTION_DISPLACEMENT = 2e-5  # rad of the output over which the compliant interface's dry friction builds up
+LOSS_SPEED = 1e-2  # rad/s of flange_a below which the losses' torque goes to zero with the speed
+
+# unit: exponents of SI base units, then display units with their factor
+UNITS: dict[str, tuple[dict[str, int], dict[str, float]]] = {
+    "rad": ({"rad": 1}, {"deg": 180 / np.pi, "arcmin": 10800 / np.pi, "arcsec": 648000 / np.pi}),
+    "rad/s": ({"rad": 1, "s": -1}, {"rev/min": 30 / np.pi, "deg/s": 180 / np.pi}),
+    "N.m": ({"kg": 1, "m": 2, "s": -2}, {}),
+    "N.m/rad": ({"kg": 1, "m": 2, "s": -2, "rad": -1}, {"N.m/arcmin": np.pi / 10800}),
+    "N.m.s/rad": ({"kg": 1, "m": 2, "s": -1, "rad": -1}, {}),
+    "rad/(N.m)": ({"kg": -1, "m": -2, "s": 2, "rad": 1}, {"arcsec/(N.m)": 648000 / np.pi}),
+    "kg.m2": ({"kg": 1, "m": 2}, {}),
+    "N": ({"kg": 1, "m": 1, "s": -2}, {}),
+    "Pa": ({"kg": 1, "m": -1, "s": -2}, {"MPa": 1e-6}),
+    "W": ({"kg": 1, "m": 2, "s": -3}, {}),
+    "J": ({"kg": 1, "m": 2, "s": -2}, {}),
+    "m": ({"m": 1}, {"um": 1e6, "mm": 1e3}),
+    "s": ({"s": 1}, {"ms": 1e3}),
+    "1": ({}, {"%": 100.0}),
+}
+
+
+@dataclass(frozen=True)
+class Interface:
+    """What an FMU offers and how it is driven.
+
+    Attributes
+    ----------
+    kind
+        "kinematic": crank angle and speed, output torque in; output angle and speed, crank torque out.
+        "compliant": angles and speeds of both flanges in, torques of both out.
+    output_inertia
+        Moment of inertia on the output inside a compliant FMU, kg·m²; above 0 the output flange takes a torque and
+        gives angle and speed, as in the kinematic interface.
+    losses
+        Rows of Modelica's `LossyGear.lossTable`: |w| of flange_a (rad/s, ascending from 0), efficiency while power
+        flows from a to b and from b to a (1), friction torque at flange_a in the same two cases (N·m).
+    driven
+        What `flange_a` is: "crank", or "sun" of an RV reducer.
+    """
+
+    kind: Literal["kinematic", "compliant"] = "kinematic"
+    output_inertia: float = 0.0
+    losses: tuple[LossRow, ...] = LOSSLESS
+    driven: Literal["crank", "sun"] = "crank"
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One variable of the FMU.
+
+    Attributes
+    ----------
+    name, description
+        As the model description has them.
+    causality, variability
+        Of FMI; both versions use the same words.
+    unit, display
+        SI unit and display unit, keys of `UNITS`; None where there is none.
+    least, most, nominal
+        Limits and a typical size, SI; None where physics gives none.
+    start
+        Value before it is set: of inputs and parameters; row by row for an array.
+    depends
+        Names of the variables that an output depends on after initialisation: inputs.
+    initially
+        Names of the parameters that it depends on besides, when initialised.
+    kind
+        "real", "integer" or "boolean".
+    dimensions
+        Of an array, which only FMI 3.0 has; () otherwise.
+    baked
+        Whether a native FMU has it in its tables: there it can be read but not set.
+    """
+
+    name: str
+    description: str
+    causality: Literal["input", "output", "parameter", "independent"]
+    variability: Literal["continuous", "discrete", "tunable", "fixed"] = "continuous"
+    unit: str | None = None
+    display: str | None = None
+    least: float | None = None
+    most: float | None = None
+    nominal: float | None = None
+    start: float | tuple[float, ...] | None = None
+    depends: tuple[str, ...] = ()
+    initially: tuple[str, ...] = ()
+    kind: Literal["real", "integer", "boolean"] = "real"
+    dimensions: tuple[int, ...] = ()
+    baked: bool = False
+
+
+def _flanges(interface: Interface) -> list[Variable]:
+    driven, inside = interface.driven, interface.kind == "kinematic" or interface.output_inertia > 0.0
+    angle, speed = (
+        {"unit": "rad", "display": "deg", "nominal": 1.0},
+        {"unit": "rad/s", "display": "rev/min", "nominal": 100.0},
+    )
+    taken = [
+        Variable("flange_a.phi", f"{driven} angle, counter-clockwise", "input", start=0.0, **angle),  # type: ignore[arg-type]
+        Variable("flange_a.w", f"{driven} speed", "input", start=0.0, **speed),  # type: ignore[arg-type]
+    ]
+    tau_b = "torque of the environment on the output, counter-clockwise"
+    if inside:
+        taken.append(Variable("flange_b.tau", tau_b, "input", unit="N.m", nominal=100.0, start=0.0))
+    else:
+        taken += [
+            Variable("flange_b.phi", "output angle, counter-clockwise", "input", start=0.0, **angle),  # type: ignore[arg-type]
+            Variable("flange_b.w", "output speed", "input", start=0.0, **speed),  # type: ignore[arg-type]
+        ]
+    every = tuple(v.name for v in taken)
+    placed = tuple(n for n in every if not n.endswith(".w"))
+    dynamic = interface.kind == "compliant"
+    slow, tau = {**speed, "nominal": 1.0}, {"unit": "N.m", "nominal": 10.0}
+    given = []
+    if inside:
+        given += [
+            # With the inertia inside they are states: inputs act on their derivatives only.
+            Variable("flange_b.phi", "output angle", "output", depends=() if dynamic else placed, **angle),  # type: ignore[arg-type]
+            Variable("flange_b.w", "output speed" if dynamic else "output speed at the present torque", "output",
+                     depends=() if dynamic else every, **slow),  # type: ignore[arg-type]
+        ]  # fmt: skip
+    # What damping and inertia do depends on the crank's place and speed; the load acts on the state alone.
+    moving = tuple(n for n in every if n != "flange_b.tau") if dynamic else every
+    given.append(Variable("flange_a.tau", f"torque to give the {driven}", "output", depends=moving, **tau))  # type: ignore[arg-type]
+    if not inside:
+        given.append(Variable("flange_b.tau", tau_b, "output", unit="N.m", nominal=100.0, depends=moving))
+    shape = tuple(n for n in placed if n != "flange_b.tau") if dynamic else placed
+    crank = ("flange_a.phi",)
+    given += [
+        Variable("transmission_error", f"output angle less {driven} angle/ratio", "output", unit="rad",
+                 display="arcsec", nominal=1e-4, depends=shape),
+        Variable("backlash", f"free rotation of the output with the {driven} locked; 0 where there is none", "output",
+                 unit="rad", display="arcsec", least=0.0, nominal=1e-4, depends=crank),
+        Variable("torsional_stiffness", "torsional stiffness at the output", "output", unit="N.m/rad",
+                 display="N.m/arcmin", least=0.0, nominal=1e5, depends=shape),
+        Variable("max_contact_pressure", "largest contact pressure", "output", unit="Pa", display="MPa", least=0.0,
+                 nominal=1e9, depends=shape),
+    ]  # fmt: skip
+    return [*taken, *given]
+
+
+def _parameters(pair: Pair, surface: ErrorSurface, interface: Interface) -> list[Variable]:
+    found = []
+    for name in structured_names(ORDERS):
+        unit = unit_of(name)
+        limit = LARGEST_MISALIGNMENT if unit == "rad" else LARGEST_DEVIATION
+        pattern = next((p for p in PATTERNS if name.startswith(p + "_")), name)
+        text = DESCRIPTIONS[pattern]
+        if pattern != name:
+            order, part = name.removeprefix(pattern + "_").split("_")
+            text += f": {'cosine' if part == 'cos' else 'sine'} part of order {order}"
+        found.append(Variable(
+            name, text, "parameter", "tunable", unit, "arcsec" if unit == "rad" else "um", -limit, limit,
+            1e-4 if unit == "rad" else 1e-6, structured_value(pair, surface, name), baked=True,
+        ))  # fmt: skip
+    found += [
+        Variable("friction_torque", "dry friction at the output", "parameter", "tunable", "N.m", least=0.0, nominal=1.0,
+                 start=0.0),
+        Variable("series_compliance", "compliance of the rest of the chain", "parameter", "tunable", "rad/(N.m)",
+                 "arcsec/(N.m)", 0.0, nominal=1e-6, start=0.0),
+    ]  # fmt: skip
+    if surface.life is not None:
+        turns = float(surface.life.crank_turns[-1])
+        found.append(Variable(
+            "crank_turns_worn", "crank turns since new: how far the drive is worn", "parameter", "tunable",
+            least=0.0, most=turns, nominal=turns, start=turns, baked=True,
+        ))  # fmt: skip
+    return found
+
+
+def _further(interface: Interface) -> list[Variable]:
+    """What came after the first version's variables, so that their references stay."""
+    moving = ("flange_a.phi", "flange_a.w", *(
+        ("flange_b.tau",) if interface.kind == "kinematic" else
+        () if interface.output_inertia > 0.0 else ("flange_b.phi", "flange_b.w")
+    ))  # fmt: skip
+    found = [
+        Variable("power_loss", "power turned to heat", "output", unit="W", nominal=10.0, depends=moving, least=0.0),
+        Variable("backlash_on", "whether the play acts; without it both flanks touch at zero torque", "parameter",
+                 "tunable", kind="boolean", start=1.0),
+    ]  # fmt: skip
+    columns = (
+        ("speed of flange_a, ascending from 0", "rad/s", "rev/min", 0.0, None),
+        ("efficiency while power flows from flange_a to flange_b", "1", "%", 1e-3, 1.0),
+        ("efficiency while power flows from flange_b to flange_a", "1", "%", 0.0, 1.0),
+        ("friction torque at flange_a while power flows from a to b", "N.m", None, 0.0, None),
+        ("friction torque at flange_a while power flows from b to a", "N.m", None, 0.0, None),
+    )
+    for i, row in enumerate(interface.losses, start=1):
+        for j, (value, (text, unit, display, least, most)) in enumerate(zip(row, columns, strict=True), start=1):
+            found.append(Variable(
+                f"loss_table[{i},{j}]", f"losses, row {i}: {text}", "parameter", "fixed", unit, display, least, most,
+                1.0, value,
+            ))  # fmt: skip
+    if interface.kind == "compliant":
+        still = ("flange_a.phi",) if interface.output_inertia > 0.0 else ("flange_a.phi", "flange_b.phi")
+        found += [
+            Variable("elastic_energy", "energy stored in contacts, series compliance and friction", "output", unit="J",
+                     least=0.0, nominal=1e-2, depends=still),
+            Variable("dissipated_energy", "energy turned to heat since initialisation", "output", unit="J", least=0.0,
+                     nominal=1.0),
+            Variable("mesh_damping", "damping of the contacts at the output, not beyond their elastic torque",
+                     "parameter", "tunable", "N.m.s/rad", least=0.0, nominal=10.0, start=0.0),
+            Variable("largest_step", "largest communication step; a longer one is refused", "parameter", "fixed", "s",
+                     "ms", 1e-9, nominal=1e-3, start=LARGEST_STEP),
+        ]  # fmt: skip
+        if interface.output_inertia > 0.0:
+            found.append(Variable(
+                "output_inertia", "moment of inertia on the output, inside", "parameter", "fixed", "kg.m2", least=1e-9,
+                nominal=interface.output_inertia, start=interface.output_inertia,
+            ))  # fmt: skip
+    return found
+
+
+def _arrays(pair: Pair, surface: ErrorSurface, placed: tuple[str, ...]) -> list[Variable]:
+    shape = (pair.pair.discs, pair.pair.pins)
+    found = [Variable("time", "time", "independent", unit="s")]
+    for name, text, unit, display, nominal in (
+        ("pin_force", "force on each pin", "N", None, 100.0),
+        ("pin_pressure", "largest contact pressure on each pin", "Pa", "MPa", 1e9),
+    ):
+        found.append(Variable(name, f"{text} (discs, pins)", "output", unit=unit, display=display, least=0.0,
+                              nominal=nominal, depends=placed, dimensions=shape))  # fmt: skip
+    for name in ARRAYS:
+        found.append(Variable(
+            name, DESCRIPTIONS[name], "parameter", "tunable", "m", "um", -LARGEST_DEVIATION, LARGEST_DEVIATION, 1e-6,
+            tuple(map(float, getattr(surface, name))), dimensions=(pair.pair.pins,), baked=True,
+        ))  # fmt: skip
+    return found
+
+
+def variables(
+    pair: Pair, surface: ErrorSurface, interface: Interface, fmi_version: Literal["2.0", "3.0"]
+) -> tuple[Variable, ...]:
+    """Return the FMU's variables; the place of each is its value reference.
+
+    Parameters
+    ----------
+    pair, surface
+        The nominal pair and its errors, whose values the parameters start from.
+    interface
+        What the FMU offers.
+    fmi_version
+        With "3.0" `time` and the arrays follow after the scalars of both.
+    """
+    flanges = _flanges(interface)
+    shape = next(v.depends for v in flanges if v.name == "transmission_error")
+    count = Variable(
+        "contact_count", "pins that carry more than 1 % of the most loaded pin's force", "output", "discrete",
+        kind="integer", least=0.0, most=float(pair.pair.pins * pair.pair.discs), depends=shape,
+    )  # fmt: skip
+    found = [*flanges, count, *_parameters(pair, surface, interface), *_further(interface)]
+    if fmi_version == "3.0":
+        found += _arrays(pair, surface, shape)
+    errors = tuple(v.name for v in found if v.baked)
+    shaping = (*errors, "series_compliance", "backlash_on")
+    lossy = (*shaping, *(v.name for v in found if v.name.startswith("loss_table")))
+    if interface.kind == "compliant":
+        lossy = (*lossy, "mesh_damping")
+    initially = {"backlash": (*errors, "backlash_on"), "power_loss": lossy, "flange_a.tau": lossy,
+                 "flange_b.tau": lossy, "dissipated_energy": ()}  # fmt: skip
+    return tuple(
+        dataclasses.replace(v, initially=initially.get(v.name, shaping)) if v.causality == "output" else v
+        for v in found
+    )
