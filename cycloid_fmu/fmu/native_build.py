@@ -16,12 +16,12 @@ import uuid
 import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Literal
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from cycloid_fmu import __version__, edge
 from cycloid_fmu.fmu import tables
 from cycloid_fmu.fmu.description import Version, model_structure, model_variables, unit_definitions
+from cycloid_fmu.fmu.parts import parts
 from cycloid_fmu.fmu.variables import Interface, Variable, variables
 from cycloid_fmu.pair import Pair
 from cycloid_fmu.surface import ErrorSurface
@@ -82,14 +82,16 @@ def headers() -> Path:
 
 
 def _compiler(name: str) -> list[str]:
-    """Command that compiles for a platform: zig, or for this machine the system's compiler."""
+    """Command that compiles for a platform: zig; for this machine what CC names, or without zig the system's own."""
     if name not in PLATFORMS:
         raise edge.InputError(f"--platform {name}: this is none of {', '.join(PLATFORMS)}.")
-    if importlib.util.find_spec("ziglang") is not None:
+    given = os.environ.get("CC", "")
+    system = shutil.which(given or "cc")
+    own = name == this_platform() and system is not None
+    if importlib.util.find_spec("ziglang") is not None and not (own and given):
         return [sys.executable, "-m", "ziglang", "cc", "-target", PLATFORMS[name].target]
-    system = shutil.which(os.environ.get("CC", "cc"))
-    if name == this_platform() and system is not None:
-        return [system]
+    if own:
+        return [str(system)]
     raise edge.InputError(
         f"--platform {name}: to compile for it, install the extra: pip install 'cycloid-fmu[native]'"
         f"{f' (or give --platform {this_platform()} alone)' if system else ''}."
@@ -240,7 +242,7 @@ def build_native(
     surface: ErrorSurface,
     path: str | os.PathLike[str],
     interface: Interface = Interface(),
-    version: Literal["2.0", "3.0"] = "2.0",
+    version: Version = "2.0",
     *,
     platforms: Sequence[str] = (),
     made: tables.Tables | None = None,
@@ -291,6 +293,7 @@ def build_native(
             f"resources/{TABLE}": tables.write(made, token, kind, table),
             **{f"sources/{name}": data for name, data in _source_files().items()},
             **libraries,
+            **parts(pair, interface, list(native_variables(table).values()), version, ()),
         }
         if version == "3.0":
             contents["sources/buildDescription.xml"] = _xml(_build_description())

@@ -189,25 +189,23 @@ def _chosen_loads(
 ) -> Array:
     """Return loads between which Hermite's interpolation errs by no more than allowed: cells are halved until then."""
 
-    def at(load: float) -> tuple[Array, Array]:
-        one = _solved(pair, surface, direction, np.array([0.0, load] if load > 0.0 else [0.0, loads[1]]), angles)
-        k = 1 if load > 0.0 else 0
-        return one.deviation[k], one.compliance[k]
+    def at(load: float, following: float) -> tuple[Array, Array]:
+        one = _solved(pair, surface, direction, np.array([load, following] if load == 0.0 else [load]), angles)
+        return one.deviation[0], one.compliance[0]
 
     loads = [0.0, 0.01 * largest, 0.1 * largest, largest]
-    known = {load: at(load) for load in loads}
+    known = {load: at(load, loads[1]) for load in loads}
     waiting = list(zip(loads[:-1], loads[1:], strict=True))
     while waiting and len(known) < _MOST_LOADS:
         low, high = waiting.pop(0)
         middle = _middle(low, high)
-        x, c = at(middle)
+        x, c = at(middle, high)
         a, b, ca, cb = _hermite((middle - low) / (high - low), high - low)
         guess = a * known[low][0] + b * known[high][0] + ca * known[low][1] + cb * known[high][1]
         if np.abs(guess - x).max() > allowed:
             known[middle] = (x, c)
             if low == 0.0:
-                loads[1] = middle
-                known[0.0] = at(0.0)
+                known[0.0] = at(0.0, middle)
             waiting += [(low, middle), (middle, high)]
     return np.array(sorted(known))
 
