@@ -33,9 +33,7 @@ def unit_definitions(table: Sequence[Variable]) -> Element:
     return root
 
 
-def model_variables(
-    table: Sequence[Variable], version: Version, references: Sequence[int] | None = None
-) -> Element:
+def model_variables(table: Sequence[Variable], version: Version, references: Sequence[int] | None = None) -> Element:
     """Return `<ModelVariables>`; the place in the table is the value reference where none are given."""
     root = Element("ModelVariables")
     for reference, variable in zip(references or range(len(table)), table, strict=True):
@@ -64,9 +62,7 @@ def model_variables(
     return root
 
 
-def model_structure(
-    table: Sequence[Variable], version: Version, references: Sequence[int] | None = None
-) -> Element:
+def model_structure(table: Sequence[Variable], version: Version, references: Sequence[int] | None = None) -> Element:
     """Return `<ModelStructure>`: outputs with the inputs that they depend on, and with the parameters initially."""
     root = Element("ModelStructure")
     numbers = range(1, len(table) + 1) if version == "2.0" else references or range(len(table))

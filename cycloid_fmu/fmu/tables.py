@@ -16,11 +16,12 @@ and variables; ratio, period, torques and channels: second differences of whole 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -47,7 +48,8 @@ _MOST_LOADS = 128
 _SHARES = (0.7, 0.4)  # of the allowed error for the loads, and as much for the angles: their largest seldom meet
 _FIRST_SLOPE = 0.125  # of the first torque: where the slope at zero load is taken, which Hertz's logarithm has infinite
 _STEPS = 64  # steps of the stored deviation in what it may err
-_PROBES = 4000  # random crank angles and torques at which the finished tables are held against the model
+PROBES = 4000  # random crank angles and torques at which the finished tables are held against the model
+
 
 @dataclass(frozen=True)
 class Side:
@@ -195,7 +197,7 @@ def _chosen_loads(
 
     loads = [0.0, 0.01 * largest, 0.1 * largest, largest]
     known = {load: at(load, loads[1]) for load in loads}
-    waiting = list(zip(loads[:-1], loads[1:], strict=True))
+    waiting = list(itertools.pairwise(loads))
     while waiting and len(known) < _MOST_LOADS:
         low, high = waiting.pop(0)
         middle = _middle(low, high)
@@ -255,7 +257,7 @@ def _side(loads: Array, exact: _Solved, allowed: float) -> Side:
 
 
 def _rest_torque(pair: Pair, surface: ErrorSurface, angles: Array) -> Array:
-    """Crank torque at zero load, where interference keeps contacts under force; its mean, which is no energy's, is 0."""
+    """Crank torque at zero load, where interference presses the contacts; its mean, which is no energy's, is 0."""
     slices = slices_needed(surface)
     one = solve(pair, surface, [0.0], angles, slices)
     drive, rows = drive_of(pair, surface, slices), None
@@ -265,7 +267,7 @@ def _rest_torque(pair: Pair, surface: ErrorSurface, angles: Array) -> Array:
         rows = contact.contact_rows(drive) if rows is None else rows
         x, _ = contact.equilibrium(drive, angles[i], 0.0, one.transmission_error[0, i], rows, cold)
         found[i] = contact.crank_side(drive, angles[i], x, rows)[0]
-    return found - found.mean()
+    return np.asarray(found - found.mean())
 
 
 def _rest_step(rest: Array) -> float:
@@ -314,12 +316,12 @@ def compute(
     spread = np.sort(random.uniform(0.0, period, 240))
     range_ = float(np.ptp(_solved(pair, surface, 1.0, np.array([0.0, largest_load]), spread).deviation, axis=1).max())
     allowed = max(accuracy, RANGE_SHARE * range_)
-    starts = np.arange(min(_WINDOWS, pitches)) * (period / min(_WINDOWS, pitches))
+    starts: Array = np.arange(min(_WINDOWS, pitches), dtype=float) * (period / min(_WINDOWS, pitches))
     tables = None
     for share in _SHARES:
         sides = [(d, _chosen_loads(pair, surface, d, largest_load, spread, share * allowed)) for d in (1.0, -1.0)]
         samples = _chosen_samples(pair, surface, sides, starts, pitch, share * allowed)
-        angles = np.arange(pitches * samples) * (pitch / samples)
+        angles: Array = np.arange(pitches * samples, dtype=float) * (pitch / samples)
         total(angles.size * sum(loads.size for _, loads in sides))
         made = [_side(n, _solved(pair, surface, d, n, angles, workers, progress), allowed) for d, n in sides]
         rest = _coefficients(_rest_torque(pair, surface, angles))
@@ -328,7 +330,7 @@ def compute(
         made[1].deviation[0] = np.maximum(made[1].deviation[0], -made[0].deviation[0])
         np.maximum.accumulate(made[1].deviation, axis=0, out=made[1].deviation)
         tables = Tables(pair.ratio, period, made[0], made[1], np.round(rest / rest_step) * rest_step, allowed)
-        tables = dataclasses.replace(tables, error=compare(tables, pair, surface, _PROBES))
+        tables = dataclasses.replace(tables, error=compare(tables, pair, surface, PROBES))
         if tables.error["deviation_largest"] <= allowed:
             break
     assert tables is not None
@@ -360,7 +362,7 @@ def write(tables: Tables, token: str, interface: int, variables: Sequence[Variab
     body += struct.pack("<dddIII", tables.ratio, tables.period, tables.allowed, angles, *(s.load.size for s in sides))
     for side in sides:
         body += side.load.astype("<f8").tobytes()
-        kinds = (side.deviation, side.compliance, side.pressure, side.contact_count)
+        kinds: tuple[NDArray[Any], ...] = (side.deviation, side.compliance, side.pressure, side.contact_count)
         for values, steps in zip(kinds, (*side.steps, np.ones(side.load.size)), strict=True):
             for channel, step in zip(values, steps, strict=True):
                 body += _channel(channel, float(step))
@@ -377,7 +379,7 @@ def _text(text: str) -> bytes:
     return struct.pack("<H", len(encoded)) + encoded
 
 
-def _channel(values: Array, step: float) -> bytes:
+def _channel(values: NDArray[Any], step: float) -> bytes:
     """Second differences of whole steps, signs folded into the last bit, seven bits a byte, the lowest first."""
     whole = np.round(values / step).astype(np.int64)
     differences = np.diff(whole, n=2, prepend=(0, 0))
@@ -387,20 +389,20 @@ def _channel(values: Array, step: float) -> bytes:
     data = (groups & np.uint64(127)).astype(np.uint8)
     data[:, :-1] |= further.astype(np.uint8) << 7
     data = data[np.hstack([np.ones((folded.size, 1), bool), further])]
-    return struct.pack("<dI", step, data.size) + data.tobytes()
+    return bytes(struct.pack("<dI", step, data.size) + data.tobytes())
 
 
 def fnv1a(data: bytes) -> int:
     """Return the 64-bit FNV-1a hash over eight-byte words (the last filled with zeros)."""
     words = np.frombuffer(data + bytes(-len(data) % 8), dtype="<u8")
-    return _fnv1a(words)
+    return int(_fnv1a(words))
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
-def _fnv1a(words: NDArray[np.uint64]) -> int:
+def _fnv1a(words: NDArray[np.uint64]) -> np.uint64:
     found = np.uint64(0xCBF29CE484222325)
     for word in words:
-        found = (found ^ word) * np.uint64(0x100000001B3)
+        found = np.uint64((found ^ word) * np.uint64(0x100000001B3))
     return found
 
 
@@ -433,17 +435,16 @@ def evaluate(tables: Tables, crank_angle: ArrayLike, torque: ArrayLike) -> dict[
         rates = np.array([-((1 - s) ** 2), 3 * s**2 - 4 * s, 1 + 2 * s - 3 * s**2, s**2]) / 2.0
         rates *= count / tables.period
         around = (first + np.arange(-1, 3)[:, None]) % count
-        x, c, p = (np.einsum("lkn,kn->ln", v[:, around], weights) for v in (side.deviation, side.compliance, side.pressure))
+        x, c, p = (
+            np.einsum("lkn,kn->ln", v[:, around], weights) for v in (side.deviation, side.compliance, side.pressure)
+        )
         dx, dc = (np.einsum("lkn,kn->ln", v[:, around], rates) for v in (side.deviation, side.compliance))
         cell = np.clip(np.searchsorted(side.load, t, side="right") - 1, 0, side.load.size - 2)
         n = np.arange(t.size)
         h = np.diff(side.load)
         share = (t - side.load[cell]) / h[cell]
 
-        def between(values: Array, slopes: Array) -> Array:
-            a, b, ca, cb = _hermite(share, h[cell])
-            return a * values[cell, n] + b * values[cell + 1, n] + ca * slopes[cell, n] + cb * slopes[cell + 1, n]
-
+        p0, p1, q0, q1 = _hermite(share, h[cell])
         whole = h[:, None] / 2 * (dx[:-1] + dx[1:]) + h[:, None] ** 2 / 12 * (dc[:-1] - dc[1:])
         below = np.vstack([np.zeros(t.size), np.cumsum(whole, axis=0)])[cell, n]
         u = share
@@ -454,8 +455,12 @@ def evaluate(tables: Tables, crank_angle: ArrayLike, torque: ArrayLike) -> dict[
         )  # fmt: skip
         rest = np.einsum("kn,kn->n", tables.rest_torque[around], weights)
         a, b = -6 * u * (1 - u) / h[cell], (1 - u) * (1 - 3 * u)
-        found["deviation"][here] = direction * between(x, c)
-        found["deviation_rate"][here] = direction * between(dx, dc)
+        found["deviation"][here] = direction * (
+            p0 * x[cell, n] + p1 * x[cell + 1, n] + q0 * c[cell, n] + q1 * c[cell + 1, n]
+        )
+        found["deviation_rate"][here] = direction * (
+            p0 * dx[cell, n] + p1 * dx[cell + 1, n] + q0 * dc[cell, n] + q1 * dc[cell + 1, n]
+        )
         found["compliance"][here] = (
             a * (x[cell, n] - x[cell + 1, n]) + b * c[cell, n] + u * (3 * u - 2) * c[cell + 1, n]
         )  # fmt: skip

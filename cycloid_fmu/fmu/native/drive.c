@@ -33,7 +33,7 @@ static int refuse(char message[MESSAGE_SIZE], const char *format, double value, 
 }
 
 static int kinematic(const struct drive *drive) {
-    return drive->table->interface == INTERFACE_KINEMATIC;
+    return drive->table->offers == INTERFACE_KINEMATIC;
 }
 
 /* ---- losses ---- */
@@ -176,6 +176,7 @@ static const struct place *placed(struct drive *drive) {
     if (!drive->placed) {
         drive->place = table_place(drive->table, kinematic(drive) ? drive->state.placed : drive->state.crank_angle);
         drive->placed = 1;
+        drive->at_load = 0.0;
     }
     return &drive->place;
 }
@@ -197,7 +198,9 @@ static int elastic(struct drive *drive, const struct play *play, double torque, 
         *deviation = middle + end * (0.5 * play->width - play->offset);
         return 0;
     }
-    *deviation = side * (table_at(table, &drive->place, load).deviation - play->offset) + s->series_compliance * torque;
+    drive->at = table_at(table, &drive->place, load);
+    drive->at_load = side * load;
+    *deviation = side * (drive->at.deviation - play->offset) + s->series_compliance * torque;
     return 0;
 }
 
@@ -269,6 +272,13 @@ static double carried_speed(struct drive *drive) {
     double rate, side = s->side < 0.0 ? -1.0 : 1.0;
     if (s->crank_speed == 0.0 || (s->pushed == 0.0 && (s->backlash_on != 0.0 || s->friction_torque > 0.0))) {
         return 0.0;
+    }
+    if (s->load > 0.0 && s->backlash_on != 0.0) {
+        if (drive->at_load != side * s->load) {
+            drive->at = table_at(side_of(drive, side), place, s->load);
+            drive->at_load = side * s->load;
+        }
+        return s->crank_speed * (side * drive->at.rate + 1.0 / drive->table->ratio);
     }
     play = play_at(drive, place);
     if (s->load > 0.0) {
@@ -428,7 +438,7 @@ static int move(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
     if (kinematic(drive)) {
         return follow_torque(drive, message);
     }
-    if (drive->table->interface == INTERFACE_INERTIA ? move_inertia(drive, step, message)
+    if (drive->table->offers == INTERFACE_INERTIA ? move_inertia(drive, step, message)
                                                      : move_flanges(drive, step, message)) {
         return 1;
     }
@@ -442,10 +452,12 @@ static int move(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
 }
 
 static int guarded(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
-    struct state kept = drive->state;
-    int failed = move(drive, step, message);
+    struct state kept;
+    int failed;
+    memcpy(&kept, &drive->state, offsetof(struct state, loss)); /* a step leaves the losses */
+    failed = move(drive, step, message);
     if (failed) {
-        drive->state = kept;
+        memcpy(&drive->state, &kept, offsetof(struct state, loss));
         drive->placed = drive->solved = 0;
     }
     return failed;
@@ -489,7 +501,7 @@ int drive_start(struct drive *drive, char message[MESSAGE_SIZE]) {
     drive->initializing = 0;
     drive->placed = drive->solved = 0;
     drive->state.settled = drive->state.bristle = drive->state.dissipated_energy = 0.0;
-    if (!failed && drive->table->interface == INTERFACE_INERTIA) {
+    if (!failed && drive->table->offers == INTERFACE_INERTIA) {
         failed = rest_on_load(drive, message);
     }
     drive->state.seen = drive->state.output_angle;

@@ -29,6 +29,8 @@ struct drive {
     int initializing; /* outputs follow the inputs without a step */
     int placed;       /* whether `place` is that of the state; of no effect on results */
     struct place place;
+    struct loaded at; /* what the contacts do there under `at_load`, where that is not 0 */
+    double at_load;
     int solved; /* whether the following belong to the state; likewise */
     struct pressed pressed;
     double loss_torque, damping, strain;

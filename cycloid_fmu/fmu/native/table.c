@@ -6,6 +6,7 @@
 #include <string.h>
 
 #ifdef _WIN32
+#define WIN32_LEAN_AND_MEAN
 #include <windows.h>
 #endif
 
@@ -180,9 +181,9 @@ static void read_body(struct reader *reader, struct table *table) {
     uint32_t i, k;
     int64_t *steps;
     table->token = text(reader);
-    table->interface = (uint32_t)whole(reader, 4);
+    table->offers = (uint32_t)whole(reader, 4);
     table->variables = (uint32_t)whole(reader, 4);
-    if (table->interface > INTERFACE_INERTIA || table->variables > 100000) {
+    if (table->offers > INTERFACE_INERTIA || table->variables > 100000) {
         reader->failed = 1;
     }
     table->variable = allocate(reader, table->variables, sizeof *table->variable);
@@ -350,7 +351,8 @@ struct place table_place(const struct table *table, double crank_angle) {
     for (i = 0; i < 4; i++) {
         uint32_t node = first + (uint32_t)i;
         place.rate[i] *= n / table->period;
-        place.node[i] = node == 0 ? table->angles - 1 : (node - 1) % table->angles;
+        node = node == 0 ? table->angles - 1 : node - 1;
+        place.node[i] = node >= table->angles ? node - table->angles : node;
     }
     return place;
 }
@@ -366,14 +368,11 @@ static double blend(const float *values, const struct side *side, const struct p
 }
 
 static uint32_t cell_of(const struct side *side, double load) {
-    uint32_t low = 0, high = side->loads - 1;
-    while (high - low > 1) {
-        uint32_t middle = (low + high) / 2;
-        if (side->load[middle] <= load) {
-            low = middle;
-        } else {
-            high = middle;
-        }
+    uint32_t low = 0, count = side->loads - 1;
+    while (count > 1) {
+        uint32_t half = count / 2;
+        low = side->load[low + half] <= load ? low + half : low;
+        count -= half;
     }
     return low;
 }
@@ -390,20 +389,26 @@ static double hermite_slope(double u, double h, double a, double b, double ca, d
 }
 
 struct loaded table_at(const struct side *side, const struct place *place, double load) {
-    uint32_t j = cell_of(side, load);
+    uint32_t j = cell_of(side, load), i;
     double h = side->load[j + 1] - side->load[j], u = (load - side->load[j]) / h;
-    double a = blend(side->deviation, side, place, j, place->weight);
-    double b = blend(side->deviation, side, place, j + 1, place->weight);
-    double ca = blend(side->compliance, side, place, j, place->weight);
-    double cb = blend(side->compliance, side, place, j + 1, place->weight);
+    double a = 0.0, b = 0.0, ca = 0.0, cb = 0.0, ra = 0.0, rb = 0.0, rca = 0.0, rcb = 0.0;
     struct loaded found;
+    for (i = 0; i < 4; i++) {
+        const float *x = side->deviation + (size_t)place->node[i] * side->loads + j;
+        const float *c = side->compliance + (size_t)place->node[i] * side->loads + j;
+        double w = place->weight[i], r = place->rate[i];
+        a += w * (double)x[0];
+        b += w * (double)x[1];
+        ca += w * (double)c[0];
+        cb += w * (double)c[1];
+        ra += r * (double)x[0];
+        rb += r * (double)x[1];
+        rca += r * (double)c[0];
+        rcb += r * (double)c[1];
+    }
     found.deviation = hermite(u, h, a, b, ca, cb);
     found.compliance = hermite_slope(u, h, a, b, ca, cb);
-    a = blend(side->deviation, side, place, j, place->rate);
-    b = blend(side->deviation, side, place, j + 1, place->rate);
-    ca = blend(side->compliance, side, place, j, place->rate);
-    cb = blend(side->compliance, side, place, j + 1, place->rate);
-    found.rate = hermite(u, h, a, b, ca, cb);
+    found.rate = hermite(u, h, ra, rb, rca, rcb);
     return found;
 }
 

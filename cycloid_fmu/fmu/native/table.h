@@ -9,7 +9,7 @@ enum { MESSAGE_SIZE = 512, MOST_LOADS = 128 };
 
 enum kind { KIND_REAL, KIND_INTEGER, KIND_BOOLEAN };
 enum causality { CAUSALITY_INPUT, CAUSALITY_OUTPUT, CAUSALITY_PARAMETER, CAUSALITY_INDEPENDENT };
-enum interface { INTERFACE_KINEMATIC, INTERFACE_COMPLIANT, INTERFACE_INERTIA };
+enum offers { INTERFACE_KINEMATIC, INTERFACE_COMPLIANT, INTERFACE_INERTIA };
 
 struct variable {
     char *name;
@@ -32,7 +32,7 @@ struct side {
 struct table {
     uint64_t hash;
     char *token;
-    uint32_t interface, variables, angles;
+    uint32_t offers, variables, angles; /* offers: which interface, not the word that Windows' headers take */
     struct variable *variable;
     double ratio, period, allowed;
     struct side side[2]; /* positive and negative torque */
