@@ -279,7 +279,7 @@ def build_native(
     for name in names:
         _compiler(name)
         if name not in platforms_of(version):
-            raise edge.InputError(f"--platform {name}: FMI {version} does not know it; use --fmi 3.")
+            raise edge.InputError(f"--platform {name}: FMI {version} does not know it; use --fmi 3.0.")
     with edge.written_whole(path) as temporary:
         libraries = _binaries(version, names, compiled)
         if made is None:
