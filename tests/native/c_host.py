@@ -1,7 +1,9 @@
 """What the tests of the native FMU share: its interfaces, and how C is compiled beside it."""
 
+import os
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -17,7 +19,11 @@ INTERFACES = {
 }
 
 
-def compiled(target, sources, *flags, compiler=("cc",)):
+# The system's compiler where there is one: it is done sooner than zig, which the tests bring along.
+COMPILER = ("cc",) if shutil.which("cc") else (sys.executable, "-m", "ziglang", "cc")
+
+
+def compiled(target, sources, *flags, compiler=COMPILER):
     """Compile C sources with FMI's headers."""
     include = ["-I", str(native_build.headers()), "-I", str(HERE.parents[1] / "cycloid_fmu" / "fmu" / "native")]
     libraries = [] if target.suffix == ".exe" else ["-ldl"]
@@ -26,6 +32,14 @@ def compiled(target, sources, *flags, compiler=("cc",)):
         check=True,
     )  # fmt: skip
     return target
+
+
+def run_host(program, library, uri, guid, *words, prefix=(), **environment):
+    """Run the C host."""
+    return subprocess.run(
+        [*prefix, str(program), str(library), uri, guid, *map(str, words)], capture_output=True, text=True,
+        timeout=900, env={**os.environ, **environment}, check=False,
+    )  # fmt: skip
 
 
 def needs(program):

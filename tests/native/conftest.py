@@ -1,11 +1,9 @@
-import os
-import subprocess
 from pathlib import Path
 from types import SimpleNamespace
 
 import fmpy
 import pytest
-from c_host import HERE, INTERFACES, compiled
+from c_host import COMPILER, HERE, INTERFACES, compiled, run_host
 from common import EXAMPLES
 
 from cycloid_fmu.fmu import native_build, tables
@@ -30,7 +28,7 @@ def built(drive, tmp_path_factory):
         if (kind, version) not in made:
             path = folder / f"{kind} {version[0]}.fmu"
             with pytest.MonkeyPatch.context() as patch:
-                patch.setenv("CC", "cc")
+                patch.setenv("CC", COMPILER[0] if len(COMPILER) == 1 else "")
                 patch.setenv("XDG_CACHE_HOME", str(folder))
                 native_build.build_native(
                     drive.pair, drive.surface, path, INTERFACES[kind], version, made=drive.tables,
@@ -63,16 +61,15 @@ def unpacked(built, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def host(tmp_path_factory):
-    """The C host: `host(unpacked, "run", 100)` returns what it prints, with `fails` why it failed, or (None) its status."""
+    """The C host: `host(unpacked, "run", 100)` returns what it prints; with `fails` why it failed, or its status."""
     program = compiled(
         tmp_path_factory.mktemp("host") / "host", [HERE / "host.c"], "-O2", "-Wall", "-Wextra", "-Werror"
     )
 
     def run(fmu, *words, uri=None, guid=None, fails=False, program=program, library=None, prefix=(), **environment):
-        done = subprocess.run(
-            [*prefix, str(program), str(library or fmu.library), uri or fmu.uri, guid or fmu.guid, *map(str, words)],
-            capture_output=True, text=True, timeout=900, env={**os.environ, **environment}, check=False,
-        )  # fmt: skip
+        done = run_host(
+            program, library or fmu.library, uri or fmu.uri, guid or fmu.guid, *words, prefix=prefix, **environment
+        )
         if fails is None:
             return done.returncode
         assert (done.returncode != 0) == fails, done.stderr
