@@ -16,6 +16,7 @@ and variables; ratio, period, torques and channels: second differences of whole 
 from __future__ import annotations
 
 import dataclasses
+import heapq
 import itertools
 import math
 import struct
@@ -44,11 +45,12 @@ LARGEST_LOAD = 2.5  # times the rated torque: what reducers' makers allow for a 
 _SAMPLES = (16, 32, 64, 128)  # crank angles a mesh pitch that are tried
 _FINEST = 256  # with which they are compared
 _WINDOWS = 12  # of two mesh pitches, spread over the period, on which the grids are chosen
-_MOST_LOADS = 128
-_SHARES = (0.7, 0.4)  # of the allowed error for the loads, and as much for the angles: their largest seldom meet
+MOST_LOADS = 192  # of one direction; table.h has the same
+_SHARES = (0.5, 0.25)  # of the allowed error for the loads, and as much for the angles
+_SPREAD = 1000  # random crank angles at which the loads are chosen
 _FIRST_SLOPE = 0.125  # of the first torque: where the slope at zero load is taken, which Hertz's logarithm has infinite
 _STEPS = 64  # steps of the stored deviation in what it may err
-PROBES = 4000  # random crank angles and torques at which the finished tables are held against the model
+PROBES = 20000  # random crank angles and torques at which the finished tables are held against the model
 
 
 @dataclass(frozen=True)
@@ -195,21 +197,26 @@ def _chosen_loads(
         one = _solved(pair, surface, direction, np.array([load, following] if load == 0.0 else [load]), angles)
         return one.deviation[0], one.compliance[0]
 
-    loads = [0.0, 0.01 * largest, 0.1 * largest, largest]
-    known = {load: at(load, loads[1]) for load in loads}
-    waiting = list(itertools.pairwise(loads))
-    while waiting and len(known) < _MOST_LOADS:
-        low, high = waiting.pop(0)
+    def halved(low: float, high: float) -> tuple[float, float, float, float]:
+        """How much a cell's middle errs, below zero for the heap; and the cell."""
         middle = _middle(low, high)
-        x, c = at(middle, high)
+        known[middle] = at(middle, high)
         a, b, ca, cb = _hermite((middle - low) / (high - low), high - low)
         guess = a * known[low][0] + b * known[high][0] + ca * known[low][1] + cb * known[high][1]
-        if np.abs(guess - x).max() > allowed:
-            known[middle] = (x, c)
-            if low == 0.0:
-                known[0.0] = at(0.0, middle)
-            waiting += [(low, middle), (middle, high)]
-    return np.array(sorted(known))
+        return -float(np.abs(guess - known[middle][0]).max()), low, middle, high
+
+    loads = [0.0, 0.01 * largest, 0.1 * largest, largest]
+    known = {load: at(load, loads[1]) for load in loads}
+    cells = [halved(low, high) for low, high in itertools.pairwise(loads)]
+    heapq.heapify(cells)
+    while -cells[0][0] > allowed and len(loads) < MOST_LOADS:
+        _, low, middle, high = heapq.heappop(cells)
+        loads.append(middle)
+        if low == 0.0:
+            known[0.0] = at(0.0, middle)
+        for cell in ((low, middle), (middle, high)):
+            heapq.heappush(cells, halved(*cell))
+    return np.array(sorted(loads))
 
 
 def _chosen_samples(
@@ -313,7 +320,7 @@ def compute(
     pitch = 2.0 * math.pi / (g.pins if g.output == "gear" else g.gear_teeth)
     period = pitches * pitch
     random = np.random.default_rng(1)
-    spread = np.sort(random.uniform(0.0, period, 240))
+    spread = np.sort(random.uniform(0.0, period, _SPREAD))
     range_ = float(np.ptp(_solved(pair, surface, 1.0, np.array([0.0, largest_load]), spread).deviation, axis=1).max())
     allowed = max(accuracy, RANGE_SHARE * range_)
     starts: Array = np.arange(min(_WINDOWS, pitches), dtype=float) * (period / min(_WINDOWS, pitches))

@@ -5,7 +5,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-enum { MESSAGE_SIZE = 512, MOST_LOADS = 128 };
+enum { MESSAGE_SIZE = 512, MOST_LOADS = 192 };
 
 enum kind { KIND_REAL, KIND_INTEGER, KIND_BOOLEAN };
 enum causality { CAUSALITY_INPUT, CAUSALITY_OUTPUT, CAUSALITY_PARAMETER, CAUSALITY_INDEPENDENT };
