@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from cycloid_fmu.fmu.description import Version
+    from cycloid_fmu.fmu.variables import Interface
     from cycloid_fmu.pair import Pair
     from cycloid_fmu.surface import ErrorSurface
 
@@ -286,6 +288,15 @@ def build(
         ),
     ] = None,
     fmi: Annotated[str, typer.Option(help="FMI version, 2.0 or 3.0.")] = "2.0",
+    native: Annotated[
+        bool, typer.Option("--native", help="An FMU that needs no Python: C around tables of the contact model.")
+    ] = False,
+    platforms: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--platform", help="With --native: x86_64-linux, aarch64-darwin, ...; all by default. Repeatable."
+        ),
+    ] = None,
 ) -> None:
     """Build a Co-Simulation FMU of the drive, or of a whole RV reducer with the sun as input.
 
@@ -305,7 +316,13 @@ def build(
     inertia = 0.0 if output_inertia is None else edge.quantity_option(output_inertia, "kg*m^2", "--output-inertia")
     table = LOSSLESS if losses is None else builder.read_losses(losses)
     offered = Interface(interface, inertia, table)  # type: ignore[arg-type]
+    if platforms and not native:
+        raise edge.InputError("--platform: only a --native FMU has platforms; one in Python runs where Python does.")
     if edge.format_of(pair_file) == rv.FORMAT:
+        if native:
+            raise edge.InputError(
+                f"{pair_file}: --native is for a gear pair; an RV reducer has an FMU in Python alone."
+            )
         reducer = rv.read_reducer(pair_file)
         for warning in rv.contradictions(reducer, str(pair_file)):
             typer.echo(warning, err=True)
@@ -317,7 +334,57 @@ def build(
         builder.build_fmu(reducer.stage, surface, output, stage, interface=offered, fmi_version=fmi)  # type: ignore[arg-type]
         return
     pair, surface = _load(pair_file, surface_file)
+    if native:
+        _build_native(pair_file, pair, surface, output, builder.checked_interface(offered, None), fmi, platforms or [])  # type: ignore[arg-type]
+        return
     builder.build_fmu(pair, surface, output, interface=offered, fmi_version=fmi)  # type: ignore[arg-type]
+
+
+def _build_native(
+    pair_file: Path,
+    pair: Pair,
+    surface: ErrorSurface,
+    output: Path,
+    interface: Interface,
+    fmi: Version,
+    names: list[str],
+) -> None:
+    """Build a native FMU and say how good its tables are."""
+    from rich.progress import Progress
+
+    from cycloid_fmu.fmu.native_build import build_native, platforms_of
+    from cycloid_fmu.fmu.tables import LARGEST_LOAD, PROBES
+
+    if pair.pair.rated_torque is None:
+        raise edge.InputError(
+            f"{pair_file}: [pair] rated_torque is missing; a native FMU's tables reach {LARGEST_LOAD:g} times as far."
+        )
+    names = names or list(platforms_of(fmi))
+    with Progress(transient=True) as bar:
+        libraries = bar.add_task(f"compiling for {names[0]}", total=len(names))
+        angles = bar.add_task("crank angles", total=None)
+
+        def compiled(name: str) -> None:
+            following = names[names.index(name) + 1 :]
+            bar.update(libraries, advance=1, description=f"compiling for {following[0]}" if following else "compiled")
+
+        made = build_native(
+            pair,
+            surface,
+            output,
+            interface,
+            fmi,
+            platforms=names,
+            workers=os.cpu_count() or 1,
+            total=lambda count: bar.update(angles, total=count, completed=0),
+            progress=lambda done: bar.advance(angles, done),
+            compiled=compiled,
+        )
+    typer.echo(
+        f"{output}: {output.stat().st_size / 1e6:.2f} MB, up to {made.positive.load[-1]:.5g} N*m; transmission error "
+        f"within {np.degrees(made.error['deviation_largest']) * 3600:.3f} arcsec of the exact model "
+        f"({PROBES} random crank angles and torques)."
+    )
 
 
 FmuFile = Annotated[Path, typer.Argument(metavar="DRIVE.fmu", help="An FMU made by cycloid-fmu build.")]

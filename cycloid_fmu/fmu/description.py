@@ -33,10 +33,10 @@ def unit_definitions(table: Sequence[Variable]) -> Element:
     return root
 
 
-def model_variables(table: Sequence[Variable], version: Version) -> Element:
-    """Return `<ModelVariables>`; the place in the table is the value reference."""
+def model_variables(table: Sequence[Variable], version: Version, references: Sequence[int] | None = None) -> Element:
+    """Return `<ModelVariables>`; the place in the table is the value reference where none are given."""
     root = Element("ModelVariables")
-    for reference, variable in enumerate(table):
+    for reference, variable in zip(references or range(len(table)), table, strict=True):
         outer = {
             "name": variable.name, "valueReference": str(reference), "description": variable.description,
             "causality": variable.causality, "variability": variable.variability,
@@ -62,10 +62,11 @@ def model_variables(table: Sequence[Variable], version: Version) -> Element:
     return root
 
 
-def model_structure(table: Sequence[Variable], version: Version) -> Element:
+def model_structure(table: Sequence[Variable], version: Version, references: Sequence[int] | None = None) -> Element:
     """Return `<ModelStructure>`: outputs with the inputs that they depend on, and with the parameters initially."""
-    root, base = Element("ModelStructure"), 1 if version == "2.0" else 0
-    places = {v.name: i + base for i, v in enumerate(table)}
+    root = Element("ModelStructure")
+    numbers = range(1, len(table) + 1) if version == "2.0" else references or range(len(table))
+    places = {v.name: number for v, number in zip(table, numbers, strict=True)}
     for section, item in (("Outputs", "Output"), ("InitialUnknowns", "InitialUnknown")):
         node = SubElement(root, section) if version == "2.0" else root
         for variable in table:

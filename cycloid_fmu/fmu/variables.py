@@ -99,8 +99,8 @@ class Variable:
 
     name: str
     description: str
-    causality: Literal["input", "output", "parameter", "independent"]
-    variability: Literal["continuous", "discrete", "tunable", "fixed"] = "continuous"
+    causality: Literal["input", "output", "parameter", "independent", "local"]
+    variability: Literal["continuous", "discrete", "tunable", "fixed", "constant"] = "continuous"
     unit: str | None = None
     display: str | None = None
     least: float | None = None

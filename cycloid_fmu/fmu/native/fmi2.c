@@ -1,0 +1,241 @@
+/* FMI 2.0 Co-Simulation. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "fmi2Functions.h"
+#include "instance.h"
+
+static void log_message(struct instance *instance, int status, const char *message) {
+    const fmi2CallbackFunctions *functions = instance->callback;
+    char format[2 * MESSAGE_SIZE];
+    size_t used = 0;
+    /* Not "%s" and the message: hosts in Python see the format alone. */
+    for (; *message != '\0'; message++) {
+        if (*message == '%') {
+            format[used++] = '%';
+        }
+        format[used++] = *message;
+    }
+    format[used] = '\0';
+    if (functions != NULL && functions->logger != NULL) {
+        functions->logger(functions->componentEnvironment, instance->name, (fmi2Status)status,
+                          status == STATUS_DISCARD ? "logStatusDiscard" : "logStatusError", format);
+    }
+}
+
+const char *fmi2GetTypesPlatform(void) {
+    return fmi2TypesPlatform;
+}
+
+const char *fmi2GetVersion(void) {
+    return fmi2Version;
+}
+
+fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const fmi2String categories[]) {
+    (void)c, (void)on, (void)n, (void)categories; /* only what is refused is logged, and that always */
+    return fmi2OK;
+}
+
+fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
+                              const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean logging) {
+    struct instance *instance = calloc(1, sizeof *instance);
+    (void)visible, (void)logging;
+    if (instance == NULL) {
+        return NULL;
+    }
+    instance->log = log_message;
+    instance->callback = (void *)functions;
+    if (instance_open(instance, name, guid, resources)) {
+        instance_close(instance);
+        return NULL;
+    }
+    if (type != fmi2CoSimulation) {
+        instance_refuse(instance, STATUS_ERROR, "this FMU is one for Co-Simulation only.");
+        instance_close(instance);
+        return NULL;
+    }
+    return instance;
+}
+
+void fmi2FreeInstance(fmi2Component c) {
+    instance_close(c);
+}
+
+fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fmi2Real tolerance, fmi2Real start,
+                               fmi2Boolean stopDefined, fmi2Real stop) {
+    struct instance *instance = c;
+    (void)toleranceDefined, (void)tolerance, (void)stopDefined, (void)stop;
+    instance->drive.state.time = start;
+    return fmi2OK;
+}
+
+fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
+    struct instance *instance = c;
+    return (fmi2Status)instance_initialize(instance, instance->drive.state.time);
+}
+
+fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
+    return (fmi2Status)instance_start(c);
+}
+
+fmi2Status fmi2Terminate(fmi2Component c) {
+    return (fmi2Status)instance_terminate(c);
+}
+
+fmi2Status fmi2Reset(fmi2Component c) {
+    return (fmi2Status)instance_reset(c);
+}
+
+#define GETTER(NAME, TYPE, KIND)                                                                                       \
+    fmi2Status NAME(fmi2Component c, const fmi2ValueReference references[], size_t n, TYPE values[]) {                 \
+        size_t i;                                                                                                      \
+        for (i = 0; i < n; i++) {                                                                                      \
+            const struct variable *variable = instance_variable(c, references[i], KIND);                               \
+            double value;                                                                                              \
+            if (variable == NULL || variable->size != 1 || instance_get(c, variable, &value) != STATUS_OK) {           \
+                return fmi2Error;                                                                                      \
+            }                                                                                                          \
+            values[i] = (TYPE)value;                                                                                   \
+        }                                                                                                              \
+        return fmi2OK;                                                                                                 \
+    }
+
+#define SETTER(NAME, TYPE, KIND)                                                                                       \
+    fmi2Status NAME(fmi2Component c, const fmi2ValueReference references[], size_t n, const TYPE values[]) {           \
+        size_t i;                                                                                                      \
+        int status = STATUS_OK;                                                                                        \
+        for (i = 0; i < n; i++) {                                                                                      \
+            const struct variable *variable = instance_variable(c, references[i], KIND);                               \
+            double value = (double)values[i];                                                                          \
+            if (variable == NULL || variable->size != 1 || instance_set(c, variable, &value) != STATUS_OK) {           \
+                status = STATUS_ERROR;                                                                                 \
+            }                                                                                                          \
+        }                                                                                                              \
+        return (fmi2Status)status;                                                                                     \
+    }
+
+GETTER(fmi2GetReal, fmi2Real, KIND_REAL)
+GETTER(fmi2GetInteger, fmi2Integer, KIND_INTEGER)
+GETTER(fmi2GetBoolean, fmi2Boolean, KIND_BOOLEAN)
+SETTER(fmi2SetReal, fmi2Real, KIND_REAL)
+SETTER(fmi2SetInteger, fmi2Integer, KIND_INTEGER)
+SETTER(fmi2SetBoolean, fmi2Boolean, KIND_BOOLEAN)
+
+static fmi2Status absent(struct instance *instance, size_t count, const char *what) {
+    return count == 0 ? fmi2OK : (fmi2Status)instance_refuse(instance, STATUS_ERROR, "this FMU has no %s.", what);
+}
+
+fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference references[], size_t n, fmi2String values[]) {
+    (void)references, (void)values;
+    return absent(c, n, "string variables");
+}
+
+fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference references[], size_t n, const fmi2String values[]) {
+    (void)references, (void)values;
+    return absent(c, n, "string variables");
+}
+
+fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state) {
+    unsigned char *blob = instance_state(c, *state);
+    *state = blob;
+    return blob != NULL ? fmi2OK : fmi2Error;
+}
+
+fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state) {
+    return (fmi2Status)instance_restore(c, state);
+}
+
+fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state) {
+    (void)c;
+    if (state != NULL) {
+        free(*state);
+        *state = NULL;
+    }
+    return fmi2OK;
+}
+
+fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_t *size) {
+    (void)c, (void)state;
+    *size = drive_state_size();
+    return fmi2OK;
+}
+
+fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size) {
+    if (state == NULL || size < drive_state_size()) {
+        return (fmi2Status)instance_refuse(c, STATUS_ERROR, "a state takes %u bytes, given are %u.",
+                                           (unsigned)drive_state_size(), (unsigned)size);
+    }
+    memcpy(bytes, state, drive_state_size());
+    return fmi2OK;
+}
+
+fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state) {
+    unsigned char *blob = instance_state_from(c, (const unsigned char *)bytes, size);
+    if (blob == NULL) {
+        return fmi2Error;
+    }
+    free(*state);
+    *state = blob;
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference unknowns[], size_t nUnknowns,
+                                        const fmi2ValueReference knowns[], size_t nKnowns, const fmi2Real seeds[],
+                                        fmi2Real derivatives[]) {
+    (void)unknowns, (void)nUnknowns, (void)knowns, (void)nKnowns, (void)seeds, (void)derivatives;
+    return absent(c, 1, "directional derivatives");
+}
+
+fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference references[], size_t n,
+                                       const fmi2Integer orders[], const fmi2Real values[]) {
+    (void)references, (void)orders, (void)values;
+    return absent(c, n, "derivatives of inputs");
+}
+
+fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference references[], size_t n,
+                                        const fmi2Integer orders[], fmi2Real values[]) {
+    (void)references, (void)orders, (void)values;
+    return absent(c, n, "derivatives of outputs");
+}
+
+fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boolean noSetFMUStatePriorToCurrentPoint) {
+    (void)noSetFMUStatePriorToCurrentPoint;
+    return (fmi2Status)instance_step(c, time, step);
+}
+
+fmi2Status fmi2CancelStep(fmi2Component c) {
+    return (fmi2Status)instance_refuse(c, STATUS_ERROR, "no step is under way: they are made at once.");
+}
+
+fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value) {
+    (void)c, (void)kind, (void)value;
+    return fmi2Discard;
+}
+
+fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value) {
+    struct instance *instance = c;
+    if (kind != fmi2LastSuccessfulTime) {
+        return fmi2Discard;
+    }
+    *value = instance->drive.state.time;
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Integer *value) {
+    (void)c, (void)kind, (void)value;
+    return fmi2Discard;
+}
+
+fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value) {
+    (void)c;
+    if (kind != fmi2Terminated) {
+        return fmi2Discard;
+    }
+    *value = fmi2False;
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind kind, fmi2String *value) {
+    (void)c, (void)kind, (void)value;
+    return fmi2Discard;
+}

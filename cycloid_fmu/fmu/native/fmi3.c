@@ -1,0 +1,321 @@
+/* FMI 3.0 Co-Simulation. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "fmi3Functions.h"
+#include "instance.h"
+
+static void log_message(struct instance *instance, int status, const char *message) {
+    fmi3LogMessageCallback callback = (fmi3LogMessageCallback)instance->callback3;
+    if (callback != NULL) {
+        callback(instance->environment, (fmi3Status)status,
+                 status == STATUS_DISCARD ? "logStatusDiscard" : "logStatusError", message);
+    }
+}
+
+const char *fmi3GetVersion(void) {
+    return fmi3Version;
+}
+
+fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n, const fmi3String categories[]) {
+    (void)c, (void)on, (void)n, (void)categories; /* only what is refused is logged, and that always */
+    return fmi3OK;
+}
+
+static struct instance *opened(fmi3String name, fmi3String token, fmi3String resources, void *environment,
+                               fmi3LogMessageCallback callback, const char *refused) {
+    struct instance *instance = calloc(1, sizeof *instance);
+    int failed;
+    if (instance == NULL) {
+        return NULL;
+    }
+    instance->log = log_message;
+    instance->environment = environment;
+    instance->callback3 = (void (*)(void))callback;
+    if (refused != NULL) {
+        failed = instance_refuse(instance, STATUS_ERROR, "this FMU is one for Co-Simulation, not %s.", refused);
+    } else {
+        failed = instance_open(instance, name, token, resources);
+    }
+    if (failed) {
+        instance_close(instance);
+        return NULL;
+    }
+    return instance;
+}
+
+fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
+                                         fmi3Boolean logging, fmi3Boolean eventModeUsed, fmi3Boolean earlyReturnAllowed,
+                                         const fmi3ValueReference required[], size_t n,
+                                         fmi3InstanceEnvironment environment, fmi3LogMessageCallback callback,
+                                         fmi3IntermediateUpdateCallback intermediateUpdate) {
+    (void)visible, (void)logging, (void)eventModeUsed, (void)earlyReturnAllowed, (void)required, (void)n;
+    (void)intermediateUpdate;
+    return opened(name, token, resources, environment, callback, NULL);
+}
+
+fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
+                                          fmi3Boolean logging, fmi3InstanceEnvironment environment,
+                                          fmi3LogMessageCallback callback) {
+    (void)visible, (void)logging;
+    return opened(name, token, resources, environment, callback, "for Model Exchange");
+}
+
+fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token, fmi3String resources,
+                                               fmi3Boolean visible, fmi3Boolean logging,
+                                               fmi3InstanceEnvironment environment, fmi3LogMessageCallback callback,
+                                               fmi3ClockUpdateCallback clockUpdate, fmi3LockPreemptionCallback lock,
+                                               fmi3UnlockPreemptionCallback unlock) {
+    (void)visible, (void)logging, (void)clockUpdate, (void)lock, (void)unlock;
+    return opened(name, token, resources, environment, callback, "for Scheduled Execution");
+}
+
+void fmi3FreeInstance(fmi3Instance c) {
+    instance_close(c);
+}
+
+fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean toleranceDefined, fmi3Float64 tolerance,
+                                       fmi3Float64 start, fmi3Boolean stopDefined, fmi3Float64 stop) {
+    (void)toleranceDefined, (void)tolerance, (void)stopDefined, (void)stop;
+    return (fmi3Status)instance_initialize(c, start);
+}
+
+fmi3Status fmi3ExitInitializationMode(fmi3Instance c) {
+    return (fmi3Status)instance_start(c);
+}
+
+fmi3Status fmi3Terminate(fmi3Instance c) {
+    return (fmi3Status)instance_terminate(c);
+}
+
+fmi3Status fmi3Reset(fmi3Instance c) {
+    return (fmi3Status)instance_reset(c);
+}
+
+static int too_few(struct instance *instance) {
+    return instance_refuse(instance, STATUS_ERROR, "the number of values is not that of the variables.");
+}
+
+fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference references[], size_t n, fmi3Float64 values[],
+                          size_t nValues) {
+    size_t i, used = 0;
+    for (i = 0; i < n; i++) {
+        const struct variable *variable = instance_variable(c, references[i], KIND_REAL);
+        if (variable == NULL) {
+            return fmi3Error;
+        }
+        if (variable->size > nValues - used) {
+            return (fmi3Status)too_few(c);
+        }
+        if (instance_get(c, variable, values + used) != STATUS_OK) {
+            return fmi3Error;
+        }
+        used += variable->size;
+    }
+    return used == nValues ? fmi3OK : (fmi3Status)too_few(c);
+}
+
+fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference references[], size_t n, const fmi3Float64 values[],
+                          size_t nValues) {
+    size_t i, used = 0;
+    int status = STATUS_OK;
+    for (i = 0; i < n; i++) {
+        const struct variable *variable = instance_variable(c, references[i], KIND_REAL);
+        if (variable == NULL) {
+            return fmi3Error;
+        }
+        if (variable->size > nValues - used) {
+            return (fmi3Status)too_few(c);
+        }
+        if (instance_set(c, variable, values + used) != STATUS_OK) {
+            status = STATUS_ERROR;
+        }
+        used += variable->size;
+    }
+    return used == nValues ? (fmi3Status)status : (fmi3Status)too_few(c);
+}
+
+#define ACCESS(TYPE, KIND)                                                                                             \
+    fmi3Status fmi3Get##TYPE(fmi3Instance c, const fmi3ValueReference references[], size_t n, fmi3##TYPE values[],     \
+                             size_t nValues) {                                                                         \
+        size_t i;                                                                                                      \
+        if (n != nValues) {                                                                                            \
+            return (fmi3Status)too_few(c);                                                                             \
+        }                                                                                                              \
+        for (i = 0; i < n; i++) {                                                                                      \
+            const struct variable *variable = instance_variable(c, references[i], KIND);                               \
+            double value;                                                                                              \
+            if (variable == NULL || variable->size != 1 || instance_get(c, variable, &value) != STATUS_OK) {           \
+                return fmi3Error;                                                                                      \
+            }                                                                                                          \
+            values[i] = (fmi3##TYPE)value;                                                                             \
+        }                                                                                                              \
+        return fmi3OK;                                                                                                 \
+    }                                                                                                                  \
+    fmi3Status fmi3Set##TYPE(fmi3Instance c, const fmi3ValueReference references[], size_t n,                          \
+                             const fmi3##TYPE values[], size_t nValues) {                                              \
+        size_t i;                                                                                                      \
+        int status = STATUS_OK;                                                                                        \
+        if (n != nValues) {                                                                                            \
+            return (fmi3Status)too_few(c);                                                                             \
+        }                                                                                                              \
+        for (i = 0; i < n; i++) {                                                                                      \
+            const struct variable *variable = instance_variable(c, references[i], KIND);                               \
+            double value = (double)values[i];                                                                          \
+            if (variable == NULL || variable->size != 1 || instance_set(c, variable, &value) != STATUS_OK) {           \
+                status = STATUS_ERROR;                                                                                 \
+            }                                                                                                          \
+        }                                                                                                              \
+        return (fmi3Status)status;                                                                                     \
+    }
+
+ACCESS(Int32, KIND_INTEGER)
+ACCESS(Boolean, KIND_BOOLEAN)
+
+static fmi3Status absent(struct instance *instance, const char *what) {
+    return (fmi3Status)instance_refuse(instance, STATUS_ERROR, "this FMU has no %s.", what);
+}
+
+#define ABSENT(NAME, PARAMETERS, WHAT)                                                                                 \
+    fmi3Status NAME PARAMETERS {                                                                                       \
+        return absent(c, WHAT);                                                                                        \
+    }
+#define ABSENT_TYPE(TYPE)                                                                                              \
+    fmi3Status fmi3Get##TYPE(fmi3Instance c, const fmi3ValueReference references[], size_t n, fmi3##TYPE values[],     \
+                             size_t nValues) {                                                                         \
+        return n == 0 ? fmi3OK : absent(c, #TYPE " variables");                                                        \
+    }                                                                                                                  \
+    fmi3Status fmi3Set##TYPE(fmi3Instance c, const fmi3ValueReference references[], size_t n,                          \
+                             const fmi3##TYPE values[], size_t nValues) {                                              \
+        return n == 0 ? fmi3OK : absent(c, #TYPE " variables");                                                        \
+    }
+
+#if defined(__GNUC__)
+#pragma GCC diagnostic ignored "-Wunused-parameter"
+#endif
+ABSENT_TYPE(Float32)
+ABSENT_TYPE(Int8)
+ABSENT_TYPE(UInt8)
+ABSENT_TYPE(Int16)
+ABSENT_TYPE(UInt16)
+ABSENT_TYPE(UInt32)
+ABSENT_TYPE(Int64)
+ABSENT_TYPE(UInt64)
+ABSENT(fmi3EnterConfigurationMode, (fmi3Instance c), "configuration mode")
+ABSENT(fmi3ExitConfigurationMode, (fmi3Instance c), "configuration mode")
+ABSENT(fmi3GetIntervalDecimal, (fmi3Instance c, const fmi3ValueReference references[], size_t n, fmi3Float64
+       intervals[], fmi3IntervalQualifier qualifiers[]), "clocks")
+ABSENT(fmi3GetIntervalFraction, (fmi3Instance c, const fmi3ValueReference references[], size_t n, fmi3UInt64
+       counters[], fmi3UInt64 resolutions[], fmi3IntervalQualifier qualifiers[]), "clocks")
+ABSENT(fmi3GetShiftDecimal, (fmi3Instance c, const fmi3ValueReference references[], size_t n, fmi3Float64 shifts[]),
+       "clocks")
+ABSENT(fmi3GetShiftFraction, (fmi3Instance c, const fmi3ValueReference references[], size_t n, fmi3UInt64 counters[],
+       fmi3UInt64 resolutions[]), "clocks")
+ABSENT(fmi3SetIntervalDecimal, (fmi3Instance c, const fmi3ValueReference references[], size_t n, const fmi3Float64
+       intervals[]), "clocks")
+ABSENT(fmi3SetIntervalFraction, (fmi3Instance c, const fmi3ValueReference references[], size_t n, const fmi3UInt64
+       counters[], const fmi3UInt64 resolutions[]), "clocks")
+ABSENT(fmi3SetShiftDecimal, (fmi3Instance c, const fmi3ValueReference references[], size_t n, const fmi3Float64
+       shifts[]), "clocks")
+ABSENT(fmi3SetShiftFraction, (fmi3Instance c, const fmi3ValueReference references[], size_t n, const fmi3UInt64
+       counters[], const fmi3UInt64 resolutions[]), "clocks")
+ABSENT(fmi3EvaluateDiscreteStates, (fmi3Instance c), "event mode")
+ABSENT(fmi3EnterEventMode, (fmi3Instance c), "event mode")
+ABSENT(fmi3UpdateDiscreteStates, (fmi3Instance c, fmi3Boolean *discreteStatesNeedUpdate, fmi3Boolean
+       *terminateSimulation, fmi3Boolean *nominalsOfContinuousStatesChanged, fmi3Boolean
+       *valuesOfContinuousStatesChanged, fmi3Boolean *nextEventTimeDefined, fmi3Float64 *nextEventTime), "event mode")
+ABSENT(fmi3EnterContinuousTimeMode, (fmi3Instance c), "Model Exchange")
+ABSENT(fmi3CompletedIntegratorStep, (fmi3Instance c, fmi3Boolean noSetFMUStatePriorToCurrentPoint, fmi3Boolean
+       *enterEventMode, fmi3Boolean *terminateSimulation), "Model Exchange")
+ABSENT(fmi3SetTime, (fmi3Instance c, fmi3Float64 time), "Model Exchange")
+ABSENT(fmi3SetContinuousStates, (fmi3Instance c, const fmi3Float64 continuousStates[], size_t nContinuousStates),
+       "Model Exchange")
+ABSENT(fmi3GetContinuousStateDerivatives, (fmi3Instance c, fmi3Float64 derivatives[], size_t nContinuousStates),
+       "Model Exchange")
+ABSENT(fmi3GetEventIndicators, (fmi3Instance c, fmi3Float64 eventIndicators[], size_t nEventIndicators),
+       "Model Exchange")
+ABSENT(fmi3GetContinuousStates, (fmi3Instance c, fmi3Float64 continuousStates[], size_t nContinuousStates),
+       "Model Exchange")
+ABSENT(fmi3GetNominalsOfContinuousStates, (fmi3Instance c, fmi3Float64 nominals[], size_t nContinuousStates),
+       "Model Exchange")
+ABSENT(fmi3GetNumberOfEventIndicators, (fmi3Instance c, size_t *nEventIndicators), "Model Exchange")
+ABSENT(fmi3GetNumberOfContinuousStates, (fmi3Instance c, size_t *nContinuousStates), "Model Exchange")
+ABSENT(fmi3EnterStepMode, (fmi3Instance c), "step mode")
+ABSENT(fmi3GetOutputDerivatives, (fmi3Instance c, const fmi3ValueReference references[], size_t n, const fmi3Int32
+       orders[], fmi3Float64 values[], size_t nValues), "derivatives")
+ABSENT(fmi3ActivateModelPartition, (fmi3Instance c, fmi3ValueReference clockReference, fmi3Float64 activationTime),
+       "clocks")
+ABSENT(fmi3GetDirectionalDerivative, (fmi3Instance c, const fmi3ValueReference unknowns[], size_t nUnknowns, const
+       fmi3ValueReference knowns[], size_t nKnowns, const fmi3Float64 seed[], size_t nSeed, fmi3Float64 sensitivity[],
+       size_t nSensitivity), "derivatives")
+ABSENT(fmi3GetAdjointDerivative, (fmi3Instance c, const fmi3ValueReference unknowns[], size_t nUnknowns, const
+       fmi3ValueReference knowns[], size_t nKnowns, const fmi3Float64 seed[], size_t nSeed, fmi3Float64 sensitivity[],
+       size_t nSensitivity), "derivatives")
+ABSENT(fmi3GetNumberOfVariableDependencies, (fmi3Instance c, fmi3ValueReference valueReference, size_t
+       *nDependencies), "changing dependencies")
+ABSENT(fmi3GetVariableDependencies, (fmi3Instance c, fmi3ValueReference dependent, size_t elementIndicesOfDependent[],
+       fmi3ValueReference independents[], size_t elementIndicesOfIndependents[], fmi3DependencyKind dependencyKinds[],
+       size_t nDependencies), "changing dependencies")
+ABSENT(fmi3GetString, (fmi3Instance c, const fmi3ValueReference references[], size_t n, fmi3String values[], size_t
+       nValues), "string variables")
+ABSENT(fmi3SetString, (fmi3Instance c, const fmi3ValueReference references[], size_t n, const fmi3String values[],
+       size_t nValues), "string variables")
+ABSENT(fmi3GetBinary, (fmi3Instance c, const fmi3ValueReference references[], size_t n, size_t valueSizes[],
+       fmi3Binary values[], size_t nValues), "binary variables")
+ABSENT(fmi3SetBinary, (fmi3Instance c, const fmi3ValueReference references[], size_t n, const size_t valueSizes[],
+       const fmi3Binary values[], size_t nValues), "binary variables")
+ABSENT(fmi3GetClock, (fmi3Instance c, const fmi3ValueReference references[], size_t n, fmi3Clock values[]), "clocks")
+ABSENT(fmi3SetClock, (fmi3Instance c, const fmi3ValueReference references[], size_t n, const fmi3Clock values[]),
+       "clocks")
+
+fmi3Status fmi3GetFMUState(fmi3Instance c, fmi3FMUState *state) {
+    unsigned char *blob = instance_state(c, *state);
+    *state = blob;
+    return blob != NULL ? fmi3OK : fmi3Error;
+}
+
+fmi3Status fmi3SetFMUState(fmi3Instance c, fmi3FMUState state) {
+    return (fmi3Status)instance_restore(c, state);
+}
+
+fmi3Status fmi3FreeFMUState(fmi3Instance c, fmi3FMUState *state) {
+    if (state != NULL) {
+        free(*state);
+        *state = NULL;
+    }
+    return fmi3OK;
+}
+
+fmi3Status fmi3SerializedFMUStateSize(fmi3Instance c, fmi3FMUState state, size_t *size) {
+    *size = drive_state_size();
+    return fmi3OK;
+}
+
+fmi3Status fmi3SerializeFMUState(fmi3Instance c, fmi3FMUState state, fmi3Byte bytes[], size_t size) {
+    if (state == NULL || size < drive_state_size()) {
+        return (fmi3Status)instance_refuse(c, STATUS_ERROR, "a state takes %u bytes, given are %u.",
+                                           (unsigned)drive_state_size(), (unsigned)size);
+    }
+    memcpy(bytes, state, drive_state_size());
+    return fmi3OK;
+}
+
+fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte bytes[], size_t size, fmi3FMUState *state) {
+    unsigned char *blob = instance_state_from(c, bytes, size);
+    if (blob == NULL) {
+        return fmi3Error;
+    }
+    free(*state);
+    *state = blob;
+    return fmi3OK;
+}
+
+fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 step, fmi3Boolean noSetFMUStatePriorToCurrentPoint,
+                      fmi3Boolean *eventHandlingNeeded, fmi3Boolean *terminateSimulation, fmi3Boolean *earlyReturn,
+                      fmi3Float64 *lastSuccessfulTime) {
+    struct instance *instance = c;
+    int status = instance_step(instance, time, step);
+    *eventHandlingNeeded = *terminateSimulation = *earlyReturn = fmi3False;
+    *lastSuccessfulTime = instance->drive.state.time;
+    return (fmi3Status)status;
+}

@@ -1,0 +1,222 @@
+#include "instance.h"
+
+#include <ctype.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+static const char TABLE[] = "drive.table";
+
+static int hexadecimal(int letter) {
+    if (letter >= '0' && letter <= '9') {
+        return letter - '0';
+    }
+    letter = tolower(letter);
+    return letter >= 'a' && letter <= 'f' ? letter - 'a' + 10 : -1;
+}
+
+int instance_table_path(const char *resources, char *path, size_t size) {
+    size_t used = 0;
+    const char *from = resources;
+    int uri = 0;
+    if (resources == NULL || resources[0] == '\0') {
+        return 1;
+    }
+    /* file:/path, file:///path, file://localhost/path and, of a share on Windows, file://server/path */
+    if (strncmp(from, "file:", 5) == 0) {
+        uri = 1;
+        from += 5;
+        if (strncmp(from, "//", 2) == 0) {
+            from += strncmp(from, "//localhost/", 12) == 0 ? 11 : from[2] == '/' ? 2 : 0;
+        }
+        if (from[0] == '/' && isalpha((unsigned char)from[1]) && (from[2] == ':' || from[2] == '|')) {
+            from += 1;
+        }
+    } else if (strstr(resources, "://") != NULL) {
+        return 1;
+    }
+    for (; *from != '\0' && !(uri && (*from == '?' || *from == '#')); from++) {
+        char letter = *from;
+        if (uri && letter == '%') {
+            int high = hexadecimal((unsigned char)from[1]), low = high < 0 ? -1 : hexadecimal((unsigned char)from[2]);
+            if (low < 0 || (high == 0 && low == 0)) {
+                return 1;
+            }
+            letter = (char)(16 * high + low);
+            from += 2;
+        }
+        if (used + 1 >= size) {
+            return 1;
+        }
+        path[used++] = letter;
+    }
+    if (used == 0 || used + 1 + sizeof TABLE > size) {
+        return 1;
+    }
+    if (path[used - 1] != '/' && path[used - 1] != '\\') {
+        path[used++] = '/';
+    }
+    memcpy(path + used, TABLE, sizeof TABLE);
+    return 0;
+}
+
+int instance_refuse(struct instance *instance, int status, const char *format, ...) {
+    char message[MESSAGE_SIZE];
+    va_list arguments;
+    va_start(arguments, format);
+    vsnprintf(message, sizeof message, format, arguments);
+    va_end(arguments);
+    instance->log(instance, status, message);
+    return status;
+}
+
+int instance_open(struct instance *instance, const char *name, const char *token, const char *resources) {
+    char path[4096];
+    size_t size = name == NULL ? 0 : strlen(name);
+    instance->name = calloc(size + 1, 1);
+    if (instance->name == NULL) {
+        return 1;
+    }
+    if (size > 0) {
+        memcpy(instance->name, name, size);
+    }
+    if (instance_table_path(resources, path, sizeof path)) {
+        instance_refuse(instance, STATUS_ERROR, "\"%.200s\" is neither a path nor a file URI of the FMU's resources.",
+                        resources == NULL ? "" : resources);
+        return 1;
+    }
+    instance->table = table_read(path, instance->message);
+    if (instance->table == NULL || drive_open(&instance->drive, instance->table, instance->message)) {
+        instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
+        return 1;
+    }
+    if (token == NULL || strcmp(token, instance->table->token) != 0) {
+        instance_refuse(instance, STATUS_ERROR, "the model description and the table belong to two FMUs: \"%.100s\" and "
+                        "\"%.100s\".", token == NULL ? "" : token, instance->table->token);
+        return 1;
+    }
+    return 0;
+}
+
+void instance_close(struct instance *instance) {
+    if (instance != NULL) {
+        table_free(instance->table);
+        free(instance->name);
+        free(instance);
+    }
+}
+
+static int in_phase(struct instance *instance, enum phase phase, const char *what) {
+    static const char *const NAMES[] = {"before initialization", "during initialization", "while stepping",
+                                        "after termination"};
+    if (instance->phase != phase) {
+        return instance_refuse(instance, STATUS_ERROR, "%s is allowed %s only, not %s.", what, NAMES[phase],
+                               NAMES[instance->phase]);
+    }
+    return STATUS_OK;
+}
+
+int instance_initialize(struct instance *instance, double start) {
+    int status = in_phase(instance, INSTANTIATED, "to begin initialization");
+    if (status == STATUS_OK && !(start > -1e300 && start < 1e300)) {
+        return instance_refuse(instance, STATUS_ERROR, "the start time is %g s: it must be finite.", start);
+    }
+    if (status == STATUS_OK) {
+        instance->drive.state.time = start;
+        instance->phase = INITIALIZING;
+    }
+    return status;
+}
+
+int instance_start(struct instance *instance) {
+    int status = in_phase(instance, INITIALIZING, "to end initialization");
+    if (status == STATUS_OK && drive_start(&instance->drive, instance->message)) {
+        return instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
+    }
+    if (status == STATUS_OK) {
+        instance->phase = STEPPING;
+    }
+    return status;
+}
+
+int instance_step(struct instance *instance, double time, double step) {
+    int status = in_phase(instance, STEPPING, "a step");
+    if (status == STATUS_OK && drive_step(&instance->drive, time, step, instance->message)) {
+        return instance_refuse(instance, STATUS_DISCARD, "%s", instance->message);
+    }
+    return status;
+}
+
+int instance_terminate(struct instance *instance) {
+    int status = in_phase(instance, STEPPING, "to terminate");
+    instance->phase = status == STATUS_OK ? TERMINATED : instance->phase;
+    return status;
+}
+
+int instance_reset(struct instance *instance) {
+    drive_reset(&instance->drive);
+    instance->phase = INSTANTIATED;
+    return STATUS_OK;
+}
+
+const struct variable *instance_variable(struct instance *instance, uint32_t reference, int kind) {
+    if (reference >= instance->table->variables || instance->table->variable[reference].kind != kind) {
+        static const char *const KINDS[] = {"real", "integer", "boolean"};
+        instance_refuse(instance, STATUS_ERROR, "there is no %s variable with the value reference %u.", KINDS[kind],
+                        (unsigned)reference);
+        return NULL;
+    }
+    return &instance->table->variable[reference];
+}
+
+int instance_get(struct instance *instance, const struct variable *variable, double *values) {
+    if (drive_get(&instance->drive, variable, values, instance->message)) {
+        return instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
+    }
+    return STATUS_OK;
+}
+
+int instance_set(struct instance *instance, const struct variable *variable, const double *values) {
+    if (instance->phase == TERMINATED) {
+        return in_phase(instance, STEPPING, "to set a variable");
+    }
+    if (drive_set(&instance->drive, variable, values, instance->message)) {
+        return instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
+    }
+    return STATUS_OK;
+}
+
+unsigned char *instance_state(struct instance *instance, unsigned char *kept) {
+    unsigned char *blob = kept != NULL ? kept : malloc(drive_state_size());
+    if (blob == NULL) {
+        instance_refuse(instance, STATUS_ERROR, "there is not enough memory for a state.");
+    } else {
+        drive_state_write(&instance->drive, blob);
+    }
+    return blob;
+}
+
+int instance_restore(struct instance *instance, const unsigned char *blob) {
+    if (drive_state_check(&instance->drive, blob, drive_state_size(), instance->message)) {
+        return instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
+    }
+    drive_state_read(&instance->drive, blob);
+    if (instance->phase == TERMINATED || instance->phase == INSTANTIATED || !instance->drive.initializing) {
+        instance->phase = instance->drive.initializing ? INITIALIZING : STEPPING;
+    }
+    return STATUS_OK;
+}
+
+unsigned char *instance_state_from(struct instance *instance, const unsigned char *bytes, size_t size) {
+    unsigned char *blob = NULL;
+    if (drive_state_check(&instance->drive, bytes, size, instance->message)) {
+        instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
+    } else {
+        blob = malloc(size);
+        if (blob != NULL) {
+            memcpy(blob, bytes, size);
+        }
+    }
+    return blob;
+}

@@ -1,0 +1,46 @@
+/* What FMI 2.0 and 3.0 share: an instance with its resources, its log and its phase. */
+#ifndef CYCLOID_INSTANCE_H
+#define CYCLOID_INSTANCE_H
+
+#include "drive.h"
+
+enum phase { INSTANTIATED, INITIALIZING, STEPPING, TERMINATED };
+
+struct instance {
+    char *name;
+    struct table *table;
+    struct drive drive;
+    enum phase phase;
+    /* Hands a message on; `status` is FMI's own number, the same in both versions. */
+    void (*log)(struct instance *instance, int status, const char *message);
+    void *environment, *callback; /* callback: FMI 2.0's callback functions */
+    void (*callback3)(void);      /* FMI 3.0's logMessage */
+    char message[MESSAGE_SIZE];
+};
+
+enum { STATUS_OK, STATUS_WARNING, STATUS_DISCARD, STATUS_ERROR, STATUS_FATAL };
+
+/* A path of the resources' folder, or a file URI of it, into the path of the table; 1 where it is neither. */
+int instance_table_path(const char *resources, char *path, size_t size);
+/* An instance, or NULL with a sentence in its message; the caller has set the log. */
+int instance_open(struct instance *instance, const char *name, const char *token, const char *resources);
+void instance_close(struct instance *instance);
+int instance_refuse(struct instance *instance, int status, const char *format, ...);
+
+int instance_initialize(struct instance *instance, double start);
+int instance_start(struct instance *instance);
+int instance_step(struct instance *instance, double time, double step);
+int instance_terminate(struct instance *instance);
+int instance_reset(struct instance *instance);
+
+/* A variable of a kind, or NULL with a message. */
+const struct variable *instance_variable(struct instance *instance, uint32_t reference, int kind);
+/* Values of a variable; NULL with a message where they can't be had. Valid until the next call. */
+int instance_get(struct instance *instance, const struct variable *variable, double *values);
+int instance_set(struct instance *instance, const struct variable *variable, const double *values);
+
+unsigned char *instance_state(struct instance *instance, unsigned char *kept);
+int instance_restore(struct instance *instance, const unsigned char *blob);
+unsigned char *instance_state_from(struct instance *instance, const unsigned char *bytes, size_t size);
+
+#endif

@@ -1,0 +1,535 @@
+#include "table.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#ifdef _WIN32
+#define WIN32_LEAN_AND_MEAN
+#include <windows.h>
+#endif
+
+static const char MAGIC[8] = {'c', 'y', 'c', 'l', 't', 'a', 'b', '\n'};
+enum { VERSION = 1, HEAD = 32 };
+static const double LARGEST_FILE = 1e9;
+
+struct reader {
+    const unsigned char *at, *end;
+    int failed;
+};
+
+static const unsigned char *take(struct reader *reader, size_t size) {
+    const unsigned char *taken = reader->at;
+    if (reader->failed || (size_t)(reader->end - reader->at) < size) {
+        reader->failed = 1;
+        return NULL;
+    }
+    reader->at += size;
+    return taken;
+}
+
+static uint64_t whole(struct reader *reader, size_t bytes) {
+    const unsigned char *taken = take(reader, bytes);
+    uint64_t value = 0;
+    size_t i;
+    for (i = 0; taken != NULL && i < bytes; i++) {
+        value |= (uint64_t)taken[i] << (8 * i);
+    }
+    return value;
+}
+
+static double number(struct reader *reader) {
+    uint64_t bits = whole(reader, 8);
+    double value;
+    memcpy(&value, &bits, 8);
+    return value;
+}
+
+static void *allocate(struct reader *reader, size_t count, size_t size) {
+    void *memory = reader->failed ? NULL : calloc(count > 0 ? count : 1, size);
+    if (memory == NULL) {
+        reader->failed = 1;
+    }
+    return memory;
+}
+
+static char *text(struct reader *reader) {
+    size_t size = (size_t)whole(reader, 2);
+    const unsigned char *taken = take(reader, size);
+    char *copy = allocate(reader, size + 1, 1);
+    if (copy != NULL && taken != NULL) {
+        memcpy(copy, taken, size);
+    }
+    return copy;
+}
+
+uint64_t table_hash(const unsigned char *data, size_t size) {
+    uint64_t found = 0xcbf29ce484222325u;
+    size_t i;
+    for (i = 0; i < size; i += 8) {
+        uint64_t word = 0;
+        size_t k, left = size - i < 8 ? size - i : 8;
+        for (k = 0; k < left; k++) {
+            word |= (uint64_t)data[i + k] << (8 * k);
+        }
+        found = (found ^ word) * 0x100000001b3u;
+    }
+    return found;
+}
+
+/* One channel: the whole steps of each angle, handed to `keep`, from second differences. */
+static double channel(struct reader *reader, uint32_t angles, int64_t *steps) {
+    double step = number(reader);
+    size_t size = (size_t)whole(reader, 4);
+    struct reader part = {reader->at, reader->at + size, 0};
+    uint64_t value = 0, slope = 0;
+    uint32_t i;
+    if (take(reader, size) == NULL || !(step > 0.0 && step < HUGE_VAL)) {
+        reader->failed = 1;
+        return 0.0;
+    }
+    for (i = 0; i < angles; i++) {
+        uint64_t folded = 0;
+        int shift = 0, more = 1;
+        while (more && shift < 64) {
+            uint64_t group = whole(&part, 1);
+            folded |= (group & 127u) << shift;
+            shift += 7;
+            more = (group & 128u) != 0;
+        }
+        slope += (folded >> 1) ^ (~(folded & 1u) + 1u);
+        value += slope;
+        steps[i] = (int64_t)value;
+    }
+    reader->failed |= part.failed || part.at != part.end;
+    return step;
+}
+
+static float *channels(struct reader *reader, uint32_t angles, uint32_t loads, int64_t *steps) {
+    float *values = allocate(reader, (size_t)angles * loads, sizeof *values);
+    uint32_t j, i;
+    for (j = 0; j < loads && !reader->failed; j++) {
+        double step = channel(reader, angles, steps);
+        for (i = 0; i < angles && !reader->failed; i++) {
+            values[(size_t)i * loads + j] = (float)((double)steps[i] * step);
+            if (!(fabsf(values[(size_t)i * loads + j]) < 1e30f)) {
+                reader->failed = 1;
+            }
+        }
+    }
+    return values;
+}
+
+static void read_side(struct reader *reader, uint32_t angles, struct side *side, int64_t *steps) {
+    float *counts;
+    size_t i;
+    uint32_t j;
+    for (j = 0; j < side->loads; j++) {
+        side->load[j] = number(reader);
+        if (!(j == 0 ? side->load[j] == 0.0 : side->load[j] > side->load[j - 1] && side->load[j] < HUGE_VAL)) {
+            reader->failed = 1;
+        }
+    }
+    side->deviation = channels(reader, angles, side->loads, steps);
+    side->compliance = channels(reader, angles, side->loads, steps);
+    side->pressure = channels(reader, angles, side->loads, steps);
+    counts = channels(reader, angles, side->loads, steps);
+    side->contact_count = allocate(reader, (size_t)angles * side->loads, 1);
+    for (i = 0; !reader->failed && i < (size_t)angles * side->loads; i++) {
+        if (counts[i] < 0.0f || counts[i] > 255.0f) {
+            reader->failed = 1;
+        } else {
+            side->contact_count[i] = (uint8_t)counts[i];
+        }
+    }
+    free(counts);
+}
+
+/* The torque's mean is taken off: a crank turned round gives no energy. Its integral is the energy at the nodes. */
+static void read_rest(struct reader *reader, struct table *table, int64_t *steps) {
+    uint32_t n = table->angles, i;
+    double step = channel(reader, n, steps), mean = 0.0, least = 0.0, width = table->period / n;
+    int any = 0;
+    for (i = 0; i < n && !reader->failed; i++) {
+        any |= steps[i] != 0;
+        mean += (double)steps[i] * step / n;
+    }
+    if (!any || reader->failed) {
+        return;
+    }
+    table->rest_torque = allocate(reader, n, sizeof *table->rest_torque);
+    table->rest_energy = allocate(reader, n, sizeof *table->rest_energy);
+    if (reader->failed) {
+        return;
+    }
+    for (i = 0; i < n; i++) {
+        table->rest_torque[i] = (double)steps[i] * step - mean;
+    }
+    for (i = 1; i < n; i++) {
+        const double *c = table->rest_torque;
+        double mass = c[(i + n - 2) % n] + 11.0 * c[i - 1] + 11.0 * c[i] + c[(i + 1) % n];
+        table->rest_energy[i] = table->rest_energy[i - 1] + width * mass / 24.0;
+        least = table->rest_energy[i] < least ? table->rest_energy[i] : least;
+    }
+    for (i = 0; i < n; i++) {
+        table->rest_energy[i] -= least;
+    }
+}
+
+static void read_body(struct reader *reader, struct table *table) {
+    uint32_t i, k;
+    int64_t *steps;
+    table->token = text(reader);
+    table->offers = (uint32_t)whole(reader, 4);
+    table->variables = (uint32_t)whole(reader, 4);
+    if (table->offers > INTERFACE_INERTIA || table->variables > 100000) {
+        reader->failed = 1;
+    }
+    table->variable = allocate(reader, table->variables, sizeof *table->variable);
+    for (i = 0; i < table->variables && !reader->failed; i++) {
+        struct variable *v = &table->variable[i];
+        v->name = text(reader);
+        v->kind = (int)whole(reader, 1);
+        v->causality = (int)whole(reader, 1);
+        v->baked = (int)whole(reader, 1);
+        v->fixed = (int)whole(reader, 1);
+        v->least = number(reader);
+        v->most = number(reader);
+        v->size = (size_t)whole(reader, 4);
+        if (v->size > (size_t)(reader->end - reader->at) / 8) {
+            reader->failed = 1;
+        }
+        v->start = allocate(reader, v->size, sizeof *v->start);
+        for (k = 0; k < v->size && !reader->failed; k++) {
+            v->start[k] = number(reader);
+        }
+    }
+    table->ratio = number(reader);
+    table->period = number(reader);
+    table->allowed = number(reader);
+    table->angles = (uint32_t)whole(reader, 4);
+    for (k = 0; k < 2; k++) {
+        table->side[k].loads = (uint32_t)whole(reader, 4);
+        if (table->side[k].loads < 2 || table->side[k].loads > MOST_LOADS) {
+            reader->failed = 1;
+        }
+    }
+    if (!(fabs(table->ratio) >= 1.0 && table->period > 0.0 && table->period < 1e6 && table->angles >= 4
+          && table->angles <= 100000000u)) {
+        reader->failed = 1;
+    }
+    steps = allocate(reader, table->angles, sizeof *steps);
+    for (k = 0; k < 2 && !reader->failed; k++) {
+        read_side(reader, table->angles, &table->side[k], steps);
+    }
+    if (!reader->failed) {
+        read_rest(reader, table, steps);
+    }
+    free(steps);
+    reader->failed |= reader->at != reader->end;
+}
+
+static FILE *open_utf8(const char *path) {
+#ifdef _WIN32
+    FILE *file = NULL;
+    int size = MultiByteToWideChar(CP_UTF8, 0, path, -1, NULL, 0);
+    wchar_t *wide = size > 0 ? calloc((size_t)size, sizeof *wide) : NULL;
+    if (wide != NULL && MultiByteToWideChar(CP_UTF8, 0, path, -1, wide, size) > 0) {
+        file = _wfopen(wide, L"rb");
+    }
+    free(wide);
+    return file;
+#else
+    return fopen(path, "rb");
+#endif
+}
+
+static unsigned char *contents(const char *path, size_t *size) {
+    FILE *file = open_utf8(path);
+    unsigned char *data = NULL;
+    long length = -1;
+    if (file == NULL) {
+        return NULL;
+    }
+    if (fseek(file, 0, SEEK_END) == 0) {
+        length = ftell(file);
+    }
+    if (length >= 0 && (double)length < LARGEST_FILE && fseek(file, 0, SEEK_SET) == 0) {
+        data = malloc((size_t)length + 1);
+    }
+    if (data != NULL && fread(data, 1, (size_t)length, file) != (size_t)length) {
+        free(data);
+        data = NULL;
+    }
+    fclose(file);
+    *size = data != NULL ? (size_t)length : 0;
+    return data;
+}
+
+struct table *table_read(const char *path, char message[MESSAGE_SIZE]) {
+    size_t size = 0;
+    unsigned char *data = contents(path, &size);
+    struct reader reader = {data, data + size, 0};
+    struct table *table = NULL;
+    const char *wrong = NULL;
+    uint64_t version, stated, hash;
+    if (data == NULL) {
+        snprintf(message, MESSAGE_SIZE, "%.300s: the table can't be read.", path);
+        return NULL;
+    }
+    if (size < HEAD || memcmp(take(&reader, sizeof MAGIC), MAGIC, sizeof MAGIC) != 0) {
+        wrong = "this is not a table of a cycloid drive";
+    } else {
+        version = whole(&reader, 4);
+        whole(&reader, 4);
+        stated = whole(&reader, 8);
+        hash = whole(&reader, 8);
+        if (version != VERSION) {
+            wrong = "the table is of another version than this FMU reads; build the FMU again";
+        } else if (stated != size || hash != table_hash(data + HEAD, size - HEAD)) {
+            wrong = "the table is damaged: its size or hash does not fit";
+        } else {
+            table = calloc(1, sizeof *table);
+            if (table != NULL) {
+                table->hash = hash;
+                read_body(&reader, table);
+            }
+            if (table == NULL || reader.failed) {
+                wrong = "the table is damaged, or there is not enough memory for it";
+                table_free(table);
+                table = NULL;
+            }
+        }
+    }
+    free(data);
+    if (wrong != NULL) {
+        snprintf(message, MESSAGE_SIZE, "%.300s: %s.", path, wrong);
+    }
+    return table;
+}
+
+void table_free(struct table *table) {
+    uint32_t i;
+    if (table == NULL) {
+        return;
+    }
+    for (i = 0; table->variable != NULL && i < table->variables; i++) {
+        free(table->variable[i].name);
+        free(table->variable[i].start);
+    }
+    for (i = 0; i < 2; i++) {
+        free(table->side[i].deviation);
+        free(table->side[i].compliance);
+        free(table->side[i].pressure);
+        free(table->side[i].contact_count);
+    }
+    free(table->variable);
+    free(table->token);
+    free(table->rest_torque);
+    free(table->rest_energy);
+    free(table);
+}
+
+struct place table_place(const struct table *table, double crank_angle) {
+    double turns = crank_angle / table->period, n = table->angles;
+    double at = (turns - floor(turns)) * n, s;
+    uint32_t first = (uint32_t)at;
+    struct place place;
+    int i;
+    s = at - first;
+    first = first >= table->angles ? 0 : first;
+    place.share = s;
+    place.weight[0] = (1.0 - s) * (1.0 - s) * (1.0 - s) / 6.0;
+    place.weight[1] = (3.0 * s * s * s - 6.0 * s * s + 4.0) / 6.0;
+    place.weight[2] = (1.0 + 3.0 * s + 3.0 * s * s - 3.0 * s * s * s) / 6.0;
+    place.weight[3] = s * s * s / 6.0;
+    place.rate[0] = -0.5 * (1.0 - s) * (1.0 - s);
+    place.rate[1] = 1.5 * s * s - 2.0 * s;
+    place.rate[2] = 0.5 + s - 1.5 * s * s;
+    place.rate[3] = 0.5 * s * s;
+    for (i = 0; i < 4; i++) {
+        uint32_t node = first + (uint32_t)i;
+        place.rate[i] *= n / table->period;
+        node = node == 0 ? table->angles - 1 : node - 1;
+        place.node[i] = node >= table->angles ? node - table->angles : node;
+    }
+    return place;
+}
+
+static double blend(const float *values, const struct side *side, const struct place *place, uint32_t load,
+                    const double weight[4]) {
+    double sum = 0.0;
+    int i;
+    for (i = 0; i < 4; i++) {
+        sum += weight[i] * (double)values[(size_t)place->node[i] * side->loads + load];
+    }
+    return sum;
+}
+
+static uint32_t cell_of(const struct side *side, double load) {
+    uint32_t low = 0, count = side->loads - 1;
+    while (count > 1) {
+        uint32_t half = count / 2;
+        low = side->load[low + half] <= load ? low + half : low;
+        count -= half;
+    }
+    return low;
+}
+
+/* Hermite's cubic between two values and slopes. */
+static double hermite(double u, double h, double a, double b, double ca, double cb) {
+    double v = 1.0 - u;
+    return (1.0 + 2.0 * u) * v * v * a + (3.0 - 2.0 * u) * u * u * b + h * u * v * (v * ca - u * cb);
+}
+
+static double hermite_slope(double u, double h, double a, double b, double ca, double cb) {
+    double v = 1.0 - u;
+    return 6.0 * u * v * (b - a) / h + v * (1.0 - 3.0 * u) * ca + u * (3.0 * u - 2.0) * cb;
+}
+
+struct loaded table_at(const struct side *side, const struct place *place, double load) {
+    uint32_t j = cell_of(side, load), i;
+    double h = side->load[j + 1] - side->load[j], u = (load - side->load[j]) / h;
+    double a = 0.0, b = 0.0, ca = 0.0, cb = 0.0, ra = 0.0, rb = 0.0, rca = 0.0, rcb = 0.0;
+    struct loaded found;
+    for (i = 0; i < 4; i++) {
+        const float *x = side->deviation + (size_t)place->node[i] * side->loads + j;
+        const float *c = side->compliance + (size_t)place->node[i] * side->loads + j;
+        double w = place->weight[i], r = place->rate[i];
+        a += w * (double)x[0];
+        b += w * (double)x[1];
+        ca += w * (double)c[0];
+        cb += w * (double)c[1];
+        ra += r * (double)x[0];
+        rb += r * (double)x[1];
+        rca += r * (double)c[0];
+        rcb += r * (double)c[1];
+    }
+    found.deviation = hermite(u, h, a, b, ca, cb);
+    found.compliance = hermite_slope(u, h, a, b, ca, cb);
+    found.rate = hermite(u, h, ra, rb, rca, rcb);
+    return found;
+}
+
+struct loaded table_at_node(const struct side *side, const struct place *place, uint32_t node) {
+    struct loaded found;
+    found.deviation = blend(side->deviation, side, place, node, place->weight);
+    found.rate = blend(side->deviation, side, place, node, place->rate);
+    found.compliance = blend(side->compliance, side, place, node, place->weight);
+    return found;
+}
+
+double table_load(const struct side *side, const struct place *place, double deviation, double offset, double series) {
+    uint32_t low = 0, high = side->loads - 1, step;
+    double a, b, ca, cb, h, left = 0.0, right = 1.0, u, goal = deviation + offset;
+    a = blend(side->deviation, side, place, low, place->weight);
+    b = blend(side->deviation, side, place, high, place->weight) + series * side->load[high];
+    if (goal <= a) {
+        return 0.0;
+    }
+    if (!(goal <= b)) {
+        return HUGE_VAL;
+    }
+    while (high - low > 1) {
+        uint32_t middle = (low + high) / 2;
+        double at = blend(side->deviation, side, place, middle, place->weight) + series * side->load[middle];
+        if (at <= goal) {
+            low = middle;
+            a = at;
+        } else {
+            high = middle;
+            b = at;
+        }
+    }
+    h = side->load[high] - side->load[low];
+    ca = blend(side->compliance, side, place, low, place->weight) + series;
+    cb = blend(side->compliance, side, place, high, place->weight) + series;
+    u = b > a ? (goal - a) / (b - a) : 0.0;
+    for (step = 0; step < 60; step++) {
+        double short_ = goal - hermite(u, h, a, b, ca, cb), slope = h * hermite_slope(u, h, a, b, ca, cb), next;
+        if (short_ > 0.0) {
+            left = u;
+        } else {
+            right = u;
+        }
+        next = slope > 0.0 ? u + short_ / slope : 0.5 * (left + right);
+        if (!(next >= left && next <= right)) {
+            next = 0.5 * (left + right);
+        }
+        if (fabs(next - u) <= 1e-15) {
+            u = next;
+            break;
+        }
+        u = next;
+    }
+    return side->load[low] + u * h;
+}
+
+void table_energy(const struct side *side, const struct place *place, double load, double *energy, double *rate) {
+    uint32_t cell = cell_of(side, load), i, j;
+    double of_deviation[MOST_LOADS], of_compliance[MOST_LOADS];
+    double h = side->load[cell + 1] - side->load[cell], u = (load - side->load[cell]) / h, u2 = u * u;
+    memset(of_deviation, 0, (cell + 2) * sizeof *of_deviation);
+    memset(of_compliance, 0, (cell + 2) * sizeof *of_compliance);
+    for (j = 0; j < cell; j++) {
+        double width = side->load[j + 1] - side->load[j];
+        of_deviation[j] += 0.5 * width;
+        of_deviation[j + 1] += 0.5 * width;
+        of_compliance[j] += width * width / 12.0;
+        of_compliance[j + 1] -= width * width / 12.0;
+    }
+    of_deviation[cell] += h * (u - u2 * u + 0.5 * u2 * u2);
+    of_deviation[cell + 1] += h * (u2 * u - 0.5 * u2 * u2);
+    of_compliance[cell] += h * h * (0.5 * u2 - 2.0 / 3.0 * u2 * u + 0.25 * u2 * u2);
+    of_compliance[cell + 1] += h * h * (0.25 * u2 * u2 - u2 * u / 3.0);
+    *energy = *rate = 0.0;
+    for (i = 0; i < 4; i++) {
+        const float *x = side->deviation + (size_t)place->node[i] * side->loads;
+        const float *c = side->compliance + (size_t)place->node[i] * side->loads;
+        double sum = 0.0;
+        for (j = 0; j < cell + 2; j++) {
+            sum += of_deviation[j] * (double)x[j] + of_compliance[j] * (double)c[j];
+        }
+        *energy += place->weight[i] * sum;
+        *rate += place->rate[i] * sum;
+    }
+}
+
+double table_pressure(const struct side *side, const struct place *place, double load) {
+    uint32_t j = cell_of(side, load);
+    double u = (load - side->load[j]) / (side->load[j + 1] - side->load[j]);
+    double low = blend(side->pressure, side, place, j, place->weight);
+    double high = blend(side->pressure, side, place, j + 1, place->weight);
+    double found = sqrt(load) * ((1.0 - u) * low + u * high);
+    return found > 0.0 ? found : 0.0;
+}
+
+int table_contact_count(const struct side *side, const struct place *place, double load) {
+    uint32_t j = cell_of(side, load);
+    uint32_t nearest = 2.0 * load > side->load[j] + side->load[j + 1] || j == 0 ? j + 1 : j;
+    return side->contact_count[(size_t)place->node[place->share < 0.5 ? 1 : 2] * side->loads + nearest];
+}
+
+double table_rest_torque(const struct table *table, const struct place *place) {
+    double sum = 0.0;
+    int i;
+    for (i = 0; table->rest_torque != NULL && i < 4; i++) {
+        sum += place->weight[i] * table->rest_torque[place->node[i]];
+    }
+    return sum;
+}
+
+double table_rest_energy(const struct table *table, const struct place *place) {
+    double s = place->share, t, sum;
+    const double *c = table->rest_torque;
+    if (c == NULL) {
+        return 0.0;
+    }
+    t = 1.0 - s;
+    sum = (1.0 - t * t * t * t) * c[place->node[0]];
+    sum += (3.0 * s * s * s * s - 8.0 * s * s * s + 16.0 * s) * c[place->node[1]];
+    sum += (4.0 * s + 6.0 * s * s + 4.0 * s * s * s - 3.0 * s * s * s * s) * c[place->node[2]];
+    sum += s * s * s * s * c[place->node[3]];
+    return table->rest_energy[place->node[1]] + table->period / table->angles * sum / 24.0;
+}

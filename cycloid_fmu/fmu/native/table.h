@@ -1,0 +1,71 @@
+/* Tables of a drive: how they are read and interpolated. What they hold: cycloid_fmu/fmu/tables.py. */
+#ifndef CYCLOID_TABLE_H
+#define CYCLOID_TABLE_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+enum { MESSAGE_SIZE = 512, MOST_LOADS = 192 };
+
+enum kind { KIND_REAL, KIND_INTEGER, KIND_BOOLEAN };
+enum causality { CAUSALITY_INPUT, CAUSALITY_OUTPUT, CAUSALITY_PARAMETER, CAUSALITY_INDEPENDENT };
+enum offers { INTERFACE_KINEMATIC, INTERFACE_COMPLIANT, INTERFACE_INERTIA };
+
+struct variable {
+    char *name;
+    int kind, causality, baked, fixed;
+    double least, most;
+    size_t size;   /* values: more than 1 of an array */
+    double *start;
+    int field;     /* what it is in the model (drive.h), -1 where the model does not know it */
+    int row, column; /* of the loss table */
+};
+
+/* One direction of torque; spline coefficients, the loads of one crank angle side by side. */
+struct side {
+    uint32_t loads;
+    double load[MOST_LOADS];
+    float *deviation, *compliance, *pressure;
+    uint8_t *contact_count;
+};
+
+struct table {
+    uint64_t hash;
+    char *token;
+    uint32_t offers, variables, angles; /* offers: which interface, not the word that Windows' headers take */
+    struct variable *variable;
+    double ratio, period, allowed;
+    struct side side[2]; /* positive and negative torque */
+    double *rest_torque, *rest_energy; /* at zero load, by crank angle; NULL without interference */
+};
+
+/* Nodes and weights of a crank angle. */
+struct place {
+    uint32_t node[4];
+    double weight[4], rate[4], share;
+};
+
+/* What a load at a place gives: mirrored as the sides are, so all of it grows with the load. */
+struct loaded {
+    double deviation, rate; /* and its change with the crank angle, rad and rad/rad */
+    double compliance;      /* rad/(N.m) */
+};
+
+struct table *table_read(const char *path, char message[MESSAGE_SIZE]);
+void table_free(struct table *table);
+uint64_t table_hash(const unsigned char *data, size_t size);
+
+struct place table_place(const struct table *table, double crank_angle);
+struct loaded table_at(const struct side *side, const struct place *place, double load);
+struct loaded table_at_node(const struct side *side, const struct place *place, uint32_t node);
+/* Load at which the deviation, with a further compliance in series and less an offset, is the given one; 0 below the
+   first. Above the last load it is infinite. */
+double table_load(const struct side *side, const struct place *place, double deviation, double offset, double series);
+/* Integral of the deviation over the load, and of its rate. */
+void table_energy(const struct side *side, const struct place *place, double load, double *energy, double *rate);
+double table_pressure(const struct side *side, const struct place *place, double load);
+int table_contact_count(const struct side *side, const struct place *place, double load);
+double table_rest_torque(const struct table *table, const struct place *place);
+double table_rest_energy(const struct table *table, const struct place *place);
+
+#endif

@@ -1,0 +1,306 @@
+"""From a drive to a native FMU: tables, the C source around them, and a binary for each platform."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import importlib.util
+import os
+import platform
+import shutil
+import struct
+import subprocess
+import sys
+import tempfile
+import uuid
+import zipfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+from cycloid_fmu import __version__, edge
+from cycloid_fmu.fmu import tables
+from cycloid_fmu.fmu.description import Version, model_structure, model_variables, unit_definitions
+from cycloid_fmu.fmu.parts import parts
+from cycloid_fmu.fmu.variables import Interface, Variable, variables
+from cycloid_fmu.pair import Pair
+from cycloid_fmu.surface import ErrorSurface
+
+IDENTIFIER = "CycloidDrive"
+TABLE = "drive.table"
+SOURCES = ("fmi2.c", "fmi3.c", "instance.c", "drive.c", "table.c")
+_NATIVE = Path(__file__).with_name("native")
+_FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off", "-s")
+_SPACE = uuid.UUID("6a1f3b0e-51c4-4a52-9c1c-0c2b6a7d39e4")  # the names of this package's FMUs
+
+
+@dataclasses.dataclass(frozen=True)
+class Platform:
+    """One kind of machine.
+
+    Attributes
+    ----------
+    folders
+        Its folder under `binaries/` in FMI 2.0 and 3.0; "" where FMI does not know it.
+    target
+        As `zig cc -target` wants it: Linux no newer than GLIBC 2.17, macOS from 11.
+    suffix
+        Of a shared library.
+    """
+
+    folders: tuple[str, str]
+    target: str
+    suffix: str
+
+
+PLATFORMS = {
+    "x86_64-linux": Platform(("linux64", "x86_64-linux"), "x86_64-linux-gnu.2.17", ".so"),
+    "aarch64-linux": Platform(("", "aarch64-linux"), "aarch64-linux-gnu.2.17", ".so"),
+    "x86_64-windows": Platform(("win64", "x86_64-windows"), "x86_64-windows-gnu", ".dll"),
+    "x86_64-darwin": Platform(("darwin64", "x86_64-darwin"), "x86_64-macos.11.0", ".dylib"),
+    "aarch64-darwin": Platform(("darwin64", "aarch64-darwin"), "aarch64-macos.11.0", ".dylib"),
+}
+
+
+def platforms_of(version: Version) -> tuple[str, ...]:
+    """Return the platforms of an FMI version; FMI 2.0's macOS binary holds both processors."""
+    place = ("2.0", "3.0").index(version)
+    return tuple(name for name, one in PLATFORMS.items() if one.folders[place])
+
+
+def this_platform() -> str:
+    """Return the name of the platform that this runs on, as a key of `PLATFORMS` where it is one."""
+    machine = {"amd64": "x86_64", "arm64": "aarch64"}.get(platform.machine().lower(), platform.machine().lower())
+    return f"{machine}-{platform.system().lower()}"
+
+
+def headers() -> Path:
+    """Return the folder of FMI's C headers, which fmpy brings along."""
+    import fmpy
+
+    return Path(fmpy.__file__).parent / "c-code"
+
+
+def _compiler(name: str) -> list[str]:
+    """Command that compiles for a platform: zig; for this machine what CC names, or without zig the system's own."""
+    if name not in PLATFORMS:
+        raise edge.InputError(f"--platform {name}: this is none of {', '.join(PLATFORMS)}.")
+    given = os.environ.get("CC", "")
+    system = shutil.which(given or "cc")
+    own = name == this_platform() and system is not None
+    if importlib.util.find_spec("ziglang") is not None and not (own and given):
+        return [sys.executable, "-m", "ziglang", "cc", "-target", PLATFORMS[name].target]
+    if own:
+        return [str(system)]
+    raise edge.InputError(
+        f"--platform {name}: to compile for it, install the extra: pip install 'cycloid-fmu[native]'"
+        f"{f' (or give --platform {this_platform()} alone)' if system else ''}."
+    )
+
+
+def _source_files() -> dict[str, bytes]:
+    """Return what is compiled, by name: our sources and FMI's headers."""
+    own = {p.name: p.read_bytes() for p in sorted(_NATIVE.glob("*.[ch]"))}
+    return {**own, **{p.name: p.read_bytes() for p in sorted(headers().glob("fmi[23]*.h"))}}
+
+
+def binary(name: str) -> bytes:
+    """Return the shared library for a platform, compiled unless that was done before.
+
+    The library depends on no drive: it is kept in the user's cache folder under the hash of its source and compiler.
+
+    Raises
+    ------
+    edge.InputError
+        If the platform is unknown, or no compiler for it is installed.
+    RuntimeError
+        If the compiler fails.
+    """
+    import platformdirs
+
+    command = [*_compiler(name), *_FLAGS]
+    files = _source_files()
+    digest = hashlib.sha256(repr((command[1:], sorted(files.items()))).encode()).hexdigest()
+    kept = Path(platformdirs.user_cache_dir("cycloid-fmu", appauthor=False)) / "native"
+    target = kept / f"{digest}-{name}{PLATFORMS[name].suffix}"
+    if not target.exists():
+        kept.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix="cycloid-fmu-") as folder:
+            place, made = Path(folder), Path(folder) / f"made{PLATFORMS[name].suffix}"
+            for file, data in files.items():
+                (place / file).write_bytes(data)
+            done = subprocess.run(
+                [*command, "-o", made.name, *SOURCES, "-lm"], cwd=place, capture_output=True, text=True, check=False
+            )  # fmt: skip
+            if done.returncode != 0:
+                raise RuntimeError(f"the compiler for {name} failed: {done.stderr.strip().splitlines()[-1:]}")
+            with edge.written_whole(target) as temporary:
+                temporary.write_bytes(made.read_bytes())
+    return target.read_bytes()
+
+
+def universal(parts: dict[str, bytes]) -> bytes:
+    """Return macOS libraries of both processors in one (Mach-O's fat header: big endian, pages of 16 KiB)."""
+    kinds = {"x86_64-darwin": (0x01000007, 3), "aarch64-darwin": (0x0100000C, 0)}
+    head, body, page = struct.pack(">II", 0xCAFEBABE, len(parts)), b"", 1 << 14
+    for name, data in parts.items():
+        body += bytes(-len(body) % page)
+        head += struct.pack(">IIIII", *kinds[name], page + len(body), len(data), 14)
+        body += data
+    return head.ljust(page, b"\0") + body
+
+
+def _binaries(version: Version, names: Sequence[str], done: Callable[[str], None]) -> dict[str, bytes]:
+    """Return the libraries by their path in the FMU."""
+    place, made = ("2.0", "3.0").index(version), {}
+    for name in names:
+        made[name] = binary(name)
+        done(name)
+    found = {}
+    for name, data in made.items():
+        one = PLATFORMS[name]
+        found[f"binaries/{one.folders[place]}/{IDENTIFIER}{one.suffix}"] = data
+    apple = {n: d for n, d in made.items() if n.endswith("darwin")}
+    if version == "2.0" and len(apple) > 1:
+        found[f"binaries/darwin64/{IDENTIFIER}.dylib"] = universal(apple)
+    return found
+
+
+def native_variables(table: Sequence[Variable]) -> dict[int, Variable]:
+    """Return what a native FMU has of the table of variables, by value reference.
+
+    What its tables hold is a constant; the loads of single pins they do not hold.
+    """
+    found = {}
+    for reference, v in enumerate(table):
+        if v.dimensions and v.causality == "output":
+            continue
+        if v.baked:
+            v = dataclasses.replace(v, causality="local", variability="constant")
+        found[reference] = v
+    return found
+
+
+def _description(
+    version: Version, token: str, table: Sequence[Variable], interface: Interface, made: tables.Tables
+) -> Element:
+    kept = native_variables(table)
+    constants = {v.name for v in kept.values() if v.variability == "constant"}
+    told = [
+        dataclasses.replace(v, initially=tuple(n for n in v.initially if n not in constants)) for v in kept.values()
+    ]
+    arcsec = tables.ACCURACY / 0.02
+    text = (
+        f"Cycloid-pin gear drive, {interface.kind}, from tables up to "
+        f"{made.positive.load[-1]:.4g} N.m that err by at most {made.error['deviation_largest'] / arcsec:.3f} arcsec"
+    )
+    common = {
+        "fmiVersion": version, "modelName": IDENTIFIER, "guid" if version == "2.0" else "instantiationToken": token,
+        "description": text, "author": "cycloid-fmu", "version": __version__, "license": "MIT",
+        "generationTool": f"cycloid-fmu {__version__}", "variableNamingConvention": "structured",
+    }  # fmt: skip
+    root = Element("fmiModelDescription", common)
+    state = "FMUstate" if version == "2.0" else "FMUState"
+    own = {
+        "modelIdentifier": IDENTIFIER, "canHandleVariableCommunicationStepSize": "true",
+        f"canGetAndSet{state}": "true", f"canSerialize{state}": "true",
+    }  # fmt: skip
+    if version == "2.0":
+        own["canNotUseMemoryManagementFunctions"] = "true"
+    simulation = SubElement(root, "CoSimulation", own)
+    if version == "2.0":
+        files = SubElement(simulation, "SourceFiles")
+        for name in SOURCES:
+            SubElement(files, "File", name=name)
+    root.append(unit_definitions(told))
+    categories = SubElement(root, "LogCategories")
+    for name, why in (("logStatusDiscard", "a refused step"), ("logStatusError", "what was refused otherwise")):
+        SubElement(categories, "Category", name=name, description=why)
+    SubElement(root, "DefaultExperiment", startTime="0.0", stopTime="1.0", stepSize="0.001")
+    root.append(model_variables(told, version, tuple(kept)))
+    root.append(model_structure(told, version, tuple(kept)))
+    return root
+
+
+def _xml(root: Element) -> bytes:
+    indent(root)
+    return bytes(tostring(root, encoding="utf-8", xml_declaration=True))
+
+
+def _build_description() -> Element:
+    """Return `sources/buildDescription.xml` of FMI 3.0."""
+    root = Element("fmiBuildDescription", fmiVersion="3.0")
+    configuration = SubElement(root, "BuildConfiguration", modelIdentifier=IDENTIFIER)
+    files = SubElement(configuration, "SourceFileSet", language="C99")
+    for name in SOURCES:
+        SubElement(files, "SourceFile", name=name)
+    return root
+
+
+def build_native(
+    pair: Pair,
+    surface: ErrorSurface,
+    path: str | os.PathLike[str],
+    interface: Interface = Interface(),
+    version: Version = "2.0",
+    *,
+    platforms: Sequence[str] = (),
+    made: tables.Tables | None = None,
+    workers: int = 1,
+    total: Callable[[int], None] = lambda angles: None,
+    progress: Callable[[int], None] = lambda angles: None,
+    compiled: Callable[[str], None] = lambda name: None,
+) -> tables.Tables:
+    """Write a Co-Simulation FMU that needs no Python, whole or not at all; returns its tables.
+
+    Parameters
+    ----------
+    pair, surface
+        The nominal pair and its errors.
+    path
+        The FMU file.
+    interface, version
+        What it offers, and of which FMI.
+    platforms
+        Keys of `PLATFORMS`; all that the version knows where empty.
+    made
+        Tables of this drive that were made before; they are computed where None.
+    workers, total, progress
+        As of `tables.compute`.
+    compiled
+        Told each platform whose library is there.
+
+    Raises
+    ------
+    edge.InputError
+        If the folder does not exist, or a platform can't be built for.
+    """
+    names = tuple(dict.fromkeys(platforms)) or platforms_of(version)
+    for name in names:
+        _compiler(name)
+        if name not in platforms_of(version):
+            raise edge.InputError(f"--platform {name}: FMI {version} does not know it; use --fmi 3.0.")
+    with edge.written_whole(path) as temporary:
+        libraries = _binaries(version, names, compiled)
+        if made is None:
+            made = tables.compute(pair, surface, workers=workers, total=total, progress=progress)
+        table = variables(pair, surface, interface, version)
+        kind = 0 if interface.kind == "kinematic" else 1 if interface.output_inertia == 0.0 else 2
+        plain = tables.write(made, "", kind, table)
+        token = f"{{{uuid.uuid5(_SPACE, __version__ + hashlib.sha256(plain).hexdigest())}}}"
+        contents = {
+            "modelDescription.xml": _xml(_description(version, token, table, interface, made)),
+            f"resources/{TABLE}": tables.write(made, token, kind, table),
+            **{f"sources/{name}": data for name, data in _source_files().items()},
+            **libraries,
+            **parts(pair, interface, list(native_variables(table).values()), version, ()),
+        }
+        if version == "3.0":
+            contents["sources/buildDescription.xml"] = _xml(_build_description())
+        with zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+            for name, data in contents.items():
+                # The same drive gives the same bytes: no time of day in the archive.
+                entry = zipfile.ZipInfo(name)
+                entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
+                archive.writestr(entry, data)
+    return made

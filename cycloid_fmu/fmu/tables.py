@@ -1,0 +1,516 @@
+"""Tables of the exact contact model, for FMUs that run without it.
+
+One function of crank angle θ and torque T holds everything: the deviation x(θ, T) of the output at rest under load. On
+each side of zero torque it is, over t = |T|, the cubic Hermite interpolation of deviations and compliances at chosen
+torques, and over θ a periodic cubic B-spline. With the energy at zero torque V_0(θ), 0 where there is play,
+
+    G(θ, T) = ∫_0^T x dT - V_0(θ),    φ_b - φ_a/ratio = ∂G/∂T,    τ_a = -T/ratio - ∂G/∂θ,
+
+so that the torques of both flanges are the derivatives of one elastic energy, T x - G (Legendre), whatever the table's
+own error, and no path makes or loses energy. Between the two sides at zero torque lies the play.
+
+The file, little endian: magic, version, size and hash (FNV-1a, 64 bits) of the rest; then the FMU's token, interface
+and variables; ratio, period, torques and channels: second differences of whole multiples of a step, seven bits a byte.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import heapq
+import itertools
+import math
+import struct
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+from scipy import interpolate, ndimage
+
+from cycloid_fmu import contact
+from cycloid_fmu.fmu.variables import Variable
+from cycloid_fmu.pair import Pair
+from cycloid_fmu.surface import ErrorSurface
+from cycloid_fmu.transmission import drive_of, slices_needed, solve
+
+Array = NDArray[np.float64]
+
+MAGIC, VERSION = b"cycltab\n", 1
+INTERFACES = ("kinematic", "compliant", "compliant with output inertia")
+ACCURACY = 0.02 / 3600 * math.pi / 180  # rad: what the deviation may err
+RANGE_SHARE = 1e-3  # of the transmission error's range over the crank angle, where that is more
+LARGEST_LOAD = 2.5  # times the rated torque: what reducers' makers allow for a moment (emergency stop)
+_SAMPLES = (16, 32, 64, 128)  # crank angles a mesh pitch that are tried
+_FINEST = 256  # with which they are compared
+_WINDOWS = 12  # of two mesh pitches, spread over the period, on which the grids are chosen
+MOST_LOADS = 192  # of one direction; table.h has the same
+_SHARES = (0.5, 0.25)  # of the allowed error for the loads, and as much for the angles
+_SPREAD = 1000  # random crank angles at which the loads are chosen
+_FIRST_SLOPE = 0.125  # of the first torque: where the slope at zero load is taken, which Hertz's logarithm has infinite
+_STEPS = 64  # steps of the stored deviation in what it may err
+PROBES = 20000  # random crank angles and torques at which the finished tables are held against the model
+
+
+@dataclass(frozen=True)
+class Side:
+    """One direction of torque; mirrored, so that everything grows with the load.
+
+    Attributes
+    ----------
+    load
+        |T| at the nodes, ascending from 0, shape (loads,), N·m.
+    deviation, compliance
+        Spline coefficients over the crank angle of the deviation times the direction (rad) and of its derivative by
+        the load (rad/(N·m)), shape (loads, angles).
+    pressure
+        Likewise of the largest contact pressure over the root of the load, Pa/(N·m)^½; at load 0 as at the next.
+    contact_count
+        Pins in contact at the nodes, shape (loads, angles).
+    steps
+        What deviation, compliance and pressure of each load are whole multiples of.
+    """
+
+    load: Array
+    deviation: Array
+    compliance: Array
+    pressure: Array
+    contact_count: NDArray[np.uint8]
+    steps: tuple[Array, Array, Array]
+
+
+@dataclass(frozen=True)
+class Tables:
+    """A drive as tables over crank angle and torque.
+
+    Attributes
+    ----------
+    ratio
+        φ_a/φ_b of the ideal drive.
+    period
+        Crank angle after which all repeats, rad; the nodes divide it evenly.
+    positive, negative
+        The two directions of torque.
+    rest_torque
+        Spline coefficients of the crank's torque at zero load, which interference gives it, shape (angles,), N·m.
+    allowed
+        What the deviation may err, rad.
+    error
+        What the tables were found to err at random crank angles and torques: {name: largest or rms}, SI.
+    """
+
+    ratio: float
+    period: float
+    positive: Side
+    negative: Side
+    rest_torque: Array
+    allowed: float
+    error: dict[str, float] = field(default_factory=dict)
+
+
+def mesh_pitches(pair: Pair, surface: ErrorSurface) -> int:
+    """Return after how many mesh pitches all repeats: of 1 crank angle between pins, up to z_c z_p of unequal parts.
+
+    Pins stand in the frame, as the offset of the gear's centre does, and teeth with the gear held.
+    """
+
+    def alike(values: Array | None, axis: int) -> bool:
+        return values is None or bool(np.all(np.ptp(values, axis=axis) == 0.0))
+
+    g = pair.pair
+    pins = (surface.pin_radial, surface.pin_tangential, surface.pin_radius_deviation)
+    pins_alike = all(alike(v, 0) for v in (*pins, surface.pin_deviation, surface.pin_curvature))
+    teeth = (surface.tooth_cumulative_pitch, surface.gear_deviation, surface.gear_curvature)
+    teeth_alike = all(alike(v, 1) for v in teeth)
+    centred = not np.any([
+        surface.centre_distance_x, surface.centre_distance_y, surface.misalignment_xz, surface.misalignment_yz
+    ])  # fmt: skip
+    if g.output == "gear":
+        pins_alike = pins_alike and centred
+    else:
+        teeth_alike = teeth_alike and centred
+    return (1 if pins_alike else g.pins) * (1 if teeth_alike else g.gear_teeth)
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """The exact model at given crank angles, mirrored for one direction: shapes (loads, angles)."""
+
+    deviation: Array
+    compliance: Array
+    pressure: Array
+    contact_count: NDArray[np.uint8]
+
+
+def _solved(
+    pair: Pair,
+    surface: ErrorSurface,
+    direction: float,
+    loads: Array,
+    angles: Array,
+    workers: int = 1,
+    progress: Callable[[int], None] = lambda angles: None,
+) -> _Solved:
+    """Solve the model at loads, the first of which may be 0: the end of the play, or the rest without one."""
+    slices = slices_needed(surface)
+    at_rest = loads[0] == 0.0
+    parts = []
+    for k, load in enumerate(loads):
+        signed = direction * float(load)
+        one = solve(pair, surface, [signed], angles, slices, with_play=load == 0.0, workers=workers, progress=progress)
+        x, stiffness = direction * one.transmission_error[0], one.torsional_stiffness[0]
+        pressure = one.max_contact_pressure[0] / math.sqrt(load) if load > 0.0 else np.zeros(angles.size)
+        if load == 0.0:
+            free = one.interference == 0.0
+            end = direction * (one.play_high if direction > 0.0 else one.play_low)
+            x = np.where(free, end, x)
+            if free.any():
+                near = solve(
+                    pair, surface, [direction * _FIRST_SLOPE * float(loads[k + 1])], angles, slices, with_play=False,
+                    workers=workers,
+                )  # fmt: skip
+                stiffness = np.where(free, near.torsional_stiffness[0], stiffness)
+        parts.append((x, 1.0 / stiffness, pressure, np.minimum(one.contact_count[0], 255).astype(np.uint8)))
+    found = [np.array(p) for p in zip(*parts, strict=True)]
+    if at_rest and loads.size > 1:
+        found[2][0] = found[2][1]
+    return _Solved(*found)
+
+
+def _hermite(share: ArrayLike, width: ArrayLike) -> tuple[Array, Array, Array, Array]:
+    """Weights of two values and two slopes at a share (0 to 1) of a cell."""
+    s, h = np.asarray(share, dtype=float), np.asarray(width, dtype=float)
+    return (1.0 + 2.0 * s) * (1.0 - s) ** 2, (3.0 - 2.0 * s) * s * s, h * s * (1.0 - s) ** 2, h * s * s * (s - 1.0)
+
+
+def _middle(low: float, high: float) -> float:
+    return math.sqrt(low * high) if low > 0.0 else 0.25 * high
+
+
+def _chosen_loads(
+    pair: Pair, surface: ErrorSurface, direction: float, largest: float, angles: Array, allowed: float
+) -> Array:
+    """Return loads between which Hermite's interpolation errs by no more than allowed: cells are halved until then."""
+
+    def at(load: float, following: float) -> tuple[Array, Array]:
+        one = _solved(pair, surface, direction, np.array([load, following] if load == 0.0 else [load]), angles)
+        return one.deviation[0], one.compliance[0]
+
+    def halved(low: float, high: float) -> tuple[float, float, float, float]:
+        """How much a cell's middle errs, below zero for the heap; and the cell."""
+        middle = _middle(low, high)
+        known[middle] = at(middle, high)
+        a, b, ca, cb = _hermite((middle - low) / (high - low), high - low)
+        guess = a * known[low][0] + b * known[high][0] + ca * known[low][1] + cb * known[high][1]
+        return -float(np.abs(guess - known[middle][0]).max()), low, middle, high
+
+    loads = [0.0, 0.01 * largest, 0.1 * largest, largest]
+    known = {load: at(load, loads[1]) for load in loads}
+    cells = [halved(low, high) for low, high in itertools.pairwise(loads)]
+    heapq.heapify(cells)
+    while -cells[0][0] > allowed and len(loads) < MOST_LOADS:
+        _, low, middle, high = heapq.heappop(cells)
+        loads.append(middle)
+        if low == 0.0:
+            known[0.0] = at(0.0, middle)
+        for cell in ((low, middle), (middle, high)):
+            heapq.heappush(cells, halved(*cell))
+    return np.array(sorted(loads))
+
+
+def _chosen_samples(
+    pair: Pair, surface: ErrorSurface, sides: Sequence[tuple[float, Array]], starts: Array, pitch: float, allowed: float
+) -> int:
+    """Return how many crank angles a mesh pitch are enough for splines to err by no more than allowed."""
+    fine = np.arange(-_FINEST // 2, 2 * _FINEST + _FINEST // 2 + 1) * (pitch / _FINEST)
+    inside = (fine >= 0.0) & (fine <= 2.0 * pitch)
+    error = dict.fromkeys(_SAMPLES, 0.0)
+    for direction, loads in sides:
+        few = loads[np.unique(np.round(np.linspace(0, loads.size - 1, 5)).astype(int))]
+        for start in starts:
+            x = _solved(pair, surface, direction, few, start + fine).deviation
+            for samples in _SAMPLES:
+                every = _FINEST // samples
+                spline = interpolate.CubicSpline(fine[::every], x[:, ::every], axis=1)
+                error[samples] = max(error[samples], float(np.abs(spline(fine) - x)[:, inside].max()))
+    return next((n for n in _SAMPLES if error[n] <= allowed), _SAMPLES[-1])
+
+
+def _coefficients(values: Array) -> Array:
+    """Coefficients of the periodic cubic B-spline through values along the last axis."""
+    return np.asarray(ndimage.spline_filter1d(values, order=3, axis=-1, mode="grid-wrap"))
+
+
+def _side(loads: Array, exact: _Solved, allowed: float) -> Side:
+    """Turn nodes into coefficients that are monotone in the load for every crank angle, rounded as they are stored.
+
+    Where the coefficients satisfy Fritsch and Carlson's condition (SIAM J. Numer. Anal. 17 (1980) 238), every spline
+    between them does, for a B-spline's weights are positive.
+    """
+    h = np.diff(loads)
+    widest = np.maximum(np.append(h[:1], h), np.append(h, h[-1:]))
+    steps = (
+        np.full(loads.size, allowed / _STEPS), 4.0 * allowed / _STEPS / widest,
+        np.full(loads.size, 1e-3 * float(exact.pressure.max())),
+    )  # fmt: skip
+    fine, c_fine, p_fine = (s[:, None] for s in steps)
+    x = np.maximum.accumulate(np.round(_coefficients(exact.deviation) / fine), axis=0) * fine
+    slope = np.diff(x, axis=0) / h[:, None]
+    most = 3.0 * np.minimum(np.vstack([slope[:1], slope]), np.vstack([slope, slope[-1:]]))
+    c = np.floor(np.minimum(np.maximum(_coefficients(exact.compliance), 0.0), most) / c_fine) * c_fine
+    p = np.maximum(np.round(_coefficients(exact.pressure) / p_fine), 0.0) * p_fine
+    return Side(loads, x, c, p, exact.contact_count, steps)
+
+
+def _rest_torque(pair: Pair, surface: ErrorSurface, angles: Array) -> Array:
+    """Crank torque at zero load, where interference presses the contacts; its mean, which is no energy's, is 0."""
+    slices = slices_needed(surface)
+    one = solve(pair, surface, [0.0], angles, slices)
+    drive, rows = drive_of(pair, surface, slices), None
+    found = np.zeros(angles.size)
+    for i in np.flatnonzero(one.interference > 0.0):
+        cold = rows is None
+        rows = contact.contact_rows(drive) if rows is None else rows
+        x, _ = contact.equilibrium(drive, angles[i], 0.0, one.transmission_error[0, i], rows, cold)
+        found[i] = contact.crank_side(drive, angles[i], x, rows)[0]
+    return np.asarray(found - found.mean())
+
+
+def _rest_step(rest: Array) -> float:
+    return max(1e-6 * float(np.abs(rest).max()), 1e-12)
+
+
+def compute(
+    pair: Pair,
+    surface: ErrorSurface,
+    *,
+    accuracy: float = ACCURACY,
+    largest_load: float | None = None,
+    workers: int = 1,
+    total: Callable[[int], None] = lambda angles: None,
+    progress: Callable[[int], None] = lambda angles: None,
+) -> Tables:
+    """Make the tables of a drive, with as many nodes as an accuracy needs.
+
+    Parameters
+    ----------
+    pair, surface
+        The nominal pair and its errors.
+    accuracy
+        What the deviation may err, rad; or `RANGE_SHARE` of its range over the crank angle, where that is more.
+    largest_load
+        Largest |torque|, N·m; 2.5 times the rated torque where None.
+    workers
+        Threads.
+    total, progress
+        Told how many crank angles (times loads) there are to solve, and how many were just finished.
+
+    Raises
+    ------
+    ValueError
+        If the pair states no rated torque and no largest load is given.
+    """
+    if largest_load is None:
+        if pair.pair.rated_torque is None:
+            raise ValueError("the pair has no rated_torque, which says how far the tables reach")
+        largest_load = LARGEST_LOAD * pair.pair.rated_torque
+    g = pair.pair
+    pitches = mesh_pitches(pair, surface)
+    pitch = 2.0 * math.pi / (g.pins if g.output == "gear" else g.gear_teeth)
+    period = pitches * pitch
+    random = np.random.default_rng(1)
+    spread = np.sort(random.uniform(0.0, period, _SPREAD))
+    range_ = float(np.ptp(_solved(pair, surface, 1.0, np.array([0.0, largest_load]), spread).deviation, axis=1).max())
+    allowed = max(accuracy, RANGE_SHARE * range_)
+    starts: Array = np.arange(min(_WINDOWS, pitches), dtype=float) * (period / min(_WINDOWS, pitches))
+    tables = None
+    for share in _SHARES:
+        sides = [(d, _chosen_loads(pair, surface, d, largest_load, spread, share * allowed)) for d in (1.0, -1.0)]
+        samples = _chosen_samples(pair, surface, sides, starts, pitch, share * allowed)
+        angles: Array = np.arange(pitches * samples, dtype=float) * (pitch / samples)
+        total(angles.size * sum(loads.size for _, loads in sides))
+        made = [_side(n, _solved(pair, surface, d, n, angles, workers, progress), allowed) for d, n in sides]
+        rest = _coefficients(_rest_torque(pair, surface, angles))
+        rest_step = _rest_step(rest)
+        # Where there is hardly any play the splines of its two ends must not cross.
+        made[1].deviation[0] = np.maximum(made[1].deviation[0], -made[0].deviation[0])
+        np.maximum.accumulate(made[1].deviation, axis=0, out=made[1].deviation)
+        tables = Tables(pair.ratio, period, made[0], made[1], np.round(rest / rest_step) * rest_step, allowed)
+        tables = dataclasses.replace(tables, error=compare(tables, pair, surface, PROBES))
+        if tables.error["deviation_largest"] <= allowed:
+            break
+    assert tables is not None
+    return tables
+
+
+def write(tables: Tables, token: str, interface: int, variables: Sequence[Variable]) -> bytes:
+    """Return the file that the native FMU reads.
+
+    Parameters
+    ----------
+    token
+        The FMU's `guid` or `instantiationToken`.
+    interface
+        Place in `INTERFACES`.
+    variables
+        The FMU's variables; the place of each is its value reference.
+    """
+    body = bytearray(_text(token) + struct.pack("<II", interface, len(variables)))
+    for v in variables:
+        start = np.atleast_1d(np.asarray(0.0 if v.start is None else v.start, dtype="<f8"))
+        if start.size == 1 and v.dimensions:
+            start = np.zeros(math.prod(v.dimensions), dtype="<f8")
+        body += _text(v.name) + bytes((("real", "integer", "boolean").index(v.kind), _CAUSALITIES.index(v.causality)))
+        limits = (-math.inf if v.least is None else v.least, math.inf if v.most is None else v.most)
+        body += struct.pack("<BBddI", v.baked, v.variability == "fixed", *limits, start.size) + start.tobytes()
+    sides = (tables.positive, tables.negative)
+    angles = tables.rest_torque.size
+    body += struct.pack("<dddIII", tables.ratio, tables.period, tables.allowed, angles, *(s.load.size for s in sides))
+    for side in sides:
+        body += side.load.astype("<f8").tobytes()
+        kinds: tuple[NDArray[Any], ...] = (side.deviation, side.compliance, side.pressure, side.contact_count)
+        for values, steps in zip(kinds, (*side.steps, np.ones(side.load.size)), strict=True):
+            for channel, step in zip(values, steps, strict=True):
+                body += _channel(channel, float(step))
+    body += _channel(tables.rest_torque, _rest_step(tables.rest_torque))
+    return MAGIC + struct.pack("<IIQQ", VERSION, 0, _HEAD + len(body), fnv1a(bytes(body))) + bytes(body)
+
+
+_HEAD = 32
+_CAUSALITIES = ("input", "output", "parameter", "independent")
+
+
+def _text(text: str) -> bytes:
+    encoded = text.encode()
+    return struct.pack("<H", len(encoded)) + encoded
+
+
+def _channel(values: NDArray[Any], step: float) -> bytes:
+    """Second differences of whole steps, signs folded into the last bit, seven bits a byte, the lowest first."""
+    whole = np.round(values / step).astype(np.int64)
+    differences = np.diff(whole, n=2, prepend=(0, 0))
+    folded = ((differences << 1) ^ (differences >> 63)).astype(np.uint64)
+    groups = folded[:, None] >> np.arange(0, 63, 7, dtype=np.uint64)
+    further = groups[:, 1:] > 0
+    data = (groups & np.uint64(127)).astype(np.uint8)
+    data[:, :-1] |= further.astype(np.uint8) << 7
+    data = data[np.hstack([np.ones((folded.size, 1), bool), further])]
+    return bytes(struct.pack("<dI", step, data.size) + data.tobytes())
+
+
+def fnv1a(data: bytes) -> int:
+    """Return the 64-bit FNV-1a hash over eight-byte words (the last filled with zeros)."""
+    words = np.frombuffer(data + bytes(-len(data) % 8), dtype="<u8")
+    return int(_fnv1a(words))
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def _fnv1a(words: NDArray[np.uint64]) -> np.uint64:
+    found = np.uint64(0xCBF29CE484222325)
+    for word in words:
+        found = np.uint64((found ^ word) * np.uint64(0x100000001B3))
+    return found
+
+
+def evaluate(tables: Tables, crank_angle: ArrayLike, torque: ArrayLike) -> dict[str, Array]:
+    """Interpolate, as the native FMU does.
+
+    Parameters
+    ----------
+    crank_angle, torque
+        Arrays of one shape, rad and N·m, the torque within the tables and other than 0.
+
+    Returns
+    -------
+    values
+        "deviation" (rad), "compliance" (rad/(N·m)), "max_contact_pressure" (Pa), "crank_torque" (N·m) and
+        "deviation_rate" (by the crank angle at constant torque, rad/rad), each of that shape.
+    """
+    theta, signed = (np.asarray(v, dtype=float) for v in (crank_angle, torque))
+    found = {n: np.empty(theta.shape) for n in (
+        "deviation", "compliance", "max_contact_pressure", "crank_torque", "deviation_rate"
+    )}  # fmt: skip
+    for side, direction in ((tables.positive, 1.0), (tables.negative, -1.0)):
+        here = direction * signed > 0.0
+        t = np.abs(signed[here])
+        count = side.deviation.shape[1]
+        place = theta[here] / tables.period * count
+        first = np.floor(place).astype(int)
+        s = place - first
+        weights = np.array([(1 - s) ** 3, 3 * s**3 - 6 * s**2 + 4, 1 + 3 * s + 3 * s**2 - 3 * s**3, s**3]) / 6.0
+        rates = np.array([-((1 - s) ** 2), 3 * s**2 - 4 * s, 1 + 2 * s - 3 * s**2, s**2]) / 2.0
+        rates *= count / tables.period
+        around = (first + np.arange(-1, 3)[:, None]) % count
+        x, c, p = (
+            np.einsum("lkn,kn->ln", v[:, around], weights) for v in (side.deviation, side.compliance, side.pressure)
+        )
+        dx, dc = (np.einsum("lkn,kn->ln", v[:, around], rates) for v in (side.deviation, side.compliance))
+        cell = np.clip(np.searchsorted(side.load, t, side="right") - 1, 0, side.load.size - 2)
+        n = np.arange(t.size)
+        h = np.diff(side.load)
+        share = (t - side.load[cell]) / h[cell]
+
+        p0, p1, q0, q1 = _hermite(share, h[cell])
+        whole = h[:, None] / 2 * (dx[:-1] + dx[1:]) + h[:, None] ** 2 / 12 * (dc[:-1] - dc[1:])
+        below = np.vstack([np.zeros(t.size), np.cumsum(whole, axis=0)])[cell, n]
+        u = share
+        parts = (u - u**3 + u**4 / 2, u**3 - u**4 / 2, u**2 / 2 - 2 * u**3 / 3 + u**4 / 4, u**4 / 4 - u**3 / 3)
+        last = h[cell] * (
+            parts[0] * dx[cell, n] + parts[1] * dx[cell + 1, n]
+            + h[cell] * (parts[2] * dc[cell, n] + parts[3] * dc[cell + 1, n])
+        )  # fmt: skip
+        rest = np.einsum("kn,kn->n", tables.rest_torque[around], weights)
+        a, b = -6 * u * (1 - u) / h[cell], (1 - u) * (1 - 3 * u)
+        found["deviation"][here] = direction * (
+            p0 * x[cell, n] + p1 * x[cell + 1, n] + q0 * c[cell, n] + q1 * c[cell + 1, n]
+        )
+        found["deviation_rate"][here] = direction * (
+            p0 * dx[cell, n] + p1 * dx[cell + 1, n] + q0 * dc[cell, n] + q1 * dc[cell + 1, n]
+        )
+        found["compliance"][here] = (
+            a * (x[cell, n] - x[cell + 1, n]) + b * c[cell, n] + u * (3 * u - 2) * c[cell + 1, n]
+        )  # fmt: skip
+        found["crank_torque"][here] = rest - signed[here] / tables.ratio - below - last
+        found["max_contact_pressure"][here] = np.sqrt(t) * ((1 - u) * p[cell, n] + u * p[cell + 1, n])
+    return found
+
+
+def compare(tables: Tables, pair: Pair, surface: ErrorSurface, probes: int, seed: int = 0) -> dict[str, float]:
+    """Hold tables against the exact model at random crank angles and torques (evenly, and evenly in the logarithm).
+
+    Returns
+    -------
+    errors
+        "deviation_largest" and "deviation_rms" (rad), and "stiffness_rms", "max_contact_pressure_rms" and
+        "crank_torque_rms" relative to the root mean square of the quantity itself (1).
+    """
+    random = np.random.default_rng(seed)
+    largest = min(tables.positive.load[-1], tables.negative.load[-1])
+    size = np.where(
+        random.random(probes) < 0.5, random.uniform(0.0, 1.0, probes), 10.0 ** random.uniform(-4.0, 0.0, probes)
+    )  # fmt: skip
+    torque = largest * size * random.choice([-1.0, 1.0], probes)
+    theta = np.sort(random.uniform(0.0, tables.period, probes))
+    found = evaluate(tables, theta, torque)
+    drive = drive_of(pair, surface, slices_needed(surface))
+    rows = contact.contact_rows(drive)
+    forces, pressures = np.zeros((pair.pair.discs, pair.pair.pins)), np.zeros((pair.pair.discs, pair.pair.pins))
+    exact = np.empty((4, probes))
+    for i in range(probes):
+        x, stiffness = contact.equilibrium(drive, theta[i], torque[i], 0.0, rows, True)
+        crank = contact.crank_side(drive, theta[i], x, rows)[0]
+        exact[:, i] = x, stiffness, contact.load_sharing(drive, rows, forces, pressures)[1], crank
+    off = found["deviation"] - exact[0]
+    errors = {"deviation_largest": float(np.abs(off).max()), "deviation_rms": _rms(off)}
+    for name, values, true in (
+        ("stiffness", 1.0 / found["compliance"], exact[1]),
+        ("max_contact_pressure", found["max_contact_pressure"], exact[2]),
+        ("crank_torque", found["crank_torque"], exact[3]),
+    ):
+        errors[f"{name}_rms"] = _rms(values - true) / _rms(true)
+    return errors
+
+
+def _rms(values: Array) -> float:
+    return math.sqrt(float(np.mean(np.square(values))))

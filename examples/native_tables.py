@@ -1,0 +1,51 @@
+"""Tables of a native FMU: size against accuracy
+=============================================
+
+What the tables take in the FMU, and what they err against the exact model, by the accuracy asked for.
+
+The first drive is without errors, so that it repeats from pin to pin; in the second the pins stand as they were made,
+and it repeats with every turn of the crank.
+"""
+
+import dataclasses
+import math
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+from cycloid_fmu.cli import print_table
+from cycloid_fmu.fmu import tables
+from cycloid_fmu.fmu.variables import Interface, variables
+from cycloid_fmu.pair import read_pair
+from cycloid_fmu.plots import new_figure, save
+from cycloid_fmu.surface import nominal_surface
+
+ARCSEC = math.pi / 648000
+ASKED = (1.0, 0.3, 0.1, 0.05, 0.02)
+
+pair = read_pair(Path(__file__).parent / "drive-39-40.toml")
+nominal = nominal_surface(pair)
+radial = 2e-6 * np.random.default_rng(1).normal(size=pair.pair.pins)
+drives = {"pins and teeth alike": nominal, "pins as made": dataclasses.replace(nominal, pin_radial=radial)}
+
+figure, (axes,) = new_figure()
+rows = []
+for name, surface in drives.items():
+    sizes, errors = [], []
+    for asked in ASKED:
+        made = tables.compute(pair, surface, accuracy=asked * ARCSEC)
+        file = tables.write(made, "", 0, variables(pair, surface, Interface(), "2.0"))
+        sizes.append(len(zlib.compress(file)) / 1e3)
+        errors.append(made.error["deviation_largest"] / ARCSEC)
+        loads = made.positive.load.size + made.negative.load.size
+        rows.append(
+            [name, f"{asked:g}″", f"{errors[-1]:.4f}″", f"{sizes[-1]:.0f} kB", f"{loads} × {made.rest_torque.size}"]
+        )
+    axes.loglog(sizes, errors, "o-", label=name)
+axes.set_xlabel("tables in the FMU (kB)")
+axes.set_ylabel("largest error of the transmission error (arcsec)")
+axes.axhline(0.02, color="0.6", lw=0.8)
+axes.legend()
+print_table("tables", ["drive", "asked for", "largest error", "size", "loads × crank angles"], rows)
+save(figure, "native_tables.png")

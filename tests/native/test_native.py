@@ -1,0 +1,648 @@
+"""The native FMU: against the model in Python, in hosts that share no code, and with what no host should hand it."""
+
+import math
+import os
+import re
+import shutil
+import struct
+import subprocess
+import sys
+import zipfile
+import zlib
+from types import SimpleNamespace
+
+import fmpy
+import numpy as np
+import pytest
+from c_host import COMPILER, HERE, INTERFACES, compiled, needs
+from common import ARCSEC, EXAMPLES, make_pair
+from fmpy.fmi2 import FMU2Slave
+from fmpy.validation import validate_fmu
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cycloid_fmu import edge
+from cycloid_fmu.fmu import native_build, tables
+from cycloid_fmu.fmu.compliant_model import CompliantModel
+from cycloid_fmu.fmu.model import DriveModel
+from cycloid_fmu.fmu.variables import variables
+from cycloid_fmu.pair import read_pair
+from cycloid_fmu.surface import nominal_surface, surface_of_pair
+from cycloid_fmu.transmission import solve
+
+STUDIES = float(os.environ.get("CYCLOID_STEPS", "1e6"))
+COLUMNS = (
+    "time", "flange_a.phi", "flange_a.w", "flange_b.tau", "flange_b.phi", "flange_b.w", "flange_a.tau",
+    "transmission_error", "backlash", "torsional_stiffness", "max_contact_pressure",
+)  # fmt: skip
+
+
+def rows_of(text):
+    return np.array([[float(cell) for cell in line.split(",")] for line in text.splitlines()])
+
+
+class Slave:
+    """A native FMI 2.0 FMU in fmpy; values by name, what was logged in `said`."""
+
+    def __init__(self, path, folder):
+        description = fmpy.read_model_description(str(path))
+        self.references = {v.name: v.valueReference for v in description.modelVariables}
+        self.said = []
+        self.fmi = FMU2Slave(
+            guid=description.guid, unzipDirectory=fmpy.extract(str(path), unzipdir=str(folder)),
+            modelIdentifier=description.coSimulation.modelIdentifier, instanceName="drive",
+        )  # fmt: skip
+        logger = fmpy.fmi2.fmi2CallbackLoggerTYPE(lambda *words: self.said.append(words[4].decode()))
+        self._kept = fmpy.fmi2.fmi2CallbackFunctions(
+            logger,
+            fmpy.fmi2.fmi2CallbackAllocateMemoryTYPE(fmpy.calloc),
+            fmpy.fmi2.fmi2CallbackFreeMemoryTYPE(fmpy.free),
+        )
+        self.fmi.instantiate(callbacks=self._kept)
+
+    def start(self, **values):
+        self.put(**values)
+        self.fmi.setupExperiment(startTime=0.0)
+        self.fmi.enterInitializationMode()
+        self.fmi.exitInitializationMode()
+
+    def put(self, **values):
+        for name, value in values.items():
+            name = name.replace("flange_a_", "flange_a.").replace("flange_b_", "flange_b.")
+            setter = self.fmi.setBoolean if name == "backlash_on" else self.fmi.setReal
+            setter([self.references[name]], [value])
+
+    def get(self, *names):
+        return self.fmi.getReal([self.references[name] for name in names])
+
+
+@pytest.fixture
+def slave(built, tmp_path):
+    made = []
+
+    def one(kind="kinematic", path=None):
+        made.append(Slave(path or built(kind), tmp_path / str(len(made))))
+        return made[-1]
+
+    yield one
+    for each in made:
+        if each.fmi.component:
+            each.fmi.freeInstance()
+
+
+# --- tables ---
+
+
+def test_tables_keep_their_accuracy_at_crank_angles_and_torques_they_were_not_made_at(drive, record_property):
+    errors = tables.compare(drive.tables, drive.pair, drive.surface, 3000, seed=7)
+    record_property("native TE, largest error", f"{errors['deviation_largest'] / ARCSEC:.4f}″")
+    assert errors["deviation_largest"] < 0.02 * ARCSEC
+    assert errors["max_contact_pressure_rms"] < 0.005
+    assert errors["crank_torque_rms"] < 0.005
+
+
+@pytest.mark.slow
+def test_tables_of_a_drive_with_all_errors_keep_their_accuracy_over_the_whole_period(record_property):
+    pair = read_pair(EXAMPLES / "drive-39-40-as-made.toml")
+    surface = surface_of_pair(pair)
+    made = tables.compute(pair, surface, workers=2)
+    errors = tables.compare(made, pair, surface, 20000, seed=7)
+    torques = np.array([-1.0, 1.0]) * 181.0
+    error = solve(pair, surface, torques, np.linspace(0.0, made.period, 20000)).transmission_error
+    size = len(zlib.compress(tables.write(made, "", 0, variables(pair, surface, INTERFACES["kinematic"], "2.0"))))
+    record_property("native TE with all errors, largest error", f"{errors['deviation_largest'] / ARCSEC:.4f}″")
+    record_property("its tables in the FMU", f"{size / 1e6:.2f} MB")
+    assert errors["deviation_largest"] < max(0.02 * ARCSEC, 1e-3 * np.ptp(error, axis=1).max())
+    assert size < 8e6  # and five libraries of some 0.1 MB
+
+
+@pytest.mark.parametrize(
+    ("keys", "errors", "pitches"),
+    [
+        ({}, {}, 1),
+        ({}, {"pin_radial": True}, 40),
+        ({}, {"tooth_cumulative_pitch": True}, 39),
+        ({"output": "ring"}, {"pin_radial": True}, 40),
+        ({"output": "ring"}, {"centre_distance_x": 3e-6}, 39),
+        ({"discs": 2}, {"centre_distance_x": 3e-6}, 40),
+        ({"discs": 2}, {"pin_radial": True, "tooth_cumulative_pitch": True}, 1560),
+    ],
+)
+def test_transmission_error_repeats_after_the_tables_period(keys, errors, pitches):
+    pair = make_pair(**keys).model_copy(
+        update={"modification": read_pair(EXAMPLES / "drive-39-40.toml").modification}
+    )  # fmt: skip
+    surface = nominal_surface(pair)
+    random = np.random.default_rng(2)
+    changes = {
+        name: 2e-6 * random.normal(size=getattr(surface, name).shape) if value is True else value
+        for name, value in errors.items()
+    }
+    surface = type(surface)(**{**vars(surface), **changes})
+    assert tables.mesh_pitches(pair, surface) == pitches
+    period = pitches * 2.0 * np.pi / (39 if pair.pair.output == "ring" else 40)
+    angles = random.uniform(0.0, 50.0, 12)
+    first, second = (solve(pair, surface, [150.0, -40.0], a).transmission_error for a in (angles, angles + period))
+    np.testing.assert_allclose(first, second, atol=1e-11)
+
+
+def test_torques_of_the_tables_are_derivatives_of_one_function(drive):
+    """∂x/∂θ at constant torque is -∂(τ_a + T/ratio)/∂T, whatever the tables err: G has one mixed derivative."""
+    random = np.random.default_rng(4)
+    theta, torque = random.uniform(0, 10, 500), random.uniform(5, 400, 500) * random.choice([-1, 1], 500)
+    step = 1e-3
+    above, below = (tables.evaluate(drive.tables, theta, torque + d)["crank_torque"] for d in (step, -step))
+    rate = tables.evaluate(drive.tables, theta, torque)["deviation_rate"]
+    np.testing.assert_allclose((above - below) / (2 * step), -rate - 1.0 / drive.pair.ratio, atol=3e-9)
+
+
+# --- against the model in Python ---
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        {},
+        {"friction_torque": 8.0, "series_compliance": 1e-6},
+        {"backlash_on": False, "friction_torque": 3.0},
+    ],
+)
+def test_kinematic_follows_the_exact_model_through_reversals_and_zero_torque(drive, slave, parameters):
+    native, model = slave(), DriveModel(drive.pair, drive.surface, INTERFACES["kinematic"].losses)
+    for name, value in parameters.items():
+        setattr(model, name, value)
+    native.start(**parameters)
+    model.forget_history()
+    model.advance()
+    random = np.random.default_rng(3)
+    steps = 400
+    angle = np.cumsum(random.normal(0.0, 0.05, steps)) + 2.0 * np.sin(np.arange(steps) / 40)
+    torque = 150.0 * np.sin(np.arange(steps) / 23) * (random.random(steps) < 0.8)
+    torque[100:180] = 0.0
+    found = []
+    for i in range(steps):
+        model.crank_angle, model.crank_speed, model.torque = angle[i], math.cos(i), torque[i]
+        model.advance()
+        native.put(flange_a_phi=angle[i], flange_a_w=math.cos(i), flange_b_tau=torque[i])
+        native.fmi.doStep(1e-3 * i, 1e-3)
+        found.append([
+            [model.output_angle, model.transmission_error, model.backlash, model.crank_torque, model.output_speed,
+             model.power_loss, model.max_contact_pressure],
+            native.get("flange_b.phi", "transmission_error", "backlash", "flange_a.tau", "flange_b.w", "power_loss",
+                       "max_contact_pressure"),
+        ])  # fmt: skip
+    exact, interpolated = np.moveaxis(np.array(found), 1, 0)
+    off = np.abs(interpolated - exact)
+    assert off[:, :2].max() < 0.02 * ARCSEC
+    assert off[:, 2].max() < 0.04 * ARCSEC  # two ends
+    scale = np.sqrt(np.mean(exact**2, axis=0))
+    # Inside the play a rounding decides whether a flank pushes: then the speed is the other one.
+    assert (np.sqrt(np.mean(off[:, 3:] ** 2, axis=0)) <= [0.003, 0.02, 0.02, 0.005] * scale[3:] + 1e-12).all()
+
+
+@pytest.mark.parametrize("parameters", [{}, {"friction_torque": 8.0, "mesh_damping": 50.0, "series_compliance": 1e-6}])
+def test_compliant_follows_the_exact_model(drive, slave, parameters):
+    native, model = slave("compliant"), CompliantModel(drive.pair, drive.surface)
+    for name, value in parameters.items():
+        setattr(model, name, value)
+    native.start(**parameters)
+    model.forget_history()
+    model.advance()
+    found, ratio = [], drive.pair.ratio
+    for i in range(200):
+        t = 1e-3 * i
+        crank, speed = 0.5 * math.sin(6 * t), 3.0 * math.cos(6 * t)
+        off, rate = 2.4e-4 * math.sin(40 * t), 40 * 2.4e-4 * math.cos(40 * t)
+        model.crank_angle, model.crank_speed = crank, speed
+        model.output_angle, model.output_speed = crank / ratio + off, speed / ratio + rate
+        native.put(
+            flange_a_phi=crank, flange_a_w=speed, flange_b_phi=crank / ratio + off, flange_b_w=speed / ratio + rate
+        )
+        model.advance(1e-3)
+        native.fmi.doStep(t, 1e-3)
+        found.append([
+            [model.crank_torque, model.torque, model.elastic_energy, model.dissipated_energy],
+            native.get("flange_a.tau", "flange_b.tau", "elastic_energy", "dissipated_energy"),
+        ])  # fmt: skip
+    exact, interpolated = np.moveaxis(np.array(found), 1, 0)
+    assert (np.abs(interpolated - exact).max(axis=0) <= 0.01 * np.abs(exact).max(axis=0)).all()
+
+
+def test_compliant_torques_are_the_derivatives_of_its_energy(slave, drive):
+    native, ratio = slave("compliant"), drive.pair.ratio
+    native.start()
+    random = np.random.default_rng(6)
+
+    def energy(crank, output):
+        native.put(flange_a_phi=crank, flange_b_phi=output)
+        return native.get("elastic_energy")[0]
+
+    for _ in range(100):
+        crank, off = random.uniform(-9, 9), random.choice([-1, 1]) * random.uniform(1.9e-4, 2.6e-4)
+        output, step = crank / ratio + off, 1e-8
+        by_output = (energy(crank, output + step) - energy(crank, output - step)) / (2 * step)
+        by_crank = (energy(crank + step * 30, output) - energy(crank - step * 30, output)) / (60 * step)
+        energy(crank, output)
+        at_crank, at_output = native.get("flange_a.tau", "flange_b.tau")
+        assert at_output == pytest.approx(by_output, abs=1e-3, rel=1e-5)
+        assert at_crank == pytest.approx(by_crank, abs=1e-4, rel=1e-4)
+
+
+def test_output_inertia_swings_without_gaining_energy(slave):
+    native = slave("inertia")
+    native.start(flange_b_tau=80.0)
+    native.put(flange_b_tau=0.0)
+    total = []
+    for i in range(400):
+        native.fmi.doStep(1e-3 * i, 1e-3)
+        energy, speed, lost = native.get("elastic_energy", "flange_b.w", "dissipated_energy")
+        total.append(energy + 0.25 * speed**2 + lost)
+    assert np.ptp(total) < 1e-6 * max(total)  # the solution of a sub-step ends at 1e-10 of its way
+
+
+# --- hosts that share no code ---
+
+
+def by_fmuloader(path, motion):
+    from fmuloader.fmi3 import Fmi3Slave
+
+    description = fmpy.read_model_description(str(path))
+    host = Fmi3Slave(str(path), model_identifier=description.coSimulation.modelIdentifier)
+    host.instantiate_co_simulation("drive", instantiation_token=description.instantiationToken)
+    host.enter_initialization_mode(start_time=0.0)
+    host.exit_initialization_mode()
+    found = []
+    for i, inputs in enumerate(motion):
+        host.set_float64([0, 1, 2], inputs)
+        host.do_step(1e-3 * i, 1e-3)
+        found.append(host.get_float64([3, 4, 5, 6, 7, 8, 9]))
+    host.terminate()
+    host.free_instance()
+    return found
+
+
+def by_libcosimpy(path, motion):
+    from libcosimpy.CosimExecution import CosimExecution
+    from libcosimpy.CosimManipulator import CosimManipulator
+    from libcosimpy.CosimObserver import CosimObserver
+    from libcosimpy.CosimSlave import CosimLocalSlave
+
+    execution = CosimExecution.from_step_size(step_size=1_000_000)
+    index = execution.add_local_slave(CosimLocalSlave(fmu_path=str(path), instance_name="drive"))
+    given, seen = CosimManipulator.create_override(), CosimObserver.create_last_value()
+    execution.add_manipulator(manipulator=given)
+    execution.add_observer(observer=seen)
+    found = []
+    for inputs in motion:
+        given.slave_real_values(index, [0, 1, 2], list(inputs))
+        execution.step()
+        found.append(seen.last_real_values(index, [3, 4, 5, 6, 7, 8, 9]))
+    return found
+
+
+def by_fmpy(path, motion):
+    samples = np.array(
+        [(1e-3 * i, *inputs) for i, inputs in enumerate(motion)],
+        dtype=[("time", float), *((name, float) for name in COLUMNS[1:4])],
+    )
+    result = fmpy.simulate_fmu(
+        str(path), input=samples, output=COLUMNS[4:], step_size=1e-3, output_interval=1e-3,
+        stop_time=1e-3 * len(motion), use_event_mode=False,
+    )  # fmt: skip
+    return [[row[name] for name in COLUMNS[4:]] for row in result[1:]]
+
+
+@pytest.mark.parametrize(
+    ("importer", "version"),
+    [(by_fmpy, "2.0"), (by_fmpy, "3.0"), (by_fmuloader, "3.0"), (by_libcosimpy, "2.0")],
+)
+def test_importers_see_the_same_trajectory(built, unpacked, host, importer, version):
+    rows = rows_of(host(unpacked(), "run", 800))
+    found = np.array(importer(built(version=version), rows[:, 1:4].tolist()))
+    assert (np.abs(found - rows[:, 4:]) <= 1e-12 * np.abs(rows[:, 4:]).max(axis=0)).all()
+
+
+def test_reference_results_are_met(unpacked, host):
+    """The results that lie in the repository (of the FMI Cross-Check's form), within the accuracy of the tables."""
+    with (HERE / "kinematic_ref.csv").open(encoding="utf-8") as file:
+        assert file.readline().strip() == ",".join(f'"{name}"' for name in COLUMNS)
+        reference = rows_of(file.read())
+    found = rows_of(host(unpacked(), "run", 800))
+    assert np.abs(found - reference)[:, [4, 7]].max() < 0.04 * ARCSEC
+
+
+# --- history ---
+
+
+def test_a_restored_state_repeats_the_same_bits(unpacked, host):
+    for kind in ("kinematic",):
+        assert "300 states restored" in host(unpacked(kind), "rollback", 300)
+
+
+def test_a_state_restores_in_another_process(unpacked, host, tmp_path):
+    saved = host(unpacked(), "save", tmp_path / "state")
+    assert host(unpacked(), "load", tmp_path / "state") == saved
+    data = (tmp_path / "state").read_bytes()
+    assert data[:15] == b"cycloid native\n"
+
+
+def test_instances_are_made_and_freed_again_and_again(unpacked, host):
+    assert "100 times 8" in host(unpacked(), "open")
+
+
+def test_reset_is_a_new_beginning(slave):
+    used, fresh = slave(), slave()
+    used.start(friction_torque=5.0)
+    used.put(flange_a_phi=1.0, flange_b_tau=30.0)
+    used.fmi.doStep(0.0, 1e-3)
+    used.fmi.reset()
+    for each in (used, fresh):
+        each.start()
+        each.put(flange_a_phi=2.0)
+        each.fmi.doStep(0.0, 1e-3)
+    assert used.get("flange_b.phi", "friction_torque") == fresh.get("flange_b.phi", "friction_torque")
+
+
+# --- what no host should hand it ---
+
+
+def test_random_steps_with_nonsense_among_them_bring_no_number_that_is_none(unpacked, host):
+    assert "20000 steps" in host(unpacked(), "random", 20000)
+
+
+@pytest.mark.slow
+def test_many_random_steps(unpacked, host):
+    assert "refused" in host(unpacked(), "random", int(STUDIES))
+
+
+@pytest.mark.slow
+@needs("gcc")
+def test_the_library_is_clean_under_the_address_and_undefined_behaviour_sanitizers(unpacked, host, tmp_path):
+    flags = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer")
+    native = HERE.parents[1] / "cycloid_fmu" / "fmu" / "native"
+    sources = [native / name for name in native_build.SOURCES]
+    library = compiled(tmp_path / "drive.so", sources, *flags, "-shared", "-fPIC")
+    program = compiled(tmp_path / "host", [HERE / "host.c"], *flags)
+    for words in (
+        ("random", int(STUDIES) // 10),
+        ("rollback", 50),
+        ("open",),
+        ("save", tmp_path / "s"),
+        ("load", tmp_path / "s"),
+    ):
+        host(unpacked(), *words, program=program, library=library)
+
+
+@pytest.mark.slow
+@needs("valgrind")
+def test_the_library_is_clean_under_valgrind(unpacked, host):
+    valgrind = ("valgrind", "--quiet", "--error-exitcode=9", "--leak-check=full", "--errors-for-leak-kinds=definite")
+    for words in (("random", int(STUDIES) // 50), ("rollback", 20), ("run", 200)):
+        host(unpacked(), *words, prefix=valgrind)
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"flange_a_phi": math.nan}, "flange_a.phi = nan: it must be finite"),
+        ({"friction_torque": -1.0}, "friction_torque = -1: it must be finite and lie between 0 and inf"),
+        ({"pin_radial_1_cos": 2e-6}, "pin_radial_1_cos = 2e-06: this FMU holds it in its tables, made for 0"),
+        ({"flange_b_phi": 0.0}, "flange_b.phi can't be set: it is an output"),
+    ],
+)
+def test_what_can_not_be_set_is_an_error_with_a_message_that_says_why(slave, values, said):
+    native = slave()
+    native.start()
+    before = native.get(*COLUMNS[1:])
+    with pytest.raises(Exception, match="error"):
+        native.put(**values)
+    assert said in native.said[-1]
+    assert native.get(*COLUMNS[1:]) == before
+    native.fmi.doStep(0.0, 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "step", "said"),
+    [
+        ("kinematic", {"flange_b_tau": 1e9}, 1e-3, "1e+09 N.m: the FMU's table reaches 452.5 N.m"),
+        ("kinematic", {}, -1e-3, "a step of -0.001 s: it must be finite and not below 0"),
+        ("compliant", {}, 2e-3, "a step of 0.002 s: largest_step is 0.001 s"),
+        ("compliant", {"flange_b_phi": 0.1}, 1e-3, "it must stay within 0.01 rad"),
+        ("inertia", {"flange_b_tau": 1e9}, 1e-3, "rad"),
+    ],
+)
+def test_a_refused_step_is_discarded_and_leaves_all_as_it_was(slave, kind, values, step, said):
+    native = slave(kind)
+    native.start(flange_a_phi=0.3, **({"flange_b_phi": 0.3 / -39} if kind == "compliant" else {}))
+    before = native.get("flange_b.phi", "backlash")
+    native.put(**values)
+    with pytest.raises(Exception, match="discard"):
+        native.fmi.doStep(0.0, step)
+    assert said in native.said[-1]
+    native.put(**({"flange_b_tau": 0.0} if kind != "compliant" else {"flange_b_phi": 0.3 / -39}))
+    assert native.get("flange_b.phi", "backlash") == before
+    native.fmi.doStep(0.0, 1e-3)
+
+
+@settings(max_examples=40)
+@given(at=st.floats(0.0, 1.0, exclude_max=True), bit=st.integers(0, 7), cut=st.booleans())
+def test_a_damaged_table_is_refused_in_one_sentence(unpacked, host, tmp_path_factory, at, bit, cut):
+    fmu = unpacked()
+    data = bytearray((fmu.folder / "resources" / "drive.table").read_bytes())
+    place = int(at * len(data))
+    if cut:
+        data = data[:place]
+    else:
+        data[place] ^= 1 << bit
+    if 12 <= place < 16 and not cut:
+        return  # four bytes that mean nothing
+    folder = tmp_path_factory.mktemp("damaged")
+    (folder / "drive.table").write_bytes(data)
+    said = host(fmu, "open", uri=folder.as_uri(), fails=True)
+    assert "table" in said
+    assert "not instantiated" in said
+
+
+def test_a_table_with_a_right_hash_and_wrong_contents_is_refused(unpacked, host, tmp_path):
+    fmu = unpacked()
+    data = bytearray((fmu.folder / "resources" / "drive.table").read_bytes())
+    random = np.random.default_rng(8)
+    for _ in range(60):
+        changed = bytearray(data)
+        for place in random.integers(32, len(data), 3):
+            changed[place] = random.integers(256)
+        struct.pack_into("<Q", changed, 24, tables.fnv1a(bytes(changed[32:])))
+        (tmp_path / "drive.table").write_bytes(changed)
+        assert host(fmu, "run", 5, uri=tmp_path.as_uri(), fails=None) in (0, 1)
+
+
+def test_a_table_of_another_fmu_is_refused(unpacked, host):
+    said = host(unpacked(), "open", uri=unpacked("compliant").uri, fails=True)
+    assert "belong to two FMUs" in said
+
+
+def test_a_state_of_another_drive_is_refused(slave):
+    one, other = slave(), slave("compliant")
+    for each in (one, other):
+        each.start()
+    state = one.fmi.getFMUState()
+    data = one.fmi.serializeFMUState(state)
+    with pytest.raises(Exception, match="error"):
+        other.fmi.deserializeFMUState(data)
+    assert "this state belongs to another drive" in other.said[-1]
+    with pytest.raises(Exception, match="error"):
+        one.fmi.deserializeFMUState(data[:-8])
+    assert "this state is damaged" in one.said[-1]
+    one.fmi.freeFMUState(state)
+
+
+@pytest.mark.parametrize("form", ["file:{}", "file://{}", "file://localhost{}", "file:{}/", "plain"])
+def test_the_resources_are_found_by_uri_or_path(unpacked, host, form):
+    fmu = unpacked()
+    path = fmu.uri.removeprefix("file://")
+    uri = str(fmu.folder / "resources") if form == "plain" else form.format(path)
+    assert "100 times 8" in host(fmu, "open", uri=uri)
+
+
+def test_what_is_no_place_of_resources_is_refused(unpacked, host):
+    for uri in ("https://somewhere/resources", "file:///nowhere%", "file:///nowhere%00"):
+        assert "neither a path nor a file URI" in host(unpacked(), "open", uri=uri, fails=True)
+    assert "can't be read" in host(unpacked(), "open", uri="file:///no/where", fails=True)
+
+
+# --- the archive ---
+
+
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+@pytest.mark.parametrize("kind", list(INTERFACES))
+def test_validation_finds_nothing(built, kind, version):
+    assert validate_fmu(str(built(kind, version))) == []
+
+
+def test_variables_have_the_references_of_the_fmu_in_python(built, drive):
+    for version in ("2.0", "3.0"):
+        described = fmpy.read_model_description(str(built(version=version))).modelVariables
+        table = variables(drive.pair, drive.surface, INTERFACES["kinematic"], version)
+        assert all(table[v.valueReference].name == v.name and table[v.valueReference].unit == v.unit for v in described)
+        left_out = {v.name for v in table} - {v.name for v in described}
+        assert left_out == ({"pin_force", "pin_pressure"} if version == "3.0" else set())
+
+
+def test_the_sources_in_the_fmu_compile_alone(unpacked, tmp_path):
+    folder = shutil.copytree(unpacked().folder / "sources", tmp_path / "sources")
+    subprocess.run(
+        [*COMPILER, "-std=c99", "-Wall", "-Wextra", "-Werror", "-c", *native_build.SOURCES], cwd=folder, check=True
+    )  # fmt: skip
+
+
+def test_a_drive_gives_the_same_bytes_again(built, drive, tmp_path, monkeypatch):
+    monkeypatch.setenv("CC", COMPILER[0] if len(COMPILER) == 1 else "")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(built().parent))
+    path = tmp_path / "again.fmu"
+    native_build.build_native(
+        drive.pair, drive.surface, path, INTERFACES["kinematic"], made=drive.tables,
+        platforms=[native_build.this_platform()],
+    )  # fmt: skip
+    assert path.read_bytes() == built().read_bytes()
+
+
+def test_each_platform_has_its_folder_and_macos_in_fmi_2_holds_both_processors(drive, tmp_path, monkeypatch):
+    monkeypatch.setattr(native_build, "binary", lambda name: name.encode())
+    for version, expected in (
+        ("2.0", {"linux64/CycloidDrive.so", "win64/CycloidDrive.dll", "darwin64/CycloidDrive.dylib"}),
+        ("3.0", {"x86_64-linux/CycloidDrive.so", "aarch64-linux/CycloidDrive.so", "x86_64-windows/CycloidDrive.dll",
+                 "x86_64-darwin/CycloidDrive.dylib", "aarch64-darwin/CycloidDrive.dylib"}),
+    ):  # fmt: skip
+        path = tmp_path / f"{version}.fmu"
+        native_build.build_native(drive.pair, drive.surface, path, version=version, made=drive.tables)
+        with zipfile.ZipFile(path) as archive:
+            found = {n.removeprefix("binaries/") for n in archive.namelist() if n.startswith("binaries/")}
+            assert found == expected
+            if version == "2.0":
+                fat = archive.read("binaries/darwin64/CycloidDrive.dylib")
+                assert struct.unpack_from(">II", fat) == (0xCAFEBABE, 2)
+                for entry, name in ((8, b"x86_64-darwin"), (28, b"aarch64-darwin")):
+                    _, _, offset, size, align = struct.unpack_from(">IIIII", fat, entry)
+                    assert fat[offset : offset + size] == name
+                    assert offset % (1 << align) == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--native", "--platform", "m68k-amiga"], "--platform m68k-amiga: this is none of x86_64-linux, "),
+        (["--native", "--platform", "aarch64-linux", "--fmi", "2.0"], "FMI 2.0 does not know it; use --fmi 3.0"),
+        (["--platform", "x86_64-linux"], "only a --native FMU has platforms"),
+    ],
+)
+def test_a_platform_that_can_not_be_built_is_refused_and_nothing_written(command, tmp_path, words, said):
+    (tmp_path / "drive.fmu").write_text("kept")
+    done = command("cycloid-fmu", "build", EXAMPLES / "drive-39-40.toml", *words, "-o", "drive.fmu")
+    assert done.returncode == edge.BAD_INPUT
+    assert said in done.stderr
+    assert (tmp_path / "drive.fmu").read_text() == "kept"
+    assert [p.name for p in tmp_path.iterdir()] == ["drive.fmu"]
+
+
+def test_without_the_extra_the_message_names_it(drive, tmp_path, monkeypatch):
+    monkeypatch.setattr(native_build.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(edge.InputError, match=r"pip install 'cycloid-fmu\[native\]'"):
+        native_build.build_native(drive.pair, drive.surface, tmp_path / "d.fmu", platforms=["x86_64-windows"])
+
+
+def test_a_pair_without_rated_torque_is_refused(command, tmp_path):
+    text = (EXAMPLES / "drive-39-40.toml").read_text()
+    (tmp_path / "pair.toml").write_text("\n".join(x for x in text.splitlines() if not x.startswith("rated_torque")))
+    done = command("cycloid-fmu", "build", "pair.toml", "--native", "-o", "drive.fmu")
+    assert done.returncode == edge.BAD_INPUT
+    assert "pair.toml: [pair] rated_torque is missing" in done.stderr
+
+
+# --- other machines ---
+
+
+def _mach_o_minimum(data):
+    """Version of macOS that a 64-bit Mach-O library asks for (LC_BUILD_VERSION)."""
+    count, at = struct.unpack_from("<I", data, 16)[0], 32
+    for _ in range(count):
+        kind, size = struct.unpack_from("<II", data, at)
+        if kind == 0x32:
+            return struct.unpack_from("<I", data, at + 12)[0] >> 16
+        at += size
+    raise AssertionError("no build version")
+
+
+@pytest.mark.slow
+def test_libraries_ask_for_no_newer_system_than_promised():
+    for name in native_build.PLATFORMS:
+        data = native_build.binary(name)
+        if name.endswith("linux"):
+            asked = [tuple(map(int, v.split(b"."))) for v in re.findall(rb"GLIBC_([\d.]+)\0", data)]
+            assert data[:4] == b"\x7fELF"
+            assert asked
+            assert max(asked) <= (2, 17)
+        elif name.endswith("darwin"):
+            assert _mach_o_minimum(data) == 11
+        else:
+            assert data[:2] == b"MZ"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    shutil.which("wine64") is None and not os.path.exists("/usr/lib/wine/wine64"), reason="wine64 is not installed"
+)
+def test_the_windows_library_does_the_same_under_wine(unpacked, host, tmp_path):
+    wine = shutil.which("wine64") or "/usr/lib/wine/wine64"
+    zig = (sys.executable, "-m", "ziglang", "cc", "-target", "x86_64-windows-gnu")
+    program = compiled(tmp_path / "host.exe", [HERE / "host.c"], "-O2", compiler=zig)
+    library = tmp_path / "CycloidDrive.dll"
+    library.write_bytes(native_build.binary("x86_64-windows"))
+    fmu = SimpleNamespace(**vars(unpacked()))
+    linux = rows_of(host(fmu, "run", 800))
+    fmu.uri = fmu.uri.replace("file:///", "file:///Z:/")
+    fmu.library = library
+    run = {"prefix": (wine,), "program": program, "WINEPREFIX": str(tmp_path / "wine"), "WINEDEBUG": "-all"}
+    found = rows_of(host(fmu, "run", 800, **run))
+    assert (np.abs(found - linux) <= 1e-12 * np.abs(linux).max(axis=0)).all()
+    assert "100 states restored" in host(fmu, "rollback", 100, **run)
+    assert "refused" in host(fmu, "random", int(STUDIES) // 20, **run)
