@@ -71,9 +71,9 @@ def test_the_wear_paper_s_figures(tmp_path):
         [c.strip() for c in line.strip("│").split("│")] for line in run.stdout.splitlines() if line.startswith("│")
     ]
     table = {row[0]: row[1:] for row in cells}
-    assert table["unloaded mesh interval"][:2] == ["0.1571 rad", "0.1571 rad"]
-    assert float(table["gear, deepest, bounded"][1].split()[0]) == pytest.approx(49.4, rel=0.04)
-    assert float(table["gear, deepest, updated"][1].split()[0]) < 8.0
+    assert table["unloaded mesh interval, rad"][:2] == ["0.1571", "0.1571"]
+    assert float(table["gear, deepest, bounded, µm"][1]) == pytest.approx(49.4, rel=0.04)
+    assert float(table["gear, deepest, updated, µm"][1]) < 8.0
     assert_page_agrees("theory-paper-wear", "`examples/wear_study.py`", run.stdout)
     assert (tmp_path / "wear_study.png").stat().st_size > 100000
 
