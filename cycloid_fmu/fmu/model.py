@@ -231,7 +231,8 @@ class DriveModel:
 
     # What a step changes besides the contacts.
     _MOVED: tuple[str, ...] = (
-        "_placed", "_x", "_stiffness", "_load", "_pushed", "_side", "_cold", "_play_cold", "_play", "_crank", "_sharing",
+        "_placed", "_x", "_stiffness", "_load", "_pushed", "_side", "_cold", "_play_cold", "_play", "_crank",
+        "_sharing",
     )  # fmt: skip
 
     def _before(self) -> tuple[Any, ...]:
