@@ -220,21 +220,26 @@ class DriveModel:
             If the step is refused; nothing has moved then.
         """
         self.check_step(step)
-        kept, contacts = self._before(), self._contacts.copy()
+        kept, contacts, play_contacts = self._before(), self._contacts.copy(), self._play_contacts.copy()
         try:
             self._move(step)
         except StepError:
-            self._forget()
-            self._contacts = contacts
+            self._contacts, self._play_contacts = contacts, play_contacts
             for name, value in zip(self._MOVED, kept, strict=True):
                 setattr(self, name, value)
             raise
 
     # What a step changes besides the contacts.
-    _MOVED: tuple[str, ...] = ("_placed", "_x", "_stiffness", "_load", "_pushed", "_side", "_cold")
+    _MOVED: tuple[str, ...] = (
+        "_placed", "_x", "_stiffness", "_load", "_pushed", "_side", "_cold", "_play_cold", "_play", "_crank",
+        "_sharing",
+    )  # fmt: skip
 
     def _before(self) -> tuple[Any, ...]:
-        return self._placed, self._x, self._stiffness, self._load, self._pushed, self._side, self._cold
+        return (
+            self._placed, self._x, self._stiffness, self._load, self._pushed, self._side, self._cold, self._play_cold,
+            self._play, self._crank, self._sharing,
+        )  # fmt: skip
 
     def _move(self, step: float) -> None:
         self._placed = self._reduced(self.crank_angle)

@@ -58,7 +58,7 @@ class ReducerModel(DriveModel):
     """
 
     _STATE = (*DriveModel._STATE, "_crank_angle")
-    _MOVED = (*DriveModel._MOVED, "_crank_angle")
+    _MOVED = (*DriveModel._MOVED, "_crank_angle", "_torque_rate")
 
     def __init__(
         self,
@@ -87,7 +87,7 @@ class ReducerModel(DriveModel):
         return 0.5 * (self._sun_play / self._ratio + self._s * self._stage.bearing_play) if self.backlash_on else 0.0
 
     def _before(self) -> tuple[Any, ...]:
-        return *super()._before(), self._crank_angle
+        return *super()._before(), self._crank_angle, self._torque_rate
 
     @property
     def _theta(self) -> float:
