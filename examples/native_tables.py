@@ -22,7 +22,7 @@ from cycloid_fmu.plots import new_figure, save
 from cycloid_fmu.surface import nominal_surface
 
 ARCSEC = math.pi / 648000
-ASKED = (1.0, 0.3, 0.1, 0.05, 0.02)
+ASKED = (1.0, 0.3, 0.1, 0.05, 0.03)
 
 pair = read_pair(Path(__file__).parent / "drive-39-40.toml")
 nominal = nominal_surface(pair)
