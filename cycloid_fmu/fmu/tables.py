@@ -49,7 +49,7 @@ MOST_LOADS = 192  # of one direction; table.h has the same
 _SHARES = (0.65, 0.4, 0.2)  # of the allowed error for the loads, and as much for the angles
 _SPREAD = 1000  # random crank angles at which the loads are chosen
 _FIRST_SLOPE = 0.125  # of the first torque: where the slope at zero load is taken, which Hertz's logarithm has infinite
-_STEPS = 64  # steps of the stored deviation in what it may err
+_STEPS = 24  # steps of the stored deviation in what it may err
 PROBES = 20000  # random crank angles and torques at which the finished tables are held against the model
 
 
