@@ -22,7 +22,7 @@ from cycloid_fmu.plots import new_figure, save
 from cycloid_fmu.surface import nominal_surface
 
 ARCSEC = math.pi / 648000
-ASKED = (1.0, 0.3, 0.1, 0.05, 0.02)
+ASKED = (1.0, 0.3, 0.1, 0.05, 0.03)
 
 pair = read_pair(Path(__file__).parent / "drive-39-40.toml")
 nominal = nominal_surface(pair)
@@ -35,7 +35,7 @@ for name, surface in drives.items():
     sizes, errors = [], []
     for asked in ASKED:
         made = tables.compute(pair, surface, accuracy=asked * ARCSEC)
-        file = tables.write(made, "", 0, variables(pair, surface, Interface(), "2.0"))
+        file = tables.write(made, 0, variables(pair, surface, Interface(), "2.0"))
         sizes.append(len(zlib.compress(file)) / 1e3)
         errors.append(made.error["deviation_largest"] / ARCSEC)
         loads = made.positive.load.size + made.negative.load.size

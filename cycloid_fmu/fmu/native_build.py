@@ -286,18 +286,18 @@ def build_native(
             made = tables.compute(pair, surface, workers=workers, total=total, progress=progress)
         table = variables(pair, surface, interface, version)
         kind = 0 if interface.kind == "kinematic" else 1 if interface.output_inertia == 0.0 else 2
-        plain = tables.write(made, "", kind, table)
+        plain = tables.write(made, kind, table)
         token = f"{{{uuid.uuid5(_SPACE, __version__ + hashlib.sha256(plain).hexdigest())}}}"
         contents = {
             "modelDescription.xml": _xml(_description(version, token, table, interface, made)),
-            f"resources/{TABLE}": tables.write(made, token, kind, table),
+            f"resources/{TABLE}": tables.named(plain, token),
             **{f"sources/{name}": data for name, data in _source_files().items()},
             **libraries,
             **parts(pair, interface, list(native_variables(table).values()), version, ()),
         }
         if version == "3.0":
             contents["sources/buildDescription.xml"] = _xml(_build_description())
-        with zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+        with zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive:
             for name, data in contents.items():
                 # The same drive gives the same bytes: no time of day in the archive.
                 entry = zipfile.ZipInfo(name)
