@@ -425,11 +425,10 @@ def _ramp_note(fold: _Fold, source: str) -> list[str]:
     wave = 12.0 * fold.amplitude() / (2.0 * np.pi * turns**2)
     if turns < 2.0 or abs(ramp) < 3.0 * wave or abs(ramp) * turns < _RAMP:
         return []
-    arcsec = 648000.0 / np.pi
     return [
-        f"{source}: the transmission error runs away by {abs(ramp) * arcsec:.3g}″ a turn of the output, as it does "
-        f"where the output angle's clock runs {-fold.drift() * fold.ratio * 1e6:+.3g} ppm fast, or the rig warms up; "
-        "the curve holds it. Give a clock's as drift in the mapping."
+        f"{source}: the transmission error runs away by {abs(ramp) * edge.ARCSEC:.3g}″ a turn of the output, as it "
+        f"does where the output angle's clock runs {-fold.drift() * fold.ratio * 1e6:+.3g} ppm fast, or the rig warms "
+        "up; the curve holds it. Give a clock's as drift in the mapping."
     ]
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import stdtrit
 
 from cycloid_fmu import edge
 from fitting.curve import Curve, Folding, Spectrum, lag_of, significant, spectrum, synthesised
@@ -279,7 +279,7 @@ def _mean(values: Sequence[_Value], drift: float = 0.0) -> _Value:
     uncertainty = math.sqrt(sum(variance for _, variance in values)) / count * 1.96
     if count > 2:
         scatter = float(np.std([v for v, _ in values], ddof=1)) / math.sqrt(count)
-        uncertainty = max(uncertainty, float(stats.t.ppf(0.975, count - 1)) * scatter)
+        uncertainty = max(uncertainty, float(stdtrit(count - 1, 0.975)) * scatter)
     return value, math.hypot(uncertainty, 0.5 * drift)
 
 
@@ -379,13 +379,12 @@ def _closure(data: LoopData, found: Sequence[_LoopValues]) -> tuple[float, list[
     if not losses:
         return 0.0, []
     loss = abs(float(np.mean([v for v, _ in losses])))
-    arcsec = 648000.0 / math.pi
     if len(middles) > 1:
         drift = float(np.polyfit(np.arange(len(middles)), [v for v, _ in middles], 1)[0])
         noise = 3.0 * math.sqrt(max(v for _, v in middles))
         if abs(drift) > max(0.1 * loss, noise):
             return drift, [
-                f"{data.source}: the loops do not close: each lies {drift * arcsec:.3g}″ from the one before; the "
+                f"{data.source}: the loops do not close: each lies {drift * edge.ARCSEC:.3g}″ from the one before; the "
                 "uncertainties say what that can do."
             ]
         return 0.0, []
@@ -397,7 +396,7 @@ def _closure(data: LoopData, found: Sequence[_LoopValues]) -> tuple[float, list[
     outside = abs(start - middle) - 0.5 * loss
     if outside > 0.1 * loss + 3.0 * math.sqrt(variance):
         return outside, [
-            f"{data.source}: the loop does not close: it begins {outside * arcsec:.3g}″ outside its unloading "
+            f"{data.source}: the loop does not close: it begins {outside * edge.ARCSEC:.3g}″ outside its unloading "
             "branches; the uncertainties say what that can do."
         ]
     return 0.0, []
@@ -762,7 +761,7 @@ def _lag_note(recording: BenchRecording, ratio: float) -> list[str]:
         return []
     lag, uncertainty = found
     fastest = float(np.abs(np.gradient(recording.output_angle, recording.time)).max())
-    arcsec = abs(lag) * fastest * 648000.0 / math.pi
+    arcsec = abs(lag) * fastest * edge.ARCSEC
     if abs(lag) < 2.0 * uncertainty or arcsec < 0.1:
         return []
     return [
@@ -922,7 +921,7 @@ def figures_of(surveyed: Sequence[Surveyed], ratio: float | None, rated_torque: 
 def _mean_start(name: str, torques: Sequence[float]) -> Figure:
     half = math.nan
     if len(torques) > 1:
-        quantile = float(stats.t.ppf(0.975, len(torques) - 1))
+        quantile = float(stdtrit(len(torques) - 1, 0.975))
         half = quantile * float(np.std(torques, ddof=1)) / math.sqrt(len(torques))
     return Figure(float(np.mean(torques)), half, UNITS[name], DEFINITIONS[name], None, "", len(torques), "starts")
 
@@ -937,7 +936,7 @@ def _pooled(figures: Sequence[Figure]) -> Figure:
     uncertainty = float(np.sqrt(np.sum((weight * [f.uncertainty for f in figures]) ** 2)))
     if len(figures) > 2:
         scatter = float(np.std(values, ddof=1)) / math.sqrt(len(figures))
-        uncertainty = max(uncertainty, float(stats.t.ppf(0.975, len(figures) - 1)) * scatter)
+        uncertainty = max(uncertainty, float(stdtrit(len(figures) - 1, 0.975)) * scatter)
     first = figures[0]
     parts = {
         side: _pooled([f.parts[side] for f in figures if side in f.parts])
