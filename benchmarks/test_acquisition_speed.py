@@ -83,34 +83,40 @@ def hub_rate(interface):
     return rate
 
 
-def report(what, pairs, unit):
+def state(benchmark, pairs, unit):
+    """Put our rate beside the bare loop's: median of the pairs' ratios, and their range."""
     ratios = [ours / bare for ours, bare in pairs]
-    bare = statistics.median(b for _, b in pairs)
-    median = statistics.median(ratios)
-    print(
-        f"\n{what}: {100 * median:.0f} % of the bare loop in the median of {len(pairs)} pairs "
-        f"({100 * min(ratios):.0f} to {100 * max(ratios):.0f} %), bare {bare:.0f} {unit}"
+    benchmark.extra_info.update(
+        {
+            "per cent of the bare loop": round(100 * statistics.median(ratios)),
+            "from, to": f"{100 * min(ratios):.0f}, {100 * max(ratios):.0f}",
+            f"bare loop, {unit}": round(statistics.median(bare for _, bare in pairs)),
+        }
     )
-    return median
+    print(benchmark.extra_info)
 
 
 @pytest.mark.parametrize("interface", ["virtual", "udp_multicast"])
-def test_frames_a_second_against_a_bare_receive_loop(interface):
+def test_frames_a_second_against_a_bare_receive_loop(benchmark, interface):
     pairs = []
-    for i in range(PAIRS):
-        first, second = (hub_rate, bare_rate) if i % 2 else (bare_rate, hub_rate)
+
+    def pair():
+        first, second = (hub_rate, bare_rate) if len(pairs) % 2 else (bare_rate, hub_rate)
         one, other = first(interface), second(interface)
         pairs.append((one, other) if first is hub_rate else (other, one))
-    report(f"CAN, {interface}", pairs, "frames/s")
+
+    benchmark.pedantic(pair, rounds=PAIRS)
+    state(benchmark, pairs, "frames/s")
 
 
-def test_amt21_round_trips_against_a_bare_serial_loop(tmp_path):
+def test_amt21_round_trips_against_a_bare_serial_loop(benchmark, tmp_path):
     motion = simulate_motion(lambda a, t: -a / 39, BenchRun(torque=0.0, turns=100, speed=0.01 * math.pi))
     pairs = []
     with Amt21Bench(motion) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
         toml.write_text(toml.read_text().split("[channel.output_angle]")[0])
-        for _ in range(PAIRS):
+
+        def pair():
             with serial.serial_for_url(bench.url, baudrate=2_000_000, timeout=0.1) as port:
                 begun, count = time.perf_counter(), 0
                 while time.perf_counter() - begun < 1.0:
@@ -124,9 +130,10 @@ def test_amt21_round_trips_against_a_bare_serial_loop(tmp_path):
                 while time.perf_counter() - begun < 1.0:
                     block = encoder.read(0.1)
                     count += 0 if block is None else len(block)
-                ours = count / (time.perf_counter() - begun)
-            pairs.append((ours, bare))
-    report("AMT21", pairs, "round trips/s")
+                pairs.append((count / (time.perf_counter() - begun), bare))
+
+        benchmark.pedantic(pair, rounds=PAIRS)
+    state(benchmark, pairs, "round trips/s")
 
 
 class Counter(Encoder):
@@ -155,7 +162,7 @@ class Counter(Encoder):
         return Samples.checked(self.channel.name, steady_time() + value, value, counts=block)
 
 
-def test_soak(tmp_path):
+def test_soak(benchmark, tmp_path):
     """Many samples through recorder and format at constant memory, none lost; the table is what it prints."""
     import resource
 
@@ -163,13 +170,18 @@ def test_soak(tmp_path):
     path, table = tmp_path / "soak.arrows", []
     begun = time.perf_counter()
 
+    def peak():
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
+
     def progress(live):
         written = sum(live.samples.values())
         if written * 10 // SOAK > len(table) and len(table) < 10:
-            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
-            table.append((written, time.perf_counter() - begun, peak))
+            table.append((written, time.perf_counter() - begun, peak()))
 
-    written = record([Counter(n) for n in names], path, ratio=-39.0, samples=SOAK // 3, progress=progress).samples
+    def soak():
+        return record([Counter(n) for n in names], path, ratio=-39.0, samples=SOAK // 3, progress=progress).samples
+
+    written = benchmark.pedantic(soak, rounds=1)
     read = dict.fromkeys(names, 0)
     with RecordingReader(path) as reader:
         for samples, _ in reader.batches():
@@ -179,11 +191,13 @@ def test_soak(tmp_path):
             read[samples.channel] += len(samples)
         assert reader.problems == []
     assert read == written
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
     print("\n     samples   seconds   peak MB")
     for samples, seconds, used in table:
         print(f"{samples:12d} {seconds:9.1f} {used:9d}")
     print(
-        f"read back {sum(read.values())}, none lost, in {time.perf_counter() - begun - table[-1][1]:.1f} s; {peak} MB"
+        f"read back {sum(read.values())}, none lost, in {time.perf_counter() - begun - table[-1][1]:.1f} s; {peak()} MB"
     )
     assert table[-1][2] - table[0][2] < 50
+    benchmark.extra_info.update(
+        {"samples": sum(read.values()), "lost": 0, "peak MB after a tenth": table[0][2], "at the end": table[-1][2]}
+    )

@@ -483,7 +483,10 @@ class RecordingWriter:
 
 
 def _header(metadata: Mapping[bytes, bytes] | None, source: str) -> Header:
-    text = {k.decode(): v.decode() for k, v in (metadata or {}).items()}
+    try:
+        text = {k.decode(): v.decode() for k, v in (metadata or {}).items()}
+    except UnicodeDecodeError:
+        raise edge.InputError(f"{source}: the recording's header is damaged; it is no text.") from None
     if "format" not in text:
         raise edge.InputError(f"{source}: this is an Arrow stream but not a recording; it names no format.")
     if text["format"] != FORMAT:
@@ -645,7 +648,7 @@ class RecordingReader:
                 continue
             try:
                 decoded = self._decoded(data)
-            except (ValueError, pa.ArrowException) as problem:
+            except (ValueError, OSError, pa.ArrowException) as problem:  # Arrow says OSError of lengths beyond the end
                 self._left_out(problem)
             else:
                 if (taken := self._judged(*decoded)) is not None:
@@ -741,7 +744,7 @@ class RecordingReader:
                 if taken is not None and taken[0] is not None:
                     try:
                         _batch(*self._decoded(taken[0]), self._names)
-                    except (ValueError, TypeError, KeyError, pa.ArrowException):
+                    except (ValueError, TypeError, KeyError, OSError, pa.ArrowException):
                         pass
                     else:
                         self.problems.append(

@@ -315,7 +315,7 @@ def kill_once(folder, number, after, wait):
 
 @needs_multicast
 @pytest.mark.parametrize("kills", [1, pytest.param(KILLS, marks=pytest.mark.slow)])
-def test_kill_9_at_any_moment_loses_nothing_acknowledged(tmp_path, kills):
+def test_kill_9_at_any_moment_loses_nothing_acknowledged(tmp_path, kills, record_property):
     random = np.random.default_rng(5)
     group = f"239.74.163.{80 + os.getpid() % 100}"
     motion = simulate_motion(ideal, BenchRun(torque=5.0, turns=2000))
@@ -329,6 +329,7 @@ def test_kill_9_at_any_moment_loses_nothing_acknowledged(tmp_path, kills):
             assert len(have) >= n
             assert not np.any(have.status & ~np.uint8(rf.ROLLOVER))
         (tmp_path / f"run-{number}.arrows").unlink()
+    record_property("kills at random moments without loss of what was acknowledged", str(kills))
 
 
 def test_slow_consumer(tmp_path, bus_name, monkeypatch):

@@ -5,11 +5,14 @@ import os
 import numpy as np
 import pytest
 
+from cycloid_fmu import edge
 from drivers.amt21_encoder import Amt21Config, Amt21Encoder, check_bits
 from drivers.ascii_counter import AsciiConfig, AsciiCounter
 from drivers.can_hub import FrameReader, Frames
 from drivers.encoder import BlockQueue, PortConfig
 from drivers.modbus_encoder import ModbusConfig, ModbusEncoder
+from drivers.recording_format import read_recording
+from tests.drivers.test_recording_format import NAMES, block, write
 from tests.drivers.test_serial_encoders import CONFIG, nmea
 
 MUTATIONS = int(float(os.environ.get("CYCLOID_MUTATIONS", "1e6")))
@@ -125,6 +128,32 @@ def test_frames(count):
         good = {bytes(d) for d in frames.data if len(d) == 4}
         assert {p.tobytes() for p in judged.payloads} <= good
     assert kept > count / 10
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_recordings(tmp_path, count, record_property):
+    """A file in which bits flip and bytes come and go: what is read was written, the rest is one sentence."""
+    random = np.random.default_rng(5)
+    path = write(tmp_path / "run.arrows", [block(name, 10 * i, 10) for i in range(5) for name in NAMES])
+    whole, header = path.read_bytes(), read_recording(path).header
+
+    def rows(recording):
+        held = ((n, s) for n, s in recording.samples.items() if len(s))
+        return {(n, *row) for n, s in held for row in zip(s.time_host, s.value, s.counts, strict=True)}
+
+    written, read = rows(read_recording(path)), 0
+    for _ in range(count // 50):
+        data = mutated(random, mutated(random, whole))
+        path.write_bytes(data if random.integers(2) else data + whole[len(data) :])
+        try:
+            found = read_recording(path)
+        except edge.InputError:
+            continue
+        if found.header == header:  # the header has no checksum of its own
+            read += 1
+            assert rows(found) <= written
+    assert read > count // 100
+    record_property("damaged recordings read or refused without a wrong sample", str(count // 50))
 
 
 def test_lines_without_a_checksum_are_told_by_their_form():

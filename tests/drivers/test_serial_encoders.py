@@ -352,7 +352,7 @@ def test_a_port_may_be_a_serial_device_server_by_rfc_2217(tmp_path):
         thread.join()
         server.close()
     assert rates[-1] == 2_000_000
-    assert done.marks == {"input_angle": {}, "output_angle": {}}
+    assert all(marks.keys() <= {"rollovers"} for marks in done.marks.values()), "nothing is lost or garbled"
     samples = read_recording(path).samples["input_angle"]
     nearest = np.abs(samples.value[:, None] - motion.input_angle).min(axis=1)
     assert nearest.max() <= 1.001 * math.pi / (1 << 14)
