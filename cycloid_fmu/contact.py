@@ -1430,14 +1430,14 @@ def _lines(
 
 @_compiled
 def sweep_sensitivities(
-    drive: Drive, thetas: Array, torque: float, deviation: Array, errors: Array, by_angle: Array, by_torque: Array
+    drive: Drive, thetas: Array, torque: Array, deviation: Array, errors: Array, by_angle: Array, by_torque: Array
 ) -> None:
-    """Solve every crank angle at one torque, with the derivatives of the deviation.
+    """Solve every crank angle at its torque, with the derivatives of the deviation.
 
     Parameters
     ----------
     thetas, torque
-        Crank angles (rad), shape (angles,); torque (N·m), not 0.
+        Crank angles (rad) and the torque at each (N·m, not 0), shape (angles,).
     deviation, errors, by_angle, by_torque
         Overwritten: x (rad), shape (angles,); rows of `sensitivities`, shape (angles, columns); the output angle's
         derivatives by crank angle (1) and torque (rad/(N·m)), shape (angles,).
@@ -1445,7 +1445,7 @@ def sweep_sensitivities(
     contacts = contact_rows(drive)
     x = 0.0
     for i in range(thetas.size):
-        x, _ = equilibrium(drive, thetas[i], torque, x, contacts, i == 0)
+        x, _ = equilibrium(drive, thetas[i], torque[i], x, contacts, i == 0)
         deviation[i] = x
         by_torque[i] = 1.0 / sensitivities(drive, thetas[i], x, contacts, errors[i])
         _, by_angle[i] = crank_side(drive, thetas[i], x, contacts)

@@ -312,9 +312,9 @@ class Interrupted(KeyboardInterrupt):
 
 
 def error_sensitivity(
-    pair: Pair, surface: ErrorSurface, torque: float, crank_angle: ArrayLike, names: list[str], slices: int = 1
+    pair: Pair, surface: ErrorSurface, torque: ArrayLike, crank_angle: ArrayLike, names: list[str], slices: int = 1
 ) -> tuple[Array, Array, Array, Array]:
-    """Transmission error at one torque with its derivatives by errors, crank angle and torque.
+    """Transmission error at one torque, or one for each angle, with its derivatives by errors, angle and torque.
 
     Returns
     -------
@@ -332,7 +332,8 @@ def error_sensitivity(
     columns = structured_columns(pair, names)
     each = np.empty((angles.size, columns.shape[0]))
     deviation, by_angle, by_torque = (np.empty(angles.size) for _ in range(3))
-    contact.sweep_sensitivities(drive, angles, float(torque), deviation, each, by_angle, by_torque)
+    torques = np.ascontiguousarray(np.broadcast_to(np.asarray(torque, dtype=float), angles.shape))
+    contact.sweep_sensitivities(drive, angles, torques, deviation, each, by_angle, by_torque)
     return deviation, each @ columns, each, np.stack([by_angle - 1.0 / pair.ratio, by_torque], axis=1)
 
 

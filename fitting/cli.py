@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import os
 from pathlib import Path
@@ -119,18 +120,21 @@ def _figures(
     return _Taken(dataclasses.replace(found, notes=(*left_out, *found.notes)), pair, left_out, status)
 
 
-def _curves(files: list[Path], ratio: float, mapping: Path | None, read_head: Path | None) -> list[Curve]:
+def _curves(
+    files: list[Path], ratio: float, mapping: Path | None, read_head: Path | None, *, keep_turns: bool = False
+) -> list[Curve]:
     """Return the curves of recordings, one for each direction; with a read head, free of its coaxiality error."""
     from fitting.coaxiality import read_read_head, without_coaxiality_error
     from fitting.curve import transmission_error_curves
     from fitting.recording import open_bench_recording, read_bench_recording, read_mapping
 
     mapped = None if mapping is None else read_mapping(mapping)
+    curves_of = functools.partial(transmission_error_curves, ratio=ratio, keep_turns=keep_turns)
     if read_head is None:
-        return [c for f in files for c in transmission_error_curves(open_bench_recording(f, mapped), ratio)]
+        return [c for f in files for c in curves_of(open_bench_recording(f, mapped))]
     head = read_read_head(read_head)
     corrected = (without_coaxiality_error(read_bench_recording(f, mapped), head) for f in files)
-    return [c for one in corrected for c in transmission_error_curves(one, ratio)]
+    return [c for one in corrected for c in curves_of(one)]
 
 
 @app.command()
@@ -367,6 +371,17 @@ def identify(
         Path | None, typer.Option("--surface", metavar="S.nc", help="Write the identified error surface (netCDF).")
     ] = None,
     read_head: HeadFile = None,
+    tolerances: Annotated[
+        Path | None,
+        typer.Option(metavar="TOL.toml", help="Report every pin and tooth by itself, with these tolerances as prior."),
+    ] = None,
+    profile: Annotated[
+        list[str] | None, typer.Option(metavar="ERROR", help="Find this error's interval by its profile; repeatable.")
+    ] = None,
+    bootstrap: Annotated[int, typer.Option(min=0, help="Draw turns again so often; widens what they scatter.")] = 0,
+    report_file: Annotated[
+        Path | None, typer.Option("--report", metavar="FIT.html", help="Write a report of the fit.")
+    ] = None,
     plot: PlotFile = None,
     as_json: AsJson = False,
 ) -> None:
@@ -378,25 +393,37 @@ def identify(
 
     from cycloid_fmu import plots
     from cycloid_fmu.pair import read_pair
+    from cycloid_fmu.sampling import read_tolerances
     from cycloid_fmu.surface import write_surface
+    from fitting.fit_report import FORMATS, write_fit_report
+    from fitting.identifiability import scatter_of
     from fitting.identify import as_json as content
     from fitting.identify import identify as fit
     from fitting.identify import write_identification
     from fitting.plots import plot_identification
+    from fitting.report import check_report_path
 
     if plot is not None:
         plots.check_path(plot)
+    if report_file is not None:
+        check_report_path(report_file, "--report", FORMATS)
     pair = read_pair(pair_file)
-    curves = _curves(files, pair.ratio, mapping, read_head)
+    known = None if tolerances is None else scatter_of(pair, read_tolerances(tolerances))
+    curves = _curves(files, pair.ratio, mapping, read_head, keep_turns=bootstrap > 0)
     console = Console(stderr=True)
     with console.status("reading") as status:
-        result = fit(curves, pair, lambda step: status.update(f"{step} …"))
+        result = fit(
+            curves, pair, lambda step: status.update(f"{step} …"), scatter=known, profiled=profile or [],
+            bootstrap=bootstrap,
+        )  # fmt: skip
     if output is not None:
         write_identification(result, output)
     if surface_file is not None:
         write_surface(result.surface, surface_file)
     if plot is not None:
         plots.save(plot_identification(curves, result), plot)
+    if report_file is not None:
+        write_fit_report(curves, result, pair, report_file)
     if as_json:
         typer.echo(edge.json_text(content(result)))
         return
@@ -479,7 +506,8 @@ def plan(
     from cycloid_fmu.cli import print_table
     from cycloid_fmu.pair import read_pair
     from cycloid_fmu.surface import unit_of
-    from fitting.identifiability import bench_plans, errors_of
+    from fitting.identifiability import bench_plans
+    from fitting.observation import errors_of
     from fitting.plots import plot_plans
 
     if plot is not None:

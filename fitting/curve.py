@@ -6,6 +6,7 @@ output turn; then the curve's orders, each with the noise around it.
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -63,6 +64,11 @@ class Curve:
         are the same.
     angle_variance
         Variance of the crank angles within each point, rad², or None where a point is one angle.
+    torque_each
+        Mean torque of the samples in each point, N·m, or None where it is not known how it varies.
+    each_turn
+        Transmission error of every turn by itself, shape (turns, points), rad, NaN where a turn has no sample; None
+        where the turns were not kept.
     """
 
     input_angle: Array
@@ -81,6 +87,24 @@ class Curve:
     turns: float = 1.0
     grid: tuple[int, float] = (0, 0.0)
     angle_variance: Array | None = None
+    torque_each: Array | None = None
+    each_turn: Array | None = None
+
+    @property
+    def torque_at_points(self) -> Array:
+        """Torque at each point, shape (points,), N·m."""
+        return np.full(self.input_angle.size, self.torque) if self.torque_each is None else self.torque_each
+
+    def points(self, chosen: slice | NDArray[np.int64] | NDArray[np.bool_]) -> Curve:
+        """Some of the points; those of a grid no more."""
+        variance, torque = self.angle_variance, self.torque_each
+        return dataclasses.replace(
+            self, grid=(0, 0.0), input_angle=self.input_angle[chosen], standard_error=self.standard_error[chosen],
+            transmission_error=self.transmission_error[chosen], sample_count=self.sample_count[chosen],
+            angle_variance=None if variance is None else variance[chosen],
+            torque_each=None if torque is None else torque[chosen],
+            each_turn=None if self.each_turn is None else self.each_turn[:, chosen],
+        )  # fmt: skip
 
 
 class _Fold:
@@ -89,8 +113,9 @@ class _Fold:
     A point's mean is that of its turns' means, so that a standstill or a slow stretch weighs no more than it should.
     """
 
-    def __init__(self, ratio: float, direction: int) -> None:
+    def __init__(self, ratio: float, direction: int, *, keep_turns: bool) -> None:
         self._turn = 2.0 * np.pi * abs(ratio)
+        self._kept: list[Array] | None = [] if keep_turns else None
         self.ratio, self.direction = ratio, direction
         self.samples = 0
         self.points = 0
@@ -129,8 +154,9 @@ class _Fold:
         shape = (self.whole,)
         self.count = np.zeros(shape, np.int64)
         self.repeats = np.zeros(shape)
-        self._sums = np.zeros((4, self.whole))  # over turns: mean error, its square, mean angle, mean squared angle
-        self._open = np.zeros((4, self.whole))  # of the turn under way: samples, error, angle, squared angle
+        # Over turns: mean error, its square, mean angle, mean squared angle, mean torque; and of the turn under way:
+        # samples, error, angle, squared angle, torque.
+        self._sums, self._open = np.zeros((5, self.whole)), np.zeros((5, self.whole))
         self._open_turn = 0
         waiting, self._first = self._first, []
         for part in waiting:
@@ -155,9 +181,9 @@ class _Fold:
         rows = int(turn.max()) - low + 1
         key = point if rows == 1 else point + (turn - low) * self.whole
         size = rows * self.whole
-        found = np.empty((4, rows, self.whole))
+        found = np.empty((5, rows, self.whole))
         found[0] = np.bincount(key, minlength=size).reshape(rows, -1)
-        for number, weights in enumerate((error, inside, inside * inside), start=1):
+        for number, weights in enumerate((error, inside, inside * inside, t), start=1):
             found[number] = np.bincount(key, weights, size).reshape(rows, -1)
         found[:, 0] += self._open
         self._close(found[:, :-1])
@@ -174,6 +200,9 @@ class _Fold:
         self._sums[1] += (mean[0] ** 2).sum(axis=0)
         self._sums[2] += mean[1].sum(axis=0)
         self._sums[3] += mean[2].sum(axis=0)
+        self._sums[4] += mean[3].sum(axis=0)
+        if self._kept is not None:
+            self._kept += [one for one in np.where(samples > 0, mean[0], np.nan) if np.isfinite(one).any()]
 
     def drift(self) -> float:
         """Return the slope of the transmission error over the crank angle."""
@@ -202,12 +231,13 @@ class _Fold:
         """Return what was folded."""
         filled = np.flatnonzero(self.repeats)
         n = self.repeats[filled]
-        error, squares, inside, inside2 = self._sums[:, filled] / n
+        error, squares, inside, inside2, each = self._sums[:, filled] / n
         with np.errstate(invalid="ignore", divide="ignore"):
             standard_error = np.sqrt(np.maximum(squares - error**2, 0.0) / (n - 1.0))
         angle = np.mod(self.shift + (filled + 0.5) * self._spacing + inside, self._turn)
         sequence = np.argsort(angle)
         torque, torque2 = self._torque / self.samples
+        kept = None if self._kept is None else (np.array(self._kept) + self._reference)[:, filled][:, sequence]
         return Curve(
             input_angle=angle[sequence],
             transmission_error=(error + self._reference)[sequence],
@@ -225,6 +255,8 @@ class _Fold:
             turns=self.way / self._turn,
             grid=(self.whole, self.shift),
             angle_variance=np.maximum(inside2 - inside**2, 0.0)[sequence],
+            torque_each=(each + self._torque_reference)[sequence],
+            each_turn=kept,
         )
 
 
@@ -241,11 +273,13 @@ class Folding:
         Signed ratio φ_a/φ_b of the ideal drive.
     source
         The recording's name, for messages.
+    keep_turns
+        Whether the curves keep every turn by itself too.
     """
 
-    def __init__(self, ratio: float, source: str) -> None:
+    def __init__(self, ratio: float, source: str, *, keep_turns: bool = False) -> None:
         self.ratio, self.source = ratio, source
-        self._folds = {1: _Fold(ratio, 1), -1: _Fold(ratio, -1)}
+        self._folds = {way: _Fold(ratio, way, keep_turns=keep_turns) for way in (1, -1)}
         self._direction = 0
         self._furthest = np.nan
         self._start = np.nan
@@ -432,7 +466,9 @@ def _ramp_note(fold: _Fold, source: str) -> list[str]:
     ]
 
 
-def transmission_error_curves(recording: BenchRecording | BenchStream, ratio: float) -> list[Curve]:
+def transmission_error_curves(
+    recording: BenchRecording | BenchStream, ratio: float, *, keep_turns: bool = False
+) -> list[Curve]:
     """Return the transmission error curve of each direction of a recording, the one it turned further first.
 
     The crank angle is folded to one output turn and divided into as many points as samples were taken in a turn (at
@@ -444,13 +480,15 @@ def transmission_error_curves(recording: BenchRecording | BenchStream, ratio: fl
         The recording, in memory or in its file.
     ratio
         Signed ratio φ_a/φ_b of the ideal drive.
+    keep_turns
+        Whether the curves keep every turn by itself too.
 
     Raises
     ------
     edge.InputError
         If the crank does not turn, or its two angles do not belong to this ratio.
     """
-    folding = Folding(ratio, recording.source)
+    folding = Folding(ratio, recording.source, keep_turns=keep_turns)
     for block in recording.blocks():
         folding.add(block)
     return folding.curves(recording)

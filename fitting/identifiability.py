@@ -10,12 +10,15 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from cycloid_fmu.pair import Pair
-from cycloid_fmu.surface import structured_names, surface_of_pair, unit_of
+from cycloid_fmu.sampling import Tolerances, sample_surface
+from cycloid_fmu.surface import Elements, surface_of_pair, unit_of
 from fitting.curve import Curve
 from fitting.observation import (
+    ORDERS,
     Linear,
     Observations,
     State,
+    errors_of,
     linearise,
     nuisance_columns,
     observations,
@@ -24,7 +27,6 @@ from fitting.observation import (
 )
 
 Array = NDArray[np.float64]
-ORDERS = (1, 2, 3)
 
 # Of each set of errors that move the transmission error alike the first is fitted (docs/theory/errors.md).
 PREFERENCE = (
@@ -35,12 +37,9 @@ PREFERENCE = (
     "isometric", "offset", "misalignment_xz", "misalignment_yz",
 )  # fmt: skip
 TOLERANCE = {"m": 5e-6, "rad": 1e-4}  # standard deviation that an error has before anything is measured
+UNKNOWN = 1e-6  # precision of what has no prior, so that what these curves do not see at all can stay where it is
+_DRAWN = 100  # drives from which tolerances' scatter is taken
 KNOWN = 0.2  # an error counts as known where the data leave less than this share of its tolerance
-
-
-def errors_of(pair: Pair) -> list[str]:
-    """Return the structured errors that a fit of this pair considers."""
-    return structured_names([k for k in ORDERS if 2 * k < pair.pair.gear_teeth])
 
 
 def tolerances_of(names: Sequence[str]) -> Array:
@@ -48,17 +47,15 @@ def tolerances_of(names: Sequence[str]) -> Array:
     return np.array([TOLERANCE[unit_of(n)] for n in names])
 
 
-def choose(information: Array, names: Sequence[str], nuisances: int) -> list[str]:
+def choose(information: Array, names: Sequence[str]) -> list[str]:
     """Choose the errors that the data tell apart.
 
     Parameters
     ----------
     information
-        Information matrix of the nuisances (first) and all structured errors, scaled by their tolerances.
+        Information matrix of the structured errors, scaled by their tolerances.
     names
         The structured errors in the matrix' order.
-    nuisances
-        How many nuisances precede them; they are always fitted.
 
     Returns
     -------
@@ -66,24 +63,20 @@ def choose(information: Array, names: Sequence[str], nuisances: int) -> list[str
         In the order of `PREFERENCE`: each was added where all errors chosen stay known to `KNOWN` of their tolerance.
     """
     chosen: list[int] = []
-    always = list(range(nuisances))
     for name in PREFERENCE:
         if name not in names:
             continue
-        trial = [*chosen, nuisances + list(names).index(name)]
-        index = always + trial
-        block = information[np.ix_(index, index)]
-        size = np.sqrt(np.diag(block))
-        if (size[nuisances:] <= 0.0).any():
+        trial = [*chosen, list(names).index(name)]
+        block = information[np.ix_(trial, trial)]
+        size = np.sqrt(np.maximum(np.diag(block), 0.0))
+        if (size <= 0.0).any():
             continue
-        scaled = block / np.outer(size, size)
-        values, vectors = np.linalg.eigh(scaled)
-        if values[0] < 1e-12:
+        values, vectors = np.linalg.eigh(block / np.outer(size, size))
+        if values[0] < 1e-9:
             continue
-        spread = np.sqrt((vectors**2 / values).sum(axis=1)) / size
-        if (spread[nuisances:] < KNOWN).all():
+        if (np.sqrt((vectors**2 / values).sum(axis=1)) / size < KNOWN).all():
             chosen = trial
-    return [list(names)[i - nuisances] for i in chosen]
+    return [list(names)[i] for i in chosen]
 
 
 def chosen_errors(observed: Observations, linear: Linear, names: Sequence[str], spread: Array) -> list[str]:
@@ -96,11 +89,12 @@ def chosen_errors(observed: Observations, linear: Linear, names: Sequence[str], 
     spread
         Standard deviation of each scattered displacement of a pin or tooth, which blurs the errors, m.
     """
-    scattered = len(names) + np.flatnonzero(spread > 0.0)
     information = _information(observed, linear, names, spread)
-    nuisances = np.arange(len(names) + spread.size, len(information))
-    order = np.concatenate([nuisances, scattered, np.arange(len(names))])
-    found = choose(information[np.ix_(order, order)], names, order.size - len(names))
+    own, other = slice(0, len(names)), slice(len(names), None)
+    # What scatter and nuisances leave of the information about the errors.
+    blurred = linalg.solve(information[other, other], information[other, own], assume_a="pos")
+    left = information[own, own] - information[own, other] @ blurred
+    found = choose(0.5 * (left + left.T), names)
     return [n for n in names if n in found]
 
 
@@ -116,7 +110,8 @@ def _information(observed: Observations, linear: Linear, names: Sequence[str], s
     ])  # fmt: skip
     columns = observed.weight[:, None] * columns
     information: Array = columns.T @ columns
-    return information + np.diag(np.concatenate([np.zeros(len(names)), np.ones(spread.size), known]))
+    prior = np.concatenate([np.zeros(len(names)), np.ones(spread.size), np.where(known, 1.0, UNKNOWN)])
+    return information + np.diag(prior)
 
 
 def weakness(
@@ -129,7 +124,8 @@ def weakness(
     singular_values
         Of the Jacobian scaled by tolerance and noise, the nuisances projected out.
     weak_combinations
-        Combinations of errors that stay less known than `KNOWN` of their tolerance, in words.
+        Combinations of errors that stay less known than `KNOWN` of their tolerance, in words: one for each error that
+        is not chosen.
     reasons
         {name: why} of every error that is not chosen.
     """
@@ -143,21 +139,16 @@ def weakness(
     q, _ = np.linalg.qr(rows)
     columns = np.vstack([weight * linear.structured * tolerances_of(names), np.zeros((known.sum(), len(names)))])
     columns = columns - q @ (q.T @ columns)
-    _, singular, right = np.linalg.svd(columns, full_matrices=False)
-    weak = []
-    for value, vector in zip(singular, right, strict=True):
-        if value > 1.0 / KNOWN:
-            continue
-        leading = [i for i in np.argsort(-np.abs(vector)) if abs(vector[i]) > 0.25 * np.abs(vector).max()]
-        weak.append(_in_words([(float(vector[i]), names[i]) for i in leading[:6]]))
+    singular = np.linalg.svd(columns, compute_uv=False)
     keep = [list(names).index(n) for n in chosen]
-    reasons = {}
+    weak, reasons = [], {}
     for i, name in enumerate(names):
         if i in keep:
             continue
         length = float(np.linalg.norm(columns[:, i]))
         if length < 1.0:
             reasons[name] = "it does not move these transmission errors"
+            weak.append(f"{name} is not known from these data")
             continue
         share, *_ = np.linalg.lstsq(columns[:, keep], columns[:, i], rcond=None)
         left = float(np.linalg.norm(columns[:, i] - columns[:, keep] @ share)) / length
@@ -167,7 +158,26 @@ def weakness(
             reasons[name] = f"it moves the transmission errors as {alike}"
         else:
             reasons[name] = f"the data leave it too uncertain beside {alike}"
+        weak.append(_in_words(name, [(float(share[j]), chosen[j]) for j in leading]))
     return singular, tuple(weak), reasons
+
+
+def scatter_of(pair: Pair, tolerances: Tolerances) -> dict[str, float]:
+    """Return what tolerances let single pins and teeth do beyond the structured orders: standard deviations, m.
+
+    They are those of drives that the tolerances allow (`cycloid_fmu.sampling.sample_surface`). A pattern of which the
+    tolerances say nothing is left out.
+    """
+    drawn = [sample_surface(pair, tolerances, seed, Elements(2, 2, 1)) for seed in range(_DRAWN)]
+    found = {}
+    for name in scatter_parts(pair):
+        spectra = np.fft.rfft(np.array([np.atleast_2d(getattr(s, name))[0] for s in drawn]), axis=-1)
+        spectra[:, : max(ORDERS) + 1] = 0.0
+        count = np.asarray(getattr(drawn[0], name)).shape[-1]
+        deviation = float(np.sqrt(np.mean(np.fft.irfft(spectra, count, axis=-1) ** 2)))
+        if deviation > 0.0:
+            found[name] = deviation
+    return found
 
 
 def posterior_covariance(
@@ -199,16 +209,14 @@ def posterior_covariance(
     return np.asarray(covariance * np.outer(scale, scale))
 
 
-def _in_words(terms: Sequence[tuple[float, str]]) -> str:
-    """Say of a combination of errors that it is not known; of two, how they move the transmission error."""
-    if len(terms) == 1:
-        return f"{terms[0][1]} is not known from these data"
-    if len(terms) == 2 and abs(abs(terms[0][0]) - abs(terms[1][0])) < 0.05:
-        # Moving both along the combination changes nothing: with equal signs their effects cancel.
-        (first, one), (second, other) = terms
-        way, left = ("oppositely", "difference") if first * second > 0 else ("alike", "sum")
-        return f"{one} and {other} move the transmission error {way}; only their {left} is known"
-    return f"{' '.join(f'{share:+.2f} {name}' for share, name in terms)} is not known from these data"
+def _in_words(name: str, alike: Sequence[tuple[float, str]]) -> str:
+    """Say which combination is not known of an error that moves the transmission error as others do."""
+    if len(alike) == 1 and abs(abs(alike[0][0]) - 1.0) < 0.05:
+        (share, other), *_ = alike
+        way, left = ("alike", "sum") if share > 0 else ("oppositely", "difference")
+        return f"{name} and {other} move the transmission error {way}; only their {left} is known"
+    # Moving the error by one and the others against what it does changes nothing.
+    return f"+1.00 {name} {' '.join(f'{-share:+.2f} {other}' for share, other in alike)} is not known from these data"
 
 
 @dataclass(frozen=True)
@@ -289,7 +297,7 @@ def plan(
     names = errors_of(pair)
     spread = spread_of(pair, dict.fromkeys(scatter_parts(pair), scatter))
     state = State(surface_of_pair(pair), np.zeros_like(spread), np.zeros(observed.bench.shape[1]))
-    linear = linearise(pair, observed, state, names)
+    linear = linearise(pair, observed, state)
     chosen = chosen_errors(observed, linear, names, spread)
     _, _, reasons = weakness(observed, linear, names, chosen)
     covariance = posterior_covariance(observed, linear, names, chosen, spread)

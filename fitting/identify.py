@@ -9,34 +9,48 @@ the structured errors nor lets their intervals look smaller than they are.
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, stats
+from scipy import stats
 
 from cycloid_fmu import edge
+from cycloid_fmu.contact import SCALAR_ERRORS
 from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.pair import Pair
-from cycloid_fmu.surface import ErrorSurface, structured_value, surface_of_pair, unit_of, with_structured
-from cycloid_fmu.transmission import solve
-from fitting.curve import Curve
-from fitting.identifiability import (
-    chosen_errors,
-    errors_of,
-    posterior_covariance,
-    tolerances_of,
-    weakness,
+from cycloid_fmu.surface import (
+    ErrorSurface,
+    structured_columns,
+    structured_value,
+    surface_of_pair,
+    unit_of,
+    with_structured,
 )
+from fitting.curve import Curve, noise_of
+from fitting.estimation import (
+    NO_SCATTER,
+    OUTLYING,
+    TURNS,
+    Estimate,
+    fit,
+    profile_interval,
+    turn_bootstrap,
+)
+from fitting.identifiability import chosen_errors, posterior_covariance, tolerances_of, weakness
 from fitting.observation import (
+    CREEP,
+    NO_CREEP,
     Linear,
     Observations,
     State,
+    errors_of,
+    left_of,
     linearise,
-    nuisance_columns,
     observations,
     scatter_names,
     scatter_parts,
@@ -47,16 +61,18 @@ from fitting.observation import (
 Array = NDArray[np.float64]
 FORMAT = "cycloid-identification/1"
 
-NO_SCATTER = 1e-8  # m: a scatter below this changes nothing that a bench can see
 _CONFIDENCE = 0.95
-_OUTLYING = 6.0  # robust standard deviations from the fit
-_UNEXPLAINED = 3.0  # times its noise: a residual above this is another drive's
-_START_POINTS = 500  # of all curves together, for the way from the prior
-_STARTS = 3
-_PASSES = 6  # of fit and estimate of noise and scatter in turn, which end where the residual stays within 1 %
-_EVALUATIONS = 40  # of one fit, which a drive that is the one of the pair file needs ten to twenty of
-# A fit ends where a step gains less than this of the sum of squares; the last one at a fraction of what noise moves it.
-_START_GAIN, _STRUCTURED_GAIN, _GAIN = 1e-3, 1e-4, 2e-5
+_UNEXPLAINED = 2.0  # times its noise: a residual above this is another drive's
+_MISPREDICTED = 1.5  # times the noise: a fit that predicts no better is no start for another
+_START_POINTS = 1500  # of all curves together, for the way from the prior
+_STARTS, _START_EVALUATIONS = 5, 30
+_AGREE = 0.03  # of the points: two starts ended alike where -2 log likelihood differs by less, the noise by 1.5 %
+_CRANK_STARTS = (0.0, -0.25, 0.25, 0.5)  # pin pitches, where the crank's zero is not known
+_MEASURED = 0.1  # share of a single displacement's variance that the data must take away for it to be measured
+_CHOICES = 3  # of errors to fit, which change where the state at which they are chosen does
+# A fit ends where a step gains less than this of the sum of squares in units of the noise: what moves an estimate by a
+# fifth of its standard error at most.
+_START_GAIN, _GAIN = 3.0, 0.2
 
 
 @dataclass(frozen=True)
@@ -93,6 +109,8 @@ class Identification:
     ----------
     parameters
         All structured errors, fitted and held.
+    singles
+        Every pin's and tooth's own error with all its parts, where asked for; held where it was only bounded.
     bench
         {name: value} of the bench's nuisances: zeros and encoder eccentricity (rad), compliance of the chain beside
         the gear pair (rad/(N·m)), friction torque (N·m).
@@ -122,6 +140,7 @@ class Identification:
     """
 
     parameters: tuple[Parameter, ...]
+    singles: tuple[Parameter, ...]
     bench: dict[str, float]
     surface: ErrorSurface
     correlation: Array
@@ -143,49 +162,15 @@ class Identification:
         return tuple(p.name for p in self.parameters if p.held is None)
 
 
-@dataclass(frozen=True)
-class _Fit:
-    """A fit before it is reported; `excess` is its noise over that which the curves themselves show."""
-
-    observed: Observations
-    chosen: list[str]
-    state: State
-    excess: float
-    scatter: dict[str, float]
-    linear: Linear
-
-
-def _components(
-    residual: Array, fixed: Array, scatter: Array, parts: dict[str, slice], start: dict[str, float]
-) -> tuple[float, dict[str, float]]:
-    """Noise factor and scatter deviations by restricted maximum likelihood (MacKay's fixed point), all whitened."""
-    q, _ = np.linalg.qr(fixed / np.maximum(np.linalg.norm(fixed, axis=0), 1e-300))
-    left = residual - q @ (q.T @ residual)
-    design = scatter - q @ (q.T @ scatter)
-    gram, moment, total = design.T @ design, design.T @ left, left @ left
-    freedom = np.count_nonzero(residual) - fixed.shape[1]
-    variance = {name: max(start.get(name, 1e-7), 1e-8) ** 2 for name in parts}
-    noise = max(total / freedom, 1e-12)
-    for _ in range(200):
-        prior = np.empty(gram.shape[0])
-        for name, part in parts.items():
-            prior[part] = 1.0 / variance[name]
-        covariance = linalg.inv(gram / noise + np.diag(prior))
-        mean = covariance @ moment / noise
-        before = [noise, *variance.values()]
-        told = 0.0
-        for name, part in parts.items():
-            known = mean[part].size - prior[part][0] * np.trace(covariance[part, part])
-            told += known
-            variance[name] = max((mean[part] @ mean[part]) / max(known, 1e-9), 1e-20)
-        noise = max((total - 2.0 * mean @ moment + mean @ gram @ mean) / max(freedom - told, 1.0), 1e-12)
-        if np.allclose(before, [noise, *variance.values()], rtol=1e-3, atol=0.0):
-            break
-    return float(np.sqrt(noise)), {name: float(np.sqrt(v)) for name, v in variance.items()}
-
-
 def identify(
-    curves: Sequence[Curve], pair: Pair, progress: Callable[[str], None] = lambda step: None, *, held_out: bool = True
+    curves: Sequence[Curve],
+    pair: Pair,
+    progress: Callable[[str], None] = lambda step: None,
+    *,
+    held_out: bool = True,
+    scatter: Mapping[str, float] | None = None,
+    profiled: Sequence[str] = (),
+    bootstrap: int = 0,
 ) -> Identification:
     """Identify a drive's errors from its transmission error curves.
 
@@ -199,13 +184,35 @@ def identify(
         Told what is being done.
     held_out
         Whether a load or direction is first kept from the fit and predicted.
+    scatter
+        {pattern: standard deviation of a single pin or tooth, m}, from tolerances: with it every pin and tooth is
+        reported with its own error; a pattern that is not named is estimated from the data.
+    profiled
+        Errors whose intervals are found by their profile rather than by their standard error.
+    bootstrap
+        How often turns are drawn again to see what their scatter makes of the errors, which widens the standard
+        errors where it is more than white noise; 0 for not at all. The curves must keep their turns.
 
     Raises
     ------
     edge.InputError
-        If a curve has no load, or the data tell nothing.
+        If a curve has no load, the data tell nothing, or there are too few turns to draw from.
     """
+    if bootstrap:
+        for curve in curves:
+            turns = 0 if curve.each_turn is None else len(curve.each_turn)
+            if turns < TURNS:
+                raise edge.InputError(
+                    f"{curve.source}: it has {turns} output turns; at least {TURNS} are needed to draw turns again."
+                )
+    for name in profiled:
+        if name not in errors_of(pair):
+            raise edge.InputError(f'"{name}" is no error of this pair; one of {", ".join(errors_of(pair))}.')
     for curve in curves:
+        if abs(curve.ratio / pair.ratio - 1.0) > 1e-9:
+            raise edge.InputError(
+                f"{curve.source}: its ratio is {curve.ratio:g}, the pair's {pair.ratio:g}; it is of another drive."
+            )
         if abs(curve.torque) < 1e-3 * max(abs(c.torque) for c in curves) or curve.torque == 0.0:
             raise edge.InputError(
                 f"{curve.source}: the mean torque is {curve.torque:g} N·m; the fit needs loaded curves."
@@ -213,13 +220,15 @@ def identify(
     kept, start = kept_back(curves) if held_out else (), None
     predicted = None
     if kept:
-        rest = [c for i, c in enumerate(curves) if i not in kept]
         progress("fitting without the curves kept back")
-        fit = _fitted(rest, pair, None, progress)
-        predicted = _predicted(pair, fit, [curves[i] for i in kept])
-        start = fit.state
-    fit = _fitted(curves, pair, start, progress)
-    return _result(pair, fit, predicted)
+        rest = [c for i, c in enumerate(curves) if i not in kept]
+        start = _fitted(rest, pair, None, scatter, progress)
+        predicted = _predicted(pair, start, [curves[i] for i in kept])
+        if predicted.residual > _MISPREDICTED * predicted.noise:
+            start = None
+    return _result(
+        pair, _fitted(curves, pair, start, scatter, progress), predicted, scatter or {}, profiled, bootstrap, progress
+    )
 
 
 def kept_back(curves: Sequence[Curve]) -> tuple[int, ...]:
@@ -238,230 +247,117 @@ def kept_back(curves: Sequence[Curve]) -> tuple[int, ...]:
     return (int(order[0]),)
 
 
-def _predicted(pair: Pair, fit: _Fit, curves: Sequence[Curve]) -> HeldOut:
+def _predicted(pair: Pair, fit: Estimate, curves: Sequence[Curve]) -> HeldOut:
+    """What is left of curves that the fit has not seen; their own zeros and drifts are nobody's to foretell."""
     observed = observations(curves, pair)
-    left = []
-    names = dict(zip(fit.observed.bench_names, fit.state.bench, strict=True))
-    known = np.array([0.0 if "offset" in n and not curves[0].common_zero else names.get(n, 0.0)
-                      for n in observed.bench_names])  # fmt: skip
-    bench = np.split(observed.bench @ known, observed.ends)
-    for curve, zero in zip(curves, bench, strict=True):
-        against = -float(curve.direction) * np.sign(curve.ratio)
-        angles = curve.input_angle + fit.state.crank_offset
-        torque = curve.torque + against * fit.state.friction
-        error = solve(pair, fit.state.surface, torque, angles, with_play=False).transmission_error[0] + zero
-        rest = curve.transmission_error - error
-        left.append(rest if curve.common_zero else rest - rest.mean())
-    residual = np.concatenate(left)
-    noise = float(np.sqrt(1.0 / np.mean(observed.weight**2)))
-    said = ", ".join(f"{c.torque:+.4g} N·m" for c in curves)
+    known = dict(zip(fit.observed.bench_names, fit.state.bench, strict=True))
+    own = np.array(
+        [n.startswith("output_angle_drift") or not (n in known or n.startswith(CREEP)) for n in observed.bench_names]
+    )
+    if not all(c.common_zero for c in (*curves, *fit.observed.curves)):
+        own |= np.array([n.startswith("output_angle_offset") for n in observed.bench_names])
+    foretold = ~own & ~np.array([n.startswith(CREEP) for n in observed.bench_names])
+    bench = np.array([known[n] if told else 0.0 for n, told in zip(observed.bench_names, foretold, strict=True)])
+    state = dataclasses.replace(fit.state, bench=bench)
+    left = left_of(observed, linearise(pair, observed, state), state)
     # What single samples far off do to the rms is not the model's.
-    scale = 1.4826 * float(np.median(np.abs(residual)))
-    residual = residual[np.abs(residual) < _OUTLYING * max(scale, noise)]
-    return HeldOut(said, float(np.sqrt(np.mean(residual**2))), noise)
+    scale = 1.4826 * float(np.median(np.abs(left - np.median(left))))
+    inside = np.abs(left - np.median(left)) < OUTLYING * scale
+    columns = observed.bench[inside][:, own]
+    left = left[inside] - columns @ np.linalg.lstsq(columns, left[inside], rcond=None)[0]
+    said = ", ".join(f"{c.torque:+.4g} N·m" for c in curves)
+    return HeldOut(said, float(np.sqrt(np.mean(left**2))), fit.noise)
 
 
-def _fitted(curves: Sequence[Curve], pair: Pair, start: State | None, progress: Callable[[str], None]) -> _Fit:
+def _fitted(
+    curves: Sequence[Curve],
+    pair: Pair,
+    start: Estimate | None,
+    known: Mapping[str, float] | None,
+    progress: Callable[[str], None],
+) -> Estimate:
     observed = observations(curves, pair)
-    names = errors_of(pair)
-    parts = scatter_parts(pair)
-    state = _started(pair, observed, names, start, progress)
-    chosen: list[str] = []
-    linear = linearise(pair, observed, state, names)
-    for _ in range(3):
-        again = _chosen(observed, linear, names, np.zeros_like(state.scatter))
+    rough = _started(pair, observed, start, progress)
+    state, scatter = rough.state, rough.scatter
+    prior = observed.bench_prior.copy()
+    prior[observed.creeping] = max(scatter.get(CREEP, 0.0), NO_CREEP)
+    weight = observed.weight * np.median(rough.observed.weight) / np.median(observed.weight)
+    observed = dataclasses.replace(observed, weight=weight, bench_prior=prior)
+    chosen = _chosen(observed, linearise(pair, observed, state), pair, scatter)
+    for _ in range(_CHOICES):
+        progress(f"fitting {len(chosen)} errors and the scatter of pins and teeth")
+        estimate = fit(pair, observed, chosen, state, scatter, gain=_GAIN, known=known)
+        state, scatter = estimate.state, estimate.scatter
+        again = _chosen(estimate.observed, estimate.linear, pair, scatter)
         if again == chosen:
             break
         chosen = again
-        progress(f"fitting {len(chosen)} errors")
-        state = _fit(pair, observed, chosen, state, {}, _STRUCTURED_GAIN)
-        linear = linearise(pair, observed, state, names)
-    progress("estimating the scatter of pins and teeth")
-    scatter: dict[str, float] = {}
-    shown, last = observed.weight, np.inf
-    for _ in range(_PASSES):
-        observed = _without_outliers(observed, linear, state)
-        weight = observed.weight[:, None]
-        nuisances, _ = nuisance_columns(observed, linear)
-        columns = np.column_stack([nuisances, linear.structured[:, [names.index(n) for n in chosen]]])
-        left = observed.measured - linear.model - observed.bench @ state.bench
-        residual = observed.weight * (left + linear.scatter @ state.scatter)
-        factor, scatter = _components(residual, weight * columns, weight * linear.scatter, parts, scatter)
-        observed = dataclasses.replace(observed, weight=observed.weight / factor)
-        rms = float(np.sqrt(np.mean((left[observed.weight > 0.0]) ** 2)))
-        # Where pins come into contact the curves have corners, at which a fit can stop short; a new one goes on.
-        if max(scatter.values()) < NO_SCATTER or rms > 0.99 * last:
-            break
-        last = rms
-        chosen = _chosen(observed, linear, names, spread_of(pair, scatter))
-        progress("fitting with the scatter of pins and teeth")
-        state = _fit(pair, observed, chosen, state, scatter)
-        linear = linearise(pair, observed, state, names)
-        observed = _reweighted(observed, linear, state)
-    used = observed.weight > 0.0
-    excess = float(np.median(shown[used] / observed.weight[used]))
-    return _Fit(observed, chosen, state, excess, scatter, linear)
+    return estimate
 
 
-def _reweighted(observed: Observations, linear: Linear, state: State) -> Observations:
-    """Let every curve's noise be what the fit leaves of it."""
-    left = observed.weight * (observed.measured - linear.model - observed.bench @ state.bench)
-    weight = observed.weight.copy()
-    for part in np.split(np.arange(left.size), observed.ends):
-        used = part[weight[part] > 0.0]
-        weight[part] /= max(float(np.sqrt(np.mean(left[used] ** 2))), 1e-3)
-    return dataclasses.replace(observed, weight=weight)
-
-
-def _chosen(observed: Observations, linear: Linear, names: list[str], spread: Array) -> list[str]:
-    chosen = chosen_errors(observed, linear, names, spread)
+def _chosen(observed: Observations, linear: Linear, pair: Pair, scatter: Mapping[str, float]) -> list[str]:
+    chosen = chosen_errors(observed, linear, errors_of(pair), spread_of(pair, scatter))
     if not chosen:
         raise edge.InputError("the data tell none of the structured errors apart; record more loads or more turns.")
     return chosen
 
 
-def _started(
-    pair: Pair, observed: Observations, names: list[str], start: State | None, progress: Callable[[str], None]
-) -> State:
-    """A state near the best one: from where another fit ended, or the best of several starts on some of the points."""
-    size = max(p.stop for p in scatter_parts(pair).values())
-    stride = max(1, observed.measured.size // _START_POINTS)
-    # A stride that shares no factor with the samples of a crank turn sees all of the turn.
-    few = observed.thinned(stride + 1 - stride % 2)
-    known = np.isfinite(observed.bench_prior)
+def _started(pair: Pair, observed: Observations, start: Estimate | None, progress: Callable[[str], None]) -> Estimate:
+    """A fit near the best one: where another fit ended, or the best of several starts on some of the points.
+
+    The curves' corners make minima beside the best one. From the prior and by way of the largest load alone a fit
+    rarely ends in the same wrong one, so two that agree are enough; otherwise random starts follow.
+    """
+    size = spread_of(pair, {}).size
     prior = surface_of_pair(pair)
 
-    def zeroed(surface: ErrorSurface) -> State:
-        state = State(surface, np.zeros(size), np.zeros(observed.bench.shape[1]))
-        linear = linearise(pair, few, state, [names[0]])
-        bench = state.bench.copy()
-        bench[~known] = np.linalg.lstsq(few.bench[:, ~known], few.measured - linear.model, rcond=None)[0]
-        return dataclasses.replace(state, bench=bench)
+    def zeroed(part: Observations, surface: ErrorSurface, crank: float, scatter: Array | None = None) -> State:
+        state = State(surface, np.zeros(size) if scatter is None else scatter, np.zeros(part.bench.shape[1]), crank)
+        free = ~np.isfinite(part.bench_prior)
+        left = left_of(part, linearise(pair, part, state), state)
+        state.bench[free] = np.linalg.lstsq(part.bench[:, free], left, rcond=None)[0]
+        return state
 
     if start is not None:
-        if start.bench.size != observed.bench.shape[1]:
-            start = dataclasses.replace(zeroed(start.surface), crank_offset=start.crank_offset, scatter=start.scatter)
-        return start
-    progress("finding a start")
-    state = zeroed(prior)
-    chosen = _chosen(observed, linearise(pair, observed, state, names), names, np.zeros(size))
+        state = start.state
+        if start.observed.bench_names != observed.bench_names:
+            state = dataclasses.replace(zeroed(observed, state.surface, state.crank_offset, state.scatter),
+                                        friction=state.friction)  # fmt: skip
+        return dataclasses.replace(start, state=state)
+    few = observed.thinned(_stride(observed))
+    loads = np.array([abs(c.torque) for c in few.curves])
+    high = few.some(np.flatnonzero(loads > 0.7 * loads.max()))
     generator = np.random.default_rng(0)
-    best, found = np.inf, state
+    # A scatter that grows from nothing as the data ask for it leads past most of the wrong minima.
+    unknown = {**dict.fromkeys(scatter_parts(pair), NO_SCATTER), CREEP: NO_CREEP}
+    pitch = 2.0 * np.pi / pair.pair.pins if observed.fit_crank else 0.0
+    found: list[Estimate] = []
     for number in range(_STARTS):
-        surface = prior
-        if number > 0:
-            drawn = generator.normal(0.0, tolerances_of(chosen))
+        progress(f"finding a start ({number + 1})")
+        part = high if number == 1 and len(high.curves) < len(few.curves) else few
+        state = zeroed(part, prior, _CRANK_STARTS[number % len(_CRANK_STARTS)] * pitch)
+        chosen = _chosen(part, linearise(pair, part, state), pair, {})
+        if number > 1:
+            drawn = generator.normal(0.0, 0.3 * tolerances_of(chosen))
             values = {n: structured_value(pair, prior, n) + d for n, d in zip(chosen, drawn, strict=True)}
-            surface = with_structured(pair, prior, values)
-        ended = _fit(pair, few, chosen, zeroed(surface), {}, _START_GAIN)
-        left = few.measured - linearise(pair, few, ended, [names[0]]).model - few.bench @ ended.bench
-        misfit = float(np.sum((few.weight * left) ** 2))
-        if misfit < 0.98 * best:
-            best, found = misfit, ended
-    return found
+            state = zeroed(part, with_structured(pair, prior, values), state.crank_offset)
+        one = fit(pair, part, chosen, state, unknown, gain=_START_GAIN, evaluations=_START_EVALUATIONS)
+        if part is high:
+            state = zeroed(few, one.state.surface, one.state.crank_offset, one.state.scatter)
+            chosen = _chosen(few, linearise(pair, few, state), pair, {})
+            one = fit(pair, few, chosen, state, one.scatter, gain=_START_GAIN, evaluations=_START_EVALUATIONS)
+        found = sorted([*found, one], key=lambda e: e.unlikelihood)
+        if len(found) > 1 and found[1].unlikelihood < found[0].unlikelihood + _AGREE * few.measured.size:
+            break
+    return found[0]
 
 
-def _without_outliers(observed: Observations, linear: Linear, state: State) -> Observations:
-    """Leave points out that lie farther off the fit than noise and scatter put them."""
-    left = observed.measured - linear.model - observed.bench @ state.bench
-    weight = observed.weight.copy()
-    for part in np.split(np.arange(left.size), observed.ends):
-        scale = 1.4826 * np.median(np.abs(left[part] - np.median(left[part])))
-        noise = 1.0 / np.median(weight[part][weight[part] > 0.0])
-        weight[part[np.abs(left[part]) > _OUTLYING * max(scale, noise)]] = 0.0
-    return dataclasses.replace(observed, weight=weight)
-
-
-def _fit(
-    pair: Pair,
-    observed: Observations,
-    chosen: Sequence[str],
-    state: State,
-    deviations: dict[str, float],
-    gain: float = _GAIN,
-) -> State:
-    """Fit the chosen errors, the bench and, where deviations are given, every pin's and tooth's scatter."""
-    import lmfit
-
-    problem = _Problem(pair, observed, chosen, state, deviations)
-    parameters = lmfit.Parameters()
-    labels = [f"p{i}" for i in range(problem.start.size)]
-    parameters.add_many(*((label, value) for label, value in zip(labels, problem.start, strict=True)))
-
-    def values(given: Any) -> Array:
-        return np.array([given[label].value for label in labels])
-
-    fit = lmfit.minimize(
-        lambda given: problem.residual(values(given)), parameters, method="leastsq",
-        Dfun=lambda given: problem.jacobian(values(given)), col_deriv=False, xtol=1e-6, ftol=gain,
-        max_nfev=_EVALUATIONS, calc_covar=False,
-    )  # fmt: skip
-    return problem.state_at(values(fit.params))
-
-
-class _Problem:
-    """Least squares of a fit in scaled unknowns: chosen errors, bench, friction, crank, then the scatter that is free.
-
-    Unknowns with a prior are one more residual each.
-    """
-
-    def __init__(
-        self, pair: Pair, observed: Observations, chosen: Sequence[str], state: State, deviations: dict[str, float]
-    ) -> None:
-        self.pair, self.observed, self.chosen = pair, observed, list(chosen)
-        self.prior = surface_of_pair(pair)
-        self.spread = spread_of(pair, deviations)
-        self.free = self.spread > NO_SCATTER
-        self.scale = tolerances_of(chosen)
-        bench_known = np.isfinite(observed.bench_prior)
-        self.bench_scale = np.where(bench_known, observed.bench_prior, 1e-4)
-        crank = [state.crank_offset / 1e-2] if observed.fit_crank else []
-        plain = with_scatter(pair, state.surface, -state.scatter)
-        self.start = np.concatenate([
-            np.array([structured_value(pair, plain, n) for n in chosen]) / self.scale,
-            state.bench / self.bench_scale, [state.friction / observed.friction_prior], crank,
-            state.scatter[self.free] / self.spread[self.free],
-        ])  # fmt: skip
-        self.has_prior = np.concatenate(
-            [np.zeros(len(chosen), bool), bench_known, [True], np.zeros(len(crank), bool), self.free[self.free]]
-        )
-        self._last: tuple[bytes, State, Linear] | None = None
-
-    def state_at(self, values: Array) -> State:
-        errors, bench, rest = np.split(values, [len(self.chosen), len(self.chosen) + self.bench_scale.size])
-        surface = with_structured(self.pair, self.prior, dict(zip(self.chosen, errors * self.scale, strict=True)))
-        scatter = np.zeros(self.spread.size)
-        crank = int(self.observed.fit_crank)
-        scatter[self.free] = rest[1 + crank :] * self.spread[self.free]
-        return State(
-            surface=with_scatter(self.pair, surface, scatter),
-            scatter=scatter,
-            bench=bench * self.bench_scale,
-            crank_offset=float(rest[1]) * 1e-2 if crank else 0.0,
-            friction=float(rest[0]) * self.observed.friction_prior,
-        )
-
-    def _at(self, values: Array) -> tuple[State, Linear]:
-        key = values.tobytes()
-        if self._last is None or self._last[0] != key:
-            state = self.state_at(values)
-            self._last = key, state, linearise(self.pair, self.observed, state, self.chosen)
-        return self._last[1], self._last[2]
-
-    def residual(self, values: Array) -> Array:
-        state, linear = self._at(values)
-        left = self.observed.measured - linear.model - self.observed.bench @ state.bench
-        return np.concatenate([self.observed.weight * left, values[self.has_prior]])
-
-    def jacobian(self, values: Array) -> Array:
-        _, linear = self._at(values)
-        blocks = [linear.structured * self.scale, self.observed.bench * self.bench_scale,
-                  linear.by_friction[:, None] * self.observed.friction_prior]  # fmt: skip
-        if self.observed.fit_crank:
-            blocks.append(linear.by_crank[:, None] * 1e-2)
-        blocks.append(linear.scatter[:, self.free] * self.spread[self.free])
-        columns = -self.observed.weight[:, None] * np.column_stack(blocks)
-        return np.vstack([columns, np.eye(values.size)[self.has_prior]])
+def _stride(observed: Observations) -> int:
+    """How many points a start steps over: it shares no factor with those of a turn, to see every angle of the crank."""
+    stride = max(1, observed.measured.size // _START_POINTS)
+    while any(math.gcd(stride, c.input_angle.size) > 1 for c in observed.curves):
+        stride += 1
+    return stride
 
 
 def _inflation(residuals: Sequence[Array]) -> float:
@@ -481,8 +377,16 @@ def _inflation(residuals: Sequence[Array]) -> float:
     return float(np.sqrt(time))
 
 
-def _result(pair: Pair, fit: _Fit, predicted: HeldOut | None) -> Identification:
-    observed, chosen, state, linear = fit.observed, fit.chosen, fit.state, fit.linear
+def _result(
+    pair: Pair,
+    fit: Estimate,
+    predicted: HeldOut | None,
+    known: Mapping[str, float],
+    profiled: Sequence[str],
+    bootstrap: int,
+    progress: Callable[[str], None],
+) -> Identification:
+    observed, chosen, state, linear = fit.observed, list(fit.chosen), fit.state, fit.linear
     names = errors_of(pair)
     fitted = linear.model + observed.bench @ state.bench
     whitened = observed.weight * (observed.measured - fitted)
@@ -490,6 +394,12 @@ def _result(pair: Pair, fit: _Fit, predicted: HeldOut | None) -> Identification:
     observed = dataclasses.replace(observed, weight=observed.weight / inflation)
     spread = spread_of(pair, fit.scatter)
     every = posterior_covariance(observed, linear, names, chosen, spread)
+    if bootstrap:
+        progress("drawing turns")
+        turns, white = turn_bootstrap(fit, pair, bootstrap, seed=0)
+        # What the turns' scatter adds to the noise that the covariance holds already.
+        added = np.maximum(turns**2 - (inflation * white) ** 2, 0.0)
+        every[np.diag_indices(len(chosen))] += added
     covariance = every[: len(chosen), : len(chosen)]
     error = np.sqrt(np.diag(covariance))
     prior = surface_of_pair(pair)
@@ -498,15 +408,18 @@ def _result(pair: Pair, fit: _Fit, predicted: HeldOut | None) -> Identification:
     singular, combinations, reasons = weakness(observed, linear, names, chosen)
     parameters = []
     for name, tolerance in zip(names, tolerances_of(names), strict=True):
-        known = name in chosen
-        value = structured_value(pair, plain if known else prior, name)
-        sigma = float(error[chosen.index(name)]) if known else float(tolerance)
-        parameters.append(
-            Parameter(
-                name, unit_of(name), value, sigma, (value - quantile * sigma, value + quantile * sigma),
-                1.0 - (sigma / float(tolerance)) ** 2 if known else 0.0, None if known else reasons[name],
-            )
-        )  # fmt: skip
+        if name in chosen:
+            sigma = float(error[chosen.index(name)])
+            one = _parameter(name, structured_value(pair, plain, name), sigma, float(tolerance), None)
+            if name in profiled:
+                progress(f"profile of {name}")
+                interval = profile_interval(pair, fit, name, sigma, inflation, quantile**2)
+                one = dataclasses.replace(one, interval=interval)
+        else:
+            one = _parameter(name, structured_value(pair, prior, name), float(tolerance), float(tolerance),
+                             reasons[name])  # fmt: skip
+        parameters.append(one)
+    singles = _singles(pair, state.surface, chosen, every, spread) if known else ()
     surface = dataclasses.replace(
         state.surface,
         origin="identified",
@@ -521,24 +434,55 @@ def _result(pair: Pair, fit: _Fit, predicted: HeldOut | None) -> Identification:
     used = observed.weight > 0.0
     return Identification(
         parameters=tuple(parameters),
+        singles=singles,
         bench=bench,
         surface=surface,
         correlation=covariance / np.outer(error, error),
         singular_values=singular,
         weak_combinations=combinations,
         noise=float(np.sqrt(1.0 / np.mean((inflation * observed.weight[used]) ** 2))),
-        scatter=fit.scatter,
+        scatter={n: fit.scatter[n] for n in scatter_parts(pair)},
         inflation=inflation,
         residual=float(np.sqrt(np.mean((observed.measured - fitted)[used] ** 2))),
         outliers=tuple(int(np.count_nonzero(part == 0.0)) for part in np.split(observed.weight, observed.ends)),
         held_out=predicted,
         fitted_curves=tuple(np.split(fitted, observed.ends)),
         checksums={c.source: c.checksum for c in observed.curves},
-        notes=_notes(pair, fit, state),
+        notes=(
+            *_notes(pair, fit),
+            *(f"{n} is held, so it has no profile: {reasons[n]}." for n in profiled if n not in chosen),
+        ),
     )
 
 
-def _notes(pair: Pair, fit: _Fit, state: State) -> tuple[str, ...]:
+def _parameter(name: str, value: float, sigma: float, before: float, held: str | None) -> Parameter:
+    quantile = float(stats.norm.ppf(0.5 + 0.5 * _CONFIDENCE))
+    interval = (value - quantile * sigma, value + quantile * sigma)
+    return Parameter(name, unit_of(name), value, sigma, interval, max(1.0 - (sigma / before) ** 2, 0.0), held)
+
+
+def _singles(
+    pair: Pair, surface: ErrorSurface, chosen: Sequence[str], covariance: Array, spread: Array
+) -> tuple[Parameter, ...]:
+    """Every pin's and tooth's own error: its part of the structured ones and its scatter."""
+    g = pair.pair
+    columns = structured_columns(pair, chosen)
+    scalars = len(SCALAR_ERRORS)
+    waves = np.vstack([columns[scalars : scalars + 2 * g.pins], columns[scalars + 3 * g.pins :] * g.pin_circle_radius])
+    lever = np.hstack([waves, np.eye(spread.size)])
+    deviation = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", lever, covariance, lever), 0.0))
+    values = np.concatenate([getattr(surface, pattern).ravel() for pattern in scatter_parts(pair)])
+    before = np.sqrt(spread**2 + (waves**2) @ tolerances_of(chosen) ** 2)
+    found = []
+    for at, name in enumerate(scatter_names(pair)):
+        alone = covariance[len(chosen) + at, len(chosen) + at]
+        bounded = alone > (1.0 - _MEASURED) * spread[at] ** 2 and spread[at] > NO_SCATTER
+        why = "it hardly carries load in these curves: bounded by its neighbours, not measured" if bounded else None
+        found.append(_parameter(name, float(values[at]), float(deviation[at]), float(before[at]), why))
+    return tuple(found)
+
+
+def _notes(pair: Pair, fit: Estimate) -> tuple[str, ...]:
     """Say what the curves lack, and whether the errors explain them."""
     notes = []
     curves = fit.observed.curves
@@ -552,20 +496,26 @@ def _notes(pair: Pair, fit: _Fit, state: State) -> tuple[str, ...]:
         notes.append(
             "All torques have one sign, so one side of the teeth was never loaded; record the other direction too."
         )
+    if len({c.direction for c in curves}) == 1:
+        notes.append(
+            "The crank turned one way only, so friction can't be told from what gives way; record the other direction."
+        )
     for curve in curves:
         turns = float(np.ptp(curve.input_angle)) / (2.0 * np.pi * abs(curve.ratio))
         if turns < 0.95:
             notes.append(
-                f"{curve.source}: it covers {turns:.2f} of an output turn; teeth not in contact are not known."
+                f"{curve.source}: it covers {turns:.2f} of an output turn; pins and teeth are told apart less well."
             )
-    if fit.excess > _UNEXPLAINED:
+    rest = np.split(left_of(fit.observed, fit.linear, fit.state), fit.observed.ends)
+    excess = float(np.median([r.std() / max(noise_of(c), 1e-12) for c, r in zip(curves, rest, strict=True)]))
+    if excess > _UNEXPLAINED:
         notes.append(
-            f"No error of this pair explains the curves: what is left is {fit.excess:.1f} times their noise; is this "
+            f"No error of this pair explains the curves: what is left is {excess:.1f} times their noise; is this "
             "the drive of the pair file, and are counts per turn and directions right?"
         )
     gear = np.abs(fit.linear.model - fit.linear.model.mean()).max()
     names = fit.observed.bench_names
-    once = np.hypot(*(state.bench[names.index(f"output_encoder_eccentricity_{p}")] for p in ("cos", "sin")))
+    once = np.hypot(*(fit.state.bench[names.index(f"output_encoder_eccentricity_{p}")] for p in ("cos", "sin")))
     if once > gear:
         notes.append(
             f"Once an output turn the angle errs by {once * ARCSEC:.3g}″, more than the gear does in all: "
@@ -579,21 +529,17 @@ def _notes(pair: Pair, fit: _Fit, state: State) -> tuple[str, ...]:
     return tuple(notes)
 
 
+def _as_json(one: Parameter) -> dict[str, Any]:
+    fields = dataclasses.asdict(one)
+    return {**fields, "interval": list(one.interval), "held": one.held or False}
+
+
 def as_json(result: Identification) -> dict[str, Any]:
     """Return an identification as the content of a `cycloid-identification/1` file (SI)."""
     return {
         "format": FORMAT,
-        "parameters": {
-            p.name: {
-                "value": p.value,
-                "standard_error": p.standard_error,
-                "interval": list(p.interval),
-                "unit": p.unit,
-                "data_share": p.data_share,
-                "held": p.held or False,
-            }
-            for p in result.parameters
-        },
+        "parameters": {p.name: _as_json(p) for p in result.parameters},
+        **({"singles": {p.name: _as_json(p) for p in result.singles}} if result.singles else {}),
         "bench": result.bench,
         "correlation": {"of": list(result.fitted), "matrix": result.correlation},
         "singular_values": result.singular_values,

@@ -17,14 +17,20 @@ from numpy.typing import NDArray
 
 from cycloid_fmu.contact import SCALAR_ERRORS
 from cycloid_fmu.pair import Pair
-from cycloid_fmu.surface import ErrorSurface, surface_of_pair
+from cycloid_fmu.surface import ErrorSurface, structured_names, surface_of_pair
 from cycloid_fmu.transmission import error_sensitivity, solve
 from fitting.curve import Curve, noise_of
 
 Array = NDArray[np.float64]
 
+ORDERS = (1, 2, 3)  # of pins and teeth that are structured errors; what is beyond them is scatter
+
 # What an encoder errs once a turn of its own shaft before anything is measured, rad; the output's is told by its order.
 OUTPUT_ENCODER, INPUT_ENCODER = 2e-4, 5e-5
+DRIFT = 5e-5  # rad an output turn: how far the angles' zeros may creep while the bench warms up
+CREEP = "output_angle_creep"  # what a common zero has moved from one recording to the next; how far, the fit estimates
+NO_CREEP = 1e-8  # rad
+_LEAST_TORQUE = 1e-3  # of a curve's mean: without any the output is free in its play
 FRICTION_SHARE = 0.002  # of the largest torque
 COMPLIANCE_SHARE = 0.02  # of the gear pair's own compliance
 
@@ -58,6 +64,12 @@ class Observations:
     friction_prior: float
 
     @property
+    def creeping(self) -> slice:
+        """Which of the bench's nuisances are the creep of each recording's zero."""
+        found = [i for i, name in enumerate(self.bench_names) if name.startswith(CREEP)]
+        return slice(found[0], found[-1] + 1) if found else slice(0, 0)
+
+    @property
     def ends(self) -> NDArray[np.int64]:
         """Where one curve ends and the next begins, shape (curves - 1,)."""
         return np.cumsum([c.input_angle.size for c in self.curves])[:-1]
@@ -65,13 +77,19 @@ class Observations:
     def thinned(self, stride: int) -> Observations:
         """Every so many-th point of each curve."""
         chosen = np.concatenate([np.arange(c.input_angle.size) % stride == 0 for c in self.curves])
-        names = ("input_angle", "transmission_error", "standard_error", "sample_count")
-        curves = tuple(
-            dataclasses.replace(c, **{name: getattr(c, name)[::stride] for name in names}) for c in self.curves
-        )
+        curves = tuple(c.points(slice(None, None, stride)) for c in self.curves)
         return dataclasses.replace(
             self, curves=curves, measured=self.measured[chosen], weight=self.weight[chosen], bench=self.bench[chosen]
         )
+
+    def some(self, numbers: Sequence[int] | NDArray[np.int64]) -> Observations:
+        """Some of the curves by themselves."""
+        places = np.split(np.arange(self.measured.size), self.ends)
+        part = np.concatenate([places[n] for n in numbers])
+        return dataclasses.replace(
+            self, curves=tuple(self.curves[n] for n in numbers), measured=self.measured[part],
+            weight=self.weight[part], bench=self.bench[part],
+        )  # fmt: skip
 
 
 def observations(curves: Sequence[Curve], pair: Pair, noise: Sequence[float] | None = None) -> Observations:
@@ -92,7 +110,7 @@ def observations(curves: Sequence[Curve], pair: Pair, noise: Sequence[float] | N
               for c, n in zip(curves, shown, strict=True)]  # fmt: skip
     sizes = [c.input_angle.size for c in curves]
     crank = np.concatenate([c.input_angle for c in curves])
-    torque = np.repeat([c.torque for c in curves], sizes)
+    torque = np.concatenate([c.torque_at_points for c in curves])
     names, columns, priors = [], [], []
     absolute = [i for i, c in enumerate(curves) if c.common_zero]
     groups = ([absolute] if absolute else []) + [[i] for i, c in enumerate(curves) if not c.common_zero]
@@ -100,6 +118,10 @@ def observations(curves: Sequence[Curve], pair: Pair, noise: Sequence[float] | N
         names.append("output_angle_offset" if len(groups) == 1 else f"output_angle_offset_{number}")
         columns.append(np.repeat([float(i in group) for i in range(len(curves))], sizes))
         priors.append(np.inf)
+    for number in absolute if len(absolute) > 1 else []:
+        names.append(f"{CREEP}_{number}")
+        columns.append(np.repeat(np.arange(len(curves)) == number, sizes).astype(float))
+        priors.append(NO_CREEP)
     ratio = abs(curves[0].ratio)
     shafts = (("output", crank / ratio, 1.0, OUTPUT_ENCODER), ("input", crank, 1.0 / ratio, INPUT_ENCODER))
     for shaft, angle, lever, prior in shafts:
@@ -107,6 +129,12 @@ def observations(curves: Sequence[Curve], pair: Pair, noise: Sequence[float] | N
             names.append(f"{shaft}_encoder_eccentricity_{part}")
             columns.append(lever * wave)
             priors.append(prior)
+    for number, curve in enumerate(curves):
+        names.append(f"output_angle_drift_{number}")
+        place = curve.input_angle / (2.0 * np.pi * ratio)
+        columns.append(np.concatenate([np.zeros(sum(sizes[:number])), place - place.mean(),
+                                       np.zeros(sum(sizes[number + 1 :]))]))  # fmt: skip
+        priors.append(DRIFT)
     largest = max(float(np.abs(torque).max()), 1e-9)
     own = solve(pair, surface_of_pair(pair), largest, np.linspace(0.0, 2.0 * np.pi, 40), with_play=False)
     names.append("chain_compliance")
@@ -151,8 +179,8 @@ class State:
 class Linear:
     """The model at one state: transmission error without the bench, shape (points,), and its derivatives.
 
-    `structured` (points, names), `scatter` (points, 2 pins + discs x teeth), and by crank angle and friction torque
-    (points,).
+    `structured` (points, errors as in `errors_of`), `scatter` (points, 2 pins + discs x teeth), and by crank angle and
+    friction torque (points,).
     """
 
     model: Array
@@ -160,6 +188,11 @@ class Linear:
     scatter: Array
     by_crank: Array
     by_friction: Array
+
+
+def errors_of(pair: Pair) -> list[str]:
+    """Return the structured errors that a fit of this pair considers."""
+    return structured_names([k for k in ORDERS if 2 * k < pair.pair.gear_teeth])
 
 
 def scatter_parts(pair: Pair) -> dict[str, slice]:
@@ -190,24 +223,33 @@ def with_scatter(pair: Pair, surface: ErrorSurface, scatter: Array) -> ErrorSurf
     )
 
 
-def linearise(pair: Pair, observed: Observations, state: State, names: Sequence[str]) -> Linear:
-    """Evaluate the exact model and its analytic derivatives at every point of every curve."""
-    g = pair.pair
+def linearised_curve(pair: Pair, observed: Observations, state: State) -> Linear:
+    """Evaluate the exact model and its analytic derivatives by every structured error at every point of one curve."""
+    g, (curve,) = pair.pair, observed.curves
     scalars = len(SCALAR_ERRORS)
     pins, teeth = slice(scalars, scalars + 2 * g.pins), slice(scalars + 3 * g.pins, None)
+    against = -float(curve.direction) * np.sign(curve.ratio)
+    torque, least = curve.torque_at_points + against * state.friction, _LEAST_TORQUE * curve.torque
+    torque = np.where(np.abs(torque) < abs(least), least, torque)
+    model, jacobian, each, further = error_sensitivity(
+        pair, state.surface, torque, curve.input_angle + state.crank_offset, errors_of(pair)
+    )  # fmt: skip
+    scatter = np.hstack([each[:, pins], each[:, teeth] / g.pin_circle_radius])
+    return Linear(model, jacobian, scatter, further[:, 0], against * further[:, 1])
 
-    def of(curve: Curve) -> tuple[Array, ...]:
-        against = -float(curve.direction) * np.sign(curve.ratio)
-        model, jacobian, each, further = error_sensitivity(
-            pair, state.surface, curve.torque + against * state.friction, curve.input_angle + state.crank_offset,
-            list(names),
-        )  # fmt: skip
-        scatter = np.hstack([each[:, pins], each[:, teeth] / g.pin_circle_radius])
-        return model, jacobian, scatter, further[:, 0], against * further[:, 1]
 
+def linearise(pair: Pair, observed: Observations, state: State) -> Linear:
+    """Evaluate the exact model and its analytic derivatives at every point of every curve."""
+    ones = [observed.some([number]) for number in range(len(observed.curves))]
     # The kernel works without Python's lock.
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return Linear(*(np.concatenate(v) for v in zip(*pool.map(of, observed.curves), strict=True)))
+        found = list(pool.map(lambda one: linearised_curve(pair, one, state), ones))
+    return Linear(*(np.concatenate([getattr(f, n.name) for f in found]) for n in dataclasses.fields(Linear)))
+
+
+def left_of(observed: Observations, linear: Linear, state: State) -> Array:
+    """Measured less modelled transmission error, the bench's part included, shape (points,), rad."""
+    return observed.measured - linear.model - observed.bench @ state.bench
 
 
 def nuisance_columns(observed: Observations, linear: Linear) -> tuple[Array, Array]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.pair import Pair
-from fitting.curve import Curve
+from fitting.curve import Curve, Spectrum
 from fitting.metrics import Figures, LoopData, back_driving_torques, loop_marks, starting_torques
 
 Array = NDArray[np.float64]
@@ -94,7 +95,7 @@ def panels_of(found: Figures, pair: Pair | None = None) -> list[Panel]:
     panels = []
     if found.curves:
         panels.append(_curves_panel(found.curves))
-        spectra = _spectra_panel(found, pair)
+        spectra = spectra_panel(found.curves, found.spectra, pair)
         if spectra is not None:
             panels.append(spectra)
     panels += [p for s in found.surveyed if s.loops is not None for p in _loop_panels(s.loops)]
@@ -115,8 +116,11 @@ def _curves_panel(curves: list[Curve]) -> Panel:
     )  # fmt: skip
 
 
-def _spectra_panel(found: Figures, pair: Pair | None) -> Panel | None:
-    pairs = [(c, s) for c, s in zip(found.curves, found.spectra, strict=True) if s is not None]
+def spectra_panel(
+    curves: Sequence[Curve], spectra: Sequence[Spectrum | None], pair: Pair | None, title: str = "Orders of the output"
+) -> Panel | None:
+    """Return the panel of the curves' orders with the noise around them, or None without a spectrum."""
+    pairs = [(c, s) for c, s in zip(curves, spectra, strict=True) if s is not None]
     if not pairs:
         return None
     highest = max(int(np.flatnonzero(s.significant).max(initial=10)) for _, s in pairs)
@@ -136,7 +140,7 @@ def _spectra_panel(found: Figures, pair: Pair | None) -> Panel | None:
     names = tuple(f"{k} {order_name(int(k), pairs[0][0].ratio, pair)}".strip() for k in leading)
     traces.append(Trace("", leading.astype(float), largest[leading], "points", -1, names))
     return Panel(
-        "Orders of the output", "order of the output turn", "amplitude [arcsec]", tuple(traces),
+        title, "order of the output turn", "amplitude [arcsec]", tuple(traces),
         "Pin: errors of pins and ring; tooth: errors of the gear's teeth; mesh: both; rig: coaxiality and couplings "
         "(large errors of pins and teeth beat at order 1 too). "
         "Dashed: what noise alone has. An amplitude's 95 % interval is ± 1.4 times the dashed line.",

@@ -25,13 +25,13 @@ COLOURS = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8
 GREY = "#777777"
 
 
-def check_report_path(path: str | os.PathLike[str]) -> Path:
+def check_report_path(path: str | os.PathLike[str], option: str = "-o", formats: Sequence[str] = FORMATS) -> Path:
     """Refuse a report file that can't be written, before anything is computed."""
     target = Path(path)
-    if target.suffix.lower() not in FORMATS:
-        raise edge.InputError(f"-o {path}: a report's name must end in {' or '.join(FORMATS)}.")
+    if target.suffix.lower() not in formats:
+        raise edge.InputError(f"{option} {path}: a report's name must end in {' or '.join(formats)}.")
     if not target.parent.is_dir():
-        raise edge.InputError(f"-o {path}: the folder {target.parent} does not exist.")
+        raise edge.InputError(f"{option} {path}: the folder {target.parent} does not exist.")
     return target
 
 
@@ -99,15 +99,20 @@ def _facts(found: Figures) -> str:
         facts.append(f"ratio {found.ratio:g}")
     if found.rated_torque is not None:
         facts.append(f"rated torque {found.rated_torque:.5g} N·m")
+    return ", ".join([*facts, made_now()])
+
+
+def made_now() -> str:
+    """Say when and with which version a report is made."""
     now = datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z")
-    return ", ".join([*facts, f"made {now} with cycloid-fmu {__version__}"])
+    return f"made {now} with cycloid-fmu {__version__}"
 
 
 # ---------------------------------------------------------------------------------------------------------------- HTML
 
-_PAGE = """<!DOCTYPE html>
+_HEAD = """<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
-<title>Test bench report</title>
+<title>{{ title }}</title>
 <style>
 body { font: 15px/1.45 system-ui, "Segoe UI", "DejaVu Sans", sans-serif; color: #222; max-width: 960px;
   margin: 1.5em auto; padding: 0 1em; }
@@ -123,27 +128,13 @@ td.definition { font-size: .85em; color: #555; } code { font-size: .8em; word-br
 @media print { body { margin: 0; max-width: none; font-size: 11px; } .panel { height: 300px; }
   .modebar { display: none; } }
 </style></head><body>
-<h1>Test bench report</h1><p class="facts">{{ facts }}</p>
-<h2>Figures</h2>
-{% if rows %}<table id="figures"><thead><tr><th>Figure</th><th>Value</th><th>± (95 %)</th><th>Unit</th><th>Of</th>
-<th>Interval</th><th>Definition</th></tr></thead><tbody>
-{% for r in rows %}<tr class="{{ 'part' if r.part else 'figure' }}"><td>{{ r.name }}</td>
-<td class="number">{{ r.value }}</td><td class="number">{{ r.uncertainty }}</td><td>{{ r.unit }}</td>
-<td class="number">{{ r.of }}</td>
-<td>{{ r.interval if not r.part }}</td><td class="definition">{{ r.definition }}</td></tr>
-{% endfor %}</tbody></table>{% else %}<p>No figure could be computed; the notes say why.</p>{% endif %}
-{% for p in panels %}<section><h2>{{ p.title }}</h2><div class="panel" id="panel-{{ loop.index0 }}"></div>
+<h1>{{ title }}</h1><p class="facts">{{ facts }}</p>
+"""
+_PANELS = """{% for p in panels %}<section><h2>{{ p.title }}</h2><div class="panel" id="panel-{{ loop.index0 }}"></div>
 <p class="caption">{{ p.caption }}</p></section>
 {% endfor %}
-<h2>What was left out, and what to know</h2>
-{% if notes %}<ul id="notes">{% for n in notes %}<li>{{ n }}</li>{% endfor %}</ul>{% else %}
-<p id="notes">Nothing was left out.</p>{% endif %}
-<h2>Recordings</h2><table id="recordings"><thead><tr><th>File</th><th>Kind</th><th>Samples</th><th>Time</th>
-<th>Temperature</th><th>SHA-256</th></tr></thead><tbody>
-{% for s in sources %}<tr><td>{{ s.name }}</td><td>{{ s.kind }}</td><td class="number">{{ s.samples }}</td>
-<td class="number">{{ s.time }}</td><td>{{ s.temperature }}</td><td><code>{{ s.checksum }}</code></td></tr>
-{% endfor %}</tbody></table>
-<script>{{ plotly }}</script>
+"""
+_TAIL = """<script>{{ plotly }}</script>
 <script>
 const panels = {{ data }};
 panels.forEach((p, i) => Plotly.newPlot("panel-" + i, p.data, p.layout, {responsive: true, displaylogo: false}));
@@ -153,19 +144,48 @@ window.addEventListener("beforeprint", fit);
 </script></body></html>
 """
 
+_FIGURES = """<h2>Figures</h2>
+{% if rows %}<table id="figures"><thead><tr><th>Figure</th><th>Value</th><th>± (95 %)</th><th>Unit</th><th>Of</th>
+<th>Interval</th><th>Definition</th></tr></thead><tbody>
+{% for r in rows %}<tr class="{{ 'part' if r.part else 'figure' }}"><td>{{ r.name }}</td>
+<td class="number">{{ r.value }}</td><td class="number">{{ r.uncertainty }}</td><td>{{ r.unit }}</td>
+<td class="number">{{ r.of }}</td>
+<td>{{ r.interval if not r.part }}</td><td class="definition">{{ r.definition }}</td></tr>
+{% endfor %}</tbody></table>{% else %}<p>No figure could be computed; the notes say why.</p>{% endif %}
+"""
+_SOURCES = """<h2>What was left out, and what to know</h2>
+{% if notes %}<ul id="notes">{% for n in notes %}<li>{{ n }}</li>{% endfor %}</ul>{% else %}
+<p id="notes">Nothing was left out.</p>{% endif %}
+<h2>Recordings</h2><table id="recordings"><thead><tr><th>File</th><th>Kind</th><th>Samples</th><th>Time</th>
+<th>Temperature</th><th>SHA-256</th></tr></thead><tbody>
+{% for s in sources %}<tr><td>{{ s.name }}</td><td>{{ s.kind }}</td><td class="number">{{ s.samples }}</td>
+<td class="number">{{ s.time }}</td><td>{{ s.temperature }}</td><td><code>{{ s.checksum }}</code></td></tr>
+{% endfor %}</tbody></table>
+"""
+
 
 def html_report(found: Figures, panels: Sequence[Panel]) -> str:
     """Return the report as one HTML page that loads nothing from anywhere."""
+    return html_page(
+        "Test bench report", _facts(found), _FIGURES, panels, _SOURCES, rows=figure_rows(found), notes=found.notes,
+        sources=_sources(found),
+    )  # fmt: skip
+
+
+def html_page(title: str, facts: str, above: str, panels: Sequence[Panel], below: str, **values: Any) -> str:
+    """Return one HTML page that loads nothing from anywhere: what stands above the panels, the panels, what is below.
+
+    `above` and `below` are jinja2 templates of `values`, which are escaped.
+    """
     import jinja2
     from markupsafe import Markup
     from plotly.offline import get_plotlyjs
 
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     data = json.dumps([_plotly(p) for p in panels]).replace("</", "<\\/")
-    return environment.from_string(_PAGE).render(
-        facts=_facts(found), rows=figure_rows(found), panels=panels, notes=found.notes, sources=_sources(found),
-        plotly=Markup(get_plotlyjs()), data=Markup(data),
-    )  # fmt: skip
+    return environment.from_string(_HEAD + above + _PANELS + below + _TAIL).render(
+        title=title, facts=facts, panels=panels, plotly=Markup(get_plotlyjs()), data=Markup(data), **values
+    )
 
 
 def _packed(values: Any) -> dict[str, str]:

@@ -12,10 +12,11 @@ def test_identify_from_the_command_line(command, tmp_path):
     files = [BENCH / f"250Nm-{way}.csv" for way in ("forward", "backward")]
     run = command(
         "cycloid-fit", "identify", *files, "--pair", BENCH / "pair.toml", "-o", "fit.json", "--surface", "s.nc",
-        "--plot", "fit.png",
+        "--plot", "fit.png", "--report", "fit.html", "--bootstrap", "50",
     )  # fmt: skip
     assert run.returncode == 0, run.stderr
     assert "centre_distance_x" in run.stdout
+    assert "Measured and fitted" in (tmp_path / "fit.html").read_text()
     fit = json.loads((tmp_path / "fit.json").read_text())
     assert fit["parameters"]["eccentricity"]["value"] == pytest.approx(1.5e-6, abs=2e-7)
     assert len(fit["data"]) == 2

@@ -11,9 +11,9 @@ from cycloid_fmu.pair import read_pair
 from cycloid_fmu.surface import read_surface, structured_value, surface_of_pair, with_structured, write_surface
 from cycloid_fmu.transmission import solve
 from fitting.curve import Curve, transmission_error_curve
-from fitting.identifiability import choose, errors_of, posterior_covariance, tolerances_of
+from fitting.identifiability import choose, posterior_covariance, tolerances_of
 from fitting.identify import as_json, identify
-from fitting.observation import State, linearise, observations, spread_of
+from fitting.observation import State, errors_of, linearise, observations, spread_of
 from fitting.recording import read_bench_recording
 
 ARCSEC = np.pi / 648000
@@ -61,7 +61,7 @@ def test_the_surface_predicts_a_load_that_was_not_measured(found, made, nominal)
     angles = np.linspace(0.0, 200.0, 300)
     wanted = solve(made, surface_of_pair(made), 90.0, angles).transmission_error
     error = solve(nominal, found.surface, 90.0, angles).transmission_error - wanted
-    assert error.std() < 0.2 * ARCSEC
+    assert error.std() < 0.3 * ARCSEC
     assert abs(error.mean()) < 0.5 * ARCSEC  # how soft the bench is beside the gear can't be told any better
 
 
@@ -137,7 +137,7 @@ def test_choose_never_takes_what_is_not_known():
     """Two errors that move the data alike and one that hardly moves them: one of the first is chosen."""
     columns = np.array([[30.0, 30.0, 0.0], [40.0, 40.0, 0.0], [0.0, 0.0, 0.1]])
     names = ["pin_radius", "isometric", "eccentricity"]
-    assert choose(columns.T @ columns, names, 0) == ["pin_radius"]
+    assert choose(columns.T @ columns, names) == ["pin_radius"]
 
 
 @pytest.mark.slow
@@ -175,7 +175,6 @@ OTHERS = {39: None, 31: (62e-3, 3e-3, 1.2e-3), 19: (55e-3, 4e-3, 1.8e-3)}
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="85 % of 210 intervals held the truth at 12 samples a crank turn; 24 not yet measured")
 @pytest.mark.parametrize("teeth", OTHERS)
 def test_coverage_of_the_intervals(nominal, teeth):
     """The 95 % intervals hold the truth in drives whose pins scatter by 2 µm; CYCLOID_SEEDS drives, else 200."""
@@ -199,6 +198,7 @@ def test_coverage_of_the_intervals(nominal, teeth):
             for error in [solve(pair, surface, load, angle, with_play=False).transmission_error[0]]
         ]  # fmt: skip
         found = identify(curves, pair)
+        assert found.residual < 1.2 * 0.5 * ARCSEC, seed
         for p in found.parameters:
             if p.held is None:
                 rows.setdefault(p.name, []).append(abs(p.value - values.get(p.name, 0.0)) < 1.959964 * p.standard_error)
@@ -222,9 +222,9 @@ def test_coverage_of_the_intervals(nominal, teeth):
 
 def bare_errors(pair, found, curves):
     """Standard errors of the fitted errors if the noise were all that blurs them."""
-    observed = observations(curves, pair)
+    observed = observations(curves, pair, [0.5 * ARCSEC] * len(curves))
     state = State(found.surface, np.zeros(spread_of(pair, {}).size), np.zeros(observed.bench.shape[1]))
     names = errors_of(pair)
-    linear = linearise(pair, observed, state, names)
+    linear = linearise(pair, observed, state)
     covariance = posterior_covariance(observed, linear, names, found.fitted, np.full_like(state.scatter, 1e-12))
     return dict(zip(found.fitted, np.sqrt(np.diag(covariance)), strict=False))

@@ -1,0 +1,105 @@
+"""Identification against the plain way in one run: time, evaluations of the model, errors found, coverage.
+
+Three loads, both directions, 720 angles each, of drives whose pins scatter by 2 µm beyond their structured errors. The
+plain way is scipy's least_squares with finite differences and all structured errors free; CYCLOID_SEEDS drives, else 1.
+"""
+
+import os
+import time
+
+import numpy as np
+from scipy.optimize import least_squares
+
+import fitting.observation
+from cycloid_fmu.pair import read_pair
+from cycloid_fmu.surface import surface_of_pair, with_structured
+from cycloid_fmu.transmission import solve
+from fitting.curve import Curve
+from fitting.identifiability import tolerances_of
+from fitting.identify import identify
+from fitting.observation import errors_of, observations
+
+ARCSEC = np.pi / 648000
+LOADS = (20.0, -20.0, 60.0, -60.0, 200.0, -200.0)
+PAIR = os.path.join(os.path.dirname(__file__), "..", "examples", "drive-39-40.toml")
+
+
+def drive(pair, seed):
+    """Curves of a random drive and its structured errors."""
+    generator = np.random.default_rng(seed)
+    names = [n for n in errors_of(pair) if not n.startswith(("misalignment", "isometric", "offset", "pin_radial_1"))]
+    values = dict(zip(names, generator.normal(0.0, 0.3, len(names)) * tolerances_of(names), strict=True))
+    surface = with_structured(pair, surface_of_pair(pair), values)
+    for scattered in (surface.pin_radial, surface.pin_tangential):
+        scattered += generator.normal(0.0, 2e-6, pair.pair.pins)
+    angle = np.arange(720) * 2.0 * np.pi * 39 / 720
+    curves = []
+    for load in LOADS:
+        error = solve(pair, surface, load, angle, with_play=False).transmission_error[0]
+        noisy = error + generator.normal(0.0, 0.5 * ARCSEC, angle.size)
+        curves.append(Curve(angle, noisy, np.full(angle.size, np.nan), np.ones(angle.size, int), load, 0.0,
+                            int(np.sign(load)), -39.0, True, True, f"{load:g}", "0"))  # fmt: skip
+    return curves, values
+
+
+def plain_fit(pair, curves):
+    """All structured errors and the bench free, by finite differences: {name: (value, standard error)}, evaluations."""
+    observed = observations(curves, pair, [0.5 * ARCSEC] * len(curves))
+    names = errors_of(pair)
+    keep = ~np.array([n.startswith("output_angle_creep") for n in observed.bench_names])
+    scale = np.concatenate([tolerances_of(names), np.full(keep.sum(), 1e-4), [observed.friction_prior]])
+    scale[len(names) : -1][-1] = observed.bench_prior[-1]  # the chain's compliance
+    evaluations = 0
+
+    def left(unknowns):
+        nonlocal evaluations
+        evaluations += 1
+        values = unknowns * scale
+        surface = with_structured(pair, surface_of_pair(pair), dict(zip(names, values, strict=False)))
+        model = [solve(pair, surface, c.torque + c.direction * values[-1], c.input_angle, with_play=False)
+                 .transmission_error[0] for c in curves]  # fmt: skip
+        rest = observed.measured - np.concatenate(model) - observed.bench[:, keep] @ values[len(names) : -1]
+        return observed.weight * rest
+
+    found = least_squares(left, np.zeros(scale.size), diff_step=1e-4, max_nfev=25)
+    residual = 2.0 * found.cost / (observed.measured.size - scale.size)
+    deviation = np.sqrt(residual * np.diag(np.linalg.pinv(found.jac.T @ found.jac, rcond=1e-12))) * scale
+    return dict(zip(names, zip(found.x * scale, deviation, strict=True), strict=False)), evaluations
+
+
+def test_identification_against_the_plain_way(monkeypatch, capsys):
+    pair = read_pair(PAIR)
+    solved = 0
+    kernel = fitting.observation.error_sensitivity
+
+    def counted(pair, surface, torque, angles, names):
+        nonlocal solved
+        solved += np.size(angles)
+        return kernel(pair, surface, torque, angles, names)
+
+    monkeypatch.setattr(fitting.observation, "error_sensitivity", counted)
+    identify([c.points(slice(None, 100)) for c in drive(pair, 0)[0]], pair, held_out=False)
+    rows = {"identify": [], "plain": []}
+    for seed in range(int(os.environ.get("CYCLOID_SEEDS", "1"))):
+        curves, values = drive(pair, seed)
+        solved, wall, cpu = 0, time.perf_counter(), time.process_time()
+        found = identify(curves, pair, held_out=False)
+        told = {p.name: (p.value, p.standard_error) for p in found.parameters if p.held is None}
+        spent = time.perf_counter() - wall, time.process_time() - cpu, solved / (720 * len(LOADS))
+        rows["identify"].append((*spent, *accuracy(told, values, told)))
+        wall, cpu = time.perf_counter(), time.process_time()
+        other, evaluations = plain_fit(pair, curves)
+        spent = time.perf_counter() - wall, time.process_time() - cpu, evaluations
+        rows["plain"].append((*spent, *accuracy(other, values, told)))
+    with capsys.disabled():
+        print(f"\n{'':10}{'wall s':>9}{'CPU s':>9}{'evaluations':>13}{'rms error um':>14}{'coverage':>10}")
+        for name, row in rows.items():
+            wall, cpu, evaluations, error, inside = np.mean(row, axis=0)
+            print(f"{name:10}{wall:9.2f}{cpu:9.2f}{evaluations:13.1f}{error * 1e6:14.3f}{inside:10.2f}")
+
+
+def accuracy(found, values, among):
+    """Rms error and coverage of the 95 % intervals over the errors that `identify` calls identified."""
+    off = np.array([found[n][0] - values.get(n, 0.0) for n in among])
+    inside = np.array([abs(found[n][0] - values.get(n, 0.0)) < 1.96 * found[n][1] for n in among])
+    return float(np.sqrt(np.mean(off**2))), float(inside.mean())

@@ -1,0 +1,233 @@
+"""The fit itself: the same optimum as finite differences, its intervals, and benches that are not as they should be."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from common import EXAMPLES
+from scipy.optimize import least_squares
+
+import fitting.observation
+from cycloid_fmu import edge
+from cycloid_fmu.sampling import parse_tolerances
+from cycloid_fmu.surface import structured_value, surface_of_pair, with_structured
+from cycloid_fmu.transmission import solve
+from fitting.curve import Curve, transmission_error_curves
+from fitting.estimation import fit, profile_interval, turn_bootstrap
+from fitting.fit_report import write_fit_report
+from fitting.identifiability import chosen_errors, scatter_of
+from fitting.identify import identify
+from fitting.observation import State, errors_of, linearise, observations, spread_of
+from fitting.recording import BenchRecording
+
+ARCSEC = np.pi / 648000
+ERRORS = ["centre_distance_x", "centre_distance_y", "eccentricity", "pin_radius", "pin_radial_2_cos",
+          "tooth_cumulative_pitch_1_sin"]  # fmt: skip
+
+
+def at_nominal(pair, observed):
+    return State(surface_of_pair(pair), np.zeros(spread_of(pair, {}).size), np.zeros(observed.bench.shape[1]))
+
+
+def curve(pair, surface, torque, generator, *, each=12, turns=1.0, wave=0.0, drift=0.0):
+    """A curve with 0.5″ of noise, a torque that swings by a share once a crank turn, and a zero that creeps."""
+    teeth = abs(round(pair.ratio))
+    angle = np.arange(round(teeth * each * turns)) * 2.0 * np.pi / each
+    loads = torque * (1.0 + wave * np.cos(angle))
+    error = np.array([solve(pair, surface, t, a, with_play=False).transmission_error[0, 0]
+                      for t, a in zip(loads, angle, strict=True)]) if wave else (
+        solve(pair, surface, torque, angle, with_play=False).transmission_error[0])  # fmt: skip
+    error = error + generator.normal(0.0, 0.5 * ARCSEC, angle.size) + drift * angle / (2.0 * np.pi * teeth)
+    return Curve(angle, error, np.full(angle.size, np.nan), np.ones(angle.size, int), float(loads.mean()),
+                 float(loads.std()), int(np.sign(torque)), pair.ratio, True, True, f"{torque:g} N·m", "0",
+                 torque_each=loads if wave else None)  # fmt: skip
+
+
+def distances(found, pair, surface):
+    return {p.name: (p.value - structured_value(pair, surface, p.name)) / p.standard_error
+            for p in found.parameters if p.held is None}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def simple(nominal):
+    """A drive with a few errors, what is observed of it, and the fit without scatter."""
+    made = with_structured(nominal, surface_of_pair(nominal), dict(zip(ERRORS, np.array([4, -3, 1, 1, 2, -2]) * 1e-6,
+                                                                       strict=True)))  # fmt: skip
+    generator = np.random.default_rng(3)
+    curves = [curve(nominal, made, t, generator, each=6) for t in (20.0, -20.0, 200.0, -200.0)]
+    observed = observations(curves, nominal, [0.5 * ARCSEC] * 4)
+    return made, observed
+
+
+def test_the_optimum_is_that_of_finite_differences_for_a_twentieth_of_the_evaluations(simple, nominal, monkeypatch):
+    observed = simple[1]
+    errors = chosen_errors(observed, linearise(nominal, observed, at_nominal(nominal, observed)), errors_of(nominal),
+                           np.zeros(spread_of(nominal, {}).size))  # fmt: skip
+    assert len(errors) > 15
+    solved = {"fit": 0, "differences": 0}
+    kernel = fitting.observation.error_sensitivity
+
+    def counted(pair, surface, torque, angles, names):
+        solved["fit"] += angles.size
+        return kernel(pair, surface, torque, angles, names)
+
+    monkeypatch.setattr(fitting.observation, "error_sensitivity", counted)
+    found = fit(nominal, observed, errors, at_nominal(nominal, observed), {}, gain=0.01, estimated=False)
+    known = np.isfinite(observed.bench_prior)
+    scale = np.concatenate([np.full(len(errors), 5e-6), np.where(known, observed.bench_prior, 1e-4),
+                            [observed.friction_prior]])  # fmt: skip
+    prior = np.concatenate([np.full(len(errors), 1e-3), np.where(known, 1.0, 1e-3), [1.0]])
+
+    def left(unknowns):
+        values = unknowns * scale
+        surface = with_structured(nominal, surface_of_pair(nominal), dict(zip(errors, values, strict=False)))
+        model = [solve(nominal, surface, c.torque + c.direction * values[-1], c.input_angle, with_play=False)
+                 .transmission_error[0] for c in observed.curves]  # fmt: skip
+        solved["differences"] += observed.measured.size
+        rest = observed.measured - np.concatenate(model) - observed.bench @ values[len(errors) : -1]
+        return np.concatenate([observed.weight * rest, unknowns * prior])
+
+    plain = least_squares(left, np.zeros(scale.size), diff_step=1e-5, xtol=1e-6, ftol=1e-6)
+    assert solved["differences"] > 20 * solved["fit"]
+    deviation = np.sqrt(np.diag(np.linalg.inv(plain.jac.T @ plain.jac)))[: len(errors)] * scale[: len(errors)]
+    for name, value, one in zip(errors, plain.x * scale, deviation, strict=False):
+        assert structured_value(nominal, found.state.surface, name) == pytest.approx(value, abs=0.1 * one), name
+
+
+def test_a_profile_is_the_interval_by_standard_error_where_the_model_is_linear(simple, nominal):
+    _, observed = simple
+    found = fit(nominal, observed, ERRORS, at_nominal(nominal, observed), {}, gain=1e-3, estimated=False)
+    columns = observed.weight[:, None] * np.column_stack([found.linear.structured, observed.bench,
+                                                          found.linear.by_friction])  # fmt: skip
+    names = errors_of(nominal)
+    kept = [names.index(n) for n in ERRORS] + list(range(len(names), columns.shape[1]))
+    known = np.concatenate([np.zeros(len(ERRORS)), observed.bench_prior**-2.0, [observed.friction_prior**-2.0]])
+    deviation = np.sqrt(np.diag(np.linalg.inv(columns[:, kept].T @ columns[:, kept] + np.diag(known))))
+    low, high = profile_interval(nominal, found, "centre_distance_x", 1.5 * deviation[0], 1.0, 1.96**2)
+    value = structured_value(nominal, found.state.surface, "centre_distance_x")
+    assert high - value == pytest.approx(1.96 * deviation[0], rel=0.1)
+    assert value - low == pytest.approx(1.96 * deviation[0], rel=0.1)
+
+
+def test_turns_drawn_again_show_what_is_not_white(simple, nominal):
+    """White turns give what white noise gives; turns that wander as a whole at order 39 give more."""
+    _, observed = simple
+    found = fit(nominal, observed, ERRORS, at_nominal(nominal, observed), {}, gain=1e-3, estimated=False)
+    generator = np.random.default_rng(0)
+    turns = 30
+
+    def errors(wander):
+        curves = []
+        for c in found.observed.curves:
+            each = generator.normal(0.0, 0.5 * ARCSEC * np.sqrt(turns), (turns, c.input_angle.size))
+            each = each + wander * np.outer(generator.normal(0.0, 1.0, turns), np.cos(c.input_angle))
+            curves.append(dataclasses.replace(c, each_turn=c.transmission_error + each - each.mean(axis=0)))
+        one = dataclasses.replace(found, observed=dataclasses.replace(found.observed, curves=tuple(curves)))
+        return turn_bootstrap(one, nominal, 400, seed=1)
+
+    drawn, white = errors(0.0)
+    assert drawn == pytest.approx(white, rel=0.35)
+    assert np.median(drawn / white) == pytest.approx(1.0, abs=0.12)
+    drawn, white = errors(5.0 * ARCSEC)
+    assert drawn[ERRORS.index("centre_distance_x")] > 3.0 * white[ERRORS.index("centre_distance_x")]
+    assert drawn[ERRORS.index("tooth_cumulative_pitch_1_sin")] < 1.5 * white[-1]
+    with pytest.raises(ValueError, match="turns"):
+        turn_bootstrap(found, nominal, 10, seed=1)
+
+
+def test_a_curve_keeps_its_turns_where_asked_to(nominal):
+    angle = np.arange(5 * 39 * 20) * 2.0 * np.pi / 20
+    number = np.floor(angle / (2.0 * np.pi * 39) + 1e-9)
+    recording = BenchRecording(
+        time=np.arange(angle.size) * 1e-3, input_angle=angle, output_angle=angle / -39.0 + 1e-5 * number,
+        torque=20.0 + 5.0 * np.cos(angle), status=np.zeros(angle.size, np.uint8), source="run", checksum="0",
+        common_zero=True, known_index=True, ratio=-39.0,
+    )  # fmt: skip
+    (one,) = transmission_error_curves(recording, -39.0, keep_turns=True)
+    assert one.each_turn.shape == (5, one.input_angle.size)
+    assert np.nanmean(one.each_turn, axis=1) == pytest.approx(1e-5 * np.arange(5), abs=1e-12)
+    assert np.nanmean(one.each_turn, axis=0) == pytest.approx(one.transmission_error, abs=1e-12)
+    assert one.torque_each == pytest.approx(20.0 + 5.0 * np.cos(one.input_angle), abs=1e-6)
+    assert transmission_error_curves(recording, -39.0)[0].each_turn is None
+
+
+def test_a_torque_that_swings_and_a_zero_that_creeps_do_not_bend_the_errors(simple, nominal):
+    made, _ = simple
+    generator = np.random.default_rng(5)
+    loads = (20.0, -20.0, 200.0, -200.0)
+    curves = [curve(nominal, made, t, generator, wave=0.3, drift=k * 2.0 * ARCSEC) for k, t in enumerate(loads)]
+    found = identify(curves, nominal, held_out=False)
+    far = distances(found, nominal, made)
+    assert len(far) > 15
+    assert max(abs(z) for z in far.values()) < 4.0
+    assert found.residual < 0.55 * ARCSEC
+    drifts = [found.bench[f"output_angle_drift_{k}"] for k in range(4)]
+    assert np.diff(drifts) == pytest.approx(np.full(3, 2.0 * ARCSEC), abs=0.5 * ARCSEC)
+    blind = [dataclasses.replace(c, torque_each=None) for c in curves]
+    far = distances(identify(blind, nominal, held_out=False), nominal, made)
+    assert max(abs(z) for z in far.values()) > 4.0
+
+
+@pytest.mark.parametrize("pattern", ["pin_tangential", "tooth_cumulative_pitch"])
+def test_errors_of_pins_and_teeth_are_never_swapped(nominal, pattern):
+    made = with_structured(nominal, surface_of_pair(nominal), {f"{pattern}_2_cos": 3e-6, f"{pattern}_3_sin": -2e-6})
+    generator = np.random.default_rng(7)
+    curves = [curve(nominal, made, t, generator) for t in (20.0, -20.0, 200.0, -200.0)]
+    found = identify(curves, nominal, held_out=False)
+    far = distances(found, nominal, made)
+    assert max(abs(z) for z in far.values()) < 4.0
+    other = {"pin_tangential": "tooth_cumulative_pitch", "tooth_cumulative_pitch": "pin_tangential"}[pattern]
+    values = {p.name: p.value for p in found.parameters if p.held is None}
+    assert values[f"{pattern}_2_cos"] == pytest.approx(3e-6, rel=0.1)
+    assert all(abs(v) < 0.1e-6 for n, v in values.items() if n.startswith(other))
+
+
+def test_every_pin_and_tooth_by_itself(nominal, tmp_path):
+    """With tolerances as prior each pin's place is found within its interval; the report stands by itself."""
+    generator = np.random.default_rng(11)
+    made = surface_of_pair(nominal)
+    made = dataclasses.replace(made, pin_tangential=generator.normal(0.0, 1e-6, 40))
+    curves = [curve(nominal, made, t, generator, each=24) for t in (20.0, -20.0, 200.0, -200.0)]
+    tolerances = parse_tolerances((EXAMPLES / "tolerances.toml").read_text(), "tolerances.toml")
+    known = scatter_of(nominal, tolerances)
+    assert set(known) == {"pin_tangential", "tooth_cumulative_pitch"}
+    assert 0.2e-6 < known["pin_tangential"] < 3e-6  # within a single pitch of ± 3 µm
+    found = identify(curves, nominal, held_out=False, scatter=known, profiled=["isometric"])
+    assert any(n.startswith("isometric is held, so it has no profile") for n in found.notes)
+    places = {p.name: p for p in found.singles if p.name.startswith("pin_tangential_at_")}
+    assert len(found.singles) == 40 + 40 + 39
+    truth = made.pin_tangential - made.pin_tangential.mean()
+    values = np.array([places[f"pin_tangential_at_{i}"].value for i in range(40)])
+    errors = np.array([places[f"pin_tangential_at_{i}"].standard_error for i in range(40)])
+    # All pins turned alike are the output's zero; that they share.
+    assert np.mean(np.abs(values - values.mean() - truth) < 1.96 * errors) > 0.85
+    write_fit_report(curves, found, nominal, tmp_path / "fit.html")
+    text = (tmp_path / "fit.html").read_text()
+    assert "pin_tangential_at_39" in text
+    assert 'id="correlation"' in text
+    assert "<link" not in text
+    assert 'src="http' not in text
+    with pytest.raises(edge.InputError, match=r"must end in \.html"):
+        write_fit_report(curves, found, nominal, tmp_path / "fit.pdf")
+
+
+def test_what_bench_runs_lack_is_said(simple, nominal):
+    made, _ = simple
+    generator = np.random.default_rng(13)
+    curves = [curve(nominal, made, t, generator, turns=0.4) for t in (20.0, 200.0)]
+    found = identify(curves, nominal)
+    assert any("covers 0.40 of an output turn" in n for n in found.notes)
+    assert any("one way only" in n for n in found.notes)
+    assert any("one sign" in n for n in found.notes)
+    whole = [curve(nominal, made, t, generator) for t in (20.0, -20.0, 200.0)]
+    added = 300 * ARCSEC * np.cos(whole[0].input_angle / 39)
+    strong = [dataclasses.replace(c, transmission_error=c.transmission_error + added) for c in whole]
+    found = identify(strong, nominal, held_out=False)
+    assert any("Once an output turn the angle errs by 300" in n for n in found.notes)
+    assert max(abs(z) for z in distances(found, nominal, made).values()) < 4.5
+    with pytest.raises(edge.InputError, match="of another drive"):
+        identify([dataclasses.replace(curves[0], ratio=-29.0)], nominal)
+    with pytest.raises(edge.InputError, match="turns again"):
+        identify(curves, nominal, bootstrap=5)
+    with pytest.raises(edge.InputError, match='"eccentric" is no error of this pair'):
+        identify(curves, nominal, profiled=["eccentric"])
