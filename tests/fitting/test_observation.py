@@ -28,8 +28,6 @@ def test_friction_acts_against_the_motion(nominal, output, direction, torque):
     state = State(
         surface_of_pair(pair), np.zeros(spread_of(pair, {}).size), np.zeros(observed.bench.shape[1]), friction=5.0
     )
-    linear, more = (
-        linearise(pair, observed, dataclasses.replace(state, friction=f), ["eccentricity"]) for f in (5.0, 5.01)
-    )
+    linear, more = (linearise(pair, observed, dataclasses.replace(state, friction=f)) for f in (5.0, 5.01))
     assert linear.model == pytest.approx(errors[1:], abs=1e-10)
     assert linear.by_friction == pytest.approx((more.model - linear.model) / 0.01, rel=1e-2)
