@@ -7,15 +7,14 @@ import threading
 import time
 
 import can
-import numpy as np
 import pytest
 import serial
+from soak import peak, soak
 
 from drivers.bench import BenchRun, simulate_motion
 from drivers.can_hub import BLOCK_FRAMES, CanHub, FrameReader, open_bus
-from drivers.encoder import BusConfig, Encoder, steady_time
-from drivers.recorder import open_encoders, record
-from drivers.recording_format import Channel, RecordingReader, Samples
+from drivers.encoder import BusConfig
+from drivers.recorder import open_encoders
 from drivers.serial_bench import Amt21Bench
 
 PAIRS = int(os.environ.get("CYCLOID_PAIRS", "9"))
@@ -136,68 +135,14 @@ def test_amt21_round_trips_against_a_bare_serial_loop(benchmark, tmp_path):
     state(benchmark, pairs, "round trips/s")
 
 
-class Counter(Encoder):
-    """An encoder that has its next 4096 samples whenever it is asked."""
-
-    def __init__(self, name):
-        self.channel = Channel(name, name, "counter", "rad", 1 << 22, 1, 0.0, "absolute", "node", "SYNC")
-        self.counts = np.arange(4096)
-
-    @classmethod
-    def from_config(cls, name, config, wiring):
-        return cls(name)
-
-    def __enter__(self):
-        return self
-
-    def close(self):
-        pass
-
-    def events(self):
-        return []
-
-    def read(self, timeout):
-        block, self.counts = self.counts, self.counts + len(self.counts)
-        value = block * 1e-6
-        return Samples.checked(self.channel.name, steady_time() + value, value, counts=block)
-
-
 def test_soak(benchmark, tmp_path):
     """Many samples through recorder and format at constant memory, none lost; the table is what it prints."""
-    import resource
-
-    names = ("input_angle", "output_angle", "torque")
-    path, table = tmp_path / "soak.arrows", []
-    begun = time.perf_counter()
-
-    def peak():
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
-
-    def progress(live):
-        written = sum(live.samples.values())
-        if written * 10 // SOAK > len(table) and len(table) < 10:
-            table.append((written, time.perf_counter() - begun, peak()))
-
-    def soak():
-        return record([Counter(n) for n in names], path, ratio=-39.0, samples=SOAK // 3, progress=progress).samples
-
-    written = benchmark.pedantic(soak, rounds=1)
-    read = dict.fromkeys(names, 0)
-    with RecordingReader(path) as reader:
-        for samples, _ in reader.batches():
-            first = read[samples.channel]
-            assert samples.counts[0] == first
-            assert samples.counts[-1] == first + len(samples) - 1
-            read[samples.channel] += len(samples)
-        assert reader.problems == []
-    assert read == written
+    read, table, seconds = benchmark.pedantic(soak, (tmp_path / "soak.arrows", SOAK), rounds=1)
     print("\n     samples   seconds   peak MB")
-    for samples, seconds, used in table:
-        print(f"{samples:12d} {seconds:9.1f} {used:9d}")
-    print(
-        f"read back {sum(read.values())}, none lost, in {time.perf_counter() - begun - table[-1][1]:.1f} s; {peak()} MB"
-    )
+    for samples, after, used in table:
+        print(f"{samples:12d} {after:9.1f} {used:9d}")
+    print(f"read back {read}, none lost, in {seconds:.1f} s; {peak()} MB")
     assert table[-1][2] - table[0][2] < 50
     benchmark.extra_info.update(
-        {"samples": sum(read.values()), "lost": 0, "peak MB after a tenth": table[0][2], "at the end": table[-1][2]}
+        {"samples": read, "lost": 0, "peak MB after a tenth": table[0][2], "at the end": table[-1][2]}
     )
