@@ -256,12 +256,13 @@ def test_lines_that_are_torn_or_wrong_never_become_angles(tmp_path, kind):
 DISK_FULL = """
 import resource, signal, sys
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
+resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, 150_000))
 from tests.drivers.test_recording_format import HEADER, block
 from drivers.bench import BenchRun, CanBench, simulate_motion
 from drivers.recorder import RecordingError, record_bench
-motion = simulate_motion(lambda a, t: -a / 39, BenchRun(torque=5.0, turns=1000, samples_per_turn=24))
-with CanBench(motion, channel="full") as bench:
+motion = simulate_motion(lambda a, t: -a / 39, BenchRun(torque=5.0, turns=1000, samples_per_turn=480))
+# At the crank's own speed the file is full after some seconds, so that something was acknowledged before.
+with CanBench(motion, channel="full", speed_factor=1.0) as bench:
     toml = bench.write_wiring("BENCH.toml")
     try:
         record_bench(toml, "run.arrows", progress=lambda live: print(*live.samples.values(), flush=True))

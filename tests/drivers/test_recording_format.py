@@ -14,7 +14,6 @@ import pyarrow as pa
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from soak import soak
 
 from cycloid_fmu import edge
 from drivers import recording_format as rf
@@ -216,12 +215,3 @@ def test_header_fields_survive(tmp_path):
     with RecordingWriter(tmp_path / "run.arrows", header):
         pass
     assert read_recording(tmp_path / "run.arrows").header == header
-
-
-@pytest.mark.slow
-def test_ten_million_samples_at_constant_memory(tmp_path, record_property):
-    read, table, _ = soak(tmp_path / "soak.arrows", 10_000_000)
-    assert read >= 3 * (10_000_000 // 3)
-    assert table[-1][2] - table[0][2] < 50
-    record_property("samples, none lost", str(read))
-    record_property("memory after a tenth and at the end", f"{table[0][2]} and {table[-1][2]} MB")
