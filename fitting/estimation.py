@@ -341,6 +341,8 @@ def possible(pair: Pair, name: str) -> tuple[float, float]:
     ]
     if name == "eccentricity":
         low, high = max(low, -g.eccentricity), min(high, g.pin_circle_radius / g.pins - g.eccentricity)
+    if name == "pin_circle_radius":
+        low = max(low, g.eccentricity * g.pins - g.pin_circle_radius)
     if name == "pin_radius":
         touching = g.pin_circle_radius * np.sin(np.pi / g.pins)
         low, high = max(low, -g.pin_radius), min(high, float(touching) - g.pin_radius)
