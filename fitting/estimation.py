@@ -4,6 +4,7 @@ Gauss-Newton steps on the exact contact model with its analytic derivatives, dam
 pins come into contact the curves have corners). Single pins and teeth are random displacements whose variance is not
 known: with every step it is estimated together with each curve's noise by restricted maximum likelihood, from the same
 normal equations (MacKay, Neural Computation 4 (1992) 415, section 4; Harville, J. Am. Stat. Assoc. 72 (1977) 320).
+Where that has ended, lmfit takes the last step, confirms the optimum and states its covariance.
 """
 
 from __future__ import annotations
@@ -13,13 +14,14 @@ import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from cycloid_fmu.pair import Pair
-from cycloid_fmu.surface import structured_value, surface_of_pair, with_structured
+from cycloid_fmu.pair import LARGEST_DEVIATION, LARGEST_MISALIGNMENT, Pair
+from cycloid_fmu.surface import structured_value, surface_of_pair, unit_of, with_structured
 from fitting.identifiability import UNKNOWN, tolerances_of
 from fitting.observation import (
     CREEP,
@@ -32,10 +34,14 @@ from fitting.observation import (
     linearise,
     linearised_curve,
     nuisance_columns,
+    scatter_names,
     scatter_parts,
     spread_of,
     with_scatter,
 )
+
+if TYPE_CHECKING:
+    import lmfit
 
 Array = NDArray[np.float64]
 
@@ -46,6 +52,7 @@ _PATIENCE = 3  # steps in a row that may bring less than they should, at the cur
 TURNS = 3  # fewer do not say how they scatter
 _PROFILE_GAIN, _PROFILE_WITHIN = 0.02, 0.1  # of the rise: where a fit of a profile ends, and how near it must come
 _CRANK_SCALE, _SCATTER_SCALE, _CREEP_SCALE = 1e-2, 1e-6, 1e-6  # rad, m, rad
+_CONFIRMATIONS = 2  # evaluations of the model that the last step may cost
 _PINNED = 1e6  # precision that holds an unknown where it is put, in its scale
 _SHRINKS, _GROWS = 0.1, 10.0  # by how much a variance may change with one step
 
@@ -115,7 +122,7 @@ class _Problem:
     def __init__(self, pair: Pair, observed: Observations, chosen: Sequence[str]) -> None:
         self.pair, self.chosen = pair, list(chosen)
         self.prior = surface_of_pair(pair)
-        self.columns = [errors_of(pair).index(n) for n in chosen]
+        self.columns_of_chosen = [errors_of(pair).index(n) for n in chosen]
         known = np.isfinite(observed.bench_prior)
         crank = [_CRANK_SCALE] if observed.fit_crank else []
         scattered = spread_of(pair, {}).size
@@ -135,6 +142,8 @@ class _Problem:
             self.parts[CREEP] = slice(creeping.start + len(chosen), creeping.stop + len(chosen))
             self.scale[self.parts[CREEP]] = _CREEP_SCALE
         self.fit_crank = observed.fit_crank
+        crank_name = ["crank_angle_offset"] if observed.fit_crank else []
+        self.names = [*chosen, *observed.bench_names, "friction_torque", *crank_name, *scatter_names(pair)]
 
     def unknowns(self, state: State) -> Array:
         plain = with_scatter(self.pair, state.surface, -state.scatter)
@@ -143,6 +152,13 @@ class _Problem:
         values = np.concatenate([errors, state.bench, [state.friction], crank, state.scatter])
         scaled: Array = values / self.scale
         return scaled
+
+    def columns(self, observed: Observations, linear: Linear) -> Array:
+        """Return the model's derivatives by the unknowns in units of the noise, shape (points, unknowns)."""
+        nuisances, _ = nuisance_columns(observed, linear)
+        columns = np.column_stack([linear.structured[:, self.columns_of_chosen], nuisances, linear.scatter])
+        columns *= observed.weight[:, None] * self.scale
+        return columns
 
     def state(self, unknowns: Array) -> State:
         values = unknowns * self.scale
@@ -169,11 +185,9 @@ class _Problem:
         def of(number: int) -> tuple[Array, ...]:
             one = observed.some([number])
             linear = linearised_curve(self.pair, one, state)
-            nuisances, _ = nuisance_columns(one, linear)
             left = one.weight * left_of(one, linear, state)
             inside = (np.abs(left) <= limit[number]) & (one.weight > 0.0)
-            columns = np.column_stack([linear.structured[:, self.columns], nuisances, linear.scatter])[inside]
-            columns *= one.weight[inside, None] * self.scale
+            columns = self.columns(one, linear)[inside]
             counted = left[inside]
             scale = 1.4826 * np.median(np.abs(left[one.weight > 0.0]))
             return (columns.T @ columns, columns.T @ counted, counted @ counted, counted.size, scale,
@@ -319,6 +333,97 @@ def _variances(
     return observed, normal, found, settled
 
 
+def possible(pair: Pair, name: str) -> tuple[float, float]:
+    """Return what an error can be, m or rad: what a pair file may state, and what still makes a gear pair."""
+    g = pair.pair
+    low, high = {"m": (-LARGEST_DEVIATION, LARGEST_DEVIATION), "rad": (-LARGEST_MISALIGNMENT, LARGEST_MISALIGNMENT)}[
+        unit_of(name)
+    ]
+    if name == "eccentricity":
+        low, high = max(low, -g.eccentricity), min(high, g.pin_circle_radius / g.pins - g.eccentricity)
+    if name == "pin_circle_radius":
+        low = max(low, g.eccentricity * g.pins - g.pin_circle_radius)
+    if name == "pin_radius":
+        touching = g.pin_circle_radius * np.sin(np.pi / g.pins)
+        low, high = max(low, -g.pin_radius), min(high, float(touching) - g.pin_radius)
+    return low, high
+
+
+def confirmed(pair: Pair, estimate: Estimate, gain: float) -> tuple[Estimate, lmfit.Parameters, Array]:
+    """Have lmfit take the last step from where a fit ended, at the noise and the scatter that it found.
+
+    The residual in units of the noise goes to `lmfit.Minimizer` (least squares within bounds, trust region) with its
+    analytic Jacobian, rotated into the frame of the Jacobian's triangular factor: sum of squares, gradient and
+    Gauss-Newton matrix are the same, with as many rows as there are unknowns.
+
+    Parameters
+    ----------
+    pair, estimate
+        The nominal pair and where the fit ended.
+    gain
+        lmfit ends where a step gains less than this of the sum of squares in units of the noise, and after two
+        evaluations of the model at most.
+
+    Returns
+    -------
+    estimate
+        At lmfit's optimum, or as it was where that is no better.
+    parameters
+        Every error, the bench and every pin's and tooth's scatter, SI, with standard errors, correlations and the
+        bounds of `possible`; errors that are not fitted do not vary.
+    covariance
+        Of those that vary, in their order, SI.
+    """
+    from lmfit import Minimizer, Parameters
+
+    problem, observed = _Problem(pair, estimate.observed, estimate.chosen), estimate.observed
+    prior = np.sqrt(problem.precision(estimate.scatter))
+    parameters = Parameters()
+    for name, value in zip(problem.names, problem.unknowns(estimate.state) * problem.scale, strict=True):
+        # The bench's nuisances have their priors; one that came out below zero is zero within its standard error.
+        low, high = possible(pair, name) if name in estimate.chosen else (-np.inf, np.inf)
+        parameters.add(name, float(value), min=low, max=high)
+    for name in errors_of(pair):
+        if name not in estimate.chosen:
+            low, high = possible(pair, name)
+            parameters.add(name, structured_value(pair, problem.prior, name), vary=False, min=low, max=high)
+
+    def evaluated(values: Array, linear: Linear | None = None) -> tuple[State, Linear, Array]:
+        state = problem.state(values / problem.scale)
+        linear = linearise(pair, observed, state) if linear is None else linear
+        left = np.concatenate([observed.weight * left_of(observed, linear, state), -prior * values / problem.scale])
+        slopes = np.vstack([-problem.columns(observed, linear), -np.diag(prior)]) / problem.scale
+        triangle: Array = np.asarray(np.linalg.qr(np.column_stack([slopes, left]), mode="r"))
+        return state, linear, triangle
+
+    known: dict[bytes, tuple[State, Linear, Array]] = {}
+
+    def at(parameters: lmfit.Parameters) -> Array:
+        values = np.array([parameters[n].value for n in problem.names])
+        if values.tobytes() not in known:
+            known[values.tobytes()] = evaluated(values)
+        return known[values.tobytes()][2]
+
+    start = np.array([parameters[n].value for n in problem.names])
+    inside = bool(np.allclose(start, problem.unknowns(estimate.state) * problem.scale, rtol=1e-9, atol=0.0))
+    known[start.tobytes()] = evaluated(start, estimate.linear if inside else None)
+    misfit = float(np.sum(known[start.tobytes()][2][:, -1] ** 2))
+    minimizer = Minimizer(lambda p: at(p)[:, -1], parameters, scale_covar=False)
+    # At lmfit's own limit of evaluations there would be no covariance; at SciPy's there is one.
+    minimizer.kws["max_nfev"] = 1 + _CONFIRMATIONS
+    result = minimizer.minimize(
+        method="least_squares", jac=lambda p: at(p)[:, :-1], x_scale=problem.scale, ftol=gain / misfit, gtol=None
+    )
+    best = np.array([result.params[n].value for n in problem.names])
+    state, linear, _ = known[best.tobytes()]
+    evaluations = estimate.evaluations + len(known) - inside
+    estimate = dataclasses.replace(
+        estimate, state=state, linear=linear, misfit=float(result.chisqr), evaluations=evaluations,
+        unlikelihood=estimate.unlikelihood + float(result.chisqr) - misfit,
+    )  # fmt: skip
+    return estimate, result.params, np.asarray(0.5 * (result.covar + result.covar.T))
+
+
 def profile_interval(
     pair: Pair, estimate: Estimate, name: str, standard_error: float, inflation: float, rise: float
 ) -> tuple[float, float]:
@@ -394,9 +499,7 @@ def turn_bootstrap(estimate: Estimate, pair: Pair, draws: int, seed: int) -> Arr
     if any(c.each_turn is None or len(c.each_turn) < TURNS for c in observed.curves):
         raise ValueError(f"every curve needs at least {TURNS} turns")
     problem = _Problem(pair, observed, estimate.chosen)
-    nuisances, _ = nuisance_columns(observed, estimate.linear)
-    columns = np.column_stack([estimate.linear.structured[:, problem.columns], nuisances, estimate.linear.scatter])
-    columns *= observed.weight[:, None] * problem.scale
+    columns = problem.columns(observed, estimate.linear)
     gram = columns.T @ columns
     errors = slice(0, len(estimate.chosen))
     step = linalg.solve(gram + np.diag(problem.precision(estimate.scatter)), columns.T, assume_a="pos")[errors]

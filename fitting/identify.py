@@ -1,23 +1,25 @@
 """From transmission error curves to the drive's errors, what the data cannot tell, and the error surface.
 
-The structured errors that the data tell apart are fitted through lmfit with the exact contact model and its analytic
-Jacobian. What every single pin and tooth does beyond them is a random scatter of unknown size: it is estimated together
-with the noise (restricted maximum likelihood), and where there is any it is part of the fit, so that it neither bends
-the structured errors nor lets their intervals look smaller than they are.
+The structured errors that the data tell apart are fitted with the exact contact model and its analytic Jacobian; lmfit
+takes the last step, confirms the optimum and states its covariance. What every single pin and tooth does beyond them is
+a random scatter of unknown size: it is estimated together with the noise (restricted maximum likelihood), and where
+there is any it is part of the fit, so that it neither bends the structured errors nor lets their intervals look smaller
+than they are.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import ndtri
 
 from cycloid_fmu import edge
 from cycloid_fmu.contact import SCALAR_ERRORS
@@ -37,11 +39,12 @@ from fitting.estimation import (
     OUTLYING,
     TURNS,
     Estimate,
+    confirmed,
     fit,
     profile_interval,
     turn_bootstrap,
 )
-from fitting.identifiability import chosen_errors, posterior_covariance, tolerances_of, weakness
+from fitting.identifiability import chosen_errors, tolerances_of, weakness
 from fitting.observation import (
     CREEP,
     NO_CREEP,
@@ -58,6 +61,9 @@ from fitting.observation import (
     with_scatter,
 )
 
+if TYPE_CHECKING:
+    import lmfit
+
 Array = NDArray[np.float64]
 FORMAT = "cycloid-identification/1"
 
@@ -70,6 +76,7 @@ _AGREE = 0.03  # of the points: two starts ended alike where -2 log likelihood d
 _CRANK_STARTS = (0.0, -0.25, 0.25, 0.5)  # pin pitches, where the crank's zero is not known
 _MEASURED = 0.1  # share of a single displacement's variance that the data must take away for it to be measured
 _CHOICES = 3  # of errors to fit, which change where the state at which they are chosen does
+_AT_BOUND = 1e-3  # of the bound: lmfit ends so close beside it
 # A fit ends where a step gains less than this of the sum of squares in units of the noise: what moves an estimate by a
 # fifth of its standard error at most.
 _START_GAIN, _GAIN = 3.0, 0.2
@@ -114,6 +121,9 @@ class Identification:
     bench
         {name: value} of the bench's nuisances: zeros and encoder eccentricity (rad), compliance of the chain beside
         the gear pair (rad/(N·m)), friction torque (N·m).
+    lmfit_parameters
+        All structured errors and the bench's nuisances in SI: values, standard errors, correlations, and what each
+        error can be as bounds. Those that are held do not vary; their standard error is what they may be unmeasured.
     surface
         The identified error surface, the pins' and teeth's own scatter included.
     correlation
@@ -142,6 +152,7 @@ class Identification:
     parameters: tuple[Parameter, ...]
     singles: tuple[Parameter, ...]
     bench: dict[str, float]
+    lmfit_parameters: lmfit.Parameters
     surface: ErrorSurface
     correlation: Array
     singular_values: Array
@@ -386,25 +397,31 @@ def _result(
     bootstrap: int,
     progress: Callable[[str], None],
 ) -> Identification:
-    observed, chosen, state, linear = fit.observed, list(fit.chosen), fit.state, fit.linear
-    names = errors_of(pair)
+    names, chosen, spread = errors_of(pair), list(fit.chosen), spread_of(pair, fit.scatter)
+    whitened = fit.observed.weight * left_of(fit.observed, fit.linear, fit.state)
+    inflation = _inflation(np.split(whitened, fit.observed.ends))
+    observed = dataclasses.replace(fit.observed, weight=fit.observed.weight / inflation)
+    progress("confirming the optimum")
+    optimum, found, every = confirmed(pair, dataclasses.replace(fit, observed=observed), _GAIN)
+    fit = dataclasses.replace(optimum, observed=fit.observed)
+    state, linear = fit.state, fit.linear
     fitted = linear.model + observed.bench @ state.bench
-    whitened = observed.weight * (observed.measured - fitted)
-    inflation = _inflation(np.split(whitened, observed.ends))
-    observed = dataclasses.replace(observed, weight=observed.weight / inflation)
-    spread = spread_of(pair, fit.scatter)
-    every = posterior_covariance(observed, linear, names, chosen, spread)
     if bootstrap:
         progress("drawing turns")
         turns, white = turn_bootstrap(fit, pair, bootstrap, seed=0)
         # What the turns' scatter adds to the noise that the covariance holds already.
         added = np.maximum(turns**2 - (inflation * white) ** 2, 0.0)
         every[np.diag_indices(len(chosen))] += added
+    # The scatter of pins and teeth stands behind the errors and the bench.
+    lmfit_parameters = _stated(found, every[: -spread.size, : -spread.size])
+    bench = {n: p.value for n, p in lmfit_parameters.items() if n not in names}
+    lasting = np.r_[: len(chosen), len(every) - spread.size : len(every)]
+    every = every[np.ix_(lasting, lasting)]
     covariance = every[: len(chosen), : len(chosen)]
     error = np.sqrt(np.diag(covariance))
     prior = surface_of_pair(pair)
     plain = with_scatter(pair, state.surface, -state.scatter)
-    quantile = float(stats.norm.ppf(0.5 + 0.5 * _CONFIDENCE))
+    quantile = float(ndtri(0.5 + 0.5 * _CONFIDENCE))
     singular, combinations, reasons = weakness(observed, linear, names, chosen)
     parameters = []
     for name, tolerance in zip(names, tolerances_of(names), strict=True):
@@ -427,15 +444,12 @@ def _result(
         covariance=every,
         attributes={"data": " ".join(f"{c.checksum}" for c in observed.curves)},
     )
-    bench = {n: float(v) for n, v in zip(observed.bench_names, state.bench, strict=True)}
-    bench["friction_torque"] = state.friction
-    if observed.fit_crank:
-        bench["crank_angle_offset"] = state.crank_offset
     used = observed.weight > 0.0
     return Identification(
         parameters=tuple(parameters),
         singles=singles,
         bench=bench,
+        lmfit_parameters=lmfit_parameters,
         surface=surface,
         correlation=covariance / np.outer(error, error),
         singular_values=singular,
@@ -450,13 +464,43 @@ def _result(
         checksums={c.source: c.checksum for c in observed.curves},
         notes=(
             *_notes(pair, fit),
+            *(
+                f"{n} ends at {found[n].value * 1e3:.2g} {'mm' if unit_of(n) == 'm' else 'mrad'}, as far as it can be; "
+                "check counts per turn, directions and the pair file."
+                for n in chosen
+                if _bounded(found[n])
+            ),
             *(f"{n} is held, so it has no profile: {reasons[n]}." for n in profiled if n not in chosen),
         ),
     )
 
 
+def _bounded(parameter: lmfit.Parameter) -> bool:
+    return bool(min(parameter.value - parameter.min, parameter.max - parameter.value) < _AT_BOUND * parameter.max)
+
+
+def _stated(found: lmfit.Parameters, covariance: Array) -> lmfit.Parameters:
+    """Return the first of lmfit's parameters, those of a covariance, and what is held, with what is stated of them."""
+    from lmfit import Parameters
+
+    names = [n for n, p in found.items() if p.vary][: len(covariance)]
+    held = [n for n, p in found.items() if not p.vary]
+    deviation = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(deviation, deviation)
+    stated = Parameters()
+    for name in (*names, *held):
+        one = found[name]
+        stated.add(name, one.value, vary=one.vary, min=one.min, max=one.max)
+    for name, sigma in zip(held, tolerances_of(held), strict=True):
+        stated[name].stderr = float(sigma)
+    for at, name in enumerate(names):
+        stated[name].stderr = float(deviation[at])
+        stated[name].correl = {n: float(correlation[at, i]) for i, n in enumerate(names) if i != at}
+    return stated
+
+
 def _parameter(name: str, value: float, sigma: float, before: float, held: str | None) -> Parameter:
-    quantile = float(stats.norm.ppf(0.5 + 0.5 * _CONFIDENCE))
+    quantile = float(ndtri(0.5 + 0.5 * _CONFIDENCE))
     interval = (value - quantile * sigma, value + quantile * sigma)
     return Parameter(name, unit_of(name), value, sigma, interval, max(1.0 - (sigma / before) ** 2, 0.0), held)
 
@@ -541,6 +585,7 @@ def as_json(result: Identification) -> dict[str, Any]:
         "parameters": {p.name: _as_json(p) for p in result.parameters},
         **({"singles": {p.name: _as_json(p) for p in result.singles}} if result.singles else {}),
         "bench": result.bench,
+        "lmfit_parameters": json.loads(result.lmfit_parameters.dumps()),
         "correlation": {"of": list(result.fitted), "matrix": result.correlation},
         "singular_values": result.singular_values,
         "weak_combinations": list(result.weak_combinations),
@@ -559,3 +604,32 @@ def write_identification(result: Identification, path: str | os.PathLike[str]) -
     """Write an identification file, whole or not at all."""
     with edge.written_whole(path) as temporary:
         temporary.write_text(edge.json_text(as_json(result)), encoding="utf-8")
+
+
+def read_lmfit_parameters(path: str | os.PathLike[str]) -> lmfit.Parameters:
+    """Read the errors and the bench of an identification file as lmfit has them, SI.
+
+    Raises
+    ------
+    edge.InputError
+        If the file is no identification, or its parameters are not lmfit's.
+    """
+    from lmfit import Parameters
+
+    try:
+        data = json.loads(edge.read_text(path))
+    except ValueError as problem:
+        raise edge.InputError(f"{path}: this is not JSON: {problem}.") from None
+    if not isinstance(data, dict):
+        raise edge.InputError(f"{path}: it holds no identification.")
+    edge.check_format(data.get("format"), FORMAT, str(path))
+    if "lmfit_parameters" not in data:
+        raise edge.InputError(f"{path}: lmfit_parameters is missing; write the file anew with cycloid-fit identify.")
+    try:
+        states = data["lmfit_parameters"]["params"]
+        # lmfit would run an expression or a symbol of the file's; a fit of ours has neither.
+        if any(state[3] is not None for state in states):
+            raise ValueError("an expression")
+        return Parameters().loads(json.dumps({"unique_symbols": {}, "params": states}))
+    except (LookupError, TypeError, ValueError, AttributeError) as problem:
+        raise edge.InputError(f"{path}: lmfit_parameters are not as lmfit writes them ({problem}).") from None

@@ -7,17 +7,18 @@ import pytest
 from common import EXAMPLES
 from scipy.optimize import least_squares
 
+import fitting.estimation
 import fitting.observation
 from cycloid_fmu import edge
 from cycloid_fmu.sampling import parse_tolerances
 from cycloid_fmu.surface import structured_value, surface_of_pair, with_structured
 from cycloid_fmu.transmission import solve
 from fitting.curve import Curve, transmission_error_curves
-from fitting.estimation import fit, profile_interval, turn_bootstrap
+from fitting.estimation import confirmed, fit, possible, profile_interval, turn_bootstrap
 from fitting.fit_report import write_fit_report
-from fitting.identifiability import chosen_errors, scatter_of
+from fitting.identifiability import chosen_errors, posterior_covariance, scatter_of
 from fitting.identify import identify
-from fitting.observation import State, errors_of, linearise, observations, spread_of
+from fitting.observation import State, errors_of, linearise, observations, spread_of, with_scatter
 from fitting.recording import BenchRecording
 
 ARCSEC = np.pi / 648000
@@ -92,6 +93,79 @@ def test_the_optimum_is_that_of_finite_differences_for_a_twentieth_of_the_evalua
     deviation = np.sqrt(np.diag(np.linalg.inv(plain.jac.T @ plain.jac)))[: len(errors)] * scale[: len(errors)]
     for name, value, one in zip(errors, plain.x * scale, deviation, strict=False):
         assert structured_value(nominal, found.state.surface, name) == pytest.approx(value, abs=0.1 * one), name
+
+
+def test_lmfit_confirms_the_optimum_and_its_covariance(simple, nominal, monkeypatch):
+    """It moves no error by more than a twentieth of its standard error, for two evaluations of the model at most."""
+    _, observed = simple
+    found = fit(nominal, observed, ERRORS, at_nominal(nominal, observed), {"pin_radial": 1e-6}, gain=1e-3,
+                estimated=False)  # fmt: skip
+    solved = 0
+    kernel = fitting.observation.error_sensitivity
+
+    def counted(pair, surface, torque, angles, names):
+        nonlocal solved
+        solved += angles.size
+        return kernel(pair, surface, torque, angles, names)
+
+    monkeypatch.setattr(fitting.observation, "error_sensitivity", counted)
+    again, parameters, covariance = confirmed(nominal, found, gain=1e-6)
+    assert solved <= 2 * observed.measured.size
+    assert again.misfit <= found.misfit * (1.0 + 1e-12)
+    for name in ERRORS:
+        moved = parameters[name].value - structured_value(
+            nominal, with_scatter(nominal, found.state.surface, -found.state.scatter), name
+        )
+        assert abs(moved) < 0.05 * parameters[name].stderr
+    wanted = posterior_covariance(found.observed, again.linear, errors_of(nominal), ERRORS,
+                                  spread_of(nominal, found.scatter))[: len(ERRORS), : len(ERRORS)]  # fmt: skip
+    size = np.sqrt(np.diag(wanted))
+    assert covariance[: len(ERRORS), : len(ERRORS)] / np.outer(size, size) == pytest.approx(
+        wanted / np.outer(size, size), abs=1e-3
+    )
+    assert parameters["eccentricity"].correl["centre_distance_x"] == pytest.approx(
+        wanted[2, 0] / (size[2] * size[0]), abs=1e-3
+    )
+
+
+def test_lmfit_leads_to_the_optimum_from_beside_it(simple, nominal):
+    _, observed = simple
+    found = fit(nominal, observed, ERRORS, at_nominal(nominal, observed), {}, gain=1e-3, estimated=False)
+    moved = with_structured(nominal, found.state.surface, {"eccentricity": structured_value(
+        nominal, found.state.surface, "eccentricity") + 200e-9})  # fmt: skip
+    state = dataclasses.replace(found.state, surface=moved)
+    beside = dataclasses.replace(found, state=state, linear=linearise(nominal, found.observed, state))
+    again, parameters, _ = confirmed(nominal, beside, gain=1e-3)
+    assert parameters["eccentricity"].stderr < 100e-9
+    for name in ERRORS:
+        value = structured_value(nominal, found.state.surface, name)
+        assert parameters[name].value == pytest.approx(value, abs=0.1 * parameters[name].stderr), name
+    assert again.misfit == pytest.approx(found.misfit, rel=1e-3)
+
+
+def test_bounds_are_where_the_pair_ceases_to_be_one(nominal):
+    for name in ("pin_radius", "eccentricity"):
+        low, high = possible(nominal, name)
+        assert -1e-3 <= low < 0.0 < high <= 1e-3
+    thin = nominal.model_copy(update={"pair": nominal.pair.model_copy(update={"eccentricity": 0.4e-3})})
+    assert possible(thin, "eccentricity")[0] == -0.4e-3
+    assert possible(nominal, "misalignment_xz") == (-0.02, 0.02)
+    g = nominal.pair
+    wide = nominal.model_copy(update={"pair": g.model_copy(update={
+        "pin_radius": g.pin_circle_radius * np.sin(np.pi / g.pins) - 1e-4})})  # fmt: skip
+    assert possible(wide, "pin_radius")[1] == pytest.approx(1e-4)
+
+
+def test_a_fit_that_leaves_what_is_possible_ends_at_its_bound_and_says_so(simple, nominal, monkeypatch):
+    _, observed = simple
+    monkeypatch.setattr(
+        fitting.estimation, "possible", lambda pair, name: (-0.5e-6, 0.5e-6) if name == "pin_radius" else (-1e-3, 1e-3)
+    )
+    found = identify(observed.curves, nominal, held_out=False)
+    one = found.lmfit_parameters["pin_radius"]
+    assert one.value == pytest.approx(0.5e-6, rel=1e-3)  # 1 µm was made
+    assert one.value <= one.max
+    assert any("pin_radius ends at 0.0005 mm, as far as it can be" in n for n in found.notes)
 
 
 def test_a_profile_is_the_interval_by_standard_error_where_the_model_is_linear(simple, nominal):

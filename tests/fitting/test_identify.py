@@ -12,7 +12,7 @@ from cycloid_fmu.surface import read_surface, structured_value, surface_of_pair,
 from cycloid_fmu.transmission import solve
 from fitting.curve import Curve, transmission_error_curve
 from fitting.identifiability import choose, posterior_covariance, tolerances_of
-from fitting.identify import as_json, identify
+from fitting.identify import as_json, identify, read_lmfit_parameters, write_identification
 from fitting.observation import State, errors_of, linearise, observations, spread_of
 from fitting.recording import read_bench_recording
 
@@ -86,6 +86,42 @@ def test_json_says_value_interval_and_what_is_held(found):
     assert one["interval"][1] - one["interval"][0] == pytest.approx(2 * 1.959964 * one["standard_error"], rel=1e-5)
     assert isinstance(content["parameters"]["isometric"]["held"], str)
     assert np.diag(content["correlation"]["matrix"]) == pytest.approx(1.0)
+
+
+def test_lmfit_reads_its_parameters_back(found, tmp_path):
+    write_identification(found, tmp_path / "fit.json")
+    again = read_lmfit_parameters(tmp_path / "fit.json")
+    assert [*again] == [*found.lmfit_parameters]
+    for name, one in found.lmfit_parameters.items():
+        other = again[name]
+        for what in ("value", "vary", "min", "max", "stderr", "correl"):
+            assert getattr(other, what) == getattr(one, what), (name, what)
+    for p in found.parameters:
+        one = again[p.name]
+        assert one.vary == (p.held is None)
+        assert one.value == pytest.approx(p.value, rel=1e-9, abs=1e-15)
+        assert one.stderr == pytest.approx(p.standard_error, rel=1e-9)
+        assert one.min < one.value < one.max
+    first, second, *_ = found.fitted
+    assert again[first].correl[second] == pytest.approx(found.correlation[0, 1], abs=1e-9)
+    assert found.bench == {n: p.value for n, p in again.items() if n not in {p.name for p in found.parameters}}
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda data: data.pop("lmfit_parameters"), "lmfit_parameters is missing"),
+        (lambda data: data.update(format="cycloid-identification/9"), "cycloid-identification/9"),
+        (lambda data: data["lmfit_parameters"]["params"][0].__setitem__(3, "1 + 1"), "an expression"),
+        (lambda data: data["lmfit_parameters"]["params"].append([1]), "not as lmfit writes them"),
+    ],
+)
+def test_parameters_that_are_not_lmfit_s_are_refused(found, tmp_path, change, said):
+    data = json.loads(edge.json_text(as_json(found)))
+    change(data)
+    (tmp_path / "fit.json").write_text(json.dumps(data))
+    with pytest.raises(edge.InputError, match=f"fit.json.*{said}"):
+        read_lmfit_parameters(tmp_path / "fit.json")
 
 
 def test_each_recording_s_own_zero_and_a_bench_without_index(measured, nominal, made):
