@@ -77,6 +77,7 @@ sphinx_gallery_conf = {
     "examples_dirs": "generated/examples",
     "gallery_dirs": "gallery",
     "filename_pattern": r"\.py$",
+    "ignore_pattern": "joint_parts",  # what the robot joint imports
     "image_scrapers": (pictures,),
     "reset_modules": (),
     "matplotlib_animations": False,

@@ -1,4 +1,8 @@
-"""What stands around the drive in a robot joint, as FMUs of their own: a servo motor and an arm's weight."""
+"""The parts of the joint around the drive
+=======================================
+
+What stands around the drive in a robot joint, as FMUs of their own: a servo motor and an arm's weight.
+"""
 
 import math
 from collections.abc import Mapping

@@ -1,4 +1,7 @@
-"""A robot joint from FMUs: motor, drive and arm as an SSP package, its path error, and the error compensated.
+"""A robot joint: motor, drive and arm
+===================================
+
+A robot joint from FMUs: motor, drive and arm as an SSP package, its path error, and the error compensated.
 
 The drive is the one of `bench_to_fmu.py`: as drawn, as identified on the bench, and as it really was made. A controller
 that knows the identified transmission error leads the real joint again. Last, two such joints make an arm.
