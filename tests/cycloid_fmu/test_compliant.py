@@ -172,7 +172,8 @@ def test_a_million_steps_of_random_motion_never_gain_energy(parameters):
     work, deepest = random_motion(STEPS, **parameters)
     print(f"{STEPS} steps {parameters}: throughput {work.throughput:.4g} J, taken {work.taken:.4g} J, "
           f"deepest {deepest:.3g} J, dissipated {work.model.dissipated_energy:.4g} J")  # fmt: skip
-    assert deepest > -1e-6 * work.throughput
+    # The work's sum errs by the same few steps however long the motion is: a millionth of a million steps' throughput.
+    assert deepest > -work.throughput / STEPS
     if parameters:
         assert work.taken == pytest.approx(work.model.dissipated_energy, rel=0.05)
 
