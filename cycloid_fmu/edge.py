@@ -196,6 +196,24 @@ def toml_table(text: str, wanted_format: str, source: str) -> dict[str, Any]:
     return table
 
 
+def json_table(path: str | os.PathLike[str], wanted_format: str, what: str) -> dict[str, Any]:
+    """Return the table of a JSON file of the wanted format; `what` it should hold, for the message, such as "figures".
+
+    Raises
+    ------
+    InputError
+        If it can't be read, is no JSON or no table, or is of another format.
+    """
+    try:
+        data = json.loads(read_text(path))
+    except ValueError as problem:
+        raise InputError(f"{path}: this is not JSON: {problem}.") from None
+    if not isinstance(data, dict):
+        raise InputError(f"{path}: it holds no {what}.")
+    check_format(data.get("format"), wanted_format, str(path))
+    return data
+
+
 def format_of(path: str | os.PathLike[str]) -> object:
     """Return the `format` of a TOML file, None where it has none or is no TOML (its reader then says so)."""
     try:

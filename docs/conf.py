@@ -22,13 +22,12 @@ extensions = [
     "numpydoc",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
-    "sphinx.ext.intersphinx",
     "sphinx.ext.mathjax",
     "sphinx_gallery.gen_gallery",
     "sphinxcontrib.typer",
 ]
 root_doc = "index"
-exclude_patterns = ["_build", "generated/examples", "generated/*.inc.md", "**/README.rst", "**/GALLERY_HEADER.rst"]
+exclude_patterns = ["_build", "generated/examples"]
 html_theme = "pydata_sphinx_theme"
 html_theme_options = {"show_toc_level": 2, "navigation_with_keys": False, "secondary_sidebar_items": ["page-toc"]}
 html_title = "cycloid-fmu"

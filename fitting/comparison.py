@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Mapping
@@ -109,13 +108,7 @@ def read_figures(path: str | os.PathLike[str]) -> dict[str, Figure]:
     edge.InputError
         If the file is no such file.
     """
-    try:
-        data = json.loads(edge.read_text(path))
-    except ValueError as problem:
-        raise edge.InputError(f"{path}: this is not JSON: {problem}.") from None
-    if not isinstance(data, dict):
-        raise edge.InputError(f"{path}: it holds no figures.")
-    edge.check_format(data.get("format"), FORMAT, str(path))
+    data = edge.json_table(path, FORMAT, "figures")
     try:
         return {name: _figure(data[name]) for name in DEFINITIONS if name in data}
     except (KeyError, TypeError, ValueError) as problem:

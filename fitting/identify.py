@@ -616,13 +616,7 @@ def read_lmfit_parameters(path: str | os.PathLike[str]) -> lmfit.Parameters:
     """
     from lmfit import Parameters
 
-    try:
-        data = json.loads(edge.read_text(path))
-    except ValueError as problem:
-        raise edge.InputError(f"{path}: this is not JSON: {problem}.") from None
-    if not isinstance(data, dict):
-        raise edge.InputError(f"{path}: it holds no identification.")
-    edge.check_format(data.get("format"), FORMAT, str(path))
+    data = edge.json_table(path, FORMAT, "identification")
     if "lmfit_parameters" not in data:
         raise edge.InputError(f"{path}: lmfit_parameters is missing; write the file anew with cycloid-fit identify.")
     try:

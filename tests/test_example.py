@@ -25,6 +25,11 @@ def assert_page_agrees(section, rows, said):
         assert any(round(n, digits) == float(figure) for n in printed), figure
 
 
+def cells_of(printed):
+    """The cells of all tables in what an example printed, row by row."""
+    return [[c.strip() for c in line.strip("│").split("│")] for line in printed.splitlines() if line.startswith("│")]
+
+
 def test_from_the_bench_to_the_fmu_and_back(tmp_path):
     run = subprocess.run(
         [sys.executable, str(EXAMPLES / "bench_to_fmu.py")], cwd=tmp_path, capture_output=True, text=True, timeout=300
@@ -67,9 +72,7 @@ def test_the_wear_paper_s_figures(tmp_path):
         env={**os.environ, "COLUMNS": "200"},
     )  # fmt: skip
     assert run.returncode == 0, run.stderr
-    cells = [
-        [c.strip() for c in line.strip("│").split("│")] for line in run.stdout.splitlines() if line.startswith("│")
-    ]
+    cells = cells_of(run.stdout)
     table = {row[0]: row[1:] for row in cells}
     assert table["unloaded mesh interval, rad"][:2] == ["0.1571", "0.1571"]
     assert float(table["gear, deepest, bounded, µm"][1]) == pytest.approx(49.4, rel=0.04)
@@ -85,9 +88,7 @@ def test_the_rv_paper_s_tables(tmp_path):
         timeout=300, env={**os.environ, "COLUMNS": "200"},
     )  # fmt: skip
     assert run.returncode == 0, run.stderr
-    cells = [
-        [c.strip() for c in line.strip("│").split("│")] for line in run.stdout.splitlines() if line.startswith("│")
-    ]
+    cells = cells_of(run.stdout)
     tilts = [row for row in cells if len(row) == 6]
     assert [row[2] for row in tilts] == ["0.5462′", "0.5976′", "0.5982′", "0.6018′", "0.6029′", "0.6032′", "0.6063′"]
     assert {row[3] for row in tilts} == {"0.5488′"}
