@@ -206,7 +206,7 @@ def json_table(path: str | os.PathLike[str], wanted_format: str, what: str) -> d
     """
     try:
         data = json.loads(read_text(path))
-    except ValueError as problem:
+    except json.JSONDecodeError as problem:
         raise InputError(f"{path}: this is not JSON: {problem}.") from None
     if not isinstance(data, dict):
         raise InputError(f"{path}: it holds no {what}.")
