@@ -23,13 +23,14 @@ from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-_Tangency = tuple[float, float, float, float, float, float, float, float]
+_Tangency = tuple[float, float, float, float, float, float, float, float, float, float]
 _Directions = tuple[float, float, float, float]
+_Flank = tuple[float, float, float, int, bool]  # R, e, r, teeth, ring
 
 (
     FOOT, FOOT_RATE, GAP, ARM, ARM_RATE, CURVATURE, CURVATURE_RATE, FORCE, STIFFNESS, FORCE_BY_CURVATURE, AT, PLACE,
-    COLUMNS,
-) = range(13)  # fmt: skip
+    ANGLE, ANGLE_RATE, FOOT_ANGLE_RATE, COLUMNS,
+) = range(16)  # fmt: skip
 
 # The scalar errors, in the order of the sensitivities' first columns.
 SCALAR_ERRORS = (
@@ -128,6 +129,7 @@ class Drive(NamedTuple):
     compliance_gear: float
     compliance_pin: float
     largest_log_radius: float
+    stray: float
     root_phase: float
     root_margin: float
     flank_alpha: Array
@@ -162,7 +164,7 @@ def _poses(drive: Drive, theta: float, x: float, disc: int) -> tuple[float, floa
 
 @_compiled
 def _tangency(px: float, py: float, alpha: float, R: float, e: float, teeth: int) -> _Tangency:
-    """Tangency f(α) = (P - T)·T', its derivative, and P, B = T'/(i e^{iα}) and P - T turned by -α."""
+    """Tangency f(α) = (P - T)·T', its derivative, P, B = T'/(i e^{iα}) and P - T turned by -α, and e^{iα}."""
     return _tangency_at(px, py, _directions(alpha, teeth), R, e, teeth)
 
 
@@ -191,7 +193,7 @@ def _tangency_at(px: float, py: float, at: _Directions, R: float, e: float, teet
     bx, by = R - e * pins * c, -e * pins * s
     dx, dy = qx - (R - e * c), qy + e * s
     cx, cy = R - e * pins * pins * c, -e * pins * pins * s
-    return dy * bx - dx * by, -(dx * cx + dy * cy) - (bx * bx + by * by), qx, qy, bx, by, dx, dy
+    return dy * bx - dx * by, -(dx * cx + dy * cy) - (bx * bx + by * by), qx, qy, bx, by, dx, dy, ca, sa
 
 
 @_compiled
@@ -239,7 +241,7 @@ def _on_tooth(px: float, py: float, turn: float) -> tuple[float, float]:
 
 @_inlined
 def _write_contact(
-    flank: tuple[float, float, float, int, bool],
+    flank: _Flank,
     contacts: Array,
     row: int,
     foot: float,
@@ -247,27 +249,30 @@ def _write_contact(
     state: _Tangency,
     ox: float,
     oy: float,
+    crank_x: float,
+    crank_y: float,
     pin_radius: float,
+    theta: float,
     x: float,
 ) -> None:
     """Write gap, moment arm and their rates where the pin is nearest the flank's point α.
 
     The foot is that of the pin on the nominal flank, as an offset from the conjugate point; α is the same place unless
-    deviations move the contact along the flank.
+    deviations move the contact along the flank. (ox, oy) is the gear's centre and (crank_x, crank_y) the crank's
+    eccentricity, in the gear's frame.
     """
     circle_radius, eccentricity, radius, teeth, ring = flank
-    _, slope, qx, qy, bx, by, dx, dy = state
+    _, slope, qx, qy, bx, by, dx, dy, ca, sa = state
     speed2 = bx * bx + by * by
     speed = math.sqrt(speed2)
     # The common normal runs from the flank's point, r inside T, to the pin's axis.
     wx, wy = dx + radius * bx / speed, dy + radius * by / speed
     distance = math.sqrt(wx * wx + wy * wy)
     nx, ny = wx / distance, wy / distance
-    sign = -1.0
+    sign, turning = -1.0, 1.0 / teeth
     if ring:
-        ca, sa = math.cos(alpha), math.sin(alpha)
         qx, qy = qx + ox * ca + oy * sa, qy + oy * ca - ox * sa
-        sign = 1.0
+        sign, turning = 1.0, -1.0 / (teeth + 1)
     # With Q the lever of the rotation in the foot's frame, the gap falls by the arm for each radian.
     lever = qx * nx + qy * ny
     # 1 + κ s, because (P - T)·T'' = -κ s |T'|²
@@ -277,7 +282,14 @@ def _write_contact(
     contacts[row, PLACE] = alpha
     contacts[row, FOOT_RATE] = sign * lever / (speed * stretch)
     contacts[row, GAP] = distance - pin_radius
-    contacts[row, ARM] = sign * (qy * nx - qx * ny)
+    arm = sign * (qy * nx - qx * ny)
+    contacts[row, ARM] = arm
+    # The gear's centre moves by i times the eccentricity, so the pin's axis by the opposite of it.
+    vx, vy = crank_y * ca - crank_x * sa, -crank_x * ca - crank_y * sa
+    contacts[row, ANGLE] = theta
+    contacts[row, ANGLE_RATE] = vx * nx + vy * ny + turning * arm
+    along = (vy * bx - vx * by) / (speed2 * stretch)
+    contacts[row, FOOT_ANGLE_RATE] = along - turning * contacts[row, FOOT_RATE] - abs(turning)
     contacts[row, ARM_RATE] = lever - lever * lever * kappa / stretch
     inside = 1.0 / (1.0 - radius * kappa)
     contacts[row, CURVATURE] = kappa * inside
@@ -307,6 +319,7 @@ def place(
         Whether to start from the conjugate points instead of from what `contacts` holds of a neighbouring state.
     clear
         Rows whose gap, predicted from the last solution, is above this are left as they are (m; infinite: none is).
+        From another crank angle what is predicted is a bound below the gap (docs/theory/contact.md).
     bounded
         With deviations, rows whose gap is certainly above this get a bound below it instead of the gap itself (m).
 
@@ -320,67 +333,79 @@ def place(
     stride = 2 * pins
     # Arrays are taken out of the tuple once: each use of it inside a loop would count their references.
     pin_x, pin_y, pin_radius, tooth_turn = drive.pin_x, drive.pin_y, drive.pin_radius, drive.tooth_turn
-    centre_x, centre_y, root_phase = drive.centre_x, drive.centre_y, drive.root_phase
+    centre_x, centre_y, root_phase, stray = drive.centre_x, drive.centre_y, drive.root_phase, drive.stray
     R, e = drive.circle_radius, drive.generating_eccentricity
     flank = (R, e, drive.generating_radius, teeth, drive.ring)
     pitch = 2.0 * math.pi / teeth
     k = e * pins / R
     root_radius = R * (1.0 - k) ** 2 / max(pins * k - 1.0, 1e-9) - drive.root_margin
     root_margin = drive.root_margin / (R * (1.0 - k))
-    few = slices < 8 or drive.gear_deviation.size > 0 or clear < math.inf
+    rough = drive.gear_deviation.size > 0
+    keeps = not cold and clear < math.inf
     for disc in range(drive.crank_phase.size):
         crank, ring, gear = _poses(drive, theta, x, disc)
         ct, st = math.cos(ring - gear), math.sin(ring - gear)
         cg, sg = math.cos(gear), math.sin(gear)
         ox, oy = drive.eccentricity * math.cos(crank), drive.eccentricity * math.sin(crank)
+        crank_x, crank_y = ox * cg + oy * sg, oy * cg - ox * sg
+        shift = (crank - ring) / teeth
         for pin in range(pins):
             first = disc * slices * stride + 2 * pin
+            end = first + slices * stride
+            conjugate = pin * 2.0 * math.pi / pins + shift
+            if keeps:
+                row = first
+                while row < end and _stays_clear(flank, stray, root_phase, contacts, row, theta, x, conjugate, clear):
+                    row += stride
+                if row >= end:
+                    continue
+            tooth = math.floor(conjugate / pitch)
+            along = conjugate / pitch - tooth
+            near = 2.0 * math.pi * min(along, 1.0 - along) < root_phase
+            few = slices < 8 or rough or (keeps and contacts[first, ANGLE] == theta)
             px = pin_x[pin] * ct - pin_y[pin] * st
             py = pin_x[pin] * st + pin_y[pin] * ct
-            conjugate = pin * 2.0 * math.pi / pins + (crank - ring) / teeth
+            turn = tooth_turn[disc, int(tooth) % teeth]
+            lower, upper = tooth * pitch, (tooth + 1.0) * pitch
+            root, inwards = (lower, 1.0) if along < 0.5 else (upper, -1.0)
             for step in range(slices if few else slices + 5):
                 slice_ = step if few else step * (slices - 1) // 4
                 if not few and step >= 5:
-                    if step == 5 and _interpolated(contacts, first, stride, slices, x):
+                    if step == 5 and _interpolated(contacts, first, stride, slices, theta, x):
                         break
                     slice_ = step - 5
                 row = first + slice_ * stride
-                if clear < math.inf:
-                    dx = x - contacts[row, AT]
-                    ahead = contacts[row, GAP] - dx * (contacts[row, ARM] + 0.5 * dx * contacts[row, ARM_RATE])
-                    if ahead > clear and (
-                        contacts[row + 1, GAP] == math.inf
-                        or contacts[row + 1, GAP]
-                        - dx * (contacts[row + 1, ARM] + 0.5 * dx * contacts[row + 1, ARM_RATE])
-                        > clear
-                    ):
-                        continue
+                if (
+                    (keeps and slices > 1 and (few or step >= 5))
+                    and _stays_clear(flank, stray, root_phase, contacts, row, theta, x, conjugate, clear)
+                ):  # fmt: skip
+                    continue
                 ux, uy = ox + centre_x[slice_], oy + centre_y[slice_]
                 cx, cy = ux * cg + uy * sg, uy * cg - ux * sg
                 wx, wy = px - cx, py - cy
-                tooth = math.floor(conjugate / pitch)
-                turn = tooth_turn[disc, int(tooth) % teeth]
                 qx, qy = _on_tooth(wx, wy, turn)
-                along = conjugate / pitch - tooth
-                lower, upper = tooth * pitch, (tooth + 1.0) * pitch
-                near = 2.0 * math.pi * min(along, 1.0 - along) < root_phase
-                root, inwards = (lower, 1.0) if along < 0.5 else (upper, -1.0)
                 start = conjugate + contacts[row, FOOT] + contacts[row, FOOT_RATE] * (x - contacts[row, AT])
+                start += contacts[row, FOOT_ANGLE_RATE] * (theta - contacts[row, ANGLE])
                 if cold or not lower <= start <= upper:
                     # Near a root the way downhill from the conjugate point may miss the contact farther in.
                     start = root + inwards * root_phase / teeth if near else conjugate
                 found, alpha, state = _foot(qx, qy, start, lower, upper, R, e, teeth)
                 distance = math.inf
                 contacts[row, AT] = x
+                contacts[row, ANGLE] = theta
                 if found:
-                    _, _, _, _, bx, by, dx, dy = state
+                    _, _, _, _, bx, by, dx, dy, _, _ = state
                     distance = (dx * bx + dy * by) / math.sqrt(bx * bx + by * by)
-                    _write_contact(flank, contacts, row, alpha - conjugate, alpha, state, cx, cy, pin_radius[pin], x)
+                    _write_contact(
+                        flank, contacts, row, alpha - conjugate, alpha, state, cx, cy, crank_x, crank_y, pin_radius[pin],
+                        theta, x,
+                    )  # fmt: skip
                 else:
                     contacts[row, GAP] = math.inf
                     contacts[row, FOOT] = math.nan
                 row += 1
                 contacts[row, AT] = x
+                contacts[row, ANGLE] = theta
                 contacts[row, GAP] = math.inf
                 # Within the root's curvature radius a point has one foot only, so none on the other tooth, unless the
                 # foot is so close to the root that the step between the two teeth decides.
@@ -388,23 +413,68 @@ def place(
                     contacts[row, FOOT] = math.nan
                     continue
                 beyond = tooth - inwards
-                lower, upper = beyond * pitch, (beyond + 1.0) * pitch
+                left, right = beyond * pitch, (beyond + 1.0) * pitch
                 start = conjugate + contacts[row, FOOT]
-                if cold or not lower < start < upper:
+                if cold or not left < start < right:
                     start = root - inwards * root_phase / teeth
-                turn = tooth_turn[disc, int(beyond) % teeth]
-                qx, qy = _on_tooth(wx, wy, turn)
-                found, alpha, state = _foot(qx, qy, start, lower, upper, R, e, teeth)
-                if found and lower < alpha < upper:
-                    _write_contact(flank, contacts, row, alpha - conjugate, alpha, state, cx, cy, pin_radius[pin], x)
+                qx, qy = _on_tooth(wx, wy, tooth_turn[disc, int(beyond) % teeth])
+                found, alpha, state = _foot(qx, qy, start, left, right, R, e, teeth)
+                if found and left < alpha < right:
+                    _write_contact(
+                        flank, contacts, row, alpha - conjugate, alpha, state, cx, cy, crank_x, crank_y, pin_radius[pin],
+                        theta, x,
+                    )  # fmt: skip
                 else:
                     contacts[row, FOOT] = math.nan
     if drive.gear_deviation.size > 0:
         _raise(drive, theta, x, contacts, bounded)
 
 
+@_inlined
+def _stays_clear(
+    flank: _Flank,
+    stray: float,
+    root_phase: float,
+    contacts: Array,
+    row: int,
+    theta: float,
+    x: float,
+    conjugate: float,
+    clear: float,
+) -> bool:
+    """Whether a pin that was solved elsewhere is certainly farther than `clear` from both teeth.
+
+    At the same crank angle its gap is foretold by its rates. From another one what errors and rotation can bend it by
+    is taken off, and nothing is said of a pin that stands near a root, or did.
+    """
+    dx, since = x - contacts[row, AT], theta - contacts[row, ANGLE]
+    ahead = contacts[row, GAP] - dx * (contacts[row, ARM] + 0.5 * dx * contacts[row, ARM_RATE])
+    if not ahead > clear:
+        return False
+    other = contacts[row + 1, GAP]
+    if since == 0.0:
+        return other == math.inf or other - dx * (contacts[row + 1, ARM] + 0.5 * dx * contacts[row + 1, ARM_RATE]) > clear
+    if other < math.inf or not 0.0 < contacts[row, GAP] < math.inf:
+        return False
+    circle_radius, eccentricity, _, teeth, _ = flank
+    turns = teeth * conjugate / (2.0 * math.pi)
+    phase = 2.0 * math.pi * abs(turns - math.floor(turns + 0.5))
+    passed = abs(since) + abs(dx)
+    if phase < root_phase or phase < passed:
+        return False
+    phase -= passed
+    k = eccentricity * (teeth + 1) / circle_radius
+    # 1 + k² - 2k cos φ from below, and with it how fast the normal turns at most, seen from what displaces the pin.
+    least = (1.0 - k) ** 2 + 4.0 * k * (phase / math.pi) ** 2
+    turning = 0.5 + 1.0 / teeth + 0.5 * (1.0 - k * k) / least
+    reach = stray + abs(x) * circle_radius
+    bend = reach * (turning * turning + k * (1.0 - k * k) / (least * least))
+    ahead += since * contacts[row, ANGLE_RATE] - since * since * bend
+    return ahead - abs(since * dx) * circle_radius * turning > clear
+
+
 @_compiled
-def _interpolated(contacts: Array, first: int, stride: int, slices: int, x: float) -> bool:
+def _interpolated(contacts: Array, first: int, stride: int, slices: int, theta: float, x: float) -> bool:
     """Fill a pin's rows from five solved ones, by the parabola through three; False where the pin needs all solved."""
     last = slices - 1
     middle = 2 * last // 4
@@ -426,10 +496,10 @@ def _interpolated(contacts: Array, first: int, stride: int, slices: int, x: floa
             continue
         wa, wb, wc = _parabola(slice_, middle, last)
         row = first + slice_ * stride
-        for column in (FOOT, FOOT_RATE, GAP, ARM, ARM_RATE, CURVATURE, CURVATURE_RATE):
+        for column in (FOOT, FOOT_RATE, GAP, ARM, ARM_RATE, CURVATURE, CURVATURE_RATE, ANGLE_RATE, FOOT_ANGLE_RATE):
             contacts[row, column] = wa * contacts[a, column] + wb * contacts[b, column] + wc * contacts[c, column]
-        contacts[row, AT] = x
-        contacts[row + 1, AT] = x
+        contacts[row : row + 2, AT] = x
+        contacts[row : row + 2, ANGLE] = theta
         contacts[row + 1, GAP] = math.inf
         contacts[row + 1, FOOT] = math.nan
         smallest = min(smallest, contacts[row, GAP])
@@ -457,7 +527,7 @@ def _raise(drive: Drive, theta: float, x: float, contacts: Array, bounded: float
     pins, slices = teeth + 1, drive.centre_x.size
     pitch = 2.0 * math.pi / teeth
     for row in range(contacts.shape[0]):
-        if contacts[row, AT] != x or not contacts[row, GAP] < math.inf:
+        if contacts[row, AT] != x or contacts[row, ANGLE] != theta or not contacts[row, GAP] < math.inf:
             continue
         if contacts[row, GAP] - drive.largest_deviation > bounded:
             contacts[row, GAP] -= drive.largest_deviation
@@ -519,8 +589,10 @@ def _raise(drive: Drive, theta: float, x: float, contacts: Array, bounded: float
                 drive.circle_radius, drive.generating_eccentricity, drive.generating_radius - gear_height, teeth,
                 drive.ring,
             ),
-            contacts, row, contacts[row, FOOT], place_, state, ox, oy, pin_radius + pin_height, x,
+            contacts, row, contacts[row, FOOT], place_, state, ox, oy, 0.0, 0.0, pin_radius + pin_height, theta, x,
         )  # fmt: skip
+        # What a raised flank foretells reaches no farther than its next element.
+        contacts[row, ANGLE_RATE] = math.nan
         if drive.gear_curvature.size > 0:
             seen = _facing_place(drive, at, state, gear_height, fx, fy)
             added = _added_curvature(drive, disc, slice_, number, pin, at, seen)
@@ -531,7 +603,7 @@ def _raise(drive: Drive, theta: float, x: float, contacts: Array, bounded: float
 @_inlined
 def _facing_place(drive: Drive, alpha: float, state: _Tangency, height: float, fx: float, fy: float) -> float:
     """Place on the pin that faces a raised point of the flank, at tooth 0's α; f as in `_raised`."""
-    _, _, _, _, bx, by, dx, dy = state
+    _, _, _, _, bx, by, dx, dy, _, _ = state
     speed = math.sqrt(bx * bx + by * by)
     radius = drive.generating_radius - height
     # From the pin's axis to the flank, in the foot's frame and on tooth 0.
@@ -633,7 +705,7 @@ def _flank_distance(drive: Drive, state: _Tangency, height: float, rise: float) 
     The point lies `height` out along the nominal normal; `rise` is the height's derivative by α. The second derivative
     is that near the foot.
     """
-    f, slope, _, _, bx, by, dx, dy = state
+    f, slope, _, _, bx, by, dx, dy, _, _ = state
     speed = math.sqrt(bx * bx + by * by)
     radius = drive.generating_radius - height
     wx, wy = dx + radius * bx / speed, dy + radius * by / speed
@@ -751,7 +823,7 @@ def _rotational_stiffness(contacts: Array, row: int) -> float:
 
 
 @_compiled
-def _load(drive: Drive, x: float, contacts: Array) -> tuple[float, float]:
+def _load(drive: Drive, theta: float, x: float, contacts: Array) -> tuple[float, float]:
     """Forces of all rows at deviation x; returns the torque that balances them and its derivative by x."""
     torque = stiffness = 0.0
     pins = drive.teeth + 1
@@ -759,7 +831,7 @@ def _load(drive: Drive, x: float, contacts: Array) -> tuple[float, float]:
         gap, last = contacts[row, GAP], contacts[row, FORCE]
         contacts[row, FORCE] = 0.0
         contacts[row, STIFFNESS] = 0.0
-        if gap >= 0.0 or contacts[row, AT] != x:
+        if gap >= 0.0 or contacts[row, AT] != x or contacts[row, ANGLE] != theta:
             continue
         force, k, by_curvature = hertz(
             -gap, contacts[row, CURVATURE], drive.pin_radius[row // 2 % pins], drive.slice_width,
@@ -775,7 +847,7 @@ def _load(drive: Drive, x: float, contacts: Array) -> tuple[float, float]:
 
 
 @_compiled
-def _to_touch(contacts: Array, x: float, direction: float) -> float:
+def _to_touch(contacts: Array, theta: float, x: float, direction: float) -> float:
     """Rotation from x, in `direction` (±1), at which the first flank touches, to second order.
 
     Rows solved elsewhere than at x count with what they foretell of it.
@@ -787,6 +859,8 @@ def _to_touch(contacts: Array, x: float, direction: float) -> float:
             continue
         since = x - contacts[row, AT]
         gap -= since * (arm + 0.5 * since * rate)
+        if contacts[row, ANGLE] != theta:
+            gap += (theta - contacts[row, ANGLE]) * contacts[row, ANGLE_RATE]
         arm = direction * (arm + since * rate)
         if arm <= 0.0 and not (gap > 1e-9 and rate > 0.0):
             continue
@@ -849,11 +923,11 @@ def _balance(
     cold: bool,
 ) -> tuple[float, float]:
     """Solve load (torque - M(x)) + hold (flange - x) = 0 by Newton's method inside a bracket."""
-    place(drive, theta, x, contacts, cold, math.inf, _BOUNDED)
+    place(drive, theta, x, contacts, cold, _CLEAR, _BOUNDED)
     low, high = -math.inf, math.inf
     stiffness = 0.0
     for _ in range(100):
-        balance, stiffness = _load(drive, x, contacts)
+        balance, stiffness = _load(drive, theta, x, contacts)
         short = load * (torque - balance) + hold * (flange - x)
         slope = load * stiffness + hold
         if short > 0.0:
@@ -864,7 +938,7 @@ def _balance(
             step = short / slope
         else:
             direction = math.copysign(1.0, short)
-            step = direction * (max(_to_touch(contacts, x, direction), 0.0) + 1e-6)
+            step = direction * (max(_to_touch(contacts, theta, x, direction), 0.0) + 1e-6)
         step = min(max(step, -1e-3), 1e-3)
         if abs(step) < _LINEAR_STEP:
             x += step
@@ -961,7 +1035,7 @@ def _first_touch(drive: Drive, theta: float, x: float, contacts: Array, directio
     # What a flank with deviations foretells reaches no farther than its next element.
     clear = _CLEAR if drive.gear_deviation.size == 0 else math.inf
     for _ in range(50):
-        step = min(_to_touch(contacts, x, direction), 1e-3)
+        step = min(_to_touch(contacts, theta, x, direction), 1e-3)
         x += direction * step
         if abs(step) < _ROTATION_STEP:
             break
@@ -1173,15 +1247,15 @@ def press(
         and its derivatives by crank and flange (N·m).
     """
     if compliance == 0.0:
-        place(drive, theta, flange, contacts, cold, math.inf, _BOUNDED)
-        _, stiffness = _load(drive, flange, contacts)
+        place(drive, theta, flange, contacts, cold, _CLEAR, _BOUNDED)
+        _, stiffness = _load(drive, theta, flange, contacts)
         energy, by_angle, by_rotation = elastic_energy(drive, theta, flange, contacts)
         return flange, stiffness, energy, by_angle, by_rotation
     x, stiffness = behind_compliance(drive, theta, flange, compliance, x, contacts, cold)
     energy = by_angle = by_rotation = 0.0
     for _ in range(10):
-        place(drive, theta, x, contacts, False, math.inf, _BOUNDED)
-        _, stiffness = _load(drive, x, contacts)
+        place(drive, theta, x, contacts, False, _CLEAR, _BOUNDED)
+        _, stiffness = _load(drive, theta, x, contacts)
         energy, by_angle, by_rotation = elastic_energy(drive, theta, x, contacts)
         step = (flange - x - compliance * by_rotation) / (1.0 + compliance * stiffness)
         if abs(step) < _ROTATION_STEP:

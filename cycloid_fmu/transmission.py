@@ -97,6 +97,7 @@ def drive_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> contact.Driv
     angle = direction + surface.pin_tangential / g.pin_circle_radius
     z = g.face_width * ((np.arange(slices) + 0.5) / slices - 0.5)
     circle = pair.generating_circle_radius + surface.offset
+    stray = _stray(pair, surface)
     return contact.Drive(
         circle_radius=circle,
         generating_radius=pair.generating_pin_radius + surface.isometric,
@@ -116,7 +117,8 @@ def drive_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> contact.Driv
         compliance_gear=material.gear.compliance,
         compliance_pin=material.pin.compliance,
         largest_log_radius=g.pin_circle_radius if g.contact_law == "capped" else math.inf,
-        root_phase=_root_phase(pair, surface, circle),
+        stray=stray,
+        root_phase=_root_phase(pair, stray, circle),
         root_margin=1e-6 + 1.5 * float(np.ptp(surface.tooth_cumulative_pitch, axis=1).max()),
         **_elements(pair, surface, z),
     )
@@ -178,22 +180,27 @@ def _across_width(deviation: Array, z: Array, face_width: float) -> Array:
     return np.asarray((1.0 - share) * deviation[..., low] + share * deviation[..., high])
 
 
-def _root_phase(pair: Pair, surface: ErrorSurface, circle: float) -> float:
-    """Phase from a root within which a pin may stand before the neighbouring tooth, rad.
-
-    The pin's axis strays from the flank's generating path by the modifications and errors, and by the rotation that
-    they allow; the phase is where the path has run three times that far.
-    """
+def _stray(pair: Pair, surface: ErrorSurface) -> float:
+    """How far modifications and errors can take a pin's axis from the flank's generating path, m."""
     g, m = pair.pair, pair.modification
-    stray = (
+    return float(
         abs(m.offset + surface.offset) + abs(m.isometric + surface.isometric) + abs(surface.pin_circle_radius)
         + abs(surface.pin_radius) + abs(surface.eccentricity)
         + math.hypot(surface.centre_distance_x, surface.centre_distance_y)
         + math.hypot(surface.misalignment_xz, surface.misalignment_yz) * g.face_width
-        + float(np.abs(surface.pin_radial).max() + np.abs(surface.pin_tangential).max())
-        + float(np.abs(surface.pin_radius_deviation).max() + np.abs(surface.tooth_cumulative_pitch).max())
-        + sum(float(np.abs(d).max()) for d in (surface.gear_deviation, surface.pin_deviation) if d is not None)
+        + np.abs(surface.pin_radial).max() + np.abs(surface.pin_tangential).max()
+        + np.abs(surface.pin_radius_deviation).max() + np.abs(surface.tooth_cumulative_pitch).max()
+        + sum(np.abs(d).max() for d in (surface.gear_deviation, surface.pin_deviation) if d is not None)
     )  # fmt: skip
+
+
+def _root_phase(pair: Pair, stray: float, circle: float) -> float:
+    """Phase from a root within which a pin may stand before the neighbouring tooth, rad.
+
+    It is where the generating path has run three times as far as the pin's axis may stray from it, the rotation that
+    errors and modifications allow included.
+    """
+    g = pair.pair
     turning = circle / (g.eccentricity * g.gear_teeth)
     reach = 3.0 * (1.0 + turning) * stray + 5e-5
     k = g.eccentricity * g.pins / circle

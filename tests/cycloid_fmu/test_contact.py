@@ -171,6 +171,43 @@ def test_any_pair_balances_from_any_start(seed, size, clearance, torque, sign, t
         assert (there.transmission_error[0][free] >= there.play_high[free] - 1e-10).all()
 
 
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 10**6), teeth=st.integers(6, 120), k=st.floats(0.3, 0.92), size=st.floats(1e-6, 1e-4),
+    step=st.floats(1e-3, 0.3), sign=st.sampled_from([-1.0, 1.0]), output=st.sampled_from(["gear", "ring"]),
+)  # fmt: skip
+def test_a_pin_left_as_it_was_stands_clear(seed, teeth, k, size, step, sign, output):
+    """Going from crank angle to crank angle: whatever was not solved again has a gap above the bound, solved anew."""
+    pair = make_pair(
+        gear_teeth=teeth, pins=teeth + 1, eccentricity=f"{k * 64 / (teeth + 1):.6f} mm", output=output,
+        pin_radius=f"{0.4 * 64 / (teeth + 1):.6f} mm",
+    )  # fmt: skip
+    rng = np.random.default_rng(seed)
+    scalars = ("centre_distance_x", "eccentricity", "pin_circle_radius", "pin_radius", "offset", "isometric")
+    surface = dataclasses.replace(
+        nominal_surface(pair),
+        pin_radial=rng.normal(0.0, size, teeth + 1),
+        pin_tangential=rng.normal(0.0, size, teeth + 1),
+        tooth_cumulative_pitch=rng.normal(0.0, size, (1, teeth)),
+        **{name: rng.normal(0.0, size) for name in scalars},
+    )
+    drive = drive_of(pair, surface)
+    kept, anew = contact.contact_rows(drive), contact.contact_rows(drive)
+    theta, x, clear = rng.uniform(0.0, 40.0), rng.normal(0.0, 50.0 * size), 5e-7
+    contact.place(drive, theta, x, kept, True, math.inf)
+    for _ in range(30):
+        theta += sign * step * rng.uniform(0.5, 1.0)
+        x += rng.normal(0.0, size)
+        contact.place(drive, theta, x, kept, False, clear)
+        contact.place(drive, theta, x, anew, True, math.inf)
+        smallest = np.minimum(anew[::2, contact.GAP], anew[1::2, contact.GAP])
+        left = kept[::2, contact.ANGLE] != theta
+        assert (smallest[left] > clear).all()
+        solved = ~left & (smallest < clear)
+        again = np.minimum(kept[::2, contact.GAP], kept[1::2, contact.GAP])[solved]
+        assert again == pytest.approx(smallest[solved], abs=1e-12)
+
+
 def test_equivalent_errors():
     """Design.md section 3: isometric as -pin radius; a centre offset as the pins' displacement by its opposite."""
     pair = read_pair(CASES / "errors-39-40.toml")
