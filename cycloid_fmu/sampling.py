@@ -35,7 +35,8 @@ LARGEST_SEED = 2**63 - 1
 _SINGLE = (*SCALAR_ERRORS, "pin_circle_diameter")  # errors that are one number
 # How far a pitch may go of what is allowed: rounding in the sums that make positions from it must not exceed the limit.
 _WITHIN = 1.0 - 1e-9
-_SWEEPS = 100
+# Times that each pitch is met: with ten no figure of 3000 circles differs from four hundred's by more than chance.
+_SWEEPS = 20
 
 
 def _up_to(largest: float, shown: str) -> pydantic.AfterValidator:
@@ -242,7 +243,8 @@ _Function = TypeVar("_Function", bound=Callable[..., None])
 
 
 def _compiled(function: _Function) -> _Function:
-    return cast(_Function, njit(cache=True)(function))
+    # No NaN, and zeros have no sign: smallest and largest are found by vector instructions.
+    return cast(_Function, njit(cache=True, fastmath={"nnan", "nsz"})(function))
 
 
 @_compiled

@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
     _GAP, _ARM, _RATE, _CURVATURE, _RADIAL, _TANGENTIAL, _X, _Y, _HEIGHT, _CRANK, _FACING, _TURN, _PIN, _TOOTH,
     _COLUMNS,
 ) = range(15)  # fmt: skip
-_STEP = 1e-9  # rad: last step of an equilibrium
+_STEP = 1e-8  # rad: Newton's last step of an equilibrium, after which the square of it is left
 
 
 class Contacts(NamedTuple):
@@ -205,14 +205,16 @@ def sweep(
     """
     drives = errors.shape[0]
     gaps, forces = np.empty(contacts.rows.shape[1]), np.empty(contacts.rows.shape[1])
-    turned = np.zeros(drives)
+    turned, before = np.zeros(drives), np.zeros(drives)
     for i in range(contacts.number.size):
         rows, count = contacts.rows[i], contacts.number[i]
         for j in range(drives):
             _gaps(rows, count, pins, teeth, errors[j], gaps)
+            start = 2.0 * turned[j] - before[j] if i > 1 else turned[j]
+            before[j] = turned[j]
             turned[j], pressure[j, i] = _equilibrium(
-                rows, count, gaps, forces, contacts.torque, turned[j], pin_radius, width, compliance_gear,
-                compliance_pin, largest_log_radius,
+                rows, count, gaps, forces, contacts.torque, start, pin_radius, width, compliance_gear, compliance_pin,
+                largest_log_radius,
             )  # fmt: skip
             deviation[j, i] = contacts.deviation[i] + turned[j]
 
