@@ -397,8 +397,8 @@ def place(
                     _, _, _, _, bx, by, dx, dy, _, _ = state
                     distance = (dx * bx + dy * by) / math.sqrt(bx * bx + by * by)
                     _write_contact(
-                        flank, contacts, row, alpha - conjugate, alpha, state, cx, cy, crank_x, crank_y, pin_radius[pin],
-                        theta, x,
+                        flank, contacts, row, alpha - conjugate, alpha, state, cx, cy, crank_x, crank_y,
+                        pin_radius[pin], theta, x,
                     )  # fmt: skip
                 else:
                     contacts[row, GAP] = math.inf
@@ -421,8 +421,8 @@ def place(
                 found, alpha, state = _foot(qx, qy, start, left, right, R, e, teeth)
                 if found and left < alpha < right:
                     _write_contact(
-                        flank, contacts, row, alpha - conjugate, alpha, state, cx, cy, crank_x, crank_y, pin_radius[pin],
-                        theta, x,
+                        flank, contacts, row, alpha - conjugate, alpha, state, cx, cy, crank_x, crank_y,
+                        pin_radius[pin], theta, x,
                     )  # fmt: skip
                 else:
                     contacts[row, FOOT] = math.nan
@@ -451,10 +451,10 @@ def _stays_clear(
     ahead = contacts[row, GAP] - dx * (contacts[row, ARM] + 0.5 * dx * contacts[row, ARM_RATE])
     if not ahead > clear:
         return False
-    other = contacts[row + 1, GAP]
+    other = contacts[row + 1, GAP] - dx * (contacts[row + 1, ARM] + 0.5 * dx * contacts[row + 1, ARM_RATE])
     if since == 0.0:
-        return other == math.inf or other - dx * (contacts[row + 1, ARM] + 0.5 * dx * contacts[row + 1, ARM_RATE]) > clear
-    if other < math.inf or not 0.0 < contacts[row, GAP] < math.inf:
+        return contacts[row + 1, GAP] == math.inf or other > clear
+    if contacts[row + 1, GAP] < math.inf or not 0.0 < contacts[row, GAP] < math.inf:
         return False
     circle_radius, eccentricity, _, teeth, _ = flank
     turns = teeth * conjugate / (2.0 * math.pi)

@@ -290,6 +290,7 @@ class Folding:
         self._last: tuple[float, float] | None = None
         self._recounted = 0
         self._anew = False
+        self._waiting: list[tuple[Array, Array, Array]] = []
 
     def add(self, block: Block) -> None:
         """Take the next block."""
@@ -299,12 +300,22 @@ class Folding:
         if self._last is not None or (block.status & GAP).any():
             angle = self._recount(angle, output, np.flatnonzero(block.status & GAP))
         self._last = (float(angle[-1]), float(output[-1]))
-        error = output - angle / self.ratio
         if np.isnan(self._furthest):
             self._furthest = self._start = float(angle[0])
+        self._waiting.append((angle, output - angle / self.ratio, block.torque))
+        # Which way the crank turns shows once it is away from where it began.
+        if self._direction or sum(part[0].size for part in self._waiting) > _FIRST or self._is_away(angle):
+            self._fold()
+
+    def _is_away(self, angle: Array) -> bool:
+        return bool((np.abs(angle - self._start) > _REVERSAL).any())
+
+    def _fold(self) -> None:
+        angle, error, torque = (np.concatenate(parts) for parts in zip(*self._waiting, strict=True))
+        self._waiting.clear()
         begin = 0
         while begin < angle.size:
-            begin = self._stretch(angle, error, block.torque, begin)
+            begin = self._stretch(angle, error, torque, begin)
 
     def _recount(self, angle: Array, output: Array, gaps: NDArray[np.int64]) -> Array:
         """Add the turns of the crank that the output shows to have passed in a gap."""
@@ -328,7 +339,7 @@ class Folding:
         part = angle[begin:]
         if self._direction == 0:
             away = np.flatnonzero(np.abs(part - self._start) > _REVERSAL)
-            if not away.size and np.ptp(part) < _REVERSAL and part.size > _FIRST:
+            if not away.size and part.size > _FIRST:
                 self._stood += part.size
                 return angle.size
             last = part[away[0]] if away.size else part[-1]
@@ -390,6 +401,8 @@ class Folding:
         edge.InputError
             If the crank does not turn, or its two angles do not belong to this ratio.
         """
+        if self._waiting:
+            self._fold()
         folds = sorted(self._folds.values(), key=lambda f: -f.way)
         for fold in folds:
             fold.finish()

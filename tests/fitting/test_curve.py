@@ -4,7 +4,7 @@ import re
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from cycloid_fmu import edge
@@ -86,6 +86,7 @@ def test_curve_file(tmp_path):
         assert np.isnan(data["transmission_error"].values[1]).sum() == 39 * 48 - 100
 
 
+@example(ways=[20.0, 20.0, 20.0], forwards=False, cuts=[0.00390625], seed=0)
 @given(
     ways=st.lists(st.floats(20, 400), min_size=1, max_size=4), forwards=st.booleans(),
     cuts=st.lists(st.floats(0, 1), max_size=6), seed=st.integers(0, 99),
