@@ -42,19 +42,22 @@ def built(drive, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def unpacked(built, tmp_path_factory):
-    """An unpacked FMI 2.0 FMU: its library, the URI of its resources and its guid."""
+    """An unpacked FMU: its library, the place of its resources as its FMI version says it, guid and kind."""
     made = {}
 
-    def one(kind="kinematic"):
-        if kind not in made:
-            path = built(kind)
+    def one(kind="kinematic", version="2.0"):
+        if (kind, version) not in made:
+            path = built(kind, version)
             folder = Path(fmpy.extract(str(path), unzipdir=str(tmp_path_factory.mktemp("mit %20 lücke"))))
-            guid = fmpy.read_model_description(str(path)).guid
-            made[kind] = SimpleNamespace(
-                folder=folder, uri=(folder / "resources").as_uri(), guid=guid,
-                library=folder / "binaries" / "linux64" / "CycloidDrive.so",
+            description = fmpy.read_model_description(str(path))
+            two = version == "2.0"
+            made[kind, version] = SimpleNamespace(
+                folder=folder, version=version, kind=kind,
+                uri=(folder / "resources").as_uri() if two else f"{folder / 'resources'}/",
+                guid=description.guid if two else description.instantiationToken,
+                library=folder / "binaries" / ("linux64" if two else "x86_64-linux") / "CycloidDrive.so",
             )  # fmt: skip
-        return made[kind]
+        return made[kind, version]
 
     return one
 
@@ -62,14 +65,19 @@ def unpacked(built, tmp_path_factory):
 @pytest.fixture(scope="session")
 def host(tmp_path_factory):
     """The C host: `host(unpacked, "run", 100)` returns what it prints; with `fails` why it failed, or its status."""
-    program = compiled(
-        tmp_path_factory.mktemp("host") / "host", [HERE / "host.c"], "-O2", "-Wall", "-Wextra", "-Werror"
-    )
-
-    def run(fmu, *words, uri=None, guid=None, fails=False, program=program, library=None, prefix=(), **environment):
-        done = run_host(
-            program, library or fmu.library, uri or fmu.uri, guid or fmu.guid, *words, prefix=prefix, **environment
+    folder = tmp_path_factory.mktemp("host")
+    programs = {
+        version: compiled(
+            folder / f"host{version[0]}", [HERE / "host.c"], f"-DFMI={version[0]}", "-O2", "-Wall", "-Wextra", "-Werror"
         )
+        for version in ("2.0", "3.0")
+    }
+
+    def run(fmu, *words, uri=None, guid=None, fails=False, program=None, library=None, prefix=(), **environment):
+        done = run_host(
+            program or programs[fmu.version], library or fmu.library, uri or fmu.uri, guid or fmu.guid, fmu.kind,
+            *words, prefix=prefix, **environment,
+        )  # fmt: skip
         if fails is None:
             return done.returncode
         assert (done.returncode != 0) == fails, done.stderr

@@ -38,6 +38,10 @@ COLUMNS = (
 )  # fmt: skip
 
 
+# Every interface in FMI 2.0; FMI 3.0, from the same source, with the two that take different inputs.
+EACH = [(kind, "2.0") for kind in INTERFACES] + [("kinematic", "3.0"), ("compliant", "3.0")]
+
+
 def rows_of(text):
     return np.array([[float(cell) for cell in line.split(",")] for line in text.splitlines()])
 
@@ -337,14 +341,15 @@ def test_reference_results_are_met(unpacked, host):
 # --- history ---
 
 
-def test_a_restored_state_repeats_the_same_bits(unpacked, host):
-    for kind in ("kinematic",):
-        assert "300 states restored" in host(unpacked(kind), "rollback", 300)
+@pytest.mark.parametrize(("kind", "version"), EACH)
+def test_a_restored_state_repeats_the_same_bits(unpacked, host, kind, version):
+    assert "300 states restored" in host(unpacked(kind, version), "rollback", 300)
 
 
-def test_a_state_restores_in_another_process(unpacked, host, tmp_path):
-    saved = host(unpacked(), "save", tmp_path / "state")
-    assert host(unpacked(), "load", tmp_path / "state") == saved
+@pytest.mark.parametrize(("kind", "version"), EACH)
+def test_a_state_restores_in_another_process(unpacked, host, tmp_path, kind, version):
+    saved = host(unpacked(kind, version), "save", tmp_path / "state")
+    assert host(unpacked(kind, version), "load", tmp_path / "state") == saved
     data = (tmp_path / "state").read_bytes()
     assert data[:15] == b"cycloid native\n"
 
@@ -369,39 +374,44 @@ def test_reset_is_a_new_beginning(slave):
 # --- what no host should hand it ---
 
 
-def test_random_steps_with_nonsense_among_them_bring_no_number_that_is_none(unpacked, host):
-    assert "20000 steps" in host(unpacked(), "random", 20000)
+@pytest.mark.parametrize(("kind", "version"), EACH)
+def test_random_steps_with_nonsense_among_them_bring_no_number_that_is_none(unpacked, host, kind, version):
+    assert "20000 steps" in host(unpacked(kind, version), "random", 20000)
 
 
 @pytest.mark.slow
-def test_many_random_steps(unpacked, host):
-    assert "refused" in host(unpacked(), "random", int(STUDIES))
+@pytest.mark.parametrize(("kind", "version"), EACH)
+def test_many_random_steps(unpacked, host, kind, version):
+    assert "refused" in host(unpacked(kind, version), "random", int(STUDIES))
 
 
 @pytest.mark.slow
 @needs("gcc")
-def test_the_library_is_clean_under_the_address_and_undefined_behaviour_sanitizers(unpacked, host, tmp_path):
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_the_library_is_clean_under_the_address_and_undefined_behaviour_sanitizers(unpacked, host, tmp_path, version):
     flags = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer")
     native = HERE.parents[1] / "cycloid_fmu" / "fmu" / "native"
     sources = [native / name for name in native_build.SOURCES]
     library = compiled(tmp_path / "drive.so", sources, *flags, "-shared", "-fPIC")
-    program = compiled(tmp_path / "host", [HERE / "host.c"], *flags)
-    for words in (
-        ("random", int(STUDIES) // 10),
-        ("rollback", 50),
-        ("open",),
-        ("save", tmp_path / "s"),
-        ("load", tmp_path / "s"),
-    ):
-        host(unpacked(), *words, program=program, library=library)
+    program = compiled(tmp_path / "host", [HERE / "host.c"], f"-DFMI={version[0]}", *flags)
+    for kind in INTERFACES:
+        for words in (
+            ("random", int(STUDIES) // 10),
+            ("rollback", 50),
+            ("open",),
+            ("save", tmp_path / "s"),
+            ("load", tmp_path / "s"),
+        ):
+            host(unpacked(kind, version), *words, program=program, library=library)
 
 
 @pytest.mark.slow
 @needs("valgrind")
-def test_the_library_is_clean_under_valgrind(unpacked, host):
+@pytest.mark.parametrize(("kind", "version"), EACH)
+def test_the_library_is_clean_under_valgrind(unpacked, host, kind, version):
     valgrind = ("valgrind", "--quiet", "--error-exitcode=9", "--leak-check=full", "--errors-for-leak-kinds=definite")
     for words in (("random", int(STUDIES) // 50), ("rollback", 20), ("run", 200)):
-        host(unpacked(), *words, prefix=valgrind)
+        host(unpacked(kind, version), *words, prefix=valgrind)
 
 
 @pytest.mark.parametrize(
@@ -637,15 +647,19 @@ def test_libraries_ask_for_no_newer_system_than_promised():
 def test_the_windows_library_does_the_same_under_wine(unpacked, host, tmp_path):
     wine = shutil.which("wine64") or "/usr/lib/wine/wine64"
     zig = (sys.executable, "-m", "ziglang", "cc", "-target", "x86_64-windows-gnu")
-    program = compiled(tmp_path / "host.exe", [HERE / "host.c"], "-O2", compiler=zig)
     library = tmp_path / "CycloidDrive.dll"
     library.write_bytes(native_build.binary("x86_64-windows"))
-    fmu = SimpleNamespace(**vars(unpacked()))
-    linux = rows_of(host(fmu, "run", 800))
-    fmu.uri = fmu.uri.replace("file:///", "file:///Z:/")
-    fmu.library = library
-    run = {"prefix": (wine,), "program": program, "WINEPREFIX": str(tmp_path / "wine"), "WINEDEBUG": "-all"}
-    found = rows_of(host(fmu, "run", 800, **run))
-    assert (np.abs(found - linux) <= 1e-12 * np.abs(linux).max(axis=0)).all()
-    assert "100 states restored" in host(fmu, "rollback", 100, **run)
-    assert "refused" in host(fmu, "random", int(STUDIES) // 20, **run)
+    run = {"prefix": (wine,), "WINEPREFIX": str(tmp_path / "wine"), "WINEDEBUG": "-all"}
+    for version in ("2.0", "3.0"):
+        run["program"] = compiled(
+            tmp_path / f"host{version[0]}.exe", [HERE / "host.c"], f"-DFMI={version[0]}", "-O2", compiler=zig
+        )
+        for kind in INTERFACES:
+            fmu = SimpleNamespace(**vars(unpacked(kind, version)))
+            linux = rows_of(host(fmu, "run", 800))
+            fmu.uri = fmu.uri.replace("file:///", "file:///Z:/") if version == "2.0" else f"Z:{fmu.uri}"
+            fmu.library = library
+            found = rows_of(host(fmu, "run", 800, **run))
+            assert (np.abs(found - linux) <= 1e-12 * np.abs(linux).max(axis=0)).all()
+            assert "100 states restored" in host(fmu, "rollback", 100, **run)
+            assert "refused" in host(fmu, "random", int(STUDIES) // 20, **run)
