@@ -1,5 +1,6 @@
 """The documentation site: `python -m sphinx -W docs docs/_build`; its pictures are drawn by the examples meanwhile."""
 
+import builtins
 import shutil
 import sys
 from importlib import metadata
@@ -11,6 +12,7 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
 
 import file_reference  # noqa: E402
+import variable_reference  # noqa: E402
 
 project = "cycloid-fmu"
 author = "the cycloid-fmu developers"
@@ -70,15 +72,21 @@ def pictures(block: tuple, block_variables: dict, gallery: dict) -> str:
     return figure_rst(images, gallery["src_dir"])
 
 
+def named(gallery: dict, file: str) -> None:
+    """Tell an example its own place, which the gallery does not: it looks for its files beside itself."""
+    builtins.__file__ = str(EXAMPLES / file)
+
+
 fresh_examples()
 file_reference.write(HERE / "generated" / "files.md")
+variable_reference.write(HERE / "generated" / "variables.md")
 sphinx_gallery_conf = {
     "examples_dirs": "generated/examples",
     "gallery_dirs": "gallery",
     "filename_pattern": r"\.py$",
     "ignore_pattern": "joint_parts",  # what the robot joint imports
     "image_scrapers": (pictures,),
-    "reset_modules": (),
+    "reset_modules": (named,),
     "matplotlib_animations": False,
     "within_subsection_order": "FileNameSortKey",
     "capture_repr": (),

@@ -12,6 +12,9 @@ from pathlib import Path
 import pytest
 from common import EXAMPLES
 
+from cycloid_fmu.fmu.description import model_variables
+from cycloid_fmu.fmu.native_build import native_variables
+
 ROOT = EXAMPLES.parent
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "tutorials").glob("*.md")])
 BLOCK = re.compile(r"^```(?P<info>[^\n`]*)\n(?P<body>.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -56,3 +59,42 @@ def test_a_tutorial_s_commands_do_what_it_says(page, tmp_path):
             ["bash", "-euc", body], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=600
         )
         assert run.returncode == 0, (body, run.stderr)
+
+
+def test_the_reference_has_every_variable_of_every_fmu(tmp_path, monkeypatch):
+    """What the model descriptions say of each variable stands in its row, under its interface."""
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    import variable_reference
+
+    variable_reference.write(tmp_path / "variables.md")
+    page, rows, head = (tmp_path / "variables.md").read_text(encoding="utf-8"), {}, []
+    for line in filter(re.compile(r"\| (variable|`)").match, page.splitlines()):
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        if cells[0] == "variable":
+            head = cells
+        else:
+            assert cells[0] not in rows, "told once"
+            rows[cells[0].strip("`")] = dict(zip(head, cells, strict=True))
+    told = set()
+    for interface, table in variable_reference.tables():
+        for version in ("2.0", "3.0"):
+            scalars = tuple(v for v in table if version == "3.0" or (not v.dimensions and v.causality != "independent"))
+            native = native_variables(scalars)
+            for tables, reached in ((dict(enumerate(scalars)), ""), (native, "native")):
+                described = model_variables(tuple(tables.values()), version, tuple(tables))
+                for node in described:
+                    row, given = rows[node.get("name")], {k: v for part in node.iter() for k, v in part.attrib.items()}
+                    told.add((node.get("name"), interface, reached))
+                    if row["native"] == "constant" and reached:
+                        assert given["variability"] == "constant"
+                    else:
+                        assert row[interface] == given["causality"]
+                        assert row["variability"] == given["variability"]
+                    assert row["unit"].split(" ")[0] in (given.get("unit", ""), "integer", "boolean")
+                    assert given.get("displayUnit", "") in row["unit"]
+                    for limit in ("min", "max"):
+                        assert limit not in given or f"{float(given[limit]):g}" in row["range"].split()
+                    assert given["description"] in row["meaning"]
+    written = {(n, i, "") for n, row in rows.items() for i in variable_reference.INTERFACES if row[i] != "–"}
+    written |= {(n, i, "native") for n, i, _ in written if rows[n]["native"] != "–"}
+    assert told == written

@@ -1,0 +1,120 @@
+"""The reference of the FMU's variables, from the table that every FMU is made of."""
+
+import dataclasses
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from cycloid_fmu.fmu.native_build import native_variables
+from cycloid_fmu.fmu.variables import UNITS, Interface, Variable, variables
+from cycloid_fmu.pair import read_pair
+from cycloid_fmu.surface import Life, nominal_surface
+
+EXAMPLE = "drive-39-40.toml"
+INTERFACES = {
+    "kinematic": Interface(),
+    "compliant": Interface("compliant"),
+    "inertia inside": Interface("compliant", output_inertia=1.0),
+}
+SECTIONS: tuple[tuple[str, str, Callable[[Variable], bool]], ...] = (
+    (
+        "Inputs and outputs",
+        "Angles and speeds are counter-clockwise, torques positive into the drive at their flange.",
+        lambda v: v.causality in ("input", "output") and not v.dimensions,
+    ),
+    (
+        "Errors of the drive",
+        "They start from the FMU's error surface; setting one replaces what the surface has of it.",
+        lambda v: v.causality == "parameter" and v.baked and not v.dimensions,
+    ),
+    (
+        "Other parameters",
+        "`loss_table[i,j]` has a row for each of `--losses`, the first of which is told here.",
+        lambda v: v.causality == "parameter" and not v.baked and not v.dimensions,
+    ),
+    (
+        "In FMI 3.0 alone",
+        "The arrays have an element for each pin, in the order of the pins; each disc's follow the one before.",
+        lambda v: bool(v.dimensions) or v.causality == "independent",
+    ),
+)
+INTRODUCTION = f"""# FMU variables
+
+What an FMU of `cycloid-fmu build` has, in each [interface](../fmu.md): the causality of each variable, – where the
+interface lacks it. *Inertia inside* is the compliant interface with `--output-inertia`. FMI 2.0 and 3.0 have the same
+names and value references. In the FMU of an RV reducer `flange_a` is the sun. What a [native FMU](../native.md) has in
+its tables is a *constant* there: it can be read but not set.
+
+Values are in the first unit, those in brackets are display units. Ranges and starts are those of `examples/{EXAMPLE}`,
+and of a drive worn for 10⁶ crank turns; the model description in every FMU has its own.
+
+"""
+
+
+def tables() -> Iterator[tuple[str, tuple[Variable, ...]]]:
+    """(interface, its FMI 3.0 variables) of the example, worn so that nothing lacks."""
+    pair = read_pair(Path(__file__).parent.parent / "examples" / EXAMPLE)
+    flanks, pins = (2, pair.pair.discs, pair.pair.gear_teeth, 1, 1), (2, pair.pair.pins, 1, 1)
+    life = Life(np.array([0.0, 1e6]), np.zeros(flanks), np.zeros(pins), np.zeros(flanks), np.zeros(pins))
+    surface = dataclasses.replace(nominal_surface(pair), life=life)
+    for name, interface in INTERFACES.items():
+        yield name, variables(pair, surface, interface, "3.0")
+
+
+def in_native(variable: Variable) -> str:
+    """What a native FMU has of a variable."""
+    (kept,) = native_variables([variable]).values() or (None,)
+    return "–" if kept is None else "the same" if kept == variable else kept.variability
+
+
+def span(variable: Variable) -> str:
+    """The range that a value must lie in."""
+    least, most = ("" if v is None else f"{v:g}" for v in (variable.least, variable.most))
+    return f"{least} … {most}" if least and most else f"≥ {least}" if least else f"≤ {most}" if most else ""
+
+
+def start(variable: Variable) -> str:
+    """The value before one is set."""
+    if variable.start is None or variable.dimensions or variable.causality != "parameter":
+        return ""
+    return ("true" if variable.start else "false") if variable.kind == "boolean" else f"{variable.start:g}"
+
+
+def unit(variable: Variable) -> str:
+    """Unit with its display units, or the type of what is no real number."""
+    if variable.kind != "real":
+        return variable.kind
+    others = ", ".join(UNITS[variable.unit][1]) if variable.unit else ""
+    return f"{variable.unit or ''}{f' ({others})' if others else ''}"
+
+
+def row(name: str, found: dict[str, Variable]) -> list[str]:
+    """The cells of a variable, whose units, ranges and values all interfaces share."""
+    one = next(iter(found.values()))
+    shared = [one.variability, unit(one), span(one), start(one), in_native(one)]
+    assert all([v.variability, unit(v), span(v), start(v), in_native(v)] == shared for v in found.values()), name
+    meaning = "; or ".join(dict.fromkeys(v.description for v in found.values()))
+    causalities = [found[i].causality if i in found else "–" for i in INTERFACES]
+    return [f"`{name}`", *causalities, *shared, meaning]
+
+
+def lines(rows: Iterable[list[str]]) -> list[str]:
+    """A Markdown table without the columns that are empty in all rows."""
+    head = ["variable", *INTERFACES, "variability", "unit", "range", "start", "native", "meaning"]
+    columns = [c for c in zip(head, ["---"] * len(head), *rows, strict=True) if any(c[2:])]
+    return ["| " + " | ".join(cells) + " |" for cells in zip(*columns, strict=True)]
+
+
+def write(path: Path) -> None:
+    """Write the page."""
+    found: dict[str, dict[str, Variable]] = {}
+    for interface, table in tables():
+        for variable in table:
+            found.setdefault(variable.name, {})[interface] = variable
+    text = [INTRODUCTION]
+    for title, said, holds in SECTIONS:
+        rows = [row(name, each) for name, each in found.items() if holds(next(iter(each.values())))]
+        text += [f"## {title}", "", said, "", *lines(rows), ""]
+    path.parent.mkdir(exist_ok=True)
+    path.write_text("\n".join(text), encoding="utf-8")
