@@ -16,7 +16,7 @@ from rich.console import Console
 from cycloid_fmu import edge
 
 if TYPE_CHECKING:
-    import numpy as np
+    import numpy
     from numpy.typing import NDArray
 
     from cycloid_fmu.fmu.description import Version
@@ -382,7 +382,7 @@ def _build_native(
         )
     typer.echo(
         f"{output}: {output.stat().st_size / 1e6:.2f} MB, up to {made.positive.load[-1]:.5g} N*m; transmission error "
-        f"within {np.degrees(made.error['deviation_largest']) * 3600:.3f} arcsec of the exact model "
+        f"within {made.error['deviation_largest'] * edge.ARCSEC:.3f} arcsec of the exact model "
         f"({PROBES} random crank angles and torques)."
     )
 
@@ -419,7 +419,7 @@ MotionFile = Annotated[
 ]
 
 
-def _motion(fmu_file: Path, torque: str, turns: float, speed: str, samples: int) -> dict[str, NDArray[np.float64]]:
+def _motion(fmu_file: Path, torque: str, turns: float, speed: str, samples: int) -> dict[str, NDArray[numpy.float64]]:
     from cycloid_fmu.fmu.run import turn_crank
 
     load = edge.quantity_option(torque, "N*m", "--torque")
@@ -664,10 +664,12 @@ def budget(
         return
     values, closed = rv.values_of(reducer), found["standard"]
     terms = sorted((n for n in rv.TERMS if any(v[n] for v in found.values())), key=lambda n: -abs(closed[n]))
-    rows = [[n, f"{values[n] * 1e6:+.2f} µm", *(f"{found[v][n] / rv.ARCMIN:+.5f}" for v in rv.VARIANTS)] for n in terms]
+    rows = [
+        [n, f"{values[n] * 1e6:+.2f} µm", *(f"{found[v][n] * edge.ARCMIN:+.5f}" for v in rv.VARIANTS)] for n in terms
+    ]
     for name in ("interaction", *rv.STAGES, "total"):
         rows.append([f"[bold]{name}[/]", "", *(
-            f"{found[v][name] / rv.ARCMIN:+.5f}" if name in found[v] else "" for v in rv.VARIANTS
+            f"{found[v][name] * edge.ARCMIN:+.5f}" if name in found[v] else "" for v in rv.VARIANTS
         )])  # fmt: skip
     print_table(
         f"{reducer_file.name}: play at the output \\[arcmin], ratio {reducer.ratio:g}",
@@ -687,12 +689,12 @@ def budget(
         shown = rv.stack_summary(stack)
         rows = []
         for name in ("worst_case", "root_sum_square"):
-            rows.append([name.replace("_", " "), *(f"{v / rv.ARCMIN:.4f}" for v in shown[name]), "", ""])
+            rows.append([name.replace("_", " "), *(f"{v * edge.ARCMIN:.4f}" for v in shown[name]), "", ""])
         for name in stack.samples:
             one = shown["monte_carlo"][name]
             low, high = one["interval"]
             rows.append(
-                [f"Monte Carlo, {name}", *(f"{v / rv.ARCMIN:.4f}" for v in (*one["central"], one["mean"])),
+                [f"Monte Carlo, {name}", *(f"{v * edge.ARCMIN:.4f}" for v in (*one["central"], one["mean"])),
                  f"{one['interfering']:.1%} ({low:.1%} … {high:.1%})"]
             )  # fmt: skip
         print_table("Total play within the tolerances \\[arcmin]",

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 ARCSEC = 648000.0 / math.pi
 """Arcseconds in a radian: what people are shown."""
+ARCMIN = ARCSEC / 60.0
 
 _NUMBER = r"[+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?"
 _QUANTITY = re.compile(rf"({_NUMBER}) (\S.*)")

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.edge import ARCSEC
+from cycloid_fmu.edge import ARCMIN, ARCSEC
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -60,7 +60,7 @@ def plot_analysis(data: xr.Dataset) -> Figure:
         "backlash": ("backlash [arcsec]", ARCSEC),
         "contact_count": ("pins in contact", 1.0),
         "max_contact_pressure": ("largest pressure [MPa]", 1e-6),
-        "torsional_stiffness": ("stiffness [N·m/arcmin]", np.pi / 10800.0),
+        "torsional_stiffness": ("stiffness [N·m/arcmin]", 1.0 / ARCMIN),
     }
     single = ("backlash",)
     for axis, (name, (label, factor)) in zip(axes, panels.items(), strict=False):
@@ -159,7 +159,7 @@ def plot_budget(found: Mapping[str, Mapping[str, float]], stack: object = None) 
 
     The line is the closed form's cumulative share of all terms' amounts; `stack` is a `reducer.Stack` or None.
     """
-    from cycloid_fmu.reducer import ARCMIN, TERMS, Stack
+    from cycloid_fmu.reducer import TERMS, Stack
 
     closed, exact = found["standard"], found["geometric_sun_locked"]
     names = sorted(TERMS, key=lambda n: -abs(closed[n]))
@@ -172,7 +172,7 @@ def plot_budget(found: Mapping[str, Mapping[str, float]], stack: object = None) 
     place = np.arange(len(names))
     for shift, terms, label in ((-0.2, closed, "closed form"), (0.2, exact, "contact model, sun locked")):
         axis.bar(
-            place + shift, [terms[n] / ARCMIN for n in names], 0.38, label=f"{label}: {terms['total'] / ARCMIN:.3f}′"
+            place + shift, [terms[n] * ARCMIN for n in names], 0.38, label=f"{label}: {terms['total'] * ARCMIN:.3f}′"
         )
     axis.axhline(0.0, color="k", lw=0.8)
     axis.set(ylabel="play at the output [arcmin]")
@@ -187,12 +187,12 @@ def plot_budget(found: Mapping[str, Mapping[str, float]], stack: object = None) 
         assert isinstance(stack, Stack)
         axis = figure.add_subplot(grid[3:])
         for name, label in (("standard", "closed form"), ("geometric", "contact model, sun locked")):
-            axis.hist(stack.samples[name] / ARCMIN, bins=40, alpha=0.5, density=True, label=label)
+            axis.hist(stack.samples[name] * ARCMIN, bins=40, alpha=0.5, density=True, label=label)
         for span, label, height in (
             (stack.worst_case, "worst case", 1.06),
             (stack.root_sum_square, "root sum square", 1.14),
         ):
-            axis.plot([v / ARCMIN for v in span], [height] * 2, "|-", transform=axis.get_xaxis_transform(),
+            axis.plot([v * ARCMIN for v in span], [height] * 2, "|-", transform=axis.get_xaxis_transform(),
                       clip_on=False, label=label)  # fmt: skip
         axis.set(xlabel="total play [arcmin]", ylabel="density")
         axis.legend(fontsize=8, frameon=False)
@@ -291,7 +291,7 @@ def plot_simulation(results: Mapping[str, NDArray[np.float64]]) -> Figure:
 DIFFERENCE_UNITS = {
     "flange_a.phi": ("arcsec", ARCSEC), "flange_b.phi": ("arcsec", ARCSEC), "transmission_error": ("arcsec", ARCSEC),
     "backlash": ("arcsec", ARCSEC), "flange_a.w": ("rad/s", 1.0), "flange_b.w": ("rad/s", 1.0),
-    "flange_a.tau": ("N·m", 1.0), "flange_b.tau": ("N·m", 1.0), "torsional_stiffness": ("N·m/arcmin", np.pi / 10800.0),
+    "flange_a.tau": ("N·m", 1.0), "flange_b.tau": ("N·m", 1.0), "torsional_stiffness": ("N·m/arcmin", 1.0 / ARCMIN),
     "max_contact_pressure": ("MPa", 1e-6), "power_loss": ("W", 1.0), "elastic_energy": ("J", 1.0),
     "dissipated_energy": ("J", 1.0),
 }  # fmt: skip

@@ -18,7 +18,7 @@ import pydantic
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import contact, edge
-from cycloid_fmu.edge import Angle, Config
+from cycloid_fmu.edge import ARCMIN, Angle, Config
 from cycloid_fmu.fmu.reducer_model import FirstStage
 from cycloid_fmu.pair import LARGEST_DEVIATION, Pair, PositiveLength
 from cycloid_fmu.sampling import Distribution, error_stream, within_tolerance
@@ -29,7 +29,6 @@ Array = NDArray[np.float64]
 Variant = Literal["standard", "as_printed", "geometric", "geometric_sun_locked"]
 VARIANTS: tuple[Variant, ...] = ("standard", "as_printed", "geometric", "geometric_sun_locked")
 FORMAT = "cycloid-reducer/1"
-ARCMIN = math.pi / 10800.0
 STAGES = ("involute", "cycloid", "bearings")
 # Of the closed form a term is called contradicted where the contact model differs by more than this share of it.
 _AGREES = 0.05
@@ -384,14 +383,14 @@ def as_printed(reducer: Reducer, values: Mapping[str, ArrayLike]) -> dict[str, A
     mm = {name: 1e3 * np.asarray(value, dtype=float) for name, value in values.items()}
     e, circle = 1e3 * g.eccentricity, 1e3 * g.pin_circle_radius
     d = e * g.gear_teeth
-    rooted = {"isometric_modification": 2.0 * s / d / ARCMIN, "offset_modification": -2.0 * s / d / ARCMIN}
+    rooted = {"isometric_modification": 2.0 * s / d * ARCMIN, "offset_modification": -2.0 * s / d * ARCMIN}
     bare = {name: factor / d for name, factor in _factors(k, s).items() if name not in rooted}
     moving = mm["isometric_modification"] / (e * d)
     moving = moving - (g.gear_teeth / (e * circle**2 * s) + s / d) * mm["offset_modification"]
     return {
         **_outer_stages(reducer, values, _stated_base_radius(reducer)),
-        **{name: factor * mm[name] * ARCMIN for name, factor in {**rooted, **bare}.items()},
-        "eccentricity": -2.0 * moving * mm["eccentricity"] * ARCMIN,
+        **{name: factor * mm[name] / ARCMIN for name, factor in {**rooted, **bare}.items()},
+        "eccentricity": -2.0 * moving * mm["eccentricity"] / ARCMIN,
     }
 
 
@@ -555,9 +554,9 @@ def remarks(reducer: Reducer, found: Mapping[str, Mapping[str, float]]) -> dict[
         a, b = closed[name], exact[name]
         if abs(a - b) <= _AGREES * abs(a) + 1e-9:
             continue
-        text = f"geometry gives {b / ARCMIN:+.4f}′"
+        text = f"geometry gives {b * ARCMIN:+.4f}′"
         if name == "gear_runout":
-            swing = runout_error(reducer, values[name]) / ARCMIN
+            swing = runout_error(reducer, values[name]) * ARCMIN
             text += f": as an eccentricity it is a transmission error, {swing:.3f}′ peak to peak, not play"
         elif name == "tooth_cumulative_pitch":
             text += ": the closed form is only a bound"
@@ -567,9 +566,9 @@ def remarks(reducer: Reducer, found: Mapping[str, Mapping[str, float]]) -> dict[
             text += ": the other sign"
         else:
             alone = play_alone(reducer, name, values[name])
-            text += f", and {alone / ARCMIN:+.4f}′ with nothing else off"
+            text += f", and {alone * ARCMIN:+.4f}′ with nothing else off"
             if abs(a - unstated[name]) > 0.5 * abs(a - alone):
-                text += f" (closed form with the shortening of the pin circle radius: {unstated[name] / ARCMIN:+.4f}′)"
+                text += f" (closed form with the shortening of the pin circle radius: {unstated[name] * ARCMIN:+.4f}′)"
         said[name] = text
     return said
 

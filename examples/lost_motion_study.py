@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from cycloid_fmu.cli import print_table
+from cycloid_fmu.edge import ARCMIN
 from cycloid_fmu.plots import new_figure, save
-from cycloid_fmu.reducer import ARCMIN, TERMS, as_printed, budget, read_reducer, shaft_tilt, summed, values_of
+from cycloid_fmu.reducer import TERMS, as_printed, budget, read_reducer, shaft_tilt, summed, values_of
 
 HERE = Path(__file__).parent
 # Table 10: tilt of the output disk and of the input shaft, degrees, and the lost motion, arcmin.
@@ -41,7 +42,7 @@ def printed_at(tilt: float) -> tuple[float, float]:
     involute = reducer.involute.model_copy(update={"shaft_tilt": np.radians(tilt)})
     tilted = reducer.model_copy(update={"involute": involute})
     plays = summed(as_printed(tilted, values_of(tilted)))
-    return float(plays["total"]) / ARCMIN, float(plays["involute"]) / ARCMIN
+    return float(plays["total"]) * ARCMIN, float(plays["involute"]) * ARCMIN
 
 
 rows, plays = [], []
@@ -60,7 +61,7 @@ print_table(
     "pressure angle that it needs"], rows,
 )  # fmt: skip
 print_table("Lost motion of tables 8 and 9", ["variant", "involute", "cycloid", "bearings", "total"], [
-    [name.replace("_", " "), *(f"{terms[k] / ARCMIN:.4f}′" for k in ("involute", "cycloid", "bearings", "total"))]
+    [name.replace("_", " "), *(f"{terms[k] * ARCMIN:.4f}′" for k in ("involute", "cycloid", "bearings", "total"))]
     for name, terms in found.items()
 ] + [["the paper's headline", "", "", "", f"{HEADLINE:.4f}′"]])  # fmt: skip
 moved = max(plays) - min(plays)
@@ -84,7 +85,7 @@ place, height = np.arange(len(TERMS)), 0.27
 for k, (variant, label) in enumerate(
     (("standard", "standard"), ("as_printed", "equation 21 as printed"), ("geometric", "contact model, crank locked"))
 ):
-    axes[2].bar(place + (k - 1) * height, [found[variant][n] / ARCMIN for n in TERMS], height, label=label)
+    axes[2].bar(place + (k - 1) * height, [found[variant][n] * ARCMIN for n in TERMS], height, label=label)
 axes[2].set(ylabel="play [arcmin]", title="Tables 8 and 9: what each amount makes")
 axes[2].set_xticks(place, [n.replace("_", " ") for n in TERMS], rotation=30, ha="right", fontsize=8)
 axes[2].legend(frameon=False)

@@ -11,14 +11,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cycloid_fmu.edge import ARCSEC
+from cycloid_fmu.edge import ARCMIN, ARCSEC
 from cycloid_fmu.pair import Pair
 from fitting.curve import Curve, Spectrum
 from fitting.metrics import Figures, LoopData, back_driving_torques, loop_marks, starting_torques
 
 Array = NDArray[np.float64]
 
-ARCMIN = ARCSEC / 60.0
 _MIDDLE = 0.12  # share of the rated torque that the middle of a loop shows
 _NAMED = 14  # orders that bear their names
 

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cycloid_fmu import edge, reducer
+from cycloid_fmu.edge import ARCMIN
 from cycloid_fmu.reducer import (
-    ARCMIN,
     TERMS,
     budget,
     contact_play,
@@ -50,13 +50,13 @@ def found():
     ],
 )
 def test_the_paper_s_tables_give_what_was_checked(found, variant, part, arcmin):
-    assert found[variant][part] / ARCMIN == pytest.approx(arcmin, abs=1e-6)
+    assert found[variant][part] * ARCMIN == pytest.approx(arcmin, abs=1e-6)
 
 
 def test_the_headline_is_the_typesetting_s(found):
     """0.5467′ published: the correct formula is far from it, the one as typeset within half a per cent."""
-    assert found["as_printed"]["total"] / ARCMIN == pytest.approx(0.5467, rel=5e-3)
-    assert found["standard"]["total"] / ARCMIN > 3 * 0.5467
+    assert found["as_printed"]["total"] * ARCMIN == pytest.approx(0.5467, rel=5e-3)
+    assert found["standard"]["total"] * ARCMIN > 3 * 0.5467
 
 
 def test_terms_add_up_in_every_variant(found):
@@ -69,8 +69,8 @@ def test_terms_add_up_in_every_variant(found):
 def test_printed_k_n_moves_the_sum_to_what_was_checked(found):
     """1.969309′ with the K_n of equation 17, whose second bracket adds 1/m³ to 1/m, in millimetres."""
     without = found["standard"]["total"] - found["standard"]["eccentricity"]
-    printed = found["as_printed"]["eccentricity"] / ARCMIN  # bare radians, added to arcminutes there
-    assert (without + printed) / ARCMIN == pytest.approx(1.969309, abs=1e-6)
+    printed = found["as_printed"]["eccentricity"] * ARCMIN  # bare radians, added to arcminutes there
+    assert (without + printed) * ARCMIN == pytest.approx(1.969309, abs=1e-6)
 
 
 def test_ratio_is_the_paper_s():
@@ -91,7 +91,7 @@ def test_tilt_does_not_explain_table_10():
         update={"involute": RV.involute.model_copy(update={"shaft_tilt": np.radians(3.44e-5)})},
     )
     change = summed(standard(tilted, values_of(tilted)))["total"] - summed(standard(RV, values_of(RV)))["total"]
-    assert abs(change) / ARCMIN < 1e-9
+    assert abs(change) * ARCMIN < 1e-9
 
 
 @pytest.mark.parametrize("radius", ["50 mm", "52 mm"])
@@ -123,7 +123,7 @@ def test_eccentricity_takes_play_away_whatever_its_sign():
 
     def mean(error):
         surface = surface_of_reducer(RV, amounts | {"eccentricity": error})
-        return contact_play(RV, surface, 391).backlash.mean() / ARCMIN
+        return contact_play(RV, surface, 391).backlash.mean() * ARCMIN
 
     longer, shorter = mean(5e-6) - mean(0.0), mean(-5e-6) - mean(0.0)
     assert longer == pytest.approx(-0.104, abs=1e-3)
@@ -142,7 +142,7 @@ def test_runout_is_a_transmission_error():
     swing = runout_error(RV, 15e-6)
     g = RV.stage.pair
     assert swing == pytest.approx(15e-6 / (g.eccentricity * g.gear_teeth), rel=5e-3)
-    assert swing / ARCMIN == pytest.approx(1.465, rel=6e-3)
+    assert swing * ARCMIN == pytest.approx(1.465, rel=6e-3)
     closed = float(standard(RV, values_of(RV))["gear_runout"])
     assert -0.2 * closed < play_alone(RV, "gear_runout", 15e-6) < 0.0 < closed
 
@@ -307,7 +307,7 @@ def test_budget_from_the_command_line(command, tmp_path):
     assert (tmp_path / "b.png").stat().st_size > 20000
     run = command("cycloid-fmu", "budget", "rv-20e.toml", "--samples", 100, "--json")
     content = json.loads(run.stdout)
-    assert content["standard"]["total"] / ARCMIN == pytest.approx(1.968910, abs=1e-6)
+    assert content["standard"]["total"] * ARCMIN == pytest.approx(1.968910, abs=1e-6)
     assert set(content["remarks"]) >= {"gear_runout", "tooth_cumulative_pitch", "eccentricity"}
     assert content["stack"]["samples"] == 100
     (tmp_path / "bad.toml").write_text(TEXT.replace('"27.5 mm"', "27.5"))
