@@ -52,8 +52,11 @@ EXAMPLES = HERE / "generated" / "examples"
 
 
 def fresh_examples() -> None:
-    """Copy the examples to where what they write does no harm."""
+    """Copy the examples to where what they write does no harm, and take away the pages of those that are gone."""
     shutil.rmtree(EXAMPLES, ignore_errors=True)
+    for page in (HERE / "gallery").glob("*.rst"):
+        if not (HERE.parent / "examples" / f"{page.stem}.py").exists():
+            page.unlink()
     shutil.copytree(HERE.parent / "examples", EXAMPLES, ignore=shutil.ignore_patterns("__pycache__", "*_out"))
     (EXAMPLES / "GALLERY_HEADER.rst").write_text(
         "Gallery\n=======\n\nEvery picture and every number below was made by the example while this site was built.\n",

@@ -1,88 +1,172 @@
-"""Measure anew what docs/measured.md states: `python docs/measure.py` (an hour on two cores; --quick: some minutes).
+"""Measure anew what docs/measured.md states: `python docs/measure.py` (hours; --quick: a tenth of each study).
 
-Speed comes from the benchmarks, accuracy, coverage and the fault table from what the tests themselves record. The page
-says on which machine; nothing in it is typed in.
+Speed comes from the benchmarks; accuracy, coverage of intervals and the fault table from what the tests themselves
+record; how much of the code the tests run through from coverage.py. Every part is kept in `docs/generated` as it ends,
+so the same command goes on after an interruption; a change of code, tests or benchmarks begins anew.
 """
 
 import argparse
+import ast
+import hashlib
 import json
 import os
 import platform
+import resource
 import subprocess
 import sys
-import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
 ROOT = Path(__file__).parent.parent
 PAGE = Path(__file__).parent / "measured.md"
-QUICK = {"CYCLOID_SEEDS": "10", "CYCLOID_KILLS": "30", "CYCLOID_MUTATIONS": "1e5"}
+PACKAGES = ("cycloid_fmu", "fitting", "drivers")
+QUICK = {"CYCLOID_SEEDS": "10", "CYCLOID_KILLS": "30", "CYCLOID_MUTATIONS": "1e5", "CYCLOID_STEPS": "1e4"}
+BENCHMARKS = sorted(p.stem for p in (ROOT / "benchmarks").glob("test_*.py"))
+STUDIES = {name: [f"tests/{name}"] for name in ("cycloid_fmu", "fitting", "drivers", "native")}
+STUDIES["together"] = sorted(f"tests/{p.name}" for p in (ROOT / "tests").glob("test_*.py"))
+# The kernels' lines are seen where they are interpreted.
+INTERPRETED = ["tests/cycloid_fmu/test_contact.py", "tests/cycloid_fmu/test_reference_cases.py::test_reference_case"]
 
 
-def run(words: list[str], environment: dict[str, str]) -> None:
-    """Run pytest; what fails is said by it and left out of the page."""
-    subprocess.run([sys.executable, "-m", "pytest", "-q", *words], cwd=ROOT, env=environment, check=False)
+def parts(folder: Path) -> Iterator[tuple[str, Path, list[list[str]], dict[str, str]]]:
+    """(name, its report, calls of pytest that make it, environment) of each part."""
+    for name in BENCHMARKS:
+        report = folder / f"{name}.json"
+        yield name, report, [[f"benchmarks/{name}.py", f"--benchmark-json={report}.part"]], {}
+    parallel = ["-n", "auto", "-o", "junit_family=xunit1"]
+    report = folder / "default.xml"
+    yield "the default tests", report, [[*parallel, f"--junitxml={report}.part"]], {}
+    for name, paths in STUDIES.items():
+        report = folder / f"slow-{name}.xml"
+        yield f"slow tests, {name}", report, [[*paths, "-m", "slow", *parallel, f"--junitxml={report}.part"]], {}
+    report, lines = folder / "coverage.json", ["--cov", "--cov-branch", "--cov-report="]
+    calls = [["-n", "auto", *lines], [*INTERPRETED, *lines, "--cov-append", f"--cov-report=json:{report}.part"]]
+    yield "coverage", report, calls, {"COVERAGE_FILE": str(folder / "coverage.data")}
 
 
-def rows_of_benchmarks(report: Path) -> Iterator[list[str]]:
-    """(file, benchmark, median, further figures) of each benchmark."""
-    for one in json.loads(report.read_text(encoding="utf-8"))["benchmarks"]:
-        median = one["stats"]["median"]
-        unit, scale = next((u, s) for u, s in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6), ("ns", 1e-9)) if median >= s)
-        further = "; ".join(f"{name}: {value}" for name, value in one["extra_info"].items())
-        yield [Path(one["fullname"].split("::")[0]).stem, one["name"], f"{median / scale:.3g} {unit}", further]
-
-
-def rows_of_tests(report: Path) -> Iterator[list[str]]:
-    """(file, test, what, figure) that a passed test recorded; and each row of the fault table."""
-    for case in ElementTree.parse(report).iter("testcase"):
-        if any(case.find(bad) is not None for bad in ("failure", "error", "skipped")):
-            continue
-        module, name = case.get("classname", "").rsplit(".", 1)[-1], case.get("name", "")
-        found = [(p.get("name", ""), p.get("value", "")) for p in case.iter("property")]
-        if module == "test_faults":
-            found.append(("fault", "held"))
-        yield from ([module, name, what, figure] for what, figure in found)
+def measured(name: str, report: Path, calls: list[list[str]], environment: dict[str, str]) -> None:
+    """Make one part's report unless it is there, with what it took; what fails is not in the page."""
+    if report.exists():
+        return
+    print(f"== {name}", flush=True)
+    before, begin, load = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter(), os.getloadavg()[0]
+    for words in calls:
+        interpreted = {"NUMBA_DISABLE_JIT": "1"} if "--cov-append" in words else {}
+        done = subprocess.run(
+            [sys.executable, "-m", "pytest", "-q", *words], cwd=ROOT, env={**environment, **interpreted}, check=False
+        )
+        if done.returncode not in (0, 1, 5):  # all passed, some failed, none there
+            raise SystemExit(f"{name}: pytest ended with status {done.returncode}; the parts before are kept.")
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    processor = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    took = {"seconds": time.perf_counter() - begin, "processor": processor, "load": [load, os.getloadavg()[0]]}
+    report.with_suffix(".took").write_text(json.dumps(took), encoding="utf-8")
+    os.replace(f"{report}.part", report)
 
 
 def table(head: list[str], rows: list[list[str]]) -> str:
     """A Markdown table."""
     lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
+    return "\n".join("| " + " | ".join(str(cell).replace("|", "\\|") for cell in line) + " |" for line in lines)
+
+
+def took(report: Path) -> str:
+    """What a part took, in words."""
+    one = json.loads(report.with_suffix(".took").read_text(encoding="utf-8"))
+    low, high = sorted(one["load"])
+    return f"{one['seconds']:.0f} s, {one['processor']:.0f} s of processors, load {low:.1f} to {high:.1f}"
+
+
+def speed(report: Path) -> Iterator[str]:
+    """One benchmark file: what it measures against what, and its figures."""
+    text = (ROOT / "benchmarks" / f"{report.stem}.py").read_text(encoding="utf-8")
+    yield f"### {report.stem}"
+    yield (ast.get_docstring(ast.parse(text)) or "") + f" ({took(report)})"
+    rows = []
+    for one in json.loads(report.read_text(encoding="utf-8"))["benchmarks"]:
+        median = one["stats"]["median"]
+        unit, scale = next((u, s) for u, s in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6), ("ns", 0.0)) if median >= s)
+        further = "; ".join(f"{name}: {value}" for name, value in one["extra_info"].items())
+        rows.append([one["name"], f"{median / (scale or 1e-9):.3g} {unit}", further])
+    yield table(["benchmark", "median", "beside it"], rows)
+
+
+def recorded(report: Path) -> Iterator[list[str]]:
+    """(file, test, what, figure) that a passed test recorded; and each row of the fault table."""
+    for case in ElementTree.parse(report).iter("testcase"):
+        if any(case.find(bad) is not None for bad in ("failure", "error", "skipped")):
+            continue
+        module, name = case.get("classname", "").rsplit(".", 1)[-1], case.get("name", "")
+        yield from ([module, name, p.get("name", ""), p.get("value", "")] for p in case.iter("property"))
+        if module == "test_faults":
+            yield [module, name, "fault", ""]
+
+
+def run_through(report: Path) -> str:
+    """Share of lines and branches that the default tests run through, by package."""
+    files = json.loads(report.read_text(encoding="utf-8"))["files"]
+    rows = []
+    for package in (*PACKAGES, "all"):
+        found = [f["summary"] for name, f in files.items() if package in (Path(name).parts[0], "all")]
+        cells = [package]
+        for covered, every in (("covered_lines", "num_statements"), ("covered_branches", "num_branches")):
+            some, whole = (sum(f[key] for f in found) for key in (covered, every))
+            cells.append(f"{100.0 * some / whole:.1f} % of {whole}" if whole else "")
+        rows.append(cells)
+    return table(["package", "lines", "branches"], rows)
+
+
+def counted(report: Path) -> str:
+    """How many tests a report has, and how they ended."""
+    (suite,) = ElementTree.parse(report).iter("testsuite")
+    return ", ".join(f"{suite.get(kind)} {said}" for kind, said in (
+        ("tests", "tests"), ("failures", "failed"), ("errors", "errors"), ("skipped", "skipped"),
+    ) if kind == "tests" or suite.get(kind) != "0")  # fmt: skip
+
+
+def page(folder: Path, quick: bool) -> str:
+    """The page, from the parts' reports."""
+    machine = json.loads((folder / f"{BENCHMARKS[0]}.json").read_text(encoding="utf-8"))["machine_info"]
+    tests = [folder / "default.xml", *(folder / f"slow-{name}.xml" for name in STUDIES)]
+    rows = [row for report in tests for row in recorded(report)]
+    return "\n\n".join(
+        [
+            "# Measured figures",
+            f"By `python docs/measure.py{' --quick' if quick else ''}` on "
+            f"{machine['cpu'].get('brand_raw', machine['machine'])}, {os.cpu_count()} cores, {platform.system()}, "
+            f"Python {machine['python_version']}. Ratios are of one run, each against the baseline that its benchmark "
+            "names; times are medians.",
+            "## Speed",
+            *(line for name in BENCHMARKS for line in speed(folder / f"{name}.json")),
+            "## Accuracy and coverage",
+            table(["file", "test", "what", "figure"], [row for row in rows if row[2] != "fault"]),
+            "## Faults that a recording survives",
+            table(["test that passed"], [[name] for _, name, what, _ in rows if what == "fault"]),
+            "## Tests",
+            table(["part", "tests", "took"], [[r.stem, counted(r), took(r)] for r in tests]),
+            "What the default tests run through, the contact kernels interpreted:",
+            run_through(folder / "coverage.json"),
+        ]
+    )
 
 
 def main() -> None:
-    """Run benchmarks and tests, then write the page."""
+    """Measure the parts that are not there yet, then write the page."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="a tenth of the studies")
     quick = parser.parse_args().quick
+    digest = hashlib.sha256(repr(quick).encode())
+    for top in (*PACKAGES, "tests", "benchmarks"):
+        for path in sorted(p for ending in ("py", "c", "h") for p in (ROOT / top).rglob(f"*.{ending}")):
+            digest.update(path.read_bytes())
+    folder = PAGE.parent / "generated" / f"measured-{digest.hexdigest()[:12]}"
+    folder.mkdir(parents=True, exist_ok=True)
     environment = {**os.environ, **(QUICK if quick else {})}
-    with tempfile.TemporaryDirectory() as folder:
-        speed, facts = Path(folder, "speed.json"), Path(folder, "facts.xml")
-        run(["benchmarks", f"--benchmark-json={speed}"], environment)
-        run(["tests", "-m", "slow or not slow", f"--junitxml={facts}", "-o", "junit_family=xunit1"], environment)
-        machine = json.loads(speed.read_text(encoding="utf-8"))["machine_info"]
-        recorded = list(rows_of_tests(facts))
-        faults = [[name] for _, name, what, _ in recorded if what == "fault"]
-        figures = [row for row in recorded if row[2] != "fault"]
-        cpu = machine["cpu"]
-        text = "\n\n".join(
-            [
-                "# Measured figures",
-                f"By `python docs/measure.py{' --quick' if quick else ''}` on "
-                f"{cpu.get('brand_raw', machine['machine'])}, {os.cpu_count()} cores, {platform.system()}, Python "
-                f"{machine['python_version']}. Ratios are of one run, each against the baseline that its benchmark "
-                "names; times are medians.",
-                "## Speed",
-                table(["file", "benchmark", "median", "beside it"], list(rows_of_benchmarks(speed))),
-                "## Accuracy and coverage",
-                table(["file", "test", "what", "figure"], figures),
-                "## Faults that a recording survives",
-                table(["test that passed"], faults),
-            ]
-        )
-    PAGE.write_text(text + "\n", encoding="utf-8")
+    for name, report, calls, further in parts(folder):
+        measured(name, report, calls, {**environment, **further})
+    PAGE.write_text(page(folder, quick) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
