@@ -124,7 +124,7 @@ def allocate(
     if not limits:
         raise edge.InputError(f"{source}: [limits] is missing; a yield needs at least one limit.")
     if not 0.0 < target < 1.0:
-        raise edge.InputError(f"--allocate {target:g}: the yield to reach must lie between 0 and 1.")
+        raise edge.InputError(f"--allocate = {target:g}: the yield to reach must lie between 0 and 1.")
     nominal = demand(study, figures_of(study, nominal_surface(study.pair))[None])
     for name, taken in nominal.items():
         if taken[0] > 1.0:
@@ -175,7 +175,7 @@ def allocate(
         narrower *= 0.99
         if narrower * scale.max() < NARROWEST:
             raise edge.InputError(
-                f"--allocate {target:g}: no tolerances of {source}, narrowed to {NARROWEST:g} of their width, reach it."
+                f"--allocate = {target:g}: no tolerances of {source}, narrowed to {NARROWEST:g} of their width, do."
             )
     others = dataclasses.replace(study, seed=study.seed + 1)
     while True:

@@ -75,7 +75,9 @@ def _bar(what: str, total: int) -> Iterator[Callable[[int], None]]:
 def analyze(
     pair_file: PairFile,
     torque: Annotated[list[str], typer.Option(help='Torque on the output, such as "-181 N*m"; may be repeated.')],
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the dataset (netCDF).")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="OUT.nc", help="Write the dataset (netCDF).")
+    ] = None,
     surface_file: SurfaceFile = None,
     angles: Annotated[int, typer.Option(min=1, help="Crank angles, evenly from 0, end excluded.")] = 360,
     turns: Annotated[int, typer.Option(min=1, help="Crank turns that they span.")] = 1,
@@ -153,7 +155,7 @@ surface_app = typer.Typer(no_args_is_help=True, help="Make error surfaces.")
 app.add_typer(surface_app, name="surface")
 
 
-SurfaceOutput = Annotated[Path, typer.Option("-o", "--output", help="The surface file (netCDF).")]
+SurfaceOutput = Annotated[Path, typer.Option("--output", "-o", metavar="SURFACE.nc", help="The surface file (netCDF).")]
 
 
 @surface_app.command()
@@ -214,7 +216,9 @@ def measured(
     points_file: Annotated[
         Path,
         typer.Option(
-            "--points", metavar="CMM.csv", help="Points of flanks and pins: body,disc,number,x [mm],y [mm],z [mm]."
+            "--points",
+            metavar="CMM.csv",
+            help="Points of flanks and pins: body,disc,number,x \\[mm],y \\[mm],z \\[mm].",
         ),
     ],
     output: SurfaceOutput,
@@ -266,7 +270,7 @@ def build(
     pair_file: Annotated[
         Path, typer.Argument(metavar="PAIR.toml", help="The gear pair, or an RV reducer (cycloid-reducer/1).")
     ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="The FMU file.")],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DRIVE.fmu", help="The FMU file.")],
     surface_file: SurfaceFile = None,
     interface: Annotated[
         str,
@@ -284,7 +288,7 @@ def build(
         Path | None,
         typer.Option(
             metavar="LOSSES.csv",
-            help="Losses: speed [rpm],eta_mf1 [1],eta_mf2 [1],tau_bf1 [N*m],tau_bf2 [N*m], as Modelica's LossyGear.",
+            help="Losses: speed \\[rpm],eta_mf1 [1],eta_mf2 [1],tau_bf1 [N*m],tau_bf2 [N*m], as Modelica's LossyGear.",
         ),
     ] = None,
     fmi: Annotated[str, typer.Option(help="FMI version, 2.0 or 3.0.")] = "2.0",
@@ -308,11 +312,11 @@ def build(
     from cycloid_fmu.surface import check_surface, read_surface
 
     if output.suffix != ".fmu":
-        raise edge.InputError(f"--output {output}: the name must end in .fmu.")
+        raise edge.InputError(f"--output = {output}: the name must end in .fmu.")
     if interface not in INTERFACES:
-        raise edge.InputError(f"--interface {interface}: it must be one of {', '.join(INTERFACES)}.")
+        raise edge.InputError(f"--interface = {interface}: it must be one of {', '.join(INTERFACES)}.")
     if fmi not in ("2.0", "3.0"):
-        raise edge.InputError(f"--fmi {fmi}: it must be 2.0 or 3.0.")
+        raise edge.InputError(f"--fmi = {fmi}: it must be 2.0 or 3.0.")
     inertia = 0.0 if output_inertia is None else edge.quantity_option(output_inertia, "kg*m^2", "--output-inertia")
     table = LOSSLESS if losses is None else builder.read_losses(losses)
     offered = Interface(interface, inertia, table)  # type: ignore[arg-type]
@@ -414,7 +418,7 @@ MotionFile = Annotated[
     typer.Option(
         "--input",
         metavar="MOTION.csv",
-        help="The inputs over time: time [s] and a column each, such as flange_a.phi [rad]; a recording will do.",
+        help="The inputs over time: time \\[s] and a column each, such as flange_a.phi \\[rad]; a recording will do.",
     ),
 ]
 
@@ -439,7 +443,9 @@ def simulate(
     speed: Annotated[str, typer.Option(help="Crank speed.")] = "600 rpm",
     samples: Annotated[int, typer.Option(min=2, help="Samples for each crank turn.")] = 360,
     motion: MotionFile = None,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the results (CSV).")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="RUN.csv", help="Write the results (CSV).")
+    ] = None,
     plot: PlotFile = None,
     as_json: AsJson = False,
 ) -> None:
@@ -538,7 +544,8 @@ def wear(
         ),
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Write the worn surface and its life (netCDF).")
+        Path | None,
+        typer.Option("--output", "-o", metavar="WORN.nc", help="Write the worn surface and its life (netCDF)."),
     ] = None,
     surface_file: SurfaceFile = None,
     plot: PlotFile = None,
@@ -560,7 +567,7 @@ def wear(
     if plot is not None:
         plots.check_path(plot)
     if output is not None and output.suffix != ".nc":
-        raise edge.InputError(f"--output {output}: the name must end in .nc.")
+        raise edge.InputError(f"--output = {output}: the name must end in .nc.")
     load = None if torque is None else edge.quantity_option(torque, "N*m", "--torque")
     law = read_wear_law(wear_file)
     loads, turns = duty_cycle(law, load, crank_turns, duty_file, str(wear_file))
@@ -735,7 +742,12 @@ def tolerance(
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", help="Write the study (netCDF); what is done is kept beside it until then."),
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="STUDY.nc",
+            help="Write the study (netCDF); what is done is kept beside it until then.",
+        ),
     ] = None,
     plot: PlotFile = None,
     as_json: AsJson = False,
@@ -757,7 +769,7 @@ def tolerance(
     if plot is not None:
         plots.check_path(plot)
     if design not in study_of.DESIGNS:
-        raise edge.InputError(f"--design {design}: it must be one of {', '.join(study_of.DESIGNS)}.")
+        raise edge.InputError(f"--design = {design}: it must be one of {', '.join(study_of.DESIGNS)}.")
     pair, tolerances = read_pair(pair_file), read_tolerances(tolerances_file)
     rated = pair.pair.rated_torque
     if torque is None and rated is None:
@@ -768,7 +780,7 @@ def tolerance(
     if screen is not None or allocate is not None:
         study_of.check_first_order(study, str(tolerances_file))
     if screen is not None and not 0.0 < screen <= 1.0:
-        raise edge.InputError(f"--screen {screen:g}: the share must lie between 0 and 1.")
+        raise edge.InputError(f"--screen = {screen:g}: the share must lie between 0 and 1.")
     kept = None
     if output is not None and screen is None:
         kept = study_of.Checkpoint(output.with_name(output.name + ".checkpoint"), study)

@@ -31,7 +31,14 @@ extensions = [
 root_doc = "index"
 exclude_patterns = ["_build", "generated/examples"]
 html_theme = "pydata_sphinx_theme"
-html_theme_options = {"show_toc_level": 2, "navigation_with_keys": False, "secondary_sidebar_items": ["page-toc"]}
+html_theme_options = {
+    "show_toc_level": 2,
+    "navigation_with_keys": False,
+    "header_links_before_dropdown": 3,
+    "secondary_sidebar_items": ["page-toc"],
+}
+ALONE = [*(page.stem for page in HERE.glob("*.md")), "tutorials/*", "generated/*", "reference/commands"]
+html_sidebars = {page: [] for page in ALONE}  # pages that are their whole section
 html_title = "cycloid-fmu"
 html_show_sourcelink = False
 

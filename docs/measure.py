@@ -164,8 +164,12 @@ def main() -> None:
     folder = PAGE.parent / "generated" / f"measured-{digest.hexdigest()[:12]}"
     folder.mkdir(parents=True, exist_ok=True)
     environment = {**os.environ, **(QUICK if quick else {})}
-    for name, report, calls, further in parts(folder):
-        measured(name, report, calls, {**environment, **further})
+    try:
+        for name, report, calls, further in parts(folder):
+            measured(name, report, calls, {**environment, **further})
+    except KeyboardInterrupt:
+        print("Interrupted: the parts that ended are kept; the same command goes on.", file=sys.stderr)
+        raise SystemExit(130) from None
     PAGE.write_text(page(folder, quick) + "\n", encoding="utf-8")
 
 

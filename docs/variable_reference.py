@@ -96,12 +96,12 @@ def row(name: str, found: dict[str, Variable]) -> list[str]:
     assert all([v.variability, unit(v), span(v), start(v), in_native(v)] == shared for v in found.values()), name
     meaning = "; or ".join(dict.fromkeys(v.description for v in found.values()))
     causalities = [found[i].causality if i in found else "–" for i in INTERFACES]
-    return [f"`{name}`", *causalities, *shared, meaning]
+    return [f"`{name}`", meaning, *causalities, *shared]
 
 
 def lines(rows: Iterable[list[str]]) -> list[str]:
     """A Markdown table without the columns that are empty in all rows."""
-    head = ["variable", *INTERFACES, "variability", "unit", "range", "start", "native", "meaning"]
+    head = ["variable", "meaning", *INTERFACES, "variability", "unit", "range", "start", "native"]
     columns = [c for c in zip(head, ["---"] * len(head), *rows, strict=True) if any(c[2:])]
     return ["| " + " | ".join(cells) + " |" for cells in zip(*columns, strict=True)]
 

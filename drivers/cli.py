@@ -36,11 +36,6 @@ class Direction(StrEnum):
     backward = "backward"
 
 
-@app.callback()
-def _root() -> None:
-    pass
-
-
 class Serial(StrEnum):
     """What stands on the simulated serial line."""
 
@@ -135,7 +130,7 @@ def record(
 ) -> None:
     """Record all channels of a bench until Ctrl-C, the duration or silence.
 
-    Example: [bold]cycloid-bench record BENCH.toml -o run.arrows --idle "2 s"[/bold]
+    Example: [cyan]cycloid-bench record BENCH.toml -o run.arrows --idle "2 s"[/]
 
     What came is in the file a twentieth of a second later, safe from a kill of the process; every second the disk is
     told to hold it, safe from a power cut. Buses and ports that fail are opened anew.
@@ -185,9 +180,9 @@ def simulate(
 ) -> None:
     """Be a bench: wait for a recorder, then send a motion as real encoders and transducers do.
 
-    Example: [bold]cycloid-bench simulate --fmu drive.fmu --ratio -39 --torque "20 N*m" --write-bench BENCH.toml[/bold],
-    and in a second terminal [bold]cycloid-bench record BENCH.toml -o run.arrows --idle "2 s"[/bold].
-    The virtual bus ends at its process: with [bold]--bus virtual[/bold] add [bold]-o run.arrows[/bold].
+    Example: [cyan]cycloid-bench simulate --fmu drive.fmu --ratio -39 --torque "20 N*m" --write-bench BENCH.toml[/],
+    and in a second terminal [cyan]cycloid-bench record BENCH.toml -o run.arrows --idle "2 s"[/].
+    The virtual bus ends at its process: with [cyan]--bus virtual[/] add [cyan]-o run.arrows[/].
     """
     from drivers.bench import BenchRun, CanBench, fmu_output_angle, simulate_hysteresis, simulate_motion
     from drivers.faults import read_faults
@@ -280,7 +275,7 @@ def run(
 ) -> None:
     """Run a test sequence: prompt for or drive each step, check that it was reached, write one recording a step.
 
-    Example: [bold]cycloid-bench run sequence.toml[/bold]
+    Example: [cyan]cycloid-bench run sequence.toml[/]
 
     Recordings lie beside the sequence; steps that are recorded are passed over, so an interrupted sequence goes on
     where it was. A step that falls short is kept under another name, and made again if you say so.
@@ -334,9 +329,9 @@ def watch(
 ) -> None:
     """Show a recording in the browser while it grows: transmission error, spectrum, health.
 
-    Example: [bold]cycloid-bench watch run.arrows[/bold]
+    Example: [cyan]cycloid-bench watch run.arrows[/]
 
-    It listens on this machine only. With [bold]--host 0.0.0.0[/bold] others see it too, who know the token.
+    It listens on this machine only. With [cyan]--host 0.0.0.0[/] others see it too, who know the token.
     """
     import ipaddress
     import secrets
@@ -363,7 +358,7 @@ def export(
 ) -> None:
     """Write a recording in another format, by the file's ending; it may be larger than the memory.
 
-    Example: [bold]cycloid-bench export run.arrows -o run.csv[/bold]
+    Example: [cyan]cycloid-bench export run.arrows -o run.csv[/]
 
     .csv is one table: the two angles, paired by the SYNC that latched both, and the torque interpolated to those
     instants. .nc (netCDF), .parquet and .mf4 (MDF4, ASAM) hold every channel's samples as they came.
@@ -400,7 +395,7 @@ def repair(
 ) -> None:
     """Say what a torn or damaged recording still holds, and write that as a whole one if asked.
 
-    Example: [bold]cycloid-bench repair torn.arrows -o whole.arrows[/bold]
+    Example: [cyan]cycloid-bench repair torn.arrows -o whole.arrows[/]
 
     The file itself is not changed. Exit status 1 where something is wrong with it.
     """
@@ -426,7 +421,7 @@ def repair(
 def list_() -> None:
     """List protocols, serial ports and CAN interfaces.
 
-    Example: [bold]cycloid-bench list[/bold]
+    Example: [cyan]cycloid-bench list[/]
     """
     import can
     from serial.tools import list_ports

@@ -33,7 +33,7 @@ _CHUNK = 1 << 16  # samples gathered before they are written: small batches make
 def check_ending(path: Path) -> None:
     """Refuse, with an `edge.InputError`, a path whose ending is no format known here."""
     if path.suffix.lower() not in _WRITERS:
-        raise edge.InputError(f"--output = {path}: the file must end in .csv, .nc, .parquet or .mf4.")
+        raise edge.InputError(f"--output = {path}: the name must end in .csv, .nc, .parquet or .mf4.")
 
 
 def export(reader: RecordingReader, path: Path, progress: Progress) -> int:

@@ -142,7 +142,9 @@ def curve(
     files: Recordings,
     pair_file: PairFile,
     mapping: MappingFile = None,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the curves (netCDF).")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="CURVES.nc", help="Write the curves (netCDF).")
+    ] = None,
     read_head: HeadFile = None,
     plot: PlotFile = None,
     as_json: AsJson = False,
@@ -192,7 +194,9 @@ def curve(
 def inspect(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A bench file of any kind that is read.")],
     dbc: Annotated[Path | None, typer.Option(help="The DBC of a CAN log.")] = None,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the proposed mapping (TOML).")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="MAP.toml", help="Write the proposed mapping (TOML).")
+    ] = None,
     plot: PlotFile = None,
     as_json: AsJson = False,
 ) -> None:
@@ -255,7 +259,9 @@ def metrics(
     ratio: Ratio = None,
     rated_torque: RatedTorque = None,
     mapping: MappingFile = None,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the figures (JSON).")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FIGURES.json", help="Write the figures (JSON).")
+    ] = None,
     plot: PlotFile = None,
     as_json: AsJson = False,
 ) -> None:
@@ -282,7 +288,7 @@ def metrics(
 @app.command()
 def report(
     files: Recordings,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="REPORT.html|pdf", help="The report.")],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="REPORT.html|pdf", help="The report.")],
     pair_file: MaybePair = None,
     ratio: Ratio = None,
     rated_torque: RatedTorque = None,
@@ -366,7 +372,9 @@ def identify(
     files: Recordings,
     pair_file: PairFile,
     mapping: MappingFile = None,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="Write the identification (JSON).")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FIT.json", help="Write the identification (JSON).")
+    ] = None,
     surface_file: Annotated[
         Path | None, typer.Option("--surface", metavar="S.nc", help="Write the identified error surface (netCDF).")
     ] = None,
@@ -515,10 +523,14 @@ def plan(
     pair = read_pair(pair_file)
     loads = [edge.quantity_option(t, "N*m", "--torque") for t in torque]
     if min(loads) <= 0.0:
-        raise edge.InputError("--torque: it must be above zero; the sign follows from the direction.")
+        raise edge.InputError(
+            f"--torque = {min(loads):g} N*m: it must be above zero; the sign follows from the direction."
+        )
     level, spread = edge.quantity_option(noise, "rad", "--noise"), edge.quantity_option(scatter, "m", "--scatter")
     if level <= 0.0 or spread < 0.0:
-        raise edge.InputError("--noise must be above zero and --scatter not below it.")
+        raise edge.InputError(
+            f'--noise = "{noise}", --scatter = "{scatter}": the noise must be above zero, the scatter not below it.'
+        )
     plans = bench_plans(pair, loads, turns=turns, samples=samples, noise=level, scatter=spread)
     if plot is not None:
         plots.save(plot_plans(plans), plot)
@@ -542,7 +554,7 @@ def plan(
 def ensemble(
     surface_file: Annotated[Path, typer.Argument(metavar="S.nc", help="An identified error surface.")],
     pair_file: PairFile,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="FOLDER", help="Where the surfaces go.")],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Where the surfaces go.")],
     count: Annotated[int, typer.Option(min=1, max=10000, help="How many.")] = 20,
     seed: Annotated[int, typer.Option(min=0, help="The same seed draws the same surfaces.")] = 0,
     torque: Annotated[

@@ -25,13 +25,13 @@ COLOURS = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8
 GREY = "#777777"
 
 
-def check_report_path(path: str | os.PathLike[str], option: str = "-o", formats: Sequence[str] = FORMATS) -> Path:
+def check_report_path(path: str | os.PathLike[str], option: str = "--output", formats: Sequence[str] = FORMATS) -> Path:
     """Refuse a report file that can't be written, before anything is computed."""
     target = Path(path)
     if target.suffix.lower() not in formats:
-        raise edge.InputError(f"{option} {path}: a report's name must end in {' or '.join(formats)}.")
+        raise edge.InputError(f"{option} = {path}: a report's name must end in {' or '.join(formats)}.")
     if not target.parent.is_dir():
-        raise edge.InputError(f"{option} {path}: the folder {target.parent} does not exist.")
+        raise edge.InputError(f"{option} = {path}: the folder {target.parent} does not exist.")
     return target
 
 

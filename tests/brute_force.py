@@ -1,6 +1,6 @@
 """Slow reference solver for the loaded contact of a cycloid-pin gear pair, by brute force in plain NumPy.
 
-Written from the formulas of the design alone (sections 3 and 4) as a yardstick for the compiled kernels, so it shares
+Written from the formulas of docs/theory alone as a yardstick for the compiled kernels, so it shares
 nothing with them: no conjugate point, no Newton step, no warm start, no linearised gap. At every rotation each pin is
 scanned against every profile point of the teeth it may touch. SI units throughout: m, rad, N, N*m, Pa.
 """

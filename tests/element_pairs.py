@@ -1,6 +1,6 @@
 """Slow reference for error tooth surfaces: the error-surface paper's brute force over element pairs, plain NumPy.
 
-Written from the paper (sections 2 and 3) and from sections 3 and 4 of the design alone; it shares nothing with the
+Written from the paper (sections 2 and 3) and the signs and formulas of docs/theory alone; it shares nothing with the
 compiled kernels: no conjugate point, no Newton step, no warm start. SI units throughout: m, rad, N, N*m, Pa.
 
 Flanks and pins are cut across the width into independent slices, each taken at its middle, and each slice of a tooth
@@ -34,7 +34,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-TOUCHING = 0.2e-9  # m; design section 3: a best gap this small is contact without play, not interference
+TOUCHING = 0.2e-9  # m: a best gap this small is contact without play, not interference
 SLACK = 1e-6  # of half an element, by which ranges overlap against rounding
 BORDER = 0.01  # elements: within this of a pin element's border its neighbour is tried too
 BETWEEN = 2.0  # half elements: how far from its middle a pair may be continued where no pair faces
@@ -316,7 +316,7 @@ class Elements:
         return depth, angle, dx / distance, dy / distance
 
     def loads(self, every: Contacts) -> Loads:
-        """Hertz line contact of every slice of every pin (design section 4), by bisection on the approach.
+        """Hertz line contact of every slice of every pin, by bisection on the approach.
 
         As in the paper, the arcs of a slice that touch give the width and the mean depth of one contact.
         """

@@ -52,7 +52,7 @@ def test_from_the_bench_to_the_fmu_and_back(tmp_path):
 
 
 def test_what_each_error_does(tmp_path):
-    """The study of the error-surface paper: design.md section 9 says which of its conclusions hold."""
+    """The study of the error-surface paper: docs/theory/papers.md says which of its conclusions hold."""
     run = subprocess.run(
         [sys.executable, str(EXAMPLES / "error_study.py")], cwd=tmp_path, capture_output=True, text=True, timeout=300,
         env={**os.environ, "COLUMNS": "200"},

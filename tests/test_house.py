@@ -1,5 +1,6 @@
 """How the house is built: who imports whom, what loads when, and what the changelog looks like."""
 
+import importlib
 import re
 import shutil
 import subprocess
@@ -10,6 +11,8 @@ from pathlib import Path
 
 import pytest
 from importlinter.cli import lint_imports
+from typer.main import get_command
+from typer.testing import CliRunner
 
 ROOT = Path(__file__).parent.parent
 SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -70,6 +73,30 @@ def test_what_is_slow_to_import_waits_until_it_is_needed(modules, allowed):
     loaded = set(run.stdout.split())
     assert {name.strip().partition(".")[0] for name in modules.split(",")} <= loaded
     assert loaded & HEAVY <= allowed
+
+
+def verbs(command, path):
+    """Each command of an app that does something, with its words."""
+    below = getattr(command, "commands", {})
+    for name, one in below.items():
+        yield from verbs(one, [*path, name])
+    if not below:
+        yield path, command
+
+
+@pytest.mark.parametrize("name", ["cycloid-fmu", "cycloid-bench", "cycloid-fit"])
+def test_each_help_page_has_an_example_and_shows_all_of_its_text(name):
+    """Brackets are markup to rich: units in them vanish unless they are escaped."""
+    (entry,) = metadata.entry_points(group="console_scripts", name=name)
+    app = importlib.import_module(entry.module).app
+    for path, command in verbs(get_command(app), []):
+        shown = CliRunner().invoke(app, [*path, "--help"], prog_name=name, env={"COLUMNS": "300", "TERM": "dumb"})
+        said = " ".join(re.sub("[│╭╰─╮╯]", "", shown.output).split())
+        assert "Example: " in said, path
+        assert " ".join([name, *path]) in said.partition("Example: ")[2], path
+        for text in (command.help, *(getattr(option, "help", None) for option in command.params)):
+            written = re.sub(r"\[(cyan|/)\]", "", " ".join((text or "").split()))
+            assert written.replace(r"\[", "[") in said, path
 
 
 def test_the_version_stands_in_one_place():

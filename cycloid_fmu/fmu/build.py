@@ -108,7 +108,7 @@ def build_fmu(
 def checked_interface(interface: Interface, first_stage: FirstStage | None) -> Interface:
     """Return the interface as an FMU of this drive has it; an `InputError` says what does not go together."""
     if first_stage is not None and interface.kind == "compliant":
-        raise edge.InputError("--interface compliant: an RV reducer has the kinematic interface alone.")
+        raise edge.InputError("--interface = compliant: an RV reducer has the kinematic interface alone.")
     if interface.output_inertia != 0.0 and interface.kind == "kinematic":
         raise edge.InputError("--output-inertia: the kinematic interface has none; use --interface compliant.")
     if not 0.0 <= interface.output_inertia < math.inf:

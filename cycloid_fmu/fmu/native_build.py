@@ -84,7 +84,7 @@ def headers() -> Path:
 def _compiler(name: str) -> list[str]:
     """Command that compiles for a platform: zig; for this machine what CC names, or without zig the system's own."""
     if name not in PLATFORMS:
-        raise edge.InputError(f"--platform {name}: this is none of {', '.join(PLATFORMS)}.")
+        raise edge.InputError(f"--platform = {name}: this is none of {', '.join(PLATFORMS)}.")
     given = os.environ.get("CC", "")
     system = shutil.which(given or "cc")
     own = name == this_platform() and system is not None
@@ -93,7 +93,7 @@ def _compiler(name: str) -> list[str]:
     if own:
         return [str(system)]
     raise edge.InputError(
-        f"--platform {name}: to compile for it, install the extra: pip install 'cycloid-fmu[native]'"
+        f"--platform = {name}: to compile for it, install the extra: pip install 'cycloid-fmu[native]'"
         f"{f' (or give --platform {this_platform()} alone)' if system else ''}."
     )
 
@@ -279,7 +279,7 @@ def build_native(
     for name in names:
         _compiler(name)
         if name not in platforms_of(version):
-            raise edge.InputError(f"--platform {name}: FMI {version} does not know it; use --fmi 3.0.")
+            raise edge.InputError(f"--platform = {name}: FMI {version} does not know it; use --fmi 3.0.")
     with edge.written_whole(path) as temporary:
         libraries = _binaries(version, names, compiled)
         if made is None:

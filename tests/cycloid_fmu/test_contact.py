@@ -68,7 +68,7 @@ def test_moment_arm_of_the_ideal_pair():
 def test_linear_check_of_the_load_sharing():
     """Equal stiffness: F_i = T L_i/Σ L² over the pushing pins, with 20 pins at crank angle 0.3 rad.
 
-    The 2.560 N for each N·m that design.md section 9 states for e = 1.3 mm belongs to e = 1.0 mm; 1.3 mm gives 1.974 N.
+    2.560 N for each N·m belong to e = 1.0 mm, 1.974 N to 1.3 mm.
     """
     for eccentricity, peak in (("1.0 mm", 2.560), ("1.3 mm", 1.974)):
         pair = make_pair(eccentricity=eccentricity)
@@ -209,7 +209,7 @@ def test_a_pin_left_as_it_was_stands_clear(seed, teeth, k, size, step, sign, out
 
 
 def test_equivalent_errors():
-    """Design.md section 3: isometric as -pin radius; a centre offset as the pins' displacement by its opposite."""
+    """Isometric as -pin radius; a centre offset as the pins' displacement by its opposite."""
     pair = read_pair(CASES / "errors-39-40.toml")
     base = surface_of_pair(pair)
     angles = np.linspace(0.0, 6.0, 40)
@@ -225,7 +225,7 @@ def test_equivalent_errors():
 
 
 def test_two_discs_cancel_an_order_one_pin_error():
-    """Design.md section 3: two discs opposite each other cancel what gives one disc 24″."""
+    """Two discs opposite each other cancel what gives one disc 24″."""
 
     def amplitude(discs):
         pair = make_pair(PAIR + '[modification]\noffset = "-70 um"\nisometric = "-25 um"\n', discs=discs)

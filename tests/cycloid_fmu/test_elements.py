@@ -94,7 +94,7 @@ def test_elements_converge():
 
 @pytest.mark.parametrize(("tilt", "slices"), [("0.1 mrad", 5), ("0.5 mrad", 20)])
 def test_slices_converge(tilt, slices):
-    """Design.md section 9: transmission error within 0.1 % at 5 and 20 slices."""
+    """Transmission error within 0.1 % at 5 and 20 slices."""
     text = (CASES / "errors-39-40.toml").read_text().replace("[errors]", f'[errors]\nmisalignment_xz = "{tilt}"')
     pair = parse_pair(text, "tilted")
     surface = surface_of_pair(pair)

@@ -87,7 +87,7 @@ def test_interference_at_zero_torque_is_an_equilibrium():
 
 
 def test_friction_is_the_loop_of_the_definition():
-    """Design.md section 10: θ = elastic(T ∓ T_f) on the loading, elastic(T ± T_f) on the unloading branch."""
+    """docs/theory/measurement.md: θ = elastic(T ∓ T_f) on the loading, elastic(T ± T_f) on the unloading branch."""
     elastic, model = (DriveModel(PLAY, nominal_surface(PLAY)) for _ in range(2))
     model.friction_torque = 5.0
 

@@ -1,4 +1,4 @@
-"""The RV reducer: the paper's tables, and its closed forms against the contact model (design.md section 12)."""
+"""The RV reducer: the paper's tables, and its closed forms against the contact model (docs/theory/reducer.md)."""
 
 import dataclasses
 import json

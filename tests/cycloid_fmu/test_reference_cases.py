@@ -1,4 +1,4 @@
-"""Against an independent slow solver's results, and against the figures of the papers and of design.md section 9."""
+"""Against an independent slow solver's results, and against the figures of the papers."""
 
 import json
 
@@ -75,7 +75,7 @@ eccentricity = "{rng.normal(0, 1):.2f} um"
 
 
 def test_error_surface_pair_of_the_paper():
-    """Design.md section 9, rows 1 and 2: capped and as printed, and the paper's own figures beside them."""
+    """Capped and as printed, and the paper's own figures beside them."""
     angles = np.linspace(0.0, 2 * np.pi, 3600, endpoint=False)
     capped = solve(make_pair(), nominal_surface(make_pair()), -181.0, angles)
     te = capped.transmission_error[0] / ARCSEC
@@ -96,7 +96,7 @@ def test_error_surface_pair_of_the_paper():
 
 
 def test_wear_pair_unloaded():
-    """Design.md section 9: mean -3.360″ at one flank, 0.606″ peak to peak, backlash 6.720″ and 0.733″.
+    """Mean -3.360″ at one flank, 0.606″ peak to peak, backlash 6.720″ and 0.733″.
 
     Its peaks are those of some 16 angles a pin pitch; converged they are 0.611″ and 0.740″.
     """
@@ -130,7 +130,7 @@ def test_wear_pair_loaded(torque, te, pressure, counts):
      ("centre_distance_x", 39, 40.7)],
 )  # fmt: skip
 def test_order_and_amplitude_of_ten_micrometres(name, order, amplitude):
-    """Design.md section 9's table, and section 4: pin errors give orders 39k of the output, tooth errors 40k."""
+    """Leading orders of 10 µm each: pin errors give orders 39k of the output, tooth errors 40k."""
     pair = parse_pair(PAIR + '[modification]\noffset = "-70 um"\nisometric = "-25 um"\n', "modified.toml")
     surface = with_structured(pair, nominal_surface(pair), {name: 1e-5})
     count = 39 * 120

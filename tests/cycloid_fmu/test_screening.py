@@ -138,7 +138,7 @@ def test_allocation_is_the_optimum_of_two_linear_errors():
     [
         ('[limits]\nbacklash = "1 arcsec"\n', 0.9, "t.toml: [limits] backlash: the error-free drive itself takes"),
         ("", 0.9, "t.toml: [limits] is missing"),
-        ('[limits]\nbacklash = "99 arcsec"\n', 1.0, "--allocate 1: the yield to reach must lie between 0 and 1"),
+        ('[limits]\nbacklash = "99 arcsec"\n', 1.0, "--allocate = 1: the yield to reach must lie between 0 and 1"),
     ],
 )
 def test_yields_that_can_t_be_met_are_one_sentence(limits, target, said):

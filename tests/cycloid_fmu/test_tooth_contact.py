@@ -77,7 +77,7 @@ def test_at_its_own_transmission_error_a_pin_has_no_gap(output):
 
 
 def test_figures_of_the_wear_pair_unloaded():
-    """design.md section 9; peak to peak it takes 0.606″ and 0.733″ at 16 angles a pitch, these are converged."""
+    """The wear paper's pair; peak to peak it takes 0.606″ and 0.733″ at 16 angles a pitch, these are converged."""
     pair = wear_pair()
     theta = np.linspace(0.0, PITCH, 1600, endpoint=False)
     low, high = (unloaded_contact(pair, nominal_surface(pair), theta, s).transmission_error for s in (-1, 1))
@@ -90,7 +90,7 @@ def test_figures_of_the_wear_pair_unloaded():
 
 
 def test_the_paper_s_unloaded_figure_is_of_a_smaller_modification():
-    """0.018″ peak to peak is 0.028 of the stated modification (design.md section 11); ±0.018″ is twice that."""
+    """0.018″ peak to peak is 0.028 of the stated modification; ±0.018″ is twice that."""
     pair = parse_pair(WEAR_PAIR.replace("-50 um", "-1.4 um").replace("-30 um", "-0.84 um"), "small")
     error = unloaded_contact(pair, nominal_surface(pair), np.linspace(0.0, PITCH, 1000), -1).transmission_error
     assert np.ptp(error) / ARCSEC == pytest.approx(0.018, abs=0.001)
@@ -161,7 +161,7 @@ def test_rough_flanks_and_pins_touch_where_their_play_ends(keys):
     [(-200.0, -18.175, 1547e6, 5, 6), (-400.0, -26.206, 2022e6, 6, 7), (-800.0, -38.654, 2687e6, 7, 8)],
 )
 def test_figures_of_the_wear_pair_loaded(torque, error, pressure, least, most):
-    """design.md section 9."""
+    """Pins that carry load and the loaded transmission error at the paper's torques."""
     pair = wear_pair()
     found = loaded_contacts(drive_of(pair, nominal_surface(pair)), np.arange(200) / 200 * PITCH, torque)
     assert found.deviation.mean() / ARCSEC == pytest.approx(error, abs=0.002)

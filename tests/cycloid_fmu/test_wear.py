@@ -63,8 +63,8 @@ def run():
     return worn, list(wear_states(worn, 4e5)), wear_rate(worn, worn.surface)
 
 
-def test_linear_figures_of_section_11():
-    """400 N·m, 3·10⁶ turns, the law as printed; design.md's are from gaps linear in rotation, within 4 %."""
+def test_depths_without_update_are_those_of_linear_gaps():
+    """400 N·m, 3·10⁶ turns, the law as printed; the depths here are of gaps linear in rotation, within 4 %."""
     fixed, free = model(), model(pins="free")
     one, other = wear_rate(fixed, fixed.surface), wear_rate(free, free.surface)
     assert TURNS * one.depth.gear.max() == pytest.approx(49.4e-6, rel=0.04)

@@ -27,7 +27,7 @@ def recording(torque, angle):
 
 
 def test_the_paper_s_output_shaft():
-    """Y ≈ 2.140e-5 mm/(N·m) T - 1.7e-5 mm (design.md section 12)."""
+    """Y ≈ 2.140e-5 mm/(N·m) T - 1.7e-5 mm (docs/theory/papers.md)."""
     assert HEAD.displacement.slope == pytest.approx(2.140e-8, rel=1e-3)
     assert HEAD.displacement.offset == pytest.approx(-1.7e-8, rel=0.02)
 

@@ -34,7 +34,7 @@ def test_what_is_kept_back(measured):
 
 
 def test_encoder_eccentricity_is_the_bench_s(measured, nominal, made):
-    """Once a turn of the output belongs to no gear error (design.md section 4), once a turn of the crank nearly so."""
+    """Once a turn of the output belongs to no gear error, once a turn of the crank nearly so."""
     curves = measured(5)
     for i, c in enumerate(curves):
         angle = c.input_angle
@@ -50,7 +50,7 @@ def test_encoder_eccentricity_is_the_bench_s(measured, nominal, made):
 
 
 def test_orders_of_pins_and_teeth_are_their_own(nominal):
-    """Pin errors move output orders 39 k only, tooth errors 40 k only, at first order (design.md section 4)."""
+    """Pin errors move output orders 39 k only, tooth errors 40 k only, at first order (docs/theory/errors.md)."""
     names = ["pin_radial_2_cos", "pin_tangential_3_sin", "tooth_cumulative_pitch_1_cos", "tooth_cumulative_pitch_2_sin"]
     samples = 80
     angle = np.arange(39 * samples) * 2.0 * np.pi / samples
@@ -150,7 +150,7 @@ def test_plan_and_ensemble_from_the_command_line(command, found, nominal, tmp_pa
     assert run.returncode == 0, run.stderr
     assert len(list((tmp_path / "drawn").iterdir())) == 3
     for words, said in (
-        (("plan", "pair.toml", "--torque", "-20 N*m"), "--torque: it must be above zero"),
+        (("plan", "pair.toml", "--torque", "-20 N*m"), "--torque = -20 N*m: it must be above zero"),
         (
             ("ensemble", "drawn/s-0000.nc", "--pair", "pair.toml", "-o", "again"),
             "drawn/s-0000.nc: there is no covariance",

@@ -45,7 +45,7 @@ def test_known_errors_are_found_within_what_is_claimed(found, made):
 
 
 def test_of_equivalent_errors_one_is_fitted_and_the_other_held_with_its_reason(found):
-    """Design.md section 3's sets."""
+    """The sets of docs/theory/errors.md."""
     parameters = {p.name: p for p in found.parameters}
     for fitted in ("centre_distance_x", "centre_distance_y", "pin_radius", "pin_circle_radius", "eccentricity"):
         assert parameters[fitted].held is None

@@ -583,7 +583,7 @@ def test_each_platform_has_its_folder_and_macos_in_fmi_2_holds_both_processors(d
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--native", "--platform", "m68k-amiga"], "--platform m68k-amiga: this is none of x86_64-linux, "),
+        (["--native", "--platform", "m68k-amiga"], "--platform = m68k-amiga: this is none of x86_64-linux, "),
         (["--native", "--platform", "aarch64-linux", "--fmi", "2.0"], "FMI 2.0 does not know it; use --fmi 3.0"),
         (["--platform", "x86_64-linux"], "only a --native FMU has platforms"),
     ],
