@@ -41,7 +41,7 @@ def parts(folder: Path) -> Iterator[tuple[str, Path, list[list[str]], dict[str, 
     for name, paths in STUDIES.items():
         report = folder / f"slow-{name}.xml"
         yield f"slow tests, {name}", report, [[*paths, "-m", "slow", *parallel, f"--junitxml={report}.part"]], {}
-    report, lines = folder / "coverage.json", ["--cov", "--cov-branch", "--cov-report="]
+    report, lines = folder / "coverage.json", ["--cov", "--cov-report="]
     calls = [["-n", "auto", *lines], [*INTERPRETED, *lines, "--cov-append", f"--cov-report=json:{report}.part"]]
     yield "coverage", report, calls, {"COVERAGE_FILE": str(folder / "coverage.data")}
 

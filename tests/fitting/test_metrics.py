@@ -89,7 +89,7 @@ def test_with_noise_the_figures_lie_within_their_uncertainty(crank):
     assert min(inside.values()) >= 0.88 * seeds, inside
 
 
-def test_the_figures_of_the_design(command, tmp_path):
+def test_the_figures_of_a_loop_by_their_definitions(command, tmp_path):
     """Lost motion 0.80449′, hysteresis loss 0.68163′, backlash 0.6′, stiffness 49 N·m/arcmin, from the command line."""
     torque, angle = loop(167.0, 49 / ARCMIN, 0.6 * ARCMIN, 2.0, loops=2)
     rows = [f"{i / 100:.2f},0,{a / ARCSEC:.9f},{t:.9f}" for i, (t, a) in enumerate(zip(torque, angle, strict=True))]
