@@ -123,13 +123,95 @@ def test_a_torque_that_stays_small_gives_no_stiffness_but_all_else():
     assert any("three quarters of the rated 167" in note for note in found.notes)
 
 
+@pytest.mark.parametrize(
+    ("pattern", "alike"),
+    [((1, -1), 0.0), ((1, 1, 1, -1, -1, -1), 1 / 3), ((1,) * 300 + (-1,) * 300, 1.0 - 2.0 / 600)],
+    ids=["alternating", "in threes", "in halves"],
+)
+def test_a_line_s_variance_grows_where_neighbouring_residuals_are_alike(pattern, alike):
+    """σ²/n of the mean and σ²/Σx² of the slope; a likeness of neighbours makes both (1 + a)/(1 - a) times as large."""
+    torque = np.random.default_rng(0).permutation(np.linspace(50.0, 100.0, 600))
+    left = 1e-6 * np.tile(pattern, 600 // len(pattern))
+    line = metrics.fit_line(torque, 2e-6 * torque + 1e-4 + left)
+    left = left - np.polyval(np.polyfit(torque, left, 1), torque)
+    factor = (1.0 + alike) / (1.0 - alike) * (left @ left) / 598
+    assert line.value_variance == pytest.approx(factor / 600, rel=0.02)
+    assert line.slope_variance == pytest.approx(factor / np.sum((torque - torque.mean()) ** 2), rel=0.02)
+    value, variance = line.at(60.0)
+    assert value == pytest.approx(1e-4 + 120e-6, abs=1e-6)
+    assert variance == pytest.approx(line.value_variance + line.slope_variance * (60.0 - torque.mean()) ** 2)
+
+
+def test_two_samples_or_one_torque_make_no_line():
+    assert metrics.fit_line(np.array([1.0, 2.0]), np.zeros(2)) is None
+    assert metrics.fit_line(np.ones(5), np.arange(5.0)) is None
+
+
+def test_half_loops_end_where_the_torque_is_next_to_zero():
+    """A pause on the way and a dip to half make no new one, a visit to zero does, also on the same side."""
+    up = np.linspace(0.0, 100.0, 51)
+    dipped = [*up, *up[:25:-1], *up[25:], *up[-2::-1]]
+    twice = [*up, *up[-2:0:-1], 0.5, *up[1:], *up[-2::-1], *-up[1:], *-up[-2:0:-1]]
+    (one,) = metrics.find_lobes(np.array(dipped), 100.0)
+    assert (one.sign, one.loading.start, one.unloading.stop) == (1, 0, len(dipped))
+    found = metrics.find_lobes(np.array(twice), 100.0)
+    assert [lobe.sign for lobe in found] == [1, 1, -1]
+    assert [lobe.loading.start for lobe in found] == [0, 100, 200]
+    assert [twice[lobe.unloading.start] for lobe in found] == [100.0, 100.0, -100.0]
+    assert [lobe.unloading.stop for lobe in found] == [101, 201, len(twice)]
+    assert metrics.find_lobes(0.19 * up, 100.0) == []
+
+
+def test_one_figure_from_several_recordings_weighs_by_their_loops():
+    surveyed = []
+    for seed, loops in enumerate((1, 3, 2)):
+        rng = np.random.default_rng(seed)
+        torque, angle = loop(167.0, 49 / ARCMIN, 0.6 * ARCMIN, 2.0, loops=loops)
+        angle = angle + rng.normal(0.0, 0.5 * ARCSEC, angle.size)
+        surveyed.append(survey(recording(np.arange(torque.size) * 1e-2, 0.0, angle, torque, None), None, 167.0))
+    alone = [figures_of([one], None, 167.0).figures["backlash"] for one in surveyed]
+    two, three = (figures_of(surveyed[:n], None, 167.0).figures["backlash"] for n in (2, 3))
+    assert (two.count, three.count) == (4, 6)
+    assert two.value == pytest.approx(0.25 * alone[0].value + 0.75 * alone[1].value)
+    assert two.uncertainty == pytest.approx(np.hypot(0.25 * alone[0].uncertainty, 0.75 * alone[1].uncertainty))
+    scatter = 4.30265 * np.std([f.value for f in alone], ddof=1) / np.sqrt(3)
+    stated = np.sqrt(sum((w * f.uncertainty) ** 2 for w, f in zip((1 / 6, 1 / 2, 1 / 3), alone, strict=True)))
+    assert three.uncertainty == pytest.approx(max(scatter, stated), rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("value", "uncertainty", "unit", "said"),
+    [
+        (0.5432 * ARCMIN, 0.012 * ARCMIN, "rad", ("32.59", "0.72", "arcsec")),
+        (1.5432 * ARCMIN, 0.012 * ARCMIN, "rad", ("1.543", "0.012", "arcmin")),
+        (-1.5432 * ARCMIN, np.nan, "rad", ("-1.543", "not known", "arcmin")),
+        (49.0 / ARCMIN, 13.0 / ARCMIN, "N*m/rad", ("49", "13", "N·m/arcmin")),
+        (3.25, 0.0, "N*m", ("3.250000", "0.000000", "N·m")),
+    ],
+)
+def test_figures_are_shown_with_the_digits_that_their_uncertainty_tells(value, uncertainty, unit, said):
+    assert metrics.in_field_units(metrics.Figure(value, uncertainty, unit, "", None, "", 1, "loops")) == said
+
+
+def test_an_output_angle_that_is_late_is_noted_where_the_speed_changes():
+    time = np.arange(20000) * 1e-3
+    angle = 30.0 * time + 20.0 * np.sin(time)
+    late = 30.0 * (time - 2e-3) + 20.0 * np.sin(time - 2e-3)
+    for shown, said in ((late, "late by 2 "), (2.0 * angle - late, "early by 2 "), (angle, None)):
+        found = survey(recording(time, angle, shown / -39.0, 100.0), -39.0, None)
+        assert found.duration == pytest.approx(time[-1])
+        notes = [note for note in found.notes if "speed changes" in note]
+        assert len(notes) == (said is not None)
+        assert said is None or said in notes[0]
+
+
 @pytest.mark.parametrize(("loops", "arcmin"), [(1, 2.0), (4, 0.5)])
 def test_a_loop_that_does_not_close_says_so_and_widens_the_uncertainty(loops, arcmin):
     """A single loop may begin anywhere in its play, so it shows a drift only beyond that."""
     torque, angle = loop(167.0, 49 / ARCMIN, 0.6 * ARCMIN, 2.0, loops=loops)
     drift = arcmin * ARCMIN * np.arange(torque.size) / (torque.size / loops)
     closed, open_ = figures_from(torque, angle), figures_from(torque, angle + drift)
-    assert not any("close" in note for note in closed.notes)
+    assert not any("close" in note for note in (*closed.notes, *figures_from(torque, angle + 0.02 * drift).notes))
     assert any("not close" in note for note in open_.notes)
     for name in ("hysteresis_loss", "lost_motion", "backlash"):
         moved = abs(open_.figures[name].value - closed.figures[name].value)
