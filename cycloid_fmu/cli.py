@@ -311,8 +311,7 @@ def build(
     from cycloid_fmu.fmu.variables import INTERFACES, LOSSLESS, Interface
     from cycloid_fmu.surface import check_surface, read_surface
 
-    if output.suffix != ".fmu":
-        raise edge.InputError(f"--output = {output}: the name must end in .fmu.")
+    edge.output_path(output, "--output", (".fmu",))
     if interface not in INTERFACES:
         raise edge.InputError(f"--interface = {interface}: it must be one of {', '.join(INTERFACES)}.")
     if fmi not in ("2.0", "3.0"):
@@ -566,8 +565,8 @@ def wear(
 
     if plot is not None:
         plots.check_path(plot)
-    if output is not None and output.suffix != ".nc":
-        raise edge.InputError(f"--output = {output}: the name must end in .nc.")
+    if output is not None:
+        edge.output_path(output, "--output", (".nc",))
     load = None if torque is None else edge.quantity_option(torque, "N*m", "--torque")
     law = read_wear_law(wear_file)
     loads, turns = duty_cycle(law, load, crank_turns, duty_file, str(wear_file))

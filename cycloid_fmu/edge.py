@@ -16,7 +16,7 @@ import signal
 import sys
 import tempfile
 import tomllib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeVar
 
@@ -25,6 +25,7 @@ import pydantic
 if TYPE_CHECKING:
     import pint
     import typer
+    import xarray as xr
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 ARCSEC = 648000.0 / math.pi
@@ -215,6 +216,26 @@ def json_table(path: str | os.PathLike[str], wanted_format: str, what: str) -> d
     return data
 
 
+def netcdf(path: str | os.PathLike[str], wanted_format: str) -> xr.Dataset:
+    """Return the variables of a netCDF file of the wanted format, loaded.
+
+    Raises
+    ------
+    InputError
+        If it can't be read, is no netCDF, or is of another format.
+    """
+    import xarray as xr
+
+    existing(path)
+    try:
+        with xr.open_dataset(path, engine="h5netcdf") as opened:
+            data = opened.load()
+    except Exception as problem:
+        raise InputError(f"{path}: this is not a netCDF file ({type(problem).__name__}).") from None
+    check_format(data.attrs.get("format"), wanted_format, str(path))
+    return data
+
+
 def format_of(path: str | os.PathLike[str]) -> object:
     """Return the `format` of a TOML file, None where it has none or is no TOML (its reader then says so)."""
     try:
@@ -275,6 +296,16 @@ def unit_columns(header: Sequence[str], wanted: Mapping[str, str], source: str) 
         if name not in found:
             raise InputError(f'{source}: there is no column "{name} [{unit}]" in the header.')
     return found
+
+
+def output_path(path: str | os.PathLike[str], option: str, endings: Collection[str]) -> Path:
+    """Return where a result goes; an `InputError` before anything is computed where it can't be written there."""
+    target = Path(path)
+    if target.suffix.lower() not in endings:
+        raise InputError(f"{option} = {path}: the name must end in {' or '.join(endings)}.")
+    if not target.parent.is_dir():
+        raise InputError(f"{option} = {path}: the folder {target.parent} does not exist.")
+    return target
 
 
 @contextlib.contextmanager

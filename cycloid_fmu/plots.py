@@ -24,12 +24,7 @@ FORMATS = (".png", ".pdf")
 
 def check_path(path: str | os.PathLike[str]) -> Path:
     """Refuse a plot file that can't be written, before anything is computed."""
-    target = Path(path)
-    if target.suffix.lower() not in FORMATS:
-        raise edge.InputError(f"--plot = {path}: the name must end in {' or '.join(FORMATS)}.")
-    if not target.parent.is_dir():
-        raise edge.InputError(f"--plot = {path}: the folder {target.parent} does not exist.")
-    return target
+    return edge.output_path(path, "--plot", FORMATS)
 
 
 def save(figure: Figure, path: str | os.PathLike[str]) -> None:

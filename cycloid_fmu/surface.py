@@ -314,15 +314,7 @@ def read_surface(path: str | os.PathLike[str]) -> ErrorSurface:
     edge.InputError
         If it can't be read, is of another format, lacks a variable, holds a wrong unit, size or a value not finite.
     """
-    import xarray as xr
-
-    edge.existing(path)
-    try:
-        with xr.open_dataset(path, engine="h5netcdf") as opened:
-            data = opened.load()
-    except Exception as problem:
-        raise edge.InputError(f"{path}: this is not a netCDF file ({type(problem).__name__}).") from None
-    edge.check_format(data.attrs.get("format"), FORMAT, str(path))
+    data = edge.netcdf(path, FORMAT)
     pair = parse_pair(data.attrs.get("pair", ""), f"{path} (its pair)")
     origin = data.attrs.get("origin")
     if origin not in ORIGINS:

@@ -83,14 +83,7 @@ def _write_history(path: Path, identity: dict[str, str], states: list[WearState]
 
 
 def _read_history(path: Path, identity: dict[str, str]) -> list[WearState]:
-    import xarray as xr
-
-    try:
-        with xr.open_dataset(path, engine="h5netcdf") as opened:
-            data = opened.load()
-    except Exception as problem:
-        raise edge.InputError(f"{path}: this is not a netCDF file ({type(problem).__name__}).") from None
-    edge.check_format(data.attrs.get("format"), FORMAT, str(path))
+    data = edge.netcdf(path, FORMAT)
     for name, value in identity.items():
         if data.attrs.get(f"checksum of the {name}") != value:
             raise edge.InputError(

@@ -30,12 +30,6 @@ Progress = Callable[[], None]
 _CHUNK = 1 << 16  # samples gathered before they are written: small batches make large files of netCDF and MDF4
 
 
-def check_ending(path: Path) -> None:
-    """Refuse, with an `edge.InputError`, a path whose ending is no format known here."""
-    if path.suffix.lower() not in _WRITERS:
-        raise edge.InputError(f"--output = {path}: the name must end in .csv, .nc, .parquet or .mf4.")
-
-
 def export(reader: RecordingReader, path: Path, progress: Progress) -> int:
     """Write a recording by the file's ending, .csv, .nc, .parquet or .mf4, at constant memory; return the rows.
 
@@ -53,7 +47,7 @@ def export(reader: RecordingReader, path: Path, progress: Progress) -> int:
     edge.InputError
         If the ending is another, a library is missing, or the CSV's channels are not there.
     """
-    check_ending(path)
+    edge.output_path(path, "--output", _WRITERS)
     with edge.written_whole(path) as temporary:
         return _WRITERS[path.suffix.lower()](reader, temporary, progress)
 

@@ -299,9 +299,9 @@ def report(
 
     Example: [cyan]cycloid-fit report loop.csv *.arrows --pair pair.toml -o report.html[/]
     """
-    from fitting.report import check_report_path, write_report
+    from fitting.report import FORMATS, write_report
 
-    check_report_path(output)
+    edge.output_path(output, "--output", FORMATS)
     taken = _figures(files, pair_file, ratio, rated_torque, mapping)
     write_report(taken.figures, output, taken.pair)
     taken.say(as_json=as_json)
@@ -409,12 +409,11 @@ def identify(
     from fitting.identify import identify as fit
     from fitting.identify import write_identification
     from fitting.plots import plot_identification
-    from fitting.report import check_report_path
 
     if plot is not None:
         plots.check_path(plot)
     if report_file is not None:
-        check_report_path(report_file, "--report", FORMATS)
+        edge.output_path(report_file, "--report", FORMATS)
     pair = read_pair(pair_file)
     known = None if tolerances is None else scatter_of(pair, read_tolerances(tolerances))
     curves = _curves(files, pair.ratio, mapping, read_head, keep_turns=bootstrap > 0)

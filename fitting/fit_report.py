@@ -16,7 +16,7 @@ from cycloid_fmu.pair import Pair
 from fitting.curve import Curve, spectrum
 from fitting.identify import Identification, Parameter
 from fitting.panels import Panel, Trace, label_of, spectra_panel
-from fitting.report import check_report_path, html_page, made_now
+from fitting.report import html_page, made_now
 
 FORMATS = (".html",)
 _CRANK_TURNS = 3.0  # of the curves that the first panel shows
@@ -138,7 +138,7 @@ def write_fit_report(curves: Sequence[Curve], result: Identification, pair: Pair
     path
         A name that ends in .html.
     """
-    target = check_report_path(path, "--report", FORMATS)
+    target = edge.output_path(path, "--report", FORMATS)
     text = html_page(
         "Identified drive", f"{pair.pair.gear_teeth}/{pair.pair.pins}, {len(curves)} curves, {made_now()}", _ABOVE,
         fit_panels(curves, result, pair), _BELOW, known=[_row(p) for p in result.parameters if p.held is None],

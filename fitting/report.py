@@ -25,16 +25,6 @@ COLOURS = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8
 GREY = "#777777"
 
 
-def check_report_path(path: str | os.PathLike[str], option: str = "--output", formats: Sequence[str] = FORMATS) -> Path:
-    """Refuse a report file that can't be written, before anything is computed."""
-    target = Path(path)
-    if target.suffix.lower() not in formats:
-        raise edge.InputError(f"{option} = {path}: a report's name must end in {' or '.join(formats)}.")
-    if not target.parent.is_dir():
-        raise edge.InputError(f"{option} = {path}: the folder {target.parent} does not exist.")
-    return target
-
-
 def write_report(found: Figures, path: str | os.PathLike[str], pair: Pair | None = None) -> None:
     """Write a report as HTML or PDF by its name's ending, whole or not at all.
 
@@ -47,7 +37,7 @@ def write_report(found: Figures, path: str | os.PathLike[str], pair: Pair | None
     pair
         The gear pair, which names the orders.
     """
-    target = check_report_path(path)
+    target = edge.output_path(path, "--output", FORMATS)
     panels = panels_of(found, pair)
     with edge.written_whole(target) as temporary:
         if target.suffix.lower() == ".html":

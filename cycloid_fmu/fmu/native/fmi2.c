@@ -136,9 +136,7 @@ fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference references[],
 }
 
 fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state) {
-    unsigned char *blob = instance_state(c, *state);
-    *state = blob;
-    return blob != NULL ? fmi2OK : fmi2Error;
+    return (fmi2Status)instance_state(c, state);
 }
 
 fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state) {
@@ -147,11 +145,7 @@ fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state) {
 
 fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state) {
     (void)c;
-    if (state != NULL) {
-        free(*state);
-        *state = NULL;
-    }
-    return fmi2OK;
+    return (fmi2Status)instance_state_free(state);
 }
 
 fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_t *size) {
@@ -161,22 +155,11 @@ fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_
 }
 
 fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size) {
-    if (state == NULL || size < drive_state_size()) {
-        return (fmi2Status)instance_refuse(c, STATUS_ERROR, "a state takes %u bytes, given are %u.",
-                                           (unsigned)drive_state_size(), (unsigned)size);
-    }
-    memcpy(bytes, state, drive_state_size());
-    return fmi2OK;
+    return (fmi2Status)instance_state_to_bytes(c, state, (unsigned char *)bytes, size);
 }
 
 fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state) {
-    unsigned char *blob = instance_state_from(c, (const unsigned char *)bytes, size);
-    if (blob == NULL) {
-        return fmi2Error;
-    }
-    free(*state);
-    *state = blob;
-    return fmi2OK;
+    return (fmi2Status)instance_state_from_bytes(c, (const unsigned char *)bytes, size, state);
 }
 
 fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference unknowns[], size_t nUnknowns,

@@ -269,9 +269,7 @@ ABSENT(fmi3SetClock, (fmi3Instance c, const fmi3ValueReference references[], siz
        "clocks")
 
 fmi3Status fmi3GetFMUState(fmi3Instance c, fmi3FMUState *state) {
-    unsigned char *blob = instance_state(c, *state);
-    *state = blob;
-    return blob != NULL ? fmi3OK : fmi3Error;
+    return (fmi3Status)instance_state(c, state);
 }
 
 fmi3Status fmi3SetFMUState(fmi3Instance c, fmi3FMUState state) {
@@ -279,11 +277,7 @@ fmi3Status fmi3SetFMUState(fmi3Instance c, fmi3FMUState state) {
 }
 
 fmi3Status fmi3FreeFMUState(fmi3Instance c, fmi3FMUState *state) {
-    if (state != NULL) {
-        free(*state);
-        *state = NULL;
-    }
-    return fmi3OK;
+    return (fmi3Status)instance_state_free(state);
 }
 
 fmi3Status fmi3SerializedFMUStateSize(fmi3Instance c, fmi3FMUState state, size_t *size) {
@@ -292,22 +286,11 @@ fmi3Status fmi3SerializedFMUStateSize(fmi3Instance c, fmi3FMUState state, size_t
 }
 
 fmi3Status fmi3SerializeFMUState(fmi3Instance c, fmi3FMUState state, fmi3Byte bytes[], size_t size) {
-    if (state == NULL || size < drive_state_size()) {
-        return (fmi3Status)instance_refuse(c, STATUS_ERROR, "a state takes %u bytes, given are %u.",
-                                           (unsigned)drive_state_size(), (unsigned)size);
-    }
-    memcpy(bytes, state, drive_state_size());
-    return fmi3OK;
+    return (fmi3Status)instance_state_to_bytes(c, state, bytes, size);
 }
 
 fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte bytes[], size_t size, fmi3FMUState *state) {
-    unsigned char *blob = instance_state_from(c, bytes, size);
-    if (blob == NULL) {
-        return fmi3Error;
-    }
-    free(*state);
-    *state = blob;
-    return fmi3OK;
+    return (fmi3Status)instance_state_from_bytes(c, bytes, size, state);
 }
 
 fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 step, fmi3Boolean noSetFMUStatePriorToCurrentPoint,

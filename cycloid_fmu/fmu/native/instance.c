@@ -187,36 +187,56 @@ int instance_set(struct instance *instance, const struct variable *variable, con
     return STATUS_OK;
 }
 
-unsigned char *instance_state(struct instance *instance, unsigned char *kept) {
-    unsigned char *blob = kept != NULL ? kept : malloc(drive_state_size());
-    if (blob == NULL) {
-        instance_refuse(instance, STATUS_ERROR, "there is not enough memory for a state.");
-    } else {
-        drive_state_write(&instance->drive, blob);
+int instance_state(struct instance *instance, void **state) {
+    if (*state == NULL) {
+        *state = malloc(drive_state_size());
     }
-    return blob;
+    if (*state == NULL) {
+        return instance_refuse(instance, STATUS_ERROR, "there is not enough memory for a state.");
+    }
+    drive_state_write(&instance->drive, *state);
+    return STATUS_OK;
 }
 
-int instance_restore(struct instance *instance, const unsigned char *blob) {
-    if (drive_state_check(&instance->drive, blob, drive_state_size(), instance->message)) {
+int instance_restore(struct instance *instance, const void *state) {
+    if (drive_state_check(&instance->drive, state, drive_state_size(), instance->message)) {
         return instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
     }
-    drive_state_read(&instance->drive, blob);
+    drive_state_read(&instance->drive, state);
     if (instance->phase == TERMINATED || instance->phase == INSTANTIATED || !instance->drive.initializing) {
         instance->phase = instance->drive.initializing ? INITIALIZING : STEPPING;
     }
     return STATUS_OK;
 }
 
-unsigned char *instance_state_from(struct instance *instance, const unsigned char *bytes, size_t size) {
-    unsigned char *blob = NULL;
-    if (drive_state_check(&instance->drive, bytes, size, instance->message)) {
-        instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
-    } else {
-        blob = malloc(size);
-        if (blob != NULL) {
-            memcpy(blob, bytes, size);
-        }
+int instance_state_free(void **state) {
+    if (state != NULL) {
+        free(*state);
+        *state = NULL;
     }
-    return blob;
+    return STATUS_OK;
+}
+
+int instance_state_to_bytes(struct instance *instance, const void *state, unsigned char *bytes, size_t size) {
+    if (state == NULL || size < drive_state_size()) {
+        return instance_refuse(instance, STATUS_ERROR, "a state takes %u bytes, given are %u.",
+                               (unsigned)drive_state_size(), (unsigned)size);
+    }
+    memcpy(bytes, state, drive_state_size());
+    return STATUS_OK;
+}
+
+int instance_state_from_bytes(struct instance *instance, const unsigned char *bytes, size_t size, void **state) {
+    void *blob;
+    if (drive_state_check(&instance->drive, bytes, size, instance->message)) {
+        return instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
+    }
+    blob = malloc(size);
+    if (blob == NULL) {
+        return instance_refuse(instance, STATUS_ERROR, "there is not enough memory for a state.");
+    }
+    memcpy(blob, bytes, size);
+    free(*state);
+    *state = blob;
+    return STATUS_OK;
 }

@@ -39,8 +39,11 @@ const struct variable *instance_variable(struct instance *instance, uint32_t ref
 int instance_get(struct instance *instance, const struct variable *variable, double *values);
 int instance_set(struct instance *instance, const struct variable *variable, const double *values);
 
-unsigned char *instance_state(struct instance *instance, unsigned char *kept);
-int instance_restore(struct instance *instance, const unsigned char *blob);
-unsigned char *instance_state_from(struct instance *instance, const unsigned char *bytes, size_t size);
+/* A state is a blob of `drive_state_size` bytes; one that is handed in is written over. */
+int instance_state(struct instance *instance, void **state);
+int instance_restore(struct instance *instance, const void *state);
+int instance_state_free(void **state);
+int instance_state_to_bytes(struct instance *instance, const void *state, unsigned char *bytes, size_t size);
+int instance_state_from_bytes(struct instance *instance, const unsigned char *bytes, size_t size, void **state);
 
 #endif
