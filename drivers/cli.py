@@ -363,9 +363,11 @@ def export(
     .csv is one table: the two angles, paired by the SYNC that latched both, and the torque interpolated to those
     instants. .nc (netCDF), .parquet and .mf4 (MDF4, ASAM) hold every channel's samples as they came.
     """
+    from drivers.export import WRITERS
     from drivers.export import export as write
     from drivers.recording_format import RecordingReader
 
+    edge.output_path(output, "--output", WRITERS)
     with RecordingReader(recording) as reader, _bytes_bar(reader) as progress:
         rows = write(reader, output, progress)
     for problem in reader.problems:

@@ -47,9 +47,9 @@ def export(reader: RecordingReader, path: Path, progress: Progress) -> int:
     edge.InputError
         If the ending is another, a library is missing, or the CSV's channels are not there.
     """
-    edge.output_path(path, "--output", _WRITERS)
+    edge.output_path(path, "--output", WRITERS)
     with edge.written_whole(path) as temporary:
-        return _WRITERS[path.suffix.lower()](reader, temporary, progress)
+        return WRITERS[path.suffix.lower()](reader, temporary, progress)
 
 
 def _gathered(reader: RecordingReader, events: list[Event], progress: Progress) -> Iterator[Samples]:
@@ -255,7 +255,7 @@ def _paired(
     yield from ready()
 
 
-_WRITERS: dict[str, Callable[[RecordingReader, Path, Progress], int]] = {
+WRITERS: dict[str, Callable[[RecordingReader, Path, Progress], int]] = {
     ".csv": _csv, ".nc": _netcdf, ".parquet": _parquet, ".mf4": _mdf,
 }  # fmt: skip
 
