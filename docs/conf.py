@@ -34,7 +34,7 @@ html_theme = "pydata_sphinx_theme"
 html_theme_options = {
     "show_toc_level": 2,
     "navigation_with_keys": False,
-    "header_links_before_dropdown": 3,
+    "header_links_before_dropdown": 2,
     "secondary_sidebar_items": ["page-toc"],
 }
 ALONE = [*(page.stem for page in HERE.glob("*.md")), "tutorials/*", "generated/*", "reference/commands"]
