@@ -14,6 +14,7 @@ import logging
 import socket
 import threading
 import time
+from collections.abc import Callable
 from typing import Any
 
 import can
@@ -55,26 +56,33 @@ def time_source(interface: str, what: str) -> str:
 
 @dataclasses.dataclass
 class Frames:
-    """Data frames of one identifier, in order.
+    """Data frames of one identifier, in order; arrays of shape (n,).
 
     `sync` is the running number of the SYNC before, -1 where none came; `device` and `sync_device` are stamps of an
-    interface that has a clock of its own, empty otherwise; `arrived` is when the last of them was taken, on the host's
+    interface that has a clock of its own, None otherwise; `arrived` is when the last of them was taken, on the host's
     monotonic clock.
     """
 
-    sync: list[int] = dataclasses.field(default_factory=list)
-    sync_time: list[float] = dataclasses.field(default_factory=list)
-    sync_device: list[float] = dataclasses.field(default_factory=list)
-    time: list[float] = dataclasses.field(default_factory=list)
-    device: list[float] = dataclasses.field(default_factory=list)
-    data: list[bytearray] = dataclasses.field(default_factory=list)
+    sync: IntArray
+    sync_time: FloatArray
+    time: FloatArray
+    data: list[bytearray]
     arrived: float = 0.0
+    device: FloatArray | None = None
+    sync_device: FloatArray | None = None
 
-    def extend(self, other: Frames) -> None:
-        """Append the frames of a later block."""
-        for name in ("sync", "sync_time", "sync_device", "time", "device", "data"):
-            getattr(self, name).extend(getattr(other, name))
-        self.arrived = other.arrived
+
+def _joined(blocks: list[Frames]) -> Frames:
+    """Return one identifier's blocks as one."""
+    if len(blocks) == 1:
+        return blocks[0]
+
+    def column(name: str) -> Any:
+        parts = [getattr(block, name) for block in blocks]
+        return None if parts[0] is None else np.concatenate(parts)
+
+    columns = {name: column(name) for name in ("sync", "sync_time", "time", "device", "sync_device")}
+    return Frames(data=[payload for block in blocks for payload in block.data], arrived=blocks[-1].arrived, **columns)
 
 
 class _LoopbackMulticast(GeneralPurposeUdpMulticastBus):  # type: ignore[misc]
@@ -210,6 +218,19 @@ def _tuned(udp: socket.socket) -> None:
         udp.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
 
 
+def _receiver(bus: can.BusABC) -> Callable[[float], tuple[can.Message | None, bool]]:
+    """Return what takes one message off a bus within so many seconds.
+
+    `recv` asks the clock, our buses' filters, of which there are none, and the logging module about each frame, which
+    is a fourth of its time on a fast bus; so what it asks itself is asked here, where a backend has no `recv` of its
+    own.
+    """
+    if type(bus).recv is can.BusABC.recv and bus.filters is None:
+        inner: Callable[[float], tuple[can.Message | None, bool]] = bus._recv_internal
+        return inner
+    return lambda timeout: (bus.recv(timeout), True)
+
+
 def drained(events: collections.deque[Event]) -> list[Event]:
     """Empty a queue of events that another thread may be filling."""
     return [events.popleft() for _ in range(len(events))]
@@ -234,11 +255,11 @@ class CanHub:
         self.broken = False
         self._quantities: dict[int, set[str]] = {}
         self._queues: dict[int, list[BlockQueue[Frames]]] = {}
+        self._wanted = frozenset({SYNC_ID})
         self._events: collections.deque[Event] = collections.deque()
-        self._pending: dict[int, Frames] = {}
         self._sync, self._sync_time, self._sync_device, self._counter = -1, 0.0, 0.0, 0
-        self._hardware: bool | None = None
-        self._arrivals: list[float] = []
+        self._own_clock: bool | None = None
+        self._receive_one = _receiver(self.bus)
         self._odd = {"error frames": 0, "echoes of own frames": 0}
         self._stopping = threading.Event()
         self._producer: threading.Thread | None = None
@@ -249,6 +270,7 @@ class CanHub:
         """Return a queue into which the frames of this identifier go from now on, block by block."""
         blocks: BlockQueue[Frames] = BlockQueue()
         self._queues = {**self._queues, identifier: [*self._queues.get(identifier, []), blocks]}
+        self._wanted = frozenset({SYNC_ID, *self._queues})
         if self.broken:
             blocks.fail(self._failure)
         return blocks
@@ -258,6 +280,7 @@ class CanHub:
         left = [q for q in self._queues.get(identifier, []) if q is not blocks]
         others = {k: v for k, v in self._queues.items() if k != identifier}
         self._queues = {**others, identifier: left} if left else others
+        self._wanted = frozenset({SYNC_ID, *self._queues})
 
     def node(self, number: int, quantity: str) -> Any:
         """Return the remote node for one of its quantities; `leave_node` gives it back.
@@ -305,11 +328,13 @@ class CanHub:
     def _run(self) -> None:
         try:
             while not self._stopping.is_set():
-                block = self._received()
-                self._take(block)
-                self._publish()
+                block: list[can.Message] = []
+                arrivals: list[float] = []
+                try:
+                    self._receive(block, arrivals)
+                finally:  # what came before the bus broke came
+                    self._take(block, arrivals)
         except Exception as problem:  # the reader must say why it ends: nobody else sees it
-            self._publish()
             self._break(problem)
 
     def _break(self, problem: Exception) -> None:
@@ -332,43 +357,28 @@ class CanHub:
         except Exception as problem:  # as in `_run`
             self._break(problem)
 
-    def _publish(self) -> None:
-        pending, self._pending = self._pending, {}
-        arrived = time.monotonic()
-        for identifier, frames in pending.items():
-            frames.arrived = arrived
-            for blocks in self._queues.get(identifier, ()):
-                blocks.put(frames, len(frames.data))
-        for what, count in self._odd.items():
-            if count:
-                self._events.append(Event(time.time(), "", f"{count} {what} on the CAN bus {self.name}"))
-                self._odd[what] = 0
+    def _receive(self, block: list[can.Message], arrivals: list[float]) -> None:
+        """Append the data and SYNC frames of a block; what else comes is served at once, somebody waits for it.
 
-    def _received(self) -> list[can.Message]:
-        """Return the data and SYNC frames of a block; what else comes is served at once, somebody waits for it."""
-        receive, block = self.bus.recv, []
-        message = receive(BLOCK_SECONDS)
+        `arrivals` gets the host's time of each where the interface has a clock of its own.
+        """
+        receive, append, own_clock = self._receive_one, block.append, self._own_clock
         end = time.monotonic() + BLOCK_SECONDS
-        while message is not None:
-            if self._hardware is None:
+        for _ in range(BLOCK_FRAMES):
+            message = receive(0.0)[0]
+            if message is None:  # the clock is only asked where there is time for it
+                message = receive(max(0.0, end - time.monotonic()))[0]
+                if message is None:
+                    return
+            if own_clock is None:
                 # Some interfaces count from power-up: theirs is a clock of its own.
-                self._hardware = abs(time.time() - message.timestamp) > 3600
-            identifier = message.arbitration_id
-            if identifier in self._queues or (identifier == SYNC_ID and not message.is_extended_id):
-                block.append(message)
-                if self._hardware:
-                    self._arrivals.append(time.time())
+                own_clock = self._own_clock = abs(time.time() - message.timestamp) > 3600
+            if message.arbitration_id in self._wanted:
+                append(message)
+                if own_clock:
+                    arrivals.append(time.time())
             else:
                 self._serve(message)
-            if len(block) >= BLOCK_FRAMES:
-                break
-            message = receive(0.0)
-            if message is None:  # the clock is only asked where there is time for it
-                left = end - time.monotonic()
-                if left <= 0:
-                    break
-                message = receive(left)
-        return block
 
     def _serve(self, message: can.Message) -> None:
         """Hand a frame that is no channel's to CANopen's services."""
@@ -378,45 +388,66 @@ class CanHub:
                 raise can.CanOperationError("bus-off")
         elif not message.is_remote_frame:
             with contextlib.suppress(Exception):  # a malformed service frame must not end the recording
-                stamp = time.time() if self._hardware else message.timestamp
+                stamp = time.time() if self._own_clock else message.timestamp
                 self.network.notify(message.arbitration_id, message.data, stamp)
 
-    def _take(self, block: list[can.Message]) -> None:
-        """Sort a block's frames by identifier, each with the SYNC before it."""
-        arrivals, self._arrivals = self._arrivals, []
-        if any([m.is_error_frame or m.is_remote_frame or not m.is_rx for m in block]):
-            block = self._plain(block)
-            arrivals = arrivals[: len(block)]
-        pending = self._pending
-        for place, message in enumerate(block):
-            identifier = message.arbitration_id
-            if identifier == SYNC_ID:
-                self._sync_device = message.timestamp
-                self._on_sync(message.data, arrivals[place] if arrivals else message.timestamp)
-                continue
-            frames = pending.get(identifier)
-            if frames is None:
-                frames = pending[identifier] = Frames()
-            frames.sync.append(self._sync)
-            frames.sync_time.append(self._sync_time)
-            frames.time.append(message.timestamp)
-            frames.data.append(message.data)
-            if arrivals:
-                frames.device.append(message.timestamp)
-                frames.time[-1] = arrivals[place]
-                frames.sync_device.append(self._sync_device)
-
-    def _plain(self, block: list[can.Message]) -> list[can.Message]:
-        """Return a block without error frames, remote frames and echoes of own frames, SYNC being no echo."""
-        kept = []
-        for message in block:
-            if message.is_error_frame:
+    def _take(self, block: list[can.Message], arrivals: list[float]) -> None:
+        """Sort a block's frames by identifier, each with the SYNC before it, and hand them on."""
+        try:
+            errors: list[can.Message] = []
+            if any([m.is_error_frame or m.is_remote_frame or not m.is_rx for m in block]):
+                errors = [m for m in block if m.is_error_frame]
+                kept = self._plain(block)
+                block, arrivals = [block[i] for i in kept], [arrivals[i] for i in kept] if arrivals else []
+            if block:
+                self._publish(block, arrivals)
+            for message in errors:  # last: bus-off ends the reader, not what came before it
                 self._serve(message)
-            elif not message.is_rx and message.arbitration_id != SYNC_ID:
+        finally:
+            for what, count in self._odd.items():
+                if count:
+                    self._events.append(Event(time.time(), "", f"{count} {what} on the CAN bus {self.name}"))
+                    self._odd[what] = 0
+
+    def _plain(self, block: list[can.Message]) -> list[int]:
+        """Return the places of what is no error frame, remote frame or echo of an own frame, SYNC being no echo."""
+        kept = []
+        for place, message in enumerate(block):
+            if message.is_error_frame or message.is_remote_frame:
+                continue
+            if not message.is_rx and message.arbitration_id != SYNC_ID:
                 self._odd["echoes of own frames"] += 1
-            elif not message.is_remote_frame:
-                kept.append(message)
+            else:
+                kept.append(place)
         return kept
+
+    def _publish(self, block: list[can.Message], arrivals: list[float]) -> None:
+        """Put the frames of a block, of which there is one at least, into their identifiers' queues."""
+        arrived = time.monotonic()
+        identifiers = np.array([m.arbitration_id for m in block])
+        stamps = np.array([m.timestamp for m in block])
+        host = np.array(arrivals) if arrivals else stamps
+        synced = identifiers == SYNC_ID
+        seen = [(self._sync, self._sync_time, self._sync_device)]
+        for place in np.flatnonzero(synced).tolist():
+            if block[place].is_extended_id:  # 29 bits of the same number
+                synced[place] = False
+                continue
+            self._sync_device = block[place].timestamp
+            self._on_sync(block[place].data, float(host[place]))
+            seen.append((self._sync, self._sync_time, self._sync_device))
+        before = np.cumsum(synced)
+        numbers, times, devices = map(np.array, zip(*seen, strict=True))
+        for identifier, queues in self._queues.items():
+            mine = np.flatnonzero((identifiers == identifier) & ~synced)
+            if not len(mine):
+                continue
+            frames = Frames(
+                numbers[before[mine]], times[before[mine]], host[mine], [block[i].data for i in mine.tolist()], arrived,
+                stamps[mine] if arrivals else None, devices[before[mine]] if arrivals else None,
+            )  # fmt: skip
+            for blocks in queues:
+                blocks.put(frames, len(mine))
 
     def _on_sync(self, data: bytearray, stamp: float) -> None:
         step = 1
@@ -536,18 +567,20 @@ class FrameReader:
         EncoderConnectionError
             If the bus broke, once what came before is read.
         """
-        frames = Frames()
         losses: list[tuple[int, int]] = []
+        blocks: list[Frames] = []
+        place = 0
         for lost, block in self._blocks.take(timeout):
             if lost:
-                losses.append((len(frames.data), lost))
-            frames.extend(block)
-        return self._judged(frames, losses) if frames.data else None
+                losses.append((place, lost))
+            blocks.append(block)
+            place += len(block.data)
+        return self._judged(_joined(blocks), losses) if blocks else None
 
     def _judged(self, frames: Frames, losses: list[tuple[int, int]]) -> Judged | None:
         """Leave out frames that can't be trusted and mark what follows them."""
         n = len(frames.data)
-        stamps = np.array(frames.time if self.sync_step is None else frames.sync_time)
+        stamps = frames.time if self.sync_step is None else frames.sync_time
         before = np.zeros(n, np.int64)  # bits for the sample at, or the next kept one after, each place
         for place, lost in losses:
             before[place] |= GAP
@@ -574,7 +607,7 @@ class FrameReader:
         if len(kept) == 0:
             return None
         if self.sync_step is not None:
-            numbers = np.array(frames.sync)[kept] // self.sync_step
+            numbers = frames.sync[kept] // self.sync_step
             judged, missing, self._newest = judge_sequence(numbers, 1 << 62, self._newest)
             status |= judged
             if missing.any():
@@ -584,13 +617,13 @@ class FrameReader:
                     f"{int(missing.sum())} SYNC without a sample, in {len(gaps)} gaps from here on",
                 )
         own = frames.device if self.sync_step is None else frames.sync_device
-        device = np.array(own)[kept] if own else None
+        device = None if own is None else own[kept]
         data = frames.data if len(kept) == n else [frames.data[i] for i in kept]
         return Judged(payload_array(data, self.length), stamps[kept], device, status)
 
     def _synced(self, frames: Frames, before: IntArray) -> npt.NDArray[np.bool_]:
         """Return which frames have a SYNC of their own, and note in `before` what the others were."""
-        sync = np.array(frames.sync)
+        sync = frames.sync
         previous = np.concatenate([[self._last_seen], sync[:-1]])
         self._last_seen = int(sync[-1])
         self._skipped(sync < 0, frames, "before the first SYNC")
@@ -607,7 +640,7 @@ class FrameReader:
 
     def _clocked(self, frames: Frames, before: IntArray) -> None:
         """Note in `before` what the stamps tell."""
-        times = np.array(frames.device or frames.time)
+        times = frames.time if frames.device is None else frames.device
         first = self._last is None
         last_time, last_data, arrived = self._last or (times[0], bytearray(), frames.arrived)
         step = np.diff(times, prepend=last_time)

@@ -402,7 +402,7 @@ def test_a_reader_thread_that_dies_is_an_event(tmp_path, bus_name):
         with open_encoders(toml) as encoders:
             hub = encoders[0]._hub
 
-            def die(message):
+            def die(block, arrivals):
                 raise RuntimeError("a bug nobody thought of")
 
             def progress(live):

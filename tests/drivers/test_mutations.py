@@ -113,13 +113,13 @@ def test_frames(count):
     sync = 0
     kept = 0
     for _ in range(0, count, 1000):
-        frames = Frames()
-        for i in range(1000):
-            sync += int(random.integers(0, 3))
-            frames.sync.append(sync if random.random() < 0.99 else -1)
-            frames.sync_time.append(sync * 0.01)
-            frames.time.append(sync * 0.01 + random.normal(0, 1))
-            frames.data.append(bytearray(mutated(random, i.to_bytes(4, "little"))))
+        numbers = sync + np.cumsum(random.integers(0, 3, 1000))
+        sync = int(numbers[-1])
+        frames = Frames(
+            np.where(random.random(1000) < 0.99, numbers, -1), numbers * 0.01,
+            numbers * 0.01 + random.normal(0, 1, 1000),
+            [bytearray(mutated(random, i.to_bytes(4, "little"))) for i in range(1000)],
+        )  # fmt: skip
         reader._blocks.put(frames, 1000)
         judged = reader.read(0.0)
         reader.events()
