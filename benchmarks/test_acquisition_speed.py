@@ -1,8 +1,9 @@
 """How fast samples are taken: against bare loops of python-can and pyserial on the same line in the same run."""
 
-import math
 import os
 import statistics
+import subprocess
+import sys
 import threading
 import time
 
@@ -11,16 +12,15 @@ import pytest
 import serial
 from soak import peak, soak
 
-from drivers.bench import BenchRun, simulate_motion
 from drivers.can_hub import BLOCK_FRAMES, CanHub, FrameReader, open_bus
 from drivers.encoder import BusConfig
 from drivers.recorder import open_encoders
-from drivers.serial_bench import Amt21Bench
 
-PAIRS = int(os.environ.get("CYCLOID_PAIRS", "9"))
+PAIRS = int(os.environ.get("CYCLOID_PAIRS", "41"))
 # Whole blocks: a last one that is not full waits for `can_hub.BLOCK_SECONDS` to end, which says nothing of the rate.
-# UDP's fit into the socket's buffer.
-FRAMES = {"virtual": 24 * BLOCK_FRAMES, "udp_multicast": 4 * BLOCK_FRAMES}
+# Many short pairs tell more on a busy machine than few long ones; UDP's socket holds no more frames.
+FRAMES = 4 * BLOCK_FRAMES
+ROUND_TRIPS = 2_000
 SOAK = int(float(os.environ.get("CYCLOID_SOAK", "1e8")))
 GROUP = "239.74.163.55"
 
@@ -30,33 +30,33 @@ def bus_config(interface):
     return BusConfig(interface=interface, channel=channel)
 
 
-def send_all(config, count):
+def send_all(config):
     """Send frames of two nodes to whoever has opened the bus."""
     with open_bus(config) as sender:
-        for i in range(count):
+        for i in range(FRAMES):
             payload = i.to_bytes(4, "little")
             sender.send(can.Message(arbitration_id=0x181 + i % 2, is_extended_id=False, data=payload))
 
 
-def timed(run, count):
-    """Things a second by the clock, and processor seconds for each."""
+def timed(run):
+    """Things a second by the clock, and processor seconds for each; `run` returns how many there were."""
     begun, used = time.perf_counter(), time.process_time()
-    run()
+    count = run()
     return count / (time.perf_counter() - begun), (time.process_time() - used) / count
 
 
 def bare_rate(interface):
     """A loop that does nothing but receive."""
-    count = FRAMES[interface]
     config = bus_config(interface)
 
     def receive():
-        for _ in range(count):
+        for _ in range(FRAMES):
             assert bus.recv(1.0) is not None
+        return FRAMES
 
     with open_bus(config) as bus:
-        send_all(config, count)
-        return timed(receive, count)
+        send_all(config)
+        return timed(receive)
 
 
 class WaitingHub(CanHub):
@@ -73,21 +73,21 @@ class WaitingHub(CanHub):
 
 def hub_rate(interface):
     """Through hub and decoding, from the first frame taken to the last sample decoded."""
-    count = FRAMES[interface]
     hub = WaitingHub(bus_config(interface))
     readers = [FrameReader(hub, 0x181 + i, 4, None, "x") for i in (0, 1)]
-    send_all(hub.config, count)
+    send_all(hub.config)
 
     def read():
         got = 0
         hub.go.set()
-        while got < count:
+        while got < FRAMES:
             for reader in readers:
                 block = reader.read(0.05)
                 got += 0 if block is None else len(block.payloads)
+        return got
 
     try:
-        return timed(read, count)
+        return timed(read)
     finally:
         hub.go.set()
         hub.close()
@@ -120,30 +120,58 @@ def test_frames_a_second_against_a_bare_receive_loop(benchmark, interface):
     state(benchmark, pairs, "frames/s")
 
 
+DEVICE = """
+import math, sys
+from drivers.bench import BenchRun, simulate_motion
+from drivers.serial_bench import Amt21Bench
+motion = simulate_motion(lambda a, t: -a / 39, BenchRun(torque=0.0, turns=100, speed=0.01 * math.pi))
+with Amt21Bench(motion) as bench:
+    bench.write_wiring(sys.argv[1])
+    print(bench.url, flush=True)
+    sys.stdin.read()
+"""
+
+
 def test_amt21_round_trips_against_a_bare_serial_loop(benchmark, tmp_path):
-    motion = simulate_motion(lambda a, t: -a / 39, BenchRun(torque=0.0, turns=100, speed=0.01 * math.pi))
+    """The device is a process of its own, as a real one takes no time from who asks it."""
+    toml = tmp_path / "BENCH.toml"
     pairs = []
-    with Amt21Bench(motion) as bench:
-        toml = bench.write_wiring(tmp_path / "BENCH.toml")
+
+    def bare(url):
+        def ask():
+            for _ in range(ROUND_TRIPS):
+                port.write(b"\x54")
+                assert len(port.read(2)) == 2
+            return ROUND_TRIPS
+
+        with serial.serial_for_url(url, baudrate=2_000_000, timeout=1.0) as port:
+            return timed(ask)
+
+    def ours():
+        def read():
+            count = 0
+            while count < ROUND_TRIPS:
+                block = encoder.read(0.1)
+                count += 0 if block is None else len(block)
+            return count
+
+        with open_encoders(toml) as (encoder,):
+            encoder.read(0.5)
+            return timed(read)
+
+    def pair():
+        if len(pairs) % 2:
+            one = bare(url)
+            pairs.append((ours(), one))
+        else:
+            pairs.append((ours(), bare(url)))
+
+    command = [sys.executable, "-c", DEVICE, str(toml)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as device:
+        url = device.stdout.readline().strip()
         toml.write_text(toml.read_text().split("[channel.output_angle]")[0])
-
-        def pair():
-            with serial.serial_for_url(bench.url, baudrate=2_000_000, timeout=0.1) as port:
-                begun, count = time.perf_counter(), 0
-                while time.perf_counter() - begun < 1.0:
-                    port.write(b"\x54")
-                    assert len(port.read(2)) == 2
-                    count += 1
-                bare = count / (time.perf_counter() - begun)
-            with open_encoders(toml) as (encoder,):
-                encoder.read(0.5)
-                begun, count = time.perf_counter(), 0
-                while time.perf_counter() - begun < 1.0:
-                    block = encoder.read(0.1)
-                    count += 0 if block is None else len(block)
-                pairs.append((count / (time.perf_counter() - begun), bare))
-
         benchmark.pedantic(pair, rounds=PAIRS)
+        device.stdin.close()
     state(benchmark, pairs, "round trips/s")
 
 

@@ -6,6 +6,8 @@ import abc
 import collections
 import contextlib
 import errno
+import os
+import select
 import threading
 import time
 from collections.abc import Callable
@@ -35,11 +37,25 @@ Question = Callable[[Any], bytes]
 
 
 def ask(port: Any, question: bytes, length: int) -> bytes:
-    """Write a question and return the answer: `length` bytes, fewer where they do not come in time."""
-    if port.in_waiting:
-        port.reset_input_buffer()  # what comes late must not be taken for the next answer
-    port.write(question)
-    return bytes(port.read(length))
+    """Write a question and return the answer: `length` bytes, fewer where they do not come in time.
+
+    A port of this machine's is written and read by its file descriptor, where the system has such: pyserial's own
+    `write` and `read` wait for more and take longer than an encoder at 2 Mbaud.
+    """
+    if os.name != "posix" or type(port) is not serial.Serial:
+        port.write(question)
+        answer: bytes = port.read(length)
+        return answer
+    descriptor = port.fileno()
+    if os.write(descriptor, question) < len(question):
+        raise serial.SerialTimeoutException("it takes no more bytes")
+    got = b""
+    while len(got) < length and select.select([descriptor], [], [], port.timeout)[0]:
+        part = os.read(descriptor, length - len(got))
+        if not part:
+            raise serial.SerialException("it is ready to read and has nothing, as one that was pulled")
+        got += part
+    return got
 
 
 class PortHub:
@@ -74,13 +90,21 @@ class PortHub:
         for.
         """
         with self._lock:
-            before = steady_time()
-            answer = question(self.port)
-            after = steady_time()
-            if asked and answer and (surplus := self.port.in_waiting):
-                # Check bits pass one garbled answer in four; bytes left over give it away.
-                answer += self.port.read(surplus)
-            return (before + after) / 2 if asked else after, answer
+            if asked:
+                self._surplus()
+            when, answer = self._exchange(question, asked)
+            return when, answer + self._surplus() if asked and answer else answer
+
+    def _exchange(self, question: Question, asked: bool) -> Exchange:
+        before = steady_time()
+        answer = question(self.port)
+        after = steady_time()
+        return (before + after) / 2 if asked else after, answer
+
+    def _surplus(self) -> bytes:
+        """Take bytes that nobody waits for off the line: they must not be taken for the next answer."""
+        waiting = self.port.in_waiting
+        return bytes(self.port.read(waiting)) if waiting else b""
 
     def poll(self, question: Question, asked: bool, answers: BlockQueue[list[Exchange]]) -> None:
         """Put this question again and again from now on; see `exchange`."""
@@ -101,6 +125,12 @@ class PortHub:
         with contextlib.suppress(Exception):
             self.port.close()
 
+    def _put_back(self, newest: list[Exchange]) -> None:
+        """Put bytes left over behind the newest answer: check bits pass one garbled answer in four, its length none."""
+        if (surplus := self._surplus()) and newest and newest[-1][1]:
+            when, answer = newest[-1]
+            newest[-1] = when, answer + surplus
+
     def _run(self) -> None:
         self._polling.wait()
         blocks: dict[BlockQueue[list[Exchange]], list[Exchange]] = {}
@@ -110,9 +140,17 @@ class PortHub:
                 blocks = {answers: [] for answers in queues}
                 turns = [(question, asked, blocks[answers]) for answers, (question, asked) in queues.items()]
                 end = time.monotonic() + BLOCK_SECONDS
+                newest: list[Exchange] = []
                 while queues and time.monotonic() < end:
                     for question, asked, block in turns:
-                        block.append(self.exchange(question, asked))
+                        with self._lock:
+                            if asked:
+                                self._put_back(newest)
+                            block.append(self._exchange(question, asked))
+                        newest = block if asked else []
+                if newest:
+                    with self._lock:
+                        self._put_back(newest)
                 for answers, block in blocks.items():
                     answers.put(block, len(block))
                 if not queues:
