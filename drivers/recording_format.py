@@ -503,30 +503,75 @@ def _header(metadata: Mapping[bytes, bytes] | None, source: str) -> Header:
         raise edge.InputError(f"{source}: the recording's header can't be understood ({problem}).") from None
 
 
-def _batch(
-    batch: pa.RecordBatch, metadata: Mapping[bytes, bytes] | None, names: Sequence[str]
+def _decoded(
+    batches: Sequence[tuple[pa.RecordBatch, Mapping[bytes, bytes] | None]], names: Sequence[str]
+) -> Iterator[tuple[int, Samples, tuple[Event, ...]] | Exception]:
+    """Yield sequence number, samples and events of each batch, or why it can't be trusted.
+
+    Their columns are taken together: a batch is a twentieth of a second, and to ask Arrow for each one's costs more
+    than what is in it.
+    """
+    sound: list[pa.RecordBatch] = []
+    problems: dict[int, Exception] = {}
+    for place, (batch, _) in enumerate(batches):
+        try:
+            batch.validate()
+        except pa.ArrowException as problem:
+            problems[place] = problem
+        else:
+            sound.append(batch)
+    if not sound:
+        yield from problems.values()
+        return
+    ends = np.cumsum([0, *(batch.num_rows for batch in sound)])
+    table = pa.Table.from_batches(sound)
+    arrays: dict[str, npt.NDArray[Any]] = {}
+    gaps: dict[str, list[bool]] = {}
+    for name, (_, dtype, _) in _COLUMNS.items():
+        column = table.column(name)
+        missing = np.asarray(column.is_null()) if column.null_count else np.zeros(len(column), bool)
+        nulls = np.concatenate([[0], np.cumsum(missing)])
+        gaps[name] = (np.diff(nulls[ends]) > 0).tolist()
+        arrays[name] = np.asarray(column.fill_null(0) if column.null_count else column, dtype)
+    # By the number, as the header counts its channels: a damaged dictionary names them wrongly.
+    numbers = pa.chunked_array([batch.column(0).indices for batch in sound], pa.int16())
+    rows = np.asarray(numbers.fill_null(-1) if numbers.null_count else numbers)
+    changes = np.flatnonzero(np.diff(rows)) + 1
+    mixed = (np.searchsorted(changes, ends[1:]) > np.searchsorted(changes, ends[:-1], "right")).tolist()
+    spans = zip(mixed, *gaps.values(), ends[:-1].tolist(), ends[1:].tolist(), strict=True)
+    for place, (_, metadata) in enumerate(batches):
+        if place in problems:
+            yield problems[place]
+            continue
+        mixes, *null, begin, end = next(spans)
+        columns = {
+            name: None if absent else array[begin:end]
+            for (name, array), absent in zip(arrays.items(), null, strict=True)
+        }
+        try:
+            if mixes:
+                raise ValueError("it mixes channels")
+            yield _checked(metadata or {}, columns, int(rows[begin]) if end > begin else None, names)
+        except (ValueError, TypeError, KeyError) as problem:
+            yield problem
+
+
+def _checked(
+    metadata: Mapping[bytes, bytes], columns: Mapping[str, Any], number: int | None, names: Sequence[str]
 ) -> tuple[int, Samples, tuple[Event, ...]]:
-    """Return sequence number, samples and events of a batch; ValueError says why it can't be trusted."""
-    text = {k.decode(): v.decode() for k, v in (metadata or {}).items()}
-    if not {"sequence", "events", "crc32"} <= text.keys():
-        raise ValueError("it has no sequence number, events or CRC-32")
-    batch.validate()
-    sequence, said = int(text["sequence"]), json.loads(text["events"])
-    events = tuple(Event(**e) for e in said)
-    index = batch.column(0).indices
-    if index.null_count:
-        raise ValueError("a sample has no channel")
-    numbers = index.to_numpy()
-    if len(numbers) and (numbers != numbers[0]).any():
-        raise ValueError("it mixes channels")
-    if len(numbers) and not 0 <= numbers[0] < len(names):
+    """Return sequence number, samples and events of a batch of channel `number`; ValueError says why not."""
+    try:
+        number_said, said, crc = (metadata[key] for key in (b"sequence", b"events", b"crc32"))
+    except KeyError:
+        raise ValueError("it has no sequence number, events or CRC-32") from None
+    sequence, text = int(number_said), said.decode()
+    events = () if text == "[]" else tuple(Event(**e) for e in json.loads(text))
+    if number is not None and not 0 <= number < len(names):
         raise ValueError("its channel is none of the header's")
-    columns = zip(_COLUMNS, batch.columns[1:], strict=True)
-    arrays = {name: None if column.null_count else column.to_numpy() for name, column in columns}
     # An empty batch has no row that names its channel: it is the one the CRC-32 fits.
-    for name in [names[numbers[0]]] if len(numbers) else names:
-        samples = Samples(channel=name, **arrays)  # type: ignore[arg-type]
-        if batch_checksum(sequence, text["events"], samples) == text["crc32"]:
+    for name in [names[number]] if number is not None else names:
+        samples = Samples(name, **columns)
+        if batch_checksum(sequence, text, samples).encode() == crc:
             return sequence, samples, events
     raise ValueError("its CRC-32 is wrong")
 
@@ -619,9 +664,10 @@ class RecordingReader:
             The end is where the recorder is just now, not a cut: it is no problem, and a later call goes on there.
         """
         while True:
-            for batch, metadata, end in self._sound():
+            batches, ends = self._sound()
+            for decoded, end in zip(_decoded(batches, self._names), ends, strict=True):
                 self._offset = end
-                if (taken := self._judged(batch, metadata)) is not None:
+                if (taken := self._judged(decoded)) is not None:
                     yield taken
             # What is read many at a time stops at the end, at damage and where a piece is cut: one by one from there.
             size = self._path.stat().st_size
@@ -646,23 +692,17 @@ class RecordingReader:
             data, self._offset = found
             if data is None:
                 continue
-            try:
-                decoded = self._decoded(data)
-            except (ValueError, OSError, pa.ArrowException) as problem:  # Arrow says OSError of lengths beyond the end
-                self._left_out(problem)
-            else:
-                if (taken := self._judged(*decoded)) is not None:
-                    yield taken
+            if (taken := self._judged(self._decoded(data))) is not None:
+                yield taken
 
     def _judged(
-        self, batch: pa.RecordBatch, metadata: Mapping[bytes, bytes] | None
+        self, decoded: tuple[int, Samples, tuple[Event, ...]] | Exception
     ) -> tuple[Samples, tuple[Event, ...]] | None:
         """Return samples and events of the next batch, marked where something is lost before; None if it is wrong."""
-        try:
-            sequence, samples, said = _batch(batch, metadata, self._names)
-        except (ValueError, TypeError, KeyError, pa.ArrowException) as problem:
-            self._left_out(problem)
+        if isinstance(decoded, Exception):
+            self._left_out(decoded)
             return None
+        sequence, samples, said = decoded
         if sequence != self._next_sequence:
             self.problems.append(
                 f"{self.source}: batch {self._number} has sequence number {sequence}, not {self._next_sequence}."
@@ -684,18 +724,20 @@ class RecordingReader:
         self._number += 1
         self._next_sequence += 1
 
-    def _sound(self) -> Iterator[tuple[pa.RecordBatch, Mapping[bytes, bytes] | None, int]]:
-        """Yield the next batches, each with the byte where it ends, as far as one piece of the file holds them."""
+    def _sound(self) -> tuple[list[tuple[pa.RecordBatch, Mapping[bytes, bytes] | None]], list[int]]:
+        """Return the next batches and the byte where each ends, as far as one piece of the file holds them."""
         begin = self._offset - len(self._preamble)
         source = pa.BufferReader(self._preamble + self._bytes(self._offset, _PIECE_BYTES))
+        batches: list[tuple[pa.RecordBatch, Mapping[bytes, bytes] | None]] = []
+        ends: list[int] = []
         with pa.ipc.open_stream(source) as reader:
             reader.read_next_batch()
             while True:
                 try:
-                    batch, metadata = reader.read_next_batch_with_custom_metadata()
+                    batches.append(reader.read_next_batch_with_custom_metadata())
                 except (StopIteration, ValueError, OSError, EOFError, pa.ArrowException):
-                    return
-                yield batch, metadata, begin + source.tell()
+                    return batches, ends
+                ends.append(begin + source.tell())
 
     @property
     def size(self) -> int:
@@ -725,12 +767,14 @@ class RecordingReader:
             return None
         return (self._bytes(offset, end - offset) if message.type == "record batch" else None), end
 
-    def _decoded(self, data: bytes) -> tuple[pa.RecordBatch, Mapping[bytes, bytes] | None]:
-        """Return the batch of a message and its metadata, as the one batch of a stream."""
-        with pa.ipc.open_stream(pa.BufferReader(self._preamble + data)) as reader:
-            reader.read_next_batch()
-            batch, metadata = reader.read_next_batch_with_custom_metadata()
-        return batch, metadata
+    def _decoded(self, data: bytes) -> tuple[int, Samples, tuple[Event, ...]] | Exception:
+        """Return the batch of a message, as the one batch of a stream, or what is wrong with it."""
+        try:
+            with pa.ipc.open_stream(pa.BufferReader(self._preamble + data)) as reader:
+                reader.read_next_batch()
+                return next(_decoded([reader.read_next_batch_with_custom_metadata()], self._names))
+        except (ValueError, OSError, pa.ArrowException, StopIteration) as problem:  # OSError of lengths beyond the end
+            return problem
 
     def _resume(self, size: int) -> bool:
         """Find the next batch that can be trusted behind a damaged place and go on there; False if there is none."""
@@ -741,18 +785,13 @@ class RecordingReader:
             while found >= 0:
                 at = position + found
                 taken = self._message(at, size) if at % 8 == 0 else None
-                if taken is not None and taken[0] is not None:
-                    try:
-                        _batch(*self._decoded(taken[0]), self._names)
-                    except (ValueError, TypeError, KeyError, OSError, pa.ArrowException):
-                        pass
-                    else:
-                        self.problems.append(
-                            f"{self.source}: damaged from byte {self._good_end} on; reading went on at byte {at}."
-                        )
-                        self._lost = set(self._names)
-                        self._offset = at
-                        return True
+                if taken is not None and taken[0] is not None and not isinstance(self._decoded(taken[0]), Exception):
+                    self.problems.append(
+                        f"{self.source}: damaged from byte {self._good_end} on; reading went on at byte {at}."
+                    )
+                    self._lost = set(self._names)
+                    self._offset = at
+                    return True
                 found = block.find(_MESSAGE, found + 1)
             if len(block) < _SEARCH_BYTES:
                 break

@@ -595,9 +595,12 @@ class _RecorderFile(BenchFile):
         silent = set(names)
         waiting: dict[str, list[Samples]] = {n: [] for n in names}
 
+        gathered = dict.fromkeys(names, 0)
+
         def piece(name: str) -> Piece:
             samples = joined(name, waiting[name])
             waiting[name].clear()
+            gathered[name] = 0
             return Piece(alignments[name].time(samples), {name: samples.value}, samples.status)
 
         with RecordingReader(self.source) as reader:
@@ -606,7 +609,8 @@ class _RecorderFile(BenchFile):
                     silent.discard(samples.channel)
                     waiting[samples.channel].append(samples)
                     # A batch is a twentieth of a second; to take each by itself costs more than what is in it.
-                    if sum(map(len, waiting[samples.channel])) >= _GATHERED:
+                    gathered[samples.channel] += len(samples)
+                    if gathered[samples.channel] >= _GATHERED:
                         yield piece(samples.channel)
             for name in names:
                 if waiting[name]:
