@@ -49,9 +49,10 @@ _CLOCKS = {
 }  # fmt: skip
 
 
-def time_source(interface: str, what: str) -> str:
-    """Say for a recording whose clock stamps what: "kernel clock: the CAN interface's stamp of the frame (…)"."""
-    return f"{_CLOCKS.get(interface, 'host')} clock: the CAN interface's stamp of the {what} ({interface})"
+def time_source(config: BusConfig, what: str) -> str:
+    """Say for a recording whose clock stamps what: 'hardware clock: the CAN interface's stamp of the frame (…)'."""
+    clock = _CLOCKS.get(config.interface, "host")
+    return f'{clock} clock: the CAN interface\'s stamp of the {what} ({config.interface} "{config.channel}")'
 
 
 @dataclasses.dataclass

@@ -165,7 +165,7 @@ class CanopenEncoder(Encoder):
             zero=self.config.zero,
             zero_reference=self.config.zero_reference,
             identity="; ".join(", ".join(part) for part in (about, state) if part),
-            time_source=time_source(self.bus.interface, f"SYNC 0x{SYNC_ID:03X}" if step else "frame"),
+            time_source=time_source(self.bus, f"SYNC 0x{SYNC_ID:03X}" if step else "frame"),
         )
         self._reader = FrameReader(hub, identifier, length, step, self.name, timer / 1000 or None)
         reader = self._reader

@@ -117,7 +117,7 @@ class DbcSensor(Encoder):
             zero=0.0,
             zero_reference=self.config.zero_reference,
             identity=f"{self.config.file}: {self.config.signal} of {self.config.message}, 0x{self._message.frame_id:X}",
-            time_source=time_source(self.bus.interface, stamp),
+            time_source=time_source(self.bus, stamp),
         )
         return self
 

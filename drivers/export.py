@@ -297,7 +297,10 @@ def repaired(reader: RecordingReader, output: str | os.PathLike[str] | None, pro
         If the output exists or can't be created.
     """
     held = Held(reader.header, {c.name: HeldChannel() for c in reader.header.channels})
-    writer = RecordingWriter(output, reader.header) if output is not None else None
+    # What is written has a checksum that is right: that the header was damaged must stand in it.
+    said = {"damaged header": " ".join(reader.problems)} if reader.problems else {}
+    header = dataclasses.replace(reader.header, conditions={**reader.header.conditions, **said})
+    writer = RecordingWriter(output, header) if output is not None else None
     try:
         for samples, events in reader.batches():
             progress()

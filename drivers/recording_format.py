@@ -5,7 +5,8 @@ No bus library stands behind this module: it is what a recorder writes and an ev
 A file is a schema, record batches and an end mark. Every batch holds samples of one channel as they came, in the
 columns `channel` (dictionary of the channels' names), `time_host`, `time_device`, `counts`, `value` and `status`.
 The schema's metadata, UTF-8 text, are `format`, `channels` (a JSON list of objects, the fields of `Channel`),
-`conditions` (a JSON object, SI numbers and text), `ratio` (JSON number or null), `pair` and `start` (ISO 8601, UTC).
+`conditions` (a JSON object, SI numbers and text), `ratio` (JSON number or null), `pair`, `start` (ISO 8601, UTC) and
+`header_crc32`, the CRC-32 of the texts before, each behind its key, in this order; the first recordings have none.
 Each batch's custom metadata are `sequence` (decimal, from 0), `events` (a JSON list of {time, channel, text}) and
 `crc32` (eight hexadecimal digits).
 
@@ -45,6 +46,7 @@ ByteArray: TypeAlias = npt.NDArray[np.uint8]
 FLUSH_SECONDS = 1.0  # of samples that a power cut can cost; a kill costs none that `write` returned for
 CLOCK_JUMP = 1.0  # s between the stamps' step and the arrivals' that no bus and no scheduler explains
 _CLOCK = "clock: "
+_HEADER_CRC = "header_crc32"
 _MESSAGE = b"\xff\xff\xff\xff"  # what every message of an Arrow stream begins with, at a multiple of eight bytes
 _END_OF_STREAM = _MESSAGE + b"\x00\x00\x00\x00"
 _SEARCH_BYTES = 1 << 20
@@ -76,7 +78,7 @@ class Channel:
     identity
         What the device says it is; behind a semicolon its state when it was opened.
     time_source
-        What event `time_host` marks and whose clock it is.
+        What event `time_host` marks and whose clock it is: a hardware clock's device stands in brackets at the end.
     """
 
     name: str
@@ -333,11 +335,17 @@ def recording_metadata(header: Header) -> dict[str, str]:
     }
 
 
+def _header_checksum(texts: Mapping[str, str]) -> str:
+    said = "".join(f"{key}{texts[key]}" for key in ("format", "channels", "conditions", "ratio", "pair", "start"))
+    return f"{zlib.crc32(said.encode()):08x}"
+
+
 def recording_schema(header: Header) -> pa.Schema:
     """Return the Arrow schema of a recording: columns and metadata."""
     fields = [pa.field("channel", pa.dictionary(pa.int16(), pa.string()), nullable=False)]
     fields += [pa.field(name, kind, nullable=nullable) for name, (kind, _, nullable) in _COLUMNS.items()]
-    return pa.schema(fields, metadata=recording_metadata(header))
+    texts = recording_metadata(header)
+    return pa.schema(fields, metadata={**texts, _HEADER_CRC: _header_checksum(texts)})
 
 
 def record_batch(samples: Samples, schema: pa.Schema, names: Sequence[str]) -> pa.RecordBatch:
@@ -482,7 +490,8 @@ class RecordingWriter:
             self._descriptor = -1
 
 
-def _header(metadata: Mapping[bytes, bytes] | None, source: str) -> Header:
+def _header(metadata: Mapping[bytes, bytes] | None, source: str) -> tuple[Header, list[str]]:
+    """Return what a recording says about itself, and a sentence where that is damaged."""
     try:
         text = {k.decode(): v.decode() for k, v in (metadata or {}).items()}
     except UnicodeDecodeError:
@@ -492,7 +501,7 @@ def _header(metadata: Mapping[bytes, bytes] | None, source: str) -> Header:
     if text["format"] != FORMAT:
         raise edge.InputError(f'{source}: format = "{text["format"]}": this version reads "{FORMAT}".')
     try:
-        return Header(
+        header = Header(
             tuple(Channel(**c) for c in json.loads(text["channels"])),
             json.loads(text["conditions"]),
             json.loads(text["ratio"]),
@@ -501,6 +510,14 @@ def _header(metadata: Mapping[bytes, bytes] | None, source: str) -> Header:
         )
     except (KeyError, TypeError, ValueError) as problem:
         raise edge.InputError(f"{source}: the recording's header can't be understood ({problem}).") from None
+    # Without its checksum it is one of the first recordings, unless a damaged key stands in the place.
+    unknown = text.keys() - recording_metadata(header).keys() - {_HEADER_CRC}
+    if not unknown and text.get(_HEADER_CRC) in (None, _header_checksum(text)):
+        return header, []
+    return header, [
+        f"{source}: the header is damaged, its CRC-32 is wrong: what it says of channels (units, counts per turn, "
+        "direction, zero), conditions, ratio, pair or start may be wrong; the samples have checksums of their own."
+    ]
 
 
 def _decoded(
@@ -633,11 +650,10 @@ class RecordingReader:
         except (pa.ArrowException, OSError, EOFError):
             self._file.close()
             raise edge.InputError(f"{self.source}: this is not a recording, or it was cut within its header.") from None
-        self.header = _header(schema.metadata, self.source)
+        self.header, self.problems = _header(schema.metadata, self.source)
         expected = recording_schema(self.header)
         if not schema.equals(expected):
             raise edge.InputError(f"{self.source}: the columns are not those of {FORMAT}: {', '.join(schema.names)}.")
-        self.problems: list[str] = []
         self.complete = 0
         self._number = 0
         self._offset: int = self._file.tell()
@@ -832,8 +848,9 @@ def read_clocks(path: str | os.PathLike[str], channels: Collection[str]) -> dict
     """Return, for `Alignment`, how the own clocks of channels run: {channel: {after how many restarts: clock}}.
 
     Channels without a clock of their own are not in it, nor those too short to tell. Two channels that one clock
-    stamped, such as those that one SYNC latches, share the better known of its two estimates: what was one instant
-    stays one. Where no channel has a clock of its own, the file is read only to each one's first samples.
+    stamped, those of one CAN interface or those that one SYNC latches, share the better known of its two estimates:
+    what was one instant stays one. Where no channel has a clock of its own, the file is read only to each one's first
+    samples.
 
     Raises
     ------
@@ -843,6 +860,7 @@ def read_clocks(path: str | os.PathLike[str], channels: Collection[str]) -> dict
     first: dict[str, Samples] = {}
     events: list[Event] = []
     with RecordingReader(path) as reader:
+        devices = {c.name: _clock_device(c.time_source) for c in reader.header.channels}
         for samples, said in reader.batches():
             events.extend(said)
             if len(samples) and samples.channel in channels:
@@ -853,11 +871,17 @@ def read_clocks(path: str | os.PathLike[str], channels: Collection[str]) -> dict
     names = list(found)
     for number, one in enumerate(names):
         for other in names[number + 1 :]:
-            if _stamps(first[one]) & _stamps(first[other]):
+            same = devices[one] is not None and devices[one] == devices[other]
+            if same or _stamps(first[one]) & _stamps(first[other]):
                 for restarts in found[one].keys() & found[other].keys():
                     best = min(found[one][restarts], found[other][restarts], key=lambda clock: clock.uncertainty)
                     found[one][restarts] = found[other][restarts] = best
     return found
+
+
+def _clock_device(time_source: str) -> str | None:
+    """Return the device whose hardware clock stamps a channel; None where it is no such clock."""
+    return time_source.rpartition(" (")[2] if time_source.startswith("hardware clock") else None
 
 
 def _stamps(samples: Samples) -> set[tuple[float, float]]:

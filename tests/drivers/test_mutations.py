@@ -149,9 +149,9 @@ def test_recordings(tmp_path, count, record_property):
             found = read_recording(path)
         except edge.InputError:
             continue
-        if found.header == header:  # the header has no checksum of its own
-            read += 1
-            assert rows(found) <= written
+        assert found.header == header or any("header is damaged" in problem for problem in found.problems)
+        read += 1
+        assert rows(found) <= written
     assert read > count // 100
     record_property("damaged recordings read or refused without a wrong sample", str(count // 50))
 

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 from cycloid_fmu import edge
 from drivers import recording_format as rf
+from drivers.export import repaired
 from drivers.recording_format import Channel, Event, Header, RecordingWriter, Samples, read_recording
 
 NAMES = ("input_angle", "output_angle", "torque")
@@ -215,3 +216,27 @@ def test_header_fields_survive(tmp_path):
     with RecordingWriter(tmp_path / "run.arrows", header):
         pass
     assert read_recording(tmp_path / "run.arrows").header == header
+
+
+def test_a_damaged_header_is_named_and_an_old_one_without_a_checksum_is_read(tmp_path, monkeypatch):
+    path = write(tmp_path / "run.arrows", [block("torque", 0, 5)])
+    whole = path.read_bytes()
+    path.write_bytes(whole.replace(b"-39.0", b"-38.0"))
+    found = read_recording(path)
+    (problem,) = found.problems
+    assert "run.arrows: the header is damaged" in problem
+    assert found.header.ratio == -38.0
+    assert len(found.samples["torque"]) == 5
+    mended = tmp_path / "mended.arrows"
+    with rf.RecordingReader(path) as reader:
+        repaired(reader, mended, lambda: None)
+    assert "the header is damaged" in read_recording(mended).header.conditions["damaged header"]
+    path.write_bytes(whole.replace(b"header_crc32", b"header_crc33"))
+    assert "damaged" in read_recording(path).problems[0]
+    monkeypatch.setattr(rf, "recording_schema", lambda header, made=rf.recording_schema: made(header).with_metadata(
+        rf.recording_metadata(header)
+    ))  # fmt: skip
+    old = write(tmp_path / "old.arrows", [block("torque", 0, 5)])
+    assert b"header_crc32" not in old.read_bytes()
+    assert read_recording(old).problems == ()
+    assert read_recording(old).header == HEADER

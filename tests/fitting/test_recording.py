@@ -163,23 +163,28 @@ def error(angle):
     return 20 * ARCSEC * np.cos(angle)
 
 
-def drifting(path, *, seconds=100.0, rate=500.0, delay=1e-3, restart=False, both=False):
+def drifting(path, *, seconds=100.0, rate=500.0, delay=1e-3, restart=False, both=False, source=""):
     """Output angles stamped by a clock that runs 100 ppm fast, reaching the host late; the crank's by the host's own.
 
-    With `restart` the output's clock starts anew half way, with `both` it stamps both angles at the same instants.
+    With `restart` the output's clock starts anew half way, with `both` it stamps both angles at the same instants, with
+    a `source` that names a device it stamps both, each at its own.
     """
     rng = np.random.default_rng(3)
     time = np.arange(int(seconds * rate)) / rate
     later = time if both else time + 0.3 / rate
-    device = later * (1 + DRIFT) + 5000.0
+    instants = {"input_angle": time, "output_angle": later}
+    devices = {name: at * (1 + DRIFT) + 5000.0 for name, at in instants.items()}
     half = time.size // 2
     if restart:
-        device[half:] -= device[half] - 0.1
-    arrived = np.maximum.accumulate(later + rng.exponential(delay, time.size))
+        devices["output_angle"][half:] -= devices["output_angle"][half] - 0.1
+    late = {name: rng.exponential(delay, time.size) for name in ("output_angle", "input_angle")}
+    if both:
+        late["input_angle"] = late["output_angle"]
+    arrivals = {name: np.maximum.accumulate(at + late[name]) for name, at in instants.items()}
     angles = {"input_angle": SPEED * time, "output_angle": -SPEED * later / 39 + error(SPEED * later)}
-    channels = tuple(Channel(n, n, "t", "rad", None, 1, 0.0, "absolute", "", "") for n in angles)
+    channels = tuple(Channel(n, n, "t", "rad", None, 1, 0.0, "absolute", "", source) for n in angles)
     channels += (Channel("torque", "torque", "t", "N*m", None, 1, 0.0, "absolute", "", ""),)
-    owned = ("input_angle", "output_angle") if both else ("output_angle",)
+    owned = ("input_angle", "output_angle") if both or source else ("output_angle",)
     clocks, restarts = {n: ClockEstimate() for n in owned}, 0
     with RecordingWriter(path, Header(channels, {}, -39.0, "", "2026-01-01T00:00:00+00:00")) as writer:
         for begin in range(0, time.size, 250):
@@ -191,6 +196,7 @@ def drifting(path, *, seconds=100.0, rate=500.0, delay=1e-3, restart=False, both
                 if name not in owned:
                     writer.write(Samples.checked(name, time[s], angle[s]))
                     continue
+                device, arrived = devices[name], arrivals[name]
                 clocks[name].add(device[s], arrived[s])
                 said = []
                 if (fit := clocks[name].fit()) is not None:
@@ -251,6 +257,20 @@ def test_angles_that_one_clock_stamped_stay_pairs(tmp_path):
     assert not any("interpolated" in note for note in found.notes)
     assert found.output_angle == pytest.approx(-found.input_angle / 39 + error(found.input_angle), abs=1e-12)
     assert transmission_error_curve(found, -39.0).turns == pytest.approx(20 * SPEED / (2 * np.pi * 39), rel=1e-3)
+
+
+def test_timers_of_their_own_on_one_interface_are_put_on_the_host_s_clock_once(tmp_path):
+    """Both angles' frames are stamped by one CAN interface: what is not known of its clock moves both alike."""
+    source = 'hardware clock: the CAN interface\'s stamp of the frame (pcan "PCAN_USBBUS{}")'
+    runs = {}
+    for name, said in (("one", source.format(1)), ("unknown", "host clock: arrival")):
+        path = drifting(tmp_path / f"{name}.arrows", seconds=60.0, rate=100.0, delay=20e-3, source=said)
+        found = read_bench_recording(path)
+        rest, _ = left(found.time, found.output_angle, found.time, found.input_angle)
+        runs[name] = found.alignment, abs(float(np.mean(rest)))
+    assert runs["one"][0] == 0.0 < runs["unknown"][0]
+    assert runs["one"][1] < 0.2 * runs["unknown"][1]
+    assert runs["unknown"][1] < runs["unknown"][0] * SPEED / 39
 
 
 def test_without_a_clock_of_its_own_only_the_first_samples_are_read(tmp_path):
