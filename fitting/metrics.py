@@ -288,6 +288,9 @@ class LoopData:
     """A recording with loops: torque and windup (rad), its loops, rated torque, whence.
 
     `windup` is zero where the two unloading branches of all loops, extrapolated to zero torque, have their middle.
+    `late` is the torque as it was later, by half the 95 % interval of what is not known of its clock against the
+    windup's; None where one clock stamped both. `runaway` is how far the windup may run away, rad, for what is not
+    known of the two angles' clocks.
     """
 
     torque: Array
@@ -296,6 +299,14 @@ class LoopData:
     lobes: tuple[Lobe, ...]
     rated_torque: float
     source: str
+    late: Array | None = None
+    runaway: float = 0.0
+
+
+def _moved(values: Sequence[_Value], later: Sequence[_Value | None]) -> float:
+    """Return by how much the mean of values moves where the torque comes late."""
+    kept = [v for v, _ in filter(None, later)]
+    return abs(float(np.mean(kept) - np.mean([v for v, _ in values]))) if kept else 0.0
 
 
 def loop_figures(data: LoopData) -> tuple[dict[str, Figure], list[str]]:
@@ -317,6 +328,7 @@ def loop_figures(data: LoopData) -> tuple[dict[str, Figure], list[str]]:
     figures: dict[str, Figure] = {}
     notes: list[str] = []
     found = [_loop_values(torque, windup, loop, rated) for loop in data.loops]
+    later = found if data.late is None else [_loop_values(data.late, windup, loop, rated) for loop in data.loops]
     drift, said = _closure(data, found)
     notes.extend(said)
     for name, interval in (
@@ -325,6 +337,7 @@ def loop_figures(data: LoopData) -> tuple[dict[str, Figure], list[str]]:
         values = [v for one in found if (v := getattr(one, name)) is not None]
         if values:
             value, uncertainty = _mean(values, drift)
+            uncertainty = math.hypot(uncertainty, data.runaway, _moved(values, [getattr(one, name) for one in later]))
             figures[name] = Figure(
                 value, uncertainty, UNITS[name], DEFINITIONS[name], (interval[0] * rated, interval[1] * rated), "N*m",
                 len(values), "loops",
@@ -734,6 +747,8 @@ def survey(
         notes=tuple(notes),
         temperature=table.get("temperature"),
         input_torque=table.get("input_torque"),
+        alignment=stream.alignment,
+        torque_alignment=stream.torque_alignment,
     )
     loops, said = _loops_of(shortened, ratio, rated_torque)
     notes += said
@@ -809,8 +824,13 @@ def _loops_of(
     windup = recording.output_angle.copy()
     if ratio is not None:
         windup -= recording.input_angle / ratio
-    data = LoopData(torque, windup - windup.mean(), tuple(find_loops(lobes)), tuple(lobes), rated, recording.source)
-    return data, notes
+    time, late, runaway = recording.time, None, 0.0
+    if recording.torque_alignment > 0.0:
+        late = np.interp(time + recording.torque_alignment, time, torque)
+    if not locked:
+        runaway = 2.0 * recording.alignment * float(np.abs(np.diff(recording.output_angle)).sum() / np.ptp(time))
+    loops = tuple(find_loops(lobes))
+    return LoopData(torque, windup - windup.mean(), loops, tuple(lobes), rated, recording.source, late, runaway), notes
 
 
 @dataclass(frozen=True)

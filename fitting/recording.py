@@ -8,6 +8,7 @@ or was left out is marked and counted, never filled in silence.
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -186,9 +187,9 @@ class BenchRecording:
         K, or None where none was recorded.
     input_torque
         N·m of the environment on the input, or None where none was recorded.
-    alignment
-        Half the 95 % interval, s, of how far the two angles' clocks may be apart at the recording's ends; 0 where one
-        clock stamped both, or none is known to be another.
+    alignment, torque_alignment
+        Half the 95 % interval, s, of how far the two angles' clocks, and those of output angle and torque, may be apart
+        at the recording's ends; 0 where one clock stamped both, or none is known to be another.
     """
 
     time: Array
@@ -205,6 +206,7 @@ class BenchRecording:
     temperature: Array | None = None
     input_torque: Array | None = None
     alignment: float = 0.0
+    torque_alignment: float = 0.0
 
     def blocks(self) -> Iterator[Block]:
         """Yield the recording as one block."""
@@ -228,7 +230,7 @@ class BenchStream:
     ----------
     source, ratio, common_zero, known_index
         As in `BenchRecording`.
-    notes, alignment
+    notes, alignment, torque_alignment
         As in `BenchRecording`; complete when all blocks were taken.
 
     Raises
@@ -246,7 +248,7 @@ class BenchStream:
         self.common_zero = self._zero_reference("output_angle") == "absolute"
         self.known_index = self._zero_reference("input_angle") == "absolute"
         self.notes: list[str] = []
-        self.alignment = 0.0
+        self.alignment = self.torque_alignment = 0.0
 
     @property
     def checksum(self) -> str:
@@ -296,11 +298,14 @@ class BenchStream:
             )
 
     def _clock_notes(self) -> list[str]:
-        """Say which channels were put on the host's clock, and keep how well the two angles' are known to agree."""
+        """Say which channels were put on the host's clock, and keep how well those of a pair are known to agree."""
         clocks = {role: c for role, (name, _, _) in self._scales.items() if (c := self._file.clocks.get(name))}
-        apart = {clocks[role] for role in ANGLES if role in clocks}
-        if len(apart) == 2 or len(clocks.keys() & set(ANGLES)) == 1:
-            self.alignment = float(np.hypot.reduce([clock.uncertainty for clock in apart]))
+
+        def apart(roles: tuple[str, ...]) -> float:
+            own = {clocks.get(role) for role in roles if role in self._scales}
+            return math.hypot(*(clock.uncertainty for clock in own if clock is not None)) if len(own) > 1 else 0.0
+
+        self.alignment, self.torque_alignment = apart(ANGLES), apart(("output_angle", "torque"))
         return [
             f"{role} has a clock of its own, which runs {-clock.drift * 1e6:+.3g} ppm fast; its samples were put on "
             f"the host's to ± {clock.uncertainty * 1e6:.2g} µs (95 %)."
@@ -339,6 +344,7 @@ def read_bench_recording(path: str | os.PathLike[str], mapping: FileMapping | No
         temperature=None if blocks[0].temperature is None else joined("temperature"),
         input_torque=None if blocks[0].input_torque is None else joined("input_torque"),
         alignment=stream.alignment,
+        torque_alignment=stream.torque_alignment,
     )
 
 

@@ -89,6 +89,35 @@ def test_with_noise_the_figures_lie_within_their_uncertainty(crank):
     assert min(inside.values()) >= 0.88 * seeds, inside
 
 
+def test_what_is_not_known_of_the_clocks_is_in_the_loops_uncertainty():
+    """A torque that comes d late opens the unloading branches by 2 d (dT/dt) / k; a stiffness and a mean stay."""
+    rated, stiffness, play, friction = 167.0, 49 / ARCMIN, 0.6 * ARCMIN, 2.0
+    torque, angle = loop(rated, stiffness, play, friction, loops=2, each=2000)
+    made = recording(np.arange(torque.size) * 1e-2, 0.0, angle, torque)
+    late = 0.1
+    opened = 2 * late * (rated / 20.0) / stiffness
+    shifted = np.interp(made.time + late, made.time, torque)
+    known, unknown = (
+        figures_of([survey(dataclasses.replace(made, torque=shifted, torque_alignment=a), -39.0, rated)], -39.0, rated)
+        for a in (0.0, late)
+    )
+    truth = play + 2 * friction / stiffness
+    off = abs(unknown.figures["hysteresis_loss"].value - truth)
+    assert off == pytest.approx(opened, rel=1e-3)
+    assert known.figures["hysteresis_loss"].uncertainty < 0.1 * off
+    assert unknown.figures["hysteresis_loss"].uncertainty == pytest.approx(opened, rel=0.02)
+    for name in ("lost_motion", "torsional_stiffness"):
+        assert unknown.figures[name].uncertainty == pytest.approx(
+            known.figures[name].uncertainty, abs=1e-3 * abs(known.figures[name].value)
+        )
+    turning = dataclasses.replace(made, input_angle=0.1 * made.time, output_angle=angle - 0.1 * made.time / 39)
+    runs = [
+        figures_of([survey(dataclasses.replace(turning, alignment=a), -39.0, rated)], -39.0, rated).figures
+        for a in (0.0, 1e-3)
+    ]
+    assert runs[1]["lost_motion"].uncertainty > 2 * 1e-3 * 0.1 / 39 > runs[0]["lost_motion"].uncertainty
+
+
 def test_the_figures_of_a_loop_by_their_definitions(command, tmp_path):
     """Lost motion 0.80449′, hysteresis loss 0.68163′, backlash 0.6′, stiffness 49 N·m/arcmin, from the command line."""
     torque, angle = loop(167.0, 49 / ARCMIN, 0.6 * ARCMIN, 2.0, loops=2)
