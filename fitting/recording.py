@@ -7,6 +7,7 @@ or was left out is marked and counted, never filled in silence.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import math
 import os
@@ -250,7 +251,7 @@ class BenchStream:
         self.notes: list[str] = []
         self.alignment = self.torque_alignment = 0.0
 
-    @property
+    @functools.cached_property
     def checksum(self) -> str:
         """SHA-256 of the file."""
         with Path(self.source).open("rb") as file:
