@@ -357,3 +357,43 @@ def test_the_hub_is_reopened_for_the_next_user_after_it_broke(bus_name):
     can_hub.release_hub(first)
     can_hub.release_hub(second)
     assert (config.interface, config.channel) not in can_hub._hubs
+
+
+def frame(identifier, data=b"", **what):
+    return can.Message(arbitration_id=identifier, is_extended_id=False, data=data, **what)
+
+
+def test_bus_off_costs_no_frame_that_came_before_it(bus_name):
+    config = BusConfig(interface="virtual", channel=bus_name)
+    hub = can_hub.acquire_hub(config)
+    blocks = hub.subscribe(0x181)
+    got = []
+    with open_bus(config) as bus:
+        for number in range(5):
+            bus.send(frame(0x181, bytes([number])))
+        bus.send(frame(0x40, is_error_frame=True))
+
+        def take_all():
+            while True:
+                got.extend(bytes(data) for _, frames in blocks.take(2.0) for data in frames.data)
+
+        with pytest.raises(EncoderConnectionError, match="broke: bus-off"):
+            take_all()
+    can_hub.release_hub(hub)
+    assert got == [bytes([number]) for number in range(5)]
+
+
+def test_each_frame_keeps_its_arrival_where_echoes_stand_between(bus_name):
+    """An interface with a clock of its own: what is left out of a block takes its arrival with it."""
+    hub = can_hub.acquire_hub(BusConfig(interface="virtual", channel=bus_name))
+    blocks = hub.subscribe(0x181)
+    came = [frame(0x181, timestamp=1.0), frame(0x181, timestamp=2.0, is_rx=False), frame(0x80, timestamp=3.0)]
+    hub._take([*came, frame(0x181, timestamp=4.0)], [101.0, 102.0, 103.0, 104.0])
+    ((lost, frames),) = blocks.take(0.0)
+    can_hub.release_hub(hub)
+    assert lost == 0
+    assert frames.device.tolist() == [1.0, 4.0]
+    assert frames.time.tolist() == [101.0, 104.0]
+    assert frames.sync.tolist() == [-1, 0]
+    assert (frames.sync_time[1], frames.sync_device[1]) == (103.0, 3.0)
+    assert any("1 echoes of own frames" in event.text for event in hub.events())
