@@ -57,6 +57,22 @@ def installed_command(tmp_path):
     return run
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Each worker takes a stretch of the tests, so that modules' fixtures are made once, and then half of another's."""
+    from xdist.scheduler import WorkStealingScheduling
+
+    return WorkStealingScheduling(config, log) if config.option.dist == "load" else None
+
+
+def pytest_collection_modifyitems(items):
+    """Each worker's stretch of the slow tests begins with the longest: one begun last would keep it busy alone."""
+    slow = {item: mark.args[0] if mark.args else 0 for item in items if (mark := item.get_closest_marker("slow"))}
+    longest = sorted(slow, key=lambda item: -slow[item])
+    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    items[:] = [item for item in items if item not in slow] + [i for w in range(workers) for i in longest[w::workers]]
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item, call):
     """Where everything that tests need is installed, a test that skips is one that fails."""

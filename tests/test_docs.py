@@ -135,7 +135,7 @@ def shell(command, tmp_path):
         assert started.returncode == 0, said
 
 
-@pytest.mark.slow
+@pytest.mark.slow(60)
 @pytest.mark.parametrize("page", [p for p in PAGES if "```sh" in p.read_text(encoding="utf-8")], ids=lambda p: p.stem)
 def test_a_page_s_commands_do_what_it_says(page, tmp_path, shell):
     """A tutorial from nothing, the others from what they take as given: the commands in order, in one empty folder."""

@@ -70,6 +70,7 @@ def test_archive_and_repository_build_the_same_wheel(published, tmp_path):
     assert files_of_wheel(tmp_path / published[1].name) == files_of_wheel(published[1])
 
 
+@pytest.mark.slow(90)
 @pytest.mark.parametrize("python", PYTHONS, ids=lambda path: Path(path).name)
 def test_the_wheel_alone_runs_the_three_commands(published, python, tmp_path):
     scripts = fresh_environment(tmp_path / "environment", published[1], python=python)

@@ -37,7 +37,7 @@ def test_kernel_and_element_pairs_agree(kind, angle, torque):
     assert found.contact_count[0, 0] == wanted["contact_count"]
 
 
-@pytest.mark.slow
+@pytest.mark.slow(20)
 def test_slices_and_the_paper_s_arcs_agree():
     """Misaligned axes: slices at their middles against the paper's mean depth over three arcs a slice."""
     pair = read_pair(CASES / "misaligned-31-32.toml")

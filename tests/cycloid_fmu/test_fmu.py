@@ -189,7 +189,7 @@ gc.collect()
     assert "refused" in run.stdout
 
 
-@pytest.mark.slow
+@pytest.mark.slow(40)
 def test_it_compiles_its_kernels_inside_the_host(fmu, tmp_path):
     """A fresh process with an empty numba cache: everything is compiled behind the FMI calls."""
     run = subprocess.run(

@@ -286,7 +286,7 @@ def test_the_updated_depth_converges_with_the_grid():
     assert error[-1] < 0.03
 
 
-@pytest.mark.slow
+@pytest.mark.slow(10)
 def test_the_updated_depth_converges_with_the_grid_far():
     """At the 800 elements that are the default the profile is within a hundredth of the finest."""
     error = check_convergence([updated_depths(k, angles=128) for k in (200, 400, 800, 1600, 3200)])

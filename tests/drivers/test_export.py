@@ -117,7 +117,7 @@ for name in sys.argv[2:]:
 """
 
 
-@pytest.mark.slow
+@pytest.mark.slow(20)
 def test_memory_does_not_grow_with_the_recording(tmp_path):
     pytest.importorskip("asammdf")
     peaks = {}

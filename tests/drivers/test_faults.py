@@ -315,7 +315,7 @@ def kill_once(folder, number, after, wait):
 
 
 @needs_multicast
-@pytest.mark.parametrize("kills", [1, pytest.param(KILLS, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kills", [1, pytest.param(KILLS, marks=pytest.mark.slow(40))])
 def test_kill_9_at_any_moment_loses_nothing_acknowledged(tmp_path, kills, record_property):
     random = np.random.default_rng(5)
     group = f"239.74.163.{80 + os.getpid() % 100}"

@@ -210,7 +210,7 @@ def random_drive(pair, generator):
 OTHERS = {39: None, 31: (62e-3, 3e-3, 1.2e-3), 19: (55e-3, 4e-3, 1.8e-3)}
 
 
-@pytest.mark.slow
+@pytest.mark.slow(20)
 @pytest.mark.parametrize("teeth", OTHERS)
 def test_coverage_of_the_intervals(nominal, teeth):
     """The 95 % intervals hold the truth in drives whose pins scatter by 2 µm; CYCLOID_SEEDS drives, else 200."""

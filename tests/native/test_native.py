@@ -106,7 +106,7 @@ def test_tables_keep_their_accuracy_at_crank_angles_and_torques_they_were_not_ma
     assert errors["crank_torque_rms"] < 0.005
 
 
-@pytest.mark.slow
+@pytest.mark.slow(10)
 def test_tables_of_a_drive_with_all_errors_keep_their_accuracy_over_the_whole_period(record_property):
     pair = read_pair(EXAMPLES / "drive-39-40-as-made.toml")
     surface = surface_of_pair(pair)
@@ -625,7 +625,7 @@ def _mach_o_minimum(data):
     raise AssertionError("no build version")
 
 
-@pytest.mark.slow
+@pytest.mark.slow(40)
 def test_libraries_ask_for_no_newer_system_than_promised():
     for name in native_build.PLATFORMS:
         data = native_build.binary(name)
@@ -640,7 +640,7 @@ def test_libraries_ask_for_no_newer_system_than_promised():
             assert data[:2] == b"MZ"
 
 
-@pytest.mark.slow
+@pytest.mark.slow(30)
 @pytest.mark.skipif(
     shutil.which("wine64") is None and not os.path.exists("/usr/lib/wine/wine64"), reason="wine64 is not installed"
 )
