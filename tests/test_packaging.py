@@ -85,12 +85,13 @@ def test_the_wheel_alone_runs_the_three_commands(published, python, tmp_path):
         return done.stdout
 
     case = CASES / "error-free-39-40.toml"
-    wanted = json.loads(case.with_suffix(".json").read_text())
-    loads = [word for r in wanted["results"] for word in ("--torque", f"{r['torque']:g} N*m")]
-    found = json.loads(run("cycloid-fmu", "analyze", case, *loads, "--angles", 16, "--turns", 39, "--json"))
-    assert found["crank_angle"] == pytest.approx(wanted["crank_angle"])
-    for load, result in enumerate(wanted["results"]):
-        assert found["transmission_error"][load] == pytest.approx(result["transmission_error"], abs=0.01 * ARCSEC)
+    if python == PYTHONS[-1]:  # compiling takes most of the time: in the newest Python alone, beside the suite's own
+        wanted = json.loads(case.with_suffix(".json").read_text())
+        loads = [word for r in wanted["results"] for word in ("--torque", f"{r['torque']:g} N*m")]
+        found = json.loads(run("cycloid-fmu", "analyze", case, *loads, "--angles", 16, "--turns", 39, "--json"))
+        assert found["crank_angle"] == pytest.approx(wanted["crank_angle"])
+        for load, result in enumerate(wanted["results"]):
+            assert found["transmission_error"][load] == pytest.approx(result["transmission_error"], abs=0.01 * ARCSEC)
 
     run("cycloid-fmu", "build", case, "-o", "drive.fmu")
     assert fmpy.read_model_description(str(tmp_path / "drive.fmu")).version == VERSION
