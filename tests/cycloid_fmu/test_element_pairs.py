@@ -28,7 +28,7 @@ def raised(kind):
 @pytest.mark.parametrize(("kind", "angle", "torque"), [("smooth", 1.7, -70.0), ("rough", 4.0, 70.0)])
 def test_kernel_and_element_pairs_agree(kind, angle, torque):
     surface = raised(kind)
-    wanted = solve_elements(PAIR, surface, angle, torque, contact="deepest", pairs="directed", sampling=8e-6)
+    wanted = solve_elements(PAIR, surface, angle, torque, contact="deepest", pairs="directed", sampling=16e-6)
     found = solve(PAIR, surface, torque, angle)
     assert found.transmission_error[0, 0] == pytest.approx(wanted["transmission_error"], abs=0.01 * ARCSEC)
     assert found.backlash[0] == pytest.approx(wanted["backlash"], abs=0.01 * ARCSEC)
