@@ -318,7 +318,7 @@ def kill_once(folder, number, after, wait):
 @pytest.mark.parametrize("kills", [1, pytest.param(KILLS, marks=pytest.mark.slow(40))])
 def test_kill_9_at_any_moment_loses_nothing_acknowledged(tmp_path, kills, record_property):
     random = np.random.default_rng(5)
-    group = f"239.74.163.{80 + os.getpid() % 100}"
+    group = f"239.76.{os.getpid() // 256 % 256}.{os.getpid() % 256}"
     motion = simulate_motion(ideal, BenchRun(torque=5.0, turns=2000))
     for number in range(kills):
         with CanBench(motion, interface="udp_multicast", channel=group, speed_factor=20) as bench:
