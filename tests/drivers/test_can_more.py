@@ -1,6 +1,7 @@
 """CAN beyond the plain case: SYNC produced here, event timer, speed, EDS, FD, counters; and UDP that stays at home."""
 
 import math
+import os
 import socket
 import struct
 import threading
@@ -303,7 +304,7 @@ def test_frames_of_can_fd_and_signals_across_their_bytes(tmp_path, bus_name):
 @needs_multicast
 def test_udp_multicast_stays_on_this_machine():
     """Joined on the loopback interface alone, and sent there with time to live 0."""
-    group = "239.74.163.99"
+    group = f"239.77.{os.getpid() // 256 % 256}.{os.getpid() % 256}"
     with open_bus(BusConfig(interface="udp_multicast", channel=group)) as bus:
         udp = bus._multicast._sender
         assert udp.getsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL) == 0
