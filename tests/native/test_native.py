@@ -647,20 +647,12 @@ def test_libraries_ask_for_no_newer_system_than_promised():
 def test_the_windows_library_does_the_same_under_wine(unpacked, host, tmp_path):
     wine = shutil.which("wine64") or "/usr/lib/wine/wine64"
     zig = (sys.executable, "-m", "ziglang", "cc", "-target", "x86_64-windows-gnu")
-    runtime = native_build.windows_runtime("convert", "runtime", "time")
-    sources = [HERE / "host.c", HERE / "windows_start.c"]
     library = tmp_path / "CycloidDrive.dll"
     library.write_bytes(native_build.binary("x86_64-windows"))
     run = {"prefix": (wine,), "WINEPREFIX": str(tmp_path / "wine"), "WINEDEBUG": "-all"}
     for version in ("2.0", "3.0"):
         run["program"] = compiled(
-            tmp_path / f"host{version[0]}.exe",
-            sources,
-            f"-DFMI={version[0]}",
-            "-O2",
-            "-Wl,--entry=start",
-            *runtime,
-            compiler=zig,
+            tmp_path / f"host{version[0]}.exe", [HERE / "host.c"], f"-DFMI={version[0]}", "-O2", compiler=zig
         )
         for kind in INTERFACES:
             fmu = SimpleNamespace(**vars(unpacked(kind, version)))
