@@ -13,6 +13,7 @@ from cycloid_fmu.pair import Pair
 from cycloid_fmu.sampling import Tolerances, sample_surface
 from cycloid_fmu.surface import Elements, surface_of_pair, unit_of
 from fitting.curve import Curve
+from fitting.loop import planned_branches
 from fitting.observation import (
     ORDERS,
     Linear,
@@ -273,6 +274,7 @@ def plan(
     noise: float,
     scatter: float,
     said: str,
+    loops: Sequence[tuple[float, float]] = (),
 ) -> Plan:
     """Return what bench runs at these torques, each in these directions, would tell of a pair.
 
@@ -290,8 +292,12 @@ def plan(
         What single pins and teeth do beyond the structured errors, standard deviation, m.
     said
         The runs in words.
+    loops
+        Torque up to which each loop with the input locked goes, N·m, and the crank angle there, rad.
     """
     curves = [planned_curve(pair.ratio, way * torque, way, turns, samples) for torque in torques for way in directions]
+    for number, (torque, crank) in enumerate(loops):
+        curves += planned_branches(pair, torque, crank, number)
     level = [noise / np.sqrt(c.sample_count[0]) for c in curves]
     observed = observations(curves, pair, level)
     names = errors_of(pair)
@@ -306,19 +312,33 @@ def plan(
 
 
 def bench_plans(
-    pair: Pair, torques: Sequence[float], *, turns: float, samples: int, noise: float, scatter: float
+    pair: Pair,
+    torques: Sequence[float],
+    *,
+    turns: float,
+    samples: int,
+    noise: float,
+    scatter: float,
+    loop: float | None = None,
 ) -> list[Plan]:
     """Return what ever larger sets of runs would tell: the largest torque one way, both ways, then torque by torque.
 
-    Parameters are those of `plan`; the torques are added from the largest, then the smallest, to those between.
+    Parameters are those of `plan`; the torques are added from the largest, then the smallest, to those between. With a
+    `loop` to a torque (N·m) the first and the last set come with it too, the crank locked at pin 0.
     """
     ordered = sorted(set(torques), reverse=True)
     ordered = ordered[:1] + ordered[:0:-1]
-    sets: list[tuple[list[float], tuple[int, ...], str]] = [(ordered[:1], (1,), f"{ordered[0]:g} N·m forward")]
+    sets: list[tuple[list[float], tuple[int, ...], str, bool]]
+    sets = [(ordered[:1], (1,), f"{ordered[0]:g} N·m forward", False)]
     for count in range(1, len(ordered) + 1):
         loads = " and ".join(f"{t:g}" for t in ordered[:count])
-        sets.append((ordered[:count], (1, -1), f"{loads} N·m both ways"))
+        sets.append((ordered[:count], (1, -1), f"{loads} N·m both ways", False))
+    if loop is not None:
+        wound = [(s[0], s[1], f"{s[2]} and a loop to {loop:g} N·m", True) for s in (sets[0], sets[-1])]
+        sets = [sets[0], wound[0], *sets[1:], wound[1]]
+    loops = [] if loop is None else [(loop, 0.0)]
     return [
-        plan(pair, loads, ways, turns=turns, samples=samples, noise=noise, scatter=scatter, said=said)
-        for loads, ways, said in sets
-    ]
+        plan(pair, loads, ways, turns=turns, samples=samples, noise=noise, scatter=scatter, said=said,
+             loops=loops if with_loop else ())
+        for loads, ways, said, with_loop in sets
+    ]  # fmt: skip

@@ -45,6 +45,7 @@ from fitting.estimation import (
     turn_bootstrap,
 )
 from fitting.identifiability import chosen_errors, tolerances_of, weakness
+from fitting.loop import LoopFit, on_the_curves_zero, play_of
 from fitting.observation import (
     CREEP,
     NO_CREEP,
@@ -55,6 +56,7 @@ from fitting.observation import (
     left_of,
     linearise,
     observations,
+    scatter_columns,
     scatter_names,
     scatter_parts,
     spread_of,
@@ -69,17 +71,20 @@ FORMAT = "cycloid-identification/1"
 
 _CONFIDENCE = 0.95
 _UNEXPLAINED = 2.0  # times its noise: a residual above this is another drive's
+_LEFT = 1.3  # times its noise: a curve of which more is left is not explained wholly
 _MISPREDICTED = 1.5  # times the noise: a fit that predicts no better is no start for another
 _START_POINTS = 1500  # of all curves together, for the way from the prior
 _STARTS, _START_EVALUATIONS = 5, 30
 _AGREE = 0.03  # of the points: two starts ended alike where -2 log likelihood differs by less, the noise by 1.5 %
 _CRANK_STARTS = (0.0, -0.25, 0.25, 0.5)  # pin pitches, where the crank's zero is not known
+_ONE_ANGLE = np.radians(0.5)  # of the crank: samples in step with it are as close
+_TOLD = 1.5  # angles of the crank in all curves for each single displacement: with fewer a fit finds many minima
 _MEASURED = 0.1  # share of a single displacement's variance that the data must take away for it to be measured
 _CHOICES = 3  # of errors to fit, which change where the state at which they are chosen does
 _AT_BOUND = 1e-3  # of the bound: lmfit ends so close beside it
 # A fit ends where a step gains less than this of the sum of squares in units of the noise: what moves an estimate by a
 # fifth of its standard error at most.
-_START_GAIN, _GAIN = 3.0, 0.2
+_START_GAIN, _GAIN = 3.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -138,11 +143,13 @@ class Identification:
     residual
         rms of measured less fitted transmission error, rad.
     outliers
-        Points of each curve that were left out.
+        {source: points that were left out}.
     held_out
         What a fit without some of the curves predicts of them, or None where too few were measured.
     fitted_curves
         Fitted transmission error of each curve, the bench's nuisances included, rad.
+    loops
+        The loops that were given.
     checksums
         {source: SHA-256} of the data.
     notes
@@ -161,9 +168,10 @@ class Identification:
     scatter: dict[str, float]
     inflation: float
     residual: float
-    outliers: tuple[int, ...]
+    outliers: dict[str, int]
     held_out: HeldOut | None
     fitted_curves: tuple[Array, ...]
+    loops: tuple[LoopFit, ...]
     checksums: dict[str, str]
     notes: tuple[str, ...]
 
@@ -178,6 +186,7 @@ def identify(
     pair: Pair,
     progress: Callable[[str], None] = lambda step: None,
     *,
+    loops: Sequence[Curve] = (),
     held_out: bool = True,
     scatter: Mapping[str, float] | None = None,
     profiled: Sequence[str] = (),
@@ -193,6 +202,8 @@ def identify(
         The nominal pair; the errors that its file states are the prior and start.
     progress
         Told what is being done.
+    loops
+        Branches of hysteresis loops with the input locked (`fitting.loop.branches_of`).
     held_out
         Whether a load or direction is first kept from the fit and predicted.
     scatter
@@ -219,11 +230,15 @@ def identify(
     for name in profiled:
         if name not in errors_of(pair):
             raise edge.InputError(f'"{name}" is no error of this pair; one of {", ".join(errors_of(pair))}.')
-    for curve in curves:
+    if not curves:
+        raise edge.InputError("there is no transmission error curve: a loop sees the drive at one crank angle only.")
+    loops = on_the_curves_zero(loops, curves)
+    for curve in (*curves, *loops):
         if abs(curve.ratio / pair.ratio - 1.0) > 1e-9:
             raise edge.InputError(
                 f"{curve.source}: its ratio is {curve.ratio:g}, the pair's {pair.ratio:g}; it is of another drive."
             )
+    for curve in curves:
         if abs(curve.torque) < 1e-3 * max(abs(c.torque) for c in curves) or curve.torque == 0.0:
             raise edge.InputError(
                 f"{curve.source}: the mean torque is {curve.torque:g} N·m; the fit needs loaded curves."
@@ -232,14 +247,13 @@ def identify(
     predicted = None
     if kept:
         progress("fitting without the curves kept back")
-        rest = [c for i, c in enumerate(curves) if i not in kept]
+        rest = [*(c for i, c in enumerate(curves) if i not in kept), *loops]
         start = _fitted(rest, pair, None, scatter, progress)
         predicted = _predicted(pair, start, [curves[i] for i in kept])
         if predicted.residual > _MISPREDICTED * predicted.noise:
             start = None
-    return _result(
-        pair, _fitted(curves, pair, start, scatter, progress), predicted, scatter or {}, profiled, bootstrap, progress
-    )
+    found = _fitted([*curves, *loops], pair, start, scatter, progress)
+    return _result(pair, found, predicted, scatter or {}, profiled, bootstrap, progress)
 
 
 def kept_back(curves: Sequence[Curve]) -> tuple[int, ...]:
@@ -303,7 +317,7 @@ def _fitted(
         if again == chosen:
             break
         chosen = again
-    return estimate
+    return dataclasses.replace(estimate, apart=rough.apart)
 
 
 def _chosen(observed: Observations, linear: Linear, pair: Pair, scatter: Mapping[str, float]) -> list[str]:
@@ -333,10 +347,10 @@ def _started(pair: Pair, observed: Observations, start: Estimate | None, progres
         state = start.state
         if start.observed.bench_names != observed.bench_names:
             state = dataclasses.replace(zeroed(observed, state.surface, state.crank_offset, state.scatter),
-                                        friction=state.friction)  # fmt: skip
+                                        friction=state.friction, loop_friction=state.loop_friction)  # fmt: skip
         return dataclasses.replace(start, state=state)
     few = observed.thinned(_stride(observed))
-    loads = np.array([abs(c.torque) for c in few.curves])
+    loads = np.array([0.0 if c.branch else abs(c.torque) for c in few.curves])
     high = few.some(np.flatnonzero(loads > 0.7 * loads.max()))
     generator = np.random.default_rng(0)
     # A scatter that grows from nothing as the data ask for it leads past most of the wrong minima.
@@ -359,14 +373,14 @@ def _started(pair: Pair, observed: Observations, start: Estimate | None, progres
             one = fit(pair, few, chosen, state, one.scatter, gain=_START_GAIN, evaluations=_START_EVALUATIONS)
         found = sorted([*found, one], key=lambda e: e.unlikelihood)
         if len(found) > 1 and found[1].unlikelihood < found[0].unlikelihood + _AGREE * few.measured.size:
-            break
-    return found[0]
+            return found[0]
+    return dataclasses.replace(found[0], apart=len(found))
 
 
 def _stride(observed: Observations) -> int:
     """How many points a start steps over: it shares no factor with those of a turn, to see every angle of the crank."""
     stride = max(1, observed.measured.size // _START_POINTS)
-    while any(math.gcd(stride, c.input_angle.size) > 1 for c in observed.curves):
+    while any(math.gcd(stride, observed.curves[i].input_angle.size) > 1 for i in observed.running):
         stride += 1
     return stride
 
@@ -399,7 +413,8 @@ def _result(
 ) -> Identification:
     names, chosen, spread = errors_of(pair), list(fit.chosen), spread_of(pair, fit.scatter)
     whitened = fit.observed.weight * left_of(fit.observed, fit.linear, fit.state)
-    inflation = _inflation(np.split(whitened, fit.observed.ends))
+    each = np.split(whitened, fit.observed.ends)
+    inflation = _inflation([each[i] for i in fit.observed.running])
     observed = dataclasses.replace(fit.observed, weight=fit.observed.weight / inflation)
     progress("confirming the optimum")
     optimum, found, every = confirmed(pair, dataclasses.replace(fit, observed=observed), _GAIN)
@@ -444,7 +459,11 @@ def _result(
         covariance=every,
         attributes={"data": " ".join(f"{c.checksum}" for c in observed.curves)},
     )
-    used = observed.weight > 0.0
+    used = (observed.weight > 0.0) & ~observed.of_loops
+    parts = np.split(fitted, observed.ends)
+    outliers = dict.fromkeys((c.source for c in observed.curves), 0)
+    for curve, part in zip(observed.curves, np.split(observed.weight, observed.ends), strict=True):
+        outliers[curve.source] += int(np.count_nonzero(part == 0.0))
     return Identification(
         parameters=tuple(parameters),
         singles=singles,
@@ -458,9 +477,10 @@ def _result(
         scatter={n: fit.scatter[n] for n in scatter_parts(pair)},
         inflation=inflation,
         residual=float(np.sqrt(np.mean((observed.measured - fitted)[used] ** 2))),
-        outliers=tuple(int(np.count_nonzero(part == 0.0)) for part in np.split(observed.weight, observed.ends)),
+        outliers=outliers,
         held_out=predicted,
-        fitted_curves=tuple(np.split(fitted, observed.ends)),
+        fitted_curves=tuple(parts[i] for i in observed.running),
+        loops=_loops(pair, fit, parts, every),
         checksums={c.source: c.checksum for c in observed.curves},
         notes=(
             *_notes(pair, fit),
@@ -526,10 +546,51 @@ def _singles(
     return tuple(found)
 
 
+def _loops(pair: Pair, fit: Estimate, fitted: Sequence[Array], covariance: Array) -> tuple[LoopFit, ...]:
+    """Each loop as measured and fitted, and its play with the standard error that the errors leave it."""
+    observed, chosen, found = fit.observed, list(fit.chosen), []
+    branches = [i for i, c in enumerate(observed.curves) if c.branch]
+    for source in dict.fromkeys(observed.curves[i].source for i in branches):
+        own = [i for i in branches if observed.curves[i].source == source]
+        crank = float(np.mean([observed.curves[i].input_angle.mean() for i in own]))
+        play, by_error, each = play_of(pair, fit.state.surface, crank + fit.state.crank_offset, chosen)
+        slope = np.concatenate([by_error, scatter_columns(pair, each)])
+        found.append(LoopFit(
+            source, crank,
+            {observed.curves[i].branch: observed.curves[i].torque_at_points for i in own},
+            {observed.curves[i].branch: observed.curves[i].transmission_error for i in own},
+            {observed.curves[i].branch: fitted[i] for i in own},
+            play, float(np.sqrt(max(slope @ covariance @ slope, 0.0))),
+        ))  # fmt: skip
+    return tuple(found)
+
+
+def _ambiguity(pair: Pair, fit: Estimate) -> list[str]:
+    """Say where the best of several minima may not have been found, and how many samples would tell."""
+    notes = []
+    if fit.apart:
+        notes.append(
+            f"No two of {fit.apart} starts ended in the same optimum; the best was taken, and a better one may "
+            "have been missed: compare the residual with the encoders' noise, and record more samples a crank turn."
+        )
+    curves = [fit.observed.curves[i] for i in fit.observed.running]
+    unknown = sum(p.stop - p.start for n, p in scatter_parts(pair).items()
+                  if n.startswith("pin_") and fit.scatter[n] > NO_SCATTER)  # fmt: skip
+    seen = sum(np.unique(np.mod(c.input_angle, 2.0 * np.pi) // _ONE_ANGLE).size for c in curves)
+    if seen < _TOLD * unknown:
+        notes.append(
+            f"The curves see {seen} angles of the crank in all, too few to tell the {unknown} displacements by which "
+            f"single pins scatter: the fit may end beside the best one; record at least "
+            f"{math.ceil(_TOLD * unknown / len(curves))} samples a crank turn, not in step with it."
+        )
+    return notes
+
+
 def _notes(pair: Pair, fit: Estimate) -> tuple[str, ...]:
     """Say what the curves lack, and whether the errors explain them."""
     notes = []
-    curves = fit.observed.curves
+    running = fit.observed.running
+    curves = [fit.observed.curves[i] for i in running]
     sizes = np.array([abs(c.torque) for c in curves])
     if np.ptp(sizes) < 0.05 * sizes.max():
         notes.append(
@@ -551,12 +612,19 @@ def _notes(pair: Pair, fit: Estimate) -> tuple[str, ...]:
                 f"{curve.source}: it covers {turns:.2f} of an output turn; pins and teeth are told apart less well."
             )
     rest = np.split(left_of(fit.observed, fit.linear, fit.state), fit.observed.ends)
-    excess = float(np.median([r.std() / max(noise_of(c), 1e-12) for c, r in zip(curves, rest, strict=True)]))
-    if excess > _UNEXPLAINED:
+    counted = np.split(fit.observed.weight > 0.0, fit.observed.ends)
+    excess = [rest[i][counted[i]].std() / max(noise_of(fit.observed.curves[i]), 1e-12) for i in running]
+    if np.median(excess) > _UNEXPLAINED:
         notes.append(
-            f"No error of this pair explains the curves: what is left is {excess:.1f} times their noise; is this "
-            "the drive of the pair file, and are counts per turn and directions right?"
+            f"No error of this pair explains the curves: what is left is {np.median(excess):.1f} times their noise; is "
+            "this the drive of the pair file, and are counts per turn and directions right?"
         )
+    elif max(excess) > _LEFT:
+        notes.append(
+            f"No error of this pair explains all of {curves[int(np.argmax(excess))].source}: what is left is "
+            f"{max(excess):.1f} times its noise, so the intervals may be too narrow."
+        )
+    notes += _ambiguity(pair, fit)
     gear = np.abs(fit.linear.model - fit.linear.model.mean()).max()
     names = fit.observed.bench_names
     once = np.hypot(*(fit.state.bench[names.index(f"output_encoder_eccentricity_{p}")] for p in ("cos", "sin")))
@@ -565,11 +633,10 @@ def _notes(pair: Pair, fit: Estimate) -> tuple[str, ...]:
             f"Once an output turn the angle errs by {once * ARCSEC:.3g}″, more than the gear does in all: "
             "an encoder sits eccentrically, or the shafts are not aligned."
         )
-    for curve, left in zip(curves, np.split(fit.observed.weight == 0.0, fit.observed.ends), strict=True):
+    for curve, left in zip(fit.observed.curves, np.split(fit.observed.weight == 0.0, fit.observed.ends), strict=True):
         if left.any():
-            notes.append(
-                f"{curve.source}: {np.count_nonzero(left)} of {left.size} points lie far off and were left out."
-            )
+            named = ", ".join(n for n in (curve.source, curve.branch) if n)
+            notes.append(f"{named}: {np.count_nonzero(left)} of {left.size} points lie far off and were left out.")
     return tuple(notes)
 
 
@@ -593,7 +660,11 @@ def as_json(result: Identification) -> dict[str, Any]:
         "scatter": result.scatter,
         "inflation": result.inflation,
         "residual": result.residual,
-        "outliers": dict(zip(result.checksums, result.outliers, strict=True)),
+        "outliers": result.outliers,
+        "loops": {
+            one.source: {"crank_angle": one.crank_angle, "play": one.play, "standard_error": one.standard_error}
+            for one in result.loops
+        },
         "held_out": None if result.held_out is None else dataclasses.asdict(result.held_out),
         "data": result.checksums,
         "notes": list(result.notes),
