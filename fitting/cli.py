@@ -399,7 +399,10 @@ def identify(
     read_head: HeadFile = None,
     tolerances: Annotated[
         Path | None,
-        typer.Option(metavar="TOL.toml", help="Report every pin and tooth by itself, with these tolerances as prior."),
+        typer.Option(
+            metavar="TOL.toml",
+            help="Report every pin and tooth by itself, and the form that all teeth share, with these as prior.",
+        ),
     ] = None,
     profile: Annotated[
         list[str] | None, typer.Option(metavar="ERROR", help="Find this error's interval by its profile; repeatable.")
@@ -424,7 +427,7 @@ def identify(
     from cycloid_fmu.sampling import read_tolerances
     from cycloid_fmu.surface import write_surface
     from fitting.fit_report import FORMATS, write_fit_report
-    from fitting.identifiability import scatter_of
+    from fitting.identifiability import profile_of, scatter_of
     from fitting.identify import as_json as content
     from fitting.identify import identify as fit
     from fitting.identify import write_identification
@@ -435,13 +438,14 @@ def identify(
     if report_file is not None:
         edge.output_path(report_file, "--report", FORMATS)
     pair = read_pair(pair_file)
-    known = None if tolerances is None else scatter_of(pair, read_tolerances(tolerances))
+    allowed = None if tolerances is None else read_tolerances(tolerances)
     curves, loops = _curves_and_loops(files, pair, mapping, read_head, keep_turns=bootstrap > 0)
     console = Console(stderr=True)
     with console.status("reading") as status:
         result = fit(
-            curves, pair, lambda step: status.update(f"{step} …"), loops=loops, scatter=known,
-            profiled=profile or [], bootstrap=bootstrap,
+            curves, pair, lambda step: status.update(f"{step} …"), loops=loops,
+            scatter=None if allowed is None else scatter_of(pair, allowed),
+            profile=None if allowed is None else profile_of(pair, allowed), profiled=profile or [], bootstrap=bootstrap,
         )  # fmt: skip
     if output is not None:
         write_identification(result, output)

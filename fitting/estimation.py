@@ -21,15 +21,22 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from cycloid_fmu.pair import LARGEST_DEVIATION, LARGEST_MISALIGNMENT, Pair
-from cycloid_fmu.surface import structured_value, surface_of_pair, unit_of, with_structured
+from cycloid_fmu.surface import (
+    LARGEST_ELEMENT,
+    profile_names,
+    structured_value,
+    surface_of_pair,
+    unit_of,
+    with_structured,
+)
 from fitting.identifiability import UNKNOWN, tolerances_of
 from fitting.observation import (
     CREEP,
     NO_CREEP,
+    PROFILE_ORDERS,
     Linear,
     Observations,
     State,
-    errors_of,
     joined,
     left_of,
     linearise,
@@ -128,18 +135,19 @@ class _Problem:
     def __init__(self, pair: Pair, observed: Observations, chosen: Sequence[str]) -> None:
         self.pair, self.chosen = pair, list(chosen)
         self.prior = surface_of_pair(pair)
-        self.columns_of_chosen = [errors_of(pair).index(n) for n in chosen]
+        self.columns_of_chosen = [observed.errors.index(n) for n in chosen]
         known = np.isfinite(observed.bench_prior)
         crank = [_CRANK_SCALE] if observed.fit_crank else []
         scattered = spread_of(pair, {}).size
         self.scale = np.concatenate([
-            tolerances_of(chosen), np.where(known, observed.bench_prior, 1e-4),
+            tolerances_of(chosen, observed.profile), np.where(known, observed.bench_prior, 1e-4),
             np.full(len(observed.friction_names), observed.friction_prior), crank, np.full(scattered, _SCATTER_SCALE),
         ])  # fmt: skip
         loops = len(observed.friction_names) - 1
-        flat = np.concatenate(
-            [np.ones(len(chosen), bool), ~known, [False], np.ones(loops + len(crank) + scattered, bool)]
-        )
+        flat = np.concatenate([
+            [n not in observed.profile for n in chosen], ~known, [False],
+            np.ones(loops + len(crank) + scattered, bool),
+        ])  # fmt: skip
         self.known = np.where(flat, UNKNOWN, 1.0)
         self.first_scatter = self.scale.size - scattered
         self.parts = {
@@ -374,6 +382,8 @@ def possible(pair: Pair, name: str) -> tuple[float, float]:
     low, high = {"m": (-LARGEST_DEVIATION, LARGEST_DEVIATION), "rad": (-LARGEST_MISALIGNMENT, LARGEST_MISALIGNMENT)}[
         unit_of(name)
     ]
+    if name in profile_names(PROFILE_ORDERS):
+        low, high = -LARGEST_ELEMENT, LARGEST_ELEMENT
     if name == "eccentricity":
         low, high = max(low, -g.eccentricity), min(high, g.pin_circle_radius / g.pins - g.eccentricity)
     if name == "pin_circle_radius":
@@ -418,7 +428,7 @@ def confirmed(pair: Pair, estimate: Estimate, gain: float) -> tuple[Estimate, lm
         # The bench's nuisances have their priors; one that came out below zero is zero within its standard error.
         low, high = possible(pair, name) if name in estimate.chosen else (-np.inf, np.inf)
         parameters.add(name, float(value), min=low, max=high)
-    for name in errors_of(pair):
+    for name in observed.errors:
         if name not in estimate.chosen:
             low, high = possible(pair, name)
             parameters.add(name, structured_value(pair, problem.prior, name), vary=False, min=low, max=high)

@@ -189,6 +189,7 @@ def identify(
     loops: Sequence[Curve] = (),
     held_out: bool = True,
     scatter: Mapping[str, float] | None = None,
+    profile: Mapping[str, float] | None = None,
     profiled: Sequence[str] = (),
     bootstrap: int = 0,
 ) -> Identification:
@@ -209,6 +210,9 @@ def identify(
     scatter
         {pattern: standard deviation of a single pin or tooth, m}, from tolerances: with it every pin and tooth is
         reported with its own error; a pattern that is not named is estimated from the data.
+    profile
+        {order of the profile deviation: what it may be, m}, from tolerances: with it the form that all teeth share is
+        fitted, as far as the data tell it.
     profiled
         Errors whose intervals are found by their profile rather than by their standard error.
     bootstrap
@@ -228,8 +232,8 @@ def identify(
                     f"{curve.source}: it has {turns} output turns; at least {TURNS} are needed to draw turns again."
                 )
     for name in profiled:
-        if name not in errors_of(pair):
-            raise edge.InputError(f'"{name}" is no error of this pair; one of {", ".join(errors_of(pair))}.')
+        if name not in (errors := [*errors_of(pair), *(profile or {})]):
+            raise edge.InputError(f'"{name}" is no error of this pair; one of {", ".join(errors)}.')
     if not curves:
         raise edge.InputError("there is no transmission error curve: a loop sees the drive at one crank angle only.")
     loops = on_the_curves_zero(loops, curves)
@@ -248,11 +252,11 @@ def identify(
     if kept:
         progress("fitting without the curves kept back")
         rest = [*(c for i, c in enumerate(curves) if i not in kept), *loops]
-        start = _fitted(rest, pair, None, scatter, progress)
+        start = _fitted(rest, pair, None, scatter, profile, progress)
         predicted = _predicted(pair, start, [curves[i] for i in kept])
         if predicted.residual > _MISPREDICTED * predicted.noise:
             start = None
-    found = _fitted([*curves, *loops], pair, start, scatter, progress)
+    found = _fitted([*curves, *loops], pair, start, scatter, profile, progress)
     return _result(pair, found, predicted, scatter or {}, profiled, bootstrap, progress)
 
 
@@ -299,9 +303,10 @@ def _fitted(
     pair: Pair,
     start: Estimate | None,
     known: Mapping[str, float] | None,
+    profile: Mapping[str, float] | None,
     progress: Callable[[str], None],
 ) -> Estimate:
-    observed = observations(curves, pair)
+    observed = observations(curves, pair, profile=profile)
     rough = _started(pair, observed, start, progress)
     state, scatter = rough.state, rough.scatter
     prior = observed.bench_prior.copy()
@@ -321,7 +326,7 @@ def _fitted(
 
 
 def _chosen(observed: Observations, linear: Linear, pair: Pair, scatter: Mapping[str, float]) -> list[str]:
-    chosen = chosen_errors(observed, linear, errors_of(pair), spread_of(pair, scatter))
+    chosen = chosen_errors(observed, linear, observed.errors, spread_of(pair, scatter))
     if not chosen:
         raise edge.InputError("the data tell none of the structured errors apart; record more loads or more turns.")
     return chosen
@@ -363,7 +368,7 @@ def _started(pair: Pair, observed: Observations, start: Estimate | None, progres
         state = zeroed(part, prior, _CRANK_STARTS[number % len(_CRANK_STARTS)] * pitch)
         chosen = _chosen(part, linearise(pair, part, state), pair, {})
         if number > 1:
-            drawn = generator.normal(0.0, 0.3 * tolerances_of(chosen))
+            drawn = generator.normal(0.0, 0.3 * tolerances_of(chosen, few.profile))
             values = {n: structured_value(pair, prior, n) + d for n, d in zip(chosen, drawn, strict=True)}
             state = zeroed(part, with_structured(pair, prior, values), state.crank_offset)
         one = fit(pair, part, chosen, state, unknown, gain=_START_GAIN, evaluations=_START_EVALUATIONS)
@@ -411,7 +416,7 @@ def _result(
     bootstrap: int,
     progress: Callable[[str], None],
 ) -> Identification:
-    names, chosen, spread = errors_of(pair), list(fit.chosen), spread_of(pair, fit.scatter)
+    names, chosen, spread = list(fit.observed.errors), list(fit.chosen), spread_of(pair, fit.scatter)
     whitened = fit.observed.weight * left_of(fit.observed, fit.linear, fit.state)
     each = np.split(whitened, fit.observed.ends)
     inflation = _inflation([each[i] for i in fit.observed.running])
@@ -428,7 +433,7 @@ def _result(
         added = np.maximum(turns**2 - (inflation * white) ** 2, 0.0)
         every[np.diag_indices(len(chosen))] += added
     # The scatter of pins and teeth stands behind the errors and the bench.
-    lmfit_parameters = _stated(found, every[: -spread.size, : -spread.size])
+    lmfit_parameters = _stated(found, every[: -spread.size, : -spread.size], observed.profile)
     bench = {n: p.value for n, p in lmfit_parameters.items() if n not in names}
     lasting = np.r_[: len(chosen), len(every) - spread.size : len(every)]
     every = every[np.ix_(lasting, lasting)]
@@ -439,7 +444,7 @@ def _result(
     quantile = float(ndtri(0.5 + 0.5 * _CONFIDENCE))
     singular, combinations, reasons = weakness(observed, linear, names, chosen)
     parameters = []
-    for name, tolerance in zip(names, tolerances_of(names), strict=True):
+    for name, tolerance in zip(names, tolerances_of(names, observed.profile), strict=True):
         if name in chosen:
             sigma = float(error[chosen.index(name)])
             one = _parameter(name, structured_value(pair, plain, name), sigma, float(tolerance), None)
@@ -499,7 +504,7 @@ def _bounded(parameter: lmfit.Parameter) -> bool:
     return bool(min(parameter.value - parameter.min, parameter.max - parameter.value) < _AT_BOUND * parameter.max)
 
 
-def _stated(found: lmfit.Parameters, covariance: Array) -> lmfit.Parameters:
+def _stated(found: lmfit.Parameters, covariance: Array, profile: Mapping[str, float]) -> lmfit.Parameters:
     """Return the first of lmfit's parameters, those of a covariance, and what is held, with what is stated of them."""
     from lmfit import Parameters
 
@@ -511,7 +516,7 @@ def _stated(found: lmfit.Parameters, covariance: Array) -> lmfit.Parameters:
     for name in (*names, *held):
         one = found[name]
         stated.add(name, one.value, vary=one.vary, min=one.min, max=one.max)
-    for name, sigma in zip(held, tolerances_of(held), strict=True):
+    for name, sigma in zip(held, tolerances_of(held, profile), strict=True):
         stated[name].stderr = float(sigma)
     for at, name in enumerate(names):
         stated[name].stderr = float(deviation[at])

@@ -24,6 +24,7 @@ from fitting.curve import Curve, noise_of
 Array = NDArray[np.float64]
 
 ORDERS = (1, 2, 3)  # of pins and teeth that are structured errors; what is beyond them is scatter
+PROFILE_ORDERS = (1, 2, 3, 4)  # of the profile deviation that all teeth share, where it is fitted
 
 # What an encoder errs once a turn of its own shaft before anything is measured, rad; the output's is told by its order.
 OUTPUT_ENCODER, INPUT_ENCODER = 2e-4, 5e-5
@@ -54,6 +55,9 @@ class Observations:
         Standard deviation of the friction torque before anything is measured, N·m; that of loops is unknown.
     with_loops
         Whether there are branches of loops, whose friction is their own.
+    errors, profile
+        The structured errors considered, and {order of the profile deviation: what it may be before anything is
+        measured, m} of those that are among them.
     """
 
     curves: tuple[Curve, ...]
@@ -64,7 +68,9 @@ class Observations:
     bench_prior: Array
     fit_crank: bool
     friction_prior: float
-    with_loops: bool = False
+    with_loops: bool
+    errors: tuple[str, ...]
+    profile: Mapping[str, float]
 
     @property
     def running(self) -> list[int]:
@@ -112,7 +118,12 @@ class Observations:
         )  # fmt: skip
 
 
-def observations(curves: Sequence[Curve], pair: Pair, noise: Sequence[float] | None = None) -> Observations:
+def observations(
+    curves: Sequence[Curve],
+    pair: Pair,
+    noise: Sequence[float] | None = None,
+    profile: Mapping[str, float] | None = None,
+) -> Observations:
     """Return curves as observations of a pair.
 
     Parameters
@@ -123,6 +134,8 @@ def observations(curves: Sequence[Curve], pair: Pair, noise: Sequence[float] | N
         The nominal pair.
     noise
         Noise of a single point of each curve, rad; by default what the curves themselves show.
+    profile
+        Orders of the profile deviation to consider too, and what each may be, m.
     """
     shown = np.array([noise_of(c) for c in curves] if noise is None else noise)
     floor = max(float(np.median(shown)), 1e-9)
@@ -180,6 +193,8 @@ def observations(curves: Sequence[Curve], pair: Pair, noise: Sequence[float] | N
         fit_crank=not all(c.known_index for c in curves),
         friction_prior=FRICTION_SHARE * largest,
         with_loops=any(c.branch for c in curves),
+        errors=(*errors_of(pair), *(profile or {})),
+        profile=profile or {},
     )
 
 
@@ -211,8 +226,8 @@ class State:
 class Linear:
     """The model at one state: transmission error without the bench, shape (points,), and its derivatives.
 
-    `structured` (points, errors as in `errors_of`), `scatter` (points, 2 pins + discs x teeth), and by crank angle and
-    friction torque (points,).
+    `structured` (points, errors as in `Observations.errors`), `scatter` (points, 2 pins + discs x teeth), and by crank
+    angle and friction torque (points,).
     """
 
     model: Array
@@ -223,7 +238,7 @@ class Linear:
 
 
 def errors_of(pair: Pair) -> list[str]:
-    """Return the structured errors that a fit of this pair considers."""
+    """Return the structured errors that every fit of this pair considers."""
     return structured_names([k for k in ORDERS if 2 * k < pair.pair.gear_teeth])
 
 
@@ -270,7 +285,7 @@ def linearised_curve(pair: Pair, observed: Observations, state: State) -> Linear
     torque, least = curve.torque_at_points + against * friction, _LEAST_TORQUE * curve.torque
     torque = np.where(np.abs(torque) < abs(least), least, torque)
     model, jacobian, each, further = error_sensitivity(
-        pair, state.surface, torque, curve.input_angle + state.crank_offset, errors_of(pair)
+        pair, state.surface, torque, curve.input_angle + state.crank_offset, list(observed.errors)
     )  # fmt: skip
     return Linear(model, jacobian, scatter_columns(pair, each), further[:, 0], against * further[:, 1])
 
