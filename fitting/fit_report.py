@@ -48,7 +48,7 @@ def fit_panels(curves: Sequence[Curve], result: Identification, pair: Pair) -> l
 
 def _loop_panels(loop: LoopFit) -> list[Panel]:
     """A loop as measured and fitted, and what is left of it, each branch by itself."""
-    name, torque = f"Loop {Path(loop.source).name}", "torque on the output [N·m]"
+    name, torque = f"Hysteresis loop: {Path(loop.source).name}", "torque on the output [N·m]"
     middle = float(np.mean(list(loop.measured.values())))
     both, left = [], []
     for number, (branch, at) in enumerate(loop.torque.items()):
@@ -181,4 +181,4 @@ def write_fit_report(curves: Sequence[Curve], result: Identification, pair: Pair
 def _bench_unit(name: str) -> str:
     if name == "chain_compliance":
         return "rad/(N·m)"
-    return "N·m" if name == "friction_torque" else "rad"
+    return "N·m" if name.endswith("friction_torque") else "rad"

@@ -82,9 +82,9 @@ _TOLD = 1.5  # angles of the crank in all curves for each single displacement: w
 _MEASURED = 0.1  # share of a single displacement's variance that the data must take away for it to be measured
 _CHOICES = 3  # of errors to fit, which change where the state at which they are chosen does
 _AT_BOUND = 1e-3  # of the bound: lmfit ends so close beside it
-# A fit ends where a step gains less than this of the sum of squares in units of the noise: what moves an estimate by a
-# fifth of its standard error at most.
-_START_GAIN, _GAIN = 3.0, 0.5
+# A fit ends where a step gains less than this of the sum of squares in units of the noise: what moves one estimate by a
+# standard error at most, and by a tenth where it is shared among all. lmfit's steps follow.
+_START_GAIN, _GAIN = 8.0, 1.0
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ class Identification:
         Every pin's and tooth's own error with all its parts, where asked for; held where it was only bounded.
     bench
         {name: value} of the bench's nuisances: zeros and encoder eccentricity (rad), compliance of the chain beside
-        the gear pair (rad/(N·m)), friction torque (N·m).
+        the gear pair (rad/(N·m)), friction torque, and that of loops (N·m).
     lmfit_parameters
         All structured errors and the bench's nuisances in SI: values, standard errors, correlations, and what each
         error can be as bounds. Those that are held do not vary; their standard error is what they may be unmeasured.

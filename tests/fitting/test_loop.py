@@ -156,4 +156,4 @@ def test_loops_among_recordings_on_the_command_line(command, made, measured, tmp
         solve(made, surface_of_pair(made), 1.0, CRANK).backlash[0], abs=0.5 * ARCSEC
     )
     assert "loop.csv" in content["data"]
-    assert "Loop loop.csv" in (tmp_path / "fit.html").read_text()
+    assert "Hysteresis loop: loop.csv" in (tmp_path / "fit.html").read_text()
