@@ -77,7 +77,7 @@ _START_POINTS = 1500  # of all curves together, for the way from the prior
 _STARTS, _START_EVALUATIONS = 5, 30
 _AGREE = 0.03  # of the points: two starts ended alike where -2 log likelihood differs by less, the noise by 1.5 %
 _CRANK_STARTS = (0.0, -0.25, 0.25, 0.5)  # pin pitches, where the crank's zero is not known
-_ONE_ANGLE = np.radians(0.5)  # of the crank: samples in step with it are as close
+_ANGLES = 720  # of a crank turn that count as different: samples in step with it are closer than that
 _TOLD = 1.5  # angles of the crank in all curves for each single displacement: with fewer a fit finds many minima
 _MEASURED = 0.1  # share of a single displacement's variance that the data must take away for it to be measured
 _CHOICES = 3  # of errors to fit, which change where the state at which they are chosen does
@@ -581,7 +581,7 @@ def _ambiguity(pair: Pair, fit: Estimate) -> list[str]:
     curves = [fit.observed.curves[i] for i in fit.observed.running]
     unknown = sum(p.stop - p.start for n, p in scatter_parts(pair).items()
                   if n.startswith("pin_") and fit.scatter[n] > NO_SCATTER)  # fmt: skip
-    seen = sum(np.unique(np.mod(c.input_angle, 2.0 * np.pi) // _ONE_ANGLE).size for c in curves)
+    seen = sum(np.unique(np.rint(c.input_angle / (2.0 * np.pi) * _ANGLES) % _ANGLES).size for c in curves)
     if seen < _TOLD * unknown:
         notes.append(
             f"The curves see {seen} angles of the crank in all, too few to tell the {unknown} displacements by which "
