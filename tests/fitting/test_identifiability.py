@@ -108,6 +108,14 @@ def test_too_few_crank_angles_for_the_pins_scatter_are_said(nominal, each, said)
     assert said or not any("angles of the crank" in n for n in found.notes)
 
 
+def test_a_curve_with_more_noise_than_the_others_is_named(measured, nominal):
+    curves = measured(3, each=12)
+    louder = np.random.default_rng(0).normal(0.0, 1.0 * ARCSEC, curves[1].input_angle.size)
+    curves[1] = dataclasses.replace(curves[1], transmission_error=curves[1].transmission_error + louder)
+    found = identify(curves, nominal, held_out=False)
+    assert [n.split(":")[0] for n in found.notes if "its noise comes out" in n] == ["-20 N·m"]
+
+
 def test_curves_of_another_gear_are_not_explained(measured):
     """The same ratio, another eccentricity and pin: the fit says so and still ends."""
     other = read_pair(BENCH / "pair.toml")
