@@ -1532,7 +1532,8 @@ def sweep_flank_sensitivities(
     """Derivatives of solved deviations at constant torque by normal deviations that all teeth share.
 
     A flank that is higher by f at the contact takes f from the gap. Where f rises along the flank the arm grows by f'
-    times the foot's rate, and the contact lies up the rise, where the curvature is another (docs/theory/identification.md).
+    times the foot's rate, and the contact lies up the rise, where the curvature is another
+    (docs/theory/identification.md).
 
     Parameters
     ----------

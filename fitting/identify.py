@@ -583,8 +583,8 @@ def _ambiguity(pair: Pair, fit: Estimate) -> list[str]:
     if noises.max() > _LEFT * np.median(noises):
         notes.append(
             f"{curves[int(np.argmax(noises))].source}: its noise comes out as {noises.max() * ARCSEC:.2f}″, the "
-            f"others' as {np.median(noises) * ARCSEC:.2f}″; where the bench is as quiet there, the fit has ended beside "
-            "the best one and the intervals are too narrow."
+            f"others' as {np.median(noises) * ARCSEC:.2f}″; where the bench is as quiet there, the fit has ended "
+            "beside the best one and the intervals are too narrow."
         )
     unknown = sum(p.stop - p.start for n, p in scatter_parts(pair).items()
                   if n.startswith("pin_") and fit.scatter[n] > NO_SCATTER)  # fmt: skip
