@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from cycloid_fmu import edge
-from cycloid_fmu.edge import ARCSEC
+from cycloid_fmu.edge import ARCMIN, ARCSEC
 from cycloid_fmu.pair import Pair
 from fitting.curve import Curve, spectrum
 from fitting.identify import Identification, Parameter
 from fitting.loop import LoopFit
-from fitting.panels import ARCMIN, Panel, Trace, label_of, spectra_panel
+from fitting.panels import Panel, Trace, label_of, spectra_panel
 from fitting.report import html_page, made_now
 
 FORMATS = (".html",)
