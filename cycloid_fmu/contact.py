@@ -1523,3 +1523,54 @@ def sweep_sensitivities(
         deviation[i] = x
         by_torque[i] = 1.0 / sensitivities(drive, thetas[i], x, contacts, errors[i])
         _, by_angle[i] = crank_side(drive, thetas[i], x, contacts)
+
+
+@_compiled
+def sweep_flank_sensitivities(
+    drive: Drive, thetas: Array, deviation: Array, places: Array, waves: Array, out: Array
+) -> None:
+    """Derivatives of solved deviations at constant torque by normal deviations that all teeth share.
+
+    A flank that is higher by f at the contact takes f from the gap. Where f rises along the flank the arm grows by f'
+    times the foot's rate, and the contact lies up the rise, where the curvature is another
+    (docs/theory/identification.md).
+
+    Parameters
+    ----------
+    thetas, deviation
+        Crank angles and the solved deviations there, shape (angles,), rad.
+    places, waves
+        Profile parameters from one root to the next, shape (points,), rad, and deviations there, > 0 material added,
+        linear between them, shape (waves, points), m for each unit.
+    out
+        Overwritten, shape (angles, waves): rad for each unit.
+    """
+    contacts = contact_rows(drive)
+    pitch = 2.0 * math.pi / drive.teeth
+    out[:] = 0.0
+    for i in range(thetas.size):
+        place(drive, thetas[i], deviation[i], contacts, i == 0, math.inf, _BOUNDED)
+        _load(drive, thetas[i], deviation[i], contacts)
+        stiffness = 0.0
+        for row in range(contacts.shape[0]):
+            force = contacts[row, FORCE]
+            if force <= 0.0:
+                continue
+            stiffness += _rotational_stiffness(contacts, row)
+            along = contacts[row, PLACE] - math.floor(contacts[row, PLACE] / pitch) * pitch
+            after = min(max(np.searchsorted(places, along), 1), places.size - 1)
+            width = places[after] - places[after - 1]
+            share = (along - places[after - 1]) / width
+            local = _local(drive, thetas[i], deviation[i], contacts, row)
+            stretch = 1.0 / (local.speed * local.foot)
+            # Second derivative of the axis' distance from the flank along it.
+            bend = local.speed / local.foot * (1.0 - drive.generating_radius * local.bend * stretch)
+            upwards = drive.pin_radius[row // 2 % (drive.teeth + 1)] / bend
+            by_rise = contacts[row, FORCE_BY_CURVATURE] * contacts[row, CURVATURE_RATE] * contacts[row, ARM] * upwards
+            by_rise += force * contacts[row, FOOT_RATE]
+            for wave in range(waves.shape[0]):
+                low, high = waves[wave, after - 1], waves[wave, after]
+                height, rise = (1.0 - share) * low + share * high, (high - low) / width
+                out[i, wave] -= contacts[row, STIFFNESS] * contacts[row, ARM] * height + by_rise * rise
+        for wave in range(waves.shape[0]):
+            out[i, wave] /= stiffness

@@ -174,6 +174,8 @@ def surface_of_pair(pair: Pair) -> ErrorSurface:
     )
 
 
+PROFILE_POINTS = 100  # elements of a profile that has none: its low orders are smooth
+_PROFILE = re.compile(r"profile_deviation_([1-9])")
 _STRUCTURED = re.compile(rf"({'|'.join(PATTERNS)})_([1-9]\d*)_(cos|sin)")
 
 
@@ -190,6 +192,17 @@ def unit_of(name: str) -> str:
     return "1/m" if name.endswith("_curvature") else "m"
 
 
+def profile_names(orders: Collection[int]) -> list[str]:
+    """Names of the profile deviation's orders: cosines of order/2 waves along the arc of every tooth, root to root."""
+    return [f"profile_deviation_{order}" for order in orders]
+
+
+def profile_wave(name: str, elements: int) -> Array | None:
+    """Values of an order of the profile deviation at the elements' middles, shape (elements,), or None for others."""
+    match = _PROFILE.fullmatch(name)
+    return None if match is None else np.cos(np.pi * int(match[1]) * (np.arange(elements) + 0.5) / elements)
+
+
 def _wave(pair: Pair, name: str) -> tuple[str, Array]:
     match = _STRUCTURED.fullmatch(name)
     if match is None:
@@ -203,9 +216,13 @@ def _wave(pair: Pair, name: str) -> tuple[str, Array]:
 
 
 def structured_value(pair: Pair, surface: ErrorSurface, name: str) -> float:
-    """Value of a structured error in a surface (m or rad); tooth patterns are averaged over the discs."""
+    """Value of a structured error in a surface (m or rad); those of teeth are averaged over teeth and discs."""
     if name in SCALAR_ERRORS:
         return float(getattr(surface, name))
+    flanks = surface.gear_deviation
+    profile = profile_wave(name, PROFILE_POINTS if flanks is None else flanks.shape[2])
+    if profile is not None:
+        return 0.0 if flanks is None else float(2.0 * (flanks * profile[:, None]).mean())
     pattern, wave = _wave(pair, name)
     return float((getattr(surface, pattern) * wave).mean() / np.mean(wave**2)) if wave.any() else 0.0
 
@@ -223,6 +240,16 @@ def with_structured(pair: Pair, surface: ErrorSurface, values: Mapping[str, floa
         if name in SCALAR_ERRORS:
             changes[name] = float(value)
             continue
+        profile = profile_wave(
+            name, PROFILE_POINTS if surface.gear_deviation is None else surface.gear_deviation.shape[2]
+        )
+        if profile is not None:
+            g, before = pair.pair, structured_value(pair, surface, name)
+            blank = np.zeros((g.discs, g.gear_teeth, profile.size, 1)) if value != before else None
+            flanks = changes.get("gear_deviation", surface.gear_deviation)
+            flanks = blank if flanks is None else flanks
+            changes["gear_deviation"] = None if flanks is None else flanks + (value - before) * profile[:, None]
+            continue
         pattern, wave = _wave(pair, name)
         held = changes.get(pattern, getattr(surface, pattern))
         changes[pattern] = held + (value - structured_value(pair, surface, name)) * wave
@@ -230,7 +257,10 @@ def with_structured(pair: Pair, surface: ErrorSurface, values: Mapping[str, floa
 
 
 def structured_columns(pair: Pair, names: Iterable[str]) -> Array:
-    """Linear map from structured errors to the columns of `contact.sensitivities`, shape (columns, names)."""
+    """Linear map from structured errors to the columns of `contact.sensitivities`, shape (columns, names).
+
+    Orders of the profile deviation have no part in them.
+    """
     g = pair.pair
     scalars = len(SCALAR_ERRORS)
     starts = {"pin_radial": scalars, "pin_tangential": scalars + g.pins, "tooth_cumulative_pitch": scalars + 3 * g.pins}
@@ -239,7 +269,7 @@ def structured_columns(pair: Pair, names: Iterable[str]) -> Array:
         column = np.zeros(scalars + 3 * g.pins + g.discs * g.gear_teeth)
         if name in SCALAR_ERRORS:
             column[SCALAR_ERRORS.index(name)] = 1.0
-        else:
+        elif profile_wave(name, 1) is None:
             pattern, wave = _wave(pair, name)
             if pattern == "tooth_cumulative_pitch":
                 wave = np.tile(wave, g.discs) / g.pin_circle_radius

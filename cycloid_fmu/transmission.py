@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from cycloid_fmu import contact
 from cycloid_fmu.pair import Modification, Pair
 from cycloid_fmu.profile import equal_arc_parameters, flank_normals, flank_points
-from cycloid_fmu.surface import ErrorSurface, structured_columns
+from cycloid_fmu.surface import PROFILE_POINTS, ErrorSurface, profile_wave, structured_columns
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -328,7 +328,8 @@ def error_sensitivity(
     transmission_error
         Shape (angles,), rad.
     jacobian
-        By the structured errors of `names`, shape (angles, names), rad/m (rad/rad for angles).
+        By the structured errors of `names`, orders of the profile deviation among them, shape (angles, names), rad/m
+        (rad/rad for angles).
     each
         By every single error, columns as in `contact.sensitivities`.
     further
@@ -341,7 +342,16 @@ def error_sensitivity(
     deviation, by_angle, by_torque = (np.empty(angles.size) for _ in range(3))
     torques = np.ascontiguousarray(np.broadcast_to(np.asarray(torque, dtype=float), angles.shape))
     contact.sweep_sensitivities(drive, angles, torques, deviation, each, by_angle, by_torque)
-    return deviation, each @ columns, each, np.stack([by_angle - 1.0 / pair.ratio, by_torque], axis=1)
+    jacobian = each @ columns
+    elements = PROFILE_POINTS if surface.gear_deviation is None else surface.gear_deviation.shape[2]
+    profiles = {at: wave for at, name in enumerate(names) if (wave := profile_wave(name, elements)) is not None}
+    if profiles:
+        places = np.concatenate([[0.0], equal_arc_parameters(pair, elements), [2.0 * np.pi / pair.pair.gear_teeth]])
+        waves = np.pad(np.array(list(profiles.values())), ((0, 0), (1, 1)), "edge")
+        of_waves = np.empty((angles.size, len(profiles)))
+        contact.sweep_flank_sensitivities(drive, angles, deviation, places, waves, of_waves)
+        jacobian[:, list(profiles)] = of_waves
+    return deviation, jacobian, each, np.stack([by_angle - 1.0 / pair.ratio, by_torque], axis=1)
 
 
 _LABELS = {

@@ -137,6 +137,24 @@ def _curves(
     return [c for one in corrected for c in curves_of(one)]
 
 
+def _curves_and_loops(
+    files: list[Path], pair: Pair, mapping: Path | None, read_head: Path | None, *, keep_turns: bool
+) -> tuple[list[Curve], list[Curve]]:
+    """Return the curves of recordings and the branches of those that are loops with the input locked."""
+    from fitting.loop import branches_of, is_locked
+    from fitting.metrics import survey
+    from fitting.recording import open_bench_recording, read_mapping
+
+    mapped = None if mapping is None else read_mapping(mapping)
+    locked = [f for f in files if is_locked(open_bench_recording(f, mapped))]
+    turning = [f for f in files if f not in locked]
+    surveyed = [survey(open_bench_recording(f, mapped), pair.ratio, pair.pair.rated_torque) for f in locked]
+    return (
+        _curves(turning, pair.ratio, mapping, read_head, keep_turns=keep_turns),
+        [branch for one in surveyed for branch in branches_of(one, pair.ratio)],
+    )
+
+
 @app.command()
 def curve(
     files: Recordings,
@@ -381,7 +399,10 @@ def identify(
     read_head: HeadFile = None,
     tolerances: Annotated[
         Path | None,
-        typer.Option(metavar="TOL.toml", help="Report every pin and tooth by itself, with these tolerances as prior."),
+        typer.Option(
+            metavar="TOL.toml",
+            help="Report every pin and tooth by itself, and the form that all teeth share, with these as prior.",
+        ),
     ] = None,
     profile: Annotated[
         list[str] | None, typer.Option(metavar="ERROR", help="Find this error's interval by its profile; repeatable.")
@@ -395,7 +416,9 @@ def identify(
 ) -> None:
     """Fit the drive's errors to recordings at one or more loads, and say what the data can't tell.
 
-    Example: [cyan]cycloid-fit identify *.arrows --pair pair.toml -o fit.json --surface identified.nc --plot fit.png[/]
+    Hysteresis loops with the input locked may stand among them: they tell the play apart from friction.
+
+    Example: [cyan]cycloid-fit identify loop.csv *.arrows --pair pair.toml -o fit.json --surface s.nc --plot fit.png[/]
     """
     from rich.console import Console
 
@@ -404,7 +427,7 @@ def identify(
     from cycloid_fmu.sampling import read_tolerances
     from cycloid_fmu.surface import write_surface
     from fitting.fit_report import FORMATS, write_fit_report
-    from fitting.identifiability import scatter_of
+    from fitting.identifiability import profile_of, scatter_of
     from fitting.identify import as_json as content
     from fitting.identify import identify as fit
     from fitting.identify import write_identification
@@ -415,13 +438,14 @@ def identify(
     if report_file is not None:
         edge.output_path(report_file, "--report", FORMATS)
     pair = read_pair(pair_file)
-    known = None if tolerances is None else scatter_of(pair, read_tolerances(tolerances))
-    curves = _curves(files, pair.ratio, mapping, read_head, keep_turns=bootstrap > 0)
+    allowed = None if tolerances is None else read_tolerances(tolerances)
+    curves, loops = _curves_and_loops(files, pair, mapping, read_head, keep_turns=bootstrap > 0)
     console = Console(stderr=True)
     with console.status("reading") as status:
         result = fit(
-            curves, pair, lambda step: status.update(f"{step} …"), scatter=known, profiled=profile or [],
-            bootstrap=bootstrap,
+            curves, pair, lambda step: status.update(f"{step} …"), loops=loops,
+            scatter=None if allowed is None else scatter_of(pair, allowed),
+            profile=None if allowed is None else profile_of(pair, allowed), profiled=profile or [], bootstrap=bootstrap,
         )  # fmt: skip
     if output is not None:
         write_identification(result, output)
@@ -486,6 +510,11 @@ def print_identification(result: object, truth: dict[str, float] | None = None) 
         f"Residual {result.residual * ARCSEC:.3f}″ rms, noise {result.noise * ARCSEC:.3f}″; "
         f"scatter beyond these errors: {scatter}."
     )
+    for one in result.loops:
+        typer.echo(
+            f"{Path(one.source).name}: play at the crank angle {math.degrees(one.crank_angle):.1f}°: "
+            f"{one.play * ARCSEC:.2f} ± {1.96 * one.standard_error * ARCSEC:.2f}″ by the identified errors."
+        )
 
 
 @app.command()
@@ -500,6 +529,10 @@ def plan(
     scatter: Annotated[
         str, typer.Option(help="What single pins and teeth do beyond their low orders, standard deviation.")
     ] = "0.3 um",
+    loop: Annotated[
+        str | None,
+        typer.Option(help='Also with a hysteresis loop to this torque, such as "181 N*m", the crank locked at pin 0.'),
+    ] = None,
     plot: PlotFile = None,
     as_json: AsJson = False,
 ) -> None:
@@ -530,7 +563,10 @@ def plan(
         raise edge.InputError(
             f'--noise = "{noise}", --scatter = "{scatter}": the noise must be above zero, the scatter not below it.'
         )
-    plans = bench_plans(pair, loads, turns=turns, samples=samples, noise=level, scatter=spread)
+    wound = None if loop is None else edge.quantity_option(loop, "N*m", "--loop")
+    if wound is not None and wound <= 0.0:
+        raise edge.InputError(f'--loop = "{loop}": it must be above zero; a loop goes to both sides.')
+    plans = bench_plans(pair, loads, turns=turns, samples=samples, noise=level, scatter=spread, loop=wound)
     if plot is not None:
         plots.save(plot_plans(plans), plot)
     if as_json:

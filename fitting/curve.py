@@ -69,6 +69,9 @@ class Curve:
     each_turn
         Transmission error of every turn by itself, shape (turns, points), rad, NaN where a turn has no sample; None
         where the turns were not kept.
+    branch
+        "" of a curve over the turn. Of a loop with the input locked: which of its branches; the points then lie over
+        the torque, and the direction is that of a crank which would carry the output the way the torque takes it.
     """
 
     input_angle: Array
@@ -89,6 +92,7 @@ class Curve:
     angle_variance: Array | None = None
     torque_each: Array | None = None
     each_turn: Array | None = None
+    branch: str = ""
 
     @property
     def torque_at_points(self) -> Array:

@@ -21,15 +21,23 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from cycloid_fmu.pair import LARGEST_DEVIATION, LARGEST_MISALIGNMENT, Pair
-from cycloid_fmu.surface import structured_value, surface_of_pair, unit_of, with_structured
+from cycloid_fmu.surface import (
+    LARGEST_ELEMENT,
+    profile_names,
+    structured_value,
+    surface_of_pair,
+    unit_of,
+    with_structured,
+)
 from fitting.identifiability import UNKNOWN, tolerances_of
 from fitting.observation import (
     CREEP,
     NO_CREEP,
+    PROFILE_ORDERS,
     Linear,
     Observations,
     State,
-    errors_of,
+    joined,
     left_of,
     linearise,
     linearised_curve,
@@ -53,6 +61,7 @@ TURNS = 3  # fewer do not say how they scatter
 _PROFILE_GAIN, _PROFILE_WITHIN = 0.02, 0.1  # of the rise: where a fit of a profile ends, and how near it must come
 _CRANK_SCALE, _SCATTER_SCALE, _CREEP_SCALE = 1e-2, 1e-6, 1e-6  # rad, m, rad
 _CONFIRMATIONS = 2  # evaluations of the model that the last step may cost
+_ROUNDS, _LINEAR = 12, 0.02  # of the variances' fixed point on one model, where a step promises so little a point
 _PINNED = 1e6  # precision that holds an unknown where it is put, in its scale
 _SHRINKS, _GROWS = 0.1, 10.0  # by how much a variance may change with one step
 
@@ -78,6 +87,8 @@ class Estimate:
         that the data do not need makes it larger.
     evaluations
         How often the model was evaluated at all points, with its derivatives.
+    apart
+        From how many starts a fit of some of the points ended in as many optima; 0 where two of them agreed.
     """
 
     observed: Observations
@@ -88,6 +99,7 @@ class Estimate:
     misfit: float
     unlikelihood: float
     evaluations: int
+    apart: int = 0
 
     @property
     def noises(self) -> Array:
@@ -96,18 +108,19 @@ class Estimate:
 
     @property
     def noise(self) -> float:
-        """Noise of a point, the geometric mean over the curves, rad."""
-        return float(np.exp(np.mean(np.log(self.noises))))
+        """Noise of a point, the geometric mean over the curves, loops apart, rad."""
+        return float(np.exp(np.mean(np.log(self.noises[self.observed.running]))))
 
 
 @dataclass(frozen=True)
 class _Normal:
-    """Normal equations of every curve at some unknowns, in units of the noise.
+    """The model at some unknowns, and each curve's normal equations in units of the noise.
 
     `gram` (curves, unknowns, unknowns), `moment` (curves, unknowns), and for each curve the sum of squares and number
     of the points that count, the robust scale of all points, and how many lie further off than they may.
     """
 
+    linear: Linear
     gram: Array
     moment: Array
     square: Array
@@ -122,15 +135,19 @@ class _Problem:
     def __init__(self, pair: Pair, observed: Observations, chosen: Sequence[str]) -> None:
         self.pair, self.chosen = pair, list(chosen)
         self.prior = surface_of_pair(pair)
-        self.columns_of_chosen = [errors_of(pair).index(n) for n in chosen]
+        self.columns_of_chosen = [observed.errors.index(n) for n in chosen]
         known = np.isfinite(observed.bench_prior)
         crank = [_CRANK_SCALE] if observed.fit_crank else []
         scattered = spread_of(pair, {}).size
         self.scale = np.concatenate([
-            tolerances_of(chosen), np.where(known, observed.bench_prior, 1e-4), [observed.friction_prior], crank,
-            np.full(scattered, _SCATTER_SCALE),
+            tolerances_of(chosen, observed.profile), np.where(known, observed.bench_prior, 1e-4),
+            np.full(len(observed.friction_names), observed.friction_prior), crank, np.full(scattered, _SCATTER_SCALE),
         ])  # fmt: skip
-        flat = np.concatenate([np.ones(len(chosen), bool), ~known, [False], np.ones(len(crank) + scattered, bool)])
+        loops = len(observed.friction_names) - 1
+        flat = np.concatenate([
+            [n not in observed.profile for n in chosen], ~known, [False],
+            np.ones(loops + len(crank) + scattered, bool),
+        ])  # fmt: skip
         self.known = np.where(flat, UNKNOWN, 1.0)
         self.first_scatter = self.scale.size - scattered
         self.parts = {
@@ -141,15 +158,16 @@ class _Problem:
         if creeping.stop:
             self.parts[CREEP] = slice(creeping.start + len(chosen), creeping.stop + len(chosen))
             self.scale[self.parts[CREEP]] = _CREEP_SCALE
-        self.fit_crank = observed.fit_crank
+        self.fit_crank, self.with_loops = observed.fit_crank, loops > 0
         crank_name = ["crank_angle_offset"] if observed.fit_crank else []
-        self.names = [*chosen, *observed.bench_names, "friction_torque", *crank_name, *scatter_names(pair)]
+        self.names = [*chosen, *observed.bench_names, *observed.friction_names, *crank_name, *scatter_names(pair)]
 
     def unknowns(self, state: State) -> Array:
         plain = with_scatter(self.pair, state.surface, -state.scatter)
         errors = [structured_value(self.pair, plain, n) for n in self.chosen]
         crank = [state.crank_offset] if self.fit_crank else []
-        values = np.concatenate([errors, state.bench, [state.friction], crank, state.scatter])
+        friction = [state.friction, state.loop_friction] if self.with_loops else [state.friction]
+        values = np.concatenate([errors, state.bench, friction, crank, state.scatter])
         scaled: Array = values / self.scale
         return scaled
 
@@ -169,7 +187,8 @@ class _Problem:
             scatter=scatter,
             bench=values[self.bench],
             friction=float(values[self.bench.stop]),
-            crank_offset=float(values[self.bench.stop + 1]) if self.fit_crank else 0.0,
+            loop_friction=float(values[self.bench.stop + 1]) if self.with_loops else 0.0,
+            crank_offset=float(values[self.first_scatter - 1]) if self.fit_crank else 0.0,
         )
 
     def precision(self, scatter: Mapping[str, float]) -> Array:
@@ -182,7 +201,7 @@ class _Problem:
         """Evaluate the model and its normal equations; points further off than `limit` (curves,) do not count."""
         state = self.state(unknowns)
 
-        def of(number: int) -> tuple[Array, ...]:
+        def of(number: int) -> tuple[Linear, tuple[Array, ...]]:
             one = observed.some([number])
             linear = linearised_curve(self.pair, one, state)
             left = one.weight * left_of(one, linear, state)
@@ -190,11 +209,12 @@ class _Problem:
             columns = self.columns(one, linear)[inside]
             counted = left[inside]
             scale = 1.4826 * np.median(np.abs(left[one.weight > 0.0]))
-            return (columns.T @ columns, columns.T @ counted, counted @ counted, counted.size, scale,
-                    np.count_nonzero(one.weight) - counted.size)  # fmt: skip
+            return linear, (columns.T @ columns, columns.T @ counted, counted @ counted, counted.size, scale,
+                            np.count_nonzero(one.weight) - counted.size)  # fmt: skip
 
         with ThreadPoolExecutor(os.cpu_count()) as pool:
-            return _Normal(*(np.array(v) for v in zip(*pool.map(of, range(len(observed.curves))), strict=True)))
+            linears, sums = zip(*pool.map(of, range(len(observed.curves))), strict=True)
+        return _Normal(joined(linears), *(np.array(v) for v in zip(*sums, strict=True)))
 
 
 def _limits(normal: _Normal) -> Array:
@@ -269,7 +289,15 @@ def fit(
             unknowns, now = unknowns + step, then
             damping = max(0.1 * damping, 1e-9) if gained > 0.5 * promised else damping
             if estimated:
-                observed, now, scatter, settled = _variances(problem, observed, now, scatter, unknowns, known or {})
+                ahead = np.zeros_like(unknowns)
+                # Where the model is as good as linear the variances settle without another evaluation of it.
+                for _ in range(_ROUNDS if promised < _LINEAR * observed.measured.size else 1):
+                    observed, now, scatter, settled = _variances(
+                        problem, observed, now, scatter, unknowns, ahead, known or {}
+                    )
+                    if settled:
+                        break
+                    ahead = _ahead(problem, now, scatter, unknowns, mean, list(pins))
             limit = _limits(now)
         else:
             damping = max(10.0 * damping, 1e-2)
@@ -279,13 +307,12 @@ def fit(
     gram = now.gram.sum(axis=0) + np.diag(precision)
     seen = observed.weight[observed.weight > 0.0]
     unlikelihood = misfit + float(np.linalg.slogdet(gram)[1] - np.log(precision).sum() - 2.0 * np.log(seen).sum())
-    state = problem.state(unknowns)
-    linear = linearise(pair, observed, state)
+    state, linear = problem.state(unknowns), now.linear
     off = np.abs(observed.weight * left_of(observed, linear, state)) > _each_point(observed, limit)
     prior = observed.bench_prior.copy()
     prior[observed.creeping] = max(scatter.get(CREEP, 0.0), NO_CREEP)
     observed = dataclasses.replace(observed, weight=np.where(off, 0.0, observed.weight), bench_prior=prior)
-    return Estimate(observed, tuple(chosen), state, scatter, linear, misfit, unlikelihood, done + 1)
+    return Estimate(observed, tuple(chosen), state, scatter, linear, misfit, unlikelihood, done)
 
 
 def _each_point(observed: Observations, values: Array) -> Array:
@@ -312,13 +339,19 @@ def _variances(
     normal: _Normal,
     scatter: Mapping[str, float],
     unknowns: Array,
+    ahead: Array,
     known: Mapping[str, float],
 ) -> tuple[Observations, _Normal, dict[str, float], bool]:
-    """Take one step of the restricted likelihood's fixed point; also whether it hardly moved."""
+    """Take one step of the restricted likelihood's fixed point; also whether it hardly moved.
+
+    `ahead` is a step from the unknowns, at whose end the fixed point is taken as the linear model foretells it.
+    """
     precision = problem.precision(scatter)
     covariance = linalg.inv(normal.gram.sum(axis=0) + np.diag(precision))
     told = np.einsum("kij,ji->k", normal.gram, covariance)
-    variance = normal.square / np.maximum(normal.count - told, 1.0)
+    square = normal.square - 2.0 * normal.moment @ ahead + np.einsum("i,kij,j->k", ahead, normal.gram, ahead)
+    variance = square / np.maximum(normal.count - told, 1.0)
+    unknowns = unknowns + ahead
     found = dict(known)
     for name, part in problem.parts.items():
         if name in known:
@@ -333,12 +366,24 @@ def _variances(
     return observed, normal, found, settled
 
 
+def _ahead(
+    problem: _Problem, normal: _Normal, scatter: Mapping[str, float], unknowns: Array, mean: Array, pins: list[int]
+) -> Array:
+    """Return the Gauss-Newton step."""
+    precision = problem.precision(scatter)
+    precision[pins] = _PINNED
+    slope = normal.moment.sum(axis=0) - precision * (unknowns - mean)
+    return np.asarray(linalg.solve(normal.gram.sum(axis=0) + np.diag(precision), slope, assume_a="pos"))
+
+
 def possible(pair: Pair, name: str) -> tuple[float, float]:
     """Return what an error can be, m or rad: what a pair file may state, and what still makes a gear pair."""
     g = pair.pair
     low, high = {"m": (-LARGEST_DEVIATION, LARGEST_DEVIATION), "rad": (-LARGEST_MISALIGNMENT, LARGEST_MISALIGNMENT)}[
         unit_of(name)
     ]
+    if name in profile_names(PROFILE_ORDERS):
+        low, high = -LARGEST_ELEMENT, LARGEST_ELEMENT
     if name == "eccentricity":
         low, high = max(low, -g.eccentricity), min(high, g.pin_circle_radius / g.pins - g.eccentricity)
     if name == "pin_circle_radius":
@@ -383,7 +428,7 @@ def confirmed(pair: Pair, estimate: Estimate, gain: float) -> tuple[Estimate, lm
         # The bench's nuisances have their priors; one that came out below zero is zero within its standard error.
         low, high = possible(pair, name) if name in estimate.chosen else (-np.inf, np.inf)
         parameters.add(name, float(value), min=low, max=high)
-    for name in errors_of(pair):
+    for name in observed.errors:
         if name not in estimate.chosen:
             low, high = possible(pair, name)
             parameters.add(name, structured_value(pair, problem.prior, name), vary=False, min=low, max=high)
@@ -481,7 +526,7 @@ def turn_bootstrap(estimate: Estimate, pair: Pair, draws: int, seed: int) -> Arr
     Parameters
     ----------
     estimate, pair
-        Where the fit ended, of curves that keep their turns, and the nominal pair.
+        Where the fit ended, of curves that keep their turns, and the nominal pair. Loops stay as they are.
     draws, seed
         How many; the same seed draws the same turns.
 
@@ -496,7 +541,8 @@ def turn_bootstrap(estimate: Estimate, pair: Pair, draws: int, seed: int) -> Arr
         If a curve has fewer than `TURNS` turns.
     """
     observed = estimate.observed
-    if any(c.each_turn is None or len(c.each_turn) < TURNS for c in observed.curves):
+    turning = [observed.curves[i] for i in observed.running]
+    if any(c.each_turn is None or len(c.each_turn) < TURNS for c in turning):
         raise ValueError(f"every curve needs at least {TURNS} turns")
     problem = _Problem(pair, observed, estimate.chosen)
     columns = problem.columns(observed, estimate.linear)
@@ -507,7 +553,8 @@ def turn_bootstrap(estimate: Estimate, pair: Pair, draws: int, seed: int) -> Arr
     generator = np.random.default_rng(seed)
     moved = np.zeros((draws, len(estimate.chosen)))
     for curve, part in zip(observed.curves, np.split(np.arange(observed.measured.size), observed.ends), strict=True):
-        assert curve.each_turn is not None
+        if curve.each_turn is None:
+            continue
         there = np.isfinite(curve.each_turn)
         turns = np.where(there, curve.each_turn - curve.transmission_error, 0.0)
         taken = generator.multinomial(len(turns), np.full(len(turns), 1.0 / len(turns)), size=draws).astype(float)

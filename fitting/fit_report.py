@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from cycloid_fmu import edge
-from cycloid_fmu.edge import ARCSEC
+from cycloid_fmu.edge import ARCMIN, ARCSEC
 from cycloid_fmu.pair import Pair
 from fitting.curve import Curve, spectrum
 from fitting.identify import Identification, Parameter
+from fitting.loop import LoopFit
 from fitting.panels import Panel, Trace, label_of, spectra_panel
 from fitting.report import html_page, made_now
 
@@ -41,7 +42,26 @@ def fit_panels(curves: Sequence[Curve], result: Identification, pair: Pair) -> l
               f"{result.residual / _ARC:.3f}″ rms are left; the noise of a point is {result.noise / _ARC:.3f}″."),
     ]  # fmt: skip
     orders = spectra_panel(rest, [spectrum(c) for c in rest], pair, "Orders of what is left")
-    return [*panels, *([orders] if orders is not None else []), _intervals(result.parameters)]
+    loops = [panel for one in result.loops for panel in _loop_panels(one)]
+    return [*panels, *([orders] if orders is not None else []), *loops, _intervals(result.parameters)]
+
+
+def _loop_panels(loop: LoopFit) -> list[Panel]:
+    """A loop as measured and fitted, and what is left of it, each branch by itself."""
+    name, torque = f"Hysteresis loop: {Path(loop.source).name}", "torque on the output [N·m]"
+    middle = float(np.mean(list(loop.measured.values())))
+    both, left = [], []
+    for number, (branch, at) in enumerate(loop.torque.items()):
+        measured, fitted = loop.measured[branch], loop.fitted[branch]
+        both.append(Trace("measured" if number == 0 else "", at, (measured - middle) * ARCMIN, "points", -1))
+        both.append(Trace(branch, at, (fitted - middle) * ARCMIN, "thin", number))
+        left.append(Trace(branch, at, (measured - fitted) / _ARC, "thin", number))
+    return [
+        Panel(name, torque, "windup [arcmin]", tuple(both),
+              f"Input locked at {np.degrees(loop.crank_angle):.1f}° of the crank. Points are means over the torque, "
+              "lines the fit, from where friction has left the play behind."),
+        Panel(f"{name}: what is left", torque, "measured less fitted [arcsec]", tuple(left), "Each branch by itself."),
+    ]  # fmt: skip
 
 
 def _intervals(parameters: Sequence[Parameter]) -> Panel:
@@ -121,6 +141,13 @@ def _trust(result: Identification) -> list[str]:
         said.append("Nothing could be kept back to be predicted: that takes three curves.")
     scatter = ", ".join(f"{n} {v * 1e6:.2f} µm" for n, v in result.scatter.items())
     said.append(f"Beyond the errors of the table single pins and teeth scatter: {scatter} (standard deviations).")
+    for one in result.loops:
+        left = np.concatenate([one.measured[n] - one.fitted[n] for n in one.fitted])
+        said.append(
+            f"{Path(one.source).name}: the play at {np.degrees(one.crank_angle):.1f}° of the crank is "
+            f"{one.play / _ARC:.2f} ± {1.96 * one.standard_error / _ARC:.2f}″ by the identified errors; "
+            f"{np.sqrt(np.mean(left**2)) / _ARC:.3f}″ rms are left of the loop's points."
+        )
     if result.inflation > 1.0:
         said.append(f"The residual is not white: the intervals are {result.inflation:.2f} times those of white noise.")
     return said
@@ -154,4 +181,4 @@ def write_fit_report(curves: Sequence[Curve], result: Identification, pair: Pair
 def _bench_unit(name: str) -> str:
     if name == "chain_compliance":
         return "rad/(N·m)"
-    return "N·m" if name == "friction_torque" else "rad"
+    return "N·m" if name.endswith("friction_torque") else "rad"

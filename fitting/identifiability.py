@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,10 +11,12 @@ from scipy import linalg
 
 from cycloid_fmu.pair import Pair
 from cycloid_fmu.sampling import Tolerances, sample_surface
-from cycloid_fmu.surface import Elements, surface_of_pair, unit_of
+from cycloid_fmu.surface import Elements, profile_names, profile_wave, surface_of_pair, unit_of
 from fitting.curve import Curve
+from fitting.loop import planned_branches
 from fitting.observation import (
     ORDERS,
+    PROFILE_ORDERS,
     Linear,
     Observations,
     State,
@@ -39,12 +41,13 @@ PREFERENCE = (
 TOLERANCE = {"m": 5e-6, "rad": 1e-4}  # standard deviation that an error has before anything is measured
 UNKNOWN = 1e-6  # precision of what has no prior, so that what these curves do not see at all can stay where it is
 _DRAWN = 100  # drives from which tolerances' scatter is taken
+_PROFILE_DRAWN = 50  # elements along the profile of each
 KNOWN = 0.2  # an error counts as known where the data leave less than this share of its tolerance
 
 
-def tolerances_of(names: Sequence[str]) -> Array:
-    """Return the standard deviation of each error before anything is measured, m or rad."""
-    return np.array([TOLERANCE[unit_of(n)] for n in names])
+def tolerances_of(names: Sequence[str], stated: Mapping[str, float] | None = None) -> Array:
+    """Return the standard deviation of each error before anything is measured, m or rad, where none is stated."""
+    return np.array([(stated or {}).get(n, TOLERANCE[unit_of(n)]) for n in names])
 
 
 def choose(information: Array, names: Sequence[str]) -> list[str]:
@@ -80,7 +83,9 @@ def choose(information: Array, names: Sequence[str]) -> list[str]:
 
 
 def chosen_errors(observed: Observations, linear: Linear, names: Sequence[str], spread: Array) -> list[str]:
-    """Choose the errors that observations tell apart, in the order of `names`.
+    """Choose the errors that observations tell apart, in the order of `names`; orders of the profile are always there.
+
+    Their size is known before measuring, as that of the scatter, and as that they blur the others.
 
     Parameters
     ----------
@@ -90,27 +95,32 @@ def chosen_errors(observed: Observations, linear: Linear, names: Sequence[str], 
         Standard deviation of each scattered displacement of a pin or tooth, which blurs the errors, m.
     """
     information = _information(observed, linear, names, spread)
-    own, other = slice(0, len(names)), slice(len(names), None)
-    # What scatter and nuisances leave of the information about the errors.
-    blurred = linalg.solve(information[other, other], information[other, own], assume_a="pos")
-    left = information[own, own] - information[own, other] @ blurred
-    found = choose(0.5 * (left + left.T), names)
-    return [n for n in names if n in found]
+    free = [n not in observed.profile for n in names]
+    own = np.flatnonzero([*free, *np.zeros(len(information) - len(names), bool)])
+    other = np.setdiff1d(np.arange(len(information)), own)
+    # What scatter, form and nuisances leave of the information about the errors.
+    blurred = linalg.solve(information[np.ix_(other, other)], information[np.ix_(other, own)], assume_a="pos")
+    left = information[np.ix_(own, own)] - information[np.ix_(own, other)] @ blurred
+    found = choose(0.5 * (left + left.T), [n for n, one in zip(names, free, strict=True) if one])
+    return [n for n in names if n in found or n in observed.profile]
 
 
 def _information(observed: Observations, linear: Linear, names: Sequence[str], spread: Array) -> Array:
     """Information matrix of errors, scatter and nuisances, each in units of what it may be before measuring.
 
-    Scatter and the nuisances that have a prior are known by it; the errors and the other nuisances by the data alone.
+    Scatter, the profile's orders and the nuisances that have a prior are known by it; the errors and the other
+    nuisances by the data alone.
     """
     nuisances, priors = nuisance_columns(observed, linear)
     known = np.isfinite(priors)
     columns = np.column_stack([
-        linear.structured * tolerances_of(names), linear.scatter * spread, nuisances * np.where(known, priors, 1e-4)
+        linear.structured * tolerances_of(names, observed.profile), linear.scatter * spread,
+        nuisances * np.where(known, priors, 1e-4),
     ])  # fmt: skip
     columns = observed.weight[:, None] * columns
     information: Array = columns.T @ columns
-    prior = np.concatenate([np.zeros(len(names)), np.ones(spread.size), np.where(known, 1.0, UNKNOWN)])
+    stated = np.array([float(n in observed.profile) for n in names])
+    prior = np.concatenate([stated, np.ones(spread.size), np.where(known, 1.0, UNKNOWN)])
     return information + np.diag(prior)
 
 
@@ -137,7 +147,9 @@ def weakness(
     scale = np.linalg.norm(rows, axis=0)
     rows = rows[:, scale > 0.0] / scale[scale > 0.0]
     q, _ = np.linalg.qr(rows)
-    columns = np.vstack([weight * linear.structured * tolerances_of(names), np.zeros((known.sum(), len(names)))])
+    columns = np.vstack(
+        [weight * linear.structured * tolerances_of(names, observed.profile), np.zeros((known.sum(), len(names)))]
+    )
     columns = columns - q @ (q.T @ columns)
     singular = np.linalg.svd(columns, compute_uv=False)
     keep = [list(names).index(n) for n in chosen]
@@ -180,6 +192,25 @@ def scatter_of(pair: Pair, tolerances: Tolerances) -> dict[str, float]:
     return found
 
 
+def profile_of(pair: Pair, tolerances: Tolerances) -> dict[str, float]:
+    """Return what tolerances let the low orders of the profile deviation be that all teeth share, m.
+
+    Cutter and grinding wheel make one form on every tooth, so it may be as large as one tooth's: standard deviation
+    over the teeth of drives that the tolerances allow. Empty where they say nothing of the flanks' form.
+    """
+    if tolerances.gear_profile is None:
+        return {}
+    elements = Elements(_PROFILE_DRAWN, 2, 1)
+    drawn = [sample_surface(pair, tolerances, seed, elements).gear_deviation for seed in range(_DRAWN // 10)]
+    teeth = np.concatenate([d.reshape(-1, *d.shape[2:]) for d in drawn if d is not None]).mean(axis=-1)
+    found = {}
+    for name in profile_names(PROFILE_ORDERS):
+        wave = profile_wave(name, _PROFILE_DRAWN)
+        assert wave is not None
+        found[name] = float(np.std(2.0 * (teeth * wave).mean(axis=1)))
+    return found
+
+
 def posterior_covariance(
     observed: Observations,
     linear: Linear,
@@ -203,7 +234,7 @@ def posterior_covariance(
     """
     information = _information(observed, linear, names, spread)
     chosen_first = [*(list(names).index(n) for n in chosen), *range(len(names), len(information))]
-    scale = np.concatenate([tolerances_of(chosen), spread])
+    scale = np.concatenate([tolerances_of(chosen, observed.profile), spread])
     covariance = linalg.inv(information[np.ix_(chosen_first, chosen_first)])[: scale.size, : scale.size]
     covariance = 0.5 * (covariance + covariance.T)
     return np.asarray(covariance * np.outer(scale, scale))
@@ -273,6 +304,7 @@ def plan(
     noise: float,
     scatter: float,
     said: str,
+    loops: Sequence[tuple[float, float]] = (),
 ) -> Plan:
     """Return what bench runs at these torques, each in these directions, would tell of a pair.
 
@@ -290,8 +322,12 @@ def plan(
         What single pins and teeth do beyond the structured errors, standard deviation, m.
     said
         The runs in words.
+    loops
+        Torque up to which each loop with the input locked goes, N·m, and the crank angle there, rad.
     """
     curves = [planned_curve(pair.ratio, way * torque, way, turns, samples) for torque in torques for way in directions]
+    for number, (torque, crank) in enumerate(loops):
+        curves += planned_branches(pair, torque, crank, number)
     level = [noise / np.sqrt(c.sample_count[0]) for c in curves]
     observed = observations(curves, pair, level)
     names = errors_of(pair)
@@ -306,19 +342,33 @@ def plan(
 
 
 def bench_plans(
-    pair: Pair, torques: Sequence[float], *, turns: float, samples: int, noise: float, scatter: float
+    pair: Pair,
+    torques: Sequence[float],
+    *,
+    turns: float,
+    samples: int,
+    noise: float,
+    scatter: float,
+    loop: float | None = None,
 ) -> list[Plan]:
     """Return what ever larger sets of runs would tell: the largest torque one way, both ways, then torque by torque.
 
-    Parameters are those of `plan`; the torques are added from the largest, then the smallest, to those between.
+    Parameters are those of `plan`; the torques are added from the largest, then the smallest, to those between. With a
+    `loop` to a torque (N·m) the first and the last set come with it too, the crank locked at pin 0.
     """
     ordered = sorted(set(torques), reverse=True)
     ordered = ordered[:1] + ordered[:0:-1]
-    sets: list[tuple[list[float], tuple[int, ...], str]] = [(ordered[:1], (1,), f"{ordered[0]:g} N·m forward")]
+    sets: list[tuple[list[float], tuple[int, ...], str, bool]]
+    sets = [(ordered[:1], (1,), f"{ordered[0]:g} N·m forward", False)]
     for count in range(1, len(ordered) + 1):
         loads = " and ".join(f"{t:g}" for t in ordered[:count])
-        sets.append((ordered[:count], (1, -1), f"{loads} N·m both ways"))
+        sets.append((ordered[:count], (1, -1), f"{loads} N·m both ways", False))
+    if loop is not None:
+        wound = [(s[0], s[1], f"{s[2]} and a loop to {loop:g} N·m", True) for s in (sets[0], sets[-1])]
+        sets = [sets[0], wound[0], *sets[1:], wound[1]]
+    loops = [] if loop is None else [(loop, 0.0)]
     return [
-        plan(pair, loads, ways, turns=turns, samples=samples, noise=noise, scatter=scatter, said=said)
-        for loads, ways, said in sets
-    ]
+        plan(pair, loads, ways, turns=turns, samples=samples, noise=noise, scatter=scatter, said=said,
+             loops=loops if with_loop else ())
+        for loads, ways, said, with_loop in sets
+    ]  # fmt: skip

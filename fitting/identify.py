@@ -45,6 +45,7 @@ from fitting.estimation import (
     turn_bootstrap,
 )
 from fitting.identifiability import chosen_errors, tolerances_of, weakness
+from fitting.loop import LoopFit, on_the_curves_zero, play_of
 from fitting.observation import (
     CREEP,
     NO_CREEP,
@@ -55,6 +56,7 @@ from fitting.observation import (
     left_of,
     linearise,
     observations,
+    scatter_columns,
     scatter_names,
     scatter_parts,
     spread_of,
@@ -69,17 +71,20 @@ FORMAT = "cycloid-identification/1"
 
 _CONFIDENCE = 0.95
 _UNEXPLAINED = 2.0  # times its noise: a residual above this is another drive's
+_LEFT = 1.3  # times its noise: a curve of which more is left is not explained wholly
 _MISPREDICTED = 1.5  # times the noise: a fit that predicts no better is no start for another
 _START_POINTS = 1500  # of all curves together, for the way from the prior
 _STARTS, _START_EVALUATIONS = 5, 30
 _AGREE = 0.03  # of the points: two starts ended alike where -2 log likelihood differs by less, the noise by 1.5 %
 _CRANK_STARTS = (0.0, -0.25, 0.25, 0.5)  # pin pitches, where the crank's zero is not known
+_ANGLES = 720  # of a crank turn that count as different: samples in step with it are closer than that
+_TOLD = 1.5  # angles of the crank in all curves for each single displacement: with fewer a fit finds many minima
 _MEASURED = 0.1  # share of a single displacement's variance that the data must take away for it to be measured
 _CHOICES = 3  # of errors to fit, which change where the state at which they are chosen does
 _AT_BOUND = 1e-3  # of the bound: lmfit ends so close beside it
-# A fit ends where a step gains less than this of the sum of squares in units of the noise: what moves an estimate by a
-# fifth of its standard error at most.
-_START_GAIN, _GAIN = 3.0, 0.2
+# A fit ends where a step gains less than this of the sum of squares in units of the noise: what moves one estimate by a
+# standard error at most, and by a tenth where it is shared among all. lmfit's steps follow.
+_START_GAIN, _GAIN = 8.0, 1.0
 
 
 @dataclass(frozen=True)
@@ -120,7 +125,7 @@ class Identification:
         Every pin's and tooth's own error with all its parts, where asked for; held where it was only bounded.
     bench
         {name: value} of the bench's nuisances: zeros and encoder eccentricity (rad), compliance of the chain beside
-        the gear pair (rad/(N·m)), friction torque (N·m).
+        the gear pair (rad/(N·m)), friction torque, and that of loops (N·m).
     lmfit_parameters
         All structured errors and the bench's nuisances in SI: values, standard errors, correlations, and what each
         error can be as bounds. Those that are held do not vary; their standard error is what they may be unmeasured.
@@ -138,11 +143,13 @@ class Identification:
     residual
         rms of measured less fitted transmission error, rad.
     outliers
-        Points of each curve that were left out.
+        {source: points that were left out}.
     held_out
         What a fit without some of the curves predicts of them, or None where too few were measured.
     fitted_curves
         Fitted transmission error of each curve, the bench's nuisances included, rad.
+    loops
+        The loops that were given.
     checksums
         {source: SHA-256} of the data.
     notes
@@ -161,9 +168,10 @@ class Identification:
     scatter: dict[str, float]
     inflation: float
     residual: float
-    outliers: tuple[int, ...]
+    outliers: dict[str, int]
     held_out: HeldOut | None
     fitted_curves: tuple[Array, ...]
+    loops: tuple[LoopFit, ...]
     checksums: dict[str, str]
     notes: tuple[str, ...]
 
@@ -178,8 +186,10 @@ def identify(
     pair: Pair,
     progress: Callable[[str], None] = lambda step: None,
     *,
+    loops: Sequence[Curve] = (),
     held_out: bool = True,
     scatter: Mapping[str, float] | None = None,
+    profile: Mapping[str, float] | None = None,
     profiled: Sequence[str] = (),
     bootstrap: int = 0,
 ) -> Identification:
@@ -193,11 +203,16 @@ def identify(
         The nominal pair; the errors that its file states are the prior and start.
     progress
         Told what is being done.
+    loops
+        Branches of hysteresis loops with the input locked (`fitting.loop.branches_of`).
     held_out
         Whether a load or direction is first kept from the fit and predicted.
     scatter
         {pattern: standard deviation of a single pin or tooth, m}, from tolerances: with it every pin and tooth is
         reported with its own error; a pattern that is not named is estimated from the data.
+    profile
+        {order of the profile deviation: what it may be, m}, from tolerances: with it the form that all teeth share is
+        fitted, as far as the data tell it.
     profiled
         Errors whose intervals are found by their profile rather than by their standard error.
     bootstrap
@@ -217,13 +232,17 @@ def identify(
                     f"{curve.source}: it has {turns} output turns; at least {TURNS} are needed to draw turns again."
                 )
     for name in profiled:
-        if name not in errors_of(pair):
-            raise edge.InputError(f'"{name}" is no error of this pair; one of {", ".join(errors_of(pair))}.')
-    for curve in curves:
+        if name not in (errors := [*errors_of(pair), *(profile or {})]):
+            raise edge.InputError(f'"{name}" is no error of this pair; one of {", ".join(errors)}.')
+    if not curves:
+        raise edge.InputError("there is no transmission error curve: a loop sees the drive at one crank angle only.")
+    loops = on_the_curves_zero(loops, curves)
+    for curve in (*curves, *loops):
         if abs(curve.ratio / pair.ratio - 1.0) > 1e-9:
             raise edge.InputError(
                 f"{curve.source}: its ratio is {curve.ratio:g}, the pair's {pair.ratio:g}; it is of another drive."
             )
+    for curve in curves:
         if abs(curve.torque) < 1e-3 * max(abs(c.torque) for c in curves) or curve.torque == 0.0:
             raise edge.InputError(
                 f"{curve.source}: the mean torque is {curve.torque:g} N·m; the fit needs loaded curves."
@@ -232,14 +251,13 @@ def identify(
     predicted = None
     if kept:
         progress("fitting without the curves kept back")
-        rest = [c for i, c in enumerate(curves) if i not in kept]
-        start = _fitted(rest, pair, None, scatter, progress)
+        rest = [*(c for i, c in enumerate(curves) if i not in kept), *loops]
+        start = _fitted(rest, pair, None, scatter, profile, progress)
         predicted = _predicted(pair, start, [curves[i] for i in kept])
         if predicted.residual > _MISPREDICTED * predicted.noise:
             start = None
-    return _result(
-        pair, _fitted(curves, pair, start, scatter, progress), predicted, scatter or {}, profiled, bootstrap, progress
-    )
+    found = _fitted([*curves, *loops], pair, start, scatter, profile, progress)
+    return _result(pair, found, predicted, scatter or {}, profiled, bootstrap, progress)
 
 
 def kept_back(curves: Sequence[Curve]) -> tuple[int, ...]:
@@ -285,9 +303,10 @@ def _fitted(
     pair: Pair,
     start: Estimate | None,
     known: Mapping[str, float] | None,
+    profile: Mapping[str, float] | None,
     progress: Callable[[str], None],
 ) -> Estimate:
-    observed = observations(curves, pair)
+    observed = observations(curves, pair, profile=profile)
     rough = _started(pair, observed, start, progress)
     state, scatter = rough.state, rough.scatter
     prior = observed.bench_prior.copy()
@@ -303,11 +322,11 @@ def _fitted(
         if again == chosen:
             break
         chosen = again
-    return estimate
+    return dataclasses.replace(estimate, apart=rough.apart)
 
 
 def _chosen(observed: Observations, linear: Linear, pair: Pair, scatter: Mapping[str, float]) -> list[str]:
-    chosen = chosen_errors(observed, linear, errors_of(pair), spread_of(pair, scatter))
+    chosen = chosen_errors(observed, linear, observed.errors, spread_of(pair, scatter))
     if not chosen:
         raise edge.InputError("the data tell none of the structured errors apart; record more loads or more turns.")
     return chosen
@@ -333,10 +352,10 @@ def _started(pair: Pair, observed: Observations, start: Estimate | None, progres
         state = start.state
         if start.observed.bench_names != observed.bench_names:
             state = dataclasses.replace(zeroed(observed, state.surface, state.crank_offset, state.scatter),
-                                        friction=state.friction)  # fmt: skip
+                                        friction=state.friction, loop_friction=state.loop_friction)  # fmt: skip
         return dataclasses.replace(start, state=state)
     few = observed.thinned(_stride(observed))
-    loads = np.array([abs(c.torque) for c in few.curves])
+    loads = np.array([0.0 if c.branch else abs(c.torque) for c in few.curves])
     high = few.some(np.flatnonzero(loads > 0.7 * loads.max()))
     generator = np.random.default_rng(0)
     # A scatter that grows from nothing as the data ask for it leads past most of the wrong minima.
@@ -349,7 +368,7 @@ def _started(pair: Pair, observed: Observations, start: Estimate | None, progres
         state = zeroed(part, prior, _CRANK_STARTS[number % len(_CRANK_STARTS)] * pitch)
         chosen = _chosen(part, linearise(pair, part, state), pair, {})
         if number > 1:
-            drawn = generator.normal(0.0, 0.3 * tolerances_of(chosen))
+            drawn = generator.normal(0.0, 0.3 * tolerances_of(chosen, few.profile))
             values = {n: structured_value(pair, prior, n) + d for n, d in zip(chosen, drawn, strict=True)}
             state = zeroed(part, with_structured(pair, prior, values), state.crank_offset)
         one = fit(pair, part, chosen, state, unknown, gain=_START_GAIN, evaluations=_START_EVALUATIONS)
@@ -359,14 +378,14 @@ def _started(pair: Pair, observed: Observations, start: Estimate | None, progres
             one = fit(pair, few, chosen, state, one.scatter, gain=_START_GAIN, evaluations=_START_EVALUATIONS)
         found = sorted([*found, one], key=lambda e: e.unlikelihood)
         if len(found) > 1 and found[1].unlikelihood < found[0].unlikelihood + _AGREE * few.measured.size:
-            break
-    return found[0]
+            return found[0]
+    return dataclasses.replace(found[0], apart=len(found))
 
 
 def _stride(observed: Observations) -> int:
     """How many points a start steps over: it shares no factor with those of a turn, to see every angle of the crank."""
     stride = max(1, observed.measured.size // _START_POINTS)
-    while any(math.gcd(stride, c.input_angle.size) > 1 for c in observed.curves):
+    while any(math.gcd(stride, observed.curves[i].input_angle.size) > 1 for i in observed.running):
         stride += 1
     return stride
 
@@ -397,9 +416,10 @@ def _result(
     bootstrap: int,
     progress: Callable[[str], None],
 ) -> Identification:
-    names, chosen, spread = errors_of(pair), list(fit.chosen), spread_of(pair, fit.scatter)
+    names, chosen, spread = list(fit.observed.errors), list(fit.chosen), spread_of(pair, fit.scatter)
     whitened = fit.observed.weight * left_of(fit.observed, fit.linear, fit.state)
-    inflation = _inflation(np.split(whitened, fit.observed.ends))
+    each = np.split(whitened, fit.observed.ends)
+    inflation = _inflation([each[i] for i in fit.observed.running])
     observed = dataclasses.replace(fit.observed, weight=fit.observed.weight / inflation)
     progress("confirming the optimum")
     optimum, found, every = confirmed(pair, dataclasses.replace(fit, observed=observed), _GAIN)
@@ -413,7 +433,7 @@ def _result(
         added = np.maximum(turns**2 - (inflation * white) ** 2, 0.0)
         every[np.diag_indices(len(chosen))] += added
     # The scatter of pins and teeth stands behind the errors and the bench.
-    lmfit_parameters = _stated(found, every[: -spread.size, : -spread.size])
+    lmfit_parameters = _stated(found, every[: -spread.size, : -spread.size], observed.profile)
     bench = {n: p.value for n, p in lmfit_parameters.items() if n not in names}
     lasting = np.r_[: len(chosen), len(every) - spread.size : len(every)]
     every = every[np.ix_(lasting, lasting)]
@@ -424,7 +444,7 @@ def _result(
     quantile = float(ndtri(0.5 + 0.5 * _CONFIDENCE))
     singular, combinations, reasons = weakness(observed, linear, names, chosen)
     parameters = []
-    for name, tolerance in zip(names, tolerances_of(names), strict=True):
+    for name, tolerance in zip(names, tolerances_of(names, observed.profile), strict=True):
         if name in chosen:
             sigma = float(error[chosen.index(name)])
             one = _parameter(name, structured_value(pair, plain, name), sigma, float(tolerance), None)
@@ -444,7 +464,11 @@ def _result(
         covariance=every,
         attributes={"data": " ".join(f"{c.checksum}" for c in observed.curves)},
     )
-    used = observed.weight > 0.0
+    used = (observed.weight > 0.0) & ~observed.of_loops
+    parts = np.split(fitted, observed.ends)
+    outliers = dict.fromkeys((c.source for c in observed.curves), 0)
+    for curve, part in zip(observed.curves, np.split(observed.weight, observed.ends), strict=True):
+        outliers[curve.source] += int(np.count_nonzero(part == 0.0))
     return Identification(
         parameters=tuple(parameters),
         singles=singles,
@@ -458,9 +482,10 @@ def _result(
         scatter={n: fit.scatter[n] for n in scatter_parts(pair)},
         inflation=inflation,
         residual=float(np.sqrt(np.mean((observed.measured - fitted)[used] ** 2))),
-        outliers=tuple(int(np.count_nonzero(part == 0.0)) for part in np.split(observed.weight, observed.ends)),
+        outliers=outliers,
         held_out=predicted,
-        fitted_curves=tuple(np.split(fitted, observed.ends)),
+        fitted_curves=tuple(parts[i] for i in observed.running),
+        loops=_loops(pair, fit, parts, every),
         checksums={c.source: c.checksum for c in observed.curves},
         notes=(
             *_notes(pair, fit),
@@ -479,7 +504,7 @@ def _bounded(parameter: lmfit.Parameter) -> bool:
     return bool(min(parameter.value - parameter.min, parameter.max - parameter.value) < _AT_BOUND * parameter.max)
 
 
-def _stated(found: lmfit.Parameters, covariance: Array) -> lmfit.Parameters:
+def _stated(found: lmfit.Parameters, covariance: Array, profile: Mapping[str, float]) -> lmfit.Parameters:
     """Return the first of lmfit's parameters, those of a covariance, and what is held, with what is stated of them."""
     from lmfit import Parameters
 
@@ -491,7 +516,7 @@ def _stated(found: lmfit.Parameters, covariance: Array) -> lmfit.Parameters:
     for name in (*names, *held):
         one = found[name]
         stated.add(name, one.value, vary=one.vary, min=one.min, max=one.max)
-    for name, sigma in zip(held, tolerances_of(held), strict=True):
+    for name, sigma in zip(held, tolerances_of(held, profile), strict=True):
         stated[name].stderr = float(sigma)
     for at, name in enumerate(names):
         stated[name].stderr = float(deviation[at])
@@ -526,10 +551,58 @@ def _singles(
     return tuple(found)
 
 
+def _loops(pair: Pair, fit: Estimate, fitted: Sequence[Array], covariance: Array) -> tuple[LoopFit, ...]:
+    """Each loop as measured and fitted, and its play with the standard error that the errors leave it."""
+    observed, chosen, found = fit.observed, list(fit.chosen), []
+    branches = [i for i, c in enumerate(observed.curves) if c.branch]
+    for source in dict.fromkeys(observed.curves[i].source for i in branches):
+        own = [i for i in branches if observed.curves[i].source == source]
+        crank = float(np.mean([observed.curves[i].input_angle.mean() for i in own]))
+        play, by_error, each = play_of(pair, fit.state.surface, crank + fit.state.crank_offset, chosen)
+        slope = np.concatenate([by_error, scatter_columns(pair, each)])
+        found.append(LoopFit(
+            source, crank,
+            {observed.curves[i].branch: observed.curves[i].torque_at_points for i in own},
+            {observed.curves[i].branch: observed.curves[i].transmission_error for i in own},
+            {observed.curves[i].branch: fitted[i] for i in own},
+            play, float(np.sqrt(max(slope @ covariance @ slope, 0.0))),
+        ))  # fmt: skip
+    return tuple(found)
+
+
+def _ambiguity(pair: Pair, fit: Estimate) -> list[str]:
+    """Say where the best of several minima may not have been found, and how many samples would tell."""
+    notes = []
+    if fit.apart:
+        notes.append(
+            f"No two of {fit.apart} starts ended in the same optimum; the best was taken, and a better one may "
+            "have been missed: compare the residual with the encoders' noise, and record more samples a crank turn."
+        )
+    curves = [fit.observed.curves[i] for i in fit.observed.running]
+    noises = fit.noises[fit.observed.running]
+    if noises.max() > _LEFT * np.median(noises):
+        notes.append(
+            f"{curves[int(np.argmax(noises))].source}: its noise comes out as {noises.max() * ARCSEC:.2f}″, the "
+            f"others' as {np.median(noises) * ARCSEC:.2f}″; where the bench is as quiet there, the fit has ended "
+            "beside the best one and the intervals are too narrow."
+        )
+    unknown = sum(p.stop - p.start for n, p in scatter_parts(pair).items()
+                  if n.startswith("pin_") and fit.scatter[n] > NO_SCATTER)  # fmt: skip
+    seen = sum(np.unique(np.rint(c.input_angle / (2.0 * np.pi) * _ANGLES) % _ANGLES).size for c in curves)
+    if seen < _TOLD * unknown:
+        notes.append(
+            f"The curves see {seen} angles of the crank in all, too few to tell the {unknown} displacements by which "
+            f"single pins scatter: the fit may end beside the best one; record at least "
+            f"{math.ceil(_TOLD * unknown / len(curves))} samples a crank turn, not in step with it."
+        )
+    return notes
+
+
 def _notes(pair: Pair, fit: Estimate) -> tuple[str, ...]:
     """Say what the curves lack, and whether the errors explain them."""
     notes = []
-    curves = fit.observed.curves
+    running = fit.observed.running
+    curves = [fit.observed.curves[i] for i in running]
     sizes = np.array([abs(c.torque) for c in curves])
     if np.ptp(sizes) < 0.05 * sizes.max():
         notes.append(
@@ -551,12 +624,19 @@ def _notes(pair: Pair, fit: Estimate) -> tuple[str, ...]:
                 f"{curve.source}: it covers {turns:.2f} of an output turn; pins and teeth are told apart less well."
             )
     rest = np.split(left_of(fit.observed, fit.linear, fit.state), fit.observed.ends)
-    excess = float(np.median([r.std() / max(noise_of(c), 1e-12) for c, r in zip(curves, rest, strict=True)]))
-    if excess > _UNEXPLAINED:
+    counted = np.split(fit.observed.weight > 0.0, fit.observed.ends)
+    excess = [rest[i][counted[i]].std() / max(noise_of(fit.observed.curves[i]), 1e-12) for i in running]
+    if np.median(excess) > _UNEXPLAINED:
         notes.append(
-            f"No error of this pair explains the curves: what is left is {excess:.1f} times their noise; is this "
-            "the drive of the pair file, and are counts per turn and directions right?"
+            f"No error of this pair explains the curves: what is left is {np.median(excess):.1f} times their noise; is "
+            "this the drive of the pair file, and are counts per turn and directions right?"
         )
+    elif max(excess) > _LEFT:
+        notes.append(
+            f"No error of this pair explains all of {curves[int(np.argmax(excess))].source}: what is left is "
+            f"{max(excess):.1f} times its noise, so the intervals may be too narrow."
+        )
+    notes += _ambiguity(pair, fit)
     gear = np.abs(fit.linear.model - fit.linear.model.mean()).max()
     names = fit.observed.bench_names
     once = np.hypot(*(fit.state.bench[names.index(f"output_encoder_eccentricity_{p}")] for p in ("cos", "sin")))
@@ -565,11 +645,10 @@ def _notes(pair: Pair, fit: Estimate) -> tuple[str, ...]:
             f"Once an output turn the angle errs by {once * ARCSEC:.3g}″, more than the gear does in all: "
             "an encoder sits eccentrically, or the shafts are not aligned."
         )
-    for curve, left in zip(curves, np.split(fit.observed.weight == 0.0, fit.observed.ends), strict=True):
+    for curve, left in zip(fit.observed.curves, np.split(fit.observed.weight == 0.0, fit.observed.ends), strict=True):
         if left.any():
-            notes.append(
-                f"{curve.source}: {np.count_nonzero(left)} of {left.size} points lie far off and were left out."
-            )
+            named = ", ".join(n for n in (curve.source, curve.branch) if n)
+            notes.append(f"{named}: {np.count_nonzero(left)} of {left.size} points lie far off and were left out.")
     return tuple(notes)
 
 
@@ -593,7 +672,11 @@ def as_json(result: Identification) -> dict[str, Any]:
         "scatter": result.scatter,
         "inflation": result.inflation,
         "residual": result.residual,
-        "outliers": dict(zip(result.checksums, result.outliers, strict=True)),
+        "outliers": result.outliers,
+        "loops": {
+            one.source: {"crank_angle": one.crank_angle, "play": one.play, "standard_error": one.standard_error}
+            for one in result.loops
+        },
         "held_out": None if result.held_out is None else dataclasses.asdict(result.held_out),
         "data": result.checksums,
         "notes": list(result.notes),

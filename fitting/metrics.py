@@ -786,7 +786,7 @@ def _lag_note(recording: BenchRecording, ratio: float) -> list[str]:
     ]
 
 
-_LOCKED = math.radians(1.0)  # of the crank: what windup of a locked input's own fixture it may show
+LOCKED = math.radians(1.0)  # of the crank: what windup of a locked input's own fixture it may show
 
 
 def _loops_of(
@@ -805,7 +805,7 @@ def _loops_of(
     ]
     # A load that is switched on, or that shakes around zero, is no loop: each branch is a way of many samples.
     lobes = [lobe for lobe, count in zip(lobes, inside, strict=True) if count >= 8]
-    locked = float(np.ptp(recording.input_angle)) < _LOCKED
+    locked = float(np.ptp(recording.input_angle)) < LOCKED
     if not lobes or (not locked and len({lobe.sign for lobe in lobes}) < 2):
         if locked and not lobes:
             notes.append(

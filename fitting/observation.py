@@ -24,6 +24,7 @@ from fitting.curve import Curve, noise_of
 Array = NDArray[np.float64]
 
 ORDERS = (1, 2, 3)  # of pins and teeth that are structured errors; what is beyond them is scatter
+PROFILE_ORDERS = (1, 2, 3, 4)  # of the profile deviation that all teeth share, where it is fitted
 
 # What an encoder errs once a turn of its own shaft before anything is measured, rad; the output's is told by its order.
 OUTPUT_ENCODER, INPUT_ENCODER = 2e-4, 5e-5
@@ -51,7 +52,12 @@ class Observations:
     fit_crank
         Whether the crank's zero is unknown too.
     friction_prior
-        Standard deviation of the friction torque before anything is measured, N·m.
+        Standard deviation of the friction torque before anything is measured, N·m; that of loops is unknown.
+    with_loops
+        Whether there are branches of loops, whose friction is their own.
+    errors, profile
+        The structured errors considered, and {order of the profile deviation: what it may be before anything is
+        measured, m} of those that are among them.
     """
 
     curves: tuple[Curve, ...]
@@ -62,6 +68,24 @@ class Observations:
     bench_prior: Array
     fit_crank: bool
     friction_prior: float
+    with_loops: bool
+    errors: tuple[str, ...]
+    profile: Mapping[str, float]
+
+    @property
+    def running(self) -> list[int]:
+        """Which of the curves were taken with the crank turning, the others being branches of loops."""
+        return [i for i, c in enumerate(self.curves) if not c.branch]
+
+    @property
+    def of_loops(self) -> NDArray[np.bool_]:
+        """Which points are of loops, shape (points,)."""
+        return np.concatenate([np.full(c.input_angle.size, bool(c.branch)) for c in self.curves])
+
+    @property
+    def friction_names(self) -> tuple[str, ...]:
+        """Dry friction at the output while it turns, and, with loops, where it is only wound up."""
+        return ("friction_torque", "loop_friction_torque") if self.with_loops else ("friction_torque",)
 
     @property
     def creeping(self) -> slice:
@@ -75,9 +99,11 @@ class Observations:
         return np.cumsum([c.input_angle.size for c in self.curves])[:-1]
 
     def thinned(self, stride: int) -> Observations:
-        """Every so many-th point of each curve."""
-        chosen = np.concatenate([np.arange(c.input_angle.size) % stride == 0 for c in self.curves])
-        curves = tuple(c.points(slice(None, None, stride)) for c in self.curves)
+        """Every so many-th point of each curve, every one of a loop."""
+        strides = [1 if c.branch else stride for c in self.curves]
+        chosen = np.concatenate([np.arange(c.input_angle.size) % s == 0
+                                 for c, s in zip(self.curves, strides, strict=True)])  # fmt: skip
+        curves = tuple(c.points(slice(None, None, s)) for c, s in zip(self.curves, strides, strict=True))
         return dataclasses.replace(
             self, curves=curves, measured=self.measured[chosen], weight=self.weight[chosen], bench=self.bench[chosen]
         )
@@ -92,17 +118,24 @@ class Observations:
         )  # fmt: skip
 
 
-def observations(curves: Sequence[Curve], pair: Pair, noise: Sequence[float] | None = None) -> Observations:
+def observations(
+    curves: Sequence[Curve],
+    pair: Pair,
+    noise: Sequence[float] | None = None,
+    profile: Mapping[str, float] | None = None,
+) -> Observations:
     """Return curves as observations of a pair.
 
     Parameters
     ----------
     curves
-        One or more.
+        One or more, branches of loops among them.
     pair
         The nominal pair.
     noise
         Noise of a single point of each curve, rad; by default what the curves themselves show.
+    profile
+        Orders of the profile deviation to consider too, and what each may be, m.
     """
     shown = np.array([noise_of(c) for c in curves] if noise is None else noise)
     floor = max(float(np.median(shown)), 1e-9)
@@ -112,15 +145,23 @@ def observations(curves: Sequence[Curve], pair: Pair, noise: Sequence[float] | N
     crank = np.concatenate([c.input_angle for c in curves])
     torque = np.concatenate([c.torque_at_points for c in curves])
     names, columns, priors = [], [], []
-    absolute = [i for i, c in enumerate(curves) if c.common_zero]
-    groups = ([absolute] if absolute else []) + [[i] for i, c in enumerate(curves) if not c.common_zero]
-    for number, group in enumerate(groups):
-        names.append("output_angle_offset" if len(groups) == 1 else f"output_angle_offset_{number}")
+    # The branches of a loop share its zero, and what that has crept.
+    recordings: dict[str | int, list[int]] = {}
+    for number, curve in enumerate(curves):
+        recordings.setdefault(curve.source if curve.branch else number, []).append(number)
+    absolute = [group for group in recordings.values() if curves[group[0]].common_zero]
+    own = [group for group in recordings.values() if not curves[group[0]].common_zero]
+    groups = [[i for group in absolute for i in group]] if absolute else []
+    groups += [g for g in own if not curves[g[0]].branch]
+    zeros = {"output_angle_offset" if len(groups) == 1 else f"output_angle_offset_{n}": g for n, g in enumerate(groups)}
+    zeros |= {f"loop_angle_offset_{n}": g for n, g in enumerate(g for g in own if curves[g[0]].branch)}
+    for name, group in zeros.items():
+        names.append(name)
         columns.append(np.repeat([float(i in group) for i in range(len(curves))], sizes))
         priors.append(np.inf)
-    for number in absolute if len(absolute) > 1 else []:
-        names.append(f"{CREEP}_{number}")
-        columns.append(np.repeat(np.arange(len(curves)) == number, sizes).astype(float))
+    for group in absolute if len(absolute) > 1 else []:
+        names.append(f"{CREEP}_{group[0]}")
+        columns.append(np.repeat([float(i in group) for i in range(len(curves))], sizes))
         priors.append(NO_CREEP)
     ratio = abs(curves[0].ratio)
     shafts = (("output", crank / ratio, 1.0, OUTPUT_ENCODER), ("input", crank, 1.0 / ratio, INPUT_ENCODER))
@@ -130,16 +171,18 @@ def observations(curves: Sequence[Curve], pair: Pair, noise: Sequence[float] | N
             columns.append(lever * wave)
             priors.append(prior)
     for number, curve in enumerate(curves):
+        if curve.branch:
+            continue
         names.append(f"output_angle_drift_{number}")
         place = curve.input_angle / (2.0 * np.pi * ratio)
         columns.append(np.concatenate([np.zeros(sum(sizes[:number])), place - place.mean(),
                                        np.zeros(sum(sizes[number + 1 :]))]))  # fmt: skip
         priors.append(DRIFT)
     largest = max(float(np.abs(torque).max()), 1e-9)
-    own = solve(pair, surface_of_pair(pair), largest, np.linspace(0.0, 2.0 * np.pi, 40), with_play=False)
+    nominal = solve(pair, surface_of_pair(pair), largest, np.linspace(0.0, 2.0 * np.pi, 40), with_play=False)
     names.append("chain_compliance")
     columns.append(torque)
-    priors.append(COMPLIANCE_SHARE / float(own.torsional_stiffness.mean()))
+    priors.append(COMPLIANCE_SHARE / float(nominal.torsional_stiffness.mean()))
     return Observations(
         curves=tuple(curves),
         measured=np.concatenate([c.transmission_error for c in curves]),
@@ -149,6 +192,9 @@ def observations(curves: Sequence[Curve], pair: Pair, noise: Sequence[float] | N
         bench_prior=np.array(priors),
         fit_crank=not all(c.known_index for c in curves),
         friction_prior=FRICTION_SHARE * largest,
+        with_loops=any(c.branch for c in curves),
+        errors=(*errors_of(pair), *(profile or {})),
+        profile=profile or {},
     )
 
 
@@ -164,8 +210,8 @@ class State:
         That scatter by itself, shape (2 pins + discs x teeth,), m.
     bench
         The bench's nuisances as in `Observations.bench_names`.
-    crank_offset, friction
-        The crank's zero (rad) and the friction torque (N·m).
+    crank_offset, friction, loop_friction
+        The crank's zero (rad) and the friction torques of curves and of loops (N·m).
     """
 
     surface: ErrorSurface
@@ -173,14 +219,15 @@ class State:
     bench: Array
     crank_offset: float = 0.0
     friction: float = 0.0
+    loop_friction: float = 0.0
 
 
 @dataclass(frozen=True)
 class Linear:
     """The model at one state: transmission error without the bench, shape (points,), and its derivatives.
 
-    `structured` (points, errors as in `errors_of`), `scatter` (points, 2 pins + discs x teeth), and by crank angle and
-    friction torque (points,).
+    `structured` (points, errors as in `Observations.errors`), `scatter` (points, 2 pins + discs x teeth), and by crank
+    angle and friction torque (points,).
     """
 
     model: Array
@@ -191,7 +238,7 @@ class Linear:
 
 
 def errors_of(pair: Pair) -> list[str]:
-    """Return the structured errors that a fit of this pair considers."""
+    """Return the structured errors that every fit of this pair considers."""
     return structured_names([k for k in ORDERS if 2 * k < pair.pair.gear_teeth])
 
 
@@ -223,19 +270,24 @@ def with_scatter(pair: Pair, surface: ErrorSurface, scatter: Array) -> ErrorSurf
     )
 
 
+def scatter_columns(pair: Pair, each: Array) -> Array:
+    """Return derivatives by a scatter vector, last axis, from those by every error as in `contact.sensitivities`."""
+    g, scalars = pair.pair, len(SCALAR_ERRORS)
+    pins, teeth = slice(scalars, scalars + 2 * g.pins), slice(scalars + 3 * g.pins, None)
+    return np.concatenate([each[..., pins], each[..., teeth] / g.pin_circle_radius], axis=-1)
+
+
 def linearised_curve(pair: Pair, observed: Observations, state: State) -> Linear:
     """Evaluate the exact model and its analytic derivatives by every structured error at every point of one curve."""
-    g, (curve,) = pair.pair, observed.curves
-    scalars = len(SCALAR_ERRORS)
-    pins, teeth = slice(scalars, scalars + 2 * g.pins), slice(scalars + 3 * g.pins, None)
+    (curve,) = observed.curves
     against = -float(curve.direction) * np.sign(curve.ratio)
-    torque, least = curve.torque_at_points + against * state.friction, _LEAST_TORQUE * curve.torque
+    friction = state.loop_friction if curve.branch else state.friction
+    torque, least = curve.torque_at_points + against * friction, _LEAST_TORQUE * curve.torque
     torque = np.where(np.abs(torque) < abs(least), least, torque)
     model, jacobian, each, further = error_sensitivity(
-        pair, state.surface, torque, curve.input_angle + state.crank_offset, errors_of(pair)
+        pair, state.surface, torque, curve.input_angle + state.crank_offset, list(observed.errors)
     )  # fmt: skip
-    scatter = np.hstack([each[:, pins], each[:, teeth] / g.pin_circle_radius])
-    return Linear(model, jacobian, scatter, further[:, 0], against * further[:, 1])
+    return Linear(model, jacobian, scatter_columns(pair, each), further[:, 0], against * further[:, 1])
 
 
 def linearise(pair: Pair, observed: Observations, state: State) -> Linear:
@@ -243,8 +295,12 @@ def linearise(pair: Pair, observed: Observations, state: State) -> Linear:
     ones = [observed.some([number]) for number in range(len(observed.curves))]
     # The kernel works without Python's lock.
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        found = list(pool.map(lambda one: linearised_curve(pair, one, state), ones))
-    return Linear(*(np.concatenate([getattr(f, n.name) for f in found]) for n in dataclasses.fields(Linear)))
+        return joined(list(pool.map(lambda one: linearised_curve(pair, one, state), ones)))
+
+
+def joined(each: Sequence[Linear]) -> Linear:
+    """Return the models of curves, one after another, as one."""
+    return Linear(*(np.concatenate([getattr(f, n.name) for f in each]) for n in dataclasses.fields(Linear)))
 
 
 def left_of(observed: Observations, linear: Linear, state: State) -> Array:
@@ -254,7 +310,12 @@ def left_of(observed: Observations, linear: Linear, state: State) -> Array:
 
 def nuisance_columns(observed: Observations, linear: Linear) -> tuple[Array, Array]:
     """Return the columns of all nuisances, shape (points, nuisances), and their prior standard deviations."""
-    columns, priors = [observed.bench, linear.by_friction[:, None]], [*observed.bench_prior, observed.friction_prior]
+    locked = observed.of_loops
+    columns = [observed.bench, (linear.by_friction * ~locked)[:, None]]
+    priors = [*observed.bench_prior, observed.friction_prior]
+    if observed.with_loops:
+        columns.append((linear.by_friction * locked)[:, None])
+        priors.append(np.inf)
     if observed.fit_crank:
         columns.append(linear.by_crank[:, None])
         priors.append(np.inf)

@@ -10,7 +10,7 @@ from cycloid_fmu.pair import read_pair
 from cycloid_fmu.surface import read_surface, structured_value, surface_of_pair, write_surface
 from cycloid_fmu.transmission import error_sensitivity, solve
 from fitting.ensemble import drawn_surfaces
-from fitting.identifiability import bench_plans
+from fitting.identifiability import bench_plans, planned_curve
 from fitting.identify import identify, kept_back
 
 ARCSEC = np.pi / 648000
@@ -72,7 +72,7 @@ def test_outliers_are_left_out_and_missing_arcs_do_not_matter(measured, nominal,
     names = ("input_angle", "transmission_error", "standard_error", "sample_count")
     curves[2] = dataclasses.replace(curves[2], **{n: getattr(curves[2], n)[keep] for n in names})
     found = identify(curves, nominal)
-    assert found.outliers == (3, 0, 0, 0)
+    assert [*found.outliers.values()] == [3, 0, 0, 0]
     assert any("3 of 936 points" in n for n in found.notes)
     truth = surface_of_pair(made)
     far = [abs(p.value - structured_value(made, truth, p.name)) / p.standard_error
@@ -85,6 +85,35 @@ def test_notes_say_what_the_curves_lack(measured, nominal):
     assert any("one load" in n for n in one.notes)
     assert any("one sign" in n for n in one.notes)
     assert one.held_out is None
+
+
+@pytest.mark.parametrize(("each", "said"), [(6, True), (24, False)])
+def test_too_few_crank_angles_for_the_pins_scatter_are_said(nominal, each, said):
+    """Four curves in step with the crank see four times as many angles as a turn has samples, for 40 displacements."""
+    changed = {"gear_teeth": 19, "pins": 20, "pin_circle_radius": 55e-3, "pin_radius": 4e-3, "eccentricity": 1.8e-3}
+    pair = nominal.model_copy(update={"pair": nominal.pair.model_copy(update=changed)})
+    generator, surface = np.random.default_rng(0), surface_of_pair(pair)
+    scattered = dataclasses.replace(
+        surface, pin_radial=generator.normal(0.0, 2e-6, 20), pin_tangential=generator.normal(0.0, 2e-6, 20)
+    )
+    curves = []
+    for load in (20.0, -20.0, 200.0, -200.0):
+        one = planned_curve(pair.ratio, load, 1 if load > 0.0 else -1, 1.0, each)
+        error = solve(pair, scattered, load, one.input_angle, with_play=False).transmission_error[0]
+        noisy = error + generator.normal(0.0, 0.5 * ARCSEC, error.size)
+        curves.append(dataclasses.replace(one, transmission_error=noisy, source=f"{load:g}"))
+    found = identify(curves, pair, held_out=False)
+    few = f"The curves see {4 * each} angles of the crank in all, too few to tell the 40 displacements"
+    assert any(n.startswith(few) and "at least 15 samples a crank turn" in n for n in found.notes) == said
+    assert said or not any("angles of the crank" in n for n in found.notes)
+
+
+def test_a_curve_with_more_noise_than_the_others_is_named(measured, nominal):
+    curves = measured(3, each=12)
+    louder = np.random.default_rng(0).normal(0.0, 1.0 * ARCSEC, curves[1].input_angle.size)
+    curves[1] = dataclasses.replace(curves[1], transmission_error=curves[1].transmission_error + louder)
+    found = identify(curves, nominal, held_out=False)
+    assert [n.split(":")[0] for n in found.notes if "its noise comes out" in n] == ["-20 N·m"]
 
 
 def test_curves_of_another_gear_are_not_explained(measured):
