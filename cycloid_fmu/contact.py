@@ -308,9 +308,7 @@ def _path_curvature(R: float, e: float, teeth: int, bx: float, speed: float) -> 
 
 
 @_compiled
-def place(
-    drive: Drive, theta: float, x: float, contacts: Array, cold: bool, clear: float, bounded: float = math.inf
-) -> None:
+def place(drive: Drive, theta: float, x: float, contacts: Array, cold: bool, clear: float, bounded: float) -> None:
     """Solve the contact of every pin at crank angle θ and deviation x, into `contacts`.
 
     Parameters
@@ -321,7 +319,8 @@ def place(
         Rows whose gap, predicted from the last solution, is above this are left as they are (m; infinite: none is).
         From another crank angle what is predicted is a bound below the gap (docs/theory/contact.md).
     bounded
-        With deviations, rows whose gap is certainly above this get a bound below it instead of the gap itself (m).
+        With deviations, rows whose gap is certainly above this get a bound below it instead of the gap itself (m;
+        infinite: none does).
 
     Notes
     -----
@@ -923,10 +922,12 @@ def _balance(
     cold: bool,
 ) -> tuple[float, float]:
     """Solve load (torque - M(x)) + hold (flange - x) = 0 by Newton's method inside a bracket."""
-    place(drive, theta, x, contacts, cold, _CLEAR, _BOUNDED)
     low, high = -math.inf, math.inf
     stiffness = 0.0
     for _ in range(100):
+        place(drive, theta, x, contacts, cold, _CLEAR, _BOUNDED)
+        # Not a literal False in a second call, for which everything would be compiled again; so everywhere here.
+        cold = False
         balance, stiffness = _load(drive, theta, x, contacts)
         short = load * (torque - balance) + hold * (flange - x)
         slope = load * stiffness + hold
@@ -950,7 +951,6 @@ def _balance(
         if not low < x + step < high:
             step = 0.5 * (low + high) - x
         x += step
-        place(drive, theta, x, contacts, False, _CLEAR, _BOUNDED)
     return x, stiffness
 
 
@@ -985,10 +985,11 @@ def play(drive: Drive, theta: float, x: float, contacts: Array, cold: bool) -> t
         Deviations (rad) between which the output is free, and the interference (m, ≥ 0). Below `TOUCHING` of
         interference both ends are the same; where there is no free position they are NaN.
     """
-    place(drive, theta, x, contacts, cold, math.inf)
     lowest, highest = -math.inf, math.inf
     gap = 0.0
     for _ in range(100):
+        place(drive, theta, x, contacts, cold, math.inf, math.inf)
+        cold = False
         gap, active = _smallest_gap(contacts, 0.0)
         if gap > TOUCHING:
             break
@@ -1022,16 +1023,16 @@ def play(drive: Drive, theta: float, x: float, contacts: Array, cold: bool) -> t
         if not lowest < x + step < highest:
             step = 0.5 * (lowest + highest) - x
         x += step
-        place(drive, theta, x, contacts, False, math.inf)
     if gap < -TOUCHING:
         return math.nan, math.nan, -gap
     if gap <= 0.0:
         return x, x, 0.0
-    return _first_touch(drive, theta, x, contacts, -1.0), _first_touch(drive, theta, x, contacts, 1.0), 0.0
+    low = _first_touch(drive, theta, x, contacts, cold, -1.0)
+    return low, _first_touch(drive, theta, x, contacts, cold, 1.0), 0.0
 
 
 @_compiled
-def _first_touch(drive: Drive, theta: float, x: float, contacts: Array, direction: float) -> float:
+def _first_touch(drive: Drive, theta: float, x: float, contacts: Array, cold: bool, direction: float) -> float:
     # What a flank with deviations foretells reaches no farther than its next element.
     clear = _CLEAR if drive.gear_deviation.size == 0 else math.inf
     for _ in range(50):
@@ -1039,7 +1040,7 @@ def _first_touch(drive: Drive, theta: float, x: float, contacts: Array, directio
         x += direction * step
         if abs(step) < _ROTATION_STEP:
             break
-        place(drive, theta, x, contacts, False, clear)
+        place(drive, theta, x, contacts, cold, clear, math.inf)
     return x
 
 
@@ -1254,7 +1255,8 @@ def press(
     x, stiffness = behind_compliance(drive, theta, flange, compliance, x, contacts, cold)
     energy = by_angle = by_rotation = 0.0
     for _ in range(10):
-        place(drive, theta, x, contacts, False, _CLEAR, _BOUNDED)
+        place(drive, theta, x, contacts, cold, _CLEAR, _BOUNDED)
+        cold = False
         _, stiffness = _load(drive, theta, x, contacts)
         energy, by_angle, by_rotation = elastic_energy(drive, theta, x, contacts)
         step = (flange - x - compliance * by_rotation) / (1.0 + compliance * stiffness)

@@ -88,7 +88,7 @@ def _sweep(
             x = 0.0 if math.isnan(low) else 0.5 * (low + high)
         else:
             x, _ = contact.equilibrium(drive, thetas[i], torque, x, contacts, cold)
-        contact.place(drive, thetas[i], x, contacts, False, math.inf)
+        contact.place(drive, thetas[i], x, contacts, cold, math.inf, math.inf)
         cold = False
         deviation[i] = x
         number = 0

@@ -398,7 +398,7 @@ def clearances(pair: Pair, surface: ErrorSurface, crank_angle: ArrayLike, side: 
     touching = unloaded_contact(pair, surface, crank_angle, side)
     found = np.empty(touching.pin_error.shape)
     for i, (theta, x) in enumerate(zip(touching.crank_angle, touching.transmission_error, strict=True)):
-        contact.place(drive, theta, x, contacts, i == 0, math.inf)
+        contact.place(drive, theta, x, contacts, i == 0, math.inf, math.inf)
         found[i] = np.minimum(contacts[::2, contact.GAP], contacts[1::2, contact.GAP]).reshape(found[i].shape)
     return found
 

@@ -105,7 +105,7 @@ def ideal(phase):
 def gaps(surface):
     drive = drive_of(make_pair(), surface)
     rows = contact.contact_rows(drive)
-    contact.place(drive, 0.3, 0.0, rows, True, np.inf)
+    contact.place(drive, 0.3, 0.0, rows, True, np.inf, np.inf)
     return rows[::2, contact.GAP]
 
 

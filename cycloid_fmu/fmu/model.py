@@ -151,7 +151,7 @@ class DriveModel:
         return 0.5 * side * (high - low) if interference == 0.0 else 0.0
 
     def _touch_rate(self, x: float, side: float) -> float:
-        contact.place(self._drive, self._theta, x, self._play_contacts, self._play_cold, math.inf)
+        contact.place(self._drive, self._theta, x, self._play_contacts, self._play_cold, math.inf, math.inf)
         return contact.touch_rate(self._drive, self._theta, x, self._play_contacts, side)
 
     def _shift_rate(self, side: float) -> float:

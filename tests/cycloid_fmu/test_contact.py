@@ -58,7 +58,7 @@ def test_moment_arm_of_the_ideal_pair():
     drive = drive_of(make_pair(), nominal_surface(make_pair()))
     contacts = contact.contact_rows(drive)
     theta = 0.3
-    contact.place(drive, theta, 0.0, contacts, True, np.inf)
+    contact.place(drive, theta, 0.0, contacts, True, np.inf, np.inf)
     phi = 2 * np.pi * np.arange(40) / 40 - theta
     k = 1.3 * 40 / 64
     arm = 1.3e-3 * 39 * np.sin(phi) / np.sqrt(1 + k * k - 2 * k * np.cos(phi))
@@ -74,7 +74,7 @@ def test_linear_check_of_the_load_sharing():
         pair = make_pair(eccentricity=eccentricity)
         drive = drive_of(pair, nominal_surface(pair))
         contacts = contact.contact_rows(drive)
-        contact.place(drive, 0.3, 0.0, contacts, True, np.inf)
+        contact.place(drive, 0.3, 0.0, contacts, True, np.inf, np.inf)
         arm = contacts[::2, contact.ARM]
         arm = arm[arm > 0]
         assert arm.size == 20
@@ -194,12 +194,12 @@ def test_a_pin_left_as_it_was_stands_clear(seed, teeth, k, size, step, sign, out
     drive = drive_of(pair, surface)
     kept, anew = contact.contact_rows(drive), contact.contact_rows(drive)
     theta, x, clear = rng.uniform(0.0, 40.0), rng.normal(0.0, 50.0 * size), 5e-7
-    contact.place(drive, theta, x, kept, True, math.inf)
+    contact.place(drive, theta, x, kept, True, math.inf, math.inf)
     for _ in range(30):
         theta += sign * step * rng.uniform(0.5, 1.0)
         x += rng.normal(0.0, size)
-        contact.place(drive, theta, x, kept, False, clear)
-        contact.place(drive, theta, x, anew, True, math.inf)
+        contact.place(drive, theta, x, kept, False, clear, math.inf)
+        contact.place(drive, theta, x, anew, True, math.inf, math.inf)
         smallest = np.minimum(anew[::2, contact.GAP], anew[1::2, contact.GAP])
         left = kept[::2, contact.ANGLE] != theta
         assert (smallest[left] > clear).all()

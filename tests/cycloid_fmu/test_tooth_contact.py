@@ -70,7 +70,7 @@ def test_at_its_own_transmission_error_a_pin_has_no_gap(output):
         near = np.abs(found.pin_error[0, 0]) < 60 * ARCSEC
         assert near.sum() >= 8
         for pin in np.flatnonzero(near):
-            contact.place(drive, 0.3, found.pin_error[0, 0, pin], contacts, True, np.inf)
+            contact.place(drive, 0.3, found.pin_error[0, 0, pin], contacts, True, np.inf, np.inf)
             row = 2 * pin + np.argmin(np.abs(contacts[2 * pin : 2 * pin + 2, contact.GAP]))
             assert abs(contacts[row, contact.GAP]) < 1e-12
             assert side * contacts[row, contact.ARM] > 0
@@ -225,7 +225,7 @@ def test_closed_forms_against_differences_of_the_contact_point(output):
     def places(theta):
         """Contact points of all pins: in the gear's frame, and about the pin's axis in the ring's."""
         rows = contact.contact_rows(drive)
-        contact.place(drive, theta, 0.0, rows, True, np.inf)
+        contact.place(drive, theta, 0.0, rows, True, np.inf, np.inf)
         assert np.abs(rows[::2, contact.GAP]).max() < 1e-12
         on_gear = np.array([1, 1j]) @ flank_points(pair, rows[::2, contact.PLACE])
         gear = 0.0 if output == "ring" else -theta / 39
