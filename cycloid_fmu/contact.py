@@ -49,6 +49,7 @@ _CLEAR = 5e-7  # m: a pin predicted to be this clear is not solved again within 
 # between flank and pin Hertz's half width has no end, while the scar's own width is one. From 0.03 to 0.3 the wear
 # paper's pair wears equally within 1 % (docs/wear.md).
 _CONFORMAL = 0.1
+_FORETOLD = 2e-4  # rad: so far a gap's derivatives by the rotation may foretell it, where the second adds little
 _COUNTED = 0.01  # a pin counts as in contact above this share of the most loaded pin's force
 
 
@@ -447,13 +448,15 @@ def _stays_clear(
     is taken off, and nothing is said of a pin that stands near a root, or did.
     """
     dx, since = x - contacts[row, AT], theta - contacts[row, ANGLE]
-    ahead = contacts[row, GAP] - dx * (contacts[row, ARM] + 0.5 * dx * contacts[row, ARM_RATE])
-    if not ahead > clear:
+    bow = 0.5 * dx * dx * contacts[row, ARM_RATE]
+    ahead = contacts[row, GAP] - dx * contacts[row, ARM] - bow
+    if not clear < ahead < math.inf or abs(dx) > _FORETOLD or abs(bow) > 0.5 * clear:
         return False
-    other = contacts[row + 1, GAP] - dx * (contacts[row + 1, ARM] + 0.5 * dx * contacts[row + 1, ARM_RATE])
     if since == 0.0:
-        return contacts[row + 1, GAP] == math.inf or other > clear
-    if contacts[row + 1, GAP] < math.inf or not 0.0 < contacts[row, GAP] < math.inf:
+        bow = 0.5 * dx * dx * contacts[row + 1, ARM_RATE]
+        ahead = contacts[row + 1, GAP] - dx * contacts[row + 1, ARM] - bow
+        return contacts[row + 1, GAP] == math.inf or (ahead > clear and abs(bow) <= 0.5 * clear)
+    if contacts[row + 1, GAP] < math.inf or not contacts[row, GAP] > 0.0:
         return False
     circle_radius, eccentricity, _, teeth, _ = flank
     turns = teeth * conjugate / (2.0 * math.pi)

@@ -18,6 +18,7 @@ from cycloid_fmu.edge import Angle, Config, Length
 FORMAT = "cycloid-pair/1"
 LARGEST_DEVIATION = 1e-3
 LARGEST_MISALIGNMENT = 0.02
+LOST_MOTION_LOAD = 0.03  # of the rated torque (GB/T 40731)
 
 
 def _positive(value: float) -> float:
@@ -270,6 +271,12 @@ class Pair(Config):
     def ratio(self) -> float:
         """Signed ratio φ_a/φ_b of the ideal drive: -z_c with the gear as output, +z_p with the ring."""
         return float(-self.pair.gear_teeth if self.pair.output == "gear" else self.pair.pins)
+
+    @property
+    def lost_motion_loads(self) -> list[float]:
+        """Torques between which the lost motion lies, ± 3 % of the rated one, N·m; none without a rated torque."""
+        rated = self.pair.rated_torque
+        return [] if rated is None else [LOST_MOTION_LOAD * rated, -LOST_MOTION_LOAD * rated]
 
     @property
     def generating_circle_radius(self) -> float:

@@ -38,7 +38,6 @@ FORMAT = "cycloid-tolerance-study/1"
 CHECKPOINT_FORMAT = "cycloid-tolerance-checkpoint/1"
 CHUNK = 16  # samples of one task
 PLAY_STEP = 10  # play and lost motion, which cost most and vary slowly, are taken at each tenth crank angle
-LOST_MOTION_LOAD = 0.03  # of the rated torque (GB/T 40731)
 FORM = Elements(profile=50, width=5, angle=25)  # of sampled form deviations
 # Packages whose versions decide the last digits.
 _DECISIVE = ("cycloid-fmu", "numba", "numpy", "scipy")
@@ -202,9 +201,7 @@ def figures_of(study: Study, surface: ErrorSurface) -> Array:
     """Return the figures of one drive in the order of `Study.columns`, by the exact kernel."""
     angles, slices = crank_angles(study), slices_needed(surface)
     loaded = solve(study.pair, surface, study.torque, angles, slices, with_play=False)
-    rated = study.pair.pair.rated_torque
-    low_loads = [] if rated is None else [LOST_MOTION_LOAD * rated, -LOST_MOTION_LOAD * rated]
-    free = solve(study.pair, surface, low_loads, angles[::PLAY_STEP], slices)
+    free = solve(study.pair, surface, study.pair.lost_motion_loads, angles[::PLAY_STEP], slices)
     backlash = np.where(np.isnan(free.backlash), 0.0, free.backlash)
     found: dict[str, Any] = {
         "angular_transmission_error": np.ptp(loaded.transmission_error, axis=1),
@@ -214,7 +211,7 @@ def figures_of(study: Study, surface: ErrorSurface) -> Array:
         "backlash": backlash.max(),
         "interference": free.interference.max(),
     }
-    if rated is not None:
+    if study.pair.lost_motion_loads:
         found["lost_motion"] = (free.transmission_error[0] - free.transmission_error[1]).max()
     return np.array([found[name] if k is None else found[name][k] for name, k in study.columns])
 
@@ -236,9 +233,9 @@ def screen_of(study: Study, largest: float = 1.0) -> Screen:
     largest
         Errors may be this often what the tolerances allow.
     """
-    angles, rated = crank_angles(study), study.pair.pair.rated_torque
-    low_loads = [] if rated is None else [LOST_MOTION_LOAD * rated, -LOST_MOTION_LOAD * rated]
-    loads = [*((t, angles) for t in study.torque), *((t, angles[::PLAY_STEP]) for t in (*low_loads, 0.0))]
+    angles = crank_angles(study)
+    low_loads = (*study.pair.lost_motion_loads, 0.0)
+    loads = [*((t, angles) for t in study.torque), *((t, angles[::PLAY_STEP]) for t in low_loads)]
     reach = 0.0
     for name in study.factors:
         stated = getattr(study.tolerances, name)

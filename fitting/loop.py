@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.pair import Pair
+from cycloid_fmu.pair import LOST_MOTION_LOAD, Pair
 from cycloid_fmu.surface import ErrorSurface
 from cycloid_fmu.transmission import error_sensitivity, solve
 from fitting.curve import Curve
-from fitting.metrics import FRICTION, FRICTION_NEAR, LOCKED, LOST_MOTION, Lobe, LoopData, Surveyed, fit_line
+from fitting.metrics import FRICTION, FRICTION_NEAR, LOCKED, Lobe, LoopData, Surveyed, fit_line
 from fitting.recording import BenchRecording, BenchStream
 
 Array = NDArray[np.float64]
@@ -133,7 +133,7 @@ def _branch(
     name, side, loading = which
     assert surveyed.loops is not None
     size = side * torque
-    low = max(LOST_MOTION * surveyed.loops.rated_torque, _FRICTIONS * friction)
+    low = max(LOST_MOTION_LOAD * surveyed.loops.rated_torque, _FRICTIONS * friction)
     high = _REACH * float(size.max())
     if not loading:
         high = min(high, float(size.max()) - _FRICTIONS * friction)
@@ -212,7 +212,7 @@ def play_of(pair: Pair, surface: ErrorSurface, crank_angle: float, names: Sequen
 
 def planned_branches(pair: Pair, torque: float, crank_angle: float, number: int) -> list[Curve]:
     """Return the branches of a loop to a torque (N·m) with the input locked at a crank angle (rad), all errors zero."""
-    size = torque * np.linspace(LOST_MOTION, _REACH, BINS)
+    size = torque * np.linspace(LOST_MOTION_LOAD, _REACH, BINS)
     motions = {"positive loading": (1, 1), "positive unloading": (1, -1), "negative loading": (-1, -1),
                "negative unloading": (-1, 1)}  # fmt: skip
     return [

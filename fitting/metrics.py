@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from cycloid_fmu import edge
+from cycloid_fmu.pair import LOST_MOTION_LOAD
 from fitting.curve import Curve, Folding, Spectrum, lag_of, significant, spectrum, synthesised
 from fitting.recording import OPTIONAL, BenchRecording, BenchStream, Block
 
@@ -25,7 +26,6 @@ FORMAT = "cycloid-figures/1"
 
 # Intervals, as shares of the rated torque.
 UNLOADING = (0.03, 0.10)  # of the straight lines that hysteresis loss extrapolates to zero torque
-LOST_MOTION = 0.03
 FRICTION = 0.50
 STIFFNESS = (0.50, 1.00)
 NEAR = 0.01  # a value "at" a torque is that of the line through the samples this close to it
@@ -255,7 +255,7 @@ def _loop_values(torque: Array, windup: Array, loop: Loop, rated: float) -> _Loo
             found.append((pair[0].at(side.sign * share * rated), pair[1].at(side.sign * share * rated)))
         return found
 
-    at = both(LOST_MOTION, NEAR)
+    at = both(LOST_MOTION_LOAD, NEAR)
     if at is not None:
         (a, b), (c, d) = at
         lost = 0.5 * (a[0] + b[0] - c[0] - d[0]), 0.25 * (a[1] + b[1] + c[1] + d[1])
@@ -332,7 +332,7 @@ def loop_figures(data: LoopData) -> tuple[dict[str, Figure], list[str]]:
     drift, said = _closure(data, found)
     notes.extend(said)
     for name, interval in (
-        ("hysteresis_loss", UNLOADING), ("backlash", UNLOADING), ("lost_motion", (-LOST_MOTION, LOST_MOTION)),
+        ("hysteresis_loss", UNLOADING), ("backlash", UNLOADING), ("lost_motion", (-LOST_MOTION_LOAD, LOST_MOTION_LOAD)),
     ):  # fmt: skip
         values = [v for one in found if (v := getattr(one, name)) is not None]
         if values:
@@ -448,8 +448,8 @@ def loop_marks(data: LoopData) -> dict[str, list[Array]]:
     if values.lost_motion is not None:
         at = []
         for side in (loop.negative, loop.positive):
-            t = side.sign * LOST_MOTION * rated
-            near = ((LOST_MOTION - NEAR) * rated, (LOST_MOTION + NEAR) * rated)
+            t = side.sign * LOST_MOTION_LOAD * rated
+            near = ((LOST_MOTION_LOAD - NEAR) * rated, (LOST_MOTION_LOAD + NEAR) * rated)
             pair = [_branch(torque, windup, b, *near) for b in (side.loading, side.unloading)]
             at.append((t, float(np.mean([one.at(t)[0] for one in pair if one is not None]))))
         marks["lost_motion"] = [np.array(at)]

@@ -195,14 +195,17 @@ def test_a_pin_left_as_it_was_stands_clear(seed, teeth, k, size, step, sign, out
     kept, anew = contact.contact_rows(drive), contact.contact_rows(drive)
     theta, x, clear = rng.uniform(0.0, 40.0), rng.normal(0.0, 50.0 * size), 5e-7
     contact.place(drive, theta, x, kept, True, math.inf, math.inf)
-    for _ in range(30):
-        theta += sign * step * rng.uniform(0.5, 1.0)
-        x += rng.normal(0.0, size)
+    for i in range(30):
+        if i % 5 == 4:
+            x += rng.normal(0.0, 5e-3)  # a flange that is thrown about
+        else:
+            theta += sign * step * rng.uniform(0.5, 1.0)
+            x += rng.normal(0.0, size)
         contact.place(drive, theta, x, kept, False, clear, math.inf)
         contact.place(drive, theta, x, anew, True, math.inf, math.inf)
         smallest = np.minimum(anew[::2, contact.GAP], anew[1::2, contact.GAP])
-        left = kept[::2, contact.ANGLE] != theta
-        assert (smallest[left] > clear).all()
+        left = (kept[::2, contact.ANGLE] != theta) | (kept[::2, contact.AT] != x)
+        assert (smallest[left] > 0.8 * clear).all()  # by rotation a gap is foretold to second order
         solved = ~left & (smallest < clear)
         again = np.minimum(kept[::2, contact.GAP], kept[1::2, contact.GAP])[solved]
         assert again == pytest.approx(smallest[solved], abs=1e-12)
