@@ -47,11 +47,20 @@ typedef fmi2ValueReference Reference;
 static void *library;
 static int load(const char *path) { return (library = (void *)LoadLibraryA(path)) != NULL; }
 static void *found(const char *name) { return (void *)GetProcAddress((HMODULE)library, name); }
+/* FMI's texts are UTF-8, a program's words are not. */
+static const char *utf8(const char *word) {
+    static char text[4 * MAX_PATH];
+    wchar_t wide[MAX_PATH];
+    MultiByteToWideChar(CP_ACP, 0, word, -1, wide, MAX_PATH);
+    WideCharToMultiByte(CP_UTF8, 0, wide, -1, text, sizeof text, NULL, NULL);
+    return text;
+}
 #else
 #include <dlfcn.h>
 static void *library;
 static int load(const char *path) { return (library = dlopen(path, RTLD_NOW)) != NULL; }
 static void *found(const char *name) { return dlsym(library, name); }
+static const char *utf8(const char *word) { return word; }
 #endif
 
 #define IMPORT(NAME) static NAME##TYPE *NAME##_;
@@ -426,7 +435,7 @@ int main(int count, char **words) {
         fail(#NAME " is missing");                                                                                     \
     }
     EACH(FIND)
-    resources = words[2];
+    resources = utf8(words[2]);
     guid = words[3];
     inertia = strcmp(words[4], "inertia") == 0;
     inputs_count = strcmp(words[4], "compliant") == 0 ? 4 : 3;
