@@ -41,11 +41,10 @@ def make_pair(text=PAIR, **keys):
 
 def fresh_environment(folder, *requirements, python=sys.executable):
     """Make a virtual environment that holds `requirements` and what they ask for; return where its commands are."""
-    subprocess.run([python, "-m", "venv", "--without-pip", str(folder)], check=True, timeout=300)
+    subprocess.run([python, "-m", "venv", str(folder)], check=True, timeout=300)
     scripts = folder / ("Scripts" if os.name == "nt" else "bin")
     subprocess.run(
-        [sys.executable, "-m", "pip", "--python", str(scripts / "python"), "install", "-q", "--no-compile",
-         *map(str, requirements)],
+        [str(scripts / "python"), "-m", "pip", "install", "-q", "--no-compile", *map(str, requirements)],
         check=True, capture_output=True, timeout=1800,
     )  # fmt: skip
     return scripts

@@ -35,7 +35,7 @@ cycloid-fmu build examples/drive-39-40-as-made.toml -o as-made.fmu
 {SIMULATE} --torque '200 N*m' --direction backward --bus virtual -o 200Nm-backward.arrows
 """
 LOOP = f"""
-{SIMULATE} --hysteresis --torque '181 N*m' --turns 3 --bus virtual -o loop
+{SIMULATE} --hysteresis --torque '181 N*m' --turns 3 --samples-per-turn 400 --bus virtual -o loop
 cycloid-bench export loop -o loop.csv
 """
 CMM = """
@@ -68,7 +68,7 @@ GIVEN = {
         cycloid-fmu simulate exact.fmu --torque '50 N*m' --turns 1 -o motion.csv
         cycloid-bench export 200Nm-forward.arrows -o recording.csv
     """,
-    "identify": RUNS,
+    "identify": f"{RUNS}{LOOP}",
     "native": "cp examples/drive-39-40.toml drive.toml\ncycloid-fmu surface nominal drive.toml -o identified.nc",
     "tolerances": """
         cp examples/drive-39-40.toml pair.toml
