@@ -310,13 +310,14 @@ _COLUMNS: Mapping[str, tuple[pa.DataType, str, bool]] = {
     "value": (pa.float64(), "<f8", False),
     "status": (pa.uint8(), "u1", False),
 }
+_BYTES_OF = tuple((name, np.dtype(kind)) for name, (_, kind, _) in _COLUMNS.items())
 COLUMN_DTYPES: Mapping[str, str] = {name: kind for name, (_, kind, _) in _COLUMNS.items()}
 
 
 def batch_checksum(sequence: int, events: str, samples: Samples) -> str:
     """Return the CRC-32 of a batch as eight hexadecimal digits; the module's text defines the bytes."""
     crc = zlib.crc32(f"{sequence}{events}{samples.channel}".encode())
-    for name, (_, kind, _) in _COLUMNS.items():
+    for name, kind in _BYTES_OF:
         array = getattr(samples, name)
         if array is not None:
             crc = zlib.crc32(np.ascontiguousarray(array, kind).data, crc)

@@ -7,10 +7,11 @@ or was left out is marked and counted, never filled in silence.
 
 from __future__ import annotations
 
-import functools
 import hashlib
+import io
 import math
 import os
+import threading
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -250,12 +251,27 @@ class BenchStream:
         self.known_index = self._zero_reference("input_angle") == "absolute"
         self.notes: list[str] = []
         self.alignment = self.torque_alignment = 0.0
+        self._digest: list[str] = []
+        self._digesting: threading.Thread | None = None
 
-    @functools.cached_property
+    @property
     def checksum(self) -> str:
         """SHA-256 of the file."""
-        with Path(self.source).open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+        self._start_digest().join()
+        return self._digest[0]
+
+    def _start_digest(self) -> threading.Thread:
+        """Work the checksum out beside what reads the blocks: hours at kilohertz are gigabytes."""
+        if self._digesting is None:
+            # An interrupt or a refused file does not wait for it.
+            file = Path(self.source).open("rb")  # noqa: SIM115
+            self._digesting = threading.Thread(target=self._take_digest, args=(file,), daemon=True)
+            self._digesting.start()
+        return self._digesting
+
+    def _take_digest(self, file: io.BufferedReader) -> None:
+        with file:
+            self._digest.append(hashlib.file_digest(file, "sha256").hexdigest())
 
     def _zero_reference(self, name: str) -> str:
         channel: ChannelMapping | None = getattr(self._mapping, name)
@@ -273,6 +289,7 @@ class BenchStream:
         edge.InputError
             If a value of the file is no number, or it ends before a sample came.
         """
+        self._start_digest()
         clocks = {n: (m.delay, m.drift) for n in CHANNELS if (m := getattr(self._mapping, n)) is not None}
         merge = _OneClock(self._scales, self._mapping.time, clocks)
         tidy = _Tidy({n: getattr(self._mapping, n) for n in ANGLES}, self.source)
