@@ -1,9 +1,9 @@
 """Many drives to first order in their errors: what screens a tolerance study before the exact kernel confirms it.
 
-At each crank angle and load the error-free pair is solved exactly, once. A drive's errors then change the gaps
-linearly, by the displacement of pin and flank along the common normal; arms and gaps follow the rotation to second
-order, Hertz's law is exact, and the equilibrium is solved for each drive. What is left out is how the errors
-change normals and curvatures.
+At each crank angle and load one drive, the error-free pair for a study, is solved exactly, once. Other drives' errors
+then change the gaps linearly, by the displacement of pin and flank along the common normal; arms and gaps follow the
+rotation to second order, Hertz's law is exact, and the equilibrium is solved for each drive. What is left out is how
+the errors change normals and curvatures. An identification finds its start in the same way.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _STEP = 1e-8  # rad: Newton's last step of an equilibrium, after which the squar
 
 
 class Contacts(NamedTuple):
-    """The error-free pair's contacts at each crank angle, from which drives are taken to first order.
+    """A drive's contacts at each crank angle, from which drives near it are taken to first order.
 
     Attributes
     ----------
@@ -57,17 +57,25 @@ def error_vector(pair: Pair, surface: ErrorSurface) -> Array:
     )
 
 
-def error_free_contacts(pair: Pair, torque: float, crank_angle: Array, slices: int, reach: float) -> Contacts:
-    """Solve the error-free pair and keep the contacts whose gap is below the reach (m).
+def contacts_of(
+    pair: Pair, surface: ErrorSurface, torque: float, crank_angle: Array, slices: int, reach: float
+) -> Contacts:
+    """Solve a drive and keep the contacts whose gap is below the reach (m).
 
     Parameters
     ----------
+    pair, surface
+        The drive.
     torque
         N·m on the output; at 0 the contacts are those at the middle of the play.
+    crank_angle
+        Shape (angles,), rad.
+    slices
+        Across the face width.
     reach
-        By how much errors and their rotation may close a gap, m.
+        By how much further errors and their rotation may close a gap, m.
     """
-    drive = drive_of(pair, nominal_surface(pair), slices)
+    drive = drive_of(pair, surface, slices)
     kept = np.zeros((crank_angle.size, contact.contact_rows(drive).shape[0], _COLUMNS))
     count, deviation = np.zeros(crank_angle.size, dtype=np.int64), np.zeros(crank_angle.size)
     _sweep(drive, crank_angle, float(torque), reach, kept, count, deviation)
@@ -88,7 +96,7 @@ def _sweep(
             x = 0.0 if math.isnan(low) else 0.5 * (low + high)
         else:
             x, _ = contact.equilibrium(drive, thetas[i], torque, x, contacts, cold)
-        contact.place(drive, thetas[i], x, contacts, cold, math.inf, math.inf)
+        contact.place(drive, thetas[i], x, contacts, cold, math.inf, reach)
         cold = False
         deviation[i] = x
         number = 0
@@ -118,7 +126,7 @@ def _sweep(
 
 @_compiled
 def _gaps(rows: Array, count: int, pins: int, teeth: int, errors: Array, gaps: Array) -> None:
-    """Gaps of one drive at the error-free pair's rotation."""
+    """Gaps of a drive with further errors at the rotation of the contacts."""
     scalars = 3 * pins + teeth
     x, y, xz, yz = errors[scalars], errors[scalars + 1], errors[scalars + 2], errors[scalars + 3]
     longer, circle = errors[scalars + 4], errors[scalars + 5]
@@ -140,7 +148,7 @@ def _equilibrium(
     rows: Array, count: int, gaps: Array, forces: Array, torque: float, start: float, pin_radius: float, width: float,
     compliance_gear: float, compliance_pin: float, largest_log_radius: float,
 ) -> tuple[float, float]:  # fmt: skip
-    """Rotation that balances the torque, from that of the error-free pair, and the largest pressure."""
+    """Rotation that balances the torque, from that of the contacts, and the largest pressure."""
     x, low, high = start, -math.inf, math.inf
     for k in range(count):
         forces[k] = 0.0
@@ -197,9 +205,9 @@ def sweep(
     Parameters
     ----------
     contacts
-        Of the error-free pair at the load.
+        At the load.
     errors
-        Shape (drives, errors), rows of `error_vector`.
+        Shape (drives, errors), rows of `error_vector` less that of the contacts' drive.
     deviation, pressure
         Overwritten, shape (drives, angles): rotation (rad) and largest contact pressure (Pa).
     """
@@ -217,6 +225,85 @@ def sweep(
                 largest_log_radius,
             )  # fmt: skip
             deviation[j, i] = contacts.deviation[i] + turned[j]
+
+
+@_compiled
+def _sweep_sensitivities(
+    contacts: Contacts, pins: int, teeth: int, errors: Array, pin_radius: float, width: float, compliance_gear: float,
+    compliance_pin: float, largest_log_radius: float, torque: Array, deviation: Array, each: Array, by_torque: Array,
+) -> None:  # fmt: skip
+    gaps, forces = np.empty(contacts.rows.shape[1]), np.empty(contacts.rows.shape[1])
+    scalars = len(SCALAR_ERRORS)
+    each[:] = 0.0
+    x = 0.0
+    for i in range(contacts.number.size):
+        rows, count, out = contacts.rows[i], contacts.number[i], each[i]
+        _gaps(rows, count, pins, teeth, errors, gaps)
+        x, _ = _equilibrium(
+            rows, count, gaps, forces, torque[i], x, pin_radius, width, compliance_gear, compliance_pin,
+            largest_log_radius,
+        )  # fmt: skip
+        deviation[i] = contacts.deviation[i] + x
+        stiffness = 0.0
+        for k in range(count):
+            if forces[k] <= 0.0:
+                continue
+            one = rows[k]
+            arm = one[_ARM] + x * one[_RATE]
+            force, spring, _ = contact.hertz(
+                0.5 * x * x * one[_RATE] + x * one[_ARM] - gaps[k], one[_CURVATURE], pin_radius, width,
+                compliance_gear, compliance_pin, largest_log_radius, forces[k],
+            )  # fmt: skip
+            stiffness += spring * arm * arm + force * one[_RATE]
+            opened = spring * arm
+            pin, tooth = int(one[_PIN]), int(one[_TOOTH])
+            out[0] -= opened * one[_X]
+            out[1] -= opened * one[_Y]
+            out[2] -= opened * one[_X] * one[_HEIGHT]
+            out[3] -= opened * one[_Y] * one[_HEIGHT]
+            out[4] -= opened * one[_CRANK]
+            out[5] += opened * one[_RADIAL]
+            out[6] -= opened
+            out[7] += opened
+            out[8] -= opened * one[_FACING]
+            out[scalars + pin] += opened * one[_RADIAL]
+            out[scalars + pins + pin] += opened * one[_TANGENTIAL]
+            out[scalars + 2 * pins + pin] -= opened
+            out[scalars + 3 * pins + tooth] += opened * one[_TURN]
+        for column in range(out.size):
+            out[column] /= stiffness
+        by_torque[i] = 1.0 / stiffness
+
+
+def sensitivities(
+    pair: Pair, contacts: Contacts, slices: int, errors: Array, torque: Array
+) -> tuple[Array, Array, Array]:
+    """Solve one drive near that of the contacts, with the derivatives of its transmission error.
+
+    Parameters
+    ----------
+    pair, contacts, slices
+        The nominal pair and what `contacts_of` found.
+    errors
+        `error_vector` of the drive less that of the contacts' drive.
+    torque
+        At each crank angle, shape (angles,), N·m, not 0.
+
+    Returns
+    -------
+    transmission_error
+        Shape (angles,), rad.
+    each
+        By every single error, columns as in `contact.sensitivities`.
+    by_torque
+        Shape (angles,), rad/(N·m).
+    """
+    g, angles = pair.pair, contacts.number.size
+    teeth = g.discs * g.gear_teeth
+    each = np.empty((angles, len(SCALAR_ERRORS) + 3 * g.pins + teeth))
+    deviation, by_torque = np.empty(angles), np.empty(angles)
+    _sweep_sensitivities(contacts, g.pins, teeth, errors, *_law(pair, slices), torque, deviation, each, by_torque)
+    return deviation, each, by_torque
 
 
 @_compiled
@@ -267,6 +354,14 @@ def _deepest(rows: Array, count: int, gaps: Array, first: float, last: float) ->
     return -worst
 
 
+def _law(pair: Pair, slices: int) -> tuple[float, float, float, float, float]:
+    """Return what Hertz's law takes of a pair."""
+    g, material = pair.pair, pair.material
+    largest_log_radius = g.pin_circle_radius if g.contact_law == "capped" else math.inf
+    return (g.pin_radius, g.face_width / slices, material.gear.compliance, material.pin.compliance,
+            largest_log_radius)  # fmt: skip
+
+
 class Screen:
     """The error-free pair at a study's loads and crank angles, ready to take drives from.
 
@@ -277,18 +372,14 @@ class Screen:
     loads
         (torque N·m, crank angles rad), one a sweep; torque 0 is the play.
     slices, reach
-        As in `error_free_contacts`.
+        As in `contacts_of`.
     """
 
     def __init__(self, pair: Pair, loads: Sequence[tuple[float, Array]], slices: int, reach: float) -> None:
-        g, material = pair.pair, pair.material
+        g, error_free = pair.pair, nominal_surface(pair)
         self.pair = pair
-        self._contacts = [error_free_contacts(pair, torque, angles, slices, reach) for torque, angles in loads]
-        self._sizes = g.pins, g.discs * g.gear_teeth
-        self._law = (
-            g.pin_radius, g.face_width / slices, material.gear.compliance, material.pin.compliance,
-            g.pin_circle_radius if g.contact_law == "capped" else math.inf,
-        )  # fmt: skip
+        self._contacts = [contacts_of(pair, error_free, torque, angles, slices, reach) for torque, angles in loads]
+        self._sizes, self._law = (g.pins, g.discs * g.gear_teeth), _law(pair, slices)
 
     def loaded(self, sweep_number: int, errors: Array) -> tuple[Array, Array]:
         """Return transmission error (rad) and largest pressure (Pa), each of shape (drives, angles)."""

@@ -6,6 +6,7 @@ Signs and names are those of docs/theory/errors.md; the file is netCDF, format `
 from __future__ import annotations
 
 import dataclasses
+import functools
 import os
 import re
 from collections.abc import Collection, Iterable, Mapping
@@ -204,15 +205,22 @@ def profile_wave(name: str, elements: int) -> Array | None:
 
 
 def _wave(pair: Pair, name: str) -> tuple[str, Array]:
+    return _wave_of(pair.pair.pins, pair.pair.gear_teeth, name)
+
+
+@functools.lru_cache(maxsize=1024)
+def _wave_of(pins: int, gear_teeth: int, name: str) -> tuple[str, Array]:
     match = _STRUCTURED.fullmatch(name)
     if match is None:
         raise ValueError(f'"{name}" is not a structured error')
     pattern, order, part = match[1], int(match[2]), match[3]
-    count = pair.pair.gear_teeth if pattern == "tooth_cumulative_pitch" else pair.pair.pins
+    count = gear_teeth if pattern == "tooth_cumulative_pitch" else pins
     if 2 * order > count:
         raise ValueError(f'"{name}": the order must be at most half of {count}')
     argument = 2.0 * np.pi * order * np.arange(count) / count
-    return pattern, np.cos(argument) if part == "cos" else np.sin(argument)
+    wave = np.cos(argument) if part == "cos" else np.sin(argument)
+    wave.flags.writeable = False
+    return pattern, wave
 
 
 def structured_value(pair: Pair, surface: ErrorSurface, name: str) -> float:
@@ -262,20 +270,24 @@ def structured_columns(pair: Pair, names: Iterable[str]) -> Array:
     Orders of the profile deviation have no part in them.
     """
     g = pair.pair
+    return _columns_of(g.pins, g.gear_teeth, g.discs, g.pin_circle_radius, tuple(names))
+
+
+@functools.lru_cache(maxsize=16)
+def _columns_of(pins: int, gear_teeth: int, discs: int, pin_circle_radius: float, names: tuple[str, ...]) -> Array:
     scalars = len(SCALAR_ERRORS)
-    starts = {"pin_radial": scalars, "pin_tangential": scalars + g.pins, "tooth_cumulative_pitch": scalars + 3 * g.pins}
-    columns = []
-    for name in names:
-        column = np.zeros(scalars + 3 * g.pins + g.discs * g.gear_teeth)
+    starts = {"pin_radial": scalars, "pin_tangential": scalars + pins, "tooth_cumulative_pitch": scalars + 3 * pins}
+    columns = np.zeros((scalars + 3 * pins + discs * gear_teeth, len(names)))
+    for column, name in zip(columns.T, names, strict=True):
         if name in SCALAR_ERRORS:
             column[SCALAR_ERRORS.index(name)] = 1.0
         elif profile_wave(name, 1) is None:
-            pattern, wave = _wave(pair, name)
+            pattern, wave = _wave_of(pins, gear_teeth, name)
             if pattern == "tooth_cumulative_pitch":
-                wave = np.tile(wave, g.discs) / g.pin_circle_radius
+                wave = np.tile(wave, discs) / pin_circle_radius
             column[starts[pattern] : starts[pattern] + wave.size] = wave
-        columns.append(column)
-    return np.array(columns).T
+    columns.flags.writeable = False
+    return columns
 
 
 def surface_after(surface: ErrorSurface, crank_turns: float) -> ErrorSurface:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -35,6 +35,7 @@ from fitting.observation import (
     NO_CREEP,
     PROFILE_ORDERS,
     Linear,
+    Near,
     Observations,
     State,
     joined,
@@ -61,7 +62,8 @@ TURNS = 3  # fewer do not say how they scatter
 _PROFILE_GAIN, _PROFILE_WITHIN = 0.02, 0.1  # of the rise: where a fit of a profile ends, and how near it must come
 _CRANK_SCALE, _SCATTER_SCALE, _CREEP_SCALE = 1e-2, 1e-6, 1e-6  # rad, m, rad
 _CONFIRMATIONS = 2  # evaluations of the model that the last step may cost
-_ROUNDS, _LINEAR = 12, 0.02  # of the variances' fixed point on one model, where a step promises so little a point
+_ROUNDS, _LINEAR = 40, 0.02  # of the variances' fixed point on one model, where a step promises so little a point
+_SETTLED = 3e-3  # relative change of a deviation with one round, which comes near from below by ever smaller steps
 _PINNED = 1e6  # precision that holds an unknown where it is put, in its scale
 _SHRINKS, _GROWS = 0.1, 10.0  # by how much a variance may change with one step
 
@@ -132,8 +134,8 @@ class _Normal:
 class _Problem:
     """Everything that a fit may change as one vector: errors, nuisances, scatter, each in units of a usual size."""
 
-    def __init__(self, pair: Pair, observed: Observations, chosen: Sequence[str]) -> None:
-        self.pair, self.chosen = pair, list(chosen)
+    def __init__(self, pair: Pair, observed: Observations, chosen: Sequence[str], around: Near | None = None) -> None:
+        self.pair, self.chosen, self.around = pair, list(chosen), around
         self.prior = surface_of_pair(pair)
         self.columns_of_chosen = [observed.errors.index(n) for n in chosen]
         known = np.isfinite(observed.bench_prior)
@@ -203,7 +205,7 @@ class _Problem:
 
         def of(number: int) -> tuple[Linear, tuple[Array, ...]]:
             one = observed.some([number])
-            linear = linearised_curve(self.pair, one, state)
+            linear = linearised_curve(self.pair, observed, number, state, self.around)
             left = one.weight * left_of(one, linear, state)
             inside = (np.abs(left) <= limit[number]) & (one.weight > 0.0)
             columns = self.columns(one, linear)[inside]
@@ -229,6 +231,7 @@ def fit(
     scatter: Mapping[str, float],
     *,
     gain: float,
+    around: Near | None = None,
     evaluations: int = EVALUATIONS,
     estimated: bool = True,
     known: Mapping[str, float] | None = None,
@@ -247,6 +250,8 @@ def fit(
     gain
         The fit ends where a step promises less than this of the sum of squares in units of the noise, or some in a
         row bring no more.
+    around
+        A drive near which the model is taken to first order, a tenth of the work; None for the exact one.
     evaluations
         How often the model is evaluated at most.
     estimated
@@ -256,7 +261,7 @@ def fit(
     pinned
         Errors held at these values, m or rad.
     """
-    problem = _Problem(pair, observed, chosen)
+    problem = _Problem(pair, observed, chosen, around)
     unknowns = problem.unknowns(state)
     pins = {list(chosen).index(n): value for n, value in (pinned or {}).items()}
     mean = np.zeros(unknowns.size)
@@ -347,7 +352,9 @@ def _variances(
     `ahead` is a step from the unknowns, at whose end the fixed point is taken as the linear model foretells it.
     """
     precision = problem.precision(scatter)
-    covariance = linalg.inv(normal.gram.sum(axis=0) + np.diag(precision))
+    gram = normal.gram.sum(axis=0) + np.diag(precision)
+    size = np.sqrt(np.diag(gram))
+    covariance = linalg.inv(gram / np.outer(size, size)) / np.outer(size, size)
     told = np.einsum("kij,ji->k", normal.gram, covariance)
     square = normal.square - 2.0 * normal.moment @ ahead + np.einsum("i,kij,j->k", ahead, normal.gram, ahead)
     variance = square / np.maximum(normal.count - told, 1.0)
@@ -360,8 +367,8 @@ def _variances(
         before = max(scatter.get(name, 0.0), 1e-2 * NO_SCATTER) ** 2
         after = float(unknowns[part] @ unknowns[part]) * problem.scale[part.start] ** 2 / max(told_of, 1e-9)
         found[name] = float(np.sqrt(np.clip(after / before, _SHRINKS, _GROWS) * before))
-    hardly = all(abs(v - scatter.get(n, 0.0)) < 0.03 * v or v < NO_SCATTER for n, v in found.items())
-    settled = hardly and bool((np.abs(variance - 1.0) < 0.03).all())
+    hardly = all(abs(v - scatter.get(n, 0.0)) < _SETTLED * v or v < NO_SCATTER for n, v in found.items())
+    settled = hardly and bool((np.abs(variance - 1.0) < _SETTLED).all())
     observed, normal = _at_noise(observed, normal, variance)
     return observed, normal, found, settled
 
@@ -469,6 +476,45 @@ def confirmed(pair: Pair, estimate: Estimate, gain: float) -> tuple[Estimate, lm
     return estimate, result.params, np.asarray(0.5 * (result.covar + result.covar.T))
 
 
+def freedom(pair: Pair, estimate: Estimate, covariance: Array, known: Collection[str]) -> Array:
+    """Degrees of freedom of the fitted errors' standard errors, which rest on estimated variances of the scatter.
+
+    An error that the scatter blurs is known as well as the scatter's variance is, from as many patterns of it as the
+    data tell: its interval is that of Student's t. With the shares s of its variance that come from each scatter, and γ
+    patterns told of each, it has 1/Σ(s²/γ) degrees of freedom (Satterthwaite, Biometrics Bulletin 2 (1946) 110;
+    Giesbrecht and Burns, Biometrics 41 (1985) 477).
+
+    Parameters
+    ----------
+    pair, estimate
+        The nominal pair and where the fit ended.
+    covariance
+        Of all that was fitted, SI, the errors first and the single pins' and teeth's scatter last.
+    known
+        Patterns whose deviation is stated, not estimated.
+
+    Returns
+    -------
+    degrees
+        Shape (errors,), > 0, infinite where no scatter blurs an error.
+    """
+    count, size = len(estimate.chosen), spread_of(pair, {}).size
+    parts = {n: slice(p.start + len(covariance) - size, p.stop + len(covariance) - size)
+             for n, p in scatter_parts(pair).items()}  # fmt: skip
+    parts[CREEP] = slice(*(count + end for end in (estimate.observed.creeping.start, estimate.observed.creeping.stop)))
+    variance = np.diag(covariance)[:count]
+    blur = np.zeros(count)
+    for name, part in parts.items():
+        deviation = estimate.scatter.get(name, 0.0)
+        if name in known or deviation <= NO_SCATTER:
+            continue
+        share = (covariance[:count, part] ** 2).sum(axis=1) / deviation**2 / variance
+        told = part.stop - part.start - np.trace(covariance[part, part]) / deviation**2
+        blur += share**2 / max(told, 1.0)
+    found: Array = np.divide(1.0, blur, out=np.full(count, np.inf), where=blur > 0.0)
+    return found
+
+
 def profile_interval(
     pair: Pair, estimate: Estimate, name: str, standard_error: float, inflation: float, rise: float
 ) -> tuple[float, float]:
@@ -486,7 +532,7 @@ def profile_interval(
     inflation
         By how much standard errors are larger than white noise would make them.
     rise
-        Of the sum of squares in units of the noise: the quantile of χ² with one degree of freedom.
+        Of the sum of squares in units of the noise: the square of the quantile of Student's t.
 
     Returns
     -------

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
+from scipy.special import stdtrit
 
 from cycloid_fmu import edge
 from cycloid_fmu.contact import SCALAR_ERRORS
@@ -41,6 +41,7 @@ from fitting.estimation import (
     Estimate,
     confirmed,
     fit,
+    freedom,
     profile_interval,
     turn_bootstrap,
 )
@@ -50,11 +51,13 @@ from fitting.observation import (
     CREEP,
     NO_CREEP,
     Linear,
+    Near,
     Observations,
     State,
     errors_of,
     left_of,
     linearise,
+    near,
     observations,
     scatter_columns,
     scatter_names,
@@ -70,12 +73,13 @@ Array = NDArray[np.float64]
 FORMAT = "cycloid-identification/1"
 
 _CONFIDENCE = 0.95
+_NORMAL = float(stdtrit(np.inf, 0.5 + 0.5 * _CONFIDENCE))  # standard errors in half an interval
 _UNEXPLAINED = 2.0  # times its noise: a residual above this is another drive's
 _LEFT = 1.3  # times its noise: a curve of which more is left is not explained wholly
 _MISPREDICTED = 1.5  # times the noise: a fit that predicts no better is no start for another
-_START_POINTS = 1500  # of all curves together, for the way from the prior
+_START_POINTS = 4000  # of all curves together, for the way from the prior
 _STARTS, _START_EVALUATIONS = 5, 30
-_AGREE = 0.03  # of the points: two starts ended alike where -2 log likelihood differs by less, the noise by 1.5 %
+_AGREE = 0.005  # of the points: two starts ended alike where -2 log likelihood differs by less, the noise by 0.25 %
 _CRANK_STARTS = (0.0, -0.25, 0.25, 0.5)  # pin pitches, where the crank's zero is not known
 _ANGLES = 720  # of a crank turn that count as different: samples in step with it are closer than that
 _TOLD = 1.5  # angles of the crank in all curves for each single displacement: with fewer a fit finds many minima
@@ -313,16 +317,39 @@ def _fitted(
     prior[observed.creeping] = max(scatter.get(CREEP, 0.0), NO_CREEP)
     weight = observed.weight * np.median(rough.observed.weight) / np.median(observed.weight)
     observed = dataclasses.replace(observed, weight=weight, bench_prior=prior)
-    chosen = _chosen(observed, linearise(pair, observed, state), pair, scatter)
+    linear, before = linearise(pair, observed, state), list(rough.chosen)
+    chosen = _chosen(observed, linear, pair, scatter)
     for _ in range(_CHOICES):
+        state = _told_by(pair, observed, linear, state, before, chosen)
         progress(f"fitting {len(chosen)} errors and the scatter of pins and teeth")
         estimate = fit(pair, observed, chosen, state, scatter, gain=_GAIN, known=known)
-        state, scatter = estimate.state, estimate.scatter
-        again = _chosen(estimate.observed, estimate.linear, pair, scatter)
-        if again == chosen:
+        state, scatter, linear, before = estimate.state, estimate.scatter, estimate.linear, chosen
+        chosen = _chosen(estimate.observed, linear, pair, scatter)
+        if chosen == before:
             break
-        chosen = again
     return dataclasses.replace(estimate, apart=rough.apart)
+
+
+def _told_by(
+    pair: Pair, observed: Observations, linear: Linear, state: State, before: Sequence[str], chosen: Sequence[str]
+) -> State:
+    """A state in which other errors than before do what those did that are no longer fitted."""
+    dropped = [n for n in before if n not in chosen]
+    if not dropped:
+        return state
+    at, prior = observed.errors.index, surface_of_pair(pair)
+    plain = with_scatter(pair, state.surface, -state.scatter)
+    excess = {n: structured_value(pair, plain, n) - structured_value(pair, prior, n) for n in dropped}
+    size = tolerances_of(chosen, observed.profile)
+    columns = np.hstack([linear.structured[:, [at(n) for n in chosen]] * size, observed.bench])
+    lost = sum(linear.structured[:, at(n)] * value for n, value in excess.items())
+    weight = observed.weight[:, None]
+    share = np.linalg.lstsq(weight * columns, observed.weight * lost, rcond=1e-6)[0]
+    values = {n: structured_value(pair, plain, n) + d for n, d in zip(chosen, size * share[: size.size], strict=True)}
+    values |= {n: structured_value(pair, prior, n) for n in dropped}
+    plain = with_structured(pair, plain, values)
+    return dataclasses.replace(state, surface=with_scatter(pair, plain, state.scatter),
+                               bench=state.bench + share[size.size :])  # fmt: skip
 
 
 def _chosen(observed: Observations, linear: Linear, pair: Pair, scatter: Mapping[str, float]) -> list[str]:
@@ -341,41 +368,49 @@ def _started(pair: Pair, observed: Observations, start: Estimate | None, progres
     size = spread_of(pair, {}).size
     prior = surface_of_pair(pair)
 
-    def zeroed(part: Observations, surface: ErrorSurface, crank: float, scatter: Array | None = None) -> State:
-        state = State(surface, np.zeros(size) if scatter is None else scatter, np.zeros(part.bench.shape[1]), crank)
+    def zeroed(part: Observations, state: State, around: Near | None) -> tuple[State, Linear]:
+        """The state with the unknown zeros of these observations, and the model there."""
+        state = dataclasses.replace(state, bench=np.zeros(part.bench.shape[1]))
         free = ~np.isfinite(part.bench_prior)
-        left = left_of(part, linearise(pair, part, state), state)
-        state.bench[free] = np.linalg.lstsq(part.bench[:, free], left, rcond=None)[0]
-        return state
+        linear = linearise(pair, part, state, around)
+        state.bench[free] = np.linalg.lstsq(part.bench[:, free], left_of(part, linear, state), rcond=None)[0]
+        return state, linear
 
     if start is not None:
         state = start.state
         if start.observed.bench_names != observed.bench_names:
-            state = dataclasses.replace(zeroed(observed, state.surface, state.crank_offset, state.scatter),
-                                        friction=state.friction, loop_friction=state.loop_friction)  # fmt: skip
+            state, _ = zeroed(observed, state, None)
         return dataclasses.replace(start, state=state)
     few = observed.thinned(_stride(observed))
     loads = np.array([0.0 if c.branch else abs(c.torque) for c in few.curves])
-    high = few.some(np.flatnonzero(loads > 0.7 * loads.max()))
+    high, all_of_them = np.flatnonzero(loads > 0.7 * loads.max()), np.arange(loads.size)
     generator = np.random.default_rng(0)
     # A scatter that grows from nothing as the data ask for it leads past most of the wrong minima.
     unknown = {**dict.fromkeys(scatter_parts(pair), NO_SCATTER), CREEP: NO_CREEP}
     pitch = 2.0 * np.pi / pair.pair.pins if observed.fit_crank else 0.0
+
+    def ended(part: Observations, state: State, scatter: Mapping[str, float], around: Near | None) -> Estimate:
+        state, linear = zeroed(part, state, around)
+        chosen = _chosen(part, linear, pair, {})
+        return fit(pair, part, chosen, state, scatter, gain=_START_GAIN, around=around, evaluations=_START_EVALUATIONS)
+
+    # To first order from the prior, and from there once more; a crank whose zero is unknown needs the exact model.
+    nominal = None if observed.fit_crank else near(pair, prior, few)
     found: list[Estimate] = []
     for number in range(_STARTS):
         progress(f"finding a start ({number + 1})")
-        part = high if number == 1 and len(high.curves) < len(few.curves) else few
-        state = zeroed(part, prior, _CRANK_STARTS[number % len(_CRANK_STARTS)] * pitch)
-        chosen = _chosen(part, linearise(pair, part, state), pair, {})
+        crank = _CRANK_STARTS[number % len(_CRANK_STARTS)] * pitch
+        state = State(prior, np.zeros(size), np.empty(0), crank)
         if number > 1:
-            drawn = generator.normal(0.0, 0.3 * tolerances_of(chosen, few.profile))
-            values = {n: structured_value(pair, prior, n) + d for n, d in zip(chosen, drawn, strict=True)}
-            state = zeroed(part, with_structured(pair, prior, values), state.crank_offset)
-        one = fit(pair, part, chosen, state, unknown, gain=_START_GAIN, evaluations=_START_EVALUATIONS)
-        if part is high:
-            state = zeroed(few, one.state.surface, one.state.crank_offset, one.state.scatter)
-            chosen = _chosen(few, linearise(pair, few, state), pair, {})
-            one = fit(pair, few, chosen, state, one.scatter, gain=_START_GAIN, evaluations=_START_EVALUATIONS)
+            names = found[0].chosen
+            drawn = generator.normal(0.0, 0.3 * tolerances_of(names, few.profile))
+            values = {n: structured_value(pair, prior, n) + d for n, d in zip(names, drawn, strict=True)}
+            state = dataclasses.replace(state, surface=with_structured(pair, prior, values))
+        part = high if number == 1 else all_of_them
+        one = ended(few.some(part), state, unknown, None if nominal is None else nominal.some(part))
+        if nominal is not None or part is not all_of_them:
+            around = None if nominal is None else near(pair, one.state.surface, few)
+            one = ended(few, one.state, one.scatter, around)
         found = sorted([*found, one], key=lambda e: e.unlikelihood)
         if len(found) > 1 and found[1].unlikelihood < found[0].unlikelihood + _AGREE * few.measured.size:
             return found[0]
@@ -435,19 +470,19 @@ def _result(
     # The scatter of pins and teeth stands behind the errors and the bench.
     lmfit_parameters = _stated(found, every[: -spread.size, : -spread.size], observed.profile)
     bench = {n: p.value for n, p in lmfit_parameters.items() if n not in names}
+    quantiles = stdtrit(freedom(pair, fit, every, known), 0.5 + 0.5 * _CONFIDENCE)
     lasting = np.r_[: len(chosen), len(every) - spread.size : len(every)]
     every = every[np.ix_(lasting, lasting)]
     covariance = every[: len(chosen), : len(chosen)]
     error = np.sqrt(np.diag(covariance))
     prior = surface_of_pair(pair)
     plain = with_scatter(pair, state.surface, -state.scatter)
-    quantile = float(ndtri(0.5 + 0.5 * _CONFIDENCE))
     singular, combinations, reasons = weakness(observed, linear, names, chosen)
     parameters = []
     for name, tolerance in zip(names, tolerances_of(names, observed.profile), strict=True):
         if name in chosen:
-            sigma = float(error[chosen.index(name)])
-            one = _parameter(name, structured_value(pair, plain, name), sigma, float(tolerance), None)
+            sigma, quantile = float(error[chosen.index(name)]), float(quantiles[chosen.index(name)])
+            one = _parameter(name, structured_value(pair, plain, name), sigma, float(tolerance), None, quantile)
             if name in profiled:
                 progress(f"profile of {name}")
                 interval = profile_interval(pair, fit, name, sigma, inflation, quantile**2)
@@ -524,8 +559,9 @@ def _stated(found: lmfit.Parameters, covariance: Array, profile: Mapping[str, fl
     return stated
 
 
-def _parameter(name: str, value: float, sigma: float, before: float, held: str | None) -> Parameter:
-    quantile = float(ndtri(0.5 + 0.5 * _CONFIDENCE))
+def _parameter(
+    name: str, value: float, sigma: float, before: float, held: str | None, quantile: float = _NORMAL
+) -> Parameter:
     interval = (value - quantile * sigma, value + quantile * sigma)
     return Parameter(name, unit_of(name), value, sigma, interval, max(1.0 - (sigma / before) ** 2, 0.0), held)
 

@@ -15,9 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cycloid_fmu import screening
 from cycloid_fmu.contact import SCALAR_ERRORS
 from cycloid_fmu.pair import Pair
-from cycloid_fmu.surface import ErrorSurface, structured_names, surface_of_pair
+from cycloid_fmu.surface import ErrorSurface, structured_columns, structured_names, surface_of_pair
 from cycloid_fmu.transmission import error_sensitivity, solve
 from fitting.curve import Curve, noise_of
 
@@ -31,6 +32,7 @@ OUTPUT_ENCODER, INPUT_ENCODER = 2e-4, 5e-5
 DRIFT = 5e-5  # rad an output turn: how far the angles' zeros may creep while the bench warms up
 CREEP = "output_angle_creep"  # what a common zero has moved from one recording to the next; how far, the fit estimates
 NO_CREEP = 1e-8  # rad
+_REACH = 80e-6  # m: gaps that errors and the rotation may close where contacts are taken to first order
 _LEAST_TORQUE = 1e-3  # of a curve's mean: without any the output is free in its play
 FRICTION_SHARE = 0.002  # of the largest torque
 COMPLIANCE_SHARE = 0.02  # of the gear pair's own compliance
@@ -277,25 +279,61 @@ def scatter_columns(pair: Pair, each: Array) -> Array:
     return np.concatenate([each[..., pins], each[..., teeth] / g.pin_circle_radius], axis=-1)
 
 
-def linearised_curve(pair: Pair, observed: Observations, state: State) -> Linear:
-    """Evaluate the exact model and its analytic derivatives by every structured error at every point of one curve."""
-    (curve,) = observed.curves
+@dataclass(frozen=True)
+class Near:
+    """The contacts of one drive at the points of each curve, from which drives near it are taken to first order.
+
+    `surface` is that drive's, `contacts` has one entry a curve.
+    """
+
+    surface: ErrorSurface
+    contacts: tuple[screening.Contacts, ...]
+
+    def some(self, numbers: Sequence[int] | NDArray[np.int64]) -> Near:
+        """Some of the curves by themselves."""
+        return Near(self.surface, tuple(self.contacts[n] for n in numbers))
+
+
+def near(pair: Pair, surface: ErrorSurface, observed: Observations) -> Near:
+    """Solve a drive at every point of every curve, so that drives near it can be taken to first order."""
+
+    def one(curve: Curve) -> screening.Contacts:
+        return screening.contacts_of(pair, surface, curve.torque, curve.input_angle, 1, _REACH)
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return Near(surface, tuple(pool.map(one, observed.curves)))
+
+
+def linearised_curve(
+    pair: Pair, observed: Observations, number: int, state: State, around: Near | None = None
+) -> Linear:
+    """Evaluate the model and its analytic derivatives by every structured error at every point of one curve.
+
+    The model is the exact one, or near a drive the one to first order, which knows of no crank's zero and no form.
+    """
+    curve = observed.curves[number]
     against = -float(curve.direction) * np.sign(curve.ratio)
     friction = state.loop_friction if curve.branch else state.friction
     torque, least = curve.torque_at_points + against * friction, _LEAST_TORQUE * curve.torque
     torque = np.where(np.abs(torque) < abs(least), least, torque)
-    model, jacobian, each, further = error_sensitivity(
-        pair, state.surface, torque, curve.input_angle + state.crank_offset, list(observed.errors)
-    )  # fmt: skip
-    return Linear(model, jacobian, scatter_columns(pair, each), further[:, 0], against * further[:, 1])
+    if around is None:
+        model, jacobian, each, further = error_sensitivity(
+            pair, state.surface, torque, curve.input_angle + state.crank_offset, list(observed.errors)
+        )
+        by_crank, by_torque = further.T
+    else:
+        errors = screening.error_vector(pair, state.surface) - screening.error_vector(pair, around.surface)
+        model, each, by_torque = screening.sensitivities(pair, around.contacts[number], 1, errors, torque)
+        jacobian, by_crank = each @ structured_columns(pair, observed.errors), np.zeros_like(model)
+    return Linear(model, jacobian, scatter_columns(pair, each), by_crank, against * by_torque)
 
 
-def linearise(pair: Pair, observed: Observations, state: State) -> Linear:
-    """Evaluate the exact model and its analytic derivatives at every point of every curve."""
-    ones = [observed.some([number]) for number in range(len(observed.curves))]
+def linearise(pair: Pair, observed: Observations, state: State, around: Near | None = None) -> Linear:
+    """Evaluate the model and its analytic derivatives at every point of every curve, as `linearised_curve` does."""
     # The kernel works without Python's lock.
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return joined(list(pool.map(lambda one: linearised_curve(pair, one, state), ones)))
+        numbers = range(len(observed.curves))
+        return joined(list(pool.map(lambda number: linearised_curve(pair, observed, number, state, around), numbers)))
 
 
 def joined(each: Sequence[Linear]) -> Linear:

@@ -10,10 +10,10 @@ from cycloid_fmu import edge, tolerance
 from cycloid_fmu.allocation import allocate, columns_of, scaled
 from cycloid_fmu.pair import read_pair
 from cycloid_fmu.sampling import parse_tolerances, read_tolerances
-from cycloid_fmu.screening import Screen, error_vector
+from cycloid_fmu.screening import Screen, contacts_of, error_vector, sensitivities
 from cycloid_fmu.surface import nominal_surface
 from cycloid_fmu.tolerance import Study, points, screened, surface_of
-from cycloid_fmu.transmission import solve
+from cycloid_fmu.transmission import error_sensitivity, solve
 
 DRIVE = read_pair(EXAMPLES / "drive-39-40.toml")
 EVERY = read_tolerances(EXAMPLES / "tolerances.toml").model_copy(update={"gear_profile": None, "pin_profile": None})
@@ -39,6 +39,28 @@ def both(pair, surfaces, torque, slices=1):
 def test_without_errors_both_kernels_agree(torque):
     for first, exact in both(DRIVE, [nominal_surface(DRIVE)], torque):
         assert first == pytest.approx(np.array(exact), rel=1e-5)  # rotation to second order alone
+
+
+@pytest.mark.parametrize("pair", [DRIVE, make_pair(DRIVE.text, discs=2), make_pair(DRIVE.text, output="ring")])
+def test_derivatives_to_first_order(pair):
+    """At the contacts' own drive the exact ones but for the arms' part; beside it those of finite differences."""
+    study = Study(pair, EVERY, 1, 3, (181.0,))
+    made = surface_of(study, points(study)[0])
+    torque = np.where(ANGLES < 3.0, 181.0, 40.0)
+    contacts = contacts_of(pair, made, 181.0, ANGLES, 1, 120e-6)
+    nothing = np.zeros_like(error_vector(pair, made))
+    error, each, by_torque = sensitivities(pair, contacts, 1, nothing, torque)
+    exact, _, exact_each, further = error_sensitivity(pair, made, torque, ANGLES, [])
+    # Rotation to second order takes the contacts to another torque.
+    assert (np.abs(error - exact) <= np.where(torque == 181.0, 1e-9, 2e-3 * np.abs(exact))).all()
+    assert by_torque == pytest.approx(further[:, 1], rel=0.02)
+    largest = np.abs(exact_each).max(axis=0)
+    assert (np.abs(each - exact_each).max(axis=0) <= 0.05 * largest).all()
+    # The columns begin with the scalars, with which `error_vector` ends.
+    order = [*range(9, each.shape[1]), *range(9)]
+    moved = np.random.default_rng(1).normal(0.0, 1e-9, nothing.size)
+    there, back = (sensitivities(pair, contacts, 1, sign * moved, torque)[0] for sign in (1.0, -1.0))
+    assert 0.5 * (there - back) == pytest.approx(each[:, order] @ moved, rel=1e-4, abs=1e-13)
 
 
 @pytest.mark.parametrize(
