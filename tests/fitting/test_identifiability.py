@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from common import BENCH, EXAMPLES
 
+import fitting.identify
 from cycloid_fmu.pair import read_pair
 from cycloid_fmu.surface import read_surface, structured_value, surface_of_pair, write_surface
 from cycloid_fmu.transmission import error_sensitivity, solve
@@ -122,6 +123,16 @@ def test_curves_of_another_gear_are_not_explained(measured):
     other = other.model_copy(update={"pair": other.pair.model_copy(update={"eccentricity": 0.7e-3})})
     found = identify(measured(8, each=12), other, held_out=False)
     assert any("No error of this pair explains" in n for n in found.notes)
+
+
+def test_starts_that_end_apart_are_said(measured, nominal, monkeypatch):
+    """Where no two starts agree all five are tried, the best is taken, and the fit says what that may mean."""
+    monkeypatch.setattr(fitting.identify, "_AGREE", -np.inf)
+    said = []
+    found = identify(measured(8, each=12), nominal, said.append, held_out=False)
+    assert "finding a start (5)" in said
+    assert any("No two of 5 starts ended in the same optimum" in n for n in found.notes)
+    assert found.residual < 0.6 * ARCSEC
 
 
 def test_more_runs_tell_no_less():
