@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
+from threadpoolctl import threadpool_limits
 
 from cycloid_fmu import edge
 from cycloid_fmu.contact import SCALAR_ERRORS
@@ -251,17 +252,19 @@ def identify(
             raise edge.InputError(
                 f"{curve.source}: the mean torque is {curve.torque:g} N·m; the fit needs loaded curves."
             )
-    kept, start = kept_back(curves) if held_out else (), None
-    predicted = None
-    if kept:
-        progress("fitting without the curves kept back")
-        rest = [*(c for i, c in enumerate(curves) if i not in kept), *loops]
-        start = _fitted(rest, pair, None, scatter, profile, progress)
-        predicted = _predicted(pair, start, [curves[i] for i in kept])
-        if predicted.residual > _MISPREDICTED * predicted.noise:
-            start = None
-    found = _fitted([*curves, *loops], pair, start, scatter, profile, progress)
-    return _result(pair, found, predicted, scatter or {}, profiled, bootstrap, progress)
+    # The kernel's threads keep the processor busy; those of linear algebra wait beside them, turning in circles.
+    with threadpool_limits(limits=1, user_api="blas"):
+        kept, start = kept_back(curves) if held_out else (), None
+        predicted = None
+        if kept:
+            progress("fitting without the curves kept back")
+            rest = [*(c for i, c in enumerate(curves) if i not in kept), *loops]
+            start = _fitted(rest, pair, None, scatter, profile, progress)
+            predicted = _predicted(pair, start, [curves[i] for i in kept])
+            if predicted.residual > _MISPREDICTED * predicted.noise:
+                start = None
+        found = _fitted([*curves, *loops], pair, start, scatter, profile, progress)
+        return _result(pair, found, predicted, scatter or {}, profiled, bootstrap, progress)
 
 
 def kept_back(curves: Sequence[Curve]) -> tuple[int, ...]:
