@@ -16,6 +16,7 @@ from cycloid_fmu import edge
 if TYPE_CHECKING:
     from cycloid_fmu.pair import Pair
     from fitting.curve import Curve
+    from fitting.identify import Identification
     from fitting.metrics import Figure, Figures, Surveyed
 
 app = typer.Typer(
@@ -439,9 +440,8 @@ def identify(
         edge.output_path(report_file, "--report", FORMATS)
     pair = read_pair(pair_file)
     allowed = None if tolerances is None else read_tolerances(tolerances)
-    curves, loops = _curves_and_loops(files, pair, mapping, read_head, keep_turns=bootstrap > 0)
-    console = Console(stderr=True)
-    with console.status("reading") as status:
+    with Console(stderr=True).status("reading …") as status:
+        curves, loops = _curves_and_loops(files, pair, mapping, read_head, keep_turns=bootstrap > 0)
         result = fit(
             curves, pair, lambda step: status.update(f"{step} …"), loops=loops,
             scatter=None if allowed is None else scatter_of(pair, allowed),
@@ -477,13 +477,10 @@ def print_figures(found: Figures) -> None:
     print_table("Figures", ["figure", "value", "± 95 %", "unit", "of"], rows)
 
 
-def print_identification(result: object, truth: dict[str, float] | None = None) -> None:
+def print_identification(result: Identification, truth: dict[str, float] | None = None) -> None:
     """Print identified errors with their 95 % intervals, what is held and why; beside the truth where it is known."""
     from cycloid_fmu.cli import print_table
-    from cycloid_fmu.edge import ARCSEC
-    from fitting.identify import Identification
 
-    assert isinstance(result, Identification)
     scale = {"m": (1e6, "µm"), "rad": (1e3, "mrad")}
     rows, held = [], []
     for p in result.parameters:
@@ -502,18 +499,18 @@ def print_identification(result: object, truth: dict[str, float] | None = None) 
     if result.held_out is not None:
         kept = result.held_out
         typer.echo(
-            f"Kept from a first fit and predicted by it: {kept.said}: {kept.residual * ARCSEC:.3f}″ rms left, "
-            f"noise {kept.noise * ARCSEC:.3f}″."
+            f"Kept from a first fit and predicted by it: {kept.said}: {kept.residual * edge.ARCSEC:.3f}″ rms left, "
+            f"noise {kept.noise * edge.ARCSEC:.3f}″."
         )
     scatter = ", ".join(f"{n} {v * 1e6:.2f} µm" for n, v in result.scatter.items())
     typer.echo(
-        f"Residual {result.residual * ARCSEC:.3f}″ rms, noise {result.noise * ARCSEC:.3f}″; "
+        f"Residual {result.residual * edge.ARCSEC:.3f}″ rms, noise {result.noise * edge.ARCSEC:.3f}″; "
         f"scatter beyond these errors: {scatter}."
     )
     for one in result.loops:
         typer.echo(
             f"{Path(one.source).name}: play at the crank angle {math.degrees(one.crank_angle):.1f}°: "
-            f"{one.play * ARCSEC:.2f} ± {1.96 * one.standard_error * ARCSEC:.2f}″ by the identified errors."
+            f"{one.play * edge.ARCSEC:.2f} ± {1.96 * one.standard_error * edge.ARCSEC:.2f}″ by the identified errors."
         )
 
 
@@ -540,8 +537,6 @@ def plan(
 
     Example: [cyan]cycloid-fit plan pair.toml --torque "20 N*m" --torque "200 N*m"[/]
     """
-    import dataclasses
-
     from cycloid_fmu import plots
     from cycloid_fmu.cli import print_table
     from cycloid_fmu.pair import read_pair
