@@ -2,7 +2,8 @@
 
 Speed comes from the benchmarks; accuracy, coverage of intervals and the fault table from what the tests themselves
 record; how much of the code the tests run through from coverage.py. Every part is kept in `docs/generated` as it ends,
-so the same command goes on after an interruption; a change of code, tests or benchmarks begins anew.
+so the same command goes on after an interruption, which writes the page of the parts that are there; a change of code,
+tests or benchmarks begins anew.
 """
 
 import argparse
@@ -127,27 +128,37 @@ def counted(report: Path) -> str:
 
 
 def page(folder: Path, quick: bool) -> str:
-    """The page, from the parts' reports."""
-    machine = json.loads((folder / f"{BENCHMARKS[0]}.json").read_text(encoding="utf-8"))["machine_info"]
+    """The page, from the parts' reports that are there."""
+    speeds = [report for name in BENCHMARKS if (report := folder / f"{name}.json").exists()]
+    if not speeds:
+        raise SystemExit("No part has ended yet: there is nothing to write.")
+    machine = json.loads(speeds[0].read_text(encoding="utf-8"))["machine_info"]
     tests = [folder / "default.xml", *(folder / f"slow-{name}.xml" for name in STUDIES)]
+    tests = [report for report in tests if report.exists()]
+    lines = folder / "coverage.json"
+    missing = [name for name, report, *_ in parts(folder) if not report.exists()]
     rows = [row for report in tests for row in recorded(report)]
     return "\n\n".join(
         [
             "# Measured figures",
+            *([f"Not measured yet: {', '.join(missing)}; the same command goes on."] if missing else []),
             f"By `python docs/measure.py{' --quick' if quick else ''}` on "
             f"{machine['cpu'].get('brand_raw', machine['machine'])}, {os.cpu_count()} cores, {platform.system()}, "
             f"Python {machine['python_version']}. Ratios are of one run, each against the baseline that its benchmark "
             "names; times are medians.",
             "## Speed",
-            *(line for name in BENCHMARKS for line in speed(folder / f"{name}.json")),
+            *(line for report in speeds for line in speed(report)),
             "## Accuracy and coverage",
             table(["file", "test", "what", "figure"], [row for row in rows if row[2] != "fault"]),
             "## Faults that a recording survives",
             table(["test that passed"], [[name] for _, name, what, _ in rows if what == "fault"]),
             "## Tests",
             table(["part", "tests", "took"], [[r.stem, counted(r), took(r)] for r in tests]),
-            "What the default tests run through, the contact kernels interpreted:",
-            run_through(folder / "coverage.json"),
+            *(
+                ["What the default tests run through, the contact kernels interpreted:", run_through(lines)]
+                if lines.exists()
+                else []
+            ),
         ]
     )
 
@@ -164,13 +175,15 @@ def main() -> None:
     folder = PAGE.parent / "generated" / f"measured-{digest.hexdigest()[:12]}"
     folder.mkdir(parents=True, exist_ok=True)
     environment = {**os.environ, **(QUICK if quick else {})}
+    interrupted = False
     try:
         for name, report, calls, further in parts(folder):
             measured(name, report, calls, {**environment, **further})
     except KeyboardInterrupt:
         print("Interrupted: the parts that ended are kept; the same command goes on.", file=sys.stderr)
-        raise SystemExit(130) from None
+        interrupted = True
     PAGE.write_text(page(folder, quick) + "\n", encoding="utf-8")
+    raise SystemExit(130 if interrupted else 0)
 
 
 if __name__ == "__main__":
