@@ -291,6 +291,7 @@ def test_disk_full(tmp_path):
 
 RECORDER = """
 import sys
+sys.modules["asammdf"] = None  # python-can would load it, more than a second of each kill
 from drivers.recorder import record_bench
 record_bench("BENCH.toml", sys.argv[1], progress=lambda live: print(*live.samples.values(), flush=True))
 """
