@@ -78,7 +78,7 @@ def contacts_of(
     drive = drive_of(pair, surface, slices)
     kept = np.zeros((crank_angle.size, contact.contact_rows(drive).shape[0], _COLUMNS))
     count, deviation = np.zeros(crank_angle.size, dtype=np.int64), np.zeros(crank_angle.size)
-    _sweep(drive, crank_angle, float(torque), reach, kept, count, deviation)
+    _sweep(drive, np.ascontiguousarray(crank_angle), float(torque), reach, kept, count, deviation)
     return Contacts(np.ascontiguousarray(kept[:, : max(int(count.max()), 1)]), count, deviation, float(torque))
 
 

@@ -210,6 +210,11 @@ def _root_phase(pair: Pair, stray: float, circle: float) -> float:
     return float(np.interp(reach, path, phase))
 
 
+def _contiguous(values: ArrayLike) -> Array:
+    # A copy: for a view with steps, or one that is read only, the kernel would be compiled once more.
+    return np.array(values, dtype=float, order="C", ndmin=1)
+
+
 def solve(
     pair: Pair,
     surface: ErrorSurface,
@@ -250,8 +255,7 @@ def solve(
     """
     drive = drive_of(pair, surface, slices)
     g = pair.pair
-    torques = np.atleast_1d(np.asarray(torque, dtype=float))
-    angles = np.atleast_1d(np.asarray(crank_angle, dtype=float))
+    torques, angles = _contiguous(torque), _contiguous(crank_angle)
     if not (np.isfinite(torques).all() and np.isfinite(angles).all()):
         raise ValueError("torque and crank_angle must be finite")
     loads, places = (torques.size, angles.size), (torques.size, angles.size, g.discs, g.pins)
@@ -336,11 +340,11 @@ def error_sensitivity(
         By crank angle (rad/rad) and torque (rad/(N·m)), shape (angles, 2).
     """
     drive = drive_of(pair, surface, slices)
-    angles = np.atleast_1d(np.asarray(crank_angle, dtype=float))
+    angles = _contiguous(crank_angle)
     columns = structured_columns(pair, names)
     each = np.empty((angles.size, columns.shape[0]))
     deviation, by_angle, by_torque = (np.empty(angles.size) for _ in range(3))
-    torques = np.ascontiguousarray(np.broadcast_to(np.asarray(torque, dtype=float), angles.shape))
+    torques = _contiguous(np.broadcast_to(torque, angles.shape))
     contact.sweep_sensitivities(drive, angles, torques, deviation, each, by_angle, by_torque)
     jacobian = each @ columns
     elements = PROFILE_POINTS if surface.gear_deviation is None else surface.gear_deviation.shape[2]

@@ -1,9 +1,6 @@
 """What several tests share: the data, the 39/40 pair and field units."""
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -37,14 +34,3 @@ def make_pair(text=PAIR, **keys):
         lines = [line for line in lines if not line.startswith(f"{key} =")]
         lines.insert(at, f"{key} = {json.dumps(value)}")
     return parse_pair("\n".join(lines) + "\n", "test.toml")
-
-
-def fresh_environment(folder, *requirements, python=sys.executable):
-    """Make a virtual environment that holds `requirements` and what they ask for; return where its commands are."""
-    subprocess.run([python, "-m", "venv", str(folder)], check=True, timeout=300)
-    scripts = folder / ("Scripts" if os.name == "nt" else "bin")
-    subprocess.run(
-        [str(scripts / "python"), "-m", "pip", "install", "-q", "--no-compile", *map(str, requirements)],
-        check=True, capture_output=True, timeout=1800,
-    )  # fmt: skip
-    return scripts

@@ -14,6 +14,11 @@ from hypothesis import settings
 settings.register_profile("default", deadline=None)
 settings.load_profile("default")
 
+# A worker has one core: where linear algebra takes one thread for each core of the machine, they wait for each other.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+# Who begins the tests in the background has them ignore Ctrl-C, and all that they start.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
 sys.path.insert(0, str(Path(__file__).parent))  # common.py and brute_force.py
 
 

@@ -1,8 +1,8 @@
 """The main job, as the README's first command runs it."""
 
 import json
-import os
 import re
+import runpy
 import shutil
 import subprocess
 import sys
@@ -51,44 +51,47 @@ def test_from_the_bench_to_the_fmu_and_back(tmp_path):
     shutil.rmtree(out)
 
 
-def test_what_each_error_does(tmp_path):
+@pytest.fixture
+def example(tmp_path, monkeypatch, capsys):
+    """Run an example in an empty folder and in this process; return what it prints."""
+    import matplotlib.pyplot
+
+    def run(name):
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setenv("COLUMNS", "200")
+        runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+        matplotlib.pyplot.close("all")
+        return capsys.readouterr().out
+
+    return run
+
+
+def test_what_each_error_does(tmp_path, example):
     """The study of the error-surface paper: docs/theory/papers.md says which of its conclusions hold."""
-    run = subprocess.run(
-        [sys.executable, str(EXAMPLES / "error_study.py")], cwd=tmp_path, capture_output=True, text=True, timeout=300,
-        env={**os.environ, "COLUMNS": "200"},
-    )  # fmt: skip
-    assert run.returncode == 0, run.stderr
-    lines = {line.strip("│ ").split("  ")[0]: "does not hold" not in line for line in run.stdout.splitlines()}
+    said = example("error_study.py")
+    lines = {line.strip("│ ").split("  ")[0]: "does not hold" not in line for line in said.splitlines()}
     assert lines["pitch leads PPTE"]
     assert lines["centre distance leads PPTE"]
     assert not lines["misalignment leads PPTE"]
-    assert_page_agrees("theory-paper-error-surface", "hold", run.stdout)
+    assert_page_agrees("theory-paper-error-surface", "hold", said)
     assert (tmp_path / "error_study.png").stat().st_size > 10000
 
 
-def test_the_wear_paper_s_figures(tmp_path):
-    run = subprocess.run(
-        [sys.executable, str(EXAMPLES / "wear_study.py")], cwd=tmp_path, capture_output=True, text=True, timeout=300,
-        env={**os.environ, "COLUMNS": "200"},
-    )  # fmt: skip
-    assert run.returncode == 0, run.stderr
-    cells = cells_of(run.stdout)
+def test_the_wear_paper_s_figures(tmp_path, example):
+    said = example("wear_study.py")
+    cells = cells_of(said)
     table = {row[0]: row[1:] for row in cells}
     assert table["unloaded mesh interval, rad"][:2] == ["0.1571", "0.1571"]
     assert float(table["gear, deepest, bounded, µm"][1]) == pytest.approx(49.4, rel=0.04)
     assert float(table["gear, deepest, updated, µm"][1]) < 8.0
-    assert_page_agrees("theory-paper-wear", "`examples/wear_study.py`", run.stdout)
+    assert_page_agrees("theory-paper-wear", "`examples/wear_study.py`", said)
     assert (tmp_path / "wear_study.png").stat().st_size > 100000
 
 
-def test_the_rv_paper_s_tables(tmp_path):
+def test_the_rv_paper_s_tables(tmp_path, example):
     """Table 10 can't be had from equation 21: its first row needs a cosine above 1, the others over 70 degrees."""
-    run = subprocess.run(
-        [sys.executable, str(EXAMPLES / "lost_motion_study.py")], cwd=tmp_path, capture_output=True, text=True,
-        timeout=300, env={**os.environ, "COLUMNS": "200"},
-    )  # fmt: skip
-    assert run.returncode == 0, run.stderr
-    cells = cells_of(run.stdout)
+    said = example("lost_motion_study.py")
+    cells = cells_of(said)
     tilts = [row for row in cells if len(row) == 6]
     assert [row[2] for row in tilts] == ["0.5462′", "0.5976′", "0.5982′", "0.6018′", "0.6029′", "0.6032′", "0.6063′"]
     assert {row[3] for row in tilts} == {"0.5488′"}
@@ -98,5 +101,5 @@ def test_the_rv_paper_s_tables(tmp_path):
     assert totals["standard"] == "1.9689′"
     assert totals["as printed"] == "0.5488′"
     for rows in ("`examples/lost_motion_study.py`", "::test_the_rv_paper_s_tables`"):
-        assert_page_agrees("theory-paper-rv", rows, run.stdout)
+        assert_page_agrees("theory-paper-rv", rows, said)
     assert (tmp_path / "lost_motion_study.png").stat().st_size > 30000

@@ -31,6 +31,7 @@ TABLE = "drive.table"
 SOURCES = ("fmi2.c", "fmi3.c", "instance.c", "drive.c", "table.c")
 _NATIVE = Path(__file__).with_name("native")
 _FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off", "-s")
+_UCRT = _NATIVE / "windows" / "ucrt.c"
 _SPACE = uuid.UUID("6a1f3b0e-51c4-4a52-9c1c-0c2b6a7d39e4")  # the names of this package's FMUs
 
 
@@ -98,6 +99,26 @@ def _compiler(name: str) -> list[str]:
     )
 
 
+def windows_runtime(*more: str) -> list[str]:
+    """Return what zig compiles and links for Windows in place of mingw's library, which takes minutes to compile.
+
+    The C runtime is Windows' own (the Universal CRT, part of it since Windows 10), sine and cosine are those of zig's
+    compiler runtime.
+
+    Parameters
+    ----------
+    more
+        Names of its parts that a program needs beside the library's, such as "time".
+    """
+    (zig,) = importlib.util.find_spec("ziglang").submodule_search_locations  # type: ignore[union-attr, misc]
+    include = Path(zig, "lib", "libc", "include", "any-windows-any")
+    parts = ("stdio", "heap", "string", "private", *more)
+    return [
+        "-nostdlib", "-rtlib=compiler-rt", "-isystem", str(include), str(_UCRT),
+        *(f"-lapi-ms-win-crt-{part}-l1-1-0" for part in parts), "-lkernel32",
+    ]  # fmt: skip
+
+
 def _source_files() -> dict[str, bytes]:
     """Return what is compiled, by name: our sources and FMI's headers."""
     own = {p.name: p.read_bytes() for p in sorted(_NATIVE.glob("*.[ch]"))}
@@ -120,7 +141,10 @@ def binary(name: str) -> bytes:
 
     command = [*_compiler(name), *_FLAGS]
     files = _source_files()
-    digest = hashlib.sha256(repr((command[1:], sorted(files.items()))).encode()).hexdigest()
+    zig_for_windows = name.endswith("windows") and "ziglang" in command
+    runtime = ["-Wl,--no-entry", *windows_runtime()] if zig_for_windows else ["-lm"]
+    told = repr((command[1:], runtime, _UCRT.read_bytes(), sorted(files.items())))
+    digest = hashlib.sha256(told.encode()).hexdigest()
     kept = Path(platformdirs.user_cache_dir("cycloid-fmu", appauthor=False)) / "native"
     target = kept / f"{digest}-{name}{PLATFORMS[name].suffix}"
     if not target.exists():
@@ -130,7 +154,7 @@ def binary(name: str) -> bytes:
             for file, data in files.items():
                 (place / file).write_bytes(data)
             done = subprocess.run(
-                [*command, "-o", made.name, *SOURCES, "-lm"], cwd=place, capture_output=True, text=True, check=False
+                [*command, "-o", made.name, *SOURCES, *runtime], cwd=place, capture_output=True, text=True, check=False
             )  # fmt: skip
             if done.returncode != 0:
                 raise RuntimeError(f"the compiler for {name} failed: {done.stderr.strip().splitlines()[-1:]}")

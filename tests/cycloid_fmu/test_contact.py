@@ -239,3 +239,20 @@ def test_two_discs_cancel_an_order_one_pin_error():
 
     assert amplitude(1) == pytest.approx(24.3, abs=2.5)
     assert amplitude(2) < 0.1
+
+
+def test_views_of_angles_and_torques_do_not_compile_the_kernels_again():
+    """A step between values or a read-only array is another type to the compiler: it took seconds, of every user."""
+    pair = read_pair(CASES / "errors-39-40.toml")
+    surface, angles, torques = surface_of_pair(pair), np.linspace(0.0, 1.0, 4), np.array([50.0, -50.0])
+
+    def compiled(angles, torques, torque):
+        solve(pair, surface, torques, angles)
+        error_sensitivity(pair, surface, torque, angles, ["offset"])
+        kernels = (contact.sweep_play, contact.sweep_load, contact.sweep_sensitivities)
+        return [list(kernel.signatures) for kernel in kernels]
+
+    before = compiled(angles, torques, 50.0)
+    fixed = np.full(2, 50.0)
+    fixed.flags.writeable = False
+    assert compiled(angles[::2], torques[::-1], fixed) == before

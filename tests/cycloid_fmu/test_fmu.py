@@ -160,14 +160,6 @@ def test_many_instances_come_and_go(fmu):
         assert kept.getReal([v["flange_b.phi"]]) == pytest.approx(before, abs=1e-15)
 
 
-COLD = """
-import sys
-from cycloid_fmu.fmu.run import follow
-print(follow(sys.argv[1], [0.0, 0.1, 0.2], 50.0, ("flange_b.phi", "flange_a.tau", "flange_b.w", "backlash",
-      "max_contact_pressure"))["backlash"][2])
-"""
-
-
 def test_an_exception_inside_is_an_error_outside_and_breaks_nothing(fmu, tmp_path):
     code = """
 import gc, sys
@@ -187,17 +179,6 @@ gc.collect()
     )  # fmt: skip
     assert run.returncode == 0, run.stderr
     assert "refused" in run.stdout
-
-
-@pytest.mark.slow(40)
-def test_it_compiles_its_kernels_inside_the_host(fmu, tmp_path):
-    """A fresh process with an empty numba cache: everything is compiled behind the FMI calls."""
-    run = subprocess.run(
-        [sys.executable, "-c", COLD, str(fmu)], capture_output=True, text=True,
-        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
-    )  # fmt: skip
-    assert run.returncode == 0, run.stderr
-    assert float(run.stdout) > 1e-5
 
 
 def test_a_surface_of_another_pair_is_refused(command, tmp_path):

@@ -73,15 +73,15 @@ def multicast_works():
 needs_multicast = pytest.mark.skipif(not multicast_works(), reason="this machine's network carries no UDP multicast")
 
 
-def test_simulate_record_export(tmp_path):
-    code, out, err = run(
-        tmp_path, "simulate", "--bus", "virtual", "--ratio", "-39", "--torque", "-20 N*m", "--turns", 2,
+def test_simulate_record_export(tmp_path, command):
+    simulated = command(
+        "cycloid-bench", "simulate", "--bus", "virtual", "--ratio", "-39", "--torque", "-20 N*m", "--turns", 2,
         "--direction", "backward", "--noise", "0.3 arcsec", "-o", "run.arrows",
     )  # fmt: skip
-    assert code == 0, err
-    assert "192 input_angle, 192 output_angle, 192 torque; 0 events" in out
-    code, out, err = run(tmp_path, "export", "run.arrows", "-o", "run.csv")
-    assert (code, out) == (0, "run.csv: 192 rows\n"), err
+    assert simulated.returncode == 0, simulated.stderr
+    assert "192 input_angle, 192 output_angle, 192 torque; 0 events" in simulated.stdout
+    exported = command("cycloid-bench", "export", "run.arrows", "-o", "run.csv")
+    assert (exported.returncode, exported.stdout) == (0, "run.csv: 192 rows\n"), exported.stderr
     lines = (tmp_path / "run.csv").read_text().splitlines()
     assert lines[0] == "time [s],input_angle [rad],output_angle [rad],torque [N*m]"
     time_s, angle, output, torque = np.loadtxt(lines[1:], delimiter=",").T
@@ -223,13 +223,13 @@ def test_bad_wiring_is_refused_in_a_sentence_that_names_file_and_field(wiring, o
         (["export", "run.arrows", "-o", "run.xls"], "--output = run.xls: the name must end in .csv"),
     ],
 )  # fmt: skip
-def test_bad_input_exits_2_with_one_sentence(tmp_path, wiring, arguments, said):
+def test_bad_input_exits_2_with_one_sentence(command, wiring, arguments, said):
     before = wiring.read_text()
-    code, out, err = run(tmp_path, *arguments)
-    assert code == 2
-    assert said in err
-    assert out == ""
-    assert "Traceback" not in err
+    done = command("cycloid-bench", *arguments)
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert done.stdout == ""
+    assert "Traceback" not in done.stderr
     assert wiring.read_text() == before
 
 
@@ -275,7 +275,7 @@ def test_permission_denied_is_said_in_a_sentence(monkeypatch):
         serial_hub.acquire_port(PortConfig(url="/dev/ttyUSB0"))
 
 
-def test_list_names_the_protocols(tmp_path):
-    code, out, err = run(tmp_path, "list")
-    assert code == 0, err
-    assert "protocols: amt21, ascii, canopen, dbc, modbus" in out
+def test_list_names_the_protocols(command):
+    done = command("cycloid-bench", "list")
+    assert done.returncode == 0, done.stderr
+    assert "protocols: amt21, ascii, canopen, dbc, modbus" in done.stdout

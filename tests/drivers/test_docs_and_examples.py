@@ -2,8 +2,7 @@
 
 import importlib.metadata
 import re
-import subprocess
-import sys
+import runpy
 
 import pytest
 from common import EXAMPLES
@@ -49,9 +48,8 @@ def test_the_encoder_of_the_docs_records(tmp_path, monkeypatch):
         ("record_serial.py", r"\d{3} lines; marks .* known to \d+ us"),
     ],
 )
-def test_the_examples_run(tmp_path, example, said):
-    run = subprocess.run(
-        [sys.executable, str(EXAMPLES / example)], cwd=tmp_path, capture_output=True, text=True, timeout=120
-    )
-    assert run.returncode == 0, run.stderr
-    assert re.search(said, run.stdout, re.S), run.stdout
+def test_the_examples_run(tmp_path, monkeypatch, capsys, example, said):
+    monkeypatch.chdir(tmp_path)
+    runpy.run_path(str(EXAMPLES / example), run_name="__main__")
+    printed = capsys.readouterr().out
+    assert re.search(said, printed, re.S), printed

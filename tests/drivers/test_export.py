@@ -169,15 +169,13 @@ def test_reading_goes_on_behind_a_damaged_place(tmp_path, where):
         assert repaired(reader, None, lambda: None).channels["torque"].gaps == 1
 
 
-def test_the_commands(tmp_path, recording):
-    from tests.drivers.test_bench_cli import run
-
-    code, out, err = run(tmp_path, "export", recording, "-o", "run.parquet")
-    assert (code, out) == (0, "run.parquet: 2200 rows\n"), err
+def test_the_commands(command, recording):
+    done = command("cycloid-bench", "export", recording, "-o", "run.parquet")
+    assert (done.returncode, done.stdout) == (0, "run.parquet: 2200 rows\n"), done.stderr
     data = recording.read_bytes()
     recording.write_bytes(data[:-300])
-    code, out, err = run(tmp_path, "repair", recording, "-o", "whole.arrows")
-    assert code == 1
-    assert "is cut or damaged after 59 complete batches" in err
-    assert "59 batches that can be trusted, 19 events" in out
-    assert "input_angle: 1000 samples, from 0.000000 s to 9.990000 s, 1 of them after a gap" in out
+    done = command("cycloid-bench", "repair", recording, "-o", "whole.arrows")
+    assert done.returncode == 1
+    assert "is cut or damaged after 59 complete batches" in done.stderr
+    assert "59 batches that can be trusted, 19 events" in done.stdout
+    assert "input_angle: 1000 samples, from 0.000000 s to 9.990000 s, 1 of them after a gap" in done.stdout

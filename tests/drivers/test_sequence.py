@@ -14,7 +14,7 @@ from cycloid_fmu import edge
 from drivers.bench import BenchRun, CanBench, simulate_hysteresis, simulate_motion
 from drivers.recording_format import read_recording
 from drivers.sequence import read_sequence, shortfalls
-from tests.drivers.test_bench_cli import needs_multicast, run
+from tests.drivers.test_bench_cli import needs_multicast
 
 numbers = itertools.count(10)
 
@@ -48,15 +48,15 @@ def wiring(tmp_path, bus_name):
 
 
 @needs_multicast
-def test_a_driven_sequence_records_every_step(tmp_path, monkeypatch):
+def test_a_driven_sequence_records_every_step(command, tmp_path, monkeypatch):
     root = str(Path(__file__).parents[2])
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([root, os.environ.get("PYTHONPATH", "")]))
     group = f"239.75.{os.getpid() % 250}.{next(numbers)}"
     path = tmp_path / "sequence.toml"
     path.write_text(SEQUENCE + drive(group))
-    code, out, err = run(tmp_path, "run", path)
-    assert code == 0, err
-    assert out.count("recorded") == 3
+    done = command("cycloid-bench", "run", path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("recorded") == 3
     for direction, sign in (("forward", 1), ("backward", -1)):
         recording = read_recording(tmp_path / f"300rpm-20Nm-{direction}.arrows")
         assert recording.header.conditions["direction"] == direction

@@ -132,7 +132,7 @@ def test_a_real_browser_shows_it(tmp_path, serve):
         write_turns(writer, 96 * 4, 96)
         writer.write(Samples.checked("torque", [], []), [Event(1.0, "torque", "<b>cable</b> pulled")])
         page.wait_for_selector("#channels tr:first-child td:text-is('480')")
-        assert "<b>cable</b> pulled" in page.text_content("#events"), "text, not markup"
+        page.wait_for_selector("#events:has-text('<b>cable</b> pulled')")  # text, not markup
         inked = page.evaluate(
             "[...document.querySelectorAll('canvas')].map(c => c.getContext('2d')"
             ".getImageData(0, 0, c.width, c.height).data.filter((v, i) => i % 4 == 3 && v > 0).length)"

@@ -26,9 +26,9 @@ COMPILER = ("cc",) if shutil.which("cc") else (sys.executable, "-m", "ziglang", 
 def compiled(target, sources, *flags, compiler=COMPILER):
     """Compile C sources with FMI's headers."""
     include = ["-I", str(native_build.headers()), "-I", str(HERE.parents[1] / "cycloid_fmu" / "fmu" / "native")]
-    libraries = [] if target.suffix == ".exe" else ["-ldl"]
+    libraries = [] if target.suffix == ".exe" else ["-ldl", "-lm"]
     subprocess.run(
-        [*compiler, "-std=c99", "-g", *flags, *include, *map(str, sources), "-o", str(target), *libraries, "-lm"],
+        [*compiler, "-std=c99", "-g", *flags, *include, *map(str, sources), "-o", str(target), *libraries],
         check=True,
     )  # fmt: skip
     return target

@@ -638,6 +638,8 @@ def test_libraries_ask_for_no_newer_system_than_promised():
             assert _mach_o_minimum(data) == 11
         else:
             assert data[:2] == b"MZ"
+            asked = set(re.findall(rb"([\w-]+)\.dll\0", data.lower())) - {b"made"}
+            assert {name for name in asked if not name.startswith(b"api-ms-win-crt-")} == {b"kernel32"}
 
 
 @pytest.mark.slow(30)
@@ -647,13 +649,15 @@ def test_libraries_ask_for_no_newer_system_than_promised():
 def test_the_windows_library_does_the_same_under_wine(unpacked, host, tmp_path):
     wine = shutil.which("wine64") or "/usr/lib/wine/wine64"
     zig = (sys.executable, "-m", "ziglang", "cc", "-target", "x86_64-windows-gnu")
+    runtime = ("-Wl,--entry=start", *native_build.windows_runtime("convert", "runtime", "time"))
     library = tmp_path / "CycloidDrive.dll"
     library.write_bytes(native_build.binary("x86_64-windows"))
     run = {"prefix": (wine,), "WINEPREFIX": str(tmp_path / "wine"), "WINEDEBUG": "-all"}
     for version in ("2.0", "3.0"):
         run["program"] = compiled(
-            tmp_path / f"host{version[0]}.exe", [HERE / "host.c"], f"-DFMI={version[0]}", "-O2", compiler=zig
-        )
+            tmp_path / f"host{version[0]}.exe", [HERE / "host.c", HERE / "windows_start.c"],
+            f"-DFMI={version[0]}", "-O2", *runtime, compiler=zig,
+        )  # fmt: skip
         for kind in INTERFACES:
             fmu = SimpleNamespace(**vars(unpacked(kind, version)))
             linux = rows_of(host(fmu, "run", 800))
