@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cycloid_fmu.fmu.native_build import native_variables
-from cycloid_fmu.fmu.variables import UNITS, Interface, Variable, variables
+from cycloid_fmu.fmu.variables import UNITS, Interface, Variable, from_tables, variables
 from cycloid_fmu.pair import read_pair
 from cycloid_fmu.surface import Life, nominal_surface
 
@@ -64,7 +63,7 @@ def tables() -> Iterator[tuple[str, tuple[Variable, ...]]]:
 
 def in_native(variable: Variable) -> str:
     """What a native FMU has of a variable."""
-    (kept,) = native_variables([variable]).values() or (None,)
+    (kept,) = from_tables([variable]).values() or (None,)
     return "–" if kept is None else "the same" if kept == variable else kept.variability
 
 

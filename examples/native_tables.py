@@ -35,7 +35,7 @@ for name, surface in drives.items():
     sizes, errors = [], []
     for asked in ASKED:
         made = tables.compute(pair, surface, accuracy=asked * ARCSEC)
-        file = tables.write(made, 0, variables(pair, surface, Interface(), "2.0"))
+        file = tables.write(made, Interface(), variables(pair, surface, Interface(), "2.0"))
         sizes.append(len(zlib.compress(file)) / 1e3)
         errors.append(made.error["deviation_largest"] / ARCSEC)
         loads = made.positive.load.size + made.negative.load.size

@@ -14,12 +14,11 @@ Row = Sequence[float]
 def interpolated(table: Sequence[Row], speed: float) -> tuple[float, float, float, float]:
     """Efficiencies and friction torques at a speed: linear between the rows, held beyond the last."""
     speed = abs(speed)
-    for below, above in itertools.pairwise(table):
-        if speed < above[0]:
-            share = (speed - below[0]) / (above[0] - below[0])
-            a, b, c, d = (low + share * (high - low) for low, high in zip(below[1:], above[1:], strict=True))
-            return a, b, c, d
-    _, a, b, c, d = table[-1]
+    last, a, b, c, d = table[-1]
+    if speed < last:
+        below, above = next(two for two in itertools.pairwise(table) if speed < two[1][0])
+        share = (speed - below[0]) / (above[0] - below[0])
+        a, b, c, d = (low + share * (high - low) for low, high in zip(below[1:], above[1:], strict=True))
     return a, b, c, d
 
 

@@ -116,7 +116,8 @@ def test_tables_of_a_drive_with_all_errors_keep_their_accuracy_over_the_whole_pe
     errors = tables.compare(made, pair, surface, 20000, seed=7)
     torques = np.array([-1.0, 1.0]) * 181.0
     error = solve(pair, surface, torques, np.linspace(0.0, made.period, 20000)).transmission_error
-    size = len(zlib.compress(tables.write(made, 0, variables(pair, surface, INTERFACES["kinematic"], "2.0"))))
+    kind = INTERFACES["kinematic"]
+    size = len(zlib.compress(tables.write(made, kind, variables(pair, surface, kind, "2.0"))))
     record_property("native TE with all errors, largest error", f"{errors['deviation_largest'] / ARCSEC:.4f}″")
     record_property("its tables in the FMU", f"{size / 1e6:.2f} MB")
     assert errors["deviation_largest"] < max(0.02 * ARCSEC, 1e-3 * np.ptp(error, axis=1).max())
