@@ -328,10 +328,6 @@ def build(
         raise edge.InputError("--platform: only a --native FMU has platforms; one in Python runs where Python does.")
     stage = None
     if edge.format_of(pair_file) == rv.FORMAT:
-        if native:
-            raise edge.InputError(
-                f"{pair_file}: --native is for a gear pair; an RV reducer has an FMU in Python alone."
-            )
         reducer = rv.read_reducer(pair_file)
         for warning in rv.contradictions(reducer, str(pair_file)):
             typer.echo(warning, err=True)
@@ -390,7 +386,9 @@ def _build_from_tables(
             made = compute(pair, surface, **told)
             build_fmu(pair, surface, output, stage, interface=interface, fmi_version=fmi, tables=made)
         else:
-            made = build_native(pair, surface, output, interface, fmi, platforms=names, compiled=compiled, **told)
+            made = build_native(
+                pair, surface, output, interface, fmi, stage, platforms=names, compiled=compiled, **told
+            )
     typer.echo(
         f"{output}: {output.stat().st_size / 1e6:.2f} MB, up to {made.positive.load[-1]:.5g} N*m; transmission error "
         f"within {made.error['deviation_largest'] * edge.ARCSEC:.3f} arcsec of the exact model "

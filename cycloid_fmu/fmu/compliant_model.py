@@ -121,7 +121,7 @@ class CompliantModel(DriveModel):
             if interference == 0.0:
                 self._side = 1.0 if deviation >= 0.5 * (low + high) else -1.0
                 flange += self._shift(self._side)
-                rate = self._shift_rate(self._side)
+                rate = self._shift_rate(self._side, self._teeth, theta)
         self._x, self._stiffness, energy, by_angle, by_rotation = self._teeth.press(
             theta, flange, self.series_compliance, self._x
         )

@@ -85,7 +85,7 @@ class DriveModel:
 
     def _rebuild(self) -> None:
         self._teeth = self._made_teeth()
-        self._x, self._stiffness, self._load = 0.0, 0.0, 0.0
+        self._x, self._stiffness = 0.0, 0.0
         self._pushed = self._side = 0.0
         self._forget()
 
@@ -154,15 +154,24 @@ class DriveModel:
         low, high, interference = self._solve_play()
         return 0.5 * side * (high - low) if interference == 0.0 else 0.0
 
-    def _shift_rate(self, side: float) -> float:
+    def _shift_rate(self, side: float, teeth: Teeth, theta: float) -> float:
         """Change of `_shift` with the crank's angle (1)."""
         if self.backlash_on:
             return 0.0
-        low, high, interference = self._solve_play()
+        low, high, interference = self._solve_play() if theta == self._theta else teeth.play(theta, self._x)
         if interference > 0.0:
             return 0.0
-        theta, rate = self._theta, self._teeth.touch_rate
-        return 0.5 * side * (rate(theta, high, 1.0) - rate(theta, low, -1.0))
+        return 0.5 * side * (teeth.touch_rate(theta, high, 1.0) - teeth.touch_rate(theta, low, -1.0))
+
+    def _pressed(self, teeth: Teeth, theta: float, x: float) -> tuple[float, float]:
+        """Torque of the crank by teeth in contact, and dφ_b/dθ at constant torque."""
+        torque, rate = teeth.crank_side(theta, x)
+        if not self.backlash_on:
+            # The flange is pressed by its deviation and by the play that is not there.
+            gone = self._shift_rate(self._side, teeth, theta)
+            torque += gone * teeth.torque
+            rate -= gone
+        return torque, rate
 
     def _elastic(self, torque: float, end: float) -> float:
         """Flange deviation at a torque through the teeth; at torque 0 the given end of the play (-1, 0, 1)."""
@@ -171,10 +180,10 @@ class DriveModel:
             if interference == 0.0:
                 self._side = end
                 self._x = 0.5 * (low + high) + 0.5 * end * (high - low)
-                self._stiffness, self._load = 0.0, 0.0
+                self._stiffness = 0.0
                 return self._x - self._shift(end)
         self._x, self._stiffness = self._teeth.equilibrium(self._theta, torque, self._x)
-        self._load, self._side = torque, math.copysign(1.0, torque)
+        self._side = math.copysign(1.0, torque)
         return self._x + self.series_compliance * torque - self._shift(self._side)
 
     def _hold(self, deviation: float) -> None:
@@ -184,7 +193,6 @@ class DriveModel:
             self._side = 1.0 if deviation > 0.5 * (low + high) else -1.0
             deviation += self._shift(self._side)
         self._x, self._stiffness = self._teeth.behind(self._theta, deviation, self.series_compliance, self._x)
-        self._load = (deviation - self._x) / self.series_compliance if self.series_compliance > 0.0 else math.nan
 
     def forget_history(self) -> None:
         """Make the next step start without history: at zero torque from the middle of the play."""
@@ -224,7 +232,7 @@ class DriveModel:
 
     # What a step changes besides the teeth.
     _MOVED: tuple[str, ...] = (
-        "_theta", "_x", "_stiffness", "_load", "_pushed", "_side", "_play", "_crank", "_sharing",
+        "_theta", "_x", "_stiffness", "_pushed", "_side", "_play", "_crank", "_sharing",
     )  # fmt: skip
 
     def _move(self, step: float) -> None:
@@ -272,18 +280,12 @@ class DriveModel:
         if self._crank is None:
             self._settle()
             if self._stiffness > 0.0:
-                torque, rate = self._teeth.crank_side(self._theta, self._x)
-                if not self.backlash_on:
-                    # The flange is pressed by its deviation and by the play that is not there.
-                    gone = self._shift_rate(self._side)
-                    torque += gone * self._teeth.torque
-                    rate -= gone
-                self._crank = torque, rate
+                self._crank = self._pressed(self._teeth, self._theta, self._x)
             elif self.backlash_on:
                 self._crank = 0.0, self._teeth.touch_rate(self._theta, self._x, self._pushed)
             else:
                 rate = self._teeth.touch_rate(self._theta, self._solve_play()[1], 1.0)
-                self._crank = 0.0, rate - self._shift_rate(1.0)
+                self._crank = 0.0, rate - self._shift_rate(1.0, self._teeth, self._theta)
         return self._crank
 
     @property
@@ -358,7 +360,7 @@ class DriveModel:
     _STATE: tuple[str, ...] = (
         "crank_angle", "crank_speed", "torque", "friction_torque", "series_compliance", "_output_angle", "_deviation",
         "_theta",
-        "_x", "_stiffness", "_load", "_pushed", "_side", "backlash_on",
+        "_x", "_stiffness", "_pushed", "_side", "backlash_on",
     )  # fmt: skip
 
     # What was found from the state since; kept with it so that reading an output is the same before and after.

@@ -20,8 +20,10 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from cycloid_fmu import __version__, edge
 from cycloid_fmu.fmu import tables
+from cycloid_fmu.fmu.build import checked_interface
 from cycloid_fmu.fmu.description import Version, model_structure, model_variables, unit_definitions
 from cycloid_fmu.fmu.parts import parts
+from cycloid_fmu.fmu.reducer_model import FirstStage
 from cycloid_fmu.fmu.table_teeth import TABLE
 from cycloid_fmu.fmu.variables import Interface, Variable, from_tables, variables
 from cycloid_fmu.pair import Pair
@@ -221,6 +223,7 @@ def build_native(
     path: str | os.PathLike[str],
     interface: Interface = Interface(),
     version: Version = "2.0",
+    first_stage: FirstStage | None = None,
     *,
     platforms: Sequence[str] = (),
     made: tables.Tables | None = None,
@@ -239,6 +242,8 @@ def build_native(
         The FMU file.
     interface, version
         What it offers, and of which FMI.
+    first_stage
+        What makes the drive an RV reducer, whose input is the sun.
     platforms
         Keys of `PLATFORMS`; all that the version knows where empty.
     made
@@ -251,8 +256,9 @@ def build_native(
     Raises
     ------
     edge.InputError
-        If the folder does not exist, or a platform can't be built for.
+        If the folder does not exist, a platform can't be built for, or interface and first stage don't go together.
     """
+    interface = checked_interface(interface, first_stage)
     names = tuple(dict.fromkeys(platforms)) or platforms_of(version)
     for name in names:
         _compiler(name)
@@ -263,7 +269,7 @@ def build_native(
         if made is None:
             made = tables.compute(pair, surface, workers=workers, total=total, progress=progress)
         table = variables(pair, surface, interface, version)
-        plain = tables.write(made, interface, table)
+        plain = tables.write(made, interface, table, first_stage=first_stage)
         token = f"{{{uuid.uuid5(_SPACE, __version__ + hashlib.sha256(plain).hexdigest())}}}"
         contents = {
             "modelDescription.xml": _xml(_description(version, token, table, interface, made)),

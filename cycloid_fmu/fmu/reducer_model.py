@@ -112,11 +112,10 @@ class ReducerModel(DriveModel):
             following = side * self._outer + self._s * (self._x - self._shift(side))
             before = crank_torque
             if self._stiffness > 0.0:
-                crank_torque, _ = self._teeth.crank_side(self._theta, self._x)
+                crank_torque, _ = self._pressed(self._teeth, self._theta, self._x)
             moved, deviation = abs(following - deviation), following
             if moved < _STEP and abs(crank_torque - before) <= 1e-12 * abs(torque):
                 break
-        self._load = torque
         return deviation + self.series_compliance * torque
 
     def _hold(self, deviation: float) -> None:
@@ -131,24 +130,22 @@ class ReducerModel(DriveModel):
         beyond = abs(deviation - self._s * (high if side > 0.0 else low)) - self._outer
         if self._s * low <= deviation <= self._s * high or beyond <= 0.0:
             self._x = min(max(deviation / self._s, low), high)
-            self._stiffness, self._load = 0.0, 0.0
+            self._stiffness = 0.0
             return
         self._turn_crank(deviation, side)
         self._side = side
         flange = (deviation - side * self._outer) / self._s + self._shift(side)
         compliance = self.series_compliance / self._s**2
         self._x, self._stiffness = self._teeth.behind(self._theta, flange, compliance, self._x)
-        self._load = (flange - self._x) * self._s / self.series_compliance if compliance > 0.0 else math.nan
 
     def _crank_torque_rate(self) -> float:
         """Change of the crank's torque with its angle at constant torque on the gear, N·m/rad."""
         if self._torque_rate is None:
-            gear_torque = self._load - self._a * self._crank_side()[0]
-            teeth, found = self._teeth.copy(), []
+            gear_torque, teeth, found = self._teeth.torque, self._teeth.copy(), []
             for step in (-_DIFFERENCE, _DIFFERENCE):
                 theta = self._theta + step
                 x, _ = teeth.equilibrium(theta, gear_torque, self._x)
-                found.append(teeth.crank_side(theta, x)[0])
+                found.append(self._pressed(teeth, theta, x)[0])
             self._torque_rate = (found[1] - found[0]) / (2.0 * _DIFFERENCE)
         return self._torque_rate
 
@@ -173,9 +170,7 @@ class ReducerModel(DriveModel):
         if self._stiffness <= 0.0:
             return 0.0
         turned = 1.0 - self._a * self._crank_side()[1]
-        stiffness = self._stiffness * turned**2
-        if not math.isnan(self._load):
-            stiffness += self._a**2 * self._crank_torque_rate()
+        stiffness = self._stiffness * turned**2 + self._a**2 * self._crank_torque_rate()
         return 1.0 / (1.0 / stiffness + self.series_compliance)
 
     @property

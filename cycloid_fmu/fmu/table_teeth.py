@@ -2,8 +2,8 @@
 
 Everything lies in two arrays, for each further argument of a kernel is time at every step. `numbers`: ratio, period,
 crank angles, loads of both directions and whether there is a torque at rest; the loads; the deviation's integral over
-the load up to each node; torque and energy at rest. `values`, of each direction: deviation, compliance, pressure over
-the root of the load and contact count. The loads of one crank angle stand side by side.
+the load up to each node; torque and energy at rest. `values`, of each direction: deviation, compliance, square of the
+largest pressure and contact count. The loads of one crank angle stand side by side.
 """
 
 from __future__ import annotations
@@ -26,10 +26,11 @@ _Weights = tuple[float, float, float, float]
 _Place = tuple[_Nodes, _Weights, _Weights, float]
 
 TABLE = "drive.table"  # in an FMU's resources
-MAGIC, VERSION = b"cycltab\n", 1
+MAGIC, VERSION = b"cycltab\n", 2
 HEAD = struct.Struct("<8sIIQQ")  # magic, version, nothing, size of the file, hash of the rest
 MOST_LOADS = 192  # of one direction; table.h has the same
 NO_PLAY = 1e-13  # rad
+_LEAST_COMPLIANCE = 1e-12  # rad/(N·m): between nodes a table may have none
 _FIRST = 6  # number of the loads' first
 _CHANNELS = 4  # of each direction
 
@@ -127,7 +128,8 @@ def _read_body(reader: _Reader) -> Interpolation:
         reader.text()
         *_, size = reader.numbers("BBBBddI")
         reader.take(8 * size)
-    ratio, period, _, angles, *loads = reader.numbers("dddIII")
+    ratio, period, *_, angles, positive, negative = reader.numbers("7dIII")
+    loads = positive, negative
     if not (abs(ratio) >= 1.0 and 0.0 < period < 1e6 and 4 <= angles <= 10**8 and min(loads) >= 2):
         raise ValueError
     sides = [_read_side(reader, angles, count) for count in loads]
@@ -329,8 +331,12 @@ def loaded(numbers: Array, values: Array32, theta: float, torque: float) -> tupl
     deviation, rate, compliance = _at(numbers, values, place, side, load)
     by_angle = _energy(numbers, values, place, side, load)[1]
     crank_torque = _rest_torque(numbers, place) - torque / numbers[0] - by_angle
-    stiffness = 1.0 / compliance if compliance > 0.0 else 0.0
-    return direction * deviation, stiffness, crank_torque, direction * rate + 1.0 / numbers[0]
+    return (
+        direction * deviation,
+        1.0 / max(compliance, _LEAST_COMPLIANCE),
+        crank_torque,
+        direction * rate + 1.0 / numbers[0],
+    )
 
 
 @compiled
@@ -415,13 +421,11 @@ def sharing(numbers: Array, values: Array32, theta: float, torque: float) -> tup
     j = _cell(numbers, first, loads, load)
     low, high = numbers[first + j], numbers[first + j + 1]
     u, pressure = (load - low) / (high - low), begin + 2 * size + j
-    found = math.sqrt(load) * (
-        (1.0 - u) * _blend(values, pressure, loads, nodes, weights)
-        + u * _blend(values, pressure + 1, loads, nodes, weights)
-    )
+    square = (1.0 - u) * _blend(values, pressure, loads, nodes, weights)
+    square += u * _blend(values, pressure + 1, loads, nodes, weights)
     nearest = j + 1 if 2.0 * load > low + high or j == 0 else j
     count = values[begin + 3 * size + nodes[1 if s < 0.5 else 2] * loads + nearest]
-    return int(count), max(found, 0.0)
+    return int(count), math.sqrt(max(square, 0.0))
 
 
 class TableTeeth:
@@ -491,8 +495,6 @@ class TableTeeth:
 
     def sharing(self, theta: float) -> tuple[int, float]:
         """As of `Teeth`."""
-        if self.torque == 0.0:
-            return 0, 0.0
         return sharing(self._numbers, self._values, theta, self.torque)
 
     def pin_force(self) -> list[float]:

@@ -10,7 +10,8 @@ so that the torques of both flanges are the derivatives of one elastic energy, T
 own error, and no path makes or loses energy. Between the two sides at zero torque lies the play.
 
 The file, little endian: magic, version, size and hash (FNV-1a, 64 bits) of the rest; then the FMU's token, interface
-and variables; ratio, period, torques and channels: second differences of whole multiples of a step, seven bits a byte.
+and variables; ratio, period, what stands before the drive, torques and channels: second differences of whole multiples
+of a step, seven bits a byte.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import interpolate, ndimage
 
 from cycloid_fmu import contact
+from cycloid_fmu.fmu.reducer_model import FirstStage
 from cycloid_fmu.fmu.table_teeth import HEAD, MAGIC, MOST_LOADS, VERSION, Interpolation, fnv1a, loaded, read, sharing
 from cycloid_fmu.fmu.variables import Interface, Variable
 from cycloid_fmu.pair import Pair
@@ -47,6 +49,7 @@ _SHARES = (0.65, 0.4, 0.2)  # of the allowed error for the loads, and as much fo
 _SPREAD = 1000  # random crank angles at which the loads are chosen
 _FIRST_SLOPE = 0.125  # of the first torque: where the slope at zero load is taken, which Hertz's logarithm has infinite
 _STEPS = 24  # steps of the stored deviation in what it may err
+_COMPLIANCE_SHARE = 0.02  # largest step of the stored compliance, of its mean
 PROBES = 20000  # random crank angles and torques at which the finished tables are held against the model
 
 
@@ -62,7 +65,7 @@ class Side:
         Spline coefficients over the crank angle of the deviation times the direction (rad) and of its derivative by
         the load (rad/(N·m)), shape (loads, angles).
     pressure
-        Likewise of the largest contact pressure over the root of the load, Pa/(N·m)^½; at load 0 as at the next.
+        Likewise of the largest contact pressure's square, Pa²: force, so nearly linear in the load.
     contact_count
         Pins in contact at the nodes, shape (loads, angles).
     steps
@@ -157,13 +160,11 @@ def _solved(
 ) -> _Solved:
     """Solve the model at loads, the first of which may be 0: the end of the play, or the rest without one."""
     slices = slices_needed(surface)
-    at_rest = loads[0] == 0.0
     parts = []
     for k, load in enumerate(loads):
         signed = direction * float(load)
         one = solve(pair, surface, [signed], angles, slices, with_play=load == 0.0, workers=workers, progress=progress)
         x, stiffness = direction * one.transmission_error[0], one.torsional_stiffness[0]
-        pressure = one.max_contact_pressure[0] / math.sqrt(load) if load > 0.0 else np.zeros(angles.size)
         if load == 0.0:
             free = one.interference == 0.0
             end = direction * (one.play_high if direction > 0.0 else one.play_low)
@@ -174,11 +175,15 @@ def _solved(
                     workers=workers,
                 )  # fmt: skip
                 stiffness = np.where(free, near.torsional_stiffness[0], stiffness)
-        parts.append((x, 1.0 / stiffness, pressure, np.minimum(one.contact_count[0], 255).astype(np.uint8)))
-    found = [np.array(p) for p in zip(*parts, strict=True)]
-    if at_rest and loads.size > 1:
-        found[2][0] = found[2][1]
-    return _Solved(*found)
+        parts.append(
+            (
+                x,
+                1.0 / stiffness,
+                np.square(one.max_contact_pressure[0]),
+                np.minimum(one.contact_count[0], 255).astype(np.uint8),
+            )
+        )
+    return _Solved(*(np.array(p) for p in zip(*parts, strict=True)))
 
 
 def _hermite(share: ArrayLike, width: ArrayLike) -> tuple[Array, Array, Array, Array]:
@@ -254,8 +259,9 @@ def _side(loads: Array, exact: _Solved, allowed: float) -> Side:
     h = np.diff(loads)
     widest = np.maximum(np.append(h[:1], h), np.append(h, h[-1:]))
     steps = (
-        np.full(loads.size, allowed / _STEPS), 4.0 * allowed / _STEPS / widest,
-        np.full(loads.size, 1e-3 * float(exact.pressure.max())),
+        np.full(loads.size, allowed / _STEPS),
+        np.minimum(4.0 * allowed / _STEPS / widest, _COMPLIANCE_SHARE * np.abs(exact.compliance).mean(axis=1)),
+        1e-3 * np.maximum(exact.pressure.max(axis=1), 1.0),
     )  # fmt: skip
     fine, c_fine, p_fine = (s[:, None] for s in steps)
     x = np.maximum.accumulate(np.round(_coefficients(exact.deviation) / fine), axis=0) * fine
@@ -347,7 +353,13 @@ def compute(
     return tables
 
 
-def write(tables: Tables, interface: Interface, variables: Sequence[Variable], token: str = "") -> bytes:
+def write(
+    tables: Tables,
+    interface: Interface,
+    variables: Sequence[Variable],
+    token: str = "",
+    first_stage: FirstStage | None = None,
+) -> bytes:
     """Return the file that FMUs from tables read.
 
     Parameters
@@ -358,6 +370,8 @@ def write(tables: Tables, interface: Interface, variables: Sequence[Variable], t
         The FMU's variables; the place of each is its value reference.
     token
         The `guid` or `instantiationToken` of a native FMU.
+    first_stage
+        What makes the drive an RV reducer.
     """
     offered = 0 if interface.kind == "kinematic" else 1 if interface.output_inertia == 0.0 else 2
     body = bytearray(_text(token) + struct.pack("<II", offered, len(variables)))
@@ -370,7 +384,9 @@ def write(tables: Tables, interface: Interface, variables: Sequence[Variable], t
         body += struct.pack("<BBddI", v.baked, v.variability == "fixed", *limits, start.size) + start.tobytes()
     sides = (tables.positive, tables.negative)
     angles = tables.rest_torque.size
-    body += struct.pack("<dddIII", tables.ratio, tables.period, tables.allowed, angles, *(s.load.size for s in sides))
+    stage = (0.0, 0.0, 0.0, 0.0) if first_stage is None else dataclasses.astuple(first_stage)
+    numbers = (tables.ratio, tables.period, tables.allowed, *stage)
+    body += struct.pack("<7dIII", *numbers, angles, *(s.load.size for s in sides))
     for side in sides:
         body += side.load.astype("<f8").tobytes()
         kinds: tuple[NDArray[Any], ...] = (side.deviation, side.compliance, side.pressure, side.contact_count)
