@@ -421,13 +421,42 @@ def test_importers_see_the_same_trajectory(built, unpacked, host, importer, vers
     assert (np.abs(found - rows[:, 4:]) <= 1e-12 * np.abs(rows[:, 4:]).max(axis=0)).all()
 
 
-def test_reference_results_are_met(unpacked, host):
-    """The results that lie in the repository (of the FMI Cross-Check's form), within the accuracy of the tables."""
+@pytest.fixture(scope="module")
+def reference():
+    """The results that lie in the repository, in the form of the FMI Cross-Check."""
     with (HERE / "kinematic_ref.csv").open(encoding="utf-8") as file:
         assert file.readline().strip() == ",".join(f'"{name}"' for name in COLUMNS)
-        reference = rows_of(file.read())
+        return dict(zip(COLUMNS, rows_of(file.read()).T, strict=True))
+
+
+def test_reference_results_are_met(unpacked, host, reference):
     found = rows_of(host(unpacked(), "run", 800))
-    assert np.abs(found - reference)[:, [4, 7]].max() < 0.04 * ARCSEC
+    for place, name in ((4, "flange_b.phi"), (7, "transmission_error")):
+        assert np.abs(found[:, place] - reference[name]).max() < 0.04 * ARCSEC
+
+
+def test_reference_results_are_the_exact_analysis(drive, reference):
+    """Loaded, each row is the contact's solution at its angle and torque, whose steps never were in a table.
+
+    At zero torque the output lies between the ends of the play, and stands where it stood or on the end that came by.
+    """
+    angle, torque, error = (reference[n] for n in ("flange_a.phi", "flange_b.tau", "transmission_error"))
+    output = reference["flange_b.phi"]
+    np.testing.assert_allclose(output, angle / drive.pair.ratio + error, rtol=0.0, atol=1e-12)
+    within = 0.02 * ARCSEC
+    for i, (place, load) in enumerate(zip(angle, torque, strict=True)):
+        exact = solve(drive.pair, drive.surface, load, place)
+        low, high = float(exact.play_low[0]), float(exact.play_high[0])
+        assert reference["backlash"][i] == pytest.approx(high - low, abs=2.0 * within)
+        if load != 0.0:
+            assert error[i] == pytest.approx(float(exact.transmission_error[0, 0]), abs=within)
+            pressure = float(exact.max_contact_pressure[0, 0])
+            assert reference["max_contact_pressure"][i] == pytest.approx(pressure, rel=0.02)
+        else:
+            assert low - within <= error[i] <= high + within
+            still = abs(output[i] - output[i - 1]) < 1e-12
+            assert still or min(abs(error[i] - low), abs(error[i] - high)) < within or i == 0
+    assert np.count_nonzero(np.diff(np.sign(torque[torque != 0.0]))) >= 2  # reversals
 
 
 # --- history ---
