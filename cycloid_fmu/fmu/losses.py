@@ -39,7 +39,10 @@ def loss_torque(table: Sequence[Row], speed: float, torque: float) -> float:
     """
     if speed == 0.0:
         return 0.0
-    forward, backward, friction_forward, friction_backward = interpolated(table, speed)
+    # With one row, which holds everywhere, nothing is interpolated: this is asked at every step.
+    forward, backward, friction_forward, friction_backward = (
+        table[0][1:] if len(table) == 1 else interpolated(table, speed)
+    )
     if torque * speed >= 0.0:
         lost = abs(torque) * (1.0 / forward - 1.0) + friction_forward
     else:

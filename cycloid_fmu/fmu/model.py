@@ -163,8 +163,9 @@ class DriveModel:
             return 0.0
         return 0.5 * side * (teeth.touch_rate(theta, high, 1.0) - teeth.touch_rate(theta, low, -1.0))
 
-    def _pressed(self, teeth: Teeth, theta: float, x: float) -> tuple[float, float]:
-        """Torque of the crank by teeth in contact, and dφ_b/dθ at constant torque."""
+    def _pressed(self, theta: float, x: float, teeth: Teeth | None = None) -> tuple[float, float]:
+        """Torque of the crank by teeth in contact, the model's own or others, and dφ_b/dθ at constant torque."""
+        teeth = teeth or self._teeth
         torque, rate = teeth.crank_side(theta, x)
         if not self.backlash_on:
             # The flange is pressed by its deviation and by the play that is not there.
@@ -184,7 +185,8 @@ class DriveModel:
                 return self._x - self._shift(end)
         self._x, self._stiffness = self._teeth.equilibrium(self._theta, torque, self._x)
         self._side = math.copysign(1.0, torque)
-        return self._x + self.series_compliance * torque - self._shift(self._side)
+        deviation = self._x + self.series_compliance * torque
+        return deviation if self.backlash_on else deviation - self._shift(self._side)
 
     def _hold(self, deviation: float) -> None:
         """Find the teeth's state when the flange stands still at a deviation inside the hysteresis."""
@@ -237,7 +239,7 @@ class DriveModel:
 
     def _move(self, step: float) -> None:
         self._theta = self._reduced(self.crank_angle)
-        self._forget()
+        self._play = self._crank = self._sharing = None
         ideal = self.crank_angle / self._ratio
         if self._output_angle is None:
             deviation = self._elastic(self.torque, 0.0)
@@ -278,9 +280,11 @@ class DriveModel:
 
     def _crank_side(self) -> tuple[float, float]:
         if self._crank is None:
-            self._settle()
+            if self._output_angle is None:
+                self._settle()
             if self._stiffness > 0.0:
-                self._crank = self._pressed(self._teeth, self._theta, self._x)
+                pressed = self._teeth.crank_side if self.backlash_on else self._pressed
+                self._crank = pressed(self._theta, self._x)
             elif self.backlash_on:
                 self._crank = 0.0, self._teeth.touch_rate(self._theta, self._x, self._pushed)
             else:

@@ -112,7 +112,7 @@ class ReducerModel(DriveModel):
             following = side * self._outer + self._s * (self._x - self._shift(side))
             before = crank_torque
             if self._stiffness > 0.0:
-                crank_torque, _ = self._pressed(self._teeth, self._theta, self._x)
+                crank_torque, _ = self._pressed(self._theta, self._x)
             moved, deviation = abs(following - deviation), following
             if moved < _STEP and abs(crank_torque - before) <= 1e-12 * abs(torque):
                 break
@@ -145,7 +145,7 @@ class ReducerModel(DriveModel):
             for step in (-_DIFFERENCE, _DIFFERENCE):
                 theta = self._theta + step
                 x, _ = teeth.equilibrium(theta, gear_torque, self._x)
-                found.append(self._pressed(teeth, theta, x)[0])
+                found.append(self._pressed(theta, x, teeth)[0])
             self._torque_rate = (found[1] - found[0]) / (2.0 * _DIFFERENCE)
         return self._torque_rate
 
