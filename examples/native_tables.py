@@ -48,9 +48,7 @@ for name, surface in drives.items():
     for asked, size, error in zip(ASKED, sizes, errors, strict=True):
         axes.annotate(f"{asked:g}″", (size, error), xytext=(5, 4), textcoords="offset points", fontsize=8, color="0.3")
 axes.axhline(0.02, color="0.6", lw=0.8)
-axes.text(
-    1.0, 0.02, "what FMUs are built to ", transform=axes.get_yaxis_transform(), ha="right", va="bottom", color="0.4"
-)
+axes.text(0.01, 0.02, "what FMUs are built to", transform=axes.get_yaxis_transform(), va="bottom", color="0.4")
 for axis, ticks in ((axes.xaxis, (1, 3, 10, 30, 100, 300, 1000)), (axes.yaxis, (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1))):
     axis.set_major_locator(FixedLocator(ticks))
     axis.set_major_formatter("{x:g}")

@@ -7,7 +7,7 @@ import fmpy
 import numpy as np
 import pytest
 from c_host import INTERFACES
-from common import ARCSEC
+from common import ARCSEC, EXAMPLES
 from fmpy.validation import validate_fmu
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -136,6 +136,16 @@ def test_a_state_repeats_the_same_bits_in_another_instance(core, kind):
         wanted = walk(one, 1)
         other.restore(state_from_bytes(blob))
         assert walk(other, 1) == wanted
+
+
+def test_the_command_builds_it_and_says_how_good_the_tables_are(command, drive, tmp_path, monkeypatch):
+    monkeypatch.setattr(tables, "compute", lambda *drive_, **told: drive.tables)
+    done = command("cycloid-fmu", "build", EXAMPLES / "drive-39-40.toml", "--tables", "-o", "drive.fmu")
+    assert done.returncode == 0
+    assert "up to 452.5 N*m; transmission error within 0.0" in done.stdout
+    with zipfile.ZipFile(tmp_path / "drive.fmu") as archive:
+        data = archive.read(f"resources/{table_teeth.TABLE}")
+    assert table_teeth.read(data, "drive.table").largest == (452.5, 452.5)
 
 
 # --- the table's file ---
