@@ -500,6 +500,19 @@ def test_random_steps_with_nonsense_among_them_bring_no_number_that_is_none(unpa
     assert "20000 steps" in host(unpacked(kind, version), "random", 20000)
 
 
+@pytest.mark.parametrize("made", ["reducer", "pressed"])
+def test_nonsense_and_rollback_with_a_first_stage_or_interference(request, host, tmp_path, made):
+    path = request.getfixturevalue(made).path
+    folder = tmp_path / "unpacked"
+    fmpy.extract(str(path), unzipdir=str(folder))
+    fmu = SimpleNamespace(
+        version="2.0", kind="kinematic", uri=(folder / "resources").as_uri(),
+        guid=fmpy.read_model_description(str(path)).guid, library=folder / "binaries" / "linux64" / "CycloidDrive.so",
+    )  # fmt: skip
+    assert "5000 steps" in host(fmu, "random", 5000)
+    assert "100 states restored" in host(fmu, "rollback", 100)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "version"), EACH)
 def test_many_random_steps(unpacked, host, kind, version):
