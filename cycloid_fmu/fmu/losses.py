@@ -47,6 +47,8 @@ def loss_torque(table: Sequence[Row], speed: float, torque: float) -> float:
         lost = abs(torque) * (1.0 / forward - 1.0) + friction_forward
     else:
         lost = abs(torque) * (1.0 - backward) + friction_backward
+    if lost == 0.0:
+        return 0.0
     return math.copysign(lost * min(1.0, abs(speed) / LOSS_SPEED), speed)
 
 
