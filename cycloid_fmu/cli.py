@@ -8,7 +8,7 @@ import math
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cycloid_fmu.fmu.description import Version
+    from cycloid_fmu.fmu.reducer_model import FirstStage
     from cycloid_fmu.fmu.variables import Interface
     from cycloid_fmu.pair import Pair
     from cycloid_fmu.surface import ErrorSurface
@@ -292,8 +293,12 @@ def build(
         ),
     ] = None,
     fmi: Annotated[str, typer.Option(help="FMI version, 2.0 or 3.0.")] = "2.0",
+    tables: Annotated[
+        bool,
+        typer.Option("--tables", help="Interpolate tables of the contact model: faster, but errors are not tunable."),
+    ] = False,
     native: Annotated[
-        bool, typer.Option("--native", help="An FMU that needs no Python: C around tables of the contact model.")
+        bool, typer.Option("--native", help="An FMU that needs no Python: C around the same tables.")
     ] = False,
     platforms: Annotated[
         list[str] | None,
@@ -317,15 +322,12 @@ def build(
     if fmi not in ("2.0", "3.0"):
         raise edge.InputError(f"--fmi = {fmi}: it must be 2.0 or 3.0.")
     inertia = 0.0 if output_inertia is None else edge.quantity_option(output_inertia, "kg*m^2", "--output-inertia")
-    table = LOSSLESS if losses is None else builder.read_losses(losses)
-    offered = Interface(interface, inertia, table)  # type: ignore[arg-type]
+    rows = LOSSLESS if losses is None else builder.read_losses(losses)
+    offered = Interface(interface, inertia, rows)  # type: ignore[arg-type]
     if platforms and not native:
         raise edge.InputError("--platform: only a --native FMU has platforms; one in Python runs where Python does.")
+    stage = None
     if edge.format_of(pair_file) == rv.FORMAT:
-        if native:
-            raise edge.InputError(
-                f"{pair_file}: --native is for a gear pair; an RV reducer has an FMU in Python alone."
-            )
         reducer = rv.read_reducer(pair_file)
         for warning in rv.contradictions(reducer, str(pair_file)):
             typer.echo(warning, err=True)
@@ -333,56 +335,60 @@ def build(
         if surface_file is not None:
             surface = read_surface(surface_file)
             check_surface(reducer.stage, surface, str(pair_file), str(surface_file))
-        stage = rv.first_stage_of(reducer)
-        builder.build_fmu(reducer.stage, surface, output, stage, interface=offered, fmi_version=fmi)  # type: ignore[arg-type]
+        pair, stage = reducer.stage, rv.first_stage_of(reducer)
+    else:
+        pair, surface = _load(pair_file, surface_file)
+    offered = builder.checked_interface(offered, stage)
+    if native or tables:
+        names = None if not native else platforms or []
+        _build_from_tables(pair_file, pair, surface, output, stage, offered, fmi, names)  # type: ignore[arg-type]
         return
-    pair, surface = _load(pair_file, surface_file)
-    if native:
-        _build_native(pair_file, pair, surface, output, builder.checked_interface(offered, None), fmi, platforms or [])  # type: ignore[arg-type]
-        return
-    builder.build_fmu(pair, surface, output, interface=offered, fmi_version=fmi)  # type: ignore[arg-type]
+    builder.build_fmu(pair, surface, output, stage, interface=offered, fmi_version=fmi)  # type: ignore[arg-type]
 
 
-def _build_native(
+def _build_from_tables(
     pair_file: Path,
     pair: Pair,
     surface: ErrorSurface,
     output: Path,
+    stage: FirstStage | None,
     interface: Interface,
     fmi: Version,
-    names: list[str],
+    platforms: list[str] | None,
 ) -> None:
-    """Build a native FMU and say how good its tables are."""
+    """Build an FMU from tables, native where platforms are given (all, if none is named), and say how good it is."""
     from rich.progress import Progress
 
+    from cycloid_fmu.fmu.build import build_fmu
     from cycloid_fmu.fmu.native_build import build_native, platforms_of
-    from cycloid_fmu.fmu.tables import LARGEST_LOAD, PROBES
+    from cycloid_fmu.fmu.tables import LARGEST_LOAD, PROBES, compute
 
     if pair.pair.rated_torque is None:
         raise edge.InputError(
-            f"{pair_file}: [pair] rated_torque is missing; a native FMU's tables reach {LARGEST_LOAD:g} times as far."
+            f"{pair_file}: [pair] rated_torque is missing; an FMU's tables reach {LARGEST_LOAD:g} times as far."
         )
-    names = names or list(platforms_of(fmi))
     with Progress(transient=True) as bar:
-        libraries = bar.add_task(f"compiling for {names[0]}", total=len(names))
+        if platforms is not None:
+            names = platforms or list(platforms_of(fmi))
+            libraries = bar.add_task(f"compiling for {names[0]}", total=len(names))
         angles = bar.add_task("crank angles", total=None)
 
         def compiled(name: str) -> None:
             following = names[names.index(name) + 1 :]
             bar.update(libraries, advance=1, description=f"compiling for {following[0]}" if following else "compiled")
 
-        made = build_native(
-            pair,
-            surface,
-            output,
-            interface,
-            fmi,
-            platforms=names,
-            workers=os.cpu_count() or 1,
-            total=lambda count: bar.update(angles, total=count, completed=0),
-            progress=lambda done: bar.advance(angles, done),
-            compiled=compiled,
-        )
+        told: Any = {
+            "workers": os.cpu_count() or 1,
+            "total": lambda count: bar.update(angles, total=count, completed=0),
+            "progress": lambda done: bar.advance(angles, done),
+        }
+        if platforms is None:
+            made = compute(pair, surface, **told)
+            build_fmu(pair, surface, output, stage, interface=interface, fmi_version=fmi, tables=made)
+        else:
+            made = build_native(
+                pair, surface, output, interface, fmi, stage, platforms=names, compiled=compiled, **told
+            )
     typer.echo(
         f"{output}: {output.stat().st_size / 1e6:.2f} MB, up to {made.positive.load[-1]:.5g} N*m; transmission error "
         f"within {made.error['deviation_largest'] * edge.ARCSEC:.3f} arcsec of the exact model "

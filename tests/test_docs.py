@@ -15,7 +15,8 @@ import pytest
 from common import EXAMPLES
 
 from cycloid_fmu.fmu.description import model_variables
-from cycloid_fmu.fmu.native_build import native_variables, this_platform
+from cycloid_fmu.fmu.native_build import this_platform
+from cycloid_fmu.fmu.variables import from_tables
 
 ROOT = EXAMPLES.parent
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "tutorials").glob("*.md")])
@@ -176,7 +177,7 @@ def test_the_reference_has_every_variable_of_every_fmu(tmp_path, monkeypatch):
     for interface, table in variable_reference.tables():
         for version in ("2.0", "3.0"):
             scalars = tuple(v for v in table if version == "3.0" or (not v.dimensions and v.causality != "independent"))
-            native = native_variables(scalars)
+            native = from_tables(scalars)
             for tables, reached in ((dict(enumerate(scalars)), ""), (native, "native")):
                 described = model_variables(tuple(tables.values()), version, tuple(tables))
                 for node in described:

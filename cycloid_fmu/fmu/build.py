@@ -14,7 +14,7 @@ import tempfile
 import zipfile
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,9 +23,12 @@ from cycloid_fmu.fmu.description import Version
 from cycloid_fmu.fmu.losses import check_losses
 from cycloid_fmu.fmu.parts import parts
 from cycloid_fmu.fmu.reducer_model import FirstStage
-from cycloid_fmu.fmu.variables import Interface, LossRow, variables
+from cycloid_fmu.fmu.variables import Interface, LossRow, from_tables, variables
 from cycloid_fmu.pair import Pair
 from cycloid_fmu.surface import DESCRIPTIONS, DEVIATIONS, ErrorSurface, write_surface
+
+if TYPE_CHECKING:
+    from cycloid_fmu.fmu.tables import Tables
 
 _LIBRARIES = {"2.0": "pythonfmu", "3.0": "pythonfmu3"}
 _SCRIPTS = {"2.0": "cycloid_drive.py", "3.0": "cycloid_drive3.py"}
@@ -39,6 +42,7 @@ def build_fmu(
     *,
     interface: Interface | None = None,
     fmi_version: Version = "2.0",
+    tables: Tables | None = None,
 ) -> None:
     """Write a Co-Simulation FMU of the drive that runs in a Python host, whole or not at all.
 
@@ -54,6 +58,8 @@ def build_fmu(
         What the FMU offers; the kinematic interface by default.
     fmi_version
         "2.0" or "3.0".
+    tables
+        What the FMU interpolates instead of solving the contacts; of the pair, without its first stage.
 
     Raises
     ------
@@ -61,8 +67,11 @@ def build_fmu(
         If the folder does not exist, the loss table is none, or the interface and a first stage don't go together.
     """
     from cycloid_fmu.fmu.core import NUMBERS, SURFACE
+    from cycloid_fmu.fmu.table_teeth import TABLE
+    from cycloid_fmu.fmu.tables import write as written
 
     interface = checked_interface(interface or Interface(), first_stage)
+    table = variables(pair, surface, interface, fmi_version)
     library = _LIBRARIES[fmi_version]
     builder: Any = importlib.import_module(f"{library}.builder")
     # An FMU that ran in this process has brought its own copy of the library, which has no binaries for another.
@@ -72,6 +81,7 @@ def build_fmu(
         place = Path(folder)
         numbers: dict[str, object] = {
             "package_version": __version__, "pair": pair.numbers(), "interface": dataclasses.asdict(interface),
+            "tables": "" if tables is None else tables.told,
         }  # fmt: skip
         if first_stage is not None:
             numbers["first_stage"] = dataclasses.asdict(first_stage)
@@ -82,12 +92,16 @@ def build_fmu(
                 arrays.update({f"life_{n}": a for n, a in vars(surface.life).items()})
             np.savez(file, allow_pickle=False, **{n: a for n, a in arrays.items() if a is not None})
         write_surface(surface, place / "surface.nc")
+        files = [NUMBERS, SURFACE, "surface.nc"]
+        if tables is not None:
+            (place / TABLE).write_bytes(written(tables, interface, table))
+            files.append(TABLE)
         script = Path(shutil.copy(Path(__file__).with_name(_SCRIPTS[fmi_version]), place))
         try:
             builder.FmuBuilder.build_FMU(
                 script,
                 dest=place,
-                project_files=[place / NUMBERS, place / SURFACE, place / "surface.nc"],
+                project_files=[place / name for name in files],
                 canGetAndSetFMUstate=True,
                 canSerializeFMUstate=True,
                 canGetAndSetFMUState=True,
@@ -98,9 +112,9 @@ def build_fmu(
             sys.path[:] = [p for p in sys.path if p != str(place)]
             sys.modules.pop(script.stem, None)
         built = place / "CycloidDrive.fmu"
-        table = variables(pair, surface, interface, fmi_version)
+        told = table if tables is None else tuple(from_tables(table).values())
         with zipfile.ZipFile(built, "a", zipfile.ZIP_DEFLATED) as archive:
-            for name, content in parts(pair, interface, table, fmi_version, [library]).items():
+            for name, content in parts(pair, interface, told, fmi_version, [library]).items():
                 archive.writestr(name, content)
         shutil.copyfile(built, temporary)
 

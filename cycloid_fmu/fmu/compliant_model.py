@@ -13,9 +13,10 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from cycloid_fmu import contact
 from cycloid_fmu.fmu.losses import loss_torque
-from cycloid_fmu.fmu.model import DriveModel, StepError
+from cycloid_fmu.fmu.model import DriveModel
+from cycloid_fmu.fmu.table_teeth import Interpolation
+from cycloid_fmu.fmu.teeth import StepError
 from cycloid_fmu.fmu.variables import FRICTION_DISPLACEMENT, LARGEST_STEP, LOSSLESS
 from cycloid_fmu.pair import Pair
 from cycloid_fmu.surface import ErrorSurface
@@ -34,7 +35,7 @@ class CompliantModel(DriveModel):
 
     Parameters
     ----------
-    pair, surface, losses
+    pair, surface, losses, tables
         As of `DriveModel`.
     output_inertia
         Moment of inertia on the output inside, kg·m²; 0 where there is none.
@@ -73,12 +74,13 @@ class CompliantModel(DriveModel):
         surface: ErrorSurface,
         losses: Sequence[Sequence[float]] = LOSSLESS,
         output_inertia: float = 0.0,
+        tables: Interpolation | None = None,
     ) -> None:
         self._held, self.output_inertia = output_inertia == 0.0, output_inertia
         self._bristle = self._seen = 0.0  # how far friction is strained, and the output angle that it has followed to
         self._output_speed = self._load_torque = self.dissipated_energy = 0.0
         self.mesh_damping, self.largest_step = 0.0, LARGEST_STEP
-        super().__init__(pair, surface, losses)
+        super().__init__(pair, surface, losses, tables)
         self._output_angle: float = 0.0
 
     def _rebuild(self) -> None:
@@ -113,20 +115,16 @@ class CompliantModel(DriveModel):
                 f"flange_b.phi is {deviation:g} rad from flange_a.phi/ratio: it must stay within {FARTHEST:g} rad"
             )
         self._forget()
-        self._placed = theta
+        self._theta = theta
         if not self.backlash_on:
             low, high, interference = self._solve_play()
             if interference == 0.0:
                 self._side = 1.0 if deviation >= 0.5 * (low + high) else -1.0
                 flange += self._shift(self._side)
-                rate = self._shift_rate(self._side)
-        self._x, self._stiffness, energy, by_angle, by_rotation = contact.press(
-            self._drive, theta, flange, self.series_compliance, self._x, self._contacts, self._cold
+                rate = self._shift_rate(self._side, self._teeth, theta)
+        self._x, self._stiffness, energy, by_angle, by_rotation = self._teeth.press(
+            theta, flange, self.series_compliance, self._x
         )
-        self._cold = False
-        if not math.isfinite(by_rotation):
-            self._cold = True
-            raise StepError("the contacts could not be solved at this place of the flanges")
         return energy, by_angle + rate * by_rotation, by_rotation
 
     def _damping(self, elastic: float, speed: float) -> float:
@@ -164,7 +162,7 @@ class CompliantModel(DriveModel):
         """Make the next step start without history: friction unstrained and, with an inertia, at rest on the load."""
         self._bristle = self.dissipated_energy = 0.0
         if not self._held:
-            still = DriveModel(self.pair, self.surface)
+            still = DriveModel(self.pair, self.surface, tables=self.tables)
             still.restore({**still.state(), **self._shared(still)})
             still.advance()
             self._output_angle, self._output_speed = still.output_angle, still.output_speed
@@ -180,17 +178,10 @@ class CompliantModel(DriveModel):
         return {**kept, "torque": self._load_torque, "series_compliance": self.series_compliance,
                 "backlash_on": self.backlash_on}  # fmt: skip
 
-    def _before(self) -> tuple[Any, ...]:
-        return tuple(getattr(self, name) for name in self._MOVED)
-
-    def check_step(self, step: float) -> None:
-        """Refuse a step that is none or longer than the largest."""
-        super().check_step(step)
-        if step > self.largest_step * (1.0 + 1e-9):
-            raise StepError(f"a step of {step:g} s: largest_step is {self.largest_step:g} s")
-
     def _move(self, step: float) -> None:
         """Move the flanges on for a step, from the inputs' values at its start."""
+        if step > self.largest_step * (1.0 + 1e-9):
+            raise StepError(f"a step of {step:g} s: largest_step is {self.largest_step:g} s")
         if self._held:
             self._follow(step)
         else:
@@ -226,9 +217,8 @@ class CompliantModel(DriveModel):
 
     def _sub_steps(self, step: float) -> int:
         if self._stiffest == 0.0:
-            _, self._stiffest = contact.equilibrium(
-                self._drive, 0.0, self.pair.pair.rated_torque or 100.0, 0.0, contact.contact_rows(self._drive), True
-            )
+            rated = self.pair.pair.rated_torque or 100.0
+            _, self._stiffest = self._made_teeth().equilibrium(0.0, rated, 0.0)
         stiffness = 1.0 / (1.0 / self._stiffest + self.series_compliance)
         stiffness += self.friction_torque / FRICTION_DISPLACEMENT
         count = max(1, math.ceil(step * math.sqrt(stiffness / self.output_inertia) / _SUB_STEP))

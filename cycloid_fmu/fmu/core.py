@@ -6,13 +6,15 @@ message says so, and steps are refused until it is set right.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 import math
 import re
 import struct
+import sys
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +23,17 @@ import numpy as np
 from cycloid_fmu import __version__
 from cycloid_fmu.fmu.compliant_model import CompliantModel
 from cycloid_fmu.fmu.description import Version
-from cycloid_fmu.fmu.model import DriveModel, StepError
+from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.reducer_model import FirstStage, ReducerModel
-from cycloid_fmu.fmu.variables import ARRAYS, Interface, Variable, variables
+from cycloid_fmu.fmu.table_teeth import TABLE, Interpolation, read
+from cycloid_fmu.fmu.teeth import StepError
+from cycloid_fmu.fmu.variables import ARRAYS, Interface, Variable, from_tables, variables
 from cycloid_fmu.pair import Pair
 from cycloid_fmu.surface import ErrorSurface, Life
 
 NUMBERS, SURFACE = "pair.json", "surface.npz"
-MAGIC, STATE_VERSION = b"cycloid state\0\0\0", 1
+MAGIC, STATE_VERSION = b"cycloid state\0\0\0", 2
+_LARGEST = sys.float_info.max
 _HEAD = struct.Struct("<16sII32sQ")  # magic, version, checksum, hash of the resources, length
 _ATTRIBUTES = {
     "flange_a.phi": "crank_angle", "flange_a.w": "crank_speed", "flange_a.tau": "crank_torque",
@@ -42,14 +47,18 @@ def interface_from(numbers: dict[str, Any]) -> Interface:
 
 
 def model_of(
-    pair: Pair, surface: ErrorSurface, interface: Interface, first_stage: FirstStage | None = None
+    pair: Pair,
+    surface: ErrorSurface,
+    interface: Interface,
+    first_stage: FirstStage | None = None,
+    tables: Interpolation | None = None,
 ) -> DriveModel:
-    """Return the model behind an interface."""
+    """Return the model behind an interface, exact or from tables."""
     if interface.kind == "compliant":
-        return CompliantModel(pair, surface, interface.losses, interface.output_inertia)
+        return CompliantModel(pair, surface, interface.losses, interface.output_inertia, tables)
     if first_stage is not None:
-        return ReducerModel(pair, surface, first_stage, interface.losses)
-    return DriveModel(pair, surface, interface.losses)
+        return ReducerModel(pair, surface, first_stage, interface.losses, tables)
+    return DriveModel(pair, surface, interface.losses, tables)
 
 
 class Core:
@@ -64,8 +73,12 @@ class Core:
 
     Attributes
     ----------
-    model, table
-        The drive, and its variables in the order of their references.
+    model
+        The drive.
+    table
+        Its variables by reference.
+    told
+        What its description says of the tables that it comes from; empty where it is exact.
     faults
         What was refused and not set right since: a sentence for each variable's reference.
     """
@@ -84,14 +97,24 @@ class Core:
         surface = ErrorSurface(**values, life=Life(**states) if states else None)
         pair, stage = Pair.from_numbers(numbers["pair"]), numbers.get("first_stage")
         interface = interface_from(numbers["interface"])
-        self.model = model_of(pair, surface, interface, None if stage is None else FirstStage(**stage))
-        self.table = variables(pair, surface, interface, version)
+        self.told = str(numbers["tables"])
+        tabulated = (resources / TABLE).read_bytes() if self.told else b""
+        tables = read(tabulated, str(resources / TABLE)) if self.told else None
+        self.model = model_of(pair, surface, interface, None if stage is None else FirstStage(**stage), tables)
+        table = variables(pair, surface, interface, version)
+        self.table = dict(enumerate(table)) if tables is None else from_tables(table)
         self.faults: dict[int, str] = {}
         self.time = 0.0
-        self._hash = hashlib.sha256(text + stored).digest()
-        accesses = [self._access(variable) for variable in self.table]
-        self.getters = [getter for getter, _ in accesses]
-        self._setters = [setter for _, setter in accesses]
+        self._hash = hashlib.sha256(text + stored + tabulated).digest()
+        accesses = {reference: self._access(variable) for reference, variable in self.table.items()}
+        self.getters = {reference: getter for reference, (getter, _) in accesses.items()}
+        self._setters = {reference: setter for reference, (_, setter) in accesses.items()}
+        # What is set at each step: setters of scalars with their limits, which are finite.
+        self._quick = {
+            reference: (setter, -_LARGEST if v.least is None else v.least, _LARGEST if v.most is None else v.most)
+            for reference, v in self.table.items()
+            if (setter := self._setters[reference]) is not None and not v.dimensions and v.variability != "constant"
+        }
 
     def _access(self, variable: Variable) -> tuple[Callable[[], Any], Callable[[Any], None] | None]:
         model, name = self.model, variable.name
@@ -100,9 +123,9 @@ class Core:
         if name == "time":
             return (lambda: self.time), None
         if name in model.errors:
-            return (lambda: model.errors[name]), (lambda v: model.set_error(name, v))
+            return (lambda: model.errors[name]), functools.partial(model.set_error, name)
         if name in ARRAYS:
-            return (lambda: model.pin_errors(name)), (lambda v: model.set_pin_errors(name, v))
+            return (lambda: model.pin_errors(name)), functools.partial(model.set_pin_errors, name)
         if cell:
             i, j = int(cell[1]) - 1, int(cell[2]) - 1
 
@@ -111,8 +134,8 @@ class Core:
 
             return (lambda: model.loss_table[i][j]), put
         attribute = _ATTRIBUTES.get(name, name)
-        setter = None if variable.causality == "output" else (lambda v: setattr(model, attribute, v))
-        return (lambda: getattr(model, attribute)), setter
+        setter = None if variable.causality == "output" else functools.partial(setattr, model, attribute)
+        return functools.partial(getattr, model, attribute), setter
 
     def put(self, reference: int, value: Any) -> str:
         """Set a variable; what is no value for it is refused with a sentence, else the answer is empty.
@@ -122,23 +145,51 @@ class Core:
         ValueError
             If there is no such variable or it can't be set.
         """
-        if not 0 <= reference < len(self.table):
+        if reference not in self.table:
             raise ValueError(f"there is no variable with the value reference {reference}")
         variable, setter = self.table[reference], self._setters[reference]
         if setter is None:
             raise ValueError(f"{variable.name} can't be set: its causality is {variable.causality}")
+        refused = self._refused(variable, value)
+        if refused:
+            self.faults[reference] = refused
+            return refused
+        if variable.variability != "constant":
+            setter(value)
+        self.faults.pop(reference, None)
+        return ""
+
+    def put_all(self, references: Sequence[int], values: Sequence[Any]) -> list[str]:
+        """Set variables as `put` does; the sentences of what is refused."""
+        refused = []
+        for reference, value in zip(references, values, strict=True):
+            quick = self._quick.get(reference)
+            if quick is not None and quick[1] <= value <= quick[2] and not self.faults:
+                quick[0](value)
+            else:
+                refused.append(self.put(reference, value))
+        return [text for text in refused if text] if refused else refused
+
+    def _refused(self, variable: Variable, value: Any) -> str:
+        """Why a value is none for a variable; else an empty answer."""
+        given = tuple(value) if variable.dimensions else (value,)
+        if variable.variability == "constant":
+            start = variable.start if isinstance(variable.start, tuple) else (variable.start,)
+            for one, held in zip(given, start, strict=True):
+                if one != held:
+                    return (
+                        f"{variable.name} = {one:g}: this FMU holds it in its tables, made for {held:g}; build the FMU "
+                        "again with it, or without --tables, where it is tunable"
+                    )
+            return ""
         least = -math.inf if variable.least is None else variable.least
         most = math.inf if variable.most is None else variable.most
-        for one in value if variable.dimensions else (value,):
+        for one in given:
             if not (least <= one <= most and -math.inf < one < math.inf):
                 limits = "it must be finite"
                 if variable.least is not None or variable.most is not None:
                     limits += f" and lie between {least:g} and {most:g}"
-                self.faults[reference] = f"{variable.name} = {one:g}: {limits}"
-                return self.faults[reference]
-        setter(value)
-        if self.faults:
-            self.faults.pop(reference, None)
+                return f"{variable.name} = {one:g}: {limits}"
         return ""
 
     def start(self) -> None:

@@ -14,12 +14,11 @@ Row = Sequence[float]
 def interpolated(table: Sequence[Row], speed: float) -> tuple[float, float, float, float]:
     """Efficiencies and friction torques at a speed: linear between the rows, held beyond the last."""
     speed = abs(speed)
-    for below, above in itertools.pairwise(table):
-        if speed < above[0]:
-            share = (speed - below[0]) / (above[0] - below[0])
-            a, b, c, d = (low + share * (high - low) for low, high in zip(below[1:], above[1:], strict=True))
-            return a, b, c, d
-    _, a, b, c, d = table[-1]
+    last, a, b, c, d = table[-1]
+    if speed < last:
+        below, above = next(two for two in itertools.pairwise(table) if speed < two[1][0])
+        share = (speed - below[0]) / (above[0] - below[0])
+        a, b, c, d = (low + share * (high - low) for low, high in zip(below[1:], above[1:], strict=True))
     return a, b, c, d
 
 
@@ -40,11 +39,16 @@ def loss_torque(table: Sequence[Row], speed: float, torque: float) -> float:
     """
     if speed == 0.0:
         return 0.0
-    forward, backward, friction_forward, friction_backward = interpolated(table, speed)
+    # With one row, which holds everywhere, nothing is interpolated: this is asked at every step.
+    forward, backward, friction_forward, friction_backward = (
+        table[0][1:] if len(table) == 1 else interpolated(table, speed)
+    )
     if torque * speed >= 0.0:
         lost = abs(torque) * (1.0 / forward - 1.0) + friction_forward
     else:
         lost = abs(torque) * (1.0 - backward) + friction_backward
+    if lost == 0.0:
+        return 0.0
     return math.copysign(lost * min(1.0, abs(speed) / LOSS_SPEED), speed)
 
 

@@ -9,21 +9,19 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import operator
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from cycloid_fmu import contact
 from cycloid_fmu.fmu.losses import check_losses, loss_torque
+from cycloid_fmu.fmu.table_teeth import Interpolation, TableTeeth
+from cycloid_fmu.fmu.teeth import ContactTeeth, StepError, Teeth
 from cycloid_fmu.fmu.variables import LOSSLESS, ORDERS
 from cycloid_fmu.pair import Pair
 from cycloid_fmu.surface import ErrorSurface, structured_names, structured_value, surface_after, with_structured
 from cycloid_fmu.transmission import drive_of, slices_needed
-
-
-class StepError(ValueError):
-    """A step that the model refuses; the text is one sentence."""
 
 
 class DriveModel:
@@ -35,6 +33,8 @@ class DriveModel:
         The nominal pair and its errors.
     losses
         Rows of the loss table (`variables.Interface.losses`).
+    tables
+        What is interpolated in place of the contacts; its errors are those it was made with.
 
     Attributes
     ----------
@@ -48,8 +48,14 @@ class DriveModel:
         Rows as `losses`, checked by `check`.
     """
 
-    def __init__(self, pair: Pair, surface: ErrorSurface, losses: Sequence[Sequence[float]] = LOSSLESS) -> None:
-        self.pair, self.surface = pair, surface
+    def __init__(
+        self,
+        pair: Pair,
+        surface: ErrorSurface,
+        losses: Sequence[Sequence[float]] = LOSSLESS,
+        tables: Interpolation | None = None,
+    ) -> None:
+        self.pair, self.surface, self.tables = pair, surface, tables
         self.crank_angle = self.crank_speed = self.torque = 0.0
         self.friction_torque = self.series_compliance = 0.0
         self.backlash_on = True
@@ -62,7 +68,9 @@ class DriveModel:
         # Everything repeats after one turn of the gear in the ring; a reduced angle keeps its digits.
         self._period = 2.0 * math.pi * (pair.pair.gear_teeth if pair.pair.output == "gear" else pair.pair.pins)
         self._output_angle: float | None = None
-        self._deviation = self._placed = 0.0
+        self._deviation = self._theta = 0.0  # θ: the crank's angle, reduced
+        self._moved = operator.attrgetter(*self._MOVED)
+        self._lever = 1.0  # of the driven shaft on the crank's torque
         self._rebuild()
 
     def _structured(self) -> dict[str, float]:
@@ -76,17 +84,18 @@ class DriveModel:
         check_losses(self.loss_table)
 
     def _rebuild(self) -> None:
-        worn = self.surface if self.surface.life is None else surface_after(self.surface, self._crank_turns_worn)
-        surface = with_structured(self.pair, worn, self._changed())
-        self._drive = drive_of(self.pair, surface, slices_needed(surface))
-        self._contacts = contact.contact_rows(self._drive)
-        self._play_contacts = contact.contact_rows(self._drive)
-        shape = (self.pair.pair.discs, self.pair.pair.pins)
-        self._pin_force, self._pin_pressure = np.zeros(shape), np.zeros(shape)
-        self._cold = self._play_cold = True
-        self._x, self._stiffness, self._load = 0.0, 0.0, 0.0
+        self._teeth = self._made_teeth()
+        self._x, self._stiffness = 0.0, 0.0
         self._pushed = self._side = 0.0
         self._forget()
+
+    def _made_teeth(self) -> Teeth:
+        if self.tables is not None:
+            return TableTeeth(self.tables)
+        worn = self.surface if self.surface.life is None else surface_after(self.surface, self._crank_turns_worn)
+        surface = with_structured(self.pair, worn, self._changed())
+        drive = drive_of(self.pair, surface, slices_needed(surface))
+        return ContactTeeth(drive, (self.pair.pair.discs, self.pair.pair.pins))
 
     def _forget(self) -> None:
         self._play: tuple[float, float, float] | None = None
@@ -133,14 +142,9 @@ class DriveModel:
     def _reduced(self, crank_angle: float) -> float:
         return crank_angle - self._period * math.floor(crank_angle / self._period)
 
-    @property
-    def _theta(self) -> float:
-        return self._placed
-
     def _solve_play(self) -> tuple[float, float, float]:
         if self._play is None:
-            self._play = contact.play(self._drive, self._theta, self._x, self._play_contacts, self._play_cold)
-            self._play_cold = math.isnan(self._play[0])
+            self._play = self._teeth.play(self._theta, self._x)
         return self._play
 
     def _shift(self, side: float) -> float:
@@ -150,18 +154,25 @@ class DriveModel:
         low, high, interference = self._solve_play()
         return 0.5 * side * (high - low) if interference == 0.0 else 0.0
 
-    def _touch_rate(self, x: float, side: float) -> float:
-        contact.place(self._drive, self._theta, x, self._play_contacts, self._play_cold, math.inf, math.inf)
-        return contact.touch_rate(self._drive, self._theta, x, self._play_contacts, side)
-
-    def _shift_rate(self, side: float) -> float:
+    def _shift_rate(self, side: float, teeth: Teeth, theta: float) -> float:
         """Change of `_shift` with the crank's angle (1)."""
         if self.backlash_on:
             return 0.0
-        low, high, interference = self._solve_play()
+        low, high, interference = self._solve_play() if theta == self._theta else teeth.play(theta, self._x)
         if interference > 0.0:
             return 0.0
-        return 0.5 * side * (self._touch_rate(high, 1.0) - self._touch_rate(low, -1.0))
+        return 0.5 * side * (teeth.touch_rate(theta, high, 1.0) - teeth.touch_rate(theta, low, -1.0))
+
+    def _pressed(self, theta: float, x: float, teeth: Teeth | None = None) -> tuple[float, float]:
+        """Torque of the crank by teeth in contact, the model's own or others, and dφ_b/dθ at constant torque."""
+        teeth = teeth or self._teeth
+        torque, rate = teeth.crank_side(theta, x)
+        if not self.backlash_on:
+            # The flange is pressed by its deviation and by the play that is not there.
+            gone = self._shift_rate(self._side, teeth, theta)
+            torque += gone * teeth.torque
+            rate -= gone
+        return torque, rate
 
     def _elastic(self, torque: float, end: float) -> float:
         """Flange deviation at a torque through the teeth; at torque 0 the given end of the play (-1, 0, 1)."""
@@ -170,13 +181,12 @@ class DriveModel:
             if interference == 0.0:
                 self._side = end
                 self._x = 0.5 * (low + high) + 0.5 * end * (high - low)
-                self._stiffness, self._load = 0.0, 0.0
+                self._stiffness = 0.0
                 return self._x - self._shift(end)
-        self._x, self._stiffness = contact.equilibrium(
-            self._drive, self._theta, torque, self._x, self._contacts, self._cold
-        )
-        self._cold, self._load, self._side = False, torque, math.copysign(1.0, torque)
-        return self._x + self.series_compliance * torque - self._shift(self._side)
+        self._x, self._stiffness = self._teeth.equilibrium(self._theta, torque, self._x)
+        self._side = math.copysign(1.0, torque)
+        deviation = self._x + self.series_compliance * torque
+        return deviation if self.backlash_on else deviation - self._shift(self._side)
 
     def _hold(self, deviation: float) -> None:
         """Find the teeth's state when the flange stands still at a deviation inside the hysteresis."""
@@ -184,11 +194,7 @@ class DriveModel:
             low, high, _ = self._solve_play()
             self._side = 1.0 if deviation > 0.5 * (low + high) else -1.0
             deviation += self._shift(self._side)
-        self._x, self._stiffness = contact.behind_compliance(
-            self._drive, self._theta, deviation, self.series_compliance, self._x, self._contacts, self._cold
-        )
-        self._cold = False
-        self._load = (deviation - self._x) / self.series_compliance if self.series_compliance > 0.0 else math.nan
+        self._x, self._stiffness = self._teeth.behind(self._theta, deviation, self.series_compliance, self._x)
 
     def forget_history(self) -> None:
         """Make the next step start without history: at zero torque from the middle of the play."""
@@ -200,11 +206,6 @@ class DriveModel:
             self.advance()
         assert self._output_angle is not None
         return self._output_angle
-
-    def check_step(self, step: float) -> None:
-        """Refuse a step (s) that leads nowhere; a `StepError` says why."""
-        if not 0.0 <= step < math.inf:
-            raise StepError(f"a step of {step:g} s: it must be finite and not below 0")
 
     def advance(self, step: float = 0.0) -> None:
         """Move to the inputs' present values, from the state before.
@@ -219,31 +220,26 @@ class DriveModel:
         StepError
             If the step is refused; nothing has moved then.
         """
-        self.check_step(step)
-        kept, contacts, play_contacts = self._before(), self._contacts.copy(), self._play_contacts.copy()
+        if not 0.0 <= step < math.inf:
+            raise StepError(f"a step of {step:g} s: it must be finite and not below 0")
+        kept = self._moved(self)
+        self._teeth.begin()
         try:
             self._move(step)
         except StepError:
-            self._contacts, self._play_contacts = contacts, play_contacts
+            self._teeth.undo()
             for name, value in zip(self._MOVED, kept, strict=True):
                 setattr(self, name, value)
             raise
 
-    # What a step changes besides the contacts.
+    # What a step changes besides the teeth.
     _MOVED: tuple[str, ...] = (
-        "_placed", "_x", "_stiffness", "_load", "_pushed", "_side", "_cold", "_play_cold", "_play", "_crank",
-        "_sharing",
+        "_theta", "_x", "_stiffness", "_pushed", "_side", "_play", "_crank", "_sharing",
     )  # fmt: skip
 
-    def _before(self) -> tuple[Any, ...]:
-        return (
-            self._placed, self._x, self._stiffness, self._load, self._pushed, self._side, self._cold, self._play_cold,
-            self._play, self._crank, self._sharing,
-        )  # fmt: skip
-
     def _move(self, step: float) -> None:
-        self._placed = self._reduced(self.crank_angle)
-        self._forget()
+        self._theta = self._reduced(self.crank_angle)
+        self._play = self._crank = self._sharing = None
         ideal = self.crank_angle / self._ratio
         if self._output_angle is None:
             deviation = self._elastic(self.torque, 0.0)
@@ -266,37 +262,34 @@ class DriveModel:
                 else:
                     self._hold(before)
         if not math.isfinite(deviation):
-            raise StepError(f"flange_b.tau = {self.torque:g} N.m: the contacts can't be solved at this torque")
+            raise StepError(f"flange_a.phi = {self.crank_angle:g} rad: the output can't be found there")
         self._output_angle = ideal + deviation
         self._deviation = deviation
 
     @property
     def output_angle(self) -> float:
         """φ_b, rad."""
-        return self._settle()
+        return self._settle() if self._output_angle is None else self._output_angle
 
     @property
     def transmission_error(self) -> float:
         """φ_b - φ_a/ratio, rad."""
-        self._settle()
+        if self._output_angle is None:
+            self._settle()
         return self._deviation
 
     def _crank_side(self) -> tuple[float, float]:
         if self._crank is None:
-            self._settle()
+            if self._output_angle is None:
+                self._settle()
             if self._stiffness > 0.0:
-                torque, rate = contact.crank_side(self._drive, self._theta, self._x, self._contacts)
-                if not self.backlash_on:
-                    # The flange is pressed by its deviation and by the play that is not there.
-                    pressed = self._contacts[self._contacts[:, contact.FORCE] > 0.0]
-                    gone = self._shift_rate(self._side)
-                    torque += gone * float(pressed[:, contact.FORCE] @ pressed[:, contact.ARM])
-                    rate -= gone
-                self._crank = torque, rate
+                pressed = self._teeth.crank_side if self.backlash_on else self._pressed
+                self._crank = pressed(self._theta, self._x)
             elif self.backlash_on:
-                self._crank = 0.0, self._touch_rate(self._x, self._pushed)
+                self._crank = 0.0, self._teeth.touch_rate(self._theta, self._x, self._pushed)
             else:
-                self._crank = 0.0, self._touch_rate(self._solve_play()[1], 1.0) - self._shift_rate(1.0)
+                rate = self._teeth.touch_rate(self._theta, self._solve_play()[1], 1.0)
+                self._crank = 0.0, rate - self._shift_rate(1.0, self._teeth, self._theta)
         return self._crank
 
     @property
@@ -304,26 +297,21 @@ class DriveModel:
         """dφ_b/dt at the present torque, rad/s; 0 while friction or play hold the output."""
         if self.crank_speed == 0.0:
             return 0.0
-        rate = self._crank_side()[1]
+        rate = (self._crank or self._crank_side())[1]
         carried = self._pushed != 0.0 or not (self.backlash_on or self.friction_torque > 0.0)
         return self.crank_speed * rate if carried and not math.isnan(rate) else 0.0
 
     @property
-    def _driving_torque(self) -> float:
-        """Torque that the teeth ask of the input, N·m."""
-        return self._crank_side()[0]
-
-    @property
     def crank_torque(self) -> float:
         """Torque that the crank must be given, losses included, N·m."""
-        torque = self._driving_torque
+        torque = self._lever * (self._crank or self._crank_side())[0]
         return torque + loss_torque(self.loss_table, self.crank_speed, torque)
 
     @property
     def power_loss(self) -> float:
         """Power lost in the mesh and bearings and to the friction at the output, W."""
-        lost = loss_torque(self.loss_table, self.crank_speed, self._driving_torque) * self.crank_speed
-        return lost + self.friction_torque * abs(self.output_speed)
+        lost = loss_torque(self.loss_table, self.crank_speed, self._lever * self._crank_side()[0])
+        return lost * self.crank_speed + self.friction_torque * abs(self.output_speed)
 
     @property
     def backlash(self) -> float:
@@ -344,7 +332,7 @@ class DriveModel:
         if self._sharing is None:
             self._settle()
             if self._stiffness > 0.0:
-                self._sharing = contact.load_sharing(self._drive, self._contacts, self._pin_force, self._pin_pressure)
+                self._sharing = self._teeth.sharing(self._theta)
             else:
                 self._sharing = (0, 0.0)
         return self._sharing
@@ -353,13 +341,15 @@ class DriveModel:
     def pin_force(self) -> list[float]:
         """Force on each pin, disc by disc, N."""
         self._load_sharing()
-        return self._pin_force.ravel().tolist() if self._stiffness > 0.0 else [0.0] * self._pin_force.size
+        values = self._teeth.pin_force()
+        return values if self._stiffness > 0.0 else [0.0] * len(values)
 
     @property
     def pin_pressure(self) -> list[float]:
         """Largest pressure on each pin, disc by disc, Pa."""
         self._load_sharing()
-        return self._pin_pressure.ravel().tolist() if self._stiffness > 0.0 else [0.0] * self._pin_pressure.size
+        values = self._teeth.pin_pressure()
+        return values if self._stiffness > 0.0 else [0.0] * len(values)
 
     @property
     def contact_count(self) -> int:
@@ -373,8 +363,8 @@ class DriveModel:
 
     _STATE: tuple[str, ...] = (
         "crank_angle", "crank_speed", "torque", "friction_torque", "series_compliance", "_output_angle", "_deviation",
-        "_placed",
-        "_x", "_stiffness", "_load", "_pushed", "_side", "_cold", "_play_cold", "backlash_on",
+        "_theta",
+        "_x", "_stiffness", "_pushed", "_side", "backlash_on",
     )  # fmt: skip
 
     # What was found from the state since; kept with it so that reading an output is the same before and after.
@@ -384,13 +374,11 @@ class DriveModel:
         """Return everything that later steps and outputs depend on, as plain values (for JSON)."""
         return {
             **{name: getattr(self, name) for name in (*self._STATE, *self._CACHES)},
-            "pins": [self._pin_force.tolist(), self._pin_pressure.tolist()],
             "errors": dict(self.errors),
             "pin_errors": dict(self._pin_arrays),
             "loss_table": [list(row) for row in self.loss_table],
             "crank_turns_worn": self._crank_turns_worn,
-            "contacts": self._contacts.tolist(),
-            "play_contacts": self._play_contacts.tolist(),
+            "teeth": self._teeth.state(),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -403,6 +391,4 @@ class DriveModel:
         self._rebuild()
         for name in (*self._STATE, *self._CACHES):
             setattr(self, name, state[name])
-        self._pin_force, self._pin_pressure = (np.array(values) for values in state["pins"])
-        self._contacts = np.array(state["contacts"])
-        self._play_contacts = np.array(state["play_contacts"])
+        self._teeth.restore(state["teeth"])

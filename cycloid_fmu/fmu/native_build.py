@@ -20,14 +20,16 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from cycloid_fmu import __version__, edge
 from cycloid_fmu.fmu import tables
+from cycloid_fmu.fmu.build import checked_interface
 from cycloid_fmu.fmu.description import Version, model_structure, model_variables, unit_definitions
 from cycloid_fmu.fmu.parts import parts
-from cycloid_fmu.fmu.variables import Interface, Variable, variables
+from cycloid_fmu.fmu.reducer_model import FirstStage
+from cycloid_fmu.fmu.table_teeth import TABLE
+from cycloid_fmu.fmu.variables import Interface, Variable, from_tables, variables
 from cycloid_fmu.pair import Pair
 from cycloid_fmu.surface import ErrorSurface
 
 IDENTIFIER = "CycloidDrive"
-TABLE = "drive.table"
 SOURCES = ("fmi2.c", "fmi3.c", "instance.c", "drive.c", "table.c")
 _NATIVE = Path(__file__).with_name("native")
 _FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off", "-s")
@@ -190,34 +192,12 @@ def _binaries(version: Version, names: Sequence[str], done: Callable[[str], None
     return found
 
 
-def native_variables(table: Sequence[Variable]) -> dict[int, Variable]:
-    """Return what a native FMU has of the table of variables, by value reference.
-
-    What its tables hold is a constant; the loads of single pins they do not hold.
-    """
-    found = {}
-    for reference, v in enumerate(table):
-        if v.dimensions and v.causality == "output":
-            continue
-        if v.baked:
-            v = dataclasses.replace(v, causality="local", variability="constant")
-        found[reference] = v
-    return found
-
-
 def _description(
     version: Version, token: str, table: Sequence[Variable], interface: Interface, made: tables.Tables
 ) -> Element:
-    kept = native_variables(table)
-    constants = {v.name for v in kept.values() if v.variability == "constant"}
-    told = [
-        dataclasses.replace(v, initially=tuple(n for n in v.initially if n not in constants)) for v in kept.values()
-    ]
-    arcsec = tables.ACCURACY / 0.02
-    text = (
-        f"Cycloid-pin gear drive, {interface.kind}, from tables up to "
-        f"{made.positive.load[-1]:.4g} N.m that err by at most {made.error['deviation_largest'] / arcsec:.3f} arcsec"
-    )
+    kept = from_tables(table)
+    told = list(kept.values())
+    text = f"Cycloid-pin gear drive, {interface.kind}, {made.told}"
     common = {
         "fmiVersion": version, "modelName": IDENTIFIER, "guid" if version == "2.0" else "instantiationToken": token,
         "description": text, "author": "cycloid-fmu", "version": __version__, "license": "MIT",
@@ -267,6 +247,7 @@ def build_native(
     path: str | os.PathLike[str],
     interface: Interface = Interface(),
     version: Version = "2.0",
+    first_stage: FirstStage | None = None,
     *,
     platforms: Sequence[str] = (),
     made: tables.Tables | None = None,
@@ -285,6 +266,8 @@ def build_native(
         The FMU file.
     interface, version
         What it offers, and of which FMI.
+    first_stage
+        What makes the drive an RV reducer, whose input is the sun.
     platforms
         Keys of `PLATFORMS`; all that the version knows where empty.
     made
@@ -297,8 +280,9 @@ def build_native(
     Raises
     ------
     edge.InputError
-        If the folder does not exist, or a platform can't be built for.
+        If the folder does not exist, a platform can't be built for, or interface and first stage don't go together.
     """
+    interface = checked_interface(interface, first_stage)
     names = tuple(dict.fromkeys(platforms)) or platforms_of(version)
     for name in names:
         _compiler(name)
@@ -309,15 +293,14 @@ def build_native(
         if made is None:
             made = tables.compute(pair, surface, workers=workers, total=total, progress=progress)
         table = variables(pair, surface, interface, version)
-        kind = 0 if interface.kind == "kinematic" else 1 if interface.output_inertia == 0.0 else 2
-        plain = tables.write(made, kind, table)
+        plain = tables.write(made, interface, table, first_stage=first_stage)
         token = f"{{{uuid.uuid5(_SPACE, __version__ + hashlib.sha256(plain).hexdigest())}}}"
         contents = {
             "modelDescription.xml": _xml(_description(version, token, table, interface, made)),
             f"resources/{TABLE}": tables.named(plain, token),
             **{f"sources/{name}": data for name, data in _source_files().items()},
             **libraries,
-            **parts(pair, interface, list(native_variables(table).values()), version, ()),
+            **parts(pair, interface, list(from_tables(table).values()), version, ()),
         }
         if version == "3.0":
             contents["sources/buildDescription.xml"] = _xml(_build_description())

@@ -12,10 +12,9 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import Any
 
-from cycloid_fmu import contact
 from cycloid_fmu.fmu.model import DriveModel
+from cycloid_fmu.fmu.table_teeth import Interpolation
 from cycloid_fmu.fmu.variables import LOSSLESS
 from cycloid_fmu.pair import Pair
 from cycloid_fmu.surface import ErrorSurface
@@ -55,10 +54,11 @@ class ReducerModel(DriveModel):
         Teeth and plays around it.
     losses
         As of `DriveModel`, at the sun.
+    tables
+        As of `DriveModel`.
     """
 
-    _STATE = (*DriveModel._STATE, "_crank_angle")
-    _MOVED = (*DriveModel._MOVED, "_crank_angle", "_torque_rate")
+    _MOVED = (*DriveModel._MOVED, "_torque_rate")
 
     def __init__(
         self,
@@ -66,15 +66,16 @@ class ReducerModel(DriveModel):
         surface: ErrorSurface,
         first_stage: FirstStage,
         losses: Sequence[Sequence[float]] = LOSSLESS,
+        tables: Interpolation | None = None,
     ) -> None:
         teeth = pair.pair.gear_teeth
         self._b = first_stage.sun_teeth / first_stage.planet_teeth
         self._a = 1.0 + self._b
         self._s = 1.0 / (1.0 + self._a / teeth)
-        self._crank_angle = 0.0
         self._torque_rate: float | None = None
-        super().__init__(pair, surface, losses)
+        super().__init__(pair, surface, losses, tables)
         self._ratio = teeth / (self._b * self._s)
+        self._lever = -self._b
         self._stage = first_stage
 
     @property
@@ -86,18 +87,11 @@ class ReducerModel(DriveModel):
         """Half of what the sun's and the bearings' play are at the output, rad."""
         return 0.5 * (self._sun_play / self._ratio + self._s * self._stage.bearing_play) if self.backlash_on else 0.0
 
-    def _before(self) -> tuple[Any, ...]:
-        return *super()._before(), self._crank_angle, self._torque_rate
-
-    @property
-    def _theta(self) -> float:
-        return self._crank_angle
-
     def _turn_crank(self, deviation: float, side: float) -> None:
         """Put the crank where the sun and an output that deviates so have it, the sun's play on the given side."""
         turns = self.crank_angle / (2.0 * math.pi * self._ratio)
         reduced = 2.0 * math.pi * self._ratio * (turns - math.floor(turns))
-        self._crank_angle = (
+        self._theta = (
             -reduced * self.pair.pair.gear_teeth / self._ratio
             + self._a * deviation
             - 0.5 * self._b * side * self._sun_play
@@ -118,18 +112,17 @@ class ReducerModel(DriveModel):
             following = side * self._outer + self._s * (self._x - self._shift(side))
             before = crank_torque
             if self._stiffness > 0.0:
-                crank_torque, _ = contact.crank_side(self._drive, self._theta, self._x, self._contacts)
+                crank_torque, _ = self._pressed(self._theta, self._x)
             moved, deviation = abs(following - deviation), following
             if moved < _STEP and abs(crank_torque - before) <= 1e-12 * abs(torque):
                 break
-        self._load = torque
         return deviation + self.series_compliance * torque
 
     def _hold(self, deviation: float) -> None:
         self._turn_crank(deviation, 0.0)
         low, high, interference = self._solve_play()
         if interference > 0.0:
-            self._x, _ = contact.equilibrium(self._drive, self._theta, 1e-9, self._x, self._contacts, self._cold)
+            self._x, _ = self._teeth.equilibrium(self._theta, 1e-9, self._x)
             low = high = self._x
         elif not self.backlash_on:
             low = high = 0.5 * (low + high)
@@ -137,27 +130,22 @@ class ReducerModel(DriveModel):
         beyond = abs(deviation - self._s * (high if side > 0.0 else low)) - self._outer
         if self._s * low <= deviation <= self._s * high or beyond <= 0.0:
             self._x = min(max(deviation / self._s, low), high)
-            self._stiffness, self._load = 0.0, 0.0
+            self._stiffness = 0.0
             return
         self._turn_crank(deviation, side)
         self._side = side
         flange = (deviation - side * self._outer) / self._s + self._shift(side)
         compliance = self.series_compliance / self._s**2
-        self._x, self._stiffness = contact.behind_compliance(
-            self._drive, self._theta, flange, compliance, self._x, self._contacts, self._cold
-        )
-        self._cold = False
-        self._load = (flange - self._x) * self._s / self.series_compliance if compliance > 0.0 else math.nan
+        self._x, self._stiffness = self._teeth.behind(self._theta, flange, compliance, self._x)
 
     def _crank_torque_rate(self) -> float:
         """Change of the crank's torque with its angle at constant torque on the gear, N·m/rad."""
         if self._torque_rate is None:
-            gear_torque = self._load - self._a * self._crank_side()[0]
-            rows, found = self._contacts.copy(), []
+            gear_torque, teeth, found = self._teeth.torque, self._teeth.copy(), []
             for step in (-_DIFFERENCE, _DIFFERENCE):
                 theta = self._theta + step
-                x, _ = contact.equilibrium(self._drive, theta, gear_torque, self._x, rows, False)
-                found.append(contact.crank_side(self._drive, theta, x, rows)[0])
+                x, _ = teeth.equilibrium(theta, gear_torque, self._x)
+                found.append(self._pressed(theta, x, teeth)[0])
             self._torque_rate = (found[1] - found[0]) / (2.0 * _DIFFERENCE)
         return self._torque_rate
 
@@ -176,19 +164,13 @@ class ReducerModel(DriveModel):
         return -self.crank_speed * rate * self._b / (1.0 - self._a * rate)
 
     @property
-    def _driving_torque(self) -> float:
-        return -self._b * self._crank_side()[0]
-
-    @property
     def torsional_stiffness(self) -> float:
         """Stiffness at the flange with the sun locked, the compliance in series included, N·m/rad."""
         self._settle()
         if self._stiffness <= 0.0:
             return 0.0
         turned = 1.0 - self._a * self._crank_side()[1]
-        stiffness = self._stiffness * turned**2
-        if not math.isnan(self._load):
-            stiffness += self._a**2 * self._crank_torque_rate()
+        stiffness = self._stiffness * turned**2 + self._a**2 * self._crank_torque_rate()
         return 1.0 / (1.0 / stiffness + self.series_compliance)
 
     @property
@@ -202,8 +184,7 @@ class ReducerModel(DriveModel):
             x = self._x
             for _ in range(50):
                 theta = self._theta + self._a * (side * self._outer + self._s * (x - self._x))
-                low, high, interference = contact.play(self._drive, theta, x, self._play_contacts, self._play_cold)
-                self._play_cold = interference > 0.0
+                low, high, interference = self._teeth.play(theta, x)
                 if interference > 0.0:
                     return 2.0 * self._outer
                 moved, x = abs((low if side < 0.0 else high) - x), low if side < 0.0 else high

@@ -27,16 +27,21 @@ _Method = TypeVar("_Method", bound=Callable[..., Any])
 DESCRIPTION = "Cycloid-pin gear drive: transmission error, backlash and load sharing from its error surface"
 
 
-def kept_alive(method: _Method) -> _Method:
+def keep_alive(slave: DriveSlave) -> None:
     """Keep the slave alive after an exception: both libraries then give its references back twice."""
+    for kept in (slave, type(slave), slave.log_queue):
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(kept))
+
+
+def kept_alive(method: _Method) -> _Method:
+    """Keep the slave alive after an exception of a method that is seldom called."""
 
     @functools.wraps(method)
     def guarded(self: DriveSlave, *arguments: Any) -> Any:
         try:
             return method(self, *arguments)
         except Exception:
-            for kept in (self, type(self), self.log_queue):
-                ctypes.pythonapi.Py_IncRef(ctypes.py_object(kept))
+            keep_alive(self)
             raise
 
     return cast(_Method, guarded)
@@ -60,17 +65,11 @@ class DriveSlave:
     def _open(self, resources: str, platform: str) -> None:
         _release_at_exit(Path(resources).parent / "binaries" / platform / "CycloidDrive.so")
         self.core = Core(Path(resources), self.fmi_version)
-        self._getters, self._put = self.core.getters, self.core.put
+        self._getters, self._put_all = self.core.getters, self.core.put_all
 
     def _refuse(self, message: str) -> None:
         """Log a message of something refused."""
         raise NotImplementedError
-
-    def _set(self, references: Sequence[int], values: Sequence[Any]) -> None:
-        for reference, value in zip(references, values, strict=True):
-            refused = self._put(reference, value)
-            if refused:
-                self._refuse(refused)
 
     @kept_alive
     def exit_initialization_mode(self) -> None:
@@ -99,13 +98,16 @@ class DriveSlave:
 
     def _described(self, root: Element) -> Element:
         """Replace in a library's model description what comes from the table of variables."""
+        table = self.core.table
         for tag, made in (("ModelVariables", model_variables), ("ModelStructure", model_structure)):
             old = root.find(tag)
             assert old is not None
-            root[list(root).index(old)] = made(self.core.table, self.fmi_version)
+            root[list(root).index(old)] = made(tuple(table.values()), self.fmi_version, tuple(table))
+        if self.core.told:
+            root.set("description", f"{DESCRIPTION}, {self.core.told}")
         root.set("generationTool", f"cycloid-fmu {__version__}")
         place = next(i for i, node in enumerate(root) if node.tag == "CoSimulation")
-        root.insert(place + 1, unit_definitions(self.core.table))
+        root.insert(place + 1, unit_definitions(tuple(table.values())))
         return root
 
 
@@ -126,26 +128,37 @@ class DriveSlave2(DriveSlave, Fmi2Slave):  # type: ignore[misc]
     def _refuse(self, message: str) -> None:
         self.log(message, Fmi2Status.discard)
 
-    @kept_alive
+    # A step is made of these three: another frame around each would take a tenth of its time.
     def do_step(self, current_time: float, step_size: float) -> bool:
         """Make a step; a refused one is discarded with a message."""
-        refused = self.core.step(current_time, step_size)
+        try:
+            refused = self.core.step(current_time, step_size)
+        except Exception:
+            keep_alive(self)
+            raise
         if refused:
             self._refuse(refused)
         return not refused
 
-    @kept_alive
     def get_real(self, vrs: Sequence[int]) -> list[float]:
         """Return values by reference."""
         getters = self._getters
-        return [getters[v]() for v in vrs]
+        try:
+            return [getters[v]() for v in vrs]
+        except Exception:
+            keep_alive(self)
+            raise
 
     get_integer = get_boolean = get_real
 
-    @kept_alive
     def set_real(self, vrs: Sequence[int], values: Sequence[float]) -> None:
         """Set values by reference."""
-        self._set(vrs, values)
+        try:
+            for refused in self._put_all(vrs, values):
+                self._refuse(refused)
+        except Exception:
+            keep_alive(self)
+            raise
 
     set_integer = set_boolean = set_real
 

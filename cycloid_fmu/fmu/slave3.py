@@ -24,7 +24,7 @@ class DriveSlave3(DriveSlave, Fmi3Slave):  # type: ignore[misc]
         self.author, self.license, self.version, self.description = "cycloid-fmu", "MIT", __version__, DESCRIPTION
         self.default_experiment = DefaultExperiment(start_time=0.0, stop_time=1.0, step_size=1e-3)
         self._open(self.resources, "x86_64-linux")
-        self._sizes = [math.prod(v.dimensions) for v in self.core.table]
+        self._sizes = {reference: math.prod(v.dimensions) for reference, v in self.core.table.items()}
 
     def _refuse(self, message: str) -> None:
         self.log(message, Fmi3Status.discard)
@@ -57,7 +57,8 @@ class DriveSlave3(DriveSlave, Fmi3Slave):  # type: ignore[misc]
             last = first + (self._sizes[v])
             given.append(values[first:last] if self.core.table[v].dimensions else values[first])
             first = last
-        self._set(vrs, given)
+        for refused in self._put_all(vrs, given):
+            self._refuse(refused)
 
     set_int32 = set_boolean = set_float64
 

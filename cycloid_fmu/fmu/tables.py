@@ -10,7 +10,8 @@ so that the torques of both flanges are the derivatives of one elastic energy, T
 own error, and no path makes or loses energy. Between the two sides at zero torque lies the play.
 
 The file, little endian: magic, version, size and hash (FNV-1a, 64 bits) of the rest; then the FMU's token, interface
-and variables; ratio, period, torques and channels: second differences of whole multiples of a step, seven bits a byte.
+and variables; ratio, period, what stands before the drive, torques and channels: second differences of whole multiples
+of a step, seven bits a byte.
 """
 
 from __future__ import annotations
@@ -25,31 +26,30 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy import interpolate, ndimage
 
 from cycloid_fmu import contact
-from cycloid_fmu.fmu.variables import Variable
+from cycloid_fmu.fmu.reducer_model import FirstStage
+from cycloid_fmu.fmu.table_teeth import HEAD, MAGIC, MOST_LOADS, VERSION, Interpolation, fnv1a, loaded, read, sharing
+from cycloid_fmu.fmu.variables import Interface, Variable
 from cycloid_fmu.pair import Pair
 from cycloid_fmu.surface import ErrorSurface
 from cycloid_fmu.transmission import drive_of, slices_needed, solve
 
 Array = NDArray[np.float64]
 
-MAGIC, VERSION = b"cycltab\n", 1
-INTERFACES = ("kinematic", "compliant", "compliant with output inertia")
 ACCURACY = 0.02 / 3600 * math.pi / 180  # rad: what the deviation may err
 RANGE_SHARE = 1e-3  # of the transmission error's range over the crank angle, where that is more
 LARGEST_LOAD = 2.5  # times the rated torque: what reducers' makers allow for a moment (emergency stop)
 _SAMPLES = (16, 32, 64, 128)  # crank angles a mesh pitch that are tried
 _FINEST = 256  # with which they are compared
 _WINDOWS = 12  # of two mesh pitches, spread over the period, on which the grids are chosen
-MOST_LOADS = 192  # of one direction; table.h has the same
 _SHARES = (0.65, 0.4, 0.2)  # of the allowed error for the loads, and as much for the angles
 _SPREAD = 1000  # random crank angles at which the loads are chosen
 _FIRST_SLOPE = 0.125  # of the first torque: where the slope at zero load is taken, which Hertz's logarithm has infinite
 _STEPS = 24  # steps of the stored deviation in what it may err
+_COMPLIANCE_SHARE = 0.02  # largest step of the stored compliance, of its mean
 PROBES = 20000  # random crank angles and torques at which the finished tables are held against the model
 
 
@@ -65,7 +65,7 @@ class Side:
         Spline coefficients over the crank angle of the deviation times the direction (rad) and of its derivative by
         the load (rad/(N·m)), shape (loads, angles).
     pressure
-        Likewise of the largest contact pressure over the root of the load, Pa/(N·m)^½; at load 0 as at the next.
+        Likewise of the largest contact pressure's square, Pa²: force, so nearly linear in the load.
     contact_count
         Pins in contact at the nodes, shape (loads, angles).
     steps
@@ -107,6 +107,12 @@ class Tables:
     rest_torque: Array
     allowed: float
     error: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def told(self) -> str:
+        """What an FMU's description says of its tables."""
+        largest = self.error["deviation_largest"] * 648000 / math.pi
+        return f"from tables up to {self.positive.load[-1]:.4g} N.m that err by at most {largest:.3f} arcsec"
 
 
 def mesh_pitches(pair: Pair, surface: ErrorSurface) -> int:
@@ -154,13 +160,11 @@ def _solved(
 ) -> _Solved:
     """Solve the model at loads, the first of which may be 0: the end of the play, or the rest without one."""
     slices = slices_needed(surface)
-    at_rest = loads[0] == 0.0
     parts = []
     for k, load in enumerate(loads):
         signed = direction * float(load)
         one = solve(pair, surface, [signed], angles, slices, with_play=load == 0.0, workers=workers, progress=progress)
         x, stiffness = direction * one.transmission_error[0], one.torsional_stiffness[0]
-        pressure = one.max_contact_pressure[0] / math.sqrt(load) if load > 0.0 else np.zeros(angles.size)
         if load == 0.0:
             free = one.interference == 0.0
             end = direction * (one.play_high if direction > 0.0 else one.play_low)
@@ -171,11 +175,15 @@ def _solved(
                     workers=workers,
                 )  # fmt: skip
                 stiffness = np.where(free, near.torsional_stiffness[0], stiffness)
-        parts.append((x, 1.0 / stiffness, pressure, np.minimum(one.contact_count[0], 255).astype(np.uint8)))
-    found = [np.array(p) for p in zip(*parts, strict=True)]
-    if at_rest and loads.size > 1:
-        found[2][0] = found[2][1]
-    return _Solved(*found)
+        parts.append(
+            (
+                x,
+                1.0 / stiffness,
+                np.square(one.max_contact_pressure[0]),
+                np.minimum(one.contact_count[0], 255).astype(np.uint8),
+            )
+        )
+    return _Solved(*(np.array(p) for p in zip(*parts, strict=True)))
 
 
 def _hermite(share: ArrayLike, width: ArrayLike) -> tuple[Array, Array, Array, Array]:
@@ -251,8 +259,9 @@ def _side(loads: Array, exact: _Solved, allowed: float) -> Side:
     h = np.diff(loads)
     widest = np.maximum(np.append(h[:1], h), np.append(h, h[-1:]))
     steps = (
-        np.full(loads.size, allowed / _STEPS), 4.0 * allowed / _STEPS / widest,
-        np.full(loads.size, 1e-3 * float(exact.pressure.max())),
+        np.full(loads.size, allowed / _STEPS),
+        np.minimum(4.0 * allowed / _STEPS / widest, _COMPLIANCE_SHARE * np.abs(exact.compliance).mean(axis=1)),
+        1e-3 * np.maximum(exact.pressure.max(axis=1), 1.0),
     )  # fmt: skip
     fine, c_fine, p_fine = (s[:, None] for s in steps)
     x = np.maximum.accumulate(np.round(_coefficients(exact.deviation) / fine), axis=0) * fine
@@ -344,19 +353,28 @@ def compute(
     return tables
 
 
-def write(tables: Tables, interface: int, variables: Sequence[Variable], token: str = "") -> bytes:
-    """Return the file that the native FMU reads.
+def write(
+    tables: Tables,
+    interface: Interface,
+    variables: Sequence[Variable],
+    token: str = "",
+    first_stage: FirstStage | None = None,
+) -> bytes:
+    """Return the file that FMUs from tables read.
 
     Parameters
     ----------
     interface
-        Place in `INTERFACES`.
+        What the FMU offers.
     variables
         The FMU's variables; the place of each is its value reference.
     token
-        The FMU's `guid` or `instantiationToken`.
+        The `guid` or `instantiationToken` of a native FMU.
+    first_stage
+        What makes the drive an RV reducer.
     """
-    body = bytearray(_text(token) + struct.pack("<II", interface, len(variables)))
+    offered = 0 if interface.kind == "kinematic" else 1 if interface.output_inertia == 0.0 else 2
+    body = bytearray(_text(token) + struct.pack("<II", offered, len(variables)))
     for v in variables:
         start = np.atleast_1d(np.asarray(0.0 if v.start is None else v.start, dtype="<f8"))
         if start.size == 1 and v.dimensions:
@@ -366,7 +384,9 @@ def write(tables: Tables, interface: int, variables: Sequence[Variable], token: 
         body += struct.pack("<BBddI", v.baked, v.variability == "fixed", *limits, start.size) + start.tobytes()
     sides = (tables.positive, tables.negative)
     angles = tables.rest_torque.size
-    body += struct.pack("<dddIII", tables.ratio, tables.period, tables.allowed, angles, *(s.load.size for s in sides))
+    stage = (0.0, 0.0, 0.0, 0.0) if first_stage is None else dataclasses.astuple(first_stage)
+    numbers = (tables.ratio, tables.period, tables.allowed, *stage)
+    body += struct.pack("<7dIII", *numbers, angles, *(s.load.size for s in sides))
     for side in sides:
         body += side.load.astype("<f8").tobytes()
         kinds: tuple[NDArray[Any], ...] = (side.deviation, side.compliance, side.pressure, side.contact_count)
@@ -379,14 +399,13 @@ def write(tables: Tables, interface: int, variables: Sequence[Variable], token: 
 
 def named(file: bytes, token: str) -> bytes:
     """Return a file written without a token with one."""
-    return _headed(_text(token) + file[_HEAD + len(_text("")) :])
+    return _headed(_text(token) + file[HEAD.size + len(_text("")) :])
 
 
 def _headed(body: bytes) -> bytes:
-    return MAGIC + struct.pack("<IIQQ", VERSION, 0, _HEAD + len(body), fnv1a(body)) + body
+    return HEAD.pack(MAGIC, VERSION, 0, HEAD.size + len(body), fnv1a(body)) + body
 
 
-_HEAD = 32
 _CAUSALITIES = ("input", "output", "parameter", "independent")
 
 
@@ -408,22 +427,13 @@ def _channel(values: NDArray[Any], step: float) -> bytes:
     return bytes(struct.pack("<dI", step, data.size) + data.tobytes())
 
 
-def fnv1a(data: bytes) -> int:
-    """Return the 64-bit FNV-1a hash over eight-byte words (the last filled with zeros)."""
-    words = np.frombuffer(data + bytes(-len(data) % 8), dtype="<u8")
-    return int(_fnv1a(words))
-
-
-@njit(cache=True)  # type: ignore[untyped-decorator]
-def _fnv1a(words: NDArray[np.uint64]) -> np.uint64:
-    found = np.uint64(0xCBF29CE484222325)
-    for word in words:
-        found = np.uint64((found ^ word) * np.uint64(0x100000001B3))
-    return found
+def interpolation(tables: Tables) -> Interpolation:
+    """Return what an FMU reads of the tables."""
+    return read(write(tables, Interface(), ()), "tables")
 
 
 def evaluate(tables: Tables, crank_angle: ArrayLike, torque: ArrayLike) -> dict[str, Array]:
-    """Interpolate, as the native FMU does.
+    """Interpolate, as FMUs from tables do.
 
     Parameters
     ----------
@@ -437,52 +447,15 @@ def evaluate(tables: Tables, crank_angle: ArrayLike, torque: ArrayLike) -> dict[
         "deviation_rate" (by the crank angle at constant torque, rad/rad), each of that shape.
     """
     theta, signed = (np.asarray(v, dtype=float) for v in (crank_angle, torque))
-    found = {n: np.empty(theta.shape) for n in (
-        "deviation", "compliance", "max_contact_pressure", "crank_torque", "deviation_rate"
-    )}  # fmt: skip
-    for side, direction in ((tables.positive, 1.0), (tables.negative, -1.0)):
-        here = direction * signed > 0.0
-        t = np.abs(signed[here])
-        count = side.deviation.shape[1]
-        place = theta[here] / tables.period * count
-        first = np.floor(place).astype(int)
-        s = place - first
-        weights = np.array([(1 - s) ** 3, 3 * s**3 - 6 * s**2 + 4, 1 + 3 * s + 3 * s**2 - 3 * s**3, s**3]) / 6.0
-        rates = np.array([-((1 - s) ** 2), 3 * s**2 - 4 * s, 1 + 2 * s - 3 * s**2, s**2]) / 2.0
-        rates *= count / tables.period
-        around = (first + np.arange(-1, 3)[:, None]) % count
-        x, c, p = (
-            np.einsum("lkn,kn->ln", v[:, around], weights) for v in (side.deviation, side.compliance, side.pressure)
-        )
-        dx, dc = (np.einsum("lkn,kn->ln", v[:, around], rates) for v in (side.deviation, side.compliance))
-        cell = np.clip(np.searchsorted(side.load, t, side="right") - 1, 0, side.load.size - 2)
-        n = np.arange(t.size)
-        h = np.diff(side.load)
-        share = (t - side.load[cell]) / h[cell]
-
-        p0, p1, q0, q1 = _hermite(share, h[cell])
-        whole = h[:, None] / 2 * (dx[:-1] + dx[1:]) + h[:, None] ** 2 / 12 * (dc[:-1] - dc[1:])
-        below = np.vstack([np.zeros(t.size), np.cumsum(whole, axis=0)])[cell, n]
-        u = share
-        parts = (u - u**3 + u**4 / 2, u**3 - u**4 / 2, u**2 / 2 - 2 * u**3 / 3 + u**4 / 4, u**4 / 4 - u**3 / 3)
-        last = h[cell] * (
-            parts[0] * dx[cell, n] + parts[1] * dx[cell + 1, n]
-            + h[cell] * (parts[2] * dc[cell, n] + parts[3] * dc[cell + 1, n])
-        )  # fmt: skip
-        rest = np.einsum("kn,kn->n", tables.rest_torque[around], weights)
-        a, b = -6 * u * (1 - u) / h[cell], (1 - u) * (1 - 3 * u)
-        found["deviation"][here] = direction * (
-            p0 * x[cell, n] + p1 * x[cell + 1, n] + q0 * c[cell, n] + q1 * c[cell + 1, n]
-        )
-        found["deviation_rate"][here] = direction * (
-            p0 * dx[cell, n] + p1 * dx[cell + 1, n] + q0 * dc[cell, n] + q1 * dc[cell + 1, n]
-        )
-        found["compliance"][here] = (
-            a * (x[cell, n] - x[cell + 1, n]) + b * c[cell, n] + u * (3 * u - 2) * c[cell + 1, n]
-        )  # fmt: skip
-        found["crank_torque"][here] = rest - signed[here] / tables.ratio - below - last
-        found["max_contact_pressure"][here] = np.sqrt(t) * ((1 - u) * p[cell, n] + u * p[cell + 1, n])
-    return found
+    read_back = interpolation(tables)
+    numbers, values = read_back.numbers, read_back.values
+    found = np.empty((5, theta.size))
+    for i, (angle, load) in enumerate(zip(theta.ravel().tolist(), signed.ravel().tolist(), strict=True)):
+        deviation, stiffness, crank_torque, rate = loaded(numbers, values, angle, load)
+        pressure = sharing(numbers, values, angle, load)[1]
+        found[:, i] = deviation, 1.0 / stiffness, pressure, crank_torque, rate - 1.0 / tables.ratio
+    names = ("deviation", "compliance", "max_contact_pressure", "crank_torque", "deviation_rate")
+    return {name: row.reshape(theta.shape) for name, row in zip(names, found, strict=True)}
 
 
 def compare(tables: Tables, pair: Pair, surface: ErrorSurface, probes: int, seed: int = 0) -> dict[str, float]:

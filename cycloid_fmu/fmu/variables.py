@@ -8,6 +8,7 @@ same reference in both versions.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -94,7 +95,7 @@ class Variable:
     dimensions
         Of an array, which only FMI 3.0 has; () otherwise.
     baked
-        Whether a native FMU has it in its tables: there it can be read but not set.
+        Whether an FMU from tables has it in them: there it can be read but not set.
     """
 
     name: str
@@ -288,3 +289,20 @@ def variables(
         dataclasses.replace(v, initially=initially.get(v.name, shaping)) if v.causality == "output" else v
         for v in found
     )
+
+
+def from_tables(table: Sequence[Variable]) -> dict[int, Variable]:
+    """Return what an FMU from tables has of the variables, by value reference.
+
+    What its tables were made with is a constant; the loads of single pins they do not hold.
+    """
+    kept = {
+        reference: dataclasses.replace(v, causality="local", variability="constant") if v.baked else v
+        for reference, v in enumerate(table)
+        if not (v.dimensions and v.causality == "output")
+    }
+    constants = {v.name for v in kept.values() if v.variability == "constant"}
+    return {
+        reference: dataclasses.replace(v, initially=tuple(n for n in v.initially if n not in constants))
+        for reference, v in kept.items()
+    }

@@ -43,14 +43,14 @@ def resources(tmp_path_factory):
 def started(folder):
     core = Core(folder, "3.0")
     core.start()
-    return core, {v.name: i for i, v in enumerate(core.table)}
+    return core, {v.name: i for i, v in core.table.items()}
 
 
 def nonsense(core, v, steps, seed):
     """Random values and steps, sense and nonsense; how many steps were made and refused."""
     random = np.random.default_rng(seed)
     inputs = [n for n in v if core.table[v[n]].causality == "input"]
-    outputs = [i for i, o in enumerate(core.table) if o.causality == "output"]
+    outputs = [i for i, o in core.table.items() if o.causality == "output"]
     parameters = ["friction_torque", "series_compliance", "centre_distance_x", "mesh_damping", "backlash_on"]
     special = [math.nan, math.inf, -math.inf, 1e9, -1e9, 0.0, 1e300, -1e-300]
     made = refused = 0
@@ -110,7 +110,7 @@ def test_states_taken_and_restored_at_random_reproduce_bit_by_bit(resources, kin
     random = np.random.default_rng(11)
     one, v = started(resources(kind))
     other, _ = started(resources(kind))
-    outputs = [i for i, o in enumerate(one.table) if o.causality == "output"]
+    outputs = [i for i, o in one.table.items() if o.causality == "output"]
     place = 0.0
 
     def walk(core, moves):

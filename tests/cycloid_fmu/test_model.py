@@ -113,7 +113,7 @@ def test_what_friction_holds_carries_the_torque_between():
     step(model, torque=60.0)
     stiff = model.torsional_stiffness
     step(model, torque=55.0)
-    assert model._load == pytest.approx(55.0, rel=1e-6)
+    assert model._teeth.torque == pytest.approx(55.0, rel=1e-6)
     assert model.torsional_stiffness == pytest.approx(stiff, rel=1e-4)
 
 

@@ -16,18 +16,20 @@ import fmpy
 import numpy as np
 import pytest
 from c_host import COMPILER, HERE, INTERFACES, compiled, needs
-from common import ARCSEC, EXAMPLES, make_pair
+from common import ARCSEC, EXAMPLES, PAIR, make_pair
 from fmpy.fmi2 import FMU2Slave
 from fmpy.validation import validate_fmu
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cycloid_fmu import edge
+from cycloid_fmu import reducer as rv
 from cycloid_fmu.fmu import native_build, tables
 from cycloid_fmu.fmu.compliant_model import CompliantModel
 from cycloid_fmu.fmu.model import DriveModel
+from cycloid_fmu.fmu.reducer_model import ReducerModel
 from cycloid_fmu.fmu.variables import variables
-from cycloid_fmu.pair import read_pair
+from cycloid_fmu.pair import parse_pair, read_pair
 from cycloid_fmu.surface import nominal_surface, surface_of_pair
 from cycloid_fmu.transmission import solve
 
@@ -116,7 +118,8 @@ def test_tables_of_a_drive_with_all_errors_keep_their_accuracy_over_the_whole_pe
     errors = tables.compare(made, pair, surface, 20000, seed=7)
     torques = np.array([-1.0, 1.0]) * 181.0
     error = solve(pair, surface, torques, np.linspace(0.0, made.period, 20000)).transmission_error
-    size = len(zlib.compress(tables.write(made, 0, variables(pair, surface, INTERFACES["kinematic"], "2.0"))))
+    kind = INTERFACES["kinematic"]
+    size = len(zlib.compress(tables.write(made, kind, variables(pair, surface, kind, "2.0"))))
     record_property("native TE with all errors, largest error", f"{errors['deviation_largest'] / ARCSEC:.4f}″")
     record_property("its tables in the FMU", f"{size / 1e6:.2f} MB")
     assert errors["deviation_largest"] < max(0.02 * ARCSEC, 1e-3 * np.ptp(error, axis=1).max())
@@ -175,12 +178,10 @@ def test_torques_of_the_tables_are_derivatives_of_one_function(drive):
     ],
 )
 def test_kinematic_follows_the_exact_model_through_reversals_and_zero_torque(drive, slave, parameters):
-    native, model = slave(), DriveModel(drive.pair, drive.surface, INTERFACES["kinematic"].losses)
-    for name, value in parameters.items():
-        setattr(model, name, value)
-    native.start(**parameters)
-    model.forget_history()
-    model.advance()
+    """And native and Python from the same tables agree to rounding."""
+    native, losses = slave(), INTERFACES["kinematic"].losses
+    models = [DriveModel(drive.pair, drive.surface, losses, t) for t in (None, tables.interpolation(drive.tables))]
+    begun(native, models, parameters)
     random = np.random.default_rng(3)
     steps = 400
     angle = np.cumsum(random.normal(0.0, 0.05, steps)) + 2.0 * np.sin(np.arange(steps) / 40)
@@ -188,50 +189,141 @@ def test_kinematic_follows_the_exact_model_through_reversals_and_zero_torque(dri
     torque[100:180] = 0.0
     found = []
     for i in range(steps):
-        model.crank_angle, model.crank_speed, model.torque = angle[i], math.cos(i), torque[i]
-        model.advance()
-        native.put(flange_a_phi=angle[i], flange_a_w=math.cos(i), flange_b_tau=torque[i])
-        native.fmi.doStep(1e-3 * i, 1e-3)
-        found.append([
-            [model.output_angle, model.transmission_error, model.backlash, model.crank_torque, model.output_speed,
-             model.power_loss, model.max_contact_pressure],
-            native.get("flange_b.phi", "transmission_error", "backlash", "flange_a.tau", "flange_b.w", "power_loss",
-                       "max_contact_pressure"),
-        ])  # fmt: skip
-    exact, interpolated = np.moveaxis(np.array(found), 1, 0)
+        found.append(stepped(native, models, i, angle[i], torque[i]))
+    exact, in_python, interpolated = np.moveaxis(np.array(found), 1, 0)
+    agree(in_python, interpolated)
     off = np.abs(interpolated - exact)
     assert off[:, :2].max() < 0.02 * ARCSEC
     assert off[:, 2].max() < 0.04 * ARCSEC  # two ends
     scale = np.sqrt(np.mean(exact**2, axis=0))
     # Inside the play a rounding decides whether a flank pushes: then the speed is the other one.
-    assert (np.sqrt(np.mean(off[:, 3:] ** 2, axis=0)) <= [0.003, 0.02, 0.02, 0.005] * scale[3:] + 1e-12).all()
+    assert (np.sqrt(np.mean(off[:, 3:] ** 2, axis=0)) <= [0.003, 0.02, 0.02, 0.005, 0.05] * scale[3:] + 1e-12).all()
+
+
+def begun(native, models, parameters):
+    """Start all alike."""
+    for model in models:
+        for name, value in parameters.items():
+            setattr(model, name, value)
+        model.forget_history()
+        model.advance()
+    native.start(**parameters)
+
+
+def stepped(native, models, i, angle, torque):
+    """A step of the kinematic interface: what all of them then say, SI."""
+    found = []
+    for model in models:
+        model.crank_angle, model.crank_speed, model.torque = angle, math.cos(i), torque
+        model.advance()
+        found.append([
+            model.output_angle, model.transmission_error, model.backlash, model.crank_torque, model.output_speed,
+            model.power_loss, model.max_contact_pressure, model.torsional_stiffness,
+        ])  # fmt: skip
+    native.put(flange_a_phi=angle, flange_a_w=math.cos(i), flange_b_tau=torque)
+    native.fmi.doStep(1e-3 * i, 1e-3)
+    found.append(native.get(
+        "flange_b.phi", "transmission_error", "backlash", "flange_a.tau", "flange_b.w", "power_loss",
+        "max_contact_pressure", "torsional_stiffness",
+    ))  # fmt: skip
+    return found
+
+
+def agree(one, other):
+    """Two computations from the same tables: alike to 1e-9 of each quantity's size."""
+    assert (np.abs(one - other) <= 1e-9 * np.abs(other).max(axis=0)).all()
+
+
+@pytest.fixture(scope="module")
+def pressed(tmp_path_factory):
+    """A native FMU of teeth that press the crank at zero torque, from coarse tables, which are soon made."""
+    pair = parse_pair(PAIR + 'rated_torque = "180 N*m"\n[modification]\noffset = "3 um"\n', "pressed.toml")
+    return coarse(tmp_path_factory.mktemp("pressed"), pair, surface_of_pair(pair))
+
+
+@pytest.fixture(scope="module")
+def reducer(tmp_path_factory):
+    """Likewise of an RV reducer: the sun turns the crank through planets with play, the carrier plays in bearings."""
+    whole = rv.read_reducer(EXAMPLES / "rv-20e.toml")
+    folder = tmp_path_factory.mktemp("reducer")
+    return coarse(folder, whole.stage, nominal_surface(whole.stage), rv.first_stage_of(whole))
+
+
+def coarse(folder, pair, surface, stage=None):
+    made = tables.compute(pair, surface, accuracy=0.3 * ARCSEC)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CC", COMPILER[0] if len(COMPILER) == 1 else "")
+        native_build.build_native(
+            pair, surface, folder / "drive.fmu", INTERFACES["kinematic"], "2.0", stage, made=made,
+            platforms=[native_build.this_platform()],
+        )  # fmt: skip
+    return SimpleNamespace(path=folder / "drive.fmu", tables=made, drive=(pair, surface, *([stage] if stage else [])))
+
+
+def exact_and_from_tables(model, made):
+    losses = INTERFACES["kinematic"].losses
+    return [model(*made.drive, losses, t) for t in (None, tables.interpolation(made.tables))]
+
+
+@pytest.mark.parametrize(
+    "parameters", [{}, {"friction_torque": 8.0}, {"backlash_on": False, "series_compliance": 1e-6}]
+)
+def test_with_interference_native_and_python_from_tables_agree(slave, pressed, parameters):
+    assert np.abs(pressed.tables.rest_torque).max() > 0.0
+    native, models = slave(path=pressed.path), exact_and_from_tables(DriveModel, pressed)
+    begun(native, models, parameters)
+    # Beside the places where the crank feels nothing: there a rounding decides which way power flows.
+    found = [stepped(native, models, i, 0.003 + 0.01 * i, 100.0 * math.sin(0.1 * i) * (i % 7 > 1)) for i in range(200)]
+    exact, in_python, interpolated = np.moveaxis(np.array(found), 1, 0)
+    agree(in_python, interpolated)
+    assert np.abs(interpolated - exact)[:, 1].max() <= pressed.tables.allowed
+    assert (interpolated[:, 2] == 0.0).all()
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [{}, {"friction_torque": 2.0, "series_compliance": 1e-6}, {"friction_torque": 3.0, "backlash_on": False}],
+)
+def test_a_reducer_follows_its_exact_model(slave, reducer, parameters):
+    native, models = slave(path=reducer.path), exact_and_from_tables(ReducerModel, reducer)
+    begun(native, models, parameters)
+    random = np.random.default_rng(3)
+    steps = 200
+    angle = np.cumsum(random.normal(0.0, 0.5, steps)) + 20.0 * np.sin(np.arange(steps) / 40)
+    torque = 150.0 * np.sin(np.arange(steps) / 23) * (random.random(steps) < 0.8)
+    torque[60:110] = 0.0
+    found = np.array([stepped(native, models, i, angle[i], torque[i]) for i in range(steps)])
+    exact, in_python, interpolated = np.moveaxis(found, 1, 0)
+    agree(in_python, interpolated)
+    off, allowed = np.abs(interpolated - exact), reducer.tables.allowed
+    assert off[:, 1].max() <= allowed
+    assert off[:, 2].max() <= 2.0 * allowed
+    assert np.ptp(exact[:, 1]) > 5.0 * allowed
 
 
 @pytest.mark.parametrize("parameters", [{}, {"friction_torque": 8.0, "mesh_damping": 50.0, "series_compliance": 1e-6}])
 def test_compliant_follows_the_exact_model(drive, slave, parameters):
-    native, model = slave("compliant"), CompliantModel(drive.pair, drive.surface)
-    for name, value in parameters.items():
-        setattr(model, name, value)
-    native.start(**parameters)
-    model.forget_history()
-    model.advance()
+    native, from_tables = slave("compliant"), tables.interpolation(drive.tables)
+    models = [CompliantModel(drive.pair, drive.surface, tables=t) for t in (None, from_tables)]
+    begun(native, models, parameters)
     found, ratio = [], drive.pair.ratio
     for i in range(200):
         t = 1e-3 * i
         crank, speed = 0.5 * math.sin(6 * t), 3.0 * math.cos(6 * t)
         off, rate = 2.4e-4 * math.sin(40 * t), 40 * 2.4e-4 * math.cos(40 * t)
-        model.crank_angle, model.crank_speed = crank, speed
-        model.output_angle, model.output_speed = crank / ratio + off, speed / ratio + rate
         native.put(
             flange_a_phi=crank, flange_a_w=speed, flange_b_phi=crank / ratio + off, flange_b_w=speed / ratio + rate
         )
-        model.advance(1e-3)
         native.fmi.doStep(t, 1e-3)
-        found.append([
-            [model.crank_torque, model.torque, model.elastic_energy, model.dissipated_energy],
-            native.get("flange_a.tau", "flange_b.tau", "elastic_energy", "dissipated_energy"),
-        ])  # fmt: skip
-    exact, interpolated = np.moveaxis(np.array(found), 1, 0)
+        row = [native.get("flange_a.tau", "flange_b.tau", "elastic_energy", "dissipated_energy")]
+        for model in models:
+            model.crank_angle, model.crank_speed = crank, speed
+            model.output_angle, model.output_speed = crank / ratio + off, speed / ratio + rate
+            model.advance(1e-3)
+            row.append([model.crank_torque, model.torque, model.elastic_energy, model.dissipated_energy])
+        found.append(row)
+    interpolated, exact, in_python = np.moveaxis(np.array(found), 1, 0)
+    agree(in_python, interpolated)
     assert (np.abs(interpolated - exact).max(axis=0) <= 0.01 * np.abs(exact).max(axis=0)).all()
 
 
@@ -329,13 +421,42 @@ def test_importers_see_the_same_trajectory(built, unpacked, host, importer, vers
     assert (np.abs(found - rows[:, 4:]) <= 1e-12 * np.abs(rows[:, 4:]).max(axis=0)).all()
 
 
-def test_reference_results_are_met(unpacked, host):
-    """The results that lie in the repository (of the FMI Cross-Check's form), within the accuracy of the tables."""
+@pytest.fixture(scope="module")
+def reference():
+    """The results that lie in the repository, in the form of the FMI Cross-Check."""
     with (HERE / "kinematic_ref.csv").open(encoding="utf-8") as file:
         assert file.readline().strip() == ",".join(f'"{name}"' for name in COLUMNS)
-        reference = rows_of(file.read())
+        return dict(zip(COLUMNS, rows_of(file.read()).T, strict=True))
+
+
+def test_reference_results_are_met(unpacked, host, reference):
     found = rows_of(host(unpacked(), "run", 800))
-    assert np.abs(found - reference)[:, [4, 7]].max() < 0.04 * ARCSEC
+    for place, name in ((4, "flange_b.phi"), (7, "transmission_error")):
+        assert np.abs(found[:, place] - reference[name]).max() < 0.04 * ARCSEC
+
+
+def test_reference_results_are_the_exact_analysis(drive, reference):
+    """Loaded, each row is the contact's solution at its angle and torque, whose steps never were in a table.
+
+    At zero torque the output lies between the ends of the play, and stands where it stood or on the end that came by.
+    """
+    angle, torque, error = (reference[n] for n in ("flange_a.phi", "flange_b.tau", "transmission_error"))
+    output = reference["flange_b.phi"]
+    np.testing.assert_allclose(output, angle / drive.pair.ratio + error, rtol=0.0, atol=1e-12)
+    within = 0.02 * ARCSEC
+    for i, (place, load) in enumerate(zip(angle, torque, strict=True)):
+        exact = solve(drive.pair, drive.surface, load, place)
+        low, high = float(exact.play_low[0]), float(exact.play_high[0])
+        assert reference["backlash"][i] == pytest.approx(high - low, abs=2.0 * within)
+        if load != 0.0:
+            assert error[i] == pytest.approx(float(exact.transmission_error[0, 0]), abs=within)
+            pressure = float(exact.max_contact_pressure[0, 0])
+            assert reference["max_contact_pressure"][i] == pytest.approx(pressure, rel=0.02)
+        else:
+            assert low - within <= error[i] <= high + within
+            still = abs(output[i] - output[i - 1]) < 1e-12
+            assert still or min(abs(error[i] - low), abs(error[i] - high)) < within or i == 0
+    assert torque.min() < 0.0 < torque.max()
 
 
 # --- history ---
@@ -377,6 +498,19 @@ def test_reset_is_a_new_beginning(slave):
 @pytest.mark.parametrize(("kind", "version"), EACH)
 def test_random_steps_with_nonsense_among_them_bring_no_number_that_is_none(unpacked, host, kind, version):
     assert "20000 steps" in host(unpacked(kind, version), "random", 20000)
+
+
+@pytest.mark.parametrize("made", ["reducer", "pressed"])
+def test_nonsense_and_rollback_with_a_first_stage_or_interference(request, host, tmp_path, made):
+    path = request.getfixturevalue(made).path
+    folder = tmp_path / "unpacked"
+    fmpy.extract(str(path), unzipdir=str(folder))
+    fmu = SimpleNamespace(
+        version="2.0", kind="kinematic", uri=(folder / "resources").as_uri(),
+        guid=fmpy.read_model_description(str(path)).guid, library=folder / "binaries" / "linux64" / "CycloidDrive.so",
+    )  # fmt: skip
+    assert "5000 steps" in host(fmu, "random", 5000)
+    assert "100 states restored" in host(fmu, "rollback", 100)
 
 
 @pytest.mark.slow
@@ -603,10 +737,11 @@ def test_without_the_extra_the_message_names_it(drive, tmp_path, monkeypatch):
         native_build.build_native(drive.pair, drive.surface, tmp_path / "d.fmu", platforms=["x86_64-windows"])
 
 
-def test_a_pair_without_rated_torque_is_refused(command, tmp_path):
+@pytest.mark.parametrize("kind", ["--native", "--tables"])
+def test_a_pair_without_rated_torque_is_refused(command, tmp_path, kind):
     text = (EXAMPLES / "drive-39-40.toml").read_text()
     (tmp_path / "pair.toml").write_text("\n".join(x for x in text.splitlines() if not x.startswith("rated_torque")))
-    done = command("cycloid-fmu", "build", "pair.toml", "--native", "-o", "drive.fmu")
+    done = command("cycloid-fmu", "build", "pair.toml", kind, "-o", "drive.fmu")
     assert done.returncode == edge.BAD_INPUT
     assert "pair.toml: [pair] rated_torque is missing" in done.stderr
 

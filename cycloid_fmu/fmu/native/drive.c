@@ -9,10 +9,13 @@
 static const double FRICTION_DISPLACEMENT = 2e-5, LOSS_SPEED = 1e-2, FARTHEST = 0.01, SUB_STEP = 0.2;
 static const double CRANK_STEP = 0.02, DEVIATION_STEP = 5e-6, SAME = 1e-11, CLOSE = 1e-15;
 static const double MOST_SUB_STEPS = 20000.0;
-static const double NO_PLAY = 1e-13; /* rad */
+static const double NO_PLAY = 1e-13;            /* rad */
+static const double LEAST_COMPLIANCE = 1e-12; /* rad/(N.m): between nodes a table may have none */
 static const double RATED = 0.4;     /* of the last load of the tables */
 static const char BLOB_MAGIC[16] = "cycloid native\n";
-enum { BLOB_VERSION = 1 };
+static const double TWO_PI = 6.283185307179586;
+static const double STEP = 1e-13, DIFFERENCE = 1e-6; /* of a reducer's crank: last step, and for its torque's change */
+enum { BLOB_VERSION = 2 };
 
 enum field {
     CRANK_ANGLE, CRANK_SPEED, CRANK_TORQUE, OUTPUT_ANGLE, OUTPUT_SPEED, OUTPUT_TORQUE, TRANSMISSION_ERROR, BACKLASH,
@@ -139,9 +142,9 @@ static double stiffness_at(const struct drive *drive, const struct place *place,
     } else if (play > 0.0) {
         return 0.0;
     } else {
-        compliance = table_at_node(side_of(drive, side), place, 0).compliance;
+        compliance = table_at_node(side_of(drive, 1.0), place, 0).compliance;
     }
-    return compliance > 0.0 ? 1.0 / compliance : 0.0;
+    return 1.0 / (compliance > LEAST_COMPLIANCE ? compliance : LEAST_COMPLIANCE);
 }
 
 static int press(const struct drive *drive, double crank_angle, double deviation, struct pressed *found,
@@ -181,8 +184,8 @@ static const struct place *placed(struct drive *drive) {
     return &drive->place;
 }
 
-/* The flange's deviation at a torque; at torque 0 the given end of the play. */
-static int elastic(struct drive *drive, const struct play *play, double torque, double end, double *deviation,
+/* The gear's deviation at a torque, less the play that does not act; at torque 0 the given end of the play. */
+static int gear_elastic(struct drive *drive, const struct play *play, double torque, double end, double *deviation,
                    char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
     double side = torque == 0.0 ? (end < 0.0 ? -1.0 : 1.0) : copysign(1.0, torque), load = fabs(torque);
@@ -200,27 +203,200 @@ static int elastic(struct drive *drive, const struct play *play, double torque, 
     }
     drive->at = table_at(table, &drive->place, load);
     drive->at_load = side * load;
-    *deviation = side * (drive->at.deviation - play->offset) + s->series_compliance * torque;
+    *deviation = side * (drive->at.deviation - play->offset);
     return 0;
+}
+
+/* ---- the first stage of an RV reducer: as in reducer_model.py ---- */
+
+static double sun_play(const struct drive *drive) {
+    return drive->state.backlash_on != 0.0 ? drive->table->sun_play : 0.0;
+}
+
+/* Half of what the sun's and the bearings' play are at the output. */
+static double outer_play(const struct drive *drive) {
+    return drive->state.backlash_on == 0.0 ? 0.0
+        : 0.5 * (sun_play(drive) / drive->ratio + drive->s * drive->table->bearing_play);
+}
+
+/* Put the crank where the sun and an output that deviates so have it, the sun's play on the given side. */
+static struct play turn_crank(struct drive *drive, double deviation, double side) {
+    struct state *s = &drive->state;
+    double turns = s->crank_angle / (TWO_PI * drive->ratio), reduced = TWO_PI * drive->ratio * (turns - floor(turns));
+    s->placed = reduced * drive->table->ratio / drive->ratio + drive->a * deviation
+        - 0.5 * drive->b * side * sun_play(drive);
+    drive->placed = 0;
+    return play_at(drive, placed(drive));
+}
+
+static double offset_of(const struct play *play, double side) {
+    return side * play->offset;
+}
+
+static int reducer_elastic(struct drive *drive, double torque, double end, double *deviation,
+                           char message[MESSAGE_SIZE]) {
+    struct state *s = &drive->state;
+    double side = torque == 0.0 ? end : copysign(1.0, torque), outer = side * outer_play(drive), energy;
+    double crank_torque = (1.0 - drive->s) / drive->a * torque;
+    int i;
+    s->loose = 0.0;
+    *deviation = outer + drive->s * s->gear;
+    for (i = 0; i < 50; i++) {
+        struct play play = turn_crank(drive, *deviation, side);
+        double gear, following, before = crank_torque;
+        if (gear_elastic(drive, &play, torque == 0.0 ? 0.0 : torque - drive->a * crank_torque, end, &gear, message)) {
+            return 1;
+        }
+        s->gear = gear + offset_of(&play, torque == 0.0 ? end : s->side);
+        following = outer + drive->s * (s->gear - offset_of(&play, side));
+        if (s->load > 0.0 || play.width == 0.0) {
+            crank_torque = crank_torque_at(drive, &drive->place, s->load, s->side < 0.0 ? -1.0 : 1.0, play.offset_rate,
+                                           &energy);
+        }
+        gear = fabs(following - *deviation);
+        *deviation = following;
+        if (gear < STEP && fabs(crank_torque - before) <= 1e-12 * fabs(torque)) {
+            break;
+        }
+    }
+    return 0;
+}
+
+static void reducer_hold(struct drive *drive, double deviation) {
+    struct state *s = &drive->state;
+    struct play play = turn_crank(drive, deviation, 0.0);
+    double low = -play.end[1].deviation, high = play.end[0].deviation, side, outer = outer_play(drive);
+    if (play.width == 0.0 || s->backlash_on == 0.0) {
+        low = high = 0.5 * (low + high);
+    }
+    side = deviation > drive->s * high ? 1.0 : -1.0;
+    if ((drive->s * low <= deviation && deviation <= drive->s * high)
+        || fabs(deviation - drive->s * (side > 0.0 ? high : low)) <= outer) {
+        double gear = deviation / drive->s;
+        s->gear = gear < low ? low : gear > high ? high : gear;
+        s->load = 0.0;
+        s->loose = 1.0;
+        return;
+    }
+    play = turn_crank(drive, deviation, side);
+    s->side = side;
+    s->loose = 0.0;
+    s->load = table_load(side_of(drive, side), &drive->place, side * (deviation - side * outer) / drive->s, play.offset,
+                         s->series_compliance / (drive->s * drive->s));
+    s->gear = side * (s->load < HUGE_VAL ? table_at(side_of(drive, side), &drive->place, s->load).deviation : 0.0);
+}
+
+/* What the gear's deviation changes with the crank, less the play that does not act; and how stiff the teeth are. */
+static double gear_rate(struct drive *drive, double *stiffness) {
+    const struct state *s = &drive->state;
+    const struct place *place = placed(drive);
+    struct play play = play_at(drive, place);
+    double side = s->side < 0.0 ? -1.0 : 1.0, rate;
+    *stiffness = s->loose != 0.0 ? 0.0 : stiffness_at(drive, place, s->load, side, play.width);
+    if (s->load > 0.0) {
+        rate = side * (table_at(side_of(drive, side), place, s->load).rate - play.offset_rate);
+    } else if (s->backlash_on == 0.0 || play.width == 0.0) {
+        rate = play.end[0].rate - play.offset_rate;
+    } else {
+        rate = s->pushed < 0.0 ? -play.end[1].rate : play.end[0].rate;
+    }
+    return rate + 1.0 / drive->table->ratio;
+}
+
+/* Change of the crank's torque with its angle at constant torque on the gear. */
+static double crank_torque_rate(struct drive *drive) {
+    const struct state *s = &drive->state;
+    double found[2], energy;
+    int i;
+    for (i = 0; i < 2; i++) {
+        struct place place = table_place(drive->table, s->placed + (i == 0 ? -DIFFERENCE : DIFFERENCE));
+        struct play play = play_at(drive, &place);
+        found[i] = crank_torque_at(drive, &place, s->load, s->side < 0.0 ? -1.0 : 1.0, play.offset_rate, &energy);
+    }
+    return (found[1] - found[0]) / (2.0 * DIFFERENCE);
+}
+
+static double reducer_speed(struct drive *drive) {
+    const struct state *s = &drive->state;
+    double stiffness, rate;
+    if (s->crank_speed == 0.0 || s->pushed == 0.0) {
+        return 0.0;
+    }
+    rate = gear_rate(drive, &stiffness);
+    if (stiffness > 0.0) {
+        rate -= drive->a * crank_torque_rate(drive) / ((1.0 - drive->a * rate) * stiffness);
+    }
+    return -s->crank_speed * rate * drive->b / (1.0 - drive->a * rate);
+}
+
+static double reducer_stiffness(struct drive *drive) {
+    double stiffness, turned = 1.0 - drive->a * gear_rate(drive, &stiffness);
+    if (stiffness <= 0.0) {
+        return 0.0;
+    }
+    stiffness = stiffness * turned * turned + drive->a * drive->a * crank_torque_rate(drive);
+    return 1.0 / (1.0 / stiffness + drive->state.series_compliance);
+}
+
+static double reducer_backlash(const struct drive *drive) {
+    const struct state *s = &drive->state;
+    double outer = outer_play(drive), ends[2];
+    int side, i;
+    for (side = 0; side < 2; side++) {
+        double x = s->gear;
+        for (i = 0; i < 50; i++) {
+            double theta = s->placed + drive->a * ((side == 0 ? -outer : outer) + drive->s * (x - s->gear)), end;
+            struct place place = table_place(drive->table, theta);
+            struct play play = play_at(drive, &place);
+            if (play.width == 0.0) {
+                return 2.0 * outer;
+            }
+            end = side == 0 ? -play.end[1].deviation : play.end[0].deviation;
+            if (fabs(end - x) < STEP) {
+                x = end;
+                break;
+            }
+            x = end;
+        }
+        ends[side] = x;
+    }
+    return 2.0 * outer + drive->s * (ends[1] - ends[0]);
+}
+
+/* ---- both ---- */
+
+/* The flange's deviation at a torque; at torque 0 the given end of the play. */
+static int elastic(struct drive *drive, const struct play *play, double torque, double end, double *deviation,
+                   char message[MESSAGE_SIZE]) {
+    int failed = drive->b > 0.0 ? reducer_elastic(drive, torque, end, deviation, message)
+                                : gear_elastic(drive, play, torque, end, deviation, message);
+    *deviation += drive->state.series_compliance * torque;
+    return failed;
 }
 
 static void hold(struct drive *drive, const struct play *play, double deviation) {
     struct state *s = &drive->state;
+    if (drive->b > 0.0) {
+        reducer_hold(drive, deviation);
+        return;
+    }
     s->side = deviation > play->end[0].deviation - play->offset ? 1.0 : -1.0;
     s->load = table_load(side_of(drive, s->side), &drive->place, s->side * deviation, play->offset, s->series_compliance);
 }
 
 static int follow_torque(struct drive *drive, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
-    double ideal = s->crank_angle / drive->table->ratio, deviation = 0.0, low = 0.0, high = 0.0;
+    double ideal = s->crank_angle / drive->ratio, deviation = 0.0, low = 0.0, high = 0.0;
     struct play play;
     int failed;
-    s->placed = s->crank_angle;
-    drive->placed = 0;
     memset(&play, 0, sizeof play);
-    placed(drive);
-    if (s->torque == 0.0 || s->friction_torque != 0.0 || s->backlash_on == 0.0) {
-        play = play_at(drive, &drive->place);
+    if (drive->b == 0.0) { /* a reducer's crank is turned where its place is found */
+        s->placed = s->crank_angle;
+        drive->placed = 0;
+        placed(drive);
+        if (s->torque == 0.0 || s->friction_torque != 0.0 || s->backlash_on == 0.0) {
+            play = play_at(drive, &drive->place);
+        }
     }
     if (s->settled == 0.0 || (s->friction_torque == 0.0 && s->torque != 0.0)) {
         failed = elastic(drive, &play, s->torque, 0.0, &deviation, message);
@@ -257,12 +433,13 @@ static int follow_torque(struct drive *drive, char message[MESSAGE_SIZE]) {
 static double driving_torque(struct drive *drive) {
     const struct place *place = placed(drive);
     struct play play = play_at(drive, place);
-    double energy;
-    if (drive->state.load == 0.0 && play.width > 0.0) {
+    double energy, torque;
+    if (drive->state.load == 0.0 && (play.width > 0.0 || drive->state.loose != 0.0)) {
         return 0.0;
     }
-    return crank_torque_at(drive, place, drive->state.load, drive->state.side < 0.0 ? -1.0 : 1.0, play.offset_rate,
-                           &energy);
+    torque = crank_torque_at(drive, place, drive->state.load, drive->state.side < 0.0 ? -1.0 : 1.0, play.offset_rate,
+                             &energy);
+    return drive->b > 0.0 ? -drive->b * torque : torque;
 }
 
 static double carried_speed(struct drive *drive) {
@@ -270,6 +447,9 @@ static double carried_speed(struct drive *drive) {
     const struct place *place = placed(drive);
     struct play play;
     double rate, side = s->side < 0.0 ? -1.0 : 1.0;
+    if (drive->b > 0.0) {
+        return reducer_speed(drive);
+    }
     if (s->crank_speed == 0.0 || (s->pushed == 0.0 && (s->backlash_on != 0.0 || s->friction_torque > 0.0))) {
         return 0.0;
     }
@@ -554,6 +734,13 @@ int drive_open(struct drive *drive, struct table *table, char message[MESSAGE_SI
     int k;
     memset(drive, 0, sizeof *drive);
     drive->table = table;
+    drive->ratio = table->ratio;
+    if (table->sun_teeth > 0.0) {
+        drive->b = table->sun_teeth / table->planet_teeth;
+        drive->a = 1.0 + drive->b;
+        drive->s = 1.0 / (1.0 - drive->a / table->ratio);
+        drive->ratio = -table->ratio / (drive->b * drive->s);
+    }
     for (i = 0; i < table->variables; i++) {
         struct variable *v = &table->variable[i];
         v->field = -1;
@@ -618,6 +805,7 @@ static double output(struct drive *drive, int field) {
     int still = kinematic(drive);
     double load = still ? s->load : drive->pressed.load, side = still ? s->side : drive->pressed.side;
     double torque, ratio = drive->table->ratio;
+    int pressed = load > 0.0 || (s->loose == 0.0 && play_at(drive, place).width == 0.0);
     side = side < 0.0 ? -1.0 : 1.0;
     switch (field) {
     case CRANK_TORQUE:
@@ -630,13 +818,18 @@ static double output(struct drive *drive, int field) {
     case OUTPUT_SPEED: return still ? carried_speed(drive) : s->output_speed;
     case OUTPUT_TORQUE: return drive->pressed.by_rotation + drive->damping + s->friction_torque * drive->strain;
     case TRANSMISSION_ERROR: return still ? s->deviation : s->output_angle - s->crank_angle / ratio;
-    case BACKLASH: return s->backlash_on != 0.0 ? play_at(drive, place).width : 0.0;
+    case BACKLASH:
+        return s->backlash_on == 0.0 ? 0.0 : drive->b > 0.0 ? reducer_backlash(drive) : play_at(drive, place).width;
     case TORSIONAL_STIFFNESS: {
-        double stiffness = stiffness_at(drive, place, load, side, load > 0.0 ? 0.0 : play_at(drive, place).width);
+        double stiffness;
+        if (drive->b > 0.0) {
+            return reducer_stiffness(drive);
+        }
+        stiffness = stiffness_at(drive, place, load, side, load > 0.0 ? 0.0 : play_at(drive, place).width);
         return stiffness > 0.0 ? 1.0 / (1.0 / stiffness + s->series_compliance) : 0.0;
     }
-    case MAX_CONTACT_PRESSURE: return load > 0.0 ? table_pressure(side_of(drive, side), place, load) : 0.0;
-    case CONTACT_COUNT: return load > 0.0 ? table_contact_count(side_of(drive, side), place, load) : 0.0;
+    case MAX_CONTACT_PRESSURE: return pressed ? table_pressure(side_of(drive, side), place, load) : 0.0;
+    case CONTACT_COUNT: return pressed ? table_contact_count(side_of(drive, side), place, load) : 0.0;
     case POWER_LOSS:
         if (still) {
             return loss_torque(drive, driving_torque(drive)) * s->crank_speed

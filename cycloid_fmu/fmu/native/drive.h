@@ -13,6 +13,7 @@ struct state {
     double output_angle, output_speed;       /* of the kinematic interface the speed is found when asked for */
     double friction_torque, series_compliance, backlash_on, mesh_damping, largest_step, output_inertia;
     double settled, placed, deviation, load, side, pushed; /* kinematic: at the last step */
+    double gear, loose; /* of a reducer: the gear's own deviation, and whether the plays around it leave it unloaded */
     double bristle, seen, dissipated_energy;               /* compliant */
     double loss[MOST_ROWS * LOSS_COLUMNS];
 };
@@ -24,6 +25,8 @@ struct pressed {
 
 struct drive {
     const struct table *table;
+    double ratio;     /* of the flanges */
+    double a, b, s;   /* of an RV reducer (reducer_model.py); b = 0 without its first stage */
     struct state state;
     int rows;         /* of the loss table */
     int initializing; /* outputs follow the inputs without a step */

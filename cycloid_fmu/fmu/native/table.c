@@ -11,7 +11,7 @@
 #endif
 
 static const char MAGIC[8] = {'c', 'y', 'c', 'l', 't', 'a', 'b', '\n'};
-enum { VERSION = 1, HEAD = 32 };
+enum { VERSION = 2, HEAD = 32 };
 static const double LARGEST_FILE = 1e9;
 
 struct reader {
@@ -208,12 +208,21 @@ static void read_body(struct reader *reader, struct table *table) {
     table->ratio = number(reader);
     table->period = number(reader);
     table->allowed = number(reader);
+    table->sun_teeth = number(reader);
+    table->planet_teeth = number(reader);
+    table->sun_play = number(reader);
+    table->bearing_play = number(reader);
     table->angles = (uint32_t)whole(reader, 4);
     for (k = 0; k < 2; k++) {
         table->side[k].loads = (uint32_t)whole(reader, 4);
         if (table->side[k].loads < 2 || table->side[k].loads > MOST_LOADS) {
             reader->failed = 1;
         }
+    }
+    if (!(table->sun_teeth >= 0.0 && table->sun_teeth < 1e6 && table->planet_teeth >= 0.0 && table->planet_teeth < 1e9
+          && (table->sun_teeth == 0.0 || table->planet_teeth > 0.0) && fabs(table->sun_play) < 10.0
+          && fabs(table->bearing_play) < 1.0)) {
+        reader->failed = 1;
     }
     if (!(fabs(table->ratio) >= 1.0 && table->period > 0.0 && table->period < 1e6 && table->angles >= 4
           && table->angles <= 100000000u)) {
@@ -501,8 +510,8 @@ double table_pressure(const struct side *side, const struct place *place, double
     double u = (load - side->load[j]) / (side->load[j + 1] - side->load[j]);
     double low = blend(side->pressure, side, place, j, place->weight);
     double high = blend(side->pressure, side, place, j + 1, place->weight);
-    double found = sqrt(load) * ((1.0 - u) * low + u * high);
-    return found > 0.0 ? found : 0.0;
+    double square = (1.0 - u) * low + u * high;
+    return square > 0.0 ? sqrt(square) : 0.0;
 }
 
 int table_contact_count(const struct side *side, const struct place *place, double load) {

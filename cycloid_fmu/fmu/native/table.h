@@ -35,6 +35,7 @@ struct table {
     uint32_t offers, variables, angles; /* offers: which interface, not the word that Windows' headers take */
     struct variable *variable;
     double ratio, period, allowed;
+    double sun_teeth, planet_teeth, sun_play, bearing_play; /* of an RV reducer's first stage; else no teeth */
     struct side side[2]; /* positive and negative torque */
     double *rest_torque, *rest_energy; /* at zero load, by crank angle; NULL without interference */
 };
