@@ -324,6 +324,8 @@ def build(
     inertia = 0.0 if output_inertia is None else edge.quantity_option(output_inertia, "kg*m^2", "--output-inertia")
     rows = LOSSLESS if losses is None else builder.read_losses(losses)
     offered = Interface(interface, inertia, rows)  # type: ignore[arg-type]
+    if native and tables:
+        raise edge.InputError("--native, --tables: give one; a native FMU interpolates the same tables without Python.")
     if platforms and not native:
         raise edge.InputError("--platform: only a --native FMU has platforms; one in Python runs where Python does.")
     stage = None

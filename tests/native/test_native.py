@@ -720,9 +720,10 @@ def test_each_platform_has_its_folder_and_macos_in_fmi_2_holds_both_processors(d
         (["--native", "--platform", "m68k-amiga"], "--platform = m68k-amiga: this is none of x86_64-linux, "),
         (["--native", "--platform", "aarch64-linux", "--fmi", "2.0"], "FMI 2.0 does not know it; use --fmi 3.0"),
         (["--platform", "x86_64-linux"], "only a --native FMU has platforms"),
+        (["--native", "--tables"], "--native, --tables: give one"),
     ],
 )
-def test_a_platform_that_can_not_be_built_is_refused_and_nothing_written(command, tmp_path, words, said):
+def test_what_can_not_be_built_is_refused_and_nothing_written(command, tmp_path, words, said):
     (tmp_path / "drive.fmu").write_text("kept")
     done = command("cycloid-fmu", "build", EXAMPLES / "drive-39-40.toml", *words, "-o", "drive.fmu")
     assert done.returncode == edge.BAD_INPUT
