@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.pair import Pair
+from cycloid_fmu.pair import LOST_MOTION, Pair
 from cycloid_fmu.sampling import LARGEST_SEED, Tolerances, surface_at
 from cycloid_fmu.screening import Screen, error_vector
 from cycloid_fmu.surface import Elements, ErrorSurface
@@ -48,10 +48,7 @@ FIGURES = {
     "max_contact_pressure": ("Pa", "largest contact pressure over the crank angles"),
     "mean_backlash": ("rad", "mean backlash over the crank angles, 0 where there is no free position"),
     "backlash": ("rad", "largest backlash over the crank angles"),
-    "lost_motion": (
-        "rad",
-        "largest lost motion over the crank angles: output angle at 3 % of the rated torque less -3 %",
-    ),
+    "lost_motion": ("rad", f"largest over the crank angles of the {LOST_MOTION}"),
     "interference": ("m", "largest interference over the crank angles"),
 }
 
@@ -141,8 +138,8 @@ def check_study(study: Study, pair_source: str, tolerances_source: str) -> None:
         raise edge.InputError(f"--seed = {study.seed}: it must lie between 0 and {LARGEST_SEED}.")
     if study.tolerances.limits.lost_motion is not None and study.pair.pair.rated_torque is None:
         raise edge.InputError(
-            f"{pair_source}: [pair] rated_torque is missing; [limits] lost_motion of {tolerances_source} is taken at "
-            "3 % of it."
+            f"{pair_source}: [pair] rated_torque is missing; state it: [limits] lost_motion of {tolerances_source} is "
+            "taken at a share of it."
         )
 
 

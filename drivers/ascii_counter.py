@@ -24,12 +24,12 @@ from drivers.encoder import (
     EncoderProtocolError,
     EncoderTimeout,
     PortConfig,
+    channel_of,
     counts_to_value,
     judge_sequence,
-    role_of,
     unwrap,
 )
-from drivers.recording_format import GAP, RESET, ROLLOVER, Channel, Samples
+from drivers.recording_format import GAP, RESET, ROLLOVER, Samples
 from drivers.serial_hub import Exchange, PortHub, SerialEncoder, ask
 
 LONGEST_LINE = 4096
@@ -176,17 +176,13 @@ class AsciiCounter(SerialEncoder):
                 f'{self.where} sends no line like "{self.config.line}" but "{shown}"; is the baud rate right?'
             )
         clock = "; the device's own clock is in time_device" if "time" in self._names else ""
-        self.channel = Channel(
-            name=self.name,
-            role=role_of(self.name),
-            protocol="ascii",
-            unit=self._unit,
-            counts_per_turn=self.config.counts_per_turn,
-            direction=self.config.direction,
-            zero=self.config.zero,
-            zero_reference=self.config.zero_reference,
+        self.channel = channel_of(
+            self.name,
+            self.config,
             identity=f'lines "{self.config.line}"',
             time_source=f"host clock: {'middle of the exchange' if self.asked else 'arrival of the line'}{clock}",
+            unit=self._unit,
+            counts_per_turn=self.config.counts_per_turn,
         )
 
     def _fields(self, line: bytes) -> dict[str, str] | None:

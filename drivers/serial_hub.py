@@ -28,9 +28,11 @@ from drivers.encoder import (
     PortConfig,
     steady_time,
 )
-from drivers.recording_format import CHECKSUM, GAP, Event, FloatArray, IntArray
+from drivers.recording_format import CHECKSUM, GAP, Event, FloatArray, IntArray, Samples
 
 ANSWER_SECONDS = 0.1  # far above the encoders' microseconds: it covers a USB adapter and a busy machine
+
+MIDDLE = "host clock: middle of the serial exchange"  # where an answer's stamp lies
 
 Exchange = tuple[float, bytes]
 Question = Callable[[Any], bytes]
@@ -339,6 +341,15 @@ class PolledEncoder(SerialEncoder):
         if len(answer) < self.answer_bytes or not self.checked([answer]).all():
             raise EncoderProtocolError(f"{self.where} answers 0x{answer.hex()}, whose {self.checksum_name} wrong.")
         return answer
+
+    @abc.abstractmethod
+    def samples(self, times: FloatArray, answers: list[bytes], status: IntArray) -> Samples:
+        """Return the samples of good answers, all arguments of shape (k,), k > 0."""
+
+    def read(self, timeout: float) -> Samples | None:
+        """Return the positions that came; see `Encoder.read`."""
+        times, answers, status = self.judged(self.taken(timeout))
+        return self.samples(times, answers, status) if answers else None
 
     def judged(self, exchanges: list[Exchange]) -> tuple[FloatArray, list[bytes], IntArray]:
         """Leave out what the checksum doesn't confirm and mark what follows it: times, answers, status, shape (k,)."""
