@@ -123,7 +123,9 @@ def check_study(study: Study, pair_source: str, tolerances_source: str) -> None:
         the rated torque and there is none.
     """
     if not study.factors:
-        raise edge.InputError(f"{tolerances_source}: no tolerance is stated; a study needs one at least.")
+        raise edge.InputError(
+            f"{tolerances_source}: no tolerance is stated; a study needs a table such as [pin_radial]."
+        )
     for name in study.factors:
         stated = getattr(study.tolerances, name)
         field = "single" if hasattr(stated, "single") else "tolerance"
@@ -371,11 +373,11 @@ def _connected(scheduler: str) -> Any:
         client = Client(scheduler, timeout=5, set_as_default=False)
     except (OSError, ValueError) as problem:
         raise edge.InputError(
-            f"--scheduler {scheduler}: no scheduler answers there ({type(problem).__name__})."
+            f"--scheduler = {scheduler}: no scheduler answers there ({type(problem).__name__})."
         ) from None
     if not client.scheduler_info(n_workers=-1)["workers"]:
         client.close()
-        raise edge.InputError(f"--scheduler {scheduler}: the scheduler has no workers; start one with dask worker.")
+        raise edge.InputError(f"--scheduler = {scheduler}: the scheduler has no workers; start one with dask worker.")
     return client
 
 

@@ -131,14 +131,14 @@ class AsciiCounter(SerialEncoder):
         self._unit = {"torque": "N*m", "input_angle": "rad", "output_angle": "rad"}.get(name, config.unit or "rad")
         self._scale = 1.0
         if "counts" in self._names and config.counts_per_turn is None:
-            raise edge.InputError(f"[channel.{name}] counts_per_turn is missing: lines of counts do not say it.")
+            raise edge.InputError("counts_per_turn is missing: lines of counts do not say it.")
         if "checksum" in self._names and config.checksum is None:
-            raise edge.InputError(f'[channel.{name}] checksum is missing: write "xor" or "sum".')
+            raise edge.InputError('checksum is missing: write "xor" or "sum".')
         if "value" in self._names:
             try:
                 self._scale = edge.unit_scale(config.unit or self._unit, self._unit)
             except ValueError as problem:
-                raise edge.InputError(f'[channel.{name}] unit = "{config.unit}": {problem}.') from None
+                raise edge.InputError(f'unit = "{config.unit}": {problem}.') from None
         self._request = (config.request or "").encode()
         self.asked = bool(self._request)
         self._forget()

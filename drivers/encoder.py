@@ -421,7 +421,9 @@ def encoder_class(protocol: object, channel: str, source: str) -> type[Encoder]:
     """Return the class that speaks a protocol; an `edge.InputError` names channel and file where none does."""
     known = protocols()
     if protocol is None:
-        raise edge.InputError(f"{source}: [channel.{channel}] protocol is missing.")
+        raise edge.InputError(
+            f"{source}: [channel.{channel}] protocol is missing; there are {', '.join(sorted(known))}."
+        )
     if not isinstance(protocol, str) or protocol not in known:
         raise edge.InputError(
             f'{source}: [channel.{channel}] protocol = "{protocol}": no such protocol is installed; '

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 import serial
 
+from cycloid_fmu import edge
 from drivers.can_hub import BLOCK_SECONDS, drained
 from drivers.encoder import (
     BlockQueue,
@@ -229,7 +230,11 @@ class SerialEncoder(Encoder):
     @classmethod
     def from_config(cls, name: str, config: Any, wiring: Any) -> Self:
         """Return the encoder of a `[channel.name]`; see `Encoder.from_config`."""
-        return cls(name, config, wiring.port(config.port, name))
+        port = wiring.port(config.port, name)
+        try:
+            return cls(name, config, port)
+        except edge.InputError as problem:
+            raise edge.InputError(f"{wiring.source}: [channel.{name}] {problem}") from None
 
     @abc.abstractmethod
     def question(self, port: Any) -> bytes:

@@ -549,7 +549,7 @@ def starts_of(crank: Array, torque: Array, driven: Array) -> list[Start]:
             way = driven[min(start + 10 * moved, crank.size - 1)] - driven[begin]
             if at_rest < 0.1 * largest and abs(onward) > 5.0 * _START and torque[peak] * way > 0.0:
                 found.append(Start(still, peak, largest))
-        begin = start if moved > 10 else begin + max(1, moved)
+        begin = start
         # Motion goes on until the crank stands within the degree again for longer than a few samples.
         while begin < crank.size:
             ahead = crank[begin : begin + 200]

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fitting import metrics
-from fitting.curve import spectrum, transmission_error_curve
+from fitting.curve import Spectrum, spectrum, transmission_error_curve
 from fitting.metrics import (
     angular_transmission_error,
     back_driving_torques,
@@ -142,7 +142,31 @@ def test_a_torque_on_one_side_gives_its_stiffness_and_says_what_is_missing():
     assert set(found.figures) == {"torsional_stiffness"}
     assert found.figures["torsional_stiffness"].value * ARCMIN == pytest.approx(49.0)
     assert set(found.figures["torsional_stiffness"].parts) == {"positive"}
-    assert any("never crosses zero" in note for note in found.notes)
+    assert any("never crosses zero, it is always positive" in note for note in found.notes)
+    found = figures_from(torque[~half], angle[~half])
+    assert any("never crosses zero, it is always negative" in note for note in found.notes)
+
+
+def test_the_figures_are_marked_where_they_are_read_off():
+    """Each mark's span is its figure; the lines lie on the branches."""
+    rated, stiffness, play, friction = 167.0, 49 / ARCMIN, 0.6 * ARCMIN, 2.0
+    torque, angle = loop(rated, stiffness, play, friction)
+    data = survey(recording(np.arange(torque.size) * 1e-2, 0.0, angle, torque, None), None, rated).loops
+    marks = metrics.loop_marks(data)
+    distance, *unloading = marks["hysteresis_loss"]
+    (backlash,), (lost,) = marks["backlash"], marks["lost_motion"]
+    for line, span in ((distance, play + 2 * friction / stiffness), (backlash, play)):
+        assert line[:, 0].tolist() == [0.0, 0.0]
+        assert line[1, 1] - line[0, 1] == pytest.approx(span, rel=1e-6)
+        assert line[:, 1].sum() == pytest.approx(0.0, abs=1e-6 * span)
+    assert lost[:, 0] == pytest.approx([-0.03 * rated, 0.03 * rated])
+    assert np.ptp(lost[:, 1]) == pytest.approx(play + 0.06 * rated / stiffness, rel=1e-6)
+    for line, sign in zip(unloading, (1, -1), strict=True):
+        assert line[:, 0] == pytest.approx([0.0, 0.1 * sign * rated])
+        assert line[:, 1] == pytest.approx(sign * (play / 2 + (sign * line[:, 0] + friction) / stiffness), rel=1e-6)
+    for line, sign in zip(marks["torsional_stiffness"], (1, -1), strict=True):
+        assert line[:, 0] == pytest.approx([0.5 * sign * rated, sign * rated])
+        assert line[:, 1] == pytest.approx(sign * (play / 2 + (sign * line[:, 0] - friction) / stiffness), rel=1e-6)
 
 
 def test_a_torque_that_stays_small_gives_no_stiffness_but_all_else():
@@ -286,6 +310,24 @@ def test_known_orders_come_back_within_their_uncertainty(turns, each, highest, s
     record_property(f"inside their 95 % interval, of {seeds} seeds", f"{said}, angular TE: {inside[-1]:.0f}")
     assert (inside >= 0.95 * seeds - 4.0 * np.sqrt(0.05 * 0.95 * seeds)).all(), inside
     assert inside.sum() >= 0.9 * seeds * inside.size
+
+
+def test_the_range_is_that_between_the_samples_of_a_curve():
+    """Of one order it is twice the amplitude, wherever its phase puts the peaks among the points."""
+    for phase in (0.0, 0.02, 0.05):
+        curve = transmission_error_curve(run_with({40: (1e-4, phase)}, turns=2, each=9000, noise=0.0, seed=1), -39.0)
+        assert angular_transmission_error(curve, spectrum(curve)).value == pytest.approx(2e-4, rel=2e-5)
+
+
+@pytest.mark.parametrize("phase", [0.0, np.pi / 4, np.pi / 2])
+def test_a_range_is_as_uncertain_as_twice_its_only_order(phase):
+    """Noise of root mean square f in a complex amplitude c moves |c| by f/√2, whatever its phase."""
+    curve = transmission_error_curve(run_with({}, turns=1, each=9000, noise=ARCSEC, seed=1), -39.0)
+    coefficient, floor = np.zeros(60, complex), np.zeros(60)
+    coefficient[40], floor[40] = 1e-4 * np.exp(1j * phase), 1e-5
+    found = angular_transmission_error(curve, Spectrum(coefficient, floor, 1.0))
+    assert found.uncertainty == pytest.approx(1.96 * 2.0 * 1e-5 / np.sqrt(2.0), rel=0.12)  # of 200 draws: 5 %
+    assert found.value == pytest.approx(2e-4, abs=4e-6)
 
 
 def test_phases_of_orders_count_from_crank_angle_zero():
