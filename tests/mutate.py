@@ -51,8 +51,7 @@ TARGETS = {
     "metrics": Target("fitting/metrics.py", ("tests/fitting/test_metrics.py", "tests/fitting/test_comparison.py")),
     "recorder": Target(
         "drivers/recorder.py",
-        ("tests/drivers/test_faults.py", "tests/drivers/test_canopen_encoder.py", "tests/drivers/test_can_more.py",
-         "tests/drivers/test_docs_and_examples.py", "-k", "not kill_9 and not examples_run"),
+        ("tests/drivers/test_recorder.py",),
     ),
     "contact": Target(
         "cycloid_fmu/contact.py",
