@@ -49,7 +49,9 @@ def draw_panel(axis: Axes, panel: Panel) -> None:
     axis.set_title(panel.title, fontsize=10, loc="left")
     axis.grid(alpha=0.3)
     if any(t.label for t in panel.traces):
-        show_legend(axis, fontsize=7, ncols=3)
+        show_legend(axis, fontsize=7, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
+    if any(t.texts for t in panel.traces):
+        axis.margins(y=0.2)  # room for the names of the highest points
 
 
 def plot_panels(panels: Sequence[Panel]) -> Figure:

@@ -6,6 +6,7 @@ import json
 import math
 import os
 import signal
+import threading
 import time
 
 import numpy as np
@@ -196,6 +197,7 @@ def test_a_channel_that_is_out_is_named_and_the_others_go_on(tmp_path, monkeypat
     alone = Scripted("output_angle", [lost])
     with pytest.raises(EncoderTimeout, match="does not answer"):
         record([alone], tmp_path / "b.arrows", stop=exhausted(alone))
+    assert not [t for t in threading.enumerate() if t.name.startswith("reopen")], "nothing is tried any more"
     assert any("failed and will be opened anew" in e.text for e in read_recording(tmp_path / "b.arrows").events)
 
 

@@ -169,6 +169,27 @@ def test_the_figures_are_marked_where_they_are_read_off():
         assert line[:, 1] == pytest.approx(sign * (play / 2 + (sign * line[:, 0] - friction) / stiffness), rel=1e-6)
 
 
+def test_one_loop_s_uncertainty_is_that_of_its_straight_lines():
+    """Of two lines over x, extrapolated to 0, with white noise σ: 1.96 sqrt(2 σ²(1/n + x̄²/Σ(x - x̄)²))."""
+    rated, noise = 167.0, 0.3 * ARCSEC
+    torque, angle = loop(rated, 49 / ARCMIN, 0.6 * ARCMIN, 2.0, each=4000)
+    found = figures_from(torque, angle + np.random.default_rng(0).normal(0.0, noise, angle.size), rated).figures
+    x = rated * np.arange(0.03, 0.1, 1 / 4000)
+    wanted = 1.96 * noise * np.sqrt(2.0 * (1.0 / x.size + x.mean() ** 2 / ((x - x.mean()) ** 2).sum()))
+    assert found["hysteresis_loss"].uncertainty == pytest.approx(wanted, rel=0.2)
+    stiffness = found["torsional_stiffness"]
+    sides = [stiffness.parts[side].uncertainty for side in ("positive", "negative")]
+    assert stiffness.uncertainty == pytest.approx(0.5 * np.hypot(*sides), rel=1e-9)
+
+
+def test_a_load_that_shakes_around_little_is_noted_against_the_rated_torque():
+    made = run_with(KNOWN, turns=1, each=9000, noise=0.0, seed=1)
+    for share, said in ((0.05, False), (0.3, True)):
+        shaken = dataclasses.replace(made, torque=1.0 + 100.0 * share * np.sin(made.input_angle / 3.0))
+        notes = figures_of([survey(shaken, -39.0, 200.0)], -39.0, 200.0).notes
+        assert any("the torque varies by" in note for note in notes) == said
+
+
 def test_a_torque_that_stays_small_gives_no_stiffness_but_all_else():
     torque, angle = loop(167.0, 49 / ARCMIN, 0.6 * ARCMIN, 2.0, reach=0.6)
     found = figures_from(torque, angle)
@@ -214,6 +235,7 @@ def test_half_loops_end_where_the_torque_is_next_to_zero():
     assert [twice[lobe.unloading.start] for lobe in found] == [100.0, 100.0, -100.0]
     assert [lobe.unloading.stop for lobe in found] == [101, 201, len(twice)]
     assert metrics.find_lobes(0.19 * up, 100.0) == []
+    assert len(metrics.find_lobes(np.array([0.0, 50.0, 100.0, 50.0, 0.5, 50.0, 100.0, 50.0, 0.0]), 100.0)) == 2
 
 
 def test_one_figure_from_several_recordings_weighs_by_their_loops():
