@@ -51,7 +51,9 @@ def draw_panel(axis: Axes, panel: Panel) -> None:
     if any(t.label for t in panel.traces):
         show_legend(axis, fontsize=7, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
     if any(t.texts for t in panel.traces):
-        axis.margins(y=0.2)  # room for the names of the highest points
+        scale = axis.yaxis.get_transform()
+        low, high = scale.transform(axis.get_ylim())
+        axis.set_ylim(top=scale.inverted().transform(high + 0.25 * (high - low)))  # room for the highest points' names
 
 
 def plot_panels(panels: Sequence[Panel]) -> Figure:
