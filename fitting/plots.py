@@ -53,7 +53,8 @@ def draw_panel(axis: Axes, panel: Panel) -> None:
     if any(t.texts for t in panel.traces):
         scale = axis.yaxis.get_transform()
         low, high = scale.transform(axis.get_ylim())
-        axis.set_ylim(top=scale.inverted().transform(high + 0.25 * (high - low)))  # room for the highest points' names
+        above = high + 0.25 * (high - low)  # room for the highest points' names
+        axis.set_ylim(top=float(scale.inverted().transform(above)))
 
 
 def plot_panels(panels: Sequence[Panel]) -> Figure:
