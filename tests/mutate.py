@@ -57,7 +57,7 @@ TARGETS = {
         "cycloid_fmu/contact.py",
         ("tests/cycloid_fmu/test_contact.py", "tests/cycloid_fmu/test_reference_cases.py",
          "tests/cycloid_fmu/test_element_pairs.py", "-k",
-         "inverse or without_end or moment_arm or linear_check or test_reference_case or agree or equivalent"),
+         "inverse or without_end or moment_arm or linear_check or (test_reference_case and errors) or rough"),
         interpreted=True,
     ),
 }  # fmt: skip
@@ -223,9 +223,7 @@ def page() -> str:
             "# Changes that tests notice",
             "By `python tests/mutate.py`: one operator, number or condition of a module is changed at a time, and the "
             f"module's own tests run. The sample is drawn from all changes by the seed {SEED}.",
-            "\n".join(
-                ["| module | changes possible | tried | noticed | by running too long |", "| --- " * 5 + "|", *rows]
-            ),
+            "\n".join(rows),
             "What was not noticed, and why it may go unnoticed:",
             *survivors,
         ]
