@@ -175,7 +175,8 @@ def allocate(
         narrower *= 0.99
         if narrower * scale.max() < NARROWEST:
             raise edge.InputError(
-                f"--allocate = {target:g}: no tolerances of {source}, narrowed to {NARROWEST:g} of their width, do."
+                f"--allocate = {target:g}: no tolerances of {source}, narrowed to {NARROWEST:g} of their width, reach "
+                "it; widen a limit or ask for less."
             )
     others = dataclasses.replace(study, seed=study.seed + 1)
     while True:

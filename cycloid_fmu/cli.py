@@ -367,7 +367,7 @@ def _build_from_tables(
 
     if pair.pair.rated_torque is None:
         raise edge.InputError(
-            f"{pair_file}: [pair] rated_torque is missing; an FMU's tables reach {LARGEST_LOAD:g} times as far."
+            f"{pair_file}: [pair] rated_torque is missing; state it: the tables reach {LARGEST_LOAD:g} times as far."
         )
     with Progress(transient=True) as bar:
         if platforms is not None:

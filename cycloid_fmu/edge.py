@@ -7,6 +7,7 @@ codes. Nothing here knows gears, measurements or encoders.
 from __future__ import annotations
 
 import contextlib
+import csv
 import functools
 import json
 import math
@@ -211,7 +212,7 @@ def json_table(path: str | os.PathLike[str], wanted_format: str, what: str) -> d
     except json.JSONDecodeError as problem:
         raise InputError(f"{path}: this is not JSON: {problem}.") from None
     if not isinstance(data, dict):
-        raise InputError(f"{path}: it holds no {what}.")
+        raise InputError(f"{path}: it holds no {what}; it must be a JSON object.")
     check_format(data.get("format"), wanted_format, str(path))
     return data
 
@@ -296,6 +297,40 @@ def unit_columns(header: Sequence[str], wanted: Mapping[str, str], source: str) 
         if name not in found:
             raise InputError(f'{source}: there is no column "{name} [{unit}]" in the header.')
     return found
+
+
+def finite(cell: str, field: str) -> float:
+    """Return the number in a cell of a table; an `InputError` that begins with `field` where it is none."""
+    try:
+        value = float(cell)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(f'{field} = "{cell}": it must be a finite number with a decimal point.')
+    return value
+
+
+def number_rows(path: str | os.PathLike[str], wanted: Mapping[str, str]) -> Iterator[tuple[int, dict[str, float]]]:
+    """Yield the lines of a CSV table whose header says units: line and {column: value in SI}; blank ones are left out.
+
+    Parameters
+    ----------
+    path
+        The file.
+    wanted
+        As for `unit_columns`.
+
+    Raises
+    ------
+    InputError
+        If it can't be read, a column or its unit is missing, or a cell is no finite number; it names the line.
+    """
+    lines = csv.reader(read_text(path).splitlines())
+    columns = unit_columns(next(lines, []), wanted, str(path))
+    for number, row in enumerate(lines, start=2):
+        if row:
+            cells = {name: row[place].strip() if place < len(row) else "" for name, (place, _) in columns.items()}
+            yield number, {n: finite(c, f"{path}: line {number}: {n}") * columns[n][1] for n, c in cells.items()}
 
 
 def output_path(path: str | os.PathLike[str], option: str, endings: Collection[str]) -> Path:

@@ -142,9 +142,7 @@ def read_points(path: str | os.PathLike[str]) -> MeasuredPoints:
         If a column or its unit is missing, or a cell is not what it must be; the sentence names the line.
     """
     lines = edge.read_text(path).splitlines()
-    if not lines:
-        raise edge.InputError(f"{path}: the file is empty.")
-    header = next(csv.reader(lines[:1]))
+    header = next(csv.reader(lines[:1]), [])
     lengths = edge.unit_columns(header, dict.fromkeys(LENGTHS, "m"), str(path))
     names = [cell.strip() for cell in header]
     for name in ("body", "disc", "number"):
@@ -158,14 +156,14 @@ def read_points(path: str | os.PathLike[str]) -> MeasuredPoints:
             continue
         cells = {name: row[position].strip() if position < len(row) else "" for name, position in places.items()}
         if cells["body"] not in ("gear", "pin"):
-            raise edge.InputError(f'{path}: line {line}: body is "{cells["body"]}"; it must be gear or pin.')
+            raise edge.InputError(f'{path}: line {line}: body = "{cells["body"]}": it must be gear or pin.')
         gear = cells["body"] == "gear"
         disc = _whole(cells["disc"] if gear else cells["disc"] or "0", "disc", line, path)
         number = _whole(cells["number"], "number", line, path)
-        x, y, z = (_finite(cells[name], name, line, path) * lengths[name][1] for name in LENGTHS)
+        x, y, z = (edge.finite(cells[name], f"{path}: line {line}: {name}") * lengths[name][1] for name in LENGTHS)
         rows.append((gear, disc, number, x, y, z, line))
     if not rows:
-        raise edge.InputError(f"{path}: the file has no points.")
+        raise edge.InputError(f"{path}: the file has no points; it needs a line for each, below its header.")
     columns = list(zip(*rows, strict=True))
     return MeasuredPoints(
         gear=np.array(columns[0], dtype=bool),
@@ -181,20 +179,8 @@ def read_points(path: str | os.PathLike[str]) -> MeasuredPoints:
 
 def _whole(cell: str, name: str, line: int, path: object) -> int:
     if not (cell.isascii() and cell.isdigit()):
-        raise edge.InputError(f'{path}: line {line}: {name} is "{cell}"; it must be a whole number from 0.')
+        raise edge.InputError(f'{path}: line {line}: {name} = "{cell}": it must be a whole number from 0.')
     return int(cell)
-
-
-def _finite(cell: str, name: str, line: int, path: object) -> float:
-    try:
-        value = float(cell)
-    except ValueError:
-        value = np.nan
-    if not np.isfinite(value):
-        raise edge.InputError(
-            f'{path}: line {line}: {name} is "{cell}"; it must be a finite number with a decimal point.'
-        )
-    return value
 
 
 def closest_on_tooth(pair: Pair, points: Complex) -> tuple[Array, Array, Complex]:

@@ -19,6 +19,8 @@ FORMAT = "cycloid-pair/1"
 LARGEST_DEVIATION = 1e-3
 LARGEST_MISALIGNMENT = 0.02
 LOST_MOTION_LOAD = 0.03  # of the rated torque (GB/T 40731)
+_SHARE = f"{100.0 * LOST_MOTION_LOAD:g} %"
+LOST_MOTION = f"output angle at +{_SHARE} of the rated torque less that at -{_SHARE} (GB/T 40731)"
 
 
 def _positive(value: float) -> float:
@@ -274,7 +276,7 @@ class Pair(Config):
 
     @property
     def lost_motion_loads(self) -> list[float]:
-        """Torques between which the lost motion lies, ± 3 % of the rated one, N·m; none without a rated torque."""
+        """Torques between which the lost motion lies, + and - `LOST_MOTION_LOAD`, N·m; none without a rated torque."""
         rated = self.pair.rated_torque
         return [] if rated is None else [LOST_MOTION_LOAD * rated, -LOST_MOTION_LOAD * rated]
 

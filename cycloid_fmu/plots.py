@@ -15,6 +15,7 @@ from cycloid_fmu.edge import ARCMIN, ARCSEC
 
 if TYPE_CHECKING:
     import xarray as xr
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from cycloid_fmu.wear import WearModel, WearRate, WearState
@@ -46,6 +47,11 @@ def new_figure(rows: int = 1, columns: int = 1, *, sharex: bool = False) -> tupl
     return figure, axes.ravel()
 
 
+def show_legend(axis: Axes, **options: Any) -> None:
+    """Show what the lines are, on a ground that keeps it readable where they pass below it."""
+    axis.legend(**{"fontsize": 8, "framealpha": 0.85, "edgecolor": "none", **options})
+
+
 def plot_analysis(data: xr.Dataset) -> Figure:
     """Transmission error, backlash, contacting pins and largest pressure over the crank, and the load of each pin."""
     figure, axes = new_figure(3, 2)
@@ -65,7 +71,7 @@ def plot_analysis(data: xr.Dataset) -> Figure:
         axis.set(xlabel="crank angle [°]", ylabel=label)
         if np.isnan(data[name].values).all():
             axis.text(0.5, 0.5, "no free position (interference)", ha="center", transform=axis.transAxes)
-    axes[0].legend(fontsize=8, frameon=False)
+    show_legend(axes[0])
     forces = data["pin_force"].isel(torque=0, disc=0)
     image = axes[5].pcolormesh(angle, data["pin"].values, forces.values.T, cmap="viridis", shading="nearest")
     torque = data["torque"].values[0]
@@ -93,7 +99,7 @@ def plot_lines(data: xr.Dataset) -> Figure:
         width = z[1] - z[0] if z.size > 1 else 1.0
         axes[1].step(z, line.values[pin] / width, where="mid", label=f"pin {pin}")
     axes[1].set(xlabel="across the face [mm]", ylabel="line load [N/mm]", title="contact lines, first crank angle")
-    axes[1].legend(fontsize=8, frameon=False)
+    show_legend(axes[1])
     flank = one["gear_element_pressure"].max("tooth").values * 1e-6
     pins = data["pin_element_pressure"].isel(torque=0).max("pin").values * 1e-6
     edges = [z.min() - 1e-9, z.max() + 1e-9]
@@ -131,11 +137,11 @@ def plot_surface(surface: object) -> Figure:
     for name, label in (("pin_radial", "radial"), ("pin_tangential", "tangential"), ("pin_radius_deviation", "radius")):
         axes[0].plot(getattr(surface, name) * 1e6, "o-", ms=3, lw=1, label=label)
     axes[0].set(xlabel="pin", ylabel="error [µm]")
-    axes[0].legend(fontsize=8, frameon=False)
+    show_legend(axes[0])
     for disc, pitch in enumerate(surface.tooth_cumulative_pitch):
         axes[1].plot(pitch * 1e6, "o-", ms=3, lw=1, label=f"disc {disc}")
     axes[1].set(xlabel="tooth", ylabel="cumulative pitch [µm]")
-    axes[1].legend(fontsize=8, frameon=False)
+    show_legend(axes[1])
     for axis, (title, elements, (label, ends)) in zip(axes[2:], maps, strict=True):
         largest = max(np.abs(elements).max() * 1e6, 1e-3)
         image = axis.imshow(
@@ -173,7 +179,7 @@ def plot_budget(found: Mapping[str, Mapping[str, float]], stack: object = None) 
     axis.set(ylabel="play at the output [arcmin]")
     axis.set_xticks(place, [n.replace("_", "\n") for n in names], fontsize=7)
     axis.grid(alpha=0.3, axis="y")
-    axis.legend(fontsize=8, frameon=False, loc="lower right")
+    show_legend(axis, loc="lower right")
     share = axis.twinx()
     amounts = np.abs([closed[n] for n in names])
     share.plot(place, 100.0 * np.cumsum(amounts) / amounts.sum(), "k.-", lw=1)
@@ -184,13 +190,12 @@ def plot_budget(found: Mapping[str, Mapping[str, float]], stack: object = None) 
         for name, label in (("standard", "closed form"), ("geometric", "contact model, sun locked")):
             axis.hist(stack.samples[name] * ARCMIN, bins=40, alpha=0.5, density=True, label=label)
         for span, label, height in (
-            (stack.worst_case, "worst case", 1.06),
-            (stack.root_sum_square, "root sum square", 1.14),
+            (stack.worst_case, "worst case", 0.9),
+            (stack.root_sum_square, "root sum square", 0.95),
         ):
-            axis.plot([v * ARCMIN for v in span], [height] * 2, "|-", transform=axis.get_xaxis_transform(),
-                      clip_on=False, label=label)  # fmt: skip
-        axis.set(xlabel="total play [arcmin]", ylabel="density")
-        axis.legend(fontsize=8, frameon=False)
+            axis.plot([v * ARCMIN for v in span], [height] * 2, "|-", transform=axis.get_xaxis_transform(), label=label)
+        axis.set(xlabel="total play [arcmin]", ylabel="density", ylim=(0.0, 1.2 * axis.get_ylim()[1]))
+        show_legend(axis, ncols=4, loc="lower left", bbox_to_anchor=(0.0, 1.0))
         axis.grid(alpha=0.3)
     return figure
 
@@ -215,14 +220,14 @@ def plot_tolerance(result: object) -> Figure:
         values = result.figure(name)[result.independent] * factor
         for k, column in enumerate(values.reshape(len(values), -1).T):
             label = f"{study.torque[k]:g} N·m" if name in PER_TORQUE else None
-            axis.hist(column, bins=50, histtype="stepfilled", alpha=0.5, label=label)
+            axis.hist(column, bins="auto", histtype="stepfilled", alpha=0.5, label=label)
         if name in limits:
             axis.axvline(
                 limits[name] * factor, color="k", ls="--", lw=1, label=f"limit: {kept[name]['share']:.1%} keep it"
             )
         axis.set(xlabel=f"{name.replace('_', ' ')} [{unit}]", ylabel="drives")
         if axis.get_legend_handles_labels()[0]:
-            axis.legend(fontsize=8, frameon=False)
+            show_legend(axis)
     return figure
 
 
@@ -239,7 +244,7 @@ def plot_indices(factors: Sequence[str], indices: Mapping[str, Mapping[str, NDAr
         axis.set_xticks(place, [f.replace("_", " ") for f in factors], rotation=60, ha="right", fontsize=7)
         axis.set(ylabel="Sobol index")
         axis.set_title(name.replace("_", " "), fontsize=9)
-    axes[0].legend(fontsize=8, frameon=False)
+    show_legend(axes[0])
     figure.set_size_inches(figure.get_figwidth(), 1.4 * figure.get_figheight())
     return figure
 
@@ -342,7 +347,7 @@ def plot_wear(model: WearModel, states: list[WearState], new: WearRate, figures:
                 axis.plot(phase, values[order], ".", ms=2, label=name)
             axis.set(xlabel="pin's angle from the crank [rad]", ylabel=label)
             if curves[0][0]:
-                axis.legend(fontsize=8, frameon=False, markerscale=4)
+                show_legend(axis, markerscale=4)
         axes[0].set_title(f"new, {torque:g} N·m", fontsize=9)
         axes[4].set_ylim(-12.0, 12.0)
         axes[4].set_title("the pin's has a pole where the contact turns back", fontsize=9)
@@ -370,13 +375,13 @@ def plot_wear(model: WearModel, states: list[WearState], new: WearRate, figures:
             axis.set_xlim(along[worn[0]] - margin, along[worn[-1]] + margin)
         axis.set(xlabel=label, ylabel="depth [µm]")
         axis.set_title(f"{body}: each step, deepest of all", fontsize=9)
-        axis.legend(fontsize=8, frameon=False)
+        show_legend(axis)
     life = figures["life"]
     at = np.array(life["crank_turns"]) * 1e-6
     for body in ("gear", "pin"):
         axes[8].plot(at, np.array(life[f"{body}_depth_max"]) * 1e6, ".-", ms=4, lw=1, label=body)
     axes[8].set(xlabel="million crank turns", ylabel="deepest [µm]")
-    axes[8].legend(fontsize=8, frameon=False)
+    show_legend(axes[8])
     for axis, name, label in (
         (axes[9], "transmission_error", "mean TE [arcsec]"),
         (axes[10], "backlash", "mean [arcsec]"),
@@ -384,10 +389,10 @@ def plot_wear(model: WearModel, states: list[WearState], new: WearRate, figures:
     ):
         axis.plot(at, np.asarray(life[name]) * ARCSEC, ".-", ms=4, lw=1, label=name.replace("_", " "))
         axis.set(xlabel="million crank turns", ylabel=label)
-    axes[10].legend(fontsize=8, frameon=False)
+    show_legend(axes[10])
     for name, label in (("transmission_error", "TE"), ("backlash", "backlash"), ("lost_motion", "lost motion")):
         name = f"{name}_range"
         axes[11].plot(at, np.asarray(life[name]) * ARCSEC, ".-", ms=4, lw=1, label=label)
     axes[11].set(xlabel="million crank turns", ylabel="peak to peak [arcsec]")
-    axes[11].legend(fontsize=8, frameon=False)
+    show_legend(axes[11])
     return figure

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.pair import Pair
+from cycloid_fmu.pair import LOST_MOTION, Pair
 from cycloid_fmu.sampling import LARGEST_SEED, Tolerances, surface_at
 from cycloid_fmu.screening import Screen, error_vector
 from cycloid_fmu.surface import Elements, ErrorSurface
@@ -48,10 +48,7 @@ FIGURES = {
     "max_contact_pressure": ("Pa", "largest contact pressure over the crank angles"),
     "mean_backlash": ("rad", "mean backlash over the crank angles, 0 where there is no free position"),
     "backlash": ("rad", "largest backlash over the crank angles"),
-    "lost_motion": (
-        "rad",
-        "largest lost motion over the crank angles: output angle at 3 % of the rated torque less -3 %",
-    ),
+    "lost_motion": ("rad", f"largest over the crank angles of the {LOST_MOTION}"),
     "interference": ("m", "largest interference over the crank angles"),
 }
 
@@ -126,7 +123,9 @@ def check_study(study: Study, pair_source: str, tolerances_source: str) -> None:
         the rated torque and there is none.
     """
     if not study.factors:
-        raise edge.InputError(f"{tolerances_source}: no tolerance is stated; a study needs one at least.")
+        raise edge.InputError(
+            f"{tolerances_source}: no tolerance is stated; a study needs a table such as [pin_radial]."
+        )
     for name in study.factors:
         stated = getattr(study.tolerances, name)
         field = "single" if hasattr(stated, "single") else "tolerance"
@@ -141,8 +140,8 @@ def check_study(study: Study, pair_source: str, tolerances_source: str) -> None:
         raise edge.InputError(f"--seed = {study.seed}: it must lie between 0 and {LARGEST_SEED}.")
     if study.tolerances.limits.lost_motion is not None and study.pair.pair.rated_torque is None:
         raise edge.InputError(
-            f"{pair_source}: [pair] rated_torque is missing; [limits] lost_motion of {tolerances_source} is taken at "
-            "3 % of it."
+            f"{pair_source}: [pair] rated_torque is missing; state it: [limits] lost_motion of {tolerances_source} is "
+            "taken at a share of it."
         )
 
 
@@ -374,11 +373,11 @@ def _connected(scheduler: str) -> Any:
         client = Client(scheduler, timeout=5, set_as_default=False)
     except (OSError, ValueError) as problem:
         raise edge.InputError(
-            f"--scheduler {scheduler}: no scheduler answers there ({type(problem).__name__})."
+            f"--scheduler = {scheduler}: no scheduler answers there ({type(problem).__name__})."
         ) from None
     if not client.scheduler_info(n_workers=-1)["workers"]:
         client.close()
-        raise edge.InputError(f"--scheduler {scheduler}: the scheduler has no workers; start one with dask worker.")
+        raise edge.InputError(f"--scheduler = {scheduler}: the scheduler has no workers; start one with dask worker.")
     return client
 
 

@@ -556,8 +556,7 @@ class Accuracy:
     """Accuracy over the sweep, mean and peak to peak: rad; arrays of shape (states,).
 
     The transmission error is that under the heaviest load; backlash is 0 where there is no free position. Lost motion
-    is the output's angle at 3 % of the rated torque less that at -3 % (GB/T 40731); where the pair states none, of the
-    heaviest load.
+    lies between + and - `pair.LOST_MOTION_LOAD` of the rated torque; where the pair states none, of the heaviest load.
     """
 
     transmission_error: Array

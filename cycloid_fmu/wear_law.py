@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import os
 from typing import Annotated, Literal
@@ -135,23 +134,8 @@ def read_duty_cycle(path: str | os.PathLike[str]) -> tuple[Load, ...]:
     edge.InputError
         If a column or its unit is missing, a value is no number, turns are negative, or nothing turns at all.
     """
-    lines = edge.read_text(path).splitlines()
-    if not lines:
-        raise edge.InputError(f"{path}: the file is empty; its first line must be torque [N*m],crank_turns [1].")
-    columns = edge.unit_columns(next(csv.reader(lines[:1])), {"torque": "N*m", "crank_turns": "1"}, str(path))
     loads = []
-    for number, row in enumerate(csv.reader(lines[1:]), start=2):
-        if not row:
-            continue
-        values = {}
-        for name, (place, scale) in columns.items():
-            cell = row[place].strip() if place < len(row) else ""
-            try:
-                values[name] = float(cell) * scale
-            except ValueError:
-                values[name] = math.nan
-            if not math.isfinite(values[name]):
-                raise edge.InputError(f'{path}: line {number}: {name} = "{cell}": it must be a finite number.')
+    for number, values in edge.number_rows(path, {"torque": "N*m", "crank_turns": "1"}):
         if values["crank_turns"] < 0.0:
             raise edge.InputError(
                 f"{path}: line {number}: crank_turns = {values['crank_turns']:g}: it must not be below zero."

@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 import pydantic
 
-from drivers.encoder import AngleConfig, PortConfig, counts_to_value, device_counts, role_of, unwrap
-from drivers.recording_format import GAP, RESET, ROLLOVER, Channel, IntArray, Samples
-from drivers.serial_hub import PolledEncoder, PortHub, ask
+from drivers.encoder import AngleConfig, PortConfig, channel_of, counts_to_value, device_counts, unwrap
+from drivers.recording_format import GAP, RESET, ROLLOVER, FloatArray, IntArray, Samples
+from drivers.serial_hub import MIDDLE, PolledEncoder, PortHub, ask
 
 _TURNS = 1 << 14
 _ODD, _EVEN = 0xAAAA, 0x5555
@@ -75,17 +75,12 @@ class Amt21Encoder(PolledEncoder):
         counts_per_turn = device_counts(self.config, 1 << self.config.bits, self.where)
         self.asked_once(hub)
         turns = ", multi-turn" if self.config.multi_turn else ""
-        self.channel = Channel(
-            name=self.name,
-            role=role_of(self.name),
-            protocol="amt21",
-            unit="rad",
-            counts_per_turn=counts_per_turn,
-            direction=self.config.direction,
-            zero=self.config.zero,
-            zero_reference=self.config.zero_reference,
+        self.channel = channel_of(
+            self.name,
+            self.config,
             identity=f"AMT21, address 0x{self.config.address:02X}, {self.config.bits} bit{turns}",
-            time_source="host clock: middle of the serial exchange",
+            time_source=MIDDLE,
+            counts_per_turn=counts_per_turn,
         )
 
     def checked(self, answers: list[bytes]) -> npt.NDArray[np.bool_]:
@@ -93,14 +88,8 @@ class Amt21Encoder(PolledEncoder):
         words = np.frombuffer(b"".join(answers), "<u2").reshape(len(answers), -1)
         return np.asarray(checked_position(words)[1].all(axis=1))
 
-    def read(self, timeout: float) -> Samples | None:
-        """Return the positions that came; see `Encoder.read`."""
-        exchanges = self.taken(timeout)
-        if not exchanges:
-            return None
-        times, answers, status = self.judged(exchanges)
-        if len(times) == 0:
-            return None
+    def samples(self, times: FloatArray, answers: list[bytes], status: IntArray) -> Samples:
+        """See `PolledEncoder.samples`."""
         words = np.frombuffer(b"".join(answers), "<u2").reshape(len(answers), -1)
         position = checked_position(words)[0].astype(np.int64)
         counts_per_turn = 1 << self.config.bits

@@ -24,12 +24,12 @@ from drivers.encoder import (
     EncoderProtocolError,
     EncoderTimeout,
     PortConfig,
+    channel_of,
     counts_to_value,
     judge_sequence,
-    role_of,
     unwrap,
 )
-from drivers.recording_format import GAP, RESET, ROLLOVER, Channel, Samples
+from drivers.recording_format import GAP, RESET, ROLLOVER, Samples
 from drivers.serial_hub import Exchange, PortHub, SerialEncoder, ask
 
 LONGEST_LINE = 4096
@@ -131,14 +131,14 @@ class AsciiCounter(SerialEncoder):
         self._unit = {"torque": "N*m", "input_angle": "rad", "output_angle": "rad"}.get(name, config.unit or "rad")
         self._scale = 1.0
         if "counts" in self._names and config.counts_per_turn is None:
-            raise edge.InputError(f"[channel.{name}] counts_per_turn is missing: lines of counts do not say it.")
+            raise edge.InputError("counts_per_turn is missing: lines of counts do not say it.")
         if "checksum" in self._names and config.checksum is None:
-            raise edge.InputError(f'[channel.{name}] checksum is missing: write "xor" or "sum".')
+            raise edge.InputError('checksum is missing: write "xor" or "sum".')
         if "value" in self._names:
             try:
                 self._scale = edge.unit_scale(config.unit or self._unit, self._unit)
             except ValueError as problem:
-                raise edge.InputError(f'[channel.{name}] unit = "{config.unit}": {problem}.') from None
+                raise edge.InputError(f'unit = "{config.unit}": {problem}.') from None
         self._request = (config.request or "").encode()
         self.asked = bool(self._request)
         self._forget()
@@ -176,17 +176,13 @@ class AsciiCounter(SerialEncoder):
                 f'{self.where} sends no line like "{self.config.line}" but "{shown}"; is the baud rate right?'
             )
         clock = "; the device's own clock is in time_device" if "time" in self._names else ""
-        self.channel = Channel(
-            name=self.name,
-            role=role_of(self.name),
-            protocol="ascii",
-            unit=self._unit,
-            counts_per_turn=self.config.counts_per_turn,
-            direction=self.config.direction,
-            zero=self.config.zero,
-            zero_reference=self.config.zero_reference,
+        self.channel = channel_of(
+            self.name,
+            self.config,
             identity=f'lines "{self.config.line}"',
             time_source=f"host clock: {'middle of the exchange' if self.asked else 'arrival of the line'}{clock}",
+            unit=self._unit,
+            counts_per_turn=self.config.counts_per_turn,
         )
 
     def _fields(self, line: bytes) -> dict[str, str] | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import dataclasses
 import math
 import os
@@ -311,10 +312,69 @@ class _StampedNetwork(canopen.Network):  # type: ignore[misc]
             self.bus.send(message)
 
 
-class CanBench:
+class SimulatedBench(abc.ABC):
+    """A motion that a thread sends; a context manager, whose thread ends with it.
+
+    Parameters
+    ----------
+    motion
+        What to send.
+    """
+
+    def __init__(self, motion: Motion) -> None:
+        self.motion = motion
+        self._stopping = threading.Event()
+        self._done = threading.Event()
+        self._failure: Exception | None = None
+
+    def __enter__(self) -> Self:
+        """Be there to be recorded."""
+        self._open()
+        self._thread = threading.Thread(target=self._work, name="bench", daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stopping.set()
+        self._thread.join()
+        self._close()
+        if kind is None and self._failure is not None:
+            raise self._failure
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait for the end of the motion and return whether it came; raise what broke the bench, if so."""
+        ended = self._done.wait(timeout)
+        if self._failure is not None:
+            raise self._failure
+        return ended
+
+    def _work(self) -> None:
+        try:
+            self._run()
+        except Exception as problem:  # told by wait(): nobody else sees a thread's end
+            self._failure = problem
+        finally:
+            self._done.set()
+
+    @abc.abstractmethod
+    def _open(self) -> None:
+        """Put it on its line."""
+
+    @abc.abstractmethod
+    def _close(self) -> None:
+        """Take it off its line."""
+
+    @abc.abstractmethod
+    def _run(self) -> None:
+        """Send the motion until `_stopping`."""
+
+
+class CanBench(SimulatedBench):
     """A bench on a CAN bus: two CiA 406 nodes, a torque transducer and, by default, a controller that sends SYNC.
 
-    A context manager. Once both nodes are told to operate, a thread sends the motion; it ends with the motion or when
+    Once both nodes are told to operate, a thread sends the motion; it ends with the motion or when
     no node operates any more. A node that is not operational sends nothing. On the virtual bus the frames carry the
     motion's own time.
 
@@ -351,7 +411,8 @@ class CanBench:
         clock_drift: float | None = None,
         faults: Sequence[Fault] = (),
     ) -> None:
-        self.motion, self.trigger, self.faults = motion, trigger, tuple(faults)
+        super().__init__(motion)
+        self.trigger, self.faults = trigger, tuple(faults)
         self.bus_config = BusConfig(interface=interface, channel=channel)
         self.counts_per_turn = {_INPUT_NODE: input_counts_per_turn, _OUTPUT_NODE: output_counts_per_turn}
         self.clock_drift, self._powered = clock_drift, time.time()
@@ -368,15 +429,10 @@ class CanBench:
         self._pace = self._interval / own
         if interface != "virtual":
             self._timer = self._interval
-        self._changed = threading.Event()
-        self._stopping = threading.Event()
-        self._done = threading.Event()
         self._syncs = threading.Semaphore(0)
-        self._failure: Exception | None = None
         self.sent = 0
 
-    def __enter__(self) -> Self:
-        """Put the nodes on the bus."""
+    def _open(self) -> None:
         options: dict[str, Any] = {"preserve_timestamps": True} if self.bus_config.interface == "virtual" else {}
         self._bus = open_bus(self.bus_config, **options)
         self._network = _StampedNetwork(self._bus, self._stamp)
@@ -389,31 +445,13 @@ class CanBench:
             local.nmt.state = "INITIALISING"
             local.nmt.state = "PRE-OPERATIONAL"
             self._nodes[node] = local
-        self._network.subscribe(0, lambda *_: self._changed.set())
         if self.trigger == "sync":
             self._network.subscribe(SYNC_ID, lambda *_: self._syncs.release())
-        self._thread = threading.Thread(target=self._run, name="bench", daemon=True)
-        self._thread.start()
-        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stopping.set()
-        self._changed.set()
-        self._thread.join()
+    def _close(self) -> None:
         for node in self._nodes.values():
             node.nmt.stop_heartbeat()
         self._network.disconnect()
-        if kind is None and self._failure is not None:
-            raise self._failure
-
-    def wait(self, timeout: float | None = None) -> bool:
-        """Wait for the end of the motion and return whether it came; raise what broke the bench, if so."""
-        ended = self._done.wait(timeout)
-        if self._failure is not None:
-            raise self._failure
-        return ended
 
     def write_wiring(self, path: str | os.PathLike[str], *, ratio: float | None = None, pair: str = "") -> Path:
         """Write the `BENCH.toml` that records this bench, and torque.dbc beside it; return its path."""
@@ -443,16 +481,10 @@ class CanBench:
         return [node.nmt.state == "OPERATIONAL" for node in self._nodes.values()]
 
     def _run(self) -> None:
-        try:
-            while not self._stopping.is_set() and not all(self._operational()):
-                self._changed.wait()
-                self._changed.clear()
-            if not self._stopping.is_set():
-                self._send()
-        except Exception as problem:  # told by wait(): nobody else sees a thread's end
-            self._failure = problem
-        finally:
-            self._done.set()
+        while not all(self._operational()):
+            if self._stopping.wait(0.005):
+                return
+        self._send()
 
     def _positions(self, node: int, angle: FloatArray) -> np.ndarray[Any, np.dtype[np.uint32]]:
         """Return what the object 0x6004 of a node shows at these angles."""

@@ -22,14 +22,14 @@ from drivers.encoder import (
     EncoderProtocolError,
     EncoderTimeout,
     Wiring,
+    channel_of,
     counts_to_value,
     device_counts,
     extract_bits,
-    role_of,
     steady_time,
     unwrap,
 )
-from drivers.recording_format import RESET, ROLLOVER, Channel, Event, Samples
+from drivers.recording_format import RESET, ROLLOVER, Event, Samples
 
 POSITION, SPEED, COUNTS_PER_TURN, TURNS = 0x6004, 0x6030, 0x6501, 0x6502
 HEARTBEAT_TIME = 0x1017
@@ -155,17 +155,13 @@ class CanopenEncoder(Encoder):
             turns = self._object(TURNS, 0, 0)
             self._modulus = min(self._counts_per_turn * turns, 1 << self._bits) if turns else 1 << self._bits
         self._supervise()
-        self.channel = Channel(
-            name=self.name,
-            role=role_of(self.name) if self.config.quantity == "position" else "other",
-            protocol="canopen",
-            unit="rad" if self.config.quantity == "position" else "rad/s",
-            counts_per_turn=self._counts_per_turn if self.config.quantity == "position" else None,
-            direction=self.config.direction,
-            zero=self.config.zero,
-            zero_reference=self.config.zero_reference,
+        self.channel = channel_of(
+            self.name,
+            self.config,
             identity="; ".join(", ".join(part) for part in (about, state) if part),
             time_source=time_source(self.bus, f"SYNC 0x{SYNC_ID:03X}" if step else "frame"),
+            unit="rad" if self.config.quantity == "position" else "rad/s",
+            counts_per_turn=self._counts_per_turn if self.config.quantity == "position" else None,
         )
         self._reader = FrameReader(hub, identifier, length, step, self.name, timer / 1000 or None)
         reader = self._reader

@@ -214,7 +214,7 @@ def simulate(
         ("--torque-noise", run.torque_noise, 0),
     ):
         if value < least:
-            raise edge.InputError(f"{name}: the value must be {'above' if least else 'at least'} zero.")
+            raise edge.InputError(f"{name} = {value:g}: it must {'be above' if least else 'not be below'} zero.")
     ideal = ratio or 1.0
     moved = simulate_hysteresis if hysteresis else simulate_motion
     motion = moved(fmu_output_angle(fmu) if fmu else lambda angle, _: angle / ideal, run)

@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from cycloid_fmu import edge
 from drivers.can_hub import SYNC_ID, CanHub, FrameReader, acquire_hub, release_hub, time_source
-from drivers.encoder import BusConfig, ChannelConfig, Encoder, Wiring, extract_bits, judge_sequence, role_of
-from drivers.recording_format import DUPLICATE, GAP, Channel, Event, FloatArray, IntArray, Samples
+from drivers.encoder import BusConfig, ChannelConfig, Encoder, Wiring, channel_of, extract_bits, judge_sequence
+from drivers.recording_format import DUPLICATE, GAP, Event, FloatArray, IntArray, Samples
 
 _NEWTON_METRE = re.compile(r"([kmu]?)Nm")
 _SI = {"torque": "N*m", "input_angle": "rad", "output_angle": "rad"}
@@ -107,17 +107,12 @@ class DbcSensor(Encoder):
         step = 1 if self.config.sync else None
         self._reader = FrameReader(self._hub, self._message.frame_id, self._message.length, step, self.name)
         stamp = f"SYNC 0x{SYNC_ID:03X}" if step else "frame"
-        self.channel = Channel(
-            name=self.name,
-            role=role_of(self.name),
-            protocol="dbc",
-            unit=self._unit,
-            counts_per_turn=None,
-            direction=self.config.direction,
-            zero=0.0,
-            zero_reference=self.config.zero_reference,
+        self.channel = channel_of(
+            self.name,
+            self.config,
             identity=f"{self.config.file}: {self.config.signal} of {self.config.message}, 0x{self._message.frame_id:X}",
             time_source=time_source(self.bus, stamp),
+            unit=self._unit,
         )
         return self
 

@@ -217,9 +217,38 @@ def device_counts(config: AngleConfig, device: int, where: str) -> int:
     return device
 
 
-def role_of(name: str) -> str:
-    """Return the role of a channel of this name."""
-    return name if name in rf.ROLES else "other"
+def channel_of(
+    name: str,
+    config: ChannelConfig,
+    *,
+    identity: str,
+    time_source: str,
+    unit: str = "rad",
+    counts_per_turn: int | None = None,
+) -> Channel:
+    """Return what a channel is: what its table in the wiring says, and what the device and its protocol say.
+
+    Its role is its name where that is a role, unless it is a speed.
+
+    Parameters
+    ----------
+    name, config
+        The channel and its table.
+    identity, time_source, unit, counts_per_turn
+        See `recording_format.Channel`.
+    """
+    return Channel(
+        name=name,
+        role=name if name in rf.ROLES and unit != "rad/s" else "other",
+        protocol=config.protocol,
+        unit=unit,
+        counts_per_turn=counts_per_turn,
+        direction=config.direction,
+        zero=config.zero if isinstance(config, AngleConfig) else 0.0,
+        zero_reference=config.zero_reference,
+        identity=identity,
+        time_source=time_source,
+    )
 
 
 def unwrap(
@@ -392,7 +421,9 @@ def encoder_class(protocol: object, channel: str, source: str) -> type[Encoder]:
     """Return the class that speaks a protocol; an `edge.InputError` names channel and file where none does."""
     known = protocols()
     if protocol is None:
-        raise edge.InputError(f"{source}: [channel.{channel}] protocol is missing.")
+        raise edge.InputError(
+            f"{source}: [channel.{channel}] protocol is missing; there are {', '.join(sorted(known))}."
+        )
     if not isinstance(protocol, str) or protocol not in known:
         raise edge.InputError(
             f'{source}: [channel.{channel}] protocol = "{protocol}": no such protocol is installed; '

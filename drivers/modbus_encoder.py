@@ -16,13 +16,13 @@ from drivers.encoder import (
     EncoderProtocolError,
     EncoderSetupError,
     PortConfig,
+    channel_of,
     counts_to_value,
     extract_bits,
-    role_of,
     unwrap,
 )
-from drivers.recording_format import ROLLOVER, Channel, Samples
-from drivers.serial_hub import PolledEncoder, PortHub, ask
+from drivers.recording_format import ROLLOVER, FloatArray, IntArray, Samples
+from drivers.serial_hub import MIDDLE, PolledEncoder, PortHub, ask
 
 _REQUESTS = {"holding": ReadHoldingRegistersRequest, "input": ReadInputRegistersRequest}
 
@@ -88,31 +88,20 @@ class ModbusEncoder(PolledEncoder):
                 f"{self.where} refuses register {config.register_} of the {config.table} table: exception {answer[2]}."
             )
         self.asked_once(hub)
-        self.channel = Channel(
-            name=self.name,
-            role=role_of(self.name),
-            protocol="modbus",
-            unit="rad",
-            counts_per_turn=config.counts_per_turn,
-            direction=config.direction,
-            zero=config.zero,
-            zero_reference=config.zero_reference,
+        self.channel = channel_of(
+            self.name,
+            config,
             identity=f"Modbus device {config.device}, {config.table} register {config.register_} ({config.registers})",
-            time_source="host clock: middle of the serial exchange",
+            time_source=MIDDLE,
+            counts_per_turn=config.counts_per_turn,
         )
 
     def checked(self, answers: list[bytes]) -> npt.NDArray[np.bool_]:
         """See `PolledEncoder.checked`."""
         return np.array([a[:3] == self._head and _right(a) for a in answers], bool)
 
-    def read(self, timeout: float) -> Samples | None:
-        """Return the positions that came; see `Encoder.read`."""
-        exchanges = self.taken(timeout)
-        if not exchanges:
-            return None
-        times, answers, status = self.judged(exchanges)
-        if len(times) == 0:
-            return None
+    def samples(self, times: FloatArray, answers: list[bytes], status: IntArray) -> Samples:
+        """See `PolledEncoder.samples`."""
         words = np.frombuffer(b"".join(a[3:-2] for a in answers), ">u2").reshape(len(answers), -1)
         if self.config.low_word_first:
             words = words[:, ::-1]

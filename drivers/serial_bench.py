@@ -9,12 +9,10 @@ import os
 import select
 import struct
 import tempfile
-import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Literal, Self
+from typing import Literal
 
 import numpy as np
 from pymodbus.framer import FramerRTU
@@ -23,13 +21,13 @@ from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadHoldi
 
 from cycloid_fmu import edge
 from drivers.amt21_encoder import check_bits
-from drivers.bench import Motion, conditions_text, head_text, quantised, write_text
+from drivers.bench import Motion, SimulatedBench, conditions_text, head_text, quantised, write_text
 from drivers.faults import SERIAL_FAULTS, Fault, at_wrong_baud
 
 _BITS_PER_BYTE = 10  # with start and stop bit
 
 
-class _PtyBench:
+class _PtyBench(SimulatedBench):
     """A thread behind a pseudo-terminal whose name stays when the cable is pulled and put back.
 
     Parameters
@@ -52,33 +50,20 @@ class _PtyBench:
     def __init__(
         self, motion: Motion, *, speed_factor: float = 1.0, baud_rate: int, faults: Sequence[Fault] = ()
     ) -> None:
-        self.motion, self.baud_rate = motion, baud_rate
+        super().__init__(motion)
+        self.baud_rate = baud_rate
         self._factor = speed_factor
         self._faults = [f for f in faults if f.kind in SERIAL_FAULTS]
-        self._stopping = threading.Event()
-        self._done = threading.Event()
         self._begun: float | None = None
 
-    def __enter__(self) -> Self:
-        """Open the pseudo-terminal."""
+    def _open(self) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="cycloid-bench-")
         self.url = str(Path(self._folder.name) / "tty")
         self._plug()
-        self._thread = threading.Thread(target=self._run, name="bench", daemon=True)
-        self._thread.start()
-        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stopping.set()
-        self._thread.join()
+    def _close(self) -> None:
         self._unplug()
         self._folder.cleanup()
-
-    def wait(self, timeout: float | None = None) -> bool:
-        """Wait for the end of the motion and return whether it came."""
-        return self._done.wait(timeout)
 
     def _plug(self) -> None:
         import termios
@@ -144,9 +129,6 @@ class _PtyBench:
             os.write(self._bench, sent)
         return sent == data
 
-    def _run(self) -> None:
-        raise NotImplementedError
-
     def _wiring(self, path: str | os.PathLike[str], channels: str, ratio: float | None, pair: str) -> Path:
         port = f"\n[port.tty]\nurl = {edge.json_text(self.url)}\nbaud_rate = {self.baud_rate}\n"
         return write_text(path, f"{head_text(ratio, pair)}{conditions_text(self.motion.run)}{port}{channels}")
@@ -155,7 +137,7 @@ class _PtyBench:
 class Amt21Bench(_PtyBench):
     """A bench of two AMT21 encoders on one RS-485 line, which is a pseudo-terminal: record `url`.
 
-    A context manager. The motion begins with the first question and runs at its own speed times `speed_factor`; each
+    The motion begins with the first question and runs at its own speed times `speed_factor`; each
     answer is the position at that moment. The torque is not on this line.
 
     Parameters
@@ -226,7 +208,7 @@ class Amt21Bench(_PtyBench):
 class ModbusBench(_PtyBench):
     """A bench of two Modbus RTU encoders on one line, which is a pseudo-terminal: record `url`.
 
-    A context manager. Each device holds its position, 32 bits that count turns too, in the holding registers 0 and 1,
+    Each device holds its position, 32 bits that count turns too, in the holding registers 0 and 1,
     high word first; any other request gets the exception "illegal data address". The motion begins with the first
     question and runs at its own speed times `speed_factor`. The torque is not on this line.
 
@@ -288,7 +270,7 @@ class ModbusBench(_PtyBench):
 class AsciiBench(_PtyBench):
     """A counter that sends a line for each sample, "$sequence,time,counts*checksum", by itself: record `url`.
 
-    A context manager. The motion begins when the port is opened. The time is the counter's own clock in microseconds,
+    The motion begins when the port is opened. The time is the counter's own clock in microseconds,
     32 bits, the checksum NMEA 0183's. Its counts are the output angle's.
 
     Parameters
@@ -356,4 +338,3 @@ class AsciiBench(_PtyBench):
             for one in [line] * (1 + (odd == "duplicate")) + [held] * (held is not None):
                 self._put(one or b"", self._fault(i, 0))
             held = None
-        self._done.set()

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 import serial
 
+from cycloid_fmu import edge
 from drivers.can_hub import BLOCK_SECONDS, drained
 from drivers.encoder import (
     BlockQueue,
@@ -28,9 +29,11 @@ from drivers.encoder import (
     PortConfig,
     steady_time,
 )
-from drivers.recording_format import CHECKSUM, GAP, Event, FloatArray, IntArray
+from drivers.recording_format import CHECKSUM, GAP, Event, FloatArray, IntArray, Samples
 
 ANSWER_SECONDS = 0.1  # far above the encoders' microseconds: it covers a USB adapter and a busy machine
+
+MIDDLE = "host clock: middle of the serial exchange"  # where an answer's stamp lies
 
 Exchange = tuple[float, bytes]
 Question = Callable[[Any], bytes]
@@ -227,7 +230,11 @@ class SerialEncoder(Encoder):
     @classmethod
     def from_config(cls, name: str, config: Any, wiring: Any) -> Self:
         """Return the encoder of a `[channel.name]`; see `Encoder.from_config`."""
-        return cls(name, config, wiring.port(config.port, name))
+        port = wiring.port(config.port, name)
+        try:
+            return cls(name, config, port)
+        except edge.InputError as problem:
+            raise edge.InputError(f"{wiring.source}: [channel.{name}] {problem}") from None
 
     @abc.abstractmethod
     def question(self, port: Any) -> bytes:
@@ -339,6 +346,15 @@ class PolledEncoder(SerialEncoder):
         if len(answer) < self.answer_bytes or not self.checked([answer]).all():
             raise EncoderProtocolError(f"{self.where} answers 0x{answer.hex()}, whose {self.checksum_name} wrong.")
         return answer
+
+    @abc.abstractmethod
+    def samples(self, times: FloatArray, answers: list[bytes], status: IntArray) -> Samples:
+        """Return the samples of good answers, all arguments of shape (k,), k > 0."""
+
+    def read(self, timeout: float) -> Samples | None:
+        """Return the positions that came; see `Encoder.read`."""
+        times, answers, status = self.judged(self.taken(timeout))
+        return self.samples(times, answers, status) if answers else None
 
     def judged(self, exchanges: list[Exchange]) -> tuple[FloatArray, list[bytes], IntArray]:
         """Leave out what the checksum doesn't confirm and mark what follows it: times, answers, status, shape (k,)."""

@@ -7,7 +7,6 @@ heads would cancel it. The displacement over torque is measured or computed once
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import math
 import os
@@ -141,17 +140,10 @@ def read_read_head(path: str | os.PathLike[str]) -> ReadHead:
     table = edge.toml_table(edge.read_text(path), FORMAT, str(path))
     head = edge.validated(_File, table, str(path)).read_head
     source = Path(path).parent / head.displacement
-    lines = edge.read_text(source).splitlines()
-    if not lines:
-        raise edge.InputError(f"{source}: the file is empty.")
-    scales = edge.unit_columns(next(csv.reader(lines[:1])), {"torque": "N*m", "displacement": "m"}, str(source))
-    columns = [position for position, _ in scales.values()]
+    rows = [values for _, values in edge.number_rows(source, {"torque": "N*m", "displacement": "m"})]
+    torque, displacement = (np.array([row[name] for row in rows]) for name in ("torque", "displacement"))
     try:
-        rows = np.loadtxt(lines[1:], delimiter=",", usecols=columns, ndmin=2)
-        torque, displacement = (rows[:, i] * scale for i, (_, scale) in enumerate(scales.values()))
-        if not np.isfinite(rows).all():
-            raise ValueError("a value is not finite")
         line = fit_displacement(torque, displacement)
     except ValueError as problem:
-        raise edge.InputError(f"{source}: {str(problem).splitlines()[0]}.") from None
+        raise edge.InputError(f"{source}: {problem}.") from None
     return ReadHead(head.radius, head.radius_uncertainty, head.direction, line)

@@ -411,11 +411,11 @@ class Folding:
         for fold in folds:
             fold.finish()
         if folds[0].way == 0.0:
-            raise edge.InputError(f"{self.source}: the crank does not turn.")
+            raise edge.InputError(f"{self.source}: the crank does not turn; a curve needs a run in motion.")
         notes = list(stream.notes)
         kept = [f for f in folds if f.way > 0.01 * folds[0].way and f.samples > 1]
         if not kept:
-            raise edge.InputError(f"{self.source}: the crank does not turn.")
+            raise edge.InputError(f"{self.source}: the crank does not turn; a curve needs a run in motion.")
         few = sum(f.samples for f in folds if f not in kept)
         if self._stood + few:
             notes.append(

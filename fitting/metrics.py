@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from cycloid_fmu import edge
-from cycloid_fmu.pair import LOST_MOTION_LOAD
+from cycloid_fmu.pair import LOST_MOTION, LOST_MOTION_LOAD
 from fitting.curve import Curve, Folding, Spectrum, lag_of, significant, spectrum, synthesised
 from fitting.recording import OPTIONAL, BenchRecording, BenchStream, Block
 
@@ -41,8 +41,7 @@ DEFINITIONS = {
     "over the interval on its own side (Nabtesco)",
     "backlash": "hysteresis loss less twice the dry friction torque over the stiffness: less the mean distance of "
     "loading and unloading branch at ±50 % of the rated torque",
-    "lost_motion": "mean of loading and unloading branch at +3 % of the rated torque less that at -3 % (GB/T 40731, "
-    "Nabtesco)",
+    "lost_motion": f"{LOST_MOTION}, mean of loading and unloading branch (Nabtesco)",
     "torsional_stiffness": "torque over windup along the loading branches in the interval, mean of both sides",
     "starting_torque": "largest torque on the input, the output without load, from a standstill until the crank has "
     "turned 1 degree, mean of the starts (no-load starting torque)",
@@ -419,8 +418,8 @@ def loop_marks(data: LoopData) -> dict[str, list[Array]]:
     """Return where the first loop's figures are read off: {figure: lines of (torque, windup), shape (points, 2)}.
 
     Hysteresis loss: both unloading branches' straight lines down to zero torque and the distance there. Backlash: what
-    remains of it without friction, about the same middle. Lost motion: from the mean at -3 % to that at +3 %. Torsional
-    stiffness: the fitted lines.
+    remains of it without friction, about the same middle. Lost motion: from the mean at its
+    negative load to that at its positive one. Torsional stiffness: the fitted lines.
     """
     torque, windup, rated = data.torque, data.windup, data.rated_torque
     marks: dict[str, list[Array]] = {}
@@ -550,7 +549,7 @@ def starts_of(crank: Array, torque: Array, driven: Array) -> list[Start]:
             way = driven[min(start + 10 * moved, crank.size - 1)] - driven[begin]
             if at_rest < 0.1 * largest and abs(onward) > 5.0 * _START and torque[peak] * way > 0.0:
                 found.append(Start(still, peak, largest))
-        begin = start if moved > 10 else begin + max(1, moved)
+        begin = start
         # Motion goes on until the crank stands within the degree again for longer than a few samples.
         while begin < crank.size:
             ahead = crank[begin : begin + 200]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.pair import Pair
-from cycloid_fmu.plots import new_figure
+from cycloid_fmu.plots import new_figure, show_legend
 from cycloid_fmu.surface import ErrorSurface, unit_of
 from cycloid_fmu.transmission import solve
 from fitting.curve import Curve
@@ -49,7 +49,12 @@ def draw_panel(axis: Axes, panel: Panel) -> None:
     axis.set_title(panel.title, fontsize=10, loc="left")
     axis.grid(alpha=0.3)
     if any(t.label for t in panel.traces):
-        axis.legend(fontsize=7, frameon=False, ncols=3)
+        show_legend(axis, fontsize=7, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
+    if any(t.texts for t in panel.traces):
+        scale = axis.yaxis.get_transform()
+        low, high = scale.transform(axis.get_ylim())
+        above = high + 0.25 * (high - low)  # room for the highest points' names
+        axis.set_ylim(top=float(scale.inverted().transform(above)))
 
 
 def plot_panels(panels: Sequence[Panel]) -> Figure:
@@ -87,7 +92,7 @@ def plot_curves(curves: Sequence[Curve]) -> Figure:
         axes[1].plot(np.degrees(np.mod(curve.input_angle, 2.0 * np.pi)), error, ".", ms=1.5)
     axes[0].set(xlabel="output turn [°]", ylabel="transmission error [arcsec]")
     axes[1].set(xlabel="crank angle, all turns folded [°]", ylabel="transmission error [arcsec]")
-    axes[0].legend(fontsize=8, frameon=False, ncols=2)
+    figure.legend(loc="outside upper center", ncols=4, fontsize=8, frameon=False)
     return figure
 
 
@@ -173,7 +178,7 @@ def plot_band(pair: Pair, surface: ErrorSurface, drawn: Sequence[ErrorSurface], 
     axes[0].fill_between(turn, low, high, alpha=0.4, lw=0, label=f"95 % of {len(drawn)} drawn")
     axes[0].plot(turn, identified, lw=0.8, label="identified")
     axes[0].set(ylabel="transmission error [arcsec]", title=f"{torque:+.4g} N·m")
-    axes[0].legend(fontsize=8, frameon=False, ncols=2)
+    show_legend(axes[0], ncols=2)
     axes[1].fill_between(turn, low - identified, high - identified, alpha=0.4, lw=0)
     axes[1].set(xlabel="crank turns", ylabel="drawn - identified [arcsec]")
     return figure

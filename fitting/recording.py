@@ -125,7 +125,7 @@ def read_mapping(path: str | os.PathLike[str]) -> FileMapping:
         if channel is None:
             continue
         if channel.counts_per_turn is not None and name not in ANGLES:
-            raise edge.InputError(f"{source}: [{name}] counts_per_turn: only an angle has them; give its unit.")
+            raise edge.InputError(f"{source}: [{name}] counts_per_turn: only an angle has it; give the unit.")
         if channel.counts_per_turn is not None and (channel.unit is not None or channel.counts_per_turn < 1):
             raise edge.InputError(f"{source}: [{name}] counts_per_turn: give a whole number above zero and no unit.")
     if mapping.time is not None:

@@ -212,7 +212,8 @@ def _plotly(panel: Panel) -> dict[str, Any]:
         "margin": {"l": 60, "r": 20, "t": 30, "b": 45}, "paper_bgcolor": "white", "plot_bgcolor": "white",
         "xaxis": {**axis, "title": {"text": panel.x_label}},
         "yaxis": {**axis, "title": {"text": panel.y_label}, "type": "log" if panel.log_y else "linear"},
-        "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom"}, "hovermode": "closest",
+        "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom"}, "modebar": {"orientation": "v"},
+        "hovermode": "closest",
     }  # fmt: skip
     return {"data": data, "layout": layout}
 

@@ -273,18 +273,18 @@ def test_points_that_cannot_be_are_one_sentence(tmp_path, rows, unit, said):
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        ("", "empty"),
+        ("", 'there is no column "x [m]"'),
         ("body,disc,number,x [mm],y [mm],z [mm]\n", "no points"),
         ("body,disc,number,x,y [mm],z [mm]\n", 'write "x [m]"'),
         ("body,disc,number,x [kg],y [mm],z [mm]\n", "measures something else"),
         ("body,disc,number,x [mm],y [mm]\n", 'no column "z [m]"'),
         ("body,disc,x [mm],y [mm],z [mm]\n", 'no column "number"'),
-        ("body,disc,number,x [mm],y [mm],z [mm]\nring,0,0,1,1,1\n", 'line 2: body is "ring"'),
-        ("body,disc,number,x [mm],y [mm],z [mm]\ngear,0,-1,1,1,1\n", 'line 2: number is "-1"'),
-        ("body,disc,number,x [mm],y [mm],z [mm]\ngear,,1,1,1,1\n", 'line 2: disc is ""'),
-        ("body,disc,number,x [mm],y [mm],z [mm]\ngear,0,1,nan,1,1\n", 'line 2: x is "nan"'),
-        ('body,disc,number,x [mm],y [mm],z [mm]\npin,,1,"1,5",1,1\n', 'line 2: x is "1,5"'),
-        ("body,disc,number,x [mm],y [mm],z [mm]\npin,,1,1,1\n", 'line 2: z is ""'),
+        ("body,disc,number,x [mm],y [mm],z [mm]\nring,0,0,1,1,1\n", 'line 2: body = "ring"'),
+        ("body,disc,number,x [mm],y [mm],z [mm]\ngear,0,-1,1,1,1\n", 'line 2: number = "-1"'),
+        ("body,disc,number,x [mm],y [mm],z [mm]\ngear,,1,1,1,1\n", 'line 2: disc = ""'),
+        ("body,disc,number,x [mm],y [mm],z [mm]\ngear,0,1,nan,1,1\n", 'line 2: x = "nan"'),
+        ('body,disc,number,x [mm],y [mm],z [mm]\npin,,1,"1,5",1,1\n', 'line 2: x = "1,5"'),
+        ("body,disc,number,x [mm],y [mm],z [mm]\npin,,1,1,1\n", 'line 2: z = ""'),
     ],
 )
 def test_bad_files_are_one_sentence(tmp_path, content, said):

@@ -260,7 +260,7 @@ def test_bad_studies_are_one_sentence(text, changes, said):
 def test_a_scheduler_that_does_not_answer(command, files, tmp_path):
     failed = command(*files, "--scheduler", "tcp://127.0.0.1:9", "-o", "s.nc")
     assert (failed.returncode, failed.stdout) == (2, "")
-    assert failed.stderr.strip() == "--scheduler tcp://127.0.0.1:9: no scheduler answers there (OSError)."
+    assert failed.stderr.strip() == "--scheduler = tcp://127.0.0.1:9: no scheduler answers there (OSError)."
 
 
 # A real cluster

@@ -469,7 +469,7 @@ def test_bad_wear_files_get_a_sentence(change, sentence):
         ("torque,crank_turns [1]\n", "has no unit"),
         ("torque [mm],crank_turns [1]\n", "measures something else"),
         ("torque [N*m],crank_turns [1]\n1,0\n", "add up to zero"),
-        ("", "empty"),
+        ("", 'no column "torque [N*m]"'),
     ],
 )
 def test_bad_duty_cycles_get_a_sentence(table, sentence, tmp_path):

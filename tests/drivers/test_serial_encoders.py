@@ -30,7 +30,7 @@ from drivers.bench import BenchRun, simulate_motion
 from drivers.encoder import EncoderProtocolError, EncoderSetupError, EncoderTimeout, PortConfig
 from drivers.faults import Fault
 from drivers.modbus_encoder import ModbusConfig, ModbusEncoder
-from drivers.recorder import open_encoders, record_bench
+from drivers.recorder import open_encoders, read_bench, record_bench
 from drivers.recording_format import read_recording
 from drivers.serial_bench import Amt21Bench, AsciiBench, ModbusBench
 
@@ -303,6 +303,23 @@ def test_a_port_may_be_a_socket(tmp_path):
     samples = read_recording(tmp_path / "run.arrows").samples["output_angle"]
     assert np.all(np.diff(samples.counts) == 1)
     assert not np.any(samples.status & rf.GAP)
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ('line = "{counts}"', "counts_per_turn is missing"),
+        ('line = "{value}*{checksum}"', 'checksum is missing: write "xor" or "sum"'),
+        ('line = "{value}"\nunit = "mm"', 'unit = "mm": the unit "mm" '),
+    ],
+)
+def test_what_a_line_s_table_lacks_is_said_with_file_and_channel(tmp_path, changed, said):
+    bench = tmp_path / "BENCH.toml"
+    channel = '[channel.output_angle]\nprotocol = "ascii"\nport = "a"\n'
+    bench.write_text(f'format = "cycloid-bench/1"\n[port.a]\nurl = "loop://"\n{channel}{changed}\n')
+    with pytest.raises(edge.InputError) as raised:
+        read_bench(bench)
+    assert str(raised.value).startswith(f"{bench}: [channel.output_angle] {said}")
 
 
 class _Line(serial.Serial):

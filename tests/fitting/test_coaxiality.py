@@ -79,7 +79,7 @@ def test_uncertainty_is_that_of_repeated_calibrations():
         ('"90 deg"', "90", None, "h.toml: [read_head] direction = 90"),
         ("", "", "torque,displacement [mm]\n1,2\n", "has no unit"),
         ("", "", "torque [N*m],displacement [mm]\n1,2\n1,3\n1,4\n", "two torques"),
-        ("", "", "torque [N*m],displacement [mm]\n1,2\n2,x\n3,4\n", "rv-20e-tilt.csv: "),
+        ("", "", "torque [N*m],displacement [mm]\n1,2\n2,x\n3,4\n", 'rv-20e-tilt.csv: line 3: displacement = "x"'),
     ],
 )
 def test_bad_heads_are_one_sentence(tmp_path, old, new, table, said):

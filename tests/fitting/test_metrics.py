@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fitting import metrics
-from fitting.curve import spectrum, transmission_error_curve
+from fitting.curve import Spectrum, spectrum, transmission_error_curve
 from fitting.metrics import (
     angular_transmission_error,
     back_driving_torques,
@@ -142,7 +142,52 @@ def test_a_torque_on_one_side_gives_its_stiffness_and_says_what_is_missing():
     assert set(found.figures) == {"torsional_stiffness"}
     assert found.figures["torsional_stiffness"].value * ARCMIN == pytest.approx(49.0)
     assert set(found.figures["torsional_stiffness"].parts) == {"positive"}
-    assert any("never crosses zero" in note for note in found.notes)
+    assert any("never crosses zero, it is always positive" in note for note in found.notes)
+    found = figures_from(torque[~half], angle[~half])
+    assert any("never crosses zero, it is always negative" in note for note in found.notes)
+
+
+def test_the_figures_are_marked_where_they_are_read_off():
+    """Each mark's span is its figure; the lines lie on the branches."""
+    rated, stiffness, play, friction = 167.0, 49 / ARCMIN, 0.6 * ARCMIN, 2.0
+    torque, angle = loop(rated, stiffness, play, friction)
+    data = survey(recording(np.arange(torque.size) * 1e-2, 0.0, angle, torque, None), None, rated).loops
+    marks = metrics.loop_marks(data)
+    distance, *unloading = marks["hysteresis_loss"]
+    (backlash,), (lost,) = marks["backlash"], marks["lost_motion"]
+    for line, span in ((distance, play + 2 * friction / stiffness), (backlash, play)):
+        assert line[:, 0].tolist() == [0.0, 0.0]
+        assert line[1, 1] - line[0, 1] == pytest.approx(span, rel=1e-6)
+        assert line[:, 1].sum() == pytest.approx(0.0, abs=1e-6 * span)
+    assert lost[:, 0] == pytest.approx([-0.03 * rated, 0.03 * rated])
+    assert np.ptp(lost[:, 1]) == pytest.approx(play + 0.06 * rated / stiffness, rel=1e-6)
+    for line, sign in zip(unloading, (1, -1), strict=True):
+        assert line[:, 0] == pytest.approx([0.0, 0.1 * sign * rated])
+        assert line[:, 1] == pytest.approx(sign * (play / 2 + (sign * line[:, 0] + friction) / stiffness), rel=1e-6)
+    for line, sign in zip(marks["torsional_stiffness"], (1, -1), strict=True):
+        assert line[:, 0] == pytest.approx([0.5 * sign * rated, sign * rated])
+        assert line[:, 1] == pytest.approx(sign * (play / 2 + (sign * line[:, 0] - friction) / stiffness), rel=1e-6)
+
+
+def test_one_loop_s_uncertainty_is_that_of_its_straight_lines():
+    """Of two lines over x, extrapolated to 0, with white noise σ: 1.96 sqrt(2 σ²(1/n + x̄²/Σ(x - x̄)²))."""
+    rated, noise = 167.0, 0.3 * ARCSEC
+    torque, angle = loop(rated, 49 / ARCMIN, 0.6 * ARCMIN, 2.0, each=4000)
+    found = figures_from(torque, angle + np.random.default_rng(0).normal(0.0, noise, angle.size), rated).figures
+    x = rated * np.arange(0.03, 0.1, 1 / 4000)
+    wanted = 1.96 * noise * np.sqrt(2.0 * (1.0 / x.size + x.mean() ** 2 / ((x - x.mean()) ** 2).sum()))
+    assert found["hysteresis_loss"].uncertainty == pytest.approx(wanted, rel=0.2)
+    stiffness = found["torsional_stiffness"]
+    sides = [stiffness.parts[side].uncertainty for side in ("positive", "negative")]
+    assert stiffness.uncertainty == pytest.approx(0.5 * np.hypot(*sides), rel=1e-9)
+
+
+def test_a_load_that_shakes_around_little_is_noted_against_the_rated_torque():
+    made = run_with(KNOWN, turns=1, each=9000, noise=0.0, seed=1)
+    for share, said in ((0.05, False), (0.3, True)):
+        shaken = dataclasses.replace(made, torque=1.0 + 100.0 * share * np.sin(made.input_angle / 3.0))
+        notes = figures_of([survey(shaken, -39.0, 200.0)], -39.0, 200.0).notes
+        assert any("the torque varies by" in note for note in notes) == said
 
 
 def test_a_torque_that_stays_small_gives_no_stiffness_but_all_else():
@@ -190,6 +235,7 @@ def test_half_loops_end_where_the_torque_is_next_to_zero():
     assert [twice[lobe.unloading.start] for lobe in found] == [100.0, 100.0, -100.0]
     assert [lobe.unloading.stop for lobe in found] == [101, 201, len(twice)]
     assert metrics.find_lobes(0.19 * up, 100.0) == []
+    assert len(metrics.find_lobes(np.array([0.0, 50.0, 100.0, 50.0, 0.5, 50.0, 100.0, 50.0, 0.0]), 100.0)) == 2
 
 
 def test_one_figure_from_several_recordings_weighs_by_their_loops():
@@ -286,6 +332,25 @@ def test_known_orders_come_back_within_their_uncertainty(turns, each, highest, s
     record_property(f"inside their 95 % interval, of {seeds} seeds", f"{said}, angular TE: {inside[-1]:.0f}")
     assert (inside >= 0.95 * seeds - 4.0 * np.sqrt(0.05 * 0.95 * seeds)).all(), inside
     assert inside.sum() >= 0.9 * seeds * inside.size
+
+
+@pytest.mark.parametrize("between", [0.0, 0.25, 0.5])
+def test_the_range_is_that_between_the_samples_of_a_curve(between):
+    """Of one order it is twice the amplitude, wherever between two of its 64 points a period the peaks lie."""
+    known = {32: (1e-4, between * 2 * np.pi / 64)}
+    curve = transmission_error_curve(run_with(known, turns=2, each=9000, noise=0.0, seed=1), -39.0)
+    assert angular_transmission_error(curve, spectrum(curve)).value == pytest.approx(2e-4, rel=2e-5)
+
+
+@pytest.mark.parametrize("phase", [0.0, np.pi / 4, np.pi / 2])
+def test_a_range_is_as_uncertain_as_twice_its_only_order(phase):
+    """Noise of root mean square f in a complex amplitude c moves |c| by f/√2, whatever its phase."""
+    curve = transmission_error_curve(run_with({}, turns=1, each=9000, noise=ARCSEC, seed=1), -39.0)
+    coefficient, floor = np.zeros(60, complex), np.zeros(60)
+    coefficient[40], floor[40] = 1e-4 * np.exp(1j * phase), 1e-5
+    found = angular_transmission_error(curve, Spectrum(coefficient, floor, 1.0))
+    assert found.uncertainty == pytest.approx(1.96 * 2.0 * 1e-5 / np.sqrt(2.0), rel=0.12)  # of 200 draws: 5 %
+    assert found.value == pytest.approx(2e-4, abs=4e-6)
 
 
 def test_phases_of_orders_count_from_crank_angle_zero():
