@@ -240,7 +240,9 @@ def identify(
         if name not in (errors := [*errors_of(pair), *(profile or {})]):
             raise edge.InputError(f'"{name}" is no error of this pair; one of {", ".join(errors)}.')
     if not curves:
-        raise edge.InputError("there is no transmission error curve: a loop sees the drive at one crank angle only.")
+        raise edge.InputError(
+            "there is no transmission error curve: a loop sees the drive at one crank angle only; give recordings of a turning crank too."
+        )
     loops = on_the_curves_zero(loops, curves)
     for curve in (*curves, *loops):
         if abs(curve.ratio / pair.ratio - 1.0) > 1e-9:

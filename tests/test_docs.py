@@ -92,7 +92,10 @@ def blocks(page):
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.stem)
 def test_every_block_is_of_a_kind_that_is_checked(page):
     for language, _, body in blocks(page):
-        assert language in ("sh", "toml", "python", "json", "text", "{toctree}", "{eval-rst}"), (page.name, language)
+        assert language in ("sh", "toml", "python", "json", "text", "diff", "{toctree}", "{eval-rst}"), (
+            page.name,
+            language,
+        )
         if language == "toml":
             tomllib.loads(body)
         elif language == "json":

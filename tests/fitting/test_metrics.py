@@ -65,6 +65,7 @@ def test_the_ideal_loop_gives_what_it_was_made_of(rated, windup, play, friction,
     for name, value in expected.items():
         assert found[name].value == pytest.approx(value, rel=1e-6), name
         assert found[name].count == loops
+    assert found["lost_motion"].interval == pytest.approx((-0.03 * rated, 0.03 * rated))
 
 
 @pytest.mark.parametrize("crank", ["locked", "turning"])
