@@ -241,7 +241,8 @@ def identify(
             raise edge.InputError(f'"{name}" is no error of this pair; one of {", ".join(errors)}.')
     if not curves:
         raise edge.InputError(
-            "there is no transmission error curve: a loop sees the drive at one crank angle only; give recordings of a turning crank too."
+            "there is no transmission error curve: a loop sees the drive at one crank angle only; give recordings of a "
+            "turning crank too."
         )
     loops = on_the_curves_zero(loops, curves)
     for curve in (*curves, *loops):
