@@ -63,7 +63,7 @@ _PROFILE_GAIN, _PROFILE_WITHIN = 0.02, 0.1  # of the rise: where a fit of a prof
 _CRANK_SCALE, _SCATTER_SCALE, _CREEP_SCALE = 1e-2, 1e-6, 1e-6  # rad, m, rad
 _CONFIRMATIONS = 2  # evaluations of the model that the last step may cost
 _ROUNDS, _LINEAR = 40, 0.02  # of the variances' fixed point on one model, where a step promises so little a point
-_SETTLED = 3e-3  # relative change of a deviation with one round, which comes near from below by ever smaller steps
+_SETTLED = 3e-3  # relative change of a deviation with one round, which comes near by ever smaller ones; in a start more
 _PINNED = 1e6  # precision that holds an unknown where it is put, in its scale
 _SHRINKS, _GROWS = 0.1, 10.0  # by how much a variance may change with one step
 
@@ -298,7 +298,7 @@ def fit(
                 # Where the model is as good as linear the variances settle without another evaluation of it.
                 for _ in range(_ROUNDS if promised < _LINEAR * observed.measured.size else 1):
                     observed, now, scatter, settled = _variances(
-                        problem, observed, now, scatter, unknowns, ahead, known or {}
+                        problem, observed, now, scatter, unknowns, ahead, known or {}, _SETTLED * max(gain, 1.0)
                     )
                     if settled:
                         break
@@ -346,8 +346,9 @@ def _variances(
     unknowns: Array,
     ahead: Array,
     known: Mapping[str, float],
+    little: float,
 ) -> tuple[Observations, _Normal, dict[str, float], bool]:
-    """Take one step of the restricted likelihood's fixed point; also whether it hardly moved.
+    """Take one step of the restricted likelihood's fixed point; also whether it moved by a share less than `little`.
 
     `ahead` is a step from the unknowns, at whose end the fixed point is taken as the linear model foretells it.
     """
@@ -367,8 +368,8 @@ def _variances(
         before = max(scatter.get(name, 0.0), 1e-2 * NO_SCATTER) ** 2
         after = float(unknowns[part] @ unknowns[part]) * problem.scale[part.start] ** 2 / max(told_of, 1e-9)
         found[name] = float(np.sqrt(np.clip(after / before, _SHRINKS, _GROWS) * before))
-    hardly = all(abs(v - scatter.get(n, 0.0)) < _SETTLED * v or v < NO_SCATTER for n, v in found.items())
-    settled = hardly and bool((np.abs(variance - 1.0) < _SETTLED).all())
+    hardly = all(abs(v - scatter.get(n, 0.0)) < little * v or v < NO_SCATTER for n, v in found.items())
+    settled = hardly and bool((np.abs(variance - 1.0) < little).all())
     observed, normal = _at_noise(observed, normal, variance)
     return observed, normal, found, settled
 

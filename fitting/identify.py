@@ -387,7 +387,7 @@ def _started(pair: Pair, observed: Observations, start: Estimate | None, progres
         if start.observed.bench_names != observed.bench_names:
             state, _ = zeroed(observed, state, None)
         return dataclasses.replace(start, state=state)
-    few = observed.thinned(_stride(observed))
+    few, fewer = observed.thinned(_START_POINTS), observed.thinned(_START_POINTS // 2)
     loads = np.array([0.0 if c.branch else abs(c.torque) for c in few.curves])
     high, all_of_them = np.flatnonzero(loads > 0.7 * loads.max()), np.arange(loads.size)
     generator = np.random.default_rng(0)
@@ -401,7 +401,7 @@ def _started(pair: Pair, observed: Observations, start: Estimate | None, progres
         return fit(pair, part, chosen, state, scatter, gain=_START_GAIN, around=around, evaluations=_START_EVALUATIONS)
 
     # To first order from the prior, and from there once more; a crank whose zero is unknown needs the exact model.
-    nominal = None if observed.fit_crank else near(pair, prior, few)
+    nominal = None if observed.fit_crank else near(pair, prior, fewer)
     found: list[Estimate] = []
     for number in range(_STARTS):
         progress(f"finding a start ({number + 1})")
@@ -413,22 +413,13 @@ def _started(pair: Pair, observed: Observations, start: Estimate | None, progres
             values = {n: structured_value(pair, prior, n) + d for n, d in zip(names, drawn, strict=True)}
             state = dataclasses.replace(state, surface=with_structured(pair, prior, values))
         part = high if number == 1 else all_of_them
-        one = ended(few.some(part), state, unknown, None if nominal is None else nominal.some(part))
-        if nominal is not None or part is not all_of_them:
-            around = None if nominal is None else near(pair, one.state.surface, few)
-            one = ended(few, one.state, one.scatter, around)
+        one = ended(fewer.some(part), state, unknown, None if nominal is None else nominal.some(part))
+        around = None if nominal is None else near(pair, one.state.surface, few)
+        one = ended(few, one.state, one.scatter, around)
         found = sorted([*found, one], key=lambda e: e.unlikelihood)
         if len(found) > 1 and found[1].unlikelihood < found[0].unlikelihood + _AGREE * few.measured.size:
             return found[0]
     return dataclasses.replace(found[0], apart=len(found))
-
-
-def _stride(observed: Observations) -> int:
-    """How many points a start steps over: it shares no factor with those of a turn, to see every angle of the crank."""
-    stride = max(1, observed.measured.size // _START_POINTS)
-    while any(math.gcd(stride, observed.curves[i].input_angle.size) > 1 for i in observed.running):
-        stride += 1
-    return stride
 
 
 def _inflation(residuals: Sequence[Array]) -> float:

@@ -33,6 +33,7 @@ DRIFT = 5e-5  # rad an output turn: how far the angles' zeros may creep while th
 CREEP = "output_angle_creep"  # what a common zero has moved from one recording to the next; how far, the fit estimates
 NO_CREEP = 1e-8  # rad
 _REACH = 80e-6  # m: gaps that errors and the rotation may close where contacts are taken to first order
+_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 _LEAST_TORQUE = 1e-3  # of a curve's mean: without any the output is free in its play
 FRICTION_SHARE = 0.002  # of the largest torque
 COMPLIANCE_SHARE = 0.02  # of the gear pair's own compliance
@@ -100,14 +101,15 @@ class Observations:
         """Where one curve ends and the next begins, shape (curves - 1,)."""
         return np.cumsum([c.input_angle.size for c in self.curves])[:-1]
 
-    def thinned(self, stride: int) -> Observations:
-        """Every so many-th point of each curve, every one of a loop."""
-        strides = [1 if c.branch else stride for c in self.curves]
-        chosen = np.concatenate([np.arange(c.input_angle.size) % s == 0
-                                 for c, s in zip(self.curves, strides, strict=True)])  # fmt: skip
-        curves = tuple(c.points(slice(None, None, s)) for c, s in zip(self.curves, strides, strict=True))
+    def thinned(self, points: int) -> Observations:
+        """About so many points of all curves, evenly over every angle of the crank, and every one of a loop."""
+        share = points / self.measured.size
+        # Multiples of the golden section fall into step with nothing.
+        chosen = [bool(c.branch) | (np.mod(np.arange(c.input_angle.size) * _GOLDEN, 1.0) < share) for c in self.curves]
+        curves = tuple(c.points(one) for c, one in zip(self.curves, chosen, strict=True))
+        every = np.concatenate(chosen)
         return dataclasses.replace(
-            self, curves=curves, measured=self.measured[chosen], weight=self.weight[chosen], bench=self.bench[chosen]
+            self, curves=curves, measured=self.measured[every], weight=self.weight[every], bench=self.bench[every]
         )
 
     def some(self, numbers: Sequence[int] | NDArray[np.int64]) -> Observations:
