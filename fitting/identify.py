@@ -264,7 +264,7 @@ def identify(
             rest = [*(c for i, c in enumerate(curves) if i not in kept), *loops]
             start = _fitted(rest, pair, None, scatter, profile, progress)
             predicted = _predicted(pair, start, [curves[i] for i in kept])
-            if predicted.residual > _MISPREDICTED * predicted.noise:
+            if predicted.residual > _MISPREDICTED * predicted.noise or _is_uneven(start):
                 start = None
         found = _fitted([*curves, *loops], pair, start, scatter, profile, progress)
         return _result(pair, found, predicted, scatter or {}, profiled, bootstrap, progress)
@@ -369,7 +369,8 @@ def _started(pair: Pair, observed: Observations, start: Estimate | None, progres
     """A fit near the best one: where another fit ended, or the best of several starts on some of the points.
 
     The curves' corners make minima beside the best one. From the prior and by way of the largest load alone a fit
-    rarely ends in the same wrong one, so two that agree are enough; otherwise random starts follow.
+    rarely ends in the same wrong one, so two that agree are enough, all curves explained alike; otherwise random starts
+    follow.
     """
     size = spread_of(pair, {}).size
     prior = surface_of_pair(pair)
@@ -417,9 +418,18 @@ def _started(pair: Pair, observed: Observations, start: Estimate | None, progres
         around = None if nominal is None else near(pair, one.state.surface, few)
         one = ended(few, one.state, one.scatter, around)
         found = sorted([*found, one], key=lambda e: e.unlikelihood)
-        if len(found) > 1 and found[1].unlikelihood < found[0].unlikelihood + _AGREE * few.measured.size:
+        alike = len(found) > 1 and found[1].unlikelihood < found[0].unlikelihood + _AGREE * few.measured.size
+        if alike and not _is_uneven(found[0]):
             return found[0]
+    if alike:
+        return found[0]
     return dataclasses.replace(found[0], apart=len(found))
+
+
+def _is_uneven(fit: Estimate) -> bool:
+    """Whether a curve's noise comes out larger than the others', as where a fit ends in a minimum beside the best."""
+    noises = fit.noises[fit.observed.running]
+    return bool(noises.max() > _LEFT * np.median(noises))
 
 
 def _inflation(residuals: Sequence[Array]) -> float:
@@ -612,8 +622,8 @@ def _ambiguity(pair: Pair, fit: Estimate) -> list[str]:
             "have been missed: compare the residual with the encoders' noise, and record more samples a crank turn."
         )
     curves = [fit.observed.curves[i] for i in fit.observed.running]
-    noises = fit.noises[fit.observed.running]
-    if noises.max() > _LEFT * np.median(noises):
+    if _is_uneven(fit):
+        noises = fit.noises[fit.observed.running]
         notes.append(
             f"{curves[int(np.argmax(noises))].source}: its noise comes out as {noises.max() * ARCSEC:.2f}″, the "
             f"others' as {np.median(noises) * ARCSEC:.2f}″; where the bench is as quiet there, the fit has ended "
