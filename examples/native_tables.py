@@ -1,5 +1,5 @@
 """Tables of an FMU: size against accuracy
-======================================
+=======================================
 
 What the tables take in the FMU, native or in Python, and what they err against the exact model, by the accuracy asked
 for.
