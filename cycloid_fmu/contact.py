@@ -56,7 +56,8 @@ _COUNTED = 0.01  # a pin counts as in contact above this share of the most loade
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
-def _compiled(function: _Function) -> _Function:
+def compiled(function: _Function) -> _Function:
+    """Compile a kernel, its type kept."""
     return cast(_Function, njit(cache=True, error_model="numpy", nogil=True)(function))
 
 
@@ -145,7 +146,7 @@ class Drive(NamedTuple):
     pin_curvature: Array
 
 
-@_compiled
+@compiled
 def contact_rows(drive: Drive) -> Array:
     """Return the empty contact array of a drive, shape (discs x slices x pins x 2, columns)."""
     contacts = np.zeros((drive.crank_phase.size * drive.centre_x.size * drive.pin_x.size * 2, COLUMNS))
@@ -163,7 +164,7 @@ def _poses(drive: Drive, theta: float, x: float, disc: int) -> tuple[float, floa
     return theta + phase, 0.0, x - (theta + phase) / drive.teeth
 
 
-@_compiled
+@compiled
 def _tangency(px: float, py: float, alpha: float, R: float, e: float, teeth: int) -> _Tangency:
     """Tangency f(α) = (P - T)·T', its derivative, P, B = T'/(i e^{iα}) and P - T turned by -α, and e^{iα}."""
     return _tangency_at(px, py, _directions(alpha, teeth), R, e, teeth)
@@ -197,7 +198,7 @@ def _tangency_at(px: float, py: float, at: _Directions, R: float, e: float, teet
     return dy * bx - dx * by, -(dx * cx + dy * cy) - (bx * bx + by * by), qx, qy, bx, by, dx, dy, ca, sa
 
 
-@_compiled
+@compiled
 def _foot(
     px: float, py: float, start: float, lower: float, upper: float, R: float, e: float, teeth: int
 ) -> tuple[bool, float, _Tangency]:
@@ -308,7 +309,7 @@ def _path_curvature(R: float, e: float, teeth: int, bx: float, speed: float) -> 
     return (R * R + ez * ez * pins - (pins + 1) * R * (R - bx)) / (speed * speed * speed)
 
 
-@_compiled
+@compiled
 def place(drive: Drive, theta: float, x: float, contacts: Array, cold: bool, clear: float, bounded: float) -> None:
     """Solve the contact of every pin at crank angle θ and deviation x, into `contacts`.
 
@@ -475,7 +476,7 @@ def _stays_clear(
     return ahead - abs(since * dx) * circle_radius * turning > clear
 
 
-@_compiled
+@compiled
 def _interpolated(contacts: Array, first: int, stride: int, slices: int, theta: float, x: float) -> bool:
     """Fill a pin's rows from five solved ones, by the parabola through three; False where the pin needs all solved."""
     last = slices - 1
@@ -518,7 +519,7 @@ def _parabola(slice_: int, middle: int, last: int) -> tuple[float, float, float]
     )
 
 
-@_compiled
+@compiled
 def _raise(drive: Drive, theta: float, x: float, contacts: Array, bounded: float) -> None:
     """Move the contacts just solved on nominal surfaces to where the surfaces with deviations come closest.
 
@@ -643,7 +644,7 @@ def _raised(
     return nominal, raised, seen
 
 
-@_compiled
+@compiled
 def _closest_on_piece(
     drive: Drive,
     disc: int,
@@ -743,7 +744,7 @@ def half_width(
     return math.sqrt(4.0 * force * equivalent * (compliance_gear + compliance_pin) / (math.pi * width))
 
 
-@_compiled
+@compiled
 def hertz(
     approach: float,
     curvature: float,
@@ -824,7 +825,7 @@ def _rotational_stiffness(contacts: Array, row: int) -> float:
     return contacts[row, STIFFNESS] * arm * arm + contacts[row, FORCE] * contacts[row, ARM_RATE] + curved * arm
 
 
-@_compiled
+@compiled
 def _load(drive: Drive, theta: float, x: float, contacts: Array) -> tuple[float, float]:
     """Forces of all rows at deviation x; returns the torque that balances them and its derivative by x."""
     torque = stiffness = 0.0
@@ -848,7 +849,7 @@ def _load(drive: Drive, theta: float, x: float, contacts: Array) -> tuple[float,
     return torque, stiffness
 
 
-@_compiled
+@compiled
 def _to_touch(contacts: Array, theta: float, x: float, direction: float) -> float:
     """Rotation from x, in `direction` (±1), at which the first flank touches, to second order.
 
@@ -875,7 +876,7 @@ def _to_touch(contacts: Array, theta: float, x: float, direction: float) -> floa
     return best
 
 
-@_compiled
+@compiled
 def equilibrium(
     drive: Drive, theta: float, torque: float, x: float, contacts: Array, cold: bool
 ) -> tuple[float, float]:
@@ -904,7 +905,7 @@ def equilibrium(
     return _balance(drive, theta, torque, 1.0, 0.0, 0.0, x, contacts, cold)
 
 
-@_compiled
+@compiled
 def behind_compliance(
     drive: Drive, theta: float, flange: float, compliance: float, x: float, contacts: Array, cold: bool
 ) -> tuple[float, float]:
@@ -912,7 +913,7 @@ def behind_compliance(
     return _balance(drive, theta, 0.0, compliance, flange, 1.0, x, contacts, cold)
 
 
-@_compiled
+@compiled
 def _balance(
     drive: Drive,
     theta: float,
@@ -957,7 +958,7 @@ def _balance(
     return x, stiffness
 
 
-@_compiled
+@compiled
 def _smallest_gap(contacts: Array, step: float) -> tuple[float, int]:
     """Smallest gap after a small rotation, to first order, and its row."""
     best, active = math.inf, 0
@@ -968,7 +969,7 @@ def _smallest_gap(contacts: Array, step: float) -> tuple[float, int]:
     return best, active
 
 
-@_compiled
+@compiled
 def play(drive: Drive, theta: float, x: float, contacts: Array, cold: bool) -> tuple[float, float, float]:
     """Ends of the free rotation with the crank locked, and by how much there is none.
 
@@ -1034,7 +1035,7 @@ def play(drive: Drive, theta: float, x: float, contacts: Array, cold: bool) -> t
     return low, _first_touch(drive, theta, x, contacts, cold, 1.0), 0.0
 
 
-@_compiled
+@compiled
 def _first_touch(drive: Drive, theta: float, x: float, contacts: Array, cold: bool, direction: float) -> float:
     # What a flank with deviations foretells reaches no farther than its next element.
     clear = _CLEAR if drive.gear_deviation.size == 0 else math.inf
@@ -1047,7 +1048,7 @@ def _first_touch(drive: Drive, theta: float, x: float, contacts: Array, cold: bo
     return x
 
 
-@_compiled
+@compiled
 def load_sharing(drive: Drive, contacts: Array, pin_force: Array, pin_pressure: Array) -> tuple[int, float]:
     """Force and largest pressure of each pin, from solved contact rows.
 
@@ -1104,7 +1105,7 @@ class _Local(NamedTuple):
     turning: float  # rotation of the normal against the foot's radius for each metre of slide
 
 
-@_compiled
+@compiled
 def _local(drive: Drive, theta: float, x: float, contacts: Array, row: int) -> _Local:
     pins, slices = drive.teeth + 1, drive.centre_x.size
     disc, slice_, pin = row // (2 * pins * slices), row // (2 * pins) % slices, row // 2 % pins
@@ -1151,7 +1152,7 @@ def _displaced(contacts: Array, row: int, local: _Local, vx: float, vy: float, w
     return (curved - contacts[row, STIFFNESS] * normal) * contacts[row, ARM] - contacts[row, FORCE] * mixed
 
 
-@_compiled
+@compiled
 def touch_rate(drive: Drive, theta: float, x: float, contacts: Array, direction: float) -> float:
     """How fast the crank moves an unloaded output that it pushes, dφ_b/dθ (1), NaN without a flank in `direction`.
 
@@ -1170,7 +1171,7 @@ def touch_rate(drive: Drive, theta: float, x: float, contacts: Array, direction:
     return rate / contacts[touching, ARM]
 
 
-@_compiled
+@compiled
 def crank_side(drive: Drive, theta: float, x: float, contacts: Array) -> tuple[float, float]:
     """What the crank feels: its torque, and how its rotation moves the output at constant torque.
 
@@ -1198,7 +1199,7 @@ def crank_side(drive: Drive, theta: float, x: float, contacts: Array) -> tuple[f
     return crank_torque, -coupling / stiffness if stiffness > 0.0 else math.nan
 
 
-@_compiled
+@compiled
 def elastic_energy(drive: Drive, theta: float, x: float, contacts: Array) -> tuple[float, float, float]:
     """Energy stored in the contacts, with its derivatives, from rows solved at deviation x.
 
@@ -1231,7 +1232,7 @@ def elastic_energy(drive: Drive, theta: float, x: float, contacts: Array) -> tup
     return energy, by_angle, by_rotation
 
 
-@_compiled
+@compiled
 def press(
     drive: Drive, theta: float, flange: float, compliance: float, x: float, contacts: Array, cold: bool
 ) -> tuple[float, float, float, float, float]:
@@ -1286,7 +1287,7 @@ def _larger_circle(drive: Drive, contacts: Array, row: int, pin: int, local: _Lo
     return force * contacts[row, ARM] - contacts[row, FORCE] * local.leaning * local.turning * local.slide
 
 
-@_compiled
+@compiled
 def sensitivities(drive: Drive, theta: float, x: float, contacts: Array, out: Array) -> float:
     """Derivatives of the deviation at constant torque by every error, by the implicit function of the equilibrium.
 
@@ -1351,7 +1352,7 @@ def sensitivities(drive: Drive, theta: float, x: float, contacts: Array, out: Ar
     return stiffness
 
 
-@_compiled
+@compiled
 def sweep_play(drive: Drive, thetas: Array, first: int, last: int, low: Array, high: Array, gap: Array) -> None:
     """Solve the play at crank angles `first` to `last`; each angle starts from its neighbour's solution.
 
@@ -1370,7 +1371,7 @@ def sweep_play(drive: Drive, thetas: Array, first: int, last: int, low: Array, h
         x = 0.0 if cold else 0.5 * (low[i] + high[i])
 
 
-@_compiled
+@compiled
 def sweep_load(
     drive: Drive,
     thetas: Array,
@@ -1429,7 +1430,7 @@ def sweep_load(
             _lines(drive, thetas[i], x, contacts, slice_force[i], slice_direction[i], gear_map, pin_map)
 
 
-@_compiled
+@compiled
 def sweep_contacts(drive: Drive, thetas: Array, torque: float, deviation: Array, table: Array) -> None:
     """Solve crank angles at one torque and keep every contact row.
 
@@ -1448,7 +1449,7 @@ def sweep_contacts(drive: Drive, thetas: Array, torque: float, deviation: Array,
         table[i] = contacts
 
 
-@_compiled
+@compiled
 def _lines(
     drive: Drive,
     theta: float,
@@ -1507,7 +1508,7 @@ def _lines(
             pin_map[pin, element, slice_] = max(pin_map[pin, element, slice_], seen)
 
 
-@_compiled
+@compiled
 def sweep_sensitivities(
     drive: Drive, thetas: Array, torque: Array, deviation: Array, errors: Array, by_angle: Array, by_torque: Array
 ) -> None:
@@ -1530,7 +1531,7 @@ def sweep_sensitivities(
         _, by_angle[i] = crank_side(drive, thetas[i], x, contacts)
 
 
-@_compiled
+@compiled
 def sweep_flank_sensitivities(
     drive: Drive, thetas: Array, deviation: Array, places: Array, waves: Array, out: Array
 ) -> None:

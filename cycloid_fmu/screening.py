@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact import ARM, ARM_RATE, CURVATURE, GAP, SCALAR_ERRORS, _compiled
+from cycloid_fmu.contact import ARM, ARM_RATE, CURVATURE, GAP, SCALAR_ERRORS, compiled
 from cycloid_fmu.pair import Pair
 from cycloid_fmu.surface import ErrorSurface, nominal_surface
 from cycloid_fmu.transmission import drive_of
@@ -82,7 +82,7 @@ def contacts_of(
     return Contacts(np.ascontiguousarray(kept[:, : max(int(count.max()), 1)]), count, deviation, float(torque))
 
 
-@_compiled
+@compiled
 def _sweep(
     drive: contact.Drive, thetas: Array, torque: float, reach: float, kept: Array, count: NDArray[np.int64],
     deviation: Array,
@@ -124,7 +124,7 @@ def _sweep(
         count[i] = number
 
 
-@_compiled
+@compiled
 def _gaps(rows: Array, count: int, pins: int, teeth: int, errors: Array, gaps: Array) -> None:
     """Gaps of a drive with further errors at the rotation of the contacts."""
     scalars = 3 * pins + teeth
@@ -143,7 +143,7 @@ def _gaps(rows: Array, count: int, pins: int, teeth: int, errors: Array, gaps: A
         )  # fmt: skip
 
 
-@_compiled
+@compiled
 def _equilibrium(
     rows: Array, count: int, gaps: Array, forces: Array, torque: float, start: float, pin_radius: float, width: float,
     compliance_gear: float, compliance_pin: float, largest_log_radius: float,
@@ -195,7 +195,7 @@ def _equilibrium(
     return x, pressure
 
 
-@_compiled
+@compiled
 def sweep(
     contacts: Contacts, pins: int, teeth: int, errors: Array, pin_radius: float, width: float, compliance_gear: float,
     compliance_pin: float, largest_log_radius: float, deviation: Array, pressure: Array,
@@ -227,7 +227,7 @@ def sweep(
             deviation[j, i] = contacts.deviation[i] + turned[j]
 
 
-@_compiled
+@compiled
 def _sweep_sensitivities(
     contacts: Contacts, pins: int, teeth: int, errors: Array, pin_radius: float, width: float, compliance_gear: float,
     compliance_pin: float, largest_log_radius: float, torque: Array, deviation: Array, each: Array, by_torque: Array,
@@ -306,7 +306,7 @@ def sensitivities(
     return deviation, each, by_torque
 
 
-@_compiled
+@compiled
 def sweep_play(
     contacts: Contacts, pins: int, teeth: int, errors: Array, low: Array, high: Array, interference: Array
 ) -> None:
@@ -336,7 +336,7 @@ def sweep_play(
                     interference[j, i] = deepest
 
 
-@_compiled
+@compiled
 def _deepest(rows: Array, count: int, gaps: Array, first: float, last: float) -> float:
     """Interference at the rotation between two where the smallest gap is largest, by halving where it turns."""
     worst = 0.0

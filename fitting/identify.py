@@ -420,10 +420,8 @@ def _started(pair: Pair, observed: Observations, start: Estimate | None, progres
         found = sorted([*found, one], key=lambda e: e.unlikelihood)
         alike = len(found) > 1 and found[1].unlikelihood < found[0].unlikelihood + _AGREE * few.measured.size
         if alike and not _is_uneven(found[0]):
-            return found[0]
-    if alike:
-        return found[0]
-    return dataclasses.replace(found[0], apart=len(found))
+            break
+    return dataclasses.replace(found[0], apart=0 if alike else len(found))
 
 
 def _is_uneven(fit: Estimate) -> bool:

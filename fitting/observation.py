@@ -285,15 +285,15 @@ def scatter_columns(pair: Pair, each: Array) -> Array:
 class Near:
     """The contacts of one drive at the points of each curve, from which drives near it are taken to first order.
 
-    `surface` is that drive's, `contacts` has one entry a curve.
+    `errors` are that drive's as of `screening.error_vector`, `contacts` has one entry a curve.
     """
 
-    surface: ErrorSurface
+    errors: Array
     contacts: tuple[screening.Contacts, ...]
 
     def some(self, numbers: Sequence[int] | NDArray[np.int64]) -> Near:
         """Some of the curves by themselves."""
-        return Near(self.surface, tuple(self.contacts[n] for n in numbers))
+        return Near(self.errors, tuple(self.contacts[n] for n in numbers))
 
 
 def near(pair: Pair, surface: ErrorSurface, observed: Observations) -> Near:
@@ -303,7 +303,7 @@ def near(pair: Pair, surface: ErrorSurface, observed: Observations) -> Near:
         return screening.contacts_of(pair, surface, curve.torque, curve.input_angle, 1, _REACH)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return Near(surface, tuple(pool.map(one, observed.curves)))
+        return Near(screening.error_vector(pair, surface), tuple(pool.map(one, observed.curves)))
 
 
 def linearised_curve(
@@ -324,7 +324,7 @@ def linearised_curve(
         )
         by_crank, by_torque = further.T
     else:
-        errors = screening.error_vector(pair, state.surface) - screening.error_vector(pair, around.surface)
+        errors = screening.error_vector(pair, state.surface) - around.errors
         model, each, by_torque = screening.sensitivities(pair, around.contacts[number], 1, errors, torque)
         jacobian, by_crank = each @ structured_columns(pair, observed.errors), np.zeros_like(model)
     return Linear(model, jacobian, scatter_columns(pair, each), by_crank, against * by_torque)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import importlib
 import json
@@ -143,19 +142,12 @@ def read_losses(path: str | os.PathLike[str]) -> tuple[LossRow, ...]:
         If the file can't be read, a column or its unit is missing, or a row is none of a loss table.
     """
     wanted = {"speed": "rad/s", "eta_mf1": "1", "eta_mf2": "1", "tau_bf1": "N*m", "tau_bf2": "N*m"}
-    lines = list(csv.reader(edge.read_text(path).splitlines()))
-    if len(lines) < 2:
+    rows = [
+        (row["speed"], row["eta_mf1"], row["eta_mf2"], row["tau_bf1"], row["tau_bf2"])
+        for _, row in edge.number_rows(path, wanted)
+    ]
+    if not rows:
         raise edge.InputError(f"{path}: a loss table has a header and at least one row.")
-    columns = edge.unit_columns(lines[0], wanted, str(path))
-    rows = []
-    for number, line in enumerate(lines[1:], start=2):
-        try:
-            cells = [float(line[place]) * scale for place, scale in (columns[name] for name in wanted)]
-        except (IndexError, ValueError):
-            raise edge.InputError(
-                f"{path}: line {number}: {','.join(line)}: it needs a number in each column."
-            ) from None
-        rows.append((cells[0], cells[1], cells[2], cells[3], cells[4]))
     try:
         check_losses(rows)
     except ValueError as problem:

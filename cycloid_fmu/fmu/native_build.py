@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import importlib.metadata
 import importlib.util
 import os
 import platform
@@ -143,9 +144,12 @@ def binary(name: str) -> bytes:
 
     command = [*_compiler(name), *_FLAGS]
     files = _source_files()
-    zig_for_windows = name.endswith("windows") and "ziglang" in command
-    runtime = ["-Wl,--no-entry", *windows_runtime()] if zig_for_windows else ["-lm"]
-    told = repr((command[1:], runtime, _UCRT.read_bytes(), sorted(files.items())))
+    zig = "ziglang" in command
+    runtime = ["-Wl,--no-entry", *windows_runtime()] if zig and name.endswith("windows") else ["-lm"]
+    # Where zig and its headers lie says nothing: another environment with the same ones finds the library here.
+    compiler = f"ziglang {importlib.metadata.version('ziglang')}" if zig else command[0]
+    words = [compiler, *(word for word in (*command[1:], *runtime) if not Path(word).is_absolute())]
+    told = repr((words, _UCRT.read_bytes(), sorted(files.items())))
     digest = hashlib.sha256(told.encode()).hexdigest()
     kept = Path(platformdirs.user_cache_dir("cycloid-fmu", appauthor=False)) / "native"
     target = kept / f"{digest}-{name}{PLATFORMS[name].suffix}"

@@ -312,21 +312,11 @@ def read_motion(path: str | os.PathLike[str], units: Mapping[str, str]) -> tuple
     edge.InputError
         If the file can't be read, has no time, or a line has no number where one belongs.
     """
-    lines = list(csv.reader(edge.read_text(path).splitlines()))
-    header = lines[0] if lines else []
-    named = [cell.strip().partition("[")[0].strip() for cell in header]
+    named = [cell.strip().partition("[")[0].strip() for cell in next(csv.reader(edge.read_text(path).splitlines()), [])]
     known = {n: RECORDED.get(n, n) for n in named if RECORDED.get(n, n) in units}
-    columns = edge.unit_columns(header, {"time": "s", **{n: units[v] for n, v in known.items()}}, str(path))
-    rows = []
-    for number, line in enumerate(lines[1:], start=2):
-        try:
-            row = [float(line[place]) * scale for place, scale in columns.values()]
-        except (IndexError, ValueError):
-            row = [math.nan]
-        if not all(map(math.isfinite, row)):
-            raise edge.InputError(f"{path}: line {number}: it needs a number in each column.")
-        rows.append(row)
-    found = dict(zip(columns, np.array(rows).reshape(len(rows), len(columns)).T, strict=True))
+    wanted = {"time": "s", **{n: units[v] for n, v in known.items()}}
+    rows = [list(row.values()) for _, row in edge.number_rows(path, wanted)]
+    found = dict(zip(wanted, np.array(rows).reshape(len(rows), len(wanted)).T, strict=True))
     time = found.pop("time")
     if time.size < 2 or np.any(np.diff(time) <= 0.0):
         raise edge.InputError(f"{path}: time [s] must ascend over at least two lines.")

@@ -17,7 +17,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from cycloid_fmu.fmu.teeth import StepError, compiled
+from cycloid_fmu.contact import compiled
+from cycloid_fmu.fmu.teeth import StepError
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -221,7 +222,7 @@ def _side(numbers: Array, side: int) -> tuple[int, int, int, int]:
 
 
 @compiled
-def _blend(values: Array32, first: int, loads: int, nodes: _Nodes, weights: _Weights) -> float:
+def _blend(values: Array | Array32, first: int, loads: int, nodes: _Nodes, weights: _Weights) -> float:
     return float(
         weights[0] * values[first + nodes[0] * loads] + weights[1] * values[first + nodes[1] * loads]
         + weights[2] * values[first + nodes[2] * loads] + weights[3] * values[first + nodes[3] * loads]
@@ -302,10 +303,7 @@ def _rest_torque(numbers: Array, place: _Place) -> float:
     if first == 0:
         return 0.0
     nodes, weights, _, _ = place
-    return float(
-        weights[0] * numbers[first + nodes[0]] + weights[1] * numbers[first + nodes[1]]
-        + weights[2] * numbers[first + nodes[2]] + weights[3] * numbers[first + nodes[3]]
-    )  # fmt: skip
+    return _blend(numbers, first, 1, nodes, weights)
 
 
 @compiled

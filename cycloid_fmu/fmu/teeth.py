@@ -7,17 +7,14 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable
-from typing import Any, Protocol, Self, TypeVar, cast
+from typing import Any, Protocol, Self
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.experimental import structref
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact import Array, Drive
-
-_Function = TypeVar("_Function", bound=Callable[..., Any])
+from cycloid_fmu.contact import Array, Drive, compiled
 
 
 class StepError(ValueError):
@@ -92,11 +89,6 @@ class _Box(structref.StructRefProxy):  # type: ignore[misc]
 
 
 structref.define_proxy(_Box, _BoxType, ["drive"])
-
-
-def compiled(function: _Function) -> _Function:
-    """Compile a kernel, its type kept."""
-    return cast(_Function, njit(cache=True, error_model="numpy", nogil=True)(function))
 
 
 @compiled

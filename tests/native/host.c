@@ -242,11 +242,11 @@ static void print(Instance c, int i) {
     int k;
     motion(i, values);
     must(get(c, inputs_count, REFERENCES - inputs_count, values + inputs_count), "get");
-    printf("%.17g", 1e-3 * (i + 1));
+    fprintf(stdout, "%.17g", 1e-3 * (i + 1));
     for (k = 0; k < REFERENCES; k++) {
-        printf(",%.17g", values[k]);
+        fprintf(stdout, ",%.17g", values[k]);
     }
-    printf("\n");
+    fprintf(stdout, "\n");
 }
 
 static void run(int steps) {
@@ -294,7 +294,7 @@ static void random_steps(int steps) {
             started(c);
         }
     }
-    printf("%d steps, %d calls refused\n", steps, refused);
+    fprintf(stdout, "%d steps, %d calls refused\n", steps, refused);
     freed(c);
 }
 
@@ -333,7 +333,7 @@ static void rollback(int steps) {
     }
     must(free_state(c, &kept), "free state");
     freed(c);
-    printf("%d states restored\n", steps);
+    fprintf(stdout, "%d states restored\n", steps);
 }
 
 static void half(int saving, const char *path) {
@@ -398,7 +398,7 @@ static void timed(int steps) {
         get(c, inputs_count, 2, outputs);
         sum += outputs[0];
     }
-    printf("%.1f ns a step (%g)\n", 1e9 * (double)(clock() - start) / CLOCKS_PER_SEC / steps, sum);
+    fprintf(stdout, "%.1f ns a step (%g)\n", 1e9 * (double)(clock() - start) / CLOCKS_PER_SEC / steps, sum);
     freed(c);
 }
 
@@ -417,7 +417,7 @@ static void open_and_free(void) {
             freed(many[(k + i) % 8]);
         }
     }
-    printf("100 times 8 instances\n");
+    fprintf(stdout, "100 times 8 instances\n");
 }
 
 int main(int count, char **words) {

@@ -179,18 +179,9 @@ def test_torques_of_the_tables_are_derivatives_of_one_function(drive):
 )
 def test_kinematic_follows_the_exact_model_through_reversals_and_zero_torque(drive, slave, parameters):
     """And native and Python from the same tables agree to rounding."""
-    native, losses = slave(), INTERFACES["kinematic"].losses
-    models = [DriveModel(drive.pair, drive.surface, losses, t) for t in (None, tables.interpolation(drive.tables))]
+    native, models = slave(), exact_and_from_tables(DriveModel, (drive.pair, drive.surface), drive.tables)
     begun(native, models, parameters)
-    random = np.random.default_rng(3)
-    steps = 400
-    angle = np.cumsum(random.normal(0.0, 0.05, steps)) + 2.0 * np.sin(np.arange(steps) / 40)
-    torque = 150.0 * np.sin(np.arange(steps) / 23) * (random.random(steps) < 0.8)
-    torque[100:180] = 0.0
-    found = []
-    for i in range(steps):
-        found.append(stepped(native, models, i, angle[i], torque[i]))
-    exact, in_python, interpolated = np.moveaxis(np.array(found), 1, 0)
+    exact, in_python, interpolated = moved(native, models, steps=400, swing=2.0)
     agree(in_python, interpolated)
     off = np.abs(interpolated - exact)
     assert off[:, :2].max() < 0.02 * ARCSEC
@@ -198,6 +189,11 @@ def test_kinematic_follows_the_exact_model_through_reversals_and_zero_torque(dri
     scale = np.sqrt(np.mean(exact**2, axis=0))
     # Inside the play a rounding decides whether a flank pushes: then the speed is the other one.
     assert (np.sqrt(np.mean(off[:, 3:] ** 2, axis=0)) <= [0.003, 0.02, 0.02, 0.005, 0.05] * scale[3:] + 1e-12).all()
+
+
+def exact_and_from_tables(model, drive, made):
+    losses = INTERFACES["kinematic"].losses
+    return [model(*drive, losses, t) for t in (None, tables.interpolation(made))]
 
 
 def begun(native, models, parameters):
@@ -208,6 +204,15 @@ def begun(native, models, parameters):
         model.forget_history()
         model.advance()
     native.start(**parameters)
+
+
+def moved(native, models, steps, swing):
+    """A random motion around a swing of the crank (rad), the torque's direction changing, a quarter without any."""
+    random = np.random.default_rng(3)
+    angle = np.cumsum(random.normal(0.0, 0.025 * swing, steps)) + swing * np.sin(np.arange(steps) / 40)
+    torque = 150.0 * np.sin(np.arange(steps) / 23) * (random.random(steps) < 0.8)
+    torque[steps // 4 : steps // 2] = 0.0
+    return np.moveaxis(np.array([stepped(native, models, i, angle[i], torque[i]) for i in range(steps)]), 1, 0)
 
 
 def stepped(native, models, i, angle, torque):
@@ -260,17 +265,12 @@ def coarse(folder, pair, surface, stage=None):
     return SimpleNamespace(path=folder / "drive.fmu", tables=made, drive=(pair, surface, *([stage] if stage else [])))
 
 
-def exact_and_from_tables(model, made):
-    losses = INTERFACES["kinematic"].losses
-    return [model(*made.drive, losses, t) for t in (None, tables.interpolation(made.tables))]
-
-
 @pytest.mark.parametrize(
     "parameters", [{}, {"friction_torque": 8.0}, {"backlash_on": False, "series_compliance": 1e-6}]
 )
 def test_with_interference_native_and_python_from_tables_agree(slave, pressed, parameters):
     assert np.abs(pressed.tables.rest_torque).max() > 0.0
-    native, models = slave(path=pressed.path), exact_and_from_tables(DriveModel, pressed)
+    native, models = slave(path=pressed.path), exact_and_from_tables(DriveModel, pressed.drive, pressed.tables)
     begun(native, models, parameters)
     # Beside the places where the crank feels nothing: there a rounding decides which way power flows.
     found = [stepped(native, models, i, 0.003 + 0.01 * i, 100.0 * math.sin(0.1 * i) * (i % 7 > 1)) for i in range(200)]
@@ -285,15 +285,9 @@ def test_with_interference_native_and_python_from_tables_agree(slave, pressed, p
     [{}, {"friction_torque": 2.0, "series_compliance": 1e-6}, {"friction_torque": 3.0, "backlash_on": False}],
 )
 def test_a_reducer_follows_its_exact_model(slave, reducer, parameters):
-    native, models = slave(path=reducer.path), exact_and_from_tables(ReducerModel, reducer)
+    native, models = slave(path=reducer.path), exact_and_from_tables(ReducerModel, reducer.drive, reducer.tables)
     begun(native, models, parameters)
-    random = np.random.default_rng(3)
-    steps = 200
-    angle = np.cumsum(random.normal(0.0, 0.5, steps)) + 20.0 * np.sin(np.arange(steps) / 40)
-    torque = 150.0 * np.sin(np.arange(steps) / 23) * (random.random(steps) < 0.8)
-    torque[60:110] = 0.0
-    found = np.array([stepped(native, models, i, angle[i], torque[i]) for i in range(steps)])
-    exact, in_python, interpolated = np.moveaxis(found, 1, 0)
+    exact, in_python, interpolated = moved(native, models, steps=200, swing=20.0)
     agree(in_python, interpolated)
     off, allowed = np.abs(interpolated - exact), reducer.tables.allowed
     assert off[:, 1].max() <= allowed

@@ -23,12 +23,3 @@ int fprintf(FILE *file, const char *format, ...) {
     va_end(arguments);
     return length;
 }
-
-int printf(const char *format, ...) {
-    va_list arguments;
-    int length;
-    va_start(arguments, format);
-    length = __stdio_common_vfprintf(0, stdout, format, NULL, arguments);
-    va_end(arguments);
-    return length;
-}

@@ -286,21 +286,28 @@ static void reducer_hold(struct drive *drive, double deviation) {
     s->gear = side * (s->load < HUGE_VAL ? table_at(side_of(drive, side), &drive->place, s->load).deviation : 0.0);
 }
 
+/* What the output turns with the crank: the flank under load, or the one that is pushed, carries it. */
+static double carried_rate(struct drive *drive, const struct place *place, const struct play *play) {
+    const struct state *s = &drive->state;
+    double side = s->side < 0.0 ? -1.0 : 1.0, rate;
+    if (s->load > 0.0) {
+        rate = side * (table_at(side_of(drive, side), place, s->load).rate - play->offset_rate);
+    } else if (s->backlash_on == 0.0 || play->width == 0.0) {
+        rate = play->end[0].rate - play->offset_rate;
+    } else {
+        rate = s->pushed < 0.0 ? -play->end[1].rate : play->end[0].rate;
+    }
+    return rate + 1.0 / drive->table->ratio;
+}
+
 /* What the gear's deviation changes with the crank, less the play that does not act; and how stiff the teeth are. */
 static double gear_rate(struct drive *drive, double *stiffness) {
     const struct state *s = &drive->state;
     const struct place *place = placed(drive);
     struct play play = play_at(drive, place);
-    double side = s->side < 0.0 ? -1.0 : 1.0, rate;
+    double side = s->side < 0.0 ? -1.0 : 1.0;
     *stiffness = s->loose != 0.0 ? 0.0 : stiffness_at(drive, place, s->load, side, play.width);
-    if (s->load > 0.0) {
-        rate = side * (table_at(side_of(drive, side), place, s->load).rate - play.offset_rate);
-    } else if (s->backlash_on == 0.0 || play.width == 0.0) {
-        rate = play.end[0].rate - play.offset_rate;
-    } else {
-        rate = s->pushed < 0.0 ? -play.end[1].rate : play.end[0].rate;
-    }
-    return rate + 1.0 / drive->table->ratio;
+    return carried_rate(drive, place, &play);
 }
 
 /* Change of the crank's torque with its angle at constant torque on the gear. */
@@ -446,7 +453,7 @@ static double carried_speed(struct drive *drive) {
     const struct state *s = &drive->state;
     const struct place *place = placed(drive);
     struct play play;
-    double rate, side = s->side < 0.0 ? -1.0 : 1.0;
+    double side = s->side < 0.0 ? -1.0 : 1.0;
     if (drive->b > 0.0) {
         return reducer_speed(drive);
     }
@@ -461,14 +468,7 @@ static double carried_speed(struct drive *drive) {
         return s->crank_speed * (side * drive->at.rate + 1.0 / drive->table->ratio);
     }
     play = play_at(drive, place);
-    if (s->load > 0.0) {
-        rate = side * (table_at(side_of(drive, side), place, s->load).rate - play.offset_rate);
-    } else if (s->backlash_on == 0.0 || play.width == 0.0) {
-        rate = play.end[0].rate - play.offset_rate;
-    } else {
-        rate = s->pushed < 0.0 ? -play.end[1].rate : play.end[0].rate;
-    }
-    return s->crank_speed * (rate + 1.0 / drive->table->ratio);
+    return s->crank_speed * carried_rate(drive, place, &play);
 }
 
 /* ---- the compliant interface ---- */
