@@ -313,5 +313,5 @@ def build_native(
                 # The same drive gives the same bytes: no time of day in the archive.
                 entry = zipfile.ZipInfo(name)
                 entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
-                archive.writestr(entry, data)
+                archive.writestr(entry, data, compresslevel=9)
     return made

@@ -1,9 +1,10 @@
 """How the tables of `tables.py` are read and interpolated in Python, by the formulas of native/table.c and drive.c.
 
 Everything lies in two arrays, for each further argument of a kernel is time at every step. `numbers`: ratio, period,
-crank angles, loads of both directions and whether there is a torque at rest; the loads; the deviation's integral over
-the load up to each node; torque and energy at rest. `values`, of each direction: deviation, compliance, square of the
-largest pressure and contact count. The loads of one crank angle stand side by side.
+crank angles, how many loads each direction and its pressure have, and whether there is a torque at rest; the loads of
+each direction and of its pressure; the deviation's integral over the load up to each node; torque and energy at rest.
+`values`, of each direction: deviation, compliance, contact count and square of the largest pressure. The loads of one
+crank angle stand side by side.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import copy
 import math
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -22,18 +24,19 @@ from cycloid_fmu.fmu.teeth import StepError
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
+Side = tuple[Array, Array, Array32, Array32]
 _Nodes = tuple[int, int, int, int]
 _Weights = tuple[float, float, float, float]
 _Place = tuple[_Nodes, _Weights, _Weights, float]
 
 TABLE = "drive.table"  # in an FMU's resources
-MAGIC, VERSION = b"cycltab\n", 2
+MAGIC, VERSION = b"cycltab\n", 3
 HEAD = struct.Struct("<8sIIQQ")  # magic, version, nothing, size of the file, hash of the rest
 MOST_LOADS = 192  # of one direction; table.h has the same
 NO_PLAY = 1e-13  # rad
 _LEAST_COMPLIANCE = 1e-12  # rad/(N·m): between nodes a table may have none
-_FIRST = 6  # number of the loads' first
-_CHANNELS = 4  # of each direction
+_FIRST = 8  # number of the loads' first
+_CHANNELS = 3  # of each direction, beside the pressure
 
 
 @dataclass(frozen=True)
@@ -54,8 +57,8 @@ class Interpolation:
     @property
     def largest(self) -> tuple[float, float]:
         """|T| that positive and negative torque reach, N·m."""
-        positive, negative = int(self.numbers[3]), int(self.numbers[4])
-        return float(self.numbers[_FIRST + positive - 1]), float(self.numbers[_FIRST + positive + negative - 1])
+        (positive, first, *_), (negative, second, *_) = _side(self.numbers, 0), _side(self.numbers, 1)
+        return float(self.numbers[first + positive - 1]), float(self.numbers[second + negative - 1])
 
 
 class _Reader:
@@ -129,18 +132,35 @@ def _read_body(reader: _Reader) -> Interpolation:
         reader.text()
         *_, size = reader.numbers("BBBBddI")
         reader.take(8 * size)
-    ratio, period, *_, angles, positive, negative = reader.numbers("7dIII")
-    loads = positive, negative
-    if not (abs(ratio) >= 1.0 and 0.0 < period < 1e6 and 4 <= angles <= 10**8 and min(loads) >= 2):
+    ratio, period, *_, angles, positive, of_positive, negative, of_negative = reader.numbers("7dIIIII")
+    loads = (positive, of_positive), (negative, of_negative)
+    if not (abs(ratio) >= 1.0 and 0.0 < period < 1e6 and 4 <= angles <= 10**8 and min(map(min, loads)) >= 2):
         raise ValueError
-    sides = [_read_side(reader, angles, count) for count in loads]
+    sides = [_read_side(reader, angles, *counts) for counts in loads]
     whole, step = reader.channel(angles)
     reader.end()
-    rest = _rest(whole * step, period / angles) if whole.any() else np.empty(0)
-    head = [ratio, period, angles, *loads, float(rest.size > 0)]
-    integrals = [_integral(load, *values[:2]).ravel() for load, values in sides]
-    numbers = np.concatenate([head, *(load for load, _ in sides), *integrals, rest])
-    return Interpolation(numbers, np.concatenate([values.ravel() for _, values in sides]))
+    return assembled(ratio, period, sides, whole * step)
+
+
+def assembled(ratio: float, period: float, sides: Sequence[Side], rest_torque: Array) -> Interpolation:
+    """Return tables as the kernels want them.
+
+    Parameters
+    ----------
+    ratio, period
+        As of `tables.Tables`.
+    sides
+        Of positive and of negative torque: the loads, the pressure's loads, deviation, compliance and contact count in
+        an array of shape (3, angles, loads), and the pressure's square, (1, angles, pressure loads).
+    rest_torque
+        Spline coefficients, shape (angles,), N·m.
+    """
+    angles, loads = rest_torque.size, [(load.size, of_pressure.size) for load, of_pressure, _, _ in sides]
+    rest = _rest(rest_torque, period / angles) if rest_torque.any() else np.empty(0)
+    head = [ratio, period, angles, *loads[0], *loads[1], float(rest.size > 0)]
+    integrals = [_integral(load, *values[:2]).ravel() for load, _, values, _ in sides]
+    numbers = np.concatenate([head, *(load for side in sides for load in side[:2]), *integrals, rest])
+    return Interpolation(numbers, np.concatenate([part.ravel() for side in sides for part in side[2:]]))
 
 
 def _integral(load: Array, deviation: Array32, compliance: Array32) -> Array:
@@ -150,18 +170,26 @@ def _integral(load: Array, deviation: Array32, compliance: Array32) -> Array:
     return np.hstack([np.zeros((x.shape[0], 1)), np.cumsum(cells, axis=1)])
 
 
-def _read_side(reader: _Reader, angles: int, count: int) -> tuple[Array, Array32]:
+def _read_side(reader: _Reader, angles: int, loads: int, pressures: int) -> Side:
+    load, pressure_load = (_read_loads(reader, count) for count in (loads, pressures))
+    if load[-1] != pressure_load[-1]:
+        raise ValueError
+    values, pressure = np.empty((_CHANNELS, angles, loads), np.float32), np.empty((1, angles, pressures), np.float32)
+    for part in (values, pressure):
+        for channel in part:
+            for j in range(channel.shape[1]):
+                whole, step = reader.channel(angles)
+                channel[:, j] = whole * step
+        if not (np.abs(part) < 1e30).all():
+            raise ValueError
+    return load, pressure_load, values, pressure
+
+
+def _read_loads(reader: _Reader, count: int) -> Array:
     load = np.array(reader.numbers(f"{count}d"))
     if count > MOST_LOADS or load[0] != 0.0 or not (np.diff(load) > 0.0).all() or not np.isfinite(load).all():
         raise ValueError
-    values = np.empty((_CHANNELS, angles, count), dtype=np.float32)
-    for channel in values:
-        for j in range(count):
-            whole, step = reader.channel(angles)
-            channel[:, j] = whole * step
-    if not (np.abs(values) < 1e30).all():
-        raise ValueError
-    return load, values
+    return load
 
 
 def _rest(torque: Array, width: float) -> Array:
@@ -214,11 +242,17 @@ def _place(numbers: Array, theta: float) -> _Place:
 @compiled
 def _side(numbers: Array, side: int) -> tuple[int, int, int, int]:
     """Loads, where the first of them stands among the numbers, where the side's values begin, and a channel's size."""
-    angles, positive = int(numbers[2]), int(numbers[3])
+    angles, positive, pressures = int(numbers[2]), int(numbers[3]), int(numbers[4])
     if side == 0:
         return positive, _FIRST, 0, angles * positive
-    negative = int(numbers[4])
-    return negative, _FIRST + positive, _CHANNELS * angles * positive, angles * negative
+    negative = int(numbers[5])
+    return negative, _FIRST + positive + pressures, angles * (_CHANNELS * positive + pressures), angles * negative
+
+
+@compiled
+def _integrals(numbers: Array) -> int:
+    """Where the deviation's integrals begin among the numbers."""
+    return _FIRST + int(numbers[3]) + int(numbers[4]) + int(numbers[5]) + int(numbers[6])
 
 
 @compiled
@@ -280,7 +314,7 @@ def _energy(numbers: Array, values: Array32, place: _Place, side: int, load: flo
     low, high = h * (u - u2 * u + 0.5 * u2 * u2), h * (u2 * u - 0.5 * u2 * u2)
     low_slope = h * h * (0.5 * u2 - 2.0 / 3.0 * u2 * u + 0.25 * u2 * u2)
     high_slope = h * h * (0.25 * u2 * u2 - u2 * u / 3.0)
-    below = _FIRST + int(numbers[3]) + int(numbers[4]) + begin // _CHANNELS
+    below = _integrals(numbers) + side * int(numbers[2]) * int(numbers[3])
     energy = rate = 0.0
     for i in range(4):
         x = begin + nodes[i] * loads + j
@@ -294,7 +328,7 @@ def _energy(numbers: Array, values: Array32, place: _Place, side: int, load: flo
 @compiled
 def _rest_first(numbers: Array) -> int:
     """Where the torque at rest stands among the numbers; 0 where there is none."""
-    return _FIRST + (int(numbers[3]) + int(numbers[4])) * (1 + int(numbers[2])) if numbers[5] else 0
+    return _integrals(numbers) + int(numbers[2]) * (int(numbers[3]) + int(numbers[5])) if numbers[7] else 0
 
 
 @compiled
@@ -417,12 +451,14 @@ def sharing(numbers: Array, values: Array32, theta: float, torque: float) -> tup
     side, load = (0, torque) if torque >= 0.0 else (1, -torque)
     loads, first, begin, size = _side(numbers, side)
     j = _cell(numbers, first, loads, load)
-    low, high = numbers[first + j], numbers[first + j + 1]
-    u, pressure = (load - low) / (high - low), begin + 2 * size + j
-    square = (1.0 - u) * _blend(values, pressure, loads, nodes, weights)
-    square += u * _blend(values, pressure + 1, loads, nodes, weights)
-    nearest = j + 1 if 2.0 * load > low + high or j == 0 else j
-    count = values[begin + 3 * size + nodes[1 if s < 0.5 else 2] * loads + nearest]
+    nearest = j + 1 if 2.0 * load > numbers[first + j] + numbers[first + j + 1] or j == 0 else j
+    count = values[begin + 2 * size + nodes[1 if s < 0.5 else 2] * loads + nearest]
+    first, pressures = first + loads, int(numbers[4 + 2 * side])
+    j = _cell(numbers, first, pressures, load)
+    low, high, pressure = numbers[first + j], numbers[first + j + 1], begin + 3 * size + j
+    u = (load - low) / (high - low)
+    square = (1.0 - u) * _blend(values, pressure, pressures, nodes, weights)
+    square += u * _blend(values, pressure + 1, pressures, nodes, weights)
     return int(count), math.sqrt(max(square, 0.0))
 
 

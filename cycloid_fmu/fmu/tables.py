@@ -23,32 +23,44 @@ import math
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import interpolate, ndimage
+from scipy import ndimage
 
 from cycloid_fmu import contact
 from cycloid_fmu.fmu.reducer_model import FirstStage
-from cycloid_fmu.fmu.table_teeth import HEAD, MAGIC, MOST_LOADS, VERSION, Interpolation, fnv1a, loaded, read, sharing
+from cycloid_fmu.fmu.table_teeth import (
+    HEAD,
+    MAGIC,
+    MOST_LOADS,
+    VERSION,
+    Interpolation,
+    assembled,
+    fnv1a,
+    loaded,
+    sharing,
+)
 from cycloid_fmu.fmu.variables import Interface, Variable
 from cycloid_fmu.pair import Pair
 from cycloid_fmu.surface import ErrorSurface
 from cycloid_fmu.transmission import drive_of, slices_needed, solve
 
 Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
 
 ACCURACY = 0.02 / 3600 * math.pi / 180  # rad: what the deviation may err
 RANGE_SHARE = 1e-3  # of the transmission error's range over the crank angle, where that is more
 LARGEST_LOAD = 2.5  # times the rated torque: what reducers' makers allow for a moment (emergency stop)
-_SAMPLES = (16, 32, 64, 128)  # crank angles a mesh pitch that are tried
-_FINEST = 256  # with which they are compared
-_WINDOWS = 12  # of two mesh pitches, spread over the period, on which the grids are chosen
-_SHARES = (0.65, 0.4, 0.2)  # of the allowed error for the loads, and as much for the angles
+_SAMPLES = (16, 128)  # crank angles a mesh pitch: the fewest, doubled up to the most
+_SHARE = 1.1  # of the allowed error that a cell between loads may have in its middle
+_WORST = 200  # probes that tell whether loads or crank angles are too few
+_DIRECTIONS = (1.0, -1.0)
 _SPREAD = 1000  # random crank angles at which the loads are chosen
 _FIRST_SLOPE = 0.125  # of the first torque: where the slope at zero load is taken, which Hertz's logarithm has infinite
-_STEPS = 24  # steps of the stored deviation in what it may err
+_PRESSURE_LOADS = 32  # at most: the pressure is told, nothing follows from it
+_STEPS = 8  # steps of the stored deviation in what it may err
 _COMPLIANCE_SHARE = 0.02  # largest step of the stored compliance, of its mean
 PROBES = 20000  # random crank angles and torques at which the finished tables are held against the model
 
@@ -64,10 +76,13 @@ class Side:
     deviation, compliance
         Spline coefficients over the crank angle of the deviation times the direction (rad) and of its derivative by
         the load (rad/(N·m)), shape (loads, angles).
-    pressure
-        Likewise of the largest contact pressure's square, Pa²: force, so nearly linear in the load.
     contact_count
         Pins in contact at the nodes, shape (loads, angles).
+    pressure_load
+        Some of the loads, from the first to the last, shape (pressure loads,), N·m.
+    pressure
+        Spline coefficients of the largest contact pressure's square at those, shape (pressure loads, angles), Pa²:
+        force, so nearly linear in the load.
     steps
         What deviation, compliance and pressure of each load are whole multiples of.
     """
@@ -75,8 +90,9 @@ class Side:
     load: Array
     deviation: Array
     compliance: Array
-    pressure: Array
     contact_count: NDArray[np.uint8]
+    pressure_load: Array
+    pressure: Array
     steps: tuple[Array, Array, Array]
 
 
@@ -139,14 +155,13 @@ def mesh_pitches(pair: Pair, surface: ErrorSurface) -> int:
     return (1 if pins_alike else g.pins) * (1 if teeth_alike else g.gear_teeth)
 
 
-@dataclass(frozen=True)
-class _Solved:
+class _Solved(NamedTuple):
     """The exact model at given crank angles, mirrored for one direction: shapes (loads, angles)."""
 
-    deviation: Array
-    compliance: Array
-    pressure: Array
-    contact_count: NDArray[np.uint8]
+    deviation: Array32
+    compliance: Array32
+    pressure: Array32
+    contact_count: Array32
 
 
 def _solved(
@@ -180,10 +195,11 @@ def _solved(
                 x,
                 1.0 / stiffness,
                 np.square(one.max_contact_pressure[0]),
-                np.minimum(one.contact_count[0], 255).astype(np.uint8),
+                np.minimum(one.contact_count[0], 255),
             )
         )
-    return _Solved(*(np.array(p) for p in zip(*parts, strict=True)))
+    # Far finer than what tables err; a drive whose pins and teeth all differ takes a gigabyte otherwise.
+    return _Solved(*(np.array(p, dtype=np.float32) for p in zip(*parts, strict=True)))
 
 
 def _hermite(share: ArrayLike, width: ArrayLike) -> tuple[Array, Array, Array, Array]:
@@ -227,25 +243,13 @@ def _chosen_loads(
     return np.array(sorted(loads))
 
 
-def _chosen_samples(
-    pair: Pair, surface: ErrorSurface, sides: Sequence[tuple[float, Array]], starts: Array, pitch: float, allowed: float
-) -> int:
-    """Return how many crank angles a mesh pitch are enough for splines to err by no more than allowed."""
-    fine = np.arange(-_FINEST // 2, 2 * _FINEST + _FINEST // 2 + 1) * (pitch / _FINEST)
-    inside = (fine >= 0.0) & (fine <= 2.0 * pitch)
-    error = dict.fromkeys(_SAMPLES, 0.0)
-    for direction, loads in sides:
-        few = loads[np.unique(np.round(np.linspace(0, loads.size - 1, 5)).astype(int))]
-        for start in starts:
-            x = _solved(pair, surface, direction, few, start + fine).deviation
-            for samples in _SAMPLES:
-                every = _FINEST // samples
-                spline = interpolate.CubicSpline(fine[::every], x[:, ::every], axis=1)
-                error[samples] = max(error[samples], float(np.abs(spline(fine) - x)[:, inside].max()))
-    return next((n for n in _SAMPLES if error[n] <= allowed), _SAMPLES[-1])
+def _joined(parts: Sequence[_Solved], order: NDArray[np.int64], axis: int) -> _Solved:
+    """Put loads (axis 0) or crank angles (axis 1) solved one after another in their order."""
+    channels = zip(*parts, strict=True)
+    return _Solved(*(np.take(np.concatenate(channel, axis), order, axis) for channel in channels))
 
 
-def _coefficients(values: Array) -> Array:
+def _coefficients(values: Array | Array32) -> Array:
     """Coefficients of the periodic cubic B-spline through values along the last axis."""
     return np.asarray(ndimage.spline_filter1d(values, order=3, axis=-1, mode="grid-wrap"))
 
@@ -256,20 +260,21 @@ def _side(loads: Array, exact: _Solved, allowed: float) -> Side:
     Where the coefficients satisfy Fritsch and Carlson's condition (SIAM J. Numer. Anal. 17 (1980) 238), every spline
     between them does, for a B-spline's weights are positive.
     """
+    some = np.unique(np.round(np.linspace(0, loads.size - 1, _PRESSURE_LOADS)).astype(int))
     h = np.diff(loads)
     widest = np.maximum(np.append(h[:1], h), np.append(h, h[-1:]))
     steps = (
         np.full(loads.size, allowed / _STEPS),
         np.minimum(4.0 * allowed / _STEPS / widest, _COMPLIANCE_SHARE * np.abs(exact.compliance).mean(axis=1)),
-        1e-3 * np.maximum(exact.pressure.max(axis=1), 1.0),
+        2e-3 * np.maximum(exact.pressure[some].max(axis=1), 1.0),
     )  # fmt: skip
     fine, c_fine, p_fine = (s[:, None] for s in steps)
     x = np.maximum.accumulate(np.round(_coefficients(exact.deviation) / fine), axis=0) * fine
     slope = np.diff(x, axis=0) / h[:, None]
     most = 3.0 * np.minimum(np.vstack([slope[:1], slope]), np.vstack([slope, slope[-1:]]))
     c = np.floor(np.minimum(np.maximum(_coefficients(exact.compliance), 0.0), most) / c_fine) * c_fine
-    p = np.maximum(np.round(_coefficients(exact.pressure) / p_fine), 0.0) * p_fine
-    return Side(loads, x, c, p, exact.contact_count, steps)
+    p = np.maximum(np.round(_coefficients(exact.pressure[some]) / p_fine), 0.0) * p_fine
+    return Side(loads, x, c, exact.contact_count.astype(np.uint8), loads[some], p, steps)
 
 
 def _rest_torque(pair: Pair, surface: ErrorSurface, angles: Array) -> Array:
@@ -332,25 +337,87 @@ def compute(
     spread = np.sort(random.uniform(0.0, period, _SPREAD))
     range_ = float(np.ptp(_solved(pair, surface, 1.0, np.array([0.0, largest_load]), spread).deviation, axis=1).max())
     allowed = max(accuracy, RANGE_SHARE * range_)
-    starts: Array = np.arange(min(_WINDOWS, pitches), dtype=float) * (period / min(_WINDOWS, pitches))
-    tables = None
-    for share in _SHARES:
-        sides = [(d, _chosen_loads(pair, surface, d, largest_load, spread, share * allowed)) for d in (1.0, -1.0)]
-        samples = _chosen_samples(pair, surface, sides, starts, pitch, share * allowed)
-        angles: Array = np.arange(pitches * samples, dtype=float) * (pitch / samples)
-        total(angles.size * sum(loads.size for _, loads in sides))
-        made = [_side(n, _solved(pair, surface, d, n, angles, workers, progress), allowed) for d, n in sides]
-        rest = _coefficients(_rest_torque(pair, surface, angles))
-        rest_step = _rest_step(rest)
-        # Where there is hardly any play the splines of its two ends must not cross.
-        made[1].deviation[0] = np.maximum(made[1].deviation[0], -made[0].deviation[0])
-        np.maximum.accumulate(made[1].deviation, axis=0, out=made[1].deviation)
-        tables = Tables(pair.ratio, period, made[0], made[1], np.round(rest / rest_step) * rest_step, allowed)
-        tables = dataclasses.replace(tables, error=compare(tables, pair, surface, PROBES))
-        if tables.error["deviation_largest"] <= allowed:
-            break
-    assert tables is not None
-    return tables
+    loads = [_chosen_loads(pair, surface, d, largest_load, spread, _SHARE * allowed) for d in _DIRECTIONS]
+    samples = _SAMPLES[0]
+    angles: Array = np.arange(pitches * samples, dtype=float) * (pitch / samples)
+    total(angles.size * sum(n.size for n in loads))
+    exact = [_solved(pair, surface, d, n, angles, workers, progress) for d, n in zip(_DIRECTIONS, loads, strict=True)]
+    probed, drawn = _probed(pair, surface, period, largest_load, PROBES, 1), 1
+    while True:
+        tables = _assembled(pair, surface, period, loads, exact, angles, allowed)
+        off = evaluate(tables, probed.crank_angle, probed.torque)["deviation"] - probed.exact[0]
+        if np.abs(off).max() <= allowed:
+            # Held against places that nothing was chosen by; where they find more, they are chosen by too.
+            drawn += 1
+            fresh = _probed(pair, surface, period, largest_load, PROBES, drawn)
+            tables = dataclasses.replace(tables, error=_errors(tables, fresh))
+            if tables.error["deviation_largest"] <= allowed:
+                return tables
+            probed = _Probed(*(np.concatenate(both, axis=-1) for both in zip(probed, fresh, strict=True)))
+            continue
+        further, by_angle = _missing_loads(pair, surface, loads, probed, off, allowed)
+        if by_angle and samples < _SAMPLES[-1]:
+            samples *= 2
+            angles = np.arange(pitches * samples, dtype=float) * (pitch / samples)
+            total(angles[1::2].size * sum(n.size for n in loads))
+            order = np.arange(angles.size).reshape(2, -1).T.ravel()
+            for k, direction in enumerate(_DIRECTIONS):
+                between = _solved(pair, surface, direction, loads[k], angles[1::2], workers, progress)
+                exact[k] = _joined([exact[k], between], order, 1)
+        elif (
+            any(n.size for n in further)
+            and max(a.size + b.size for a, b in zip(loads, further, strict=True)) <= MOST_LOADS
+        ):
+            total(angles.size * sum(n.size for n in further))
+            for k, direction in enumerate(_DIRECTIONS):
+                if further[k].size:
+                    # The slope at zero load is taken on the way to the first load.
+                    anew = int(further[k][0] < loads[k][1])
+                    more, kept = np.append(loads[k][:anew], further[k]), loads[k][anew:]
+                    solved = _solved(pair, surface, direction, more, angles, workers, progress)
+                    order = np.argsort(np.append(kept, more))
+                    exact[k] = _joined([_Solved(*(channel[anew:] for channel in exact[k])), solved], order, 0)
+                    loads[k] = np.append(kept, more)[order]
+        else:
+            return dataclasses.replace(tables, error=_errors(tables, probed))
+
+
+def _assembled(
+    pair: Pair, surface: ErrorSurface, period: float, loads: Sequence[Array], exact: Sequence[_Solved], angles: Array,
+    allowed: float,
+) -> Tables:  # fmt: skip
+    made = [_side(n, one, allowed) for n, one in zip(loads, exact, strict=True)]
+    rest = _coefficients(_rest_torque(pair, surface, angles))
+    rest_step = _rest_step(rest)
+    # Where there is hardly any play the splines of its two ends must not cross.
+    made[1].deviation[0] = np.maximum(made[1].deviation[0], -made[0].deviation[0])
+    np.maximum.accumulate(made[1].deviation, axis=0, out=made[1].deviation)
+    return Tables(pair.ratio, period, made[0], made[1], np.round(rest / rest_step) * rest_step, allowed)
+
+
+def _missing_loads(
+    pair: Pair, surface: ErrorSurface, loads: Sequence[Array], probed: _Probed, off: Array, allowed: float
+) -> tuple[list[Array], bool]:
+    """Return the middles of the cells that are too wide for what tables err by, and whether angles are too wide too.
+
+    Where exact nodes at the probe's own crank angle err by half as much, the load's cell is to blame.
+    """
+    worst = np.argsort(-np.abs(off))[: min(int(np.sum(np.abs(off) > allowed)), _WORST)]
+    further: list[set[float]] = [set() for _ in loads]
+    by_angle = False
+    for i in worst:
+        side = int(probed.torque[i] < 0.0)
+        direction, load = _DIRECTIONS[side], abs(float(probed.torque[i]))
+        j = int(np.clip(np.searchsorted(loads[side], load) - 1, 0, loads[side].size - 2))
+        low, high = (float(n) for n in loads[side][j : j + 2])
+        ends = _solved(pair, surface, direction, np.array([low, high]), probed.crank_angle[i : i + 1])
+        a, b, ca, cb = _hermite((load - low) / (high - low), high - low)
+        x, c = ends.deviation[:, 0], ends.compliance[:, 0]
+        if abs(a * x[0] + b * x[1] + ca * c[0] + cb * c[1] - direction * probed.exact[0, i]) > 0.5 * abs(off[i]):
+            further[side].add(_middle(low, high))
+        else:
+            by_angle = True
+    return [np.array(sorted(middles)) for middles in further], by_angle
 
 
 def write(
@@ -386,11 +453,13 @@ def write(
     angles = tables.rest_torque.size
     stage = (0.0, 0.0, 0.0, 0.0) if first_stage is None else dataclasses.astuple(first_stage)
     numbers = (tables.ratio, tables.period, tables.allowed, *stage)
-    body += struct.pack("<7dIII", *numbers, angles, *(s.load.size for s in sides))
+    counts = [count for s in sides for count in (s.load.size, s.pressure_load.size)]
+    body += struct.pack("<7dIIIII", *numbers, angles, *counts)
     for side in sides:
-        body += side.load.astype("<f8").tobytes()
-        kinds: tuple[NDArray[Any], ...] = (side.deviation, side.compliance, side.pressure, side.contact_count)
-        for values, steps in zip(kinds, (*side.steps, np.ones(side.load.size)), strict=True):
+        body += side.load.astype("<f8").tobytes() + side.pressure_load.astype("<f8").tobytes()
+        kinds: tuple[NDArray[Any], ...] = (side.deviation, side.compliance, side.contact_count, side.pressure)
+        fine, c_fine, p_fine = side.steps
+        for values, steps in zip(kinds, (fine, c_fine, np.ones(side.load.size), p_fine), strict=True):
             for channel, step in zip(values, steps, strict=True):
                 body += _channel(channel, float(step))
     body += _channel(tables.rest_torque, _rest_step(tables.rest_torque))
@@ -429,7 +498,12 @@ def _channel(values: NDArray[Any], step: float) -> bytes:
 
 def interpolation(tables: Tables) -> Interpolation:
     """Return what an FMU reads of the tables."""
-    return read(write(tables, Interface(), ()), "tables")
+    sides = [
+        (s.load, s.pressure_load, np.array([s.deviation.T, s.compliance.T, s.contact_count.T], dtype=np.float32),
+         s.pressure.T[None].astype(np.float32))
+        for s in (tables.positive, tables.negative)
+    ]  # fmt: skip
+    return assembled(tables.ratio, tables.period, sides, tables.rest_torque)
 
 
 def evaluate(tables: Tables, crank_angle: ArrayLike, torque: ArrayLike) -> dict[str, Array]:
@@ -467,14 +541,28 @@ def compare(tables: Tables, pair: Pair, surface: ErrorSurface, probes: int, seed
         "deviation_largest" and "deviation_rms" (rad), and "stiffness_rms", "max_contact_pressure_rms" and
         "crank_torque_rms" relative to the root mean square of the quantity itself (1).
     """
-    random = np.random.default_rng(seed)
     largest = min(tables.positive.load[-1], tables.negative.load[-1])
+    return _errors(tables, _probed(pair, surface, tables.period, largest, probes, seed))
+
+
+class _Probed(NamedTuple):
+    """The exact model at random places: crank angles and torques, shape (probes,).
+
+    `exact` (4, probes): deviation, stiffness, largest pressure and crank torque.
+    """
+
+    crank_angle: Array
+    torque: Array
+    exact: Array
+
+
+def _probed(pair: Pair, surface: ErrorSurface, period: float, largest: float, probes: int, seed: int) -> _Probed:
+    random = np.random.default_rng(seed)
     size = np.where(
         random.random(probes) < 0.5, random.uniform(0.0, 1.0, probes), 10.0 ** random.uniform(-4.0, 0.0, probes)
     )  # fmt: skip
     torque = largest * size * random.choice([-1.0, 1.0], probes)
-    theta = np.sort(random.uniform(0.0, tables.period, probes))
-    found = evaluate(tables, theta, torque)
+    theta = np.sort(random.uniform(0.0, period, probes))
     drive = drive_of(pair, surface, slices_needed(surface))
     rows = contact.contact_rows(drive)
     forces, pressures = np.zeros((pair.pair.discs, pair.pair.pins)), np.zeros((pair.pair.discs, pair.pair.pins))
@@ -483,12 +571,18 @@ def compare(tables: Tables, pair: Pair, surface: ErrorSurface, probes: int, seed
         x, stiffness = contact.equilibrium(drive, theta[i], torque[i], 0.0, rows, True)
         crank = contact.crank_side(drive, theta[i], x, rows)[0]
         exact[:, i] = x, stiffness, contact.load_sharing(drive, rows, forces, pressures)[1], crank
-    off = found["deviation"] - exact[0]
+    return _Probed(theta, torque, exact)
+
+
+def _errors(tables: Tables, probed: _Probed) -> dict[str, float]:
+    """As `compare` returns them."""
+    found = evaluate(tables, probed.crank_angle, probed.torque)
+    off = found["deviation"] - probed.exact[0]
     errors = {"deviation_largest": float(np.abs(off).max()), "deviation_rms": _rms(off)}
     for name, values, true in (
-        ("stiffness", 1.0 / found["compliance"], exact[1]),
-        ("max_contact_pressure", found["max_contact_pressure"], exact[2]),
-        ("crank_torque", found["crank_torque"], exact[3]),
+        ("stiffness", 1.0 / found["compliance"], probed.exact[1]),
+        ("max_contact_pressure", found["max_contact_pressure"], probed.exact[2]),
+        ("crank_torque", found["crank_torque"], probed.exact[3]),
     ):
         errors[f"{name}_rms"] = _rms(values - true) / _rms(true)
     return errors

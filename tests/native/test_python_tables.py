@@ -163,11 +163,12 @@ def any_tables(draw):
     sides = []
     for _ in range(2):
         loads = draw(st.integers(2, 4))
-        steps = tuple(10.0 ** draw(st.integers(-12, 0)) * np.ones(loads) for _ in range(3))
-        values = [arrays(draw, (loads, angles), 2**40) * s[0] for s in steps]
         count = np.abs(arrays(draw, (loads, angles), 255)).astype(np.uint8)
         load = np.concatenate([[0.0], np.cumsum(1.0 + np.abs(arrays(draw, (loads - 1,), 1000)))])
-        sides.append(tables.Side(load, *values, count, steps))
+        some = load[[True, *(draw(st.booleans()) for _ in load[2:]), True]]
+        steps = tuple(10.0 ** draw(st.integers(-12, 0)) * np.ones(size) for size in (loads, loads, some.size))
+        deviation, compliance, pressure = (arrays(draw, (s.size, angles), 2**40) * s[0] for s in steps)
+        sides.append(tables.Side(load, deviation, compliance, count, some, pressure, steps))
     rest = arrays(draw, (angles,), 10**6)
     return tables.Tables(draw(st.sampled_from([-39.0, 40.0])), draw(st.floats(0.1, 300.0)), *sides, rest, 1e-7)
 
@@ -175,18 +176,22 @@ def any_tables(draw):
 @settings(max_examples=30)
 @given(made=any_tables())
 def test_what_is_written_is_read_again(made):
-    read = tables.interpolation(made)
+    read = table_teeth.read(tables.write(made, Interface(), ()), "tables")
     angles = made.rest_torque.size
-    loads = [side.load.size for side in (made.positive, made.negative)]
-    assert read.numbers[:5].tolist() == [made.ratio, made.period, angles, *loads]
+    loads = [size for side in (made.positive, made.negative) for size in (side.load.size, side.pressure_load.size)]
+    assert read.numbers[:7].tolist() == [made.ratio, made.period, angles, *loads]
     assert read.largest == (made.positive.load[-1], made.negative.load[-1])
     first = 0
     for side in (made.positive, made.negative):
-        for values in (side.deviation, side.compliance, side.pressure, side.contact_count):
-            found = read.values[first : first + values.size].reshape(angles, side.load.size)
+        for values in (side.deviation, side.compliance, side.contact_count, side.pressure):
+            found = read.values[first : first + values.size].reshape(angles, values.shape[0])
             np.testing.assert_allclose(found, values.T, rtol=1e-6)
             first += values.size
     assert first == read.values.size
+    kept = tables.interpolation(made)  # without the file
+    np.testing.assert_allclose(kept.values, read.values, rtol=1e-6)
+    assert kept.numbers.size == read.numbers.size
+    np.testing.assert_allclose(kept.numbers, read.numbers, rtol=1e-6, atol=1e-6 * np.abs(read.numbers).max())
 
 
 @settings(max_examples=25)

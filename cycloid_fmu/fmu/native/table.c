@@ -11,7 +11,7 @@
 #endif
 
 static const char MAGIC[8] = {'c', 'y', 'c', 'l', 't', 'a', 'b', '\n'};
-enum { VERSION = 2, HEAD = 32 };
+enum { VERSION = 3, HEAD = 32 };
 static const double LARGEST_FILE = 1e9;
 
 struct reader {
@@ -121,19 +121,26 @@ static float *channels(struct reader *reader, uint32_t angles, uint32_t loads, i
     return values;
 }
 
-static void read_side(struct reader *reader, uint32_t angles, struct side *side, int64_t *steps) {
-    float *counts;
-    size_t i;
+static void read_loads(struct reader *reader, uint32_t count, double *load) {
     uint32_t j;
-    for (j = 0; j < side->loads; j++) {
-        side->load[j] = number(reader);
-        if (!(j == 0 ? side->load[j] == 0.0 : side->load[j] > side->load[j - 1] && side->load[j] < HUGE_VAL)) {
+    for (j = 0; j < count; j++) {
+        load[j] = number(reader);
+        if (!(j == 0 ? load[j] == 0.0 : load[j] > load[j - 1] && load[j] < HUGE_VAL)) {
             reader->failed = 1;
         }
     }
+}
+
+static void read_side(struct reader *reader, uint32_t angles, struct side *side, int64_t *steps) {
+    float *counts;
+    size_t i;
+    read_loads(reader, side->loads, side->load);
+    read_loads(reader, side->pressure_loads, side->pressure_load);
+    if (side->load[side->loads - 1] != side->pressure_load[side->pressure_loads - 1]) {
+        reader->failed = 1;
+    }
     side->deviation = channels(reader, angles, side->loads, steps);
     side->compliance = channels(reader, angles, side->loads, steps);
-    side->pressure = channels(reader, angles, side->loads, steps);
     counts = channels(reader, angles, side->loads, steps);
     side->contact_count = allocate(reader, (size_t)angles * side->loads, 1);
     for (i = 0; !reader->failed && i < (size_t)angles * side->loads; i++) {
@@ -144,6 +151,7 @@ static void read_side(struct reader *reader, uint32_t angles, struct side *side,
         }
     }
     free(counts);
+    side->pressure = channels(reader, angles, side->pressure_loads, steps);
 }
 
 /* The torque's mean is taken off: a crank turned round gives no energy. Its integral is the energy at the nodes. */
@@ -214,8 +222,11 @@ static void read_body(struct reader *reader, struct table *table) {
     table->bearing_play = number(reader);
     table->angles = (uint32_t)whole(reader, 4);
     for (k = 0; k < 2; k++) {
-        table->side[k].loads = (uint32_t)whole(reader, 4);
-        if (table->side[k].loads < 2 || table->side[k].loads > MOST_LOADS) {
+        struct side *side = &table->side[k];
+        side->loads = (uint32_t)whole(reader, 4);
+        side->pressure_loads = (uint32_t)whole(reader, 4);
+        if (side->loads < 2 || side->loads > MOST_LOADS || side->pressure_loads < 2
+            || side->pressure_loads > MOST_LOADS) {
             reader->failed = 1;
         }
     }
@@ -366,21 +377,22 @@ struct place table_place(const struct table *table, double crank_angle) {
     return place;
 }
 
-static double blend(const float *values, const struct side *side, const struct place *place, uint32_t load,
+static double blend(const float *values, uint32_t loads, const struct place *place, uint32_t load,
                     const double weight[4]) {
     double sum = 0.0;
     int i;
     for (i = 0; i < 4; i++) {
-        sum += weight[i] * (double)values[(size_t)place->node[i] * side->loads + load];
+        sum += weight[i] * (double)values[(size_t)place->node[i] * loads + load];
     }
     return sum;
 }
 
-static uint32_t cell_of(const struct side *side, double load) {
-    uint32_t low = 0, count = side->loads - 1;
+static uint32_t cell_of(const double *loads, uint32_t count, double load) {
+    uint32_t low = 0;
+    count--;
     while (count > 1) {
         uint32_t half = count / 2;
-        low = side->load[low + half] <= load ? low + half : low;
+        low = loads[low + half] <= load ? low + half : low;
         count -= half;
     }
     return low;
@@ -398,7 +410,7 @@ static double hermite_slope(double u, double h, double a, double b, double ca, d
 }
 
 struct loaded table_at(const struct side *side, const struct place *place, double load) {
-    uint32_t j = cell_of(side, load), i;
+    uint32_t j = cell_of(side->load, side->loads, load), i;
     double h = side->load[j + 1] - side->load[j], u = (load - side->load[j]) / h;
     double a = 0.0, b = 0.0, ca = 0.0, cb = 0.0, ra = 0.0, rb = 0.0, rca = 0.0, rcb = 0.0;
     struct loaded found;
@@ -423,17 +435,17 @@ struct loaded table_at(const struct side *side, const struct place *place, doubl
 
 struct loaded table_at_node(const struct side *side, const struct place *place, uint32_t node) {
     struct loaded found;
-    found.deviation = blend(side->deviation, side, place, node, place->weight);
-    found.rate = blend(side->deviation, side, place, node, place->rate);
-    found.compliance = blend(side->compliance, side, place, node, place->weight);
+    found.deviation = blend(side->deviation, side->loads, place, node, place->weight);
+    found.rate = blend(side->deviation, side->loads, place, node, place->rate);
+    found.compliance = blend(side->compliance, side->loads, place, node, place->weight);
     return found;
 }
 
 double table_load(const struct side *side, const struct place *place, double deviation, double offset, double series) {
     uint32_t low = 0, high = side->loads - 1, step;
     double a, b, ca, cb, h, left = 0.0, right = 1.0, u, goal = deviation + offset;
-    a = blend(side->deviation, side, place, low, place->weight);
-    b = blend(side->deviation, side, place, high, place->weight) + series * side->load[high];
+    a = blend(side->deviation, side->loads, place, low, place->weight);
+    b = blend(side->deviation, side->loads, place, high, place->weight) + series * side->load[high];
     if (goal <= a) {
         return 0.0;
     }
@@ -442,7 +454,7 @@ double table_load(const struct side *side, const struct place *place, double dev
     }
     while (high - low > 1) {
         uint32_t middle = (low + high) / 2;
-        double at = blend(side->deviation, side, place, middle, place->weight) + series * side->load[middle];
+        double at = blend(side->deviation, side->loads, place, middle, place->weight) + series * side->load[middle];
         if (at <= goal) {
             low = middle;
             a = at;
@@ -452,8 +464,8 @@ double table_load(const struct side *side, const struct place *place, double dev
         }
     }
     h = side->load[high] - side->load[low];
-    ca = blend(side->compliance, side, place, low, place->weight) + series;
-    cb = blend(side->compliance, side, place, high, place->weight) + series;
+    ca = blend(side->compliance, side->loads, place, low, place->weight) + series;
+    cb = blend(side->compliance, side->loads, place, high, place->weight) + series;
     u = b > a ? (goal - a) / (b - a) : 0.0;
     for (step = 0; step < 60; step++) {
         double short_ = goal - hermite(u, h, a, b, ca, cb), slope = h * hermite_slope(u, h, a, b, ca, cb), next;
@@ -476,7 +488,7 @@ double table_load(const struct side *side, const struct place *place, double dev
 }
 
 void table_energy(const struct side *side, const struct place *place, double load, double *energy, double *rate) {
-    uint32_t cell = cell_of(side, load), i, j;
+    uint32_t cell = cell_of(side->load, side->loads, load), i, j;
     double of_deviation[MOST_LOADS], of_compliance[MOST_LOADS];
     double h = side->load[cell + 1] - side->load[cell], u = (load - side->load[cell]) / h, u2 = u * u;
     memset(of_deviation, 0, (cell + 2) * sizeof *of_deviation);
@@ -506,16 +518,16 @@ void table_energy(const struct side *side, const struct place *place, double loa
 }
 
 double table_pressure(const struct side *side, const struct place *place, double load) {
-    uint32_t j = cell_of(side, load);
-    double u = (load - side->load[j]) / (side->load[j + 1] - side->load[j]);
-    double low = blend(side->pressure, side, place, j, place->weight);
-    double high = blend(side->pressure, side, place, j + 1, place->weight);
+    uint32_t loads = side->pressure_loads, j = cell_of(side->pressure_load, loads, load);
+    double u = (load - side->pressure_load[j]) / (side->pressure_load[j + 1] - side->pressure_load[j]);
+    double low = blend(side->pressure, loads, place, j, place->weight);
+    double high = blend(side->pressure, loads, place, j + 1, place->weight);
     double square = (1.0 - u) * low + u * high;
     return square > 0.0 ? sqrt(square) : 0.0;
 }
 
 int table_contact_count(const struct side *side, const struct place *place, double load) {
-    uint32_t j = cell_of(side, load);
+    uint32_t j = cell_of(side->load, side->loads, load);
     uint32_t nearest = 2.0 * load > side->load[j] + side->load[j + 1] || j == 0 ? j + 1 : j;
     return side->contact_count[(size_t)place->node[place->share < 0.5 ? 1 : 2] * side->loads + nearest];
 }

@@ -25,8 +25,11 @@ struct variable {
 struct side {
     uint32_t loads;
     double load[MOST_LOADS];
-    float *deviation, *compliance, *pressure;
+    float *deviation, *compliance;
     uint8_t *contact_count;
+    uint32_t pressure_loads;
+    double pressure_load[MOST_LOADS];
+    float *pressure;
 };
 
 struct table {
