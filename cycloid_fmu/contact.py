@@ -1205,7 +1205,8 @@ def elastic_energy(drive: Drive, theta: float, x: float, contacts: Array) -> tup
 
     A contact stores U = ½Fδ - ¼κF² for Hertz's law δ = κF(H - ln F) (κ as in `hertz`), and ∂U/∂κ_c = ½F/k ∂F/∂κ_c by
     the flank's curvature κ_c, which moves with the foot. The torques F L of `equilibrium` and `crank_side` leave the
-    second part out: up to 2e-3 of them, but what makes them the gradient of one energy.
+    second part out: of drives with errors 0.2 % of them in the root mean square and up to 2 % at single crank angles,
+    but what makes them the gradient of one energy.
 
     Returns
     -------

@@ -211,6 +211,148 @@ def test_a_pin_left_as_it_was_stands_clear(seed, teeth, k, size, step, sign, out
         assert again == pytest.approx(smallest[solved], abs=1e-12)
 
 
+FLANGES = pytest.mark.parametrize(
+    ("case", "output"),
+    [("errors-39-40", "gear"), ("errors-39-40", "ring"), ("two-discs-39-40", "gear"), ("interference-21-22", "ring")],
+)
+
+
+def drive_and_rows(case, output):
+    pair = parse_pair((CASES / f"{case}.toml").read_text().replace("[pair]", f'[pair]\noutput = "{output}"'), case)
+    drive = drive_of(pair, surface_of_pair(pair))
+    return pair, drive, contact.contact_rows(drive)
+
+
+@FLANGES
+@pytest.mark.parametrize("compliance", [0.0, 1e-6])
+def test_torques_of_both_flanges_are_derivatives_of_the_stored_energy(case, output, compliance):
+    """And what stands behind a compliance is wound up by the torque through it."""
+    pair, drive, rows = drive_and_rows(case, output)
+    for theta, flange in ((0.7, 4e-4), (41.3, -5e-4)):
+
+        def pressed(theta=theta, flange=flange):
+            return contact.press(drive, theta, flange, compliance, 0.0, rows, True)
+
+        x, _, energy, by_angle, by_flange = pressed()
+        d, turn = 1e-7, 1e-5
+        assert by_flange == pytest.approx(
+            (pressed(flange=flange + d)[2] - pressed(flange=flange - d)[2]) / (2 * d), rel=1e-5
+        )
+        # At a held deviation the output turns with the crank by the ratio.
+        assert by_angle + by_flange / pair.ratio == pytest.approx(
+            (pressed(theta=theta + turn)[2] - pressed(theta=theta - turn)[2]) / (2 * turn), abs=1e-5 * abs(by_angle)
+        )
+        assert flange - x == pytest.approx(compliance * by_flange, abs=1e-12)
+        assert energy > 0.0
+        assert energy == pytest.approx(0.5 * by_flange * flange, rel=0.9)
+        # The torque of the forces leaves out that a flank's curvature changes under the pin (docs/theory/fmu.md).
+        balance = rows[:, contact.FORCE] @ rows[:, contact.ARM]
+        assert balance == pytest.approx(by_flange, rel=0.02)
+        held, stiffness_held = contact.behind_compliance(drive, theta, flange, compliance, 0.0, rows, True)
+        forces = rows[:, contact.FORCE] @ rows[:, contact.ARM]
+        assert held + compliance * forces == pytest.approx(flange, abs=1e-11)
+        there, stiffness_there = contact.equilibrium(drive, theta, forces, 0.0, rows, True)
+        assert (there, stiffness_there) == (pytest.approx(held, abs=1e-11), pytest.approx(stiffness_held, rel=1e-4))
+
+
+@FLANGES
+def test_what_the_crank_does_at_constant_torque(case, output):
+    """Its rate of the output is the equilibria's difference, and the stiffness that of two torques."""
+    pair, drive, rows = drive_and_rows(case, output)
+
+    def rest(theta, torque):
+        return contact.equilibrium(drive, theta, torque, 0.0, rows, True)
+
+    for theta, torque in ((0.7, 150.0), (41.3, -60.0)):
+        turn, more = 1e-5, 1e-3 * torque
+        rate = (rest(theta + turn, torque)[0] - rest(theta - turn, torque)[0]) / (2 * turn)
+        slope = (rest(theta, torque + more)[0] - rest(theta, torque - more)[0]) / (2 * more)
+        x, stiffness = rest(theta, torque)
+        assert stiffness == pytest.approx(1.0 / slope, rel=1e-4)
+        crank_torque, found = contact.crank_side(drive, theta, x, rows)
+        # The deviation is what the output turns beside the ideal motion.
+        assert found - 1.0 / pair.ratio == pytest.approx(rate, abs=1e-3 * abs(1.0 / pair.ratio))
+        assert crank_torque == pytest.approx(-torque / pair.ratio, rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("case", "output"), [("errors-39-40", "gear"), ("errors-39-40", "ring"), ("two-discs-39-40", "gear")]
+)
+def test_the_play_ends_where_flanks_touch(case, output):
+    """Smallest gaps over a scan of rotations are 0 at both ends and more between; they move with the crank."""
+    pair, drive, rows = drive_and_rows(case, output)
+
+    def smallest(theta, x):
+        contact.place(drive, theta, x, rows, True, math.inf, math.inf)
+        return rows[:, contact.GAP].min()
+
+    for theta in (0.7, 41.3):
+        low, high, interference = contact.play(drive, theta, 0.0, rows, True)
+        assert interference == 0.0
+        assert low < high
+        for end in (low, high):
+            assert smallest(theta, end) == pytest.approx(0.0, abs=1e-12)
+        inside = [smallest(theta, x) for x in np.linspace(low, high, 9)[1:-1]]
+        assert min(inside) > 0.0
+        assert smallest(theta, low - 1e-6) < 0.0
+        assert smallest(theta, high + 1e-6) < 0.0
+        turn = 1e-6
+        before, after = (contact.play(drive, theta + d, 0.0, rows, True)[:2] for d in (-turn, turn))
+        for side, (first, second, end) in ((-1.0, (before[0], after[0], low)), (1.0, (before[1], after[1], high))):
+            smallest(theta, end)
+            rate = contact.touch_rate(drive, theta, end, rows, side)
+            assert rate - 1.0 / pair.ratio == pytest.approx((second - first) / (2 * turn), abs=1e-4 / abs(pair.ratio))
+    # A free flank is pushed by nothing.
+    rows[:, contact.GAP] = math.inf
+    assert math.isnan(contact.touch_rate(drive, 0.7, 0.0, rows, 1.0))
+
+
+def test_interference_is_told_by_its_depth():
+    """Pins that are too large by more than the play: the gap that is left at the rotation where it is largest."""
+    _, drive, rows = drive_and_rows("interference-21-22", "gear")
+    low, high, interference = contact.play(drive, 0.7, 0.0, rows, True)
+    assert math.isnan(low)
+    assert math.isnan(high)
+
+    def smallest(x):
+        contact.place(drive, 0.7, x, rows, True, math.inf, math.inf)
+        return rows[:, contact.GAP].min()
+
+    assert interference == pytest.approx(-max(smallest(x) for x in np.linspace(-3e-4, 3e-4, 121)), rel=0.05)
+
+
+@pytest.mark.parametrize("case", ["errors-39-40", "two-discs-39-40"])
+def test_load_sharing_adds_up(case):
+    """Forces of the pins are the rows'; pressures are Hertz's for them, 2F/(π a b); hardly loaded ones don't count."""
+    pair, drive, rows = drive_and_rows(case, "gear")
+    contact.equilibrium(drive, 0.7, 200.0, 0.0, rows, True)
+    force, pressure = np.zeros((pair.pair.discs, 40)), np.zeros((pair.pair.discs, 40))
+    count, largest = contact.load_sharing(drive, rows, force, pressure)
+    by_row = rows[:, contact.FORCE].reshape(pair.pair.discs, -1, 40, 2)
+    assert force == pytest.approx(by_row.sum(axis=(1, 3)))
+    assert largest == pressure.max()
+    assert count == (force > 0.01 * force.max()).sum()
+    disc, pin = np.unravel_index(np.argmax(force), force.shape)
+    row = (disc * by_row.shape[1] * 40 + pin) * 2 + int(np.argmax(by_row[disc, 0, pin]))
+    curvature, radius = rows[row, contact.CURVATURE], drive.pin_radius[pin]
+    compliance = drive.compliance_gear + drive.compliance_pin
+    half = math.sqrt(4 * force[disc, pin] * compliance / (math.pi * drive.slice_width * abs(1 / radius + curvature)))
+    assert pressure[disc, pin] == pytest.approx(2 * force[disc, pin] / (math.pi * half * drive.slice_width), rel=1e-9)
+
+
+@pytest.mark.parametrize("output", ["gear", "ring"])
+def test_a_form_of_all_teeth_moves_the_deviation_as_its_derivative_says(output):
+    pair = make_pair(PAIR + '[modification]\noffset = "-70 um"\nisometric = "-25 um"\n', output=output)
+    angles, step = np.array([0.37, 1.93, 3.1]), 2e-8
+    jacobian = error_sensitivity(pair, nominal_surface(pair), 150.0, angles, ["profile_deviation_2"])[1][:, 0]
+    low, high = (
+        solve(pair, with_structured(pair, nominal_surface(pair), {"profile_deviation_2": d}), 150.0, angles,
+              with_play=False).transmission_error[0]
+        for d in (-step, step)
+    )  # fmt: skip
+    assert jacobian == pytest.approx((high - low) / (2.0 * step), rel=2e-3)
+
+
 def test_equivalent_errors():
     """Isometric as -pin radius; a centre offset as the pins' displacement by its opposite."""
     pair = read_pair(CASES / "errors-39-40.toml")
