@@ -202,10 +202,13 @@ def _solved(
     return _Solved(*(np.array(p, dtype=np.float32) for p in zip(*parts, strict=True)))
 
 
-def _hermite(share: ArrayLike, width: ArrayLike) -> tuple[Array, Array, Array, Array]:
-    """Weights of two values and two slopes at a share (0 to 1) of a cell."""
-    s, h = np.asarray(share, dtype=float), np.asarray(width, dtype=float)
-    return (1.0 + 2.0 * s) * (1.0 - s) ** 2, (3.0 - 2.0 * s) * s * s, h * s * (1.0 - s) ** 2, h * s * s * (s - 1.0)
+def _hermite(
+    share: float, width: float, deviation: Sequence[Array] | Array32, compliance: Sequence[Array] | Array32
+) -> Array:
+    """Hermite's interpolation between the values and slopes at both ends of a cell, at a share (0 to 1) of it."""
+    s, h = share, width
+    value = (1.0 + 2.0 * s) * (1.0 - s) ** 2 * deviation[0] + (3.0 - 2.0 * s) * s * s * deviation[1]
+    return np.asarray(value + h * s * (1.0 - s) ** 2 * compliance[0] + h * s * s * (s - 1.0) * compliance[1])
 
 
 def _middle(low: float, high: float) -> float:
@@ -225,8 +228,8 @@ def _chosen_loads(
         """How much a cell's middle errs, below zero for the heap; and the cell."""
         middle = _middle(low, high)
         known[middle] = at(middle, high)
-        a, b, ca, cb = _hermite((middle - low) / (high - low), high - low)
-        guess = a * known[low][0] + b * known[high][0] + ca * known[low][1] + cb * known[high][1]
+        ends = zip(known[low], known[high], strict=True)
+        guess = _hermite((middle - low) / (high - low), high - low, *ends)
         return -float(np.abs(guess - known[middle][0]).max()), low, middle, high
 
     loads = [0.0, 0.01 * largest, 0.1 * largest, largest]
@@ -354,7 +357,7 @@ def compute(
             if tables.error["deviation_largest"] <= allowed:
                 return tables
             probed = _Probed(*(np.concatenate(both, axis=-1) for both in zip(probed, fresh, strict=True)))
-            continue
+            off = evaluate(tables, probed.crank_angle, probed.torque)["deviation"] - probed.exact[0]
         further, by_angle = _missing_loads(pair, surface, loads, probed, off, allowed)
         if by_angle and samples < _SAMPLES[-1]:
             samples *= 2
@@ -411,9 +414,8 @@ def _missing_loads(
         j = int(np.clip(np.searchsorted(loads[side], load) - 1, 0, loads[side].size - 2))
         low, high = (float(n) for n in loads[side][j : j + 2])
         ends = _solved(pair, surface, direction, np.array([low, high]), probed.crank_angle[i : i + 1])
-        a, b, ca, cb = _hermite((load - low) / (high - low), high - low)
-        x, c = ends.deviation[:, 0], ends.compliance[:, 0]
-        if abs(a * x[0] + b * x[1] + ca * c[0] + cb * c[1] - direction * probed.exact[0, i]) > 0.5 * abs(off[i]):
+        found = float(_hermite((load - low) / (high - low), high - low, ends.deviation, ends.compliance)[0])
+        if abs(found - direction * probed.exact[0, i]) > 0.5 * abs(off[i]):
             further[side].add(_middle(low, high))
         else:
             by_angle = True
