@@ -19,6 +19,7 @@ import tempfile
 import tomllib
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeVar
 
 import pydantic
@@ -264,7 +265,9 @@ def existing(path: str | os.PathLike[str]) -> Path:
         raise InputError(f"{path}: {problem.strerror or problem}.") from None
 
 
-def unit_columns(header: Sequence[str], wanted: Mapping[str, str], source: str) -> dict[str, tuple[int, float]]:
+def unit_columns(
+    header: Sequence[str], wanted: Mapping[str, str], source: str, optional: Mapping[str, str] = MappingProxyType({})
+) -> dict[str, tuple[int, float]]:
     """Return position and scale to SI of the wanted columns of a table whose header says units, `time [s]`.
 
     Parameters
@@ -275,6 +278,8 @@ def unit_columns(header: Sequence[str], wanted: Mapping[str, str], source: str) 
         SI unit of each column that must be there; others are passed over.
     source
         The file's name, for messages.
+    optional
+        SI unit of each column that is looked for but need not be there.
 
     Raises
     ------
@@ -282,15 +287,16 @@ def unit_columns(header: Sequence[str], wanted: Mapping[str, str], source: str) 
         If a column or its unit is missing, or the unit measures something else.
     """
     found: dict[str, tuple[int, float]] = {}
+    units = {**wanted, **optional}
     for position, cell in enumerate(header):
         name, bracket, unit = cell.strip().partition("[")
         name = name.strip()
-        if name not in wanted:
+        if name not in units:
             continue
         if not bracket or not unit.endswith("]"):
-            raise InputError(f'{source}: the column "{cell.strip()}" has no unit; write "{name} [{wanted[name]}]".')
+            raise InputError(f'{source}: the column "{cell.strip()}" has no unit; write "{name} [{units[name]}]".')
         try:
-            found[name] = (position, unit_scale(unit[:-1].strip(), wanted[name]))
+            found[name] = (position, unit_scale(unit[:-1].strip(), units[name]))
         except ValueError as problem:
             raise InputError(f"{source}: the column {name}: {problem}.") from None
     for name, unit in wanted.items():
@@ -310,14 +316,16 @@ def finite(cell: str, field: str) -> float:
     return value
 
 
-def number_rows(path: str | os.PathLike[str], wanted: Mapping[str, str]) -> Iterator[tuple[int, dict[str, float]]]:
+def number_rows(
+    path: str | os.PathLike[str], wanted: Mapping[str, str], optional: Mapping[str, str] = MappingProxyType({})
+) -> Iterator[tuple[int, dict[str, float]]]:
     """Yield the lines of a CSV table whose header says units: line and {column: value in SI}; blank ones are left out.
 
     Parameters
     ----------
     path
         The file.
-    wanted
+    wanted, optional
         As for `unit_columns`.
 
     Raises
@@ -326,7 +334,7 @@ def number_rows(path: str | os.PathLike[str], wanted: Mapping[str, str]) -> Iter
         If it can't be read, a column or its unit is missing, or a cell is no finite number; it names the line.
     """
     lines = csv.reader(read_text(path).splitlines())
-    columns = unit_columns(next(lines, []), wanted, str(path))
+    columns = unit_columns(next(lines, []), wanted, str(path), optional)
     for number, row in enumerate(lines, start=2):
         if row:
             cells = {name: row[place].strip() if place < len(row) else "" for name, (place, _) in columns.items()}

@@ -24,7 +24,7 @@ BLOCK = re.compile(r"^```(?P<info>[^\n`]*)\n(?P<body>.*?)^```$", re.MULTILINE | 
 # A study as long as a page has it is for users: here it is so short that it still goes through all that it does.
 SHORTER = (
     (r"( tolerance .*--samples )\d{3,}( --angles \d+)?(?=.* saltelli)", r"\g<1>240 --angles 20"),
-    (r"( tolerance .*--samples )\d{3,}( --angles \d+)?(?!.* saltelli)", r"\g<1>64 --angles 20"),
+    (r"( tolerance .*--samples )\d{3,}( --angles \d+)?(?!.* saltelli)", r"\g<1>32 --angles 20"),
     (r"--crank-turns \S+", "--crank-turns 2e4"),
 )
 SIMULATE = "cycloid-bench simulate --fmu as-made.fmu --ratio -39 --noise '0.5 arcsec'"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import os
 import shutil
@@ -312,15 +311,13 @@ def read_motion(path: str | os.PathLike[str], units: Mapping[str, str]) -> tuple
     edge.InputError
         If the file can't be read, has no time, or a line has no number where one belongs.
     """
-    named = [cell.strip().partition("[")[0].strip() for cell in next(csv.reader(edge.read_text(path).splitlines()), [])]
-    known = {n: RECORDED.get(n, n) for n in named if RECORDED.get(n, n) in units}
-    wanted = {"time": "s", **{n: units[v] for n, v in known.items()}}
-    rows = [list(row.values()) for _, row in edge.number_rows(path, wanted)]
-    found = dict(zip(wanted, np.array(rows).reshape(len(rows), len(wanted)).T, strict=True))
+    columns = {name: RECORDED.get(name, name) for name in (*units, *RECORDED) if RECORDED.get(name, name) in units}
+    rows = [row for _, row in edge.number_rows(path, {"time": "s"}, {n: units[v] for n, v in columns.items()})]
+    found = {name: np.array([row[name] for row in rows]) for name in (rows[0] if rows else ("time",))}
     time = found.pop("time")
     if time.size < 2 or np.any(np.diff(time) <= 0.0):
         raise edge.InputError(f"{path}: time [s] must ascend over at least two lines.")
-    return time, {known[n]: v for n, v in found.items()}
+    return time, {columns[n]: v for n, v in found.items()}
 
 
 def write_motion(path: str | os.PathLike[str], results: Mapping[str, Array], fmu: str | os.PathLike[str]) -> None:
