@@ -169,17 +169,17 @@ def test_no_answer_with_a_wrong_crc_is_a_position(answer):
 def test_lines_are_the_commanded_motion_and_their_clock_is_known(tmp_path):
     motion = simulate_motion(lambda a, t: -a / 39, BenchRun(torque=0.0, turns=2, samples_per_turn=200))
     path = tmp_path / "run.arrows"
-    with AsciiBench(motion, clock_drift=200e-6) as bench:
+    drift = 0.01  # a counter without a crystal; what a busy machine delays all lines by is far less
+    with AsciiBench(motion, clock_drift=drift) as bench:
         record_bench(bench.write_wiring(tmp_path / "BENCH.toml"), path, stop=lambda: bench.wait(0.0))
     recording = read_recording(path)
     samples = recording.samples["output_angle"]
     assert len(samples) > 300
     assert not samples.status.any()
-    expected = np.interp(samples.time_device / 1.0002, motion.time, motion.output_angle)
+    expected = np.interp(samples.time_device / (1.0 + drift), motion.time, motion.output_angle)
     assert np.max(np.abs(samples.value - expected)) < 3e-5
     clock = recording.clock("output_angle")
-    reach = clock.uncertainty / (samples.time_device[-1] - samples.time_device[0])
-    assert clock.drift == pytest.approx(-200e-6, abs=2 * reach + 20e-6)
+    assert clock.drift == pytest.approx(1.0 / (1.0 + drift) - 1.0, rel=0.1)
     assert np.all(samples.time_host - recording.aligned_time("output_angle") > -clock.uncertainty)
 
 
