@@ -59,11 +59,13 @@ TARGETS = {
     "contact": Target(
         "cycloid_fmu/contact.py",
         ("tests/cycloid_fmu/test_contact.py", "tests/cycloid_fmu/test_reference_cases.py",
-         "tests/cycloid_fmu/test_element_pairs.py", "tests/cycloid_fmu/test_tooth_contact.py"),
+         "tests/cycloid_fmu/test_element_pairs.py", "tests/cycloid_fmu/test_tooth_contact.py",
+         "tests/cycloid_fmu/test_wear.py"),
         ("-k",
-         "inverse or without_end or moment_arm or linear_check or equivalent_errors or two_discs_cancel or form_of_all "
+         "five_are or inverse or without_end or moment_arm or linear_check or equivalent_errors or two_discs_cancel "
          "or (sensitivities and not misaligned) or flanges or crank_does or the_play_ends or told_by or adds_up "
-         "or brute_force_of_a_random or turns_the_other_way or loaded_contacts_are or (pairs_agree and rough) "
+         "or form_of_all or brute_force_of_a_random or turns_the_other_way or loaded_contacts_are "
+         "or (pairs_agree and rough) "
          "or (test_reference_case and not (wear_pair or ten_micro or ripple or of_the_paper or dataset))"),
     ),
 }  # fmt: skip

@@ -345,6 +345,28 @@ def test_load_sharing_adds_up(case):
     assert pressure[disc, pin] == pytest.approx(2 * force[disc, pin] / (math.pi * half * drive.slice_width), rel=1e-9)
 
 
+@pytest.mark.parametrize("slices", [20, 21])
+def test_slices_between_five_are_as_they_are_alone(slices):
+    """Across the width of a tilted drive with many slices most clear pins are interpolated, each to 1 nm."""
+    pair, _, _ = drive_and_rows("errors-39-40", "gear")
+    drive = drive_of(pair, dataclasses.replace(surface_of_pair(pair), misalignment_xz=3e-4), slices)
+    together = contact.contact_rows(drive)
+    contact.place(drive, 0.3, 0.0, together, True, np.inf, np.inf)
+    together = together.reshape(slices, -1, contact.COLUMNS)
+    between = np.arange(slices) * 4 % (slices - 1) > 0
+    interpolated = 0
+    for i in np.flatnonzero(between):
+        alone = drive._replace(
+            **{name: getattr(drive, name)[i : i + 1] for name in ("centre_x", "centre_y", "slice_z")}
+        )
+        rows = contact.contact_rows(alone)
+        contact.place(alone, 0.3, 0.0, rows, True, np.inf, np.inf)
+        assert together[i, :, contact.GAP] == pytest.approx(rows[:, contact.GAP], abs=1e-9)
+        assert together[i, ::2, contact.ARM] == pytest.approx(rows[::2, contact.ARM], abs=1e-6)
+        interpolated += np.count_nonzero(together[i, ::2, contact.GAP] != rows[::2, contact.GAP])
+    assert interpolated > 0.5 * drive.pin_x.size * between.sum()
+
+
 @pytest.mark.parametrize("output", ["gear", "ring"])
 def test_a_form_of_all_teeth_moves_the_deviation_as_its_derivative_says(output):
     pair = make_pair(PAIR + '[modification]\noffset = "-70 um"\nisometric = "-25 um"\n', output=output)
