@@ -205,13 +205,17 @@ SHOWN = {"rad": ("arcsec", ARCSEC), "Pa": ("MPa", 1e-6), "m": ("µm", 1e6)}
 
 
 def plot_tolerance(result: object) -> Figure:
-    """Distribution of every figure of a tolerance study, with its limit and the share of drives that keep it."""
+    """Distribution of every figure of a tolerance study, with its limit and the share of drives that keep it.
+
+    A figure that has no limit and is the same in all drives is left out.
+    """
     from cycloid_fmu.tolerance import FIGURES, PER_TORQUE, Result, yields
 
     assert isinstance(result, Result)
     study = result.study
-    names = list(dict.fromkeys(n for n, _ in study.columns))
     limits, kept = study.tolerances.limits.stated(), yields(result)
+    every = list(dict.fromkeys(n for n, _ in study.columns))
+    names = [n for n in every if n in limits or np.ptp(result.figure(n)) > 0.0] or every
     figure, axes = new_figure((len(names) + 1) // 2, 2)
     for axis in axes[len(names) :]:
         figure.delaxes(axis)
