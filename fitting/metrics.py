@@ -544,9 +544,8 @@ def starts_of(crank: Array, torque: Array, driven: Array) -> list[Start]:
         if largest > 0.0:
             at_rest = abs(float(np.median(torque[begin : begin + max(3, moved // 20)])))
             peak = begin + int(np.argmax(np.abs(torque[still])))
-            further = crank[start:]
-            onward = further[min(further.size - 1, 10 * moved)] - crank[begin]
-            way = driven[min(start + 10 * moved, crank.size - 1)] - driven[begin]
+            later = min(start + 10 * moved, crank.size - 1)
+            onward, way = crank[later] - crank[begin], driven[later] - driven[begin]
             if at_rest < 0.1 * largest and abs(onward) > 5.0 * _START and torque[peak] * way > 0.0:
                 found.append(Start(still, peak, largest))
         begin = start
