@@ -45,17 +45,15 @@ class Allocation:
         Width of each tolerance relative to the stated one, shape (factors,).
     cost, stated_cost
         Sum of the tolerances' relative costs, found and as stated.
-    first_order_yield, exact_yield
-        Share of the drives that keep all limits: of the study's own to first order, and of drives drawn anew by the
-        exact kernel, which reaches what was asked for.
+    exact_yield
+        Share of drives drawn anew that keep all limits, by the exact kernel; it reaches what was asked for.
     stated_yield
-        The same of the tolerances as stated, to first order.
+        Share of the study's own drives that keep them with the tolerances as stated, to first order.
     """
 
     scale: Array
     cost: float
     stated_cost: float
-    first_order_yield: float
     exact_yield: float
     stated_yield: float
 
@@ -189,7 +187,7 @@ def allocate(
     scale = narrower * scale
     return Allocation(
         scale=scale, cost=float((costs / scale).sum()), stated_cost=float(costs.sum()),
-        first_order_yield=reached(scale), exact_yield=exact, stated_yield=reached(np.ones(costs.size)),
+        exact_yield=exact, stated_yield=reached(np.ones(costs.size)),
     )  # fmt: skip
 
 
