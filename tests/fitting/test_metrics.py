@@ -204,21 +204,23 @@ def test_a_torque_that_stays_small_gives_no_stiffness_but_all_else():
 
 @pytest.mark.parametrize(
     ("pattern", "alike"),
-    [((1, -1), 0.0), ((1, 1, 1, -1, -1, -1), 1 / 3), ((1,) * 300 + (-1,) * 300, 1.0 - 2.0 / 600)],
+    [((1, -1), -1.0), ((1, 1, 1, -1, -1, -1), 1 / 3), ((1,) * 300 + (-1,) * 300, 0.995)],
     ids=["alternating", "in threes", "in halves"],
 )
 def test_a_line_s_variance_grows_where_neighbouring_residuals_are_alike(pattern, alike):
     """σ²/n of the mean and σ²/Σx² of the slope; a likeness of neighbours makes both (1 + a)/(1 - a) times as large."""
     torque = np.random.default_rng(0).permutation(np.linspace(50.0, 100.0, 600))
-    left = 1e-6 * np.tile(pattern, 600 // len(pattern))
-    line = metrics.fit_line(torque, 2e-6 * torque + 1e-4 + left)
+    left = np.tile(pattern, 600 // len(pattern)).astype(float)
+    line = metrics.fit_line(torque, 2.0 * torque + 100.0 + left)
     left = left - np.polyval(np.polyfit(torque, left, 1), torque)
-    factor = (1.0 + alike) / (1.0 - alike) * (left @ left) / 598
-    near = 0.02 if alike else 1e-9  # a finite pattern's likeness is not quite its period's
+    found = np.mean(left[1:] * left[:-1]) / np.mean(left**2)
+    assert found == pytest.approx(alike, abs=0.01)  # a finite pattern's likeness is not quite its period's
+    factor = (1.0 + max(found, 0.0)) / (1.0 - max(found, 0.0)) * (left @ left) / 598
+    near = 1.0 / 300 / (1.0 - found)  # 599 neighbours of 600
     assert line.value_variance == pytest.approx(factor / 600, rel=near)
     assert line.slope_variance == pytest.approx(factor / np.sum((torque - torque.mean()) ** 2), rel=near)
     value, variance = line.at(60.0)
-    assert value == pytest.approx(1e-4 + 120e-6, abs=1e-6)
+    assert value == pytest.approx(220.0, abs=1.0)
     assert variance == pytest.approx(line.value_variance + line.slope_variance * (60.0 - torque.mean()) ** 2)
 
 
@@ -240,6 +242,8 @@ def test_half_loops_end_where_the_torque_is_next_to_zero():
     assert [twice[lobe.unloading.start] for lobe in found] == [100.0, 100.0, -100.0]
     assert [lobe.unloading.stop for lobe in found] == [101, 201, len(twice)]
     assert metrics.find_lobes(0.19 * up, 100.0) == []
+    thrown_over = metrics.find_lobes(np.array([0.0, 50.0, 100.0, 50.0, -50.0, -100.0, -50.0, 0.0]), 100.0)
+    assert [lobe.sign for lobe in thrown_over] == [1, -1]
     assert len(metrics.find_lobes(np.array([0.0, 50.0, 100.0, 50.0, 0.5, 50.0, 100.0, 50.0, 0.0]), 100.0)) == 2
 
 
@@ -258,6 +262,37 @@ def test_one_figure_from_several_recordings_weighs_by_their_loops():
     scatter = 4.30265 * np.std([f.value for f in alone], ddof=1) / np.sqrt(3)
     stated = np.sqrt(sum((w * f.uncertainty) ** 2 for w, f in zip((1 / 6, 1 / 2, 1 / 3), alone, strict=True)))
     assert three.uncertainty == pytest.approx(max(scatter, stated), rel=1e-5)
+
+
+def test_recordings_that_differ_by_more_than_they_say_scatter():
+    plays = np.array([0.4, 0.6, 1.1]) * ARCMIN
+    loops = [loop(167.0, 49 / ARCMIN, play, 2.0) for play in plays]
+    surveyed = [survey(recording(np.arange(t.size) * 1e-2, 0.0, a, t, None), None, 167.0) for t, a in loops]
+    found = figures_of(surveyed, None, 167.0).figures["backlash"]
+    assert found.value == pytest.approx(plays.mean(), rel=1e-6)
+    assert found.uncertainty == pytest.approx(4.30265 * np.std(plays, ddof=1) / np.sqrt(3), rel=1e-4)
+
+
+def test_stiffness_is_that_of_the_upper_half_of_the_load():
+    torque, angle = loop(167.0, 49 / ARCMIN, 0.6 * ARCMIN, 2.0)
+    softer = angle + np.sign(torque) * np.maximum(0.45 * 167.0 - np.abs(torque), 0.0) / (-20.0 / ARCMIN)
+    assert figures_from(torque, softer).figures["torsional_stiffness"].value * ARCMIN == pytest.approx(49.0, rel=1e-6)
+
+
+def test_a_branch_that_was_not_recorded_takes_its_figures_with_it():
+    torque, angle = loop(167.0, 49 / ARCMIN, 0.6 * ARCMIN, 2.0)
+    last = np.arange(torque.size) > 3 * torque.size // 4  # the way back from the negative peak
+    kept = ~(last & (np.abs(torque) < 0.12 * 167.0))
+    found = figures_from(torque[kept], angle[kept])
+    assert set(found.figures) == {"torsional_stiffness"}
+    for name in ("hysteresis_loss", "backlash", "lost_motion"):
+        assert any(f"{name} could not be given: a branch has fewer than three samples" in n for n in found.notes)
+
+
+def test_a_load_that_is_thrown_from_side_to_side_is_no_loop():
+    """Its branches have no way of many samples, however long it stays at the sides."""
+    square = 167.0 * np.sign(np.sin(np.arange(2000) / 100.0 + 0.005))
+    assert survey(recording(np.arange(2000) * 1e-2, 0.0, square * 1e-6, square, None), None, 167.0).loops is None
 
 
 @pytest.mark.parametrize(
@@ -358,6 +393,20 @@ def test_a_range_is_as_uncertain_as_twice_its_only_order(phase):
     assert found.value == pytest.approx(2e-4, abs=4e-6)
 
 
+def test_each_way_of_the_crank_has_its_own_range():
+    """Of 2 and 3 arcsec by order 1; the largest is the figure, over a whole turn of the output."""
+    surveyed = []
+    for amplitude, way in ((2.0, 1.0), (3.0, -1.0)):
+        made = run_with({1: (amplitude * ARCSEC, 0.0)}, turns=1, each=9000, noise=0.0, seed=0)
+        turned = {name: way * getattr(made, name) for name in ("input_angle", "output_angle")}
+        surveyed.append(survey(dataclasses.replace(made, **turned), -39.0, None))
+    found = figures_of(surveyed, -39.0, None).figures["angular_transmission_error"]
+    assert found.parts["forward"].value == pytest.approx(4.0 * ARCSEC, rel=1e-3)
+    assert found.parts["backward"].value == pytest.approx(6.0 * ARCSEC, rel=1e-3)
+    assert found.value == found.parts["backward"].value
+    assert found.interval == pytest.approx((0.0, 2.0 * np.pi))
+
+
 def test_phases_of_orders_count_from_crank_angle_zero():
     orders = spectrum(transmission_error_curve(run_with(KNOWN, turns=2, each=9000, noise=0.0, seed=1), -39.0))
     for k, (a, p) in KNOWN.items():
@@ -398,6 +447,23 @@ def test_starts_by_the_output_are_found_where_its_torque_drives():
     assert back_driving_torques(driven, -39.0) == ([], []), "the input drives as well"
 
 
+def test_only_a_rise_from_rest_that_is_followed_is_a_start():
+    """No start: a torque that was there before, one while the crank creeps; where it ends up later does not matter."""
+
+    def found(angle, torque):
+        return [s.torque for s in metrics.starts_of(angle, torque, angle / -39)]
+
+    angle, torque = started_at((3.0, 4.0))
+    assert found(angle, torque) == pytest.approx([3.0, 4.0])
+    loaded = np.where((np.arange(torque.size) < 400) & (torque < 0.5), 0.5, torque)
+    assert found(angle, loaded) == pytest.approx([4.0])
+    creeping = angle[-1] - 0.004 * np.pi / 180.0 * np.arange(2000)
+    spiked = np.where((np.arange(2000) > 600) & (np.arange(2000) % 240 > 200), 2.0, 0.0)
+    assert found(np.append(angle, creeping), np.append(torque, spiked)) == pytest.approx([3.0, 4.0])
+    back = np.append(np.full(10000, angle[-1]), np.linspace(angle[-1], 100.0, 20000))
+    assert found(np.append(angle, back), np.append(torque, 0.0 * back)) == pytest.approx([3.0, 4.0])
+
+
 def test_the_no_load_starting_torque_is_that_of_the_input():
     """Starts at 30, 40 and 50 mN·m of the motor, the output free; a fourth one, against a brake, is none."""
     angle, given = started_at((-0.03, -0.04, -0.05, -0.5))
@@ -408,6 +474,8 @@ def test_the_no_load_starting_torque_is_that_of_the_input():
     assert [s.torque for s in starts] == pytest.approx([0.03, 0.04, 0.05])
     assert [int(s.peak) for s in starts] == pytest.approx([399, 1399, 2399], abs=22)  # within the crank's first degree
     assert said == ["run.csv: 1 of 4 starts are under load; left out."]
+    braked = dataclasses.replace(made, torque=np.where(np.arange(given.size) < 1000, output, 15.0))
+    assert starting_torques(braked, -39.0)[1] == ["run.csv: 3 of 4 starts are under load; left out."]
     found = figures_of([survey(made, -39.0, 167.0)], -39.0, 167.0)
     figure = found.figures["starting_torque"]
     assert figure.value == pytest.approx(0.04)
