@@ -40,7 +40,7 @@ def test_force_and_approach_are_inverse(force, curvature, radius, width, ratio, 
     )
     found, stiffness, _ = contact.hertz(approach, curvature, radius, width, gear, pin, 0.064, guess)
     assert found == pytest.approx(force, rel=1e-10)
-    assert contact.half_width(found, curvature, radius, width, gear, pin) == pytest.approx(half, rel=1e-9)
+    assert contact.half_width(found, curvature, radius, width, gear, pin) == pytest.approx(half, rel=1e-9, abs=0.0)
     step = 1e-5 * approach
     ends = [contact.hertz(approach + s, curvature, radius, width, gear, pin, 0.064, 0.0)[0] for s in (-step, step)]
     assert stiffness == pytest.approx((ends[1] - ends[0]) / (2 * step), rel=1e-6)
