@@ -60,7 +60,7 @@ TARGETS = {
         "cycloid_fmu/contact.py",
         ("tests/cycloid_fmu/test_contact.py", "tests/cycloid_fmu/test_reference_cases.py",
          "tests/cycloid_fmu/test_element_pairs.py", "tests/cycloid_fmu/test_tooth_contact.py",
-         "tests/cycloid_fmu/test_wear.py"),
+         "tests/cycloid_fmu/test_wear.py", "tests/cycloid_fmu/test_elements.py"),
         ("-k",
          "five_are or inverse or without_end or moment_arm or linear_check or equivalent_errors or two_discs_cancel "
          "or (sensitivities and not misaligned) or flanges or crank_does or the_play_ends or told_by or adds_up "
