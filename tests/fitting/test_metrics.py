@@ -383,6 +383,15 @@ def test_the_range_is_that_between_the_samples_of_a_curve(between):
     assert angular_transmission_error(curve, spectrum(curve)).value == pytest.approx(2e-4, rel=2e-5)
 
 
+def test_a_curve_of_noise_alone_has_no_range():
+    curve = transmission_error_curve(run_with({}, turns=2, each=4000, noise=ARCSEC, seed=1), -39.0)
+    orders = spectrum(curve)
+    assert not orders.significant.any()
+    figure = angular_transmission_error(curve, orders)
+    assert figure.value == 0.0
+    assert 0.0 <= figure.uncertainty < ARCSEC
+
+
 @pytest.mark.parametrize("phase", [0.0, np.pi / 4, np.pi / 2])
 def test_a_range_is_as_uncertain_as_twice_its_only_order(phase):
     """Noise of root mean square f in a complex amplitude c moves |c| by f/√2, whatever its phase."""
