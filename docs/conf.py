@@ -35,10 +35,12 @@ html_theme_options = {
     "show_toc_level": 2,
     "navigation_with_keys": False,
     "header_links_before_dropdown": 2,
-    "secondary_sidebar_items": ["page-toc"],
+    "secondary_sidebar_items": {"**": ["page-toc"], "generated/variables": [], "measured": []},
 }
 ALONE = [*(page.stem for page in HERE.glob("*.md")), "tutorials/*", "generated/*", "reference/commands"]
 html_sidebars = {page: [] for page in ALONE}  # pages that are their whole section
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
 html_title = "cycloid-fmu"
 html_show_sourcelink = False
 

@@ -141,7 +141,8 @@ def _flanges(interface: Interface) -> list[Variable]:
     if inside:
         given += [
             # With the inertia inside they are states: inputs act on their derivatives only.
-            Variable("flange_b.phi", "output angle", "output", depends=() if dynamic else placed, **angle),  # type: ignore[arg-type]
+            Variable("flange_b.phi", "output angle, counter-clockwise", "output",
+                     depends=() if dynamic else placed, **angle),  # type: ignore[arg-type]
             Variable("flange_b.w", "output speed" if dynamic else "output speed at the present torque", "output",
                      depends=() if dynamic else every, **slow),  # type: ignore[arg-type]
         ]  # fmt: skip
