@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from cycloid_fmu import contact
 from cycloid_fmu.pair import Pair
 from cycloid_fmu.surface import ErrorSurface
-from cycloid_fmu.transmission import drive_of
+from cycloid_fmu.transmission import check_balance, drive_of
 
 Array = NDArray[np.float64]
 
@@ -340,7 +340,7 @@ def loaded_contacts(drive: contact.Drive, crank_angle: Array, torque: float) -> 
     Raises
     ------
     ValueError
-        If the torque is 0, where there is play instead of an equilibrium.
+        If the torque is 0, where there is play instead of an equilibrium; an `edge.InputError` if it is too large.
 
     Notes
     -----
@@ -352,7 +352,9 @@ def loaded_contacts(drive: contact.Drive, crank_angle: Array, torque: float) -> 
     rows = contact.contact_rows(drive).shape
     table = np.empty((crank_angle.size, *rows))
     contact.sweep_contacts(drive, crank_angle, torque, deviation, table)
-    angle, row = np.nonzero(table[:, :, contact.FORCE] > 0.0)
+    pressed: NDArray[np.bool_] = table[:, :, contact.FORCE] > 0.0
+    check_balance(torque, np.any(pressed, axis=1))
+    angle, row = np.nonzero(pressed)
     held = table[angle, row].T
     pins, slices, teeth = drive.teeth + 1, drive.centre_x.size, drive.teeth
     disc, slice_, pin = row // (2 * pins * slices), row // (2 * pins) % slices, row // 2 % pins

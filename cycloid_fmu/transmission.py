@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cycloid_fmu import contact
+from cycloid_fmu import contact, edge
 from cycloid_fmu.pair import Modification, Pair
 from cycloid_fmu.profile import equal_arc_parameters, flank_normals, flank_points
 from cycloid_fmu.surface import PROFILE_POINTS, ErrorSurface, profile_wave, structured_columns
@@ -215,6 +215,27 @@ def _contiguous(values: ArrayLike) -> Array:
     return np.array(values, dtype=float, order="C", ndmin=1)
 
 
+def check_balance(torque: ArrayLike, held: NDArray[np.bool_]) -> None:
+    """Refuse a torque under which no contact carries anything: the search for the balance ended without one.
+
+    Parameters
+    ----------
+    torque, held
+        N·m, and whether contacts carry it, of shapes that broadcast.
+
+    Raises
+    ------
+    edge.InputError
+        It names the torque.
+    """
+    torques = np.broadcast_to(torque, held.shape)
+    failed = ~held & (torques != 0.0)
+    if failed.any():
+        raise edge.InputError(
+            f"torque = {torques[failed][0]:g} N*m: no contacts of this pair can balance it; give one that it can carry."
+        )
+
+
 def solve(
     pair: Pair,
     surface: ErrorSurface,
@@ -250,6 +271,8 @@ def solve(
 
     Raises
     ------
+    edge.InputError
+        If a torque is too large to be balanced.
     Interrupted
         At a KeyboardInterrupt; it holds the results of the crank angles that were finished.
     """
@@ -311,6 +334,7 @@ def solve(
             if pool is not None:
                 pool.shutdown(cancel_futures=True)
             raise Interrupted(result(slice(0, finished))) from None
+    check_balance(torques[:, None], stiffness > 0.0)
     return result(slice(None))
 
 
@@ -338,6 +362,11 @@ def error_sensitivity(
         By every single error, columns as in `contact.sensitivities`.
     further
         By crank angle (rad/rad) and torque (rad/(N·m)), shape (angles, 2).
+
+    Raises
+    ------
+    edge.InputError
+        If a torque is too large to be balanced.
     """
     drive = drive_of(pair, surface, slices)
     angles = _contiguous(crank_angle)
@@ -346,6 +375,7 @@ def error_sensitivity(
     deviation, by_angle, by_torque = (np.empty(angles.size) for _ in range(3))
     torques = _contiguous(np.broadcast_to(torque, angles.shape))
     contact.sweep_sensitivities(drive, angles, torques, deviation, each, by_angle, by_torque)
+    check_balance(torques, np.isfinite(by_torque))
     jacobian = each @ columns
     elements = PROFILE_POINTS if surface.gear_deviation is None else surface.gear_deviation.shape[2]
     profiles = {at: wave for at, name in enumerate(names) if (wave := profile_wave(name, elements)) is not None}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -122,7 +123,8 @@ class Fmu:
             self._raise(f"the step from {time:g} s", problem)
 
     def _raise(self, what: str, problem: Exception) -> NoReturn:
-        why = self._said[-1] if self._said else str(problem)
+        # A slave in Python shows an exception with its class.
+        why = re.sub(r"""^\w+\((['"])(.*)\1\)$""", r"\2", self._said[-1] if self._said else str(problem))
         raise edge.InputError(f"{self.path}: {what} was refused: {why.rstrip('.')}.") from None
 
 

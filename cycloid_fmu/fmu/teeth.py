@@ -185,9 +185,9 @@ class ContactTeeth:
         """As of `Teeth`."""
         cold = self._start()
         found: tuple[float, float] = _equilibrium(self._drive, theta, torque, x, self._rows, cold)
-        if not math.isfinite(found[0]):
+        if not math.isfinite(found[0]) or (torque != 0.0 and not found[1] > 0.0):
             self._cold = True
-            raise StepError(f"flange_b.tau = {torque:g} N.m: the contacts can't be solved at this torque")
+            raise StepError(f"flange_b.tau = {torque:g} N.m: no contacts of this pair can balance it")
         return found
 
     def behind(self, theta: float, flange: float, compliance: float, x: float) -> tuple[float, float]:

@@ -211,6 +211,37 @@ def test_a_pin_left_as_it_was_stands_clear(seed, teeth, k, size, step, sign, out
         assert again == pytest.approx(smallest[solved], abs=1e-12)
 
 
+@pytest.mark.parametrize("output", ["gear", "ring"])
+def test_the_derivative_by_a_larger_flank_is_exact(output):
+    """No contact comes or goes within the differences, which are of fifth order."""
+    pair, _, _ = drive_and_rows("errors-39-40", output)
+    surface, angles, step = surface_of_pair(pair), np.random.default_rng(1).uniform(0.0, 200.0, 6), 4e-8
+    _, jacobian, _, _ = error_sensitivity(pair, surface, -150.0, angles, ["offset"])
+    value = structured_value(pair, surface, "offset")
+    at = [
+        solve(
+            pair, with_structured(pair, surface, {"offset": value + i * step}), -150.0, angles, with_play=False
+        ).transmission_error[0]
+        for i in (-2, -1, 1, 2)
+    ]
+    assert jacobian[:, 0] == pytest.approx((at[0] - 8 * at[1] + 8 * at[2] - at[3]) / (12 * step), rel=3e-5)
+
+
+def test_curvature_between_two_elements_is_linear():
+    pair = parse_pair(PAIR, "pair.toml")
+    curvature = np.random.default_rng(0).normal(0.0, 1.0, (1, 39, 8, 1))
+    flat, round_pins = np.zeros_like(curvature), np.zeros((40, 12, 1))
+    surface = dataclasses.replace(
+        nominal_surface(pair), gear_deviation=flat, gear_curvature=curvature, pin_deviation=round_pins,
+        pin_curvature=round_pins,
+    )  # fmt: skip
+    drive = drive_of(pair, surface)
+    for i in range(1, 8):
+        alpha = 0.3 * drive.flank_alpha[i] + 0.7 * drive.flank_alpha[i + 1]
+        found = contact._added_curvature(drive, 0, 0, 5, 0, alpha, 0.0)
+        assert found == pytest.approx(0.3 * curvature[0, 5, i - 1, 0] + 0.7 * curvature[0, 5, i, 0], abs=1e-9)
+
+
 FLANGES = pytest.mark.parametrize(
     ("case", "output"),
     [

@@ -307,6 +307,14 @@ def test_commands_lead_and_compare(command, tmp_path):
         (["compare", "k.fmu", "pair.toml"], "pair.toml"),
         (["simulate", "c.fmu", "--torque", "5 N*m"], "c.fmu: this FMU has no"),
         (["simulate", "c.fmu", "--input", "late.csv"], "c.fmu: the step from 0 s was refused: a step of 0.002 s: larg"),
+        (
+            ["simulate", "k.fmu", "--torque", "1e9 N*m"],
+            "k.fmu: the start was refused: flange_b.tau = 1e+09 N.m: no contacts of this pair can balance it.",
+        ),
+        (
+            ["analyze", "pair.toml", "--torque", "1e9 N*m"],
+            "torque = 1e+09 N*m: no contacts of this pair can balance it",
+        ),
         (["simulate", "k.fmu"], "--torque"),
         (["simulate", "k.fmu", "--input", "none.csv"], "none.csv: No such file"),
         (["build", "pair.toml", "-o", "x.fmu", "--interface", "stiff"], "kinematic, compliant"),
