@@ -334,7 +334,7 @@ def solve(
             if pool is not None:
                 pool.shutdown(cancel_futures=True)
             raise Interrupted(result(slice(0, finished))) from None
-    check_balance(torques[:, None], stiffness > 0.0)
+    check_balance(torques[:, None], pressure > 0.0)
     return result(slice(None))
 
 

@@ -185,7 +185,7 @@ class ContactTeeth:
         """As of `Teeth`."""
         cold = self._start()
         found: tuple[float, float] = _equilibrium(self._drive, theta, torque, x, self._rows, cold)
-        if not math.isfinite(found[0]) or (torque != 0.0 and not found[1] > 0.0):
+        if not math.isfinite(found[0]) or (torque != 0.0 and found[1] == 0.0):
             self._cold = True
             raise StepError(f"flange_b.tau = {torque:g} N.m: no contacts of this pair can balance it")
         return found
