@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from cycloid_fmu import contact
 from cycloid_fmu.pair import Pair
 from cycloid_fmu.surface import ErrorSurface
-from cycloid_fmu.transmission import check_balance, drive_of
+from cycloid_fmu.transmission import carried, check_balance, drive_of
 
 Array = NDArray[np.float64]
 
@@ -352,9 +352,8 @@ def loaded_contacts(drive: contact.Drive, crank_angle: Array, torque: float) -> 
     rows = contact.contact_rows(drive).shape
     table = np.empty((crank_angle.size, *rows))
     contact.sweep_contacts(drive, crank_angle, torque, deviation, table)
-    pressed: NDArray[np.bool_] = table[:, :, contact.FORCE] > 0.0
-    check_balance(torque, np.any(pressed, axis=1))
-    angle, row = np.nonzero(pressed)
+    check_balance(torque, carried(table))
+    angle, row = np.nonzero(table[:, :, contact.FORCE] > 0.0)
     held = table[angle, row].T
     pins, slices, teeth = drive.teeth + 1, drive.centre_x.size, drive.teeth
     disc, slice_, pin = row // (2 * pins * slices), row // (2 * pins) % slices, row // 2 % pins
