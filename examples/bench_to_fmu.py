@@ -19,7 +19,8 @@ from drivers.bench import BenchRun, CanBench, fmu_output_angle, simulate_motion
 from drivers.recorder import record_bench
 from fitting.cli import print_identification
 from fitting.curve import transmission_error_curve
-from fitting.identify import identify, write_identification
+from fitting.identification import write_identification
+from fitting.identify import identify
 from fitting.plots import plot_comparison
 from fitting.recording import read_bench_recording
 

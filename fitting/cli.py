@@ -16,7 +16,7 @@ from cycloid_fmu import edge
 if TYPE_CHECKING:
     from cycloid_fmu.pair import Pair
     from fitting.curve import Curve
-    from fitting.identify import Identification
+    from fitting.identification import Identification
     from fitting.metrics import Figure, Figures, Surveyed
 
 app = typer.Typer(
@@ -429,9 +429,9 @@ def identify(
     from cycloid_fmu.surface import write_surface
     from fitting.fit_report import FORMATS, write_fit_report
     from fitting.identifiability import profile_of, scatter_of
-    from fitting.identify import as_json as content
+    from fitting.identification import as_json as content
+    from fitting.identification import write_identification
     from fitting.identify import identify as fit
-    from fitting.identify import write_identification
     from fitting.plots import plot_identification
 
     if plot is not None:

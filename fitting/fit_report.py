@@ -14,7 +14,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.edge import ARCMIN, ARCSEC
 from cycloid_fmu.pair import Pair
 from fitting.curve import Curve, spectrum
-from fitting.identify import Identification, Parameter
+from fitting.identification import Identification, Parameter
 from fitting.loop import LoopFit
 from fitting.panels import Panel, Trace, label_of, spectra_panel
 from fitting.report import html_page, made_now

@@ -15,7 +15,7 @@ from cycloid_fmu.surface import ErrorSurface, unit_of
 from cycloid_fmu.transmission import solve
 from fitting.curve import Curve
 from fitting.identifiability import TOLERANCE, Plan
-from fitting.identify import Identification
+from fitting.identification import Identification
 from fitting.panels import Panel, label_of
 
 if TYPE_CHECKING:
