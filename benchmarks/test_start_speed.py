@@ -12,7 +12,7 @@ import sys
 import time
 
 import pytest
-from common import EXAMPLES, fresh_environment
+from common import EXAMPLES
 
 BARE = ("numba", "scipy", "matplotlib")
 COMMANDS = ("cycloid-fmu", "cycloid-fit", "cycloid-bench")
@@ -32,6 +32,12 @@ def spent(work, *words):
 
 def run(*words):
     subprocess.run([str(word) for word in words], check=True, capture_output=True)
+
+
+def fresh_environment(folder, *what):
+    """Install packages and all that they ask for in an empty environment."""
+    run(sys.executable, "-m", "venv", folder)
+    run(folder / "bin" / "python", "-m", "pip", "install", "-q", *what)
 
 
 def shown(seconds, processor):

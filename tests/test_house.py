@@ -131,3 +131,11 @@ def test_the_changelog_keeps_its_form():
         assert [*found] == [name for name in groups if name in found]
         assert all(each == [name for name in users if name in each] for each in found.values())
         assert len(set(entries)) == len(entries)
+
+
+@pytest.mark.slow(10)
+def test_benchmarks_can_be_collected():
+    found = subprocess.run(
+        [sys.executable, "-m", "pytest", "--collect-only", "-q", "benchmarks"], cwd=ROOT, capture_output=True, text=True
+    )
+    assert found.returncode == 0, found.stdout

@@ -252,6 +252,16 @@ def _joined(parts: Sequence[_Solved], order: NDArray[np.int64], axis: int) -> _S
     return _Solved(*(np.take(np.concatenate(channel, axis), order, axis) for channel in channels))
 
 
+def _with_angles(coarse: _Solved, between: _Solved) -> _Solved:
+    """Put the crank angles midway after those before them."""
+    return _joined([coarse, between], np.arange(2 * coarse.deviation.shape[1]).reshape(2, -1).T.ravel(), 1)
+
+
+def _with_loads(kept: _Solved, kept_loads: Array, solved: _Solved, loads: Array) -> _Solved:
+    """Put loads among those that are kept."""
+    return _joined([kept, solved], np.argsort(np.append(kept_loads, loads)), 0)
+
+
 def _coefficients(values: Array | Array32) -> Array:
     """Coefficients of the periodic cubic B-spline through values along the last axis."""
     return np.asarray(ndimage.spline_filter1d(values, order=3, axis=-1, mode="grid-wrap"))
@@ -344,7 +354,11 @@ def compute(
     samples = _SAMPLES[0]
     angles: Array = np.arange(pitches * samples, dtype=float) * (pitch / samples)
     total(angles.size * sum(n.size for n in loads))
-    exact = [_solved(pair, surface, d, n, angles, workers, progress) for d, n in zip(_DIRECTIONS, loads, strict=True)]
+
+    def solved(direction: float, at: Array, crank_angle: Array) -> _Solved:
+        return _solved(pair, surface, direction, at, crank_angle, workers, progress)
+
+    exact = [solved(d, n, angles) for d, n in zip(_DIRECTIONS, loads, strict=True)]
     probed, drawn = _probed(pair, surface, period, largest_load, PROBES, 1), 1
     while True:
         tables = _assembled(pair, surface, period, loads, exact, angles, allowed)
@@ -363,10 +377,10 @@ def compute(
             samples *= 2
             angles = np.arange(pitches * samples, dtype=float) * (pitch / samples)
             total(angles[1::2].size * sum(n.size for n in loads))
-            order = np.arange(angles.size).reshape(2, -1).T.ravel()
-            for k, direction in enumerate(_DIRECTIONS):
-                between = _solved(pair, surface, direction, loads[k], angles[1::2], workers, progress)
-                exact[k] = _joined([exact[k], between], order, 1)
+            exact = [
+                _with_angles(one, solved(d, n, angles[1::2]))
+                for one, d, n in zip(exact, _DIRECTIONS, loads, strict=True)
+            ]
         elif (
             any(n.size for n in further)
             and max(a.size + b.size for a, b in zip(loads, further, strict=True)) <= MOST_LOADS
@@ -376,11 +390,10 @@ def compute(
                 if further[k].size:
                     # The slope at zero load is taken on the way to the first load.
                     anew = int(further[k][0] < loads[k][1])
-                    more, kept = np.append(loads[k][:anew], further[k]), loads[k][anew:]
-                    solved = _solved(pair, surface, direction, more, angles, workers, progress)
-                    order = np.argsort(np.append(kept, more))
-                    exact[k] = _joined([_Solved(*(channel[anew:] for channel in exact[k])), solved], order, 0)
-                    loads[k] = np.append(kept, more)[order]
+                    more = np.append(loads[k][:anew], further[k])
+                    kept = _Solved(*(channel[anew:] for channel in exact[k]))
+                    exact[k] = _with_loads(kept, loads[k][anew:], solved(direction, more, angles), more)
+                    loads[k] = np.union1d(loads[k], more)
         else:
             return dataclasses.replace(tables, error=_errors(tables, probed))
 
