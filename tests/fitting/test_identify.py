@@ -182,14 +182,15 @@ def test_choose_never_takes_what_is_not_known():
 
 
 @pytest.mark.slow
-def test_coverage_where_noise_is_all_that_blurs(measured, nominal, made):
+def test_coverage_where_noise_is_all_that_blurs(measured, nominal, made, record_property):
     """Pooled over the fitted errors the 95 % intervals hold the truth; CYCLOID_SEEDS seeds of noise, else 200."""
     seeds = int(os.environ.get("CYCLOID_SEEDS", "200"))
     distances = [
         list(standardised(identify(measured(1000 + s), nominal, held_out=False), made).values()) for s in range(seeds)
     ]
     pooled = np.abs(np.concatenate(distances)) < 1.959964
-    print(f"coverage {pooled.mean():.3f} of {pooled.size} intervals, {seeds} seeds")
+    said = f"{pooled.mean():.3f} of {pooled.size}, {seeds} seeds of noise"
+    record_property("95 % intervals of identified errors that hold the truth", said)
     # The spread of the estimate itself, seeds taken as independent.
     spread = np.std([np.mean(np.abs(d) < 1.959964) for d in distances]) / np.sqrt(seeds)
     assert 0.92 - 2 * spread * (seeds < 200) <= pooled.mean() <= 0.98 + 2 * spread * (seeds < 200)
@@ -217,7 +218,7 @@ OTHERS = {39: None, 31: (62e-3, 3e-3, 1.2e-3), 19: (55e-3, 4e-3, 1.8e-3)}
 
 @pytest.mark.slow(20)
 @pytest.mark.parametrize("teeth", OTHERS)
-def test_coverage_of_the_intervals(nominal, teeth):
+def test_coverage_of_the_intervals(nominal, teeth, record_property):
     """The 95 % intervals hold the truth in drives whose pins scatter by 2 µm; CYCLOID_SEEDS drives, else 200."""
     drives = int(os.environ.get("CYCLOID_SEEDS", "200"))
     pair, loads = nominal, (20.0, -20.0, 60.0, -60.0, 200.0, -200.0)
@@ -248,10 +249,17 @@ def test_coverage_of_the_intervals(nominal, teeth):
         alone = bare_errors(pair, found, curves)
         widths.append([p.standard_error / alone[p.name] for p in known])
     pooled = np.concatenate([np.array(v) for v in rows.values()])
-    print(f"{teeth}/{teeth + 1}: coverage {pooled.mean():.3f} of {pooled.size} intervals, {drives} drives")
-    print(", ".join(f"{n} {np.mean(v):.2f} of {len(v)}" for n, v in rows.items()))
-    print(f"held-out load: {np.median(held_out):.2f} times its noise, at most {max(held_out):.2f}")
-    print(f"intervals are {np.median(np.concatenate(widths)):.1f} times as wide as noise alone would make them")
+    record_property(
+        f"{teeth}/{teeth + 1}, pins that scatter: 95 % intervals of identified errors that hold the truth",
+        f"{pooled.mean():.3f} of {pooled.size}, {drives} drives",
+    )
+    record_property("of each error", ", ".join(f"{n} {np.mean(v):.2f} of {len(v)}" for n, v in rows.items()))
+    record_property(
+        "residual of a load kept back, times its noise", f"{np.median(held_out):.2f}, at most {max(held_out):.2f}"
+    )
+    record_property(
+        "width of the intervals, times what noise alone would make", f"{np.median(np.concatenate(widths)):.1f}"
+    )
     # The spread of the estimate itself: drives are independent, the intervals of one drive not quite.
     spread = np.sqrt(0.05 * 0.95 / pooled.size) * 2.0
     assert 0.92 - 2 * spread <= pooled.mean() <= 0.98 + 2 * spread
