@@ -26,7 +26,7 @@ FORMAT = "cycloid-analysis/1"
 PROFILE_ELEMENTS = 800  # of a tooth, as in the error-surface paper, where a surface does not say
 ANGLE_ELEMENTS = 400  # of half a pin
 SLICES_MISALIGNED = 20  # transmission error within 0.1 % to 0.5 mrad, by midpoints (docs/theory/contact.md)
-UNBALANCED = 0.2  # of the torque: where a worn flank's curvature jumps, so do forces, and 5 % were seen to stay
+_UNBALANCED = 0.2  # of the torque: where a worn flank's curvature jumps, so do forces, and 5 % were seen to stay
 PART = 360  # crank angles that are solved in a row, each from its neighbour
 
 
@@ -222,8 +222,13 @@ def carried(contacts: Array) -> Array:
     return np.asarray(np.sum(np.where(force > 0.0, force * arm, 0.0), axis=-1))
 
 
+def balances(torque: ArrayLike, balance: ArrayLike) -> NDArray[np.bool_]:
+    """Whether what contacts carry is the torque, both N·m, shapes that broadcast: else the search ended without it."""
+    return np.asarray(np.abs(np.subtract(balance, torque)) <= _UNBALANCED * np.abs(torque))
+
+
 def check_balance(torque: ArrayLike, balance: ArrayLike) -> None:
-    """Refuse a torque that contacts do not carry: the search for the balance ended without one.
+    """Refuse a torque that contacts do not carry.
 
     Parameters
     ----------
@@ -235,11 +240,11 @@ def check_balance(torque: ArrayLike, balance: ArrayLike) -> None:
     edge.InputError
         It names the torque.
     """
-    torques, found = np.broadcast_arrays(torque, balance)
-    failed = ~(np.abs(found - torques) <= UNBALANCED * np.abs(torques))
+    failed = ~balances(torque, balance)
     if failed.any():
+        first = np.broadcast_to(torque, failed.shape)[failed][0]
         raise edge.InputError(
-            f"torque = {torques[failed][0]:g} N*m: no contacts of this pair can balance it; give one that it can carry."
+            f"torque = {first:g} N*m: no contacts of this pair can balance it; give one that it can carry."
         )
 
 

@@ -15,7 +15,7 @@ from numba.experimental import structref
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Drive, compiled
-from cycloid_fmu.transmission import UNBALANCED
+from cycloid_fmu.transmission import balances, carried
 
 
 class StepError(ValueError):
@@ -187,7 +187,7 @@ class ContactTeeth:
         cold = self._start()
         found: tuple[float, float] = _equilibrium(self._drive, theta, torque, x, self._rows, cold)
         falling = torque != 0.0 and not found[1] > 0.0  # as on worn flanks, or where nothing can balance the torque
-        if not math.isfinite(found[0]) or (falling and not abs(self.torque - torque) <= UNBALANCED * abs(torque)):
+        if not math.isfinite(found[0]) or (falling and not balances(torque, self.torque)):
             self._cold = True
             raise StepError(f"flange_b.tau = {torque:g} N.m: no contacts of this pair can balance it")
         return found
@@ -216,8 +216,7 @@ class ContactTeeth:
     @property
     def torque(self) -> float:
         """As of `Teeth`."""
-        pressed = self._rows[self._rows[:, contact.FORCE] > 0.0]
-        return float(pressed[:, contact.FORCE] @ pressed[:, contact.ARM])
+        return float(carried(self._rows))
 
     def sharing(self, theta: float) -> tuple[int, float]:
         """As of `Teeth`."""
