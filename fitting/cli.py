@@ -16,8 +16,10 @@ from cycloid_fmu import edge
 if TYPE_CHECKING:
     from cycloid_fmu.pair import Pair
     from fitting.curve import Curve
+    from fitting.figure import Figure
     from fitting.identification import Identification
-    from fitting.metrics import Figure, Figures, Surveyed
+    from fitting.metrics import Figures
+    from fitting.survey import Surveyed
 
 app = typer.Typer(
     no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich",
@@ -78,8 +80,9 @@ def _figures(
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     from cycloid_fmu.pair import read_pair
-    from fitting.metrics import figures_of, survey
+    from fitting.metrics import figures_of
     from fitting.recording import open_bench_recording, read_mapping
+    from fitting.survey import survey
 
     if pair_file is not None and ratio is not None:
         raise edge.InputError(f"--ratio = {ratio:g}: the pair {pair_file} says the ratio; give one of the two.")
@@ -142,9 +145,9 @@ def _curves_and_loops(
     files: list[Path], pair: Pair, mapping: Path | None, read_head: Path | None, *, keep_turns: bool
 ) -> tuple[list[Curve], list[Curve]]:
     """Return the curves of recordings and the branches of those that are loops with the input locked."""
-    from fitting.loop import branches_of, is_locked
-    from fitting.metrics import survey
+    from fitting.loop_branches import branches_of, is_locked
     from fitting.recording import open_bench_recording, read_mapping
+    from fitting.survey import survey
 
     mapped = None if mapping is None else read_mapping(mapping)
     locked = [f for f in files if is_locked(open_bench_recording(f, mapped))]
@@ -346,7 +349,7 @@ def compare(
     from cycloid_fmu.cli import print_table
     from fitting.comparison import changes_json, read_figures
     from fitting.comparison import compare as compare_figures
-    from fitting.metrics import in_field_units
+    from fitting.figure import in_field_units
     from fitting.plots import plot_changes
 
     if plot is not None:
@@ -465,7 +468,7 @@ def identify(
 def print_figures(found: Figures) -> None:
     """Print the figures in field units, each with its uncertainty and what is behind it."""
     from cycloid_fmu.cli import print_table
-    from fitting.metrics import in_field_units
+    from fitting.figure import in_field_units
 
     rows = []
     for name, figure in found.figures.items():

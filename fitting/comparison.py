@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from cycloid_fmu import edge
-from fitting.metrics import DEFINITIONS, FORMAT, Figure
+from fitting.figure import DEFINITIONS, Figure
+from fitting.metrics import FORMAT
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """From a recording to its transmission error curves: over one output turn, averaged over turns, one direction each.
 
 The samples are taken block by block and folded as they come, so that hours at kilohertz need no more memory than one
-output turn; then the curve's orders, each with the noise around it.
+output turn.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from cycloid_fmu import edge
 from drivers.recording_format import GAP
@@ -525,45 +524,6 @@ def transmission_error_curve(recording: BenchRecording | BenchStream, ratio: flo
     return curves[0]
 
 
-def lag_of(recording: BenchRecording, ratio: float) -> tuple[float, float] | None:
-    """Find by how much later than the input angle the output angle was taken, from changes of speed.
-
-    An output angle that is late by τ is short by τ times its speed. At one speed that is an offset like any other;
-    where the speed changes it shows, apart from what repeats with the output's or crank's turns and from the lost
-    motion, which has the sign of the speed. A windup that grows with speed (viscous friction) shows alike.
-
-    Parameters
-    ----------
-    recording
-        The recording.
-    ratio
-        Signed ratio.
-
-    Returns
-    -------
-    lag, uncertainty
-        s, and half its 95 % interval; None where the speed hardly changes.
-    """
-    step = max(1, recording.time.size // 50000)
-    time, angle, output = recording.time[::step], recording.input_angle[::step], recording.output_angle[::step]
-    if time.size < 50:
-        return None
-    speed = np.gradient(angle, time) / ratio
-    waves = np.multiply.outer(angle, np.array([1.0, 2.0, 1.0 + 1.0 / abs(ratio), 1.0 / abs(ratio)]))
-    columns = np.column_stack([np.ones(angle.size), np.sign(speed), np.cos(waves), np.sin(waves)])
-    both = np.column_stack([output - angle / ratio, speed])
-    left = both - columns @ np.linalg.lstsq(columns, both, rcond=None)[0]
-    error, changes = left.T
-    spread = float(changes @ changes)
-    if np.sqrt(spread / time.size) < 0.02 * np.abs(speed).max():
-        return None
-    slope = float(changes @ error) / spread
-    rest = error - slope * changes
-    alike = min(max(float(rest[1:] @ rest[:-1]) / max(float(rest @ rest), 1e-300), 0.0), 1.0 - 2.0 / time.size)
-    variance = float(rest @ rest) / (time.size - columns.shape[1] - 1) / spread * (1.0 + alike) / (1.0 - alike)
-    return -slope, 1.96 * float(np.sqrt(variance))
-
-
 def noise_of(curve: Curve) -> float:
     """Noise of one point of a curve, rad: from the turns' scatter, or, after one turn, from neighbours' differences.
 
@@ -575,140 +535,6 @@ def noise_of(curve: Curve) -> float:
         return float(np.sqrt(np.mean(curve.standard_error[repeated] ** 2)))
     differences = np.diff(curve.transmission_error, 6)
     return float(np.median(np.abs(differences)) / 0.6745 / np.sqrt(924.0)) if differences.size else 0.0
-
-
-@dataclass(frozen=True)
-class Spectrum:
-    """Orders of the output in a transmission error curve, arrays of shape (orders,) from order 0.
-
-    Attributes
-    ----------
-    coefficient
-        Complex amplitude, rad: order k is Re(c_k exp(ikψ)), ψ the crank angle over |ratio|; order 0 is the mean.
-    floor
-        Noise floor, rad: the root of the mean square amplitude that noise alone has at this order and around it.
-    turns
-        Output turns behind it.
-    """
-
-    coefficient: NDArray[np.complex128]
-    floor: Array
-    turns: float
-
-    @property
-    def amplitude(self) -> Array:
-        """Amplitude of each order, rad."""
-        return np.abs(self.coefficient)
-
-    @property
-    def uncertainty(self) -> Array:
-        """Half the 95 % interval of each amplitude, rad."""
-        half: Array = 1.96 * self.floor / np.sqrt(2.0)
-        return half
-
-    @property
-    def significant(self) -> NDArray[np.bool_]:
-        """Orders that noise alone reaches once in a hundred such spectra, the mean excepted."""
-        return significant(self.coefficient, self.floor, self.floor.size)
-
-
-def significant(coefficient: NDArray[np.complex128], floor: Array, orders: int) -> NDArray[np.bool_]:
-    """Return which of this many orders stand out of the noise: it alone makes one do so once in a hundred times."""
-    threshold = floor * np.sqrt(np.log(orders / 0.01))
-    found: NDArray[np.bool_] = np.abs(coefficient) > threshold
-    found[..., 0] = False
-    return found
-
-
-_WINDOW = 101  # orders around one whose median tells its noise floor
-_HOLES = 0.02  # share of a turn's points that may be empty
-
-
-def spectrum(curve: Curve) -> Spectrum:
-    """Return the orders of a curve over a whole output turn.
-
-    The points are no even grid: each is a mean over its samples' angles. The orders are found such that at these angles
-    they give the measured means (to second order in the angle), by iteration on the even grid. The noise floor of an
-    order is the median around it, so that noise that is not white is told where it is; single orders don't move it.
-
-    Raises
-    ------
-    edge.InputError
-        If the curve has holes: less than a turn was recorded, or gaps lie always at the same angles.
-    """
-    turn = 2.0 * np.pi * abs(curve.ratio)
-    points, shift = curve.grid
-    if not points:
-        points = curve.input_angle.size
-        shift = float(curve.input_angle[0]) - 0.5 * turn / points
-    scale = 1.0 / abs(curve.ratio)  # from crank angles to those of the output turn
-    place = np.mod(curve.input_angle - shift, turn) * scale
-    variance = np.zeros(place.size) if curve.angle_variance is None else curve.angle_variance * scale**2
-    while True:
-        gathered = _gridded(place, curve.transmission_error, variance, curve.sample_count.astype(float), points)
-        filled = gathered[3]
-        if np.count_nonzero(filled) >= (1.0 - _HOLES) * points or points <= 64:
-            break
-        points //= 2
-    value, inside, spread, filled = gathered
-    runs = np.diff(np.flatnonzero(np.concatenate([filled, filled, [True]])))
-    if np.count_nonzero(filled) < (1.0 - _HOLES) * points or runs.max() > max(2, points // 64):
-        raise edge.InputError(
-            f"{curve.source}: {np.count_nonzero(filled) / points:.1%} of an output turn was recorded; its orders need "
-            "all of it."
-        )
-    # Two terms of the series in the angle reach so far; evenly sampled turns have their whole band.
-    reach = float(np.max(np.abs(inside[filled]) + np.sqrt(spread[filled])))
-    highest = max(1, min((points - 1) // 2, max(points // 4, int(0.25 * np.pi / max(reach, 1e-9)))))
-    order = np.arange(highest + 1)
-    shift_phase = np.exp(1j * order * (shift * scale + np.pi / points))
-    coefficient = np.zeros(highest + 1, complex)
-    for _ in range(50):
-        wave = coefficient * shift_phase
-        model = synthesised(wave, points)
-        model += synthesised(1j * order * wave, points) * inside
-        model += synthesised(-(order**2) * wave, points) * (0.5 * (inside**2 + spread))
-        step = np.fft.rfft(np.where(filled, value - model, 0.0))[: highest + 1] * (2.0 / points) / shift_phase
-        step[0] *= 0.5
-        coefficient = coefficient + step
-        if np.abs(step[1:]).max() <= 1e-9 * np.abs(coefficient[1:]).max():
-            break
-    power = np.abs(coefficient[1:]) ** 2
-    floor = np.sqrt(ndimage.median_filter(power, min(_WINDOW, power.size), mode="reflect") / np.log(2.0))
-    floor = np.maximum(np.concatenate([floor[:1], floor]), 1e-15)
-    return Spectrum(coefficient, floor, curve.turns)
-
-
-def synthesised(coefficient: NDArray[np.complex128], points: int) -> Array:
-    """Return Re Σ c_k exp(ikψ) at `points` even angles from 0; the coefficients lie along the last axis.
-
-    Parameters
-    ----------
-    coefficient
-        Complex amplitudes from order 0, shape (…, orders); orders below half the points.
-    points
-        Angles over a turn.
-    """
-    scaled = coefficient * (0.5 * points)
-    scaled[..., 0] *= 2.0
-    found: Array = np.fft.irfft(scaled, points, axis=-1)
-    return found
-
-
-def _gridded(
-    place: Array, error: Array, variance: Array, weight: Array, points: int
-) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    """Gather points on an even grid of the output turn: mean error, mean and variance of the angle within, filled."""
-    spacing = 2.0 * np.pi / points
-    number = np.minimum((place / spacing + 1e-9).astype(np.int64), points - 1)
-    total = np.bincount(number, weight, points)
-    filled = total > 0.0
-    total[~filled] = 1.0
-    offset = place - (number + 0.5) * spacing
-    inside = np.bincount(number, weight * offset, points) / total
-    second = np.bincount(number, weight * (offset**2 + variance), points) / total
-    value = np.bincount(number, weight * error, points) / total
-    return value, inside, np.maximum(second - inside**2, 0.0), filled
 
 
 def curves_dataset(curves: Sequence[Curve]) -> xr.Dataset:

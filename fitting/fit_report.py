@@ -13,11 +13,12 @@ import numpy as np
 from cycloid_fmu import edge
 from cycloid_fmu.edge import ARCMIN, ARCSEC
 from cycloid_fmu.pair import Pair
-from fitting.curve import Curve, spectrum
+from fitting.curve import Curve
 from fitting.identification import Identification, Parameter
-from fitting.loop import LoopFit
+from fitting.loop_branches import LoopFit
 from fitting.panels import Panel, Trace, label_of, spectra_panel
 from fitting.report import html_page, made_now
+from fitting.spectrum import spectrum
 
 FORMATS = (".html",)
 _CRANK_TURNS = 3.0  # of the curves that the first panel shows

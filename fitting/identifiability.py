@@ -13,7 +13,7 @@ from cycloid_fmu.pair import Pair
 from cycloid_fmu.sampling import Tolerances, sample_surface
 from cycloid_fmu.surface import Elements, profile_names, profile_wave, surface_of_pair, unit_of
 from fitting.curve import Curve
-from fitting.loop import planned_branches
+from fitting.loop_branches import planned_branches
 from fitting.observation import (
     ORDERS,
     PROFILE_ORDERS,

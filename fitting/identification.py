@@ -26,7 +26,7 @@ from cycloid_fmu.surface import ErrorSurface, structured_columns, structured_val
 from fitting.curve import noise_of
 from fitting.estimation import NO_SCATTER, Estimate, confirmed, freedom, profile_interval, turn_bootstrap
 from fitting.identifiability import tolerances_of, weakness
-from fitting.loop import LoopFit, play_of
+from fitting.loop_branches import LoopFit, play_of
 from fitting.observation import left_of, scatter_columns, scatter_names, scatter_parts, spread_of, with_scatter
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from fitting.curve import Curve
 from fitting.estimation import NO_SCATTER, OUTLYING, TURNS, Estimate, fit
 from fitting.identifiability import chosen_errors, tolerances_of
 from fitting.identification import HeldOut, Identification, is_uneven, result_of
-from fitting.loop import on_the_curves_zero
+from fitting.loop_branches import on_the_curves_zero
 from fitting.observation import (
     CREEP,
     NO_CREEP,
@@ -77,7 +77,7 @@ def identify(
     progress
         Told what is being done.
     loops
-        Branches of hysteresis loops with the input locked (`fitting.loop.branches_of`).
+        Branches of hysteresis loops with the input locked (`fitting.loop_branches.branches_of`).
     held_out
         Whether a load or direction is first kept from the fit and predicted.
     scatter

@@ -13,8 +13,11 @@ from numpy.typing import NDArray
 
 from cycloid_fmu.edge import ARCMIN, ARCSEC
 from cycloid_fmu.pair import Pair
-from fitting.curve import Curve, Spectrum
-from fitting.metrics import Figures, LoopData, back_driving_torques, loop_marks, starting_torques
+from fitting.curve import Curve
+from fitting.hysteresis import LoopData, loop_marks
+from fitting.metrics import Figures
+from fitting.spectrum import Spectrum
+from fitting.starts import back_driving_torques, starting_torques
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,8 @@ import numpy as np
 
 from cycloid_fmu import __version__, edge
 from cycloid_fmu.pair import Pair
-from fitting.metrics import DEFINITIONS, Figure, Figures, in_field_units
+from fitting.figure import DEFINITIONS, Figure, in_field_units
+from fitting.metrics import Figures
 from fitting.panels import Panel, Trace, panels_of
 
 FORMATS = (".html", ".pdf")

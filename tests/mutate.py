@@ -1,9 +1,9 @@
-"""How much of three modules the tests hold: `python tests/mutate.py metrics|recorder|contact [--sample 100]`.
+"""How much of three parts the tests hold: `python tests/mutate.py metrics|recorder|contact [--sample 100]`.
 
-Cosmic Ray's operators change one operator, number or condition at a time; the module's own tests run against each
+Cosmic Ray's operators change one operator, number or condition at a time; the part's own tests run against each
 change in a forked process, and a change that none of them notices survives. The sample is drawn by a fixed seed, and
 results are kept in `.mutation/`: the same command goes on after an interruption, a changed module or test begins anew.
-At the end docs/mutants.md is written from what is kept of all modules; `survivors.toml` says of a survivor why it
+At the end docs/mutants.md is written from what is kept of all parts; `survivors.toml` says of a survivor why it
 may survive.
 """
 
@@ -42,22 +42,26 @@ OURS = ("cycloid_fmu", "fitting", "drivers")
 
 @dataclass(frozen=True)
 class Target:
-    """A module and its tests; `quick` are words for pytest that choose those to run first, interpreted, where compiling
-    takes longer than they do: what they do not notice gets all tests, compiled."""
+    """The modules of a part and its tests; `quick` are words for pytest that choose those to run first, interpreted,
+    where compiling takes longer than they do: what they do not notice gets all tests, compiled."""
 
-    module: str
+    modules: tuple[str, ...]
     tests: tuple[str, ...]
     quick: tuple[str, ...] = ()
 
 
 TARGETS = {
-    "metrics": Target("fitting/metrics.py", ("tests/fitting/test_metrics.py", "tests/fitting/test_comparison.py")),
+    "metrics": Target(
+        ("fitting/figure.py", "fitting/hysteresis.py", "fitting/metrics.py", "fitting/spectrum.py", "fitting/starts.py",
+         "fitting/survey.py"),
+        ("tests/fitting/test_metrics.py", "tests/fitting/test_comparison.py"),
+    ),
     "recorder": Target(
-        "drivers/recorder.py",
+        ("drivers/recorder.py",),
         ("tests/drivers/test_recorder.py",),
     ),
     "contact": Target(
-        "cycloid_fmu/contact.py",
+        ("cycloid_fmu/contact.py",),
         ("tests/cycloid_fmu/test_contact.py", "tests/cycloid_fmu/test_reference_cases.py",
          "tests/cycloid_fmu/test_element_pairs.py", "tests/cycloid_fmu/test_tooth_contact.py",
          "tests/cycloid_fmu/test_wear.py", "tests/cycloid_fmu/test_elements.py"),
@@ -103,11 +107,16 @@ def possible(text: str) -> list[tuple[str, int]]:
     return found
 
 
+def dotted(module: str) -> str:
+    """The name by which a file of ours is imported."""
+    return module.removesuffix(".py").replace("/", ".")
+
+
 class Served(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     """Gives the changed text when the module is imported; the file stays as it is."""
 
     def __init__(self, module: str, text: str) -> None:
-        self.name, self.path, self.text = module.removesuffix(".py").replace("/", "."), ROOT / module, text
+        self.name, self.path, self.text = dotted(module), ROOT / module, text
 
     def find_spec(self, name: str, path: object, target: object = None) -> importlib.machinery.ModuleSpec | None:
         if name != self.name:
@@ -200,13 +209,15 @@ def run(name: str, sample: int) -> None:
     from cosmic_ray.plugins import get_operator
 
     target = TARGETS[name]
-    text = (ROOT / target.module).read_text(encoding="utf-8")
+    texts = {module: (ROOT / module).read_text(encoding="utf-8") for module in target.modules}
     files = [ROOT / words.partition("::")[0] for words in target.tests if words.startswith("tests/")]
-    digest = hashlib.sha256("".join([text, *target.tests, *(f.read_text(encoding="utf-8") for f in files)]).encode())
+    read = [*texts.values(), *target.tests, *(f.read_text(encoding="utf-8") for f in files)]
+    digest = hashlib.sha256("".join(read).encode()).hexdigest()
     kept = KEPT / f"{name}.json"
     state = json.loads(kept.read_text(encoding="utf-8")) if kept.exists() else {}
-    if state.get("digest") != digest.hexdigest():
-        state = {"digest": digest.hexdigest(), "possible": possible(text), "outcome": {}, "survived": {}}
+    if state.get("digest") != digest:
+        every = [[module, *one] for module, text in texts.items() for one in possible(text)]
+        state = {"digest": digest, "possible": every, "outcome": {}, "survived": {}}
 
     stages = [Stage((*target.tests, *target.quick), bool(target.quick), Quickest())]
     if target.quick:
@@ -215,27 +226,28 @@ def run(name: str, sample: int) -> None:
         numba.config.DISABLE_JIT, begin = int(stage.interpreted), time.perf_counter()
         passed = tests_pass(stage.words, stage.quickest)
         stage.longest = 20 + int(5.0 * (time.perf_counter() - begin))
-        forget(target.module.removesuffix(".py").replace("/", "."))
-        if not passed or outcome(target.module, text, stage):
-            raise SystemExit(f"{target.module}: its tests fail without any change.")
+        for module in texts:
+            forget(dotted(module))
+        if not passed or outcome(*next(iter(texts.items())), stage):
+            raise SystemExit(f"{name}: its tests fail without any change.")
     # All are drawn, so that a larger sample goes on where a smaller one ended.
-    for operator, occurrence in random.Random(SEED).sample(state["possible"], len(state["possible"]))[:sample]:
-        key = f"{operator} {occurrence}"
+    for module, operator, occurrence in random.Random(SEED).sample(state["possible"], len(state["possible"]))[:sample]:
+        key = f"{module} {operator} {occurrence}"
         if key not in state["outcome"]:
-            changed = mutate_code(text, get_operator(operator)(), occurrence)
-            found = (outcome(target.module, changed, stage) for stage in stages)
+            changed = mutate_code(texts[module], get_operator(operator)(), occurrence)
+            found = (outcome(module, changed, stage) for stage in stages)
             state["outcome"][key] = next(filter(None, found), "")
             if not state["outcome"][key]:
-                state["survived"][key] = difference(text, changed)
+                state["survived"][key] = difference(texts[module], changed)
                 print(state["survived"][key], flush=True)
             with edge.written_whole(kept) as temporary:
                 temporary.write_text(json.dumps(state, indent=1, ensure_ascii=False), encoding="utf-8")
 
 
 def page() -> str:
-    """What is kept of all modules, in words."""
+    """What is kept of all parts, in words."""
     reasons = tomllib.loads(REASONS.read_text(encoding="utf-8"))
-    rows, survivors = ["| module | changes possible | tried | noticed | by running too long |", "| --- " * 5 + "|"], []
+    rows, survivors = ["| modules | changes possible | tried | noticed | by running too long |", "| --- " * 5 + "|"], []
     for name, target in TARGETS.items():
         if not (KEPT / f"{name}.json").exists():
             continue
@@ -243,16 +255,17 @@ def page() -> str:
         tried, dead = len(state["outcome"]), len(state["outcome"]) - len(state["survived"])
         slow = list(state["outcome"].values()).count("time")
         share = f"{dead} ({100.0 * dead / tried:.0f} %)"
-        rows.append(f"| `{target.module}` | {len(state['possible'])} | {tried} | {share} | {slow} |")
+        modules = ", ".join(f"`{module}`" for module in target.modules)
+        rows.append(f"| {modules} | {len(state['possible'])} | {tried} | {share} | {slow} |")
         known = {one["change"].strip("\n"): one["reason"] for one in reasons.get(name, [])}
-        survivors.append(f"## {target.module}")
+        survivors.append(f"## {modules}")
         for change in state["survived"].values():
             survivors.append(f"```diff\n{change}\n```\n\n{known.get(change, 'No test notices it.')}")
     return "\n\n".join(
         [
             "# Changes that tests notice",
-            "By `python tests/mutate.py`: one operator, number or condition of a module is changed at a time, and the "
-            f"module's own tests run. The sample is drawn from all changes by the seed {SEED}.",
+            "By `python tests/mutate.py`: one operator, number or condition of a part is changed at a time, and the "
+            f"part's own tests run. The sample is drawn from all changes by the seed {SEED}.",
             "\n".join(rows),
             "What was not noticed, and why it may go unnoticed:",
             *survivors,

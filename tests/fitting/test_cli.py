@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from common import BENCH
 
-from fitting import metrics
+from fitting.survey import survey
 
 
 def test_identify_from_the_command_line(command, tmp_path):
@@ -63,8 +63,6 @@ FILES = [BENCH / f"{load}-forward.csv" for load in ("30Nm", "100Nm", "250Nm")]
 
 @pytest.mark.parametrize("verb", ["metrics", "report"])
 def test_an_interrupt_keeps_the_figures_of_the_files_that_were_taken(command, tmp_path, monkeypatch, verb):
-    survey = metrics.survey
-
     def interrupted(stream, *rest):
         def progress(samples):
             if stream.source == str(FILES[2]):
@@ -72,7 +70,7 @@ def test_an_interrupt_keeps_the_figures_of_the_files_that_were_taken(command, tm
 
         return survey(stream, *rest[:2], progress)
 
-    monkeypatch.setattr(metrics, "survey", interrupted)
+    monkeypatch.setattr("fitting.survey.survey", interrupted)
     output = "figures.json" if verb == "metrics" else "report.html"
     run = command("cycloid-fit", verb, *FILES, "--ratio", "-39", "-o", output, "--json")
     assert run.returncode == 130, run.stderr

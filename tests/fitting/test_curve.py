@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 
 from cycloid_fmu import edge
 from fitting.curve import Folding, noise_of, transmission_error_curve, transmission_error_curves, write_curves
-from fitting.metrics import figures_of, survey
+from fitting.metrics import figures_of
 from fitting.panels import panels_of
 from fitting.recording import BenchRecording, Block
+from fitting.survey import survey
 
 
 def recorded(angle, error, ratio=-39.0, torque=50.0):

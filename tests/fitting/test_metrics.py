@@ -7,17 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fitting import metrics
-from fitting.curve import Spectrum, spectrum, transmission_error_curve
-from fitting.metrics import (
-    angular_transmission_error,
-    back_driving_torques,
-    figures_of,
-    starting_torques,
-    survey,
-)
+from fitting.curve import transmission_error_curve
+from fitting.figure import Figure, in_field_units
+from fitting.hysteresis import find_lobes, fit_line, loop_marks
+from fitting.metrics import figures_of
 from fitting.panels import panels_of
 from fitting.recording import BenchRecording, open_bench_recording
+from fitting.spectrum import Spectrum, angular_transmission_error, spectrum
+from fitting.starts import back_driving_torques, starting_torques, starts_of
+from fitting.survey import survey
 
 SEEDS = int(os.environ.get("CYCLOID_SEEDS", "100"))
 ARCMIN = np.pi / 10800
@@ -154,7 +152,7 @@ def test_the_figures_are_marked_where_they_are_read_off():
     rated, stiffness, play, friction = 167.0, 49 / ARCMIN, 0.6 * ARCMIN, 2.0
     torque, angle = loop(rated, stiffness, play, friction)
     data = survey(recording(np.arange(torque.size) * 1e-2, 0.0, angle, torque, None), None, rated).loops
-    marks = metrics.loop_marks(data)
+    marks = loop_marks(data)
     distance, *unloading = marks["hysteresis_loss"]
     (backlash,), (lost,) = marks["backlash"], marks["lost_motion"]
     for line, span in ((distance, play + 2 * friction / stiffness), (backlash, play)):
@@ -211,7 +209,7 @@ def test_a_line_s_variance_grows_where_neighbouring_residuals_are_alike(pattern,
     """σ²/n of the mean and σ²/Σx² of the slope; a likeness of neighbours makes both (1 + a)/(1 - a) times as large."""
     torque = np.random.default_rng(0).permutation(np.linspace(50.0, 100.0, 600))
     left = np.tile(pattern, 600 // len(pattern)).astype(float)
-    line = metrics.fit_line(torque, 2.0 * torque + 100.0 + left)
+    line = fit_line(torque, 2.0 * torque + 100.0 + left)
     left = left - np.polyval(np.polyfit(torque, left, 1), torque)
     found = np.mean(left[1:] * left[:-1]) / np.mean(left**2)
     assert found == pytest.approx(alike, abs=0.01)  # a finite pattern's likeness is not quite its period's
@@ -225,8 +223,8 @@ def test_a_line_s_variance_grows_where_neighbouring_residuals_are_alike(pattern,
 
 
 def test_two_samples_or_one_torque_make_no_line():
-    assert metrics.fit_line(np.array([1.0, 2.0]), np.zeros(2)) is None
-    assert metrics.fit_line(np.ones(5), np.arange(5.0)) is None
+    assert fit_line(np.array([1.0, 2.0]), np.zeros(2)) is None
+    assert fit_line(np.ones(5), np.arange(5.0)) is None
 
 
 def test_half_loops_end_where_the_torque_is_next_to_zero():
@@ -234,17 +232,17 @@ def test_half_loops_end_where_the_torque_is_next_to_zero():
     up = np.linspace(0.0, 100.0, 51)
     dipped = [*up, *up[:25:-1], *up[25:], *up[-2::-1]]
     twice = [*up, *up[-2:0:-1], 0.5, *up[1:], *up[-2::-1], *-up[1:], *-up[-2:0:-1]]
-    (one,) = metrics.find_lobes(np.array(dipped), 100.0)
+    (one,) = find_lobes(np.array(dipped), 100.0)
     assert (one.sign, one.loading.start, one.unloading.stop) == (1, 0, len(dipped))
-    found = metrics.find_lobes(np.array(twice), 100.0)
+    found = find_lobes(np.array(twice), 100.0)
     assert [lobe.sign for lobe in found] == [1, 1, -1]
     assert [lobe.loading.start for lobe in found] == [0, 100, 200]
     assert [twice[lobe.unloading.start] for lobe in found] == [100.0, 100.0, -100.0]
     assert [lobe.unloading.stop for lobe in found] == [101, 201, len(twice)]
-    assert metrics.find_lobes(0.19 * up, 100.0) == []
-    thrown_over = metrics.find_lobes(np.array([0.0, 50.0, 100.0, 50.0, -50.0, -100.0, -50.0, 0.0]), 100.0)
+    assert find_lobes(0.19 * up, 100.0) == []
+    thrown_over = find_lobes(np.array([0.0, 50.0, 100.0, 50.0, -50.0, -100.0, -50.0, 0.0]), 100.0)
     assert [lobe.sign for lobe in thrown_over] == [1, -1]
-    assert len(metrics.find_lobes(np.array([0.0, 50.0, 100.0, 50.0, 0.5, 50.0, 100.0, 50.0, 0.0]), 100.0)) == 2
+    assert len(find_lobes(np.array([0.0, 50.0, 100.0, 50.0, 0.5, 50.0, 100.0, 50.0, 0.0]), 100.0)) == 2
 
 
 def test_one_figure_from_several_recordings_weighs_by_their_loops():
@@ -306,7 +304,7 @@ def test_a_load_that_is_thrown_from_side_to_side_is_no_loop():
     ],
 )
 def test_figures_are_shown_with_the_digits_that_their_uncertainty_tells(value, uncertainty, unit, said):
-    assert metrics.in_field_units(metrics.Figure(value, uncertainty, unit, "", None, "", 1, "loops")) == said
+    assert in_field_units(Figure(value, uncertainty, unit, "", None, "", 1, "loops")) == said
 
 
 def test_an_output_angle_that_is_late_is_noted_where_the_speed_changes():
@@ -461,7 +459,7 @@ def test_only_a_rise_from_rest_that_is_followed_is_a_start():
     """No start: a torque that was there before, one while the crank creeps; where it ends up later does not matter."""
 
     def found(angle, torque):
-        return [s.torque for s in metrics.starts_of(angle, torque, angle / -39)]
+        return [s.torque for s in starts_of(angle, torque, angle / -39)]
 
     angle, torque = started_at((3.0, 4.0))
     assert found(angle, torque) == pytest.approx([3.0, 4.0])
@@ -518,7 +516,7 @@ def test_the_input_s_torque_is_read_from_a_table_and_survives_an_overview(comman
     assert run.returncode == 0, run.stderr
     assert json.loads(run.stdout)["starting_torque"]["value"] == pytest.approx(0.04)
     assert json.loads(run.stdout)["starting_torque"]["starts"] == 3
-    monkeypatch.setattr(metrics, "_OVERVIEW", 500)  # as if it were too long to be kept whole
+    monkeypatch.setattr("fitting.survey._OVERVIEW", 500)  # as if it were too long to be kept whole
     surveyed = survey(open_bench_recording(tmp_path / "start.csv"), -39.0, None)
     assert surveyed.averaged == 2
     found = figures_of([surveyed], -39.0, None)

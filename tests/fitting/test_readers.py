@@ -14,10 +14,11 @@ from pyarrow import parquet
 
 from cycloid_fmu import edge
 from drivers.recording_format import GAP
-from fitting.curve import lag_of, transmission_error_curve
+from fitting.curve import transmission_error_curve
 from fitting.inspection import look, propose
 from fitting.readers import PIECE, find_dialect, open_bench_file, unit_text
 from fitting.recording import open_bench_recording, read_bench_recording, read_mapping
+from fitting.survey import lag_of
 
 SAMPLES = 4000
 TIME = np.arange(SAMPLES) * 1e-3

@@ -16,8 +16,9 @@ from drivers.recording_format import (
     read_recording,
 )
 from fitting.curve import transmission_error_curve
-from fitting.metrics import figures_of, survey
+from fitting.metrics import figures_of
 from fitting.recording import open_bench_recording, read_bench_recording
+from fitting.survey import survey
 
 ARCSEC = np.pi / 648000
 HEADER = "time [s],input_angle [rad],output_angle [rad],torque [N*m]"

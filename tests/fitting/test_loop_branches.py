@@ -12,10 +12,10 @@ from cycloid_fmu.surface import structured_value, surface_of_pair, with_structur
 from cycloid_fmu.transmission import solve
 from fitting.identifiability import bench_plans
 from fitting.identify import identify
-from fitting.loop import branches_of, is_locked, on_the_curves_zero, play_of
-from fitting.metrics import survey
+from fitting.loop_branches import branches_of, is_locked, on_the_curves_zero, play_of
 from fitting.observation import State, left_of, linearise, observations, spread_of
 from fitting.recording import BenchRecording
+from fitting.survey import survey
 
 ARCSEC = np.pi / 648000
 RATED, CRANK = 181.0, 7.3

@@ -19,8 +19,9 @@ from cycloid_fmu.pair import LOST_MOTION_LOAD, Pair
 from cycloid_fmu.surface import ErrorSurface
 from cycloid_fmu.transmission import error_sensitivity, solve
 from fitting.curve import Curve
-from fitting.metrics import FRICTION, FRICTION_NEAR, LOCKED, Lobe, LoopData, Surveyed, fit_line
+from fitting.hysteresis import FRICTION, FRICTION_NEAR, LOCKED, Lobe, LoopData, branch_line
 from fitting.recording import BenchRecording, BenchStream
+from fitting.survey import Surveyed
 
 Array = NDArray[np.float64]
 
@@ -109,9 +110,7 @@ def _friction(loop: LoopData) -> float:
     low, high = (FRICTION - FRICTION_NEAR) * loop.rated_torque, (FRICTION + FRICTION_NEAR) * loop.rated_torque
 
     def line(lobe: Lobe, part: slice) -> tuple[float, float] | None:
-        torque = loop.torque[part]
-        near = (np.abs(torque) >= low) & (np.abs(torque) <= high)
-        found = fit_line(torque[near], loop.windup[part][near])
+        found = branch_line(loop.torque, loop.windup, part, low, high)
         return None if found is None else (found.at(lobe.sign * FRICTION * loop.rated_torque)[0], found.slope)
 
     for lobe in loop.lobes:
