@@ -15,9 +15,9 @@ from cycloid_fmu.pair import read_pair
 from cycloid_fmu.surface import surface_of_pair, with_structured
 from cycloid_fmu.transmission import solve
 from fitting.curve import Curve
-from fitting.identifiability import tolerances_of
 from fitting.identify import identify
 from fitting.observation import errors_of, observations
+from fitting.prior import tolerances_of
 
 ARCSEC = np.pi / 648000
 LOADS = (20.0, -20.0, 60.0, -60.0, 200.0, -200.0)

@@ -10,7 +10,7 @@ from numpydoc.docscrape import NumpyDocString
 from cycloid_fmu import edge, pair, reducer, sampling, wear_law
 from drivers import faults, recorder, sequence
 from drivers.encoder import protocols
-from fitting import coaxiality, recording
+from fitting import coaxiality, mapping
 
 # title, format, class that reads it, top table (""), example
 FILES = (
@@ -21,7 +21,7 @@ FILES = (
     ("Bench wiring", recorder.BENCH_FORMAT, recorder._BenchFile, None),
     ("Guided sequence", sequence.FORMAT, sequence.SequenceFile, None),
     ("Scripted faults", faults.FORMAT, faults._FaultFile, None),
-    ("Mapping of a bench file", recording.MAPPING_FORMAT, recording.FileMapping, None),
+    ("Mapping of a bench file", mapping.FORMAT, mapping.FileMapping, None),
     ("Read head", coaxiality.FORMAT, coaxiality._File, "rv-20e-read-head.toml"),
 )
 ELSEWHERE = ("stage",)  # a reducer's [pair], [modification] and [material] are those of a pair file

@@ -80,8 +80,9 @@ def _figures(
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     from cycloid_fmu.pair import read_pair
+    from fitting.mapping import read_mapping
     from fitting.metrics import figures_of
-    from fitting.recording import open_bench_recording, read_mapping
+    from fitting.recording import open_bench_recording
     from fitting.survey import survey
 
     if pair_file is not None and ratio is not None:
@@ -130,7 +131,8 @@ def _curves(
     """Return the curves of recordings, one for each direction; with a read head, free of its coaxiality error."""
     from fitting.coaxiality import read_read_head, without_coaxiality_error
     from fitting.curve import transmission_error_curves
-    from fitting.recording import open_bench_recording, read_bench_recording, read_mapping
+    from fitting.mapping import read_mapping
+    from fitting.recording import open_bench_recording, read_bench_recording
 
     mapped = None if mapping is None else read_mapping(mapping)
     curves_of = functools.partial(transmission_error_curves, ratio=ratio, keep_turns=keep_turns)
@@ -146,7 +148,8 @@ def _curves_and_loops(
 ) -> tuple[list[Curve], list[Curve]]:
     """Return the curves of recordings and the branches of those that are loops with the input locked."""
     from fitting.loop_branches import branches_of, is_locked
-    from fitting.recording import open_bench_recording, read_mapping
+    from fitting.mapping import read_mapping
+    from fitting.recording import open_bench_recording
     from fitting.survey import survey
 
     mapped = None if mapping is None else read_mapping(mapping)
@@ -431,11 +434,11 @@ def identify(
     from cycloid_fmu.sampling import read_tolerances
     from cycloid_fmu.surface import write_surface
     from fitting.fit_report import FORMATS, write_fit_report
-    from fitting.identifiability import profile_of, scatter_of
     from fitting.identification import as_json as content
     from fitting.identification import write_identification
     from fitting.identify import identify as fit
     from fitting.plots import plot_identification
+    from fitting.prior import profile_of, scatter_of
 
     if plot is not None:
         plots.check_path(plot)
@@ -544,8 +547,8 @@ def plan(
     from cycloid_fmu.cli import print_table
     from cycloid_fmu.pair import read_pair
     from cycloid_fmu.surface import unit_of
-    from fitting.identifiability import bench_plans
     from fitting.observation import errors_of
+    from fitting.plan import bench_plans
     from fitting.plots import plot_plans
 
     if plot is not None:

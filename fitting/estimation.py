@@ -29,7 +29,7 @@ from cycloid_fmu.surface import (
     unit_of,
     with_structured,
 )
-from fitting.identifiability import UNKNOWN, tolerances_of
+from fitting.identifiability import UNKNOWN
 from fitting.observation import (
     CREEP,
     NO_CREEP,
@@ -48,6 +48,7 @@ from fitting.observation import (
     spread_of,
     with_scatter,
 )
+from fitting.prior import tolerances_of
 
 if TYPE_CHECKING:
     import lmfit

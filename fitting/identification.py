@@ -25,9 +25,10 @@ from cycloid_fmu.pair import Pair
 from cycloid_fmu.surface import ErrorSurface, structured_columns, structured_value, surface_of_pair, unit_of
 from fitting.curve import noise_of
 from fitting.estimation import NO_SCATTER, Estimate, confirmed, freedom, profile_interval, turn_bootstrap
-from fitting.identifiability import tolerances_of, weakness
+from fitting.identifiability import weakness
 from fitting.loop_branches import LoopFit, play_of
 from fitting.observation import left_of, scatter_columns, scatter_names, scatter_parts, spread_of, with_scatter
+from fitting.prior import tolerances_of
 
 if TYPE_CHECKING:
     import lmfit

@@ -21,7 +21,7 @@ from cycloid_fmu.pair import Pair
 from cycloid_fmu.surface import structured_value, surface_of_pair, with_structured
 from fitting.curve import Curve
 from fitting.estimation import NO_SCATTER, OUTLYING, TURNS, Estimate, fit
-from fitting.identifiability import chosen_errors, tolerances_of
+from fitting.identifiability import chosen_errors
 from fitting.identification import HeldOut, Identification, is_uneven, result_of
 from fitting.loop_branches import on_the_curves_zero
 from fitting.observation import (
@@ -40,6 +40,7 @@ from fitting.observation import (
     spread_of,
     with_scatter,
 )
+from fitting.prior import tolerances_of
 
 Array = NDArray[np.float64]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
+from fitting.mapping import CHANNELS, FORMAT, OPTIONAL
 from fitting.readers import BenchFile, RawChannel, unit_text
-from fitting.recording import CHANNELS, MAPPING_FORMAT, OPTIONAL
 
 Array = NDArray[np.float64]
 
@@ -139,7 +140,8 @@ def propose(file: BenchFile, looks: Sequence[Look], dbc: str | None = None) -> P
         rising = [one for one in left if one.values.size > 1 and (np.diff(one.values) > 0).all()]
         timed = [one for one in rising if _measures(one.channel.unit, "time")] or _named(rising, "time")
         choose("time", timed)
-    torques = [o for o in left if _measures(o.channel.unit, "torque")] or _named(left, "torque")
+    torques = [o for o in left if _measures(o.channel.unit, "torque")]
+    torques = torques or _named([o for o in left if not _is_angle(o.channel.unit)], "torque")
     driving = _named(torques, "input_angle")  # one that bears the input's name is on it, where there is another
     if driving and len(torques) > len(driving):
         roles["input_torque"] = driving[0]
@@ -164,7 +166,7 @@ def propose(file: BenchFile, looks: Sequence[Look], dbc: str | None = None) -> P
 
 
 def _mapping_text(roles: dict[str, Look], file: BenchFile, dbc: str | None) -> str:
-    lines = [f'format = "{MAPPING_FORMAT}"']
+    lines = [f'format = "{FORMAT}"']
     if file.ratio is not None:
         lines.append(f"ratio = {file.ratio:g}")
     else:
@@ -189,7 +191,8 @@ def _mapping_text(roles: dict[str, Look], file: BenchFile, dbc: str | None) -> s
 
 
 def _quoted(text: str) -> str:
-    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    # A JSON string is one of TOML too, but for DEL, which TOML wants escaped.
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007F")
 
 
 def _channel_lines(one: Look, role: str) -> list[str]:

@@ -1,4 +1,4 @@
-"""Plots of measured and fitted transmission errors."""
+"""Pictures of recordings, curves, figures, fits and plans."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from cycloid_fmu.plots import new_figure, show_legend
 from cycloid_fmu.surface import ErrorSurface, unit_of
 from cycloid_fmu.transmission import solve
 from fitting.curve import Curve
-from fitting.identifiability import TOLERANCE, Plan
 from fitting.identification import Identification
 from fitting.panels import Panel, label_of
+from fitting.plan import Plan
+from fitting.prior import TOLERANCE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

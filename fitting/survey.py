@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from cycloid_fmu import edge
 from fitting.curve import Curve, Folding
 from fitting.hysteresis import LoopData, loops_of
-from fitting.recording import OPTIONAL, BenchRecording, BenchStream, Block
+from fitting.mapping import OPTIONAL
+from fitting.recording import BenchRecording, BenchStream, Block
 
 Array = NDArray[np.float64]
 

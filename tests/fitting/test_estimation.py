@@ -16,9 +16,10 @@ from cycloid_fmu.transmission import solve
 from fitting.curve import Curve, transmission_error_curves
 from fitting.estimation import confirmed, fit, possible, profile_interval, turn_bootstrap
 from fitting.fit_report import write_fit_report
-from fitting.identifiability import chosen_errors, posterior_covariance, scatter_of
+from fitting.identifiability import chosen_errors, posterior_covariance
 from fitting.identify import identify
 from fitting.observation import State, errors_of, linearise, observations, spread_of, with_scatter
+from fitting.prior import scatter_of
 from fitting.recording import BenchRecording
 
 ARCSEC = np.pi / 648000

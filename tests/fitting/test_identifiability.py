@@ -11,8 +11,8 @@ from cycloid_fmu.pair import read_pair
 from cycloid_fmu.surface import read_surface, structured_value, surface_of_pair, write_surface
 from cycloid_fmu.transmission import error_sensitivity, solve
 from fitting.ensemble import drawn_surfaces
-from fitting.identifiability import bench_plans, planned_curve
 from fitting.identify import identify, kept_back
+from fitting.plan import bench_plans, planned_curve
 
 ARCSEC = np.pi / 648000
 

@@ -12,10 +12,11 @@ from cycloid_fmu.pair import read_pair
 from cycloid_fmu.surface import read_surface, structured_value, surface_of_pair, with_structured, write_surface
 from cycloid_fmu.transmission import solve
 from fitting.curve import Curve, transmission_error_curve
-from fitting.identifiability import choose, posterior_covariance, tolerances_of
+from fitting.identifiability import choose, posterior_covariance
 from fitting.identification import as_json, read_lmfit_parameters, write_identification
 from fitting.identify import identify
 from fitting.observation import State, errors_of, linearise, observations, spread_of
+from fitting.prior import tolerances_of
 from fitting.recording import read_bench_recording
 
 ARCSEC = np.pi / 648000

@@ -10,10 +10,10 @@ from cycloid_fmu import edge
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.surface import structured_value, surface_of_pair, with_structured
 from cycloid_fmu.transmission import solve
-from fitting.identifiability import bench_plans
 from fitting.identify import identify
 from fitting.loop_branches import branches_of, is_locked, on_the_curves_zero, play_of
 from fitting.observation import State, left_of, linearise, observations, spread_of
+from fitting.plan import bench_plans
 from fitting.recording import BenchRecording
 from fitting.survey import survey
 

@@ -15,8 +15,8 @@ from cycloid_fmu.surface import (
 )  # fmt: skip
 from cycloid_fmu.transmission import error_sensitivity, solve
 from fitting.curve import Curve
-from fitting.identifiability import profile_of
 from fitting.identify import identify
+from fitting.prior import profile_of
 
 ARCSEC = np.pi / 648000
 FORM = {"profile_deviation_1": -0.4e-6, "profile_deviation_2": 0.5e-6, "profile_deviation_3": 0.6e-6,

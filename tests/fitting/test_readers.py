@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import tomllib
 
 import can
 import cantools
@@ -15,9 +16,10 @@ from pyarrow import parquet
 from cycloid_fmu import edge
 from drivers.recording_format import GAP
 from fitting.curve import transmission_error_curve
-from fitting.inspection import look, propose
-from fitting.readers import PIECE, find_dialect, open_bench_file, unit_text
-from fitting.recording import open_bench_recording, read_bench_recording, read_mapping
+from fitting.inspection import Look, look, propose
+from fitting.mapping import read_mapping
+from fitting.readers import PIECE, BenchFile, RawChannel, find_dialect, open_bench_file, unit_text
+from fitting.recording import open_bench_recording, read_bench_recording
 from fitting.survey import lag_of
 
 SAMPLES = 4000
@@ -434,6 +436,19 @@ def test_what_inspect_proposes_reads_the_file(tmp_path, name):
     found = read_bench_recording(tmp_path / name, read_mapping(tmp_path / "map.toml"))
     assert found.input_angle - found.input_angle[0] == pytest.approx(INPUT, abs=1e-3)
     assert found.torque == pytest.approx(TORQUE, abs=1e-3)
+
+
+class Named(BenchFile):
+    def pieces(self, names):
+        yield from ()
+
+
+@given(st.lists(st.text(st.characters(exclude_categories=["Cs"]), min_size=1), min_size=2, max_size=2, unique=True))
+def test_a_proposed_mapping_names_whatever_columns_there_are(names):
+    looks = [Look(RawChannel(name, "deg"), TIME, size * INPUT) for name, size in zip(names, (1.0, 0.1), strict=True)]
+    file = Named("a.csv", tuple(one.channel for one in looks), timed=True)
+    mapping = tomllib.loads(propose(file, looks).text)
+    assert {mapping["input_angle"]["column"], mapping["output_angle"]["column"]} == set(names)
 
 
 def write_strange_table(path):
