@@ -87,7 +87,7 @@ class _Overview:
         if columns[0].size:
             self._parts.append(columns)
             self._held += columns[0].size
-        if self._held > 2 * _OVERVIEW:
+        while self._held > 2 * _OVERVIEW:
             joined = [np.concatenate(c) for c in zip(*self._parts, strict=True)]
             whole = joined[0].size - joined[0].size % 2
             assert self._rest is not None

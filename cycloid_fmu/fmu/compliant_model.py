@@ -26,6 +26,7 @@ _SUB_STEP = 0.2  # rad of the output inertia's own oscillation in one sub-step
 _CRANK_STEP = 0.02  # rad of the crank in one sub-step of what is dissipated
 _DEVIATION_STEP = 5e-6  # rad of the deviation likewise
 _MOST_SUB_STEPS = 20000
+_NO_LOSS = list(LOSSLESS[0][1:])
 _SAME = 1e-11  # rad: over a shorter way the torque of its middle is taken instead of an energy difference
 _CLOSE = 1e-15  # rad: last change of a sub-step's solution
 
@@ -129,10 +130,15 @@ class CompliantModel(DriveModel):
 
     def _damping(self, elastic: float, speed: float) -> float:
         """Torque of the contacts' damping at the output, N·m."""
+        if self.mesh_damping == 0.0:
+            return 0.0
         return math.copysign(min(self.mesh_damping * abs(speed), abs(elastic)), speed)
 
     def _rub(self, way: float) -> tuple[float, float]:
         """Move the friction's bristle by a way of the output: work done on it and what of it is lost, J."""
+        if self.friction_torque == 0.0:  # where it acts anew it begins unstrained, without energy
+            self._bristle = 0.0
+            return 0.0, 0.0
         before = self._bristle
         self._bristle = min(max(before + way, -FRICTION_DISPLACEMENT), FRICTION_DISPLACEMENT)
         lost = self.friction_torque * abs(before + way - self._bristle)
@@ -141,21 +147,23 @@ class CompliantModel(DriveModel):
 
     def _solve(self) -> Sequence[float]:
         """Energy and torques at the flanges' present place: energy, torques at a and b, loss torque, damping."""
+        crank, crank_speed, output, speed = self.crank_angle, self.crank_speed, self._output_angle, self._output_speed
         at = [
-            self.crank_angle, self.crank_speed, self._output_angle, self._output_speed, self._bristle, self._seen,
-            self.friction_torque, self.series_compliance, self.mesh_damping, float(self.backlash_on),
+            crank, crank_speed, output, speed, self._bristle, self._seen, self.friction_torque, self.series_compliance,
+            self.mesh_damping, self.backlash_on,
         ]  # fmt: skip
         if at != self._solved_at:
-            deviation = self.transmission_error
-            energy, by_angle, by_rotation = self._contact(self._reduced(self.crank_angle), deviation)
-            damping = self._damping(by_rotation, self._output_speed - self.crank_speed / self._ratio)
+            energy, by_angle, by_rotation = self._contact(self._reduced(crank), output - crank / self._ratio)
+            damping = self._damping(by_rotation, speed - crank_speed / self._ratio)
             transmitted = by_angle - damping / self._ratio
-            strain = self._bristle + self._output_angle - self._seen
-            strain = min(max(strain / FRICTION_DISPLACEMENT, -1.0), 1.0)
-            energy += 0.5 * self.friction_torque * FRICTION_DISPLACEMENT * strain**2
-            lost = loss_torque(self.loss_table, self.crank_speed, transmitted)
-            output = by_rotation + damping + self.friction_torque * strain
-            self._solved_at, self._solved = at, [energy, transmitted + lost, output, lost, damping]
+            lost = loss_torque(self.loss_table, crank_speed, transmitted)
+            torque = by_rotation + damping
+            if self.friction_torque > 0.0:
+                strain = self._bristle + output - self._seen
+                strain = min(max(strain / FRICTION_DISPLACEMENT, -1.0), 1.0)
+                energy += 0.5 * self.friction_torque * FRICTION_DISPLACEMENT * strain**2
+                torque += self.friction_torque * strain
+            self._solved_at, self._solved = at, [energy, transmitted + lost, torque, lost, damping]
         return self._solved
 
     def forget_history(self) -> None:
@@ -195,7 +203,7 @@ class CompliantModel(DriveModel):
         crank_way, way = self.crank_speed * step, self._output_speed * step
         deviation_way = way - crank_way / self._ratio
         count = 1
-        dissipative = self.mesh_damping > 0.0 or any(tuple(row[1:]) != LOSSLESS[0][1:] for row in self.loss_table)
+        dissipative = self.mesh_damping > 0.0 or any([row[1:] != _NO_LOSS for row in self.loss_table])
         if dissipative:
             parts = max(abs(crank_way) / _CRANK_STEP, abs(deviation_way) / _DEVIATION_STEP)
             count = min(max(math.ceil(parts), 1), 100)

@@ -161,14 +161,14 @@ class Core:
 
     def put_all(self, references: Sequence[int], values: Sequence[Any]) -> list[str]:
         """Set variables as `put` does; the sentences of what is refused."""
-        refused = []
+        refused, quickly, faults = [], self._quick, self.faults
         for reference, value in zip(references, values, strict=True):
-            quick = self._quick.get(reference)
-            if quick is not None and quick[1] <= value <= quick[2] and not self.faults:
+            quick = quickly.get(reference)
+            if quick is not None and quick[1] <= value <= quick[2] and not faults:
                 quick[0](value)
-            else:
-                refused.append(self.put(reference, value))
-        return [text for text in refused if text] if refused else refused
+            elif text := self.put(reference, value):
+                refused.append(text)
+        return refused
 
     def _refused(self, variable: Variable, value: Any) -> str:
         """Why a value is none for a variable; else an empty answer."""

@@ -444,6 +444,28 @@ def stored(numbers: Array, values: Array32, theta: float, torque: float) -> tupl
 
 
 @compiled
+def pressed(
+    numbers: Array, values: Array32, theta: float, flange: float, series: float
+) -> tuple[float, float, float, float, float, float]:
+    """What holds the flange at a deviation behind a compliance, as `TableTeeth.press` needs it.
+
+    Torque (N·m; infinite beyond the tables), deviation (rad), stiffness (N·m/rad; 0 within the play), stored energy
+    (J), crank torque (N·m) and dφ_b/dθ (1).
+    """
+    torque = held(numbers, values, theta, flange, series)
+    if not math.isfinite(torque):
+        return torque, math.nan, math.nan, math.nan, math.nan, math.nan
+    deviation, stiffness, crank_torque, rate = loaded(numbers, values, theta, torque)
+    if torque == 0.0:
+        low, high, _, _ = ends(numbers, values, theta)
+        free = high - low > NO_PLAY
+        deviation, stiffness = (flange, 0.0) if free else (0.5 * (low + high), stiffness)
+    below, rest = stored(numbers, values, theta, torque)
+    energy = torque * flange - below - 0.5 * series * torque * torque + rest
+    return torque, deviation, stiffness, energy, crank_torque, rate
+
+
+@compiled
 def sharing(numbers: Array, values: Array32, theta: float, torque: float) -> tuple[int, float]:
     """Pins in contact, and the largest pressure (Pa), under a torque."""
     place = _place(numbers, theta)
@@ -499,27 +521,23 @@ class TableTeeth:
 
     def behind(self, theta: float, flange: float, compliance: float, x: float) -> tuple[float, float]:
         """As of `Teeth`."""
-        self.torque = held(self._numbers, self._values, theta, flange, compliance)
-        self._crank = None
-        if self.torque == 0.0 and self.play(theta, x)[2] == 0.0:
-            return flange, 0.0
-        if not math.isfinite(self.torque):
-            raise StepError(
-                f"flange_b.phi is {flange:g} rad from flange_a.phi/ratio, where the torque is beyond the "
-                f"{self._positive if self.torque > 0.0 else self._negative:g} N.m of the FMU's table: build it with a "
-                "larger rated torque"
-            )
-        return self.equilibrium(theta, self.torque, x)
+        return self.press(theta, flange, compliance, x)[:2]
 
     def press(
         self, theta: float, flange: float, compliance: float, x: float
     ) -> tuple[float, float, float, float, float]:
         """As of `Teeth`."""
-        x, stiffness = self.behind(theta, flange, compliance, x)
-        torque = self.torque
-        below, rest = stored(self._numbers, self._values, theta, torque)
-        energy = torque * flange - below - 0.5 * compliance * torque * torque + rest
-        return x, stiffness, energy, self.crank_side(theta, x)[0], torque
+        torque, x, stiffness, energy, crank_torque, rate = pressed(
+            self._numbers, self._values, theta, flange, compliance
+        )
+        if not -self._negative <= torque <= self._positive:
+            raise StepError(
+                f"flange_b.phi is {flange:g} rad from flange_a.phi/ratio, where the torque is beyond the "
+                f"{self._positive if torque > 0.0 else self._negative:g} N.m of the FMU's table: build it with a "
+                "larger rated torque"
+            )
+        self.torque, self._crank = torque, (crank_torque, rate)
+        return x, stiffness, energy, crank_torque, torque
 
     def crank_side(self, theta: float, x: float) -> tuple[float, float]:
         """As of `Teeth`."""

@@ -208,6 +208,17 @@ def test_friction_holds_slides_and_turns_its_sliding_to_heat():
     assert model.elastic_energy == pytest.approx(FRICTION_DISPLACEMENT)
 
 
+def test_friction_that_is_switched_on_is_unstrained_at_first():
+    """Whatever way the output went without it: switching it on gives no energy."""
+    model = compliant()
+    Work(model).lead(0.2, 3.0 * HALF)
+    before = model.elastic_energy, model.torque
+    model.friction_torque = 5.0
+    assert (model.elastic_energy, model.torque) == pytest.approx(before, rel=1e-9)
+    Work(model, 0.2, 3.0 * HALF).lead(0.2, 3.0 * HALF + 0.5 * FRICTION_DISPLACEMENT)
+    assert model.torque > before[1] + 0.5 * 5.0
+
+
 def test_an_inertia_inside_swings_as_mass_and_spring_and_keeps_its_energy():
     inertia, load, kick = 0.05, 100.0, 1e-3
     model = compliant(inertia, torque=load)

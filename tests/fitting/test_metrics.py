@@ -177,6 +177,9 @@ def test_one_loop_s_uncertainty_is_that_of_its_straight_lines():
     x = rated * np.arange(0.03, 0.1, 1 / 4000)
     wanted = 1.96 * noise * np.sqrt(2.0 * (1.0 / x.size + x.mean() ** 2 / ((x - x.mean()) ** 2).sum()))
     assert found["hysteresis_loss"].uncertainty == pytest.approx(wanted, rel=0.2)
+    near = np.arange(0.02, 0.04, 1 / 4000)  # lost motion: four lines about 3 % of the rated torque, each halved
+    wanted = 1.96 * noise * np.sqrt(1.0 / near.size)
+    assert found["lost_motion"].uncertainty == pytest.approx(wanted, rel=0.2)
     stiffness = found["torsional_stiffness"]
     sides = [stiffness.parts[side].uncertainty for side in ("positive", "negative")]
     assert stiffness.uncertainty == pytest.approx(0.5 * np.hypot(*sides), rel=1e-9)
@@ -242,6 +245,8 @@ def test_half_loops_end_where_the_torque_is_next_to_zero():
     assert find_lobes(0.19 * up, 100.0) == []
     thrown_over = find_lobes(np.array([0.0, 50.0, 100.0, 50.0, -50.0, -100.0, -50.0, 0.0]), 100.0)
     assert [lobe.sign for lobe in thrown_over] == [1, -1]
+    for visited, lobes in ((4.0, 2), (6.0, 1)):  # to below a twentieth of the rated torque
+        assert len(find_lobes(np.array([0.0, 50.0, 100.0, 50.0, visited, 50.0, 100.0, 50.0, 0.0]), 100.0)) == lobes
     assert len(find_lobes(np.array([0.0, 50.0, 100.0, 50.0, 0.5, 50.0, 100.0, 50.0, 0.0]), 100.0)) == 2
 
 
@@ -317,6 +322,7 @@ def test_an_output_angle_that_is_late_is_noted_where_the_speed_changes():
         notes = [note for note in found.notes if "speed changes" in note]
         assert len(notes) == (said is not None)
         assert said is None or said in notes[0]
+        assert said is None or 0.0 <= float(notes[0].split(" ± ")[1].split(" ms")[0]) < 0.1
 
 
 @pytest.mark.parametrize(("loops", "arcmin"), [(1, 2.0), (4, 0.5)])
@@ -413,6 +419,57 @@ def test_each_way_of_the_crank_has_its_own_range():
     assert found.parts["backward"].value == pytest.approx(6.0 * ARCSEC, rel=1e-3)
     assert found.value == found.parts["backward"].value
     assert found.interval == pytest.approx((0.0, 2.0 * np.pi))
+
+
+def test_what_the_angles_clocks_may_run_apart_in_a_turn_is_in_the_uncertainty():
+    """Clocks known to 50 µs at either end: twice that, at the output's speed, over the turns that were averaged."""
+    made = run_with(KNOWN, turns=3, each=9000, noise=0.0, seed=1)
+    speed = float(np.ptp(made.output_angle) / np.ptp(made.time))
+    sure, unsure = (
+        figures_of([survey(dataclasses.replace(made, alignment=a), -39.0, None)], -39.0, None).figures
+        for a in (0.0, 50e-6)
+    )
+    sure, unsure = (f["angular_transmission_error"].uncertainty for f in (sure, unsure))
+    assert unsure == pytest.approx(np.hypot(sure, 2 * 50e-6 * speed / 3), rel=1e-3)
+
+
+def test_an_amplitude_is_as_uncertain_as_the_noise_around_it():
+    """Noise of root mean square f in a complex amplitude c moves |c| by f/√2, 1.96 times that is half an interval."""
+    off, said = [], []
+    for seed in range(30):
+        orders = spectrum(transmission_error_curve(run_with(KNOWN, turns=1, each=4000, noise=ARCSEC, seed=seed), -39.0))
+        large = [39, 40, 78, 80]
+        off += [orders.amplitude[k] - KNOWN[k][0] for k in large]
+        said += [orders.uncertainty[k] for k in large]
+    assert np.mean(said) == pytest.approx(1.96 * np.std(off), rel=4.0 / np.sqrt(2 * len(off)))
+
+
+def test_a_few_points_that_were_never_recorded_leave_the_orders_as_they_are():
+    made = run_with(KNOWN, turns=1, each=9000, noise=0.0, seed=1)
+    kept = np.random.default_rng(0).random(made.time.size) > 0.01
+    holes = [getattr(made, name)[kept] for name in ("time", "input_angle", "output_angle", "torque")]
+    orders = spectrum(transmission_error_curve(recording(*holes), -39.0))
+    for k, (a, p) in KNOWN.items():
+        # Within a point the angle's series ends with its square.
+        left_out = (k * np.pi / 8910) ** 4 / 24
+        assert orders.coefficient[k] == pytest.approx(a * np.exp(-1j * p), abs=(1e-3 + left_out) * a), k
+
+
+def test_a_locked_input_without_a_loop_is_said_and_no_other():
+    torque, angle = loop(167.0, 49 / ARCMIN, 0.6 * ARCMIN, 2.0)
+    small, whole = figures_from(0.1 * torque, angle), figures_from(torque, angle)
+    assert any("the input is locked, but the torque does not go beyond a fifth" in note for note in small.notes)
+    assert not any("there is no loop" in note for note in whole.notes)
+
+
+def test_an_overview_keeps_as_many_samples_as_it_may(monkeypatch):
+    """Between half of the most and the most, whatever the length and however the blocks come."""
+    monkeypatch.setattr("fitting.survey._OVERVIEW", 500)
+    for samples in (900, 1100, 3900, 4100, 30000):
+        made = recording(np.arange(samples) * 1e-3, np.arange(samples) * 1.0, np.arange(samples) / -39, 100.0)
+        overview = survey(made, -39.0, None).overview
+        assert min(samples, 500) <= overview.time.size <= 1001
+        assert overview.time.mean() == pytest.approx(made.time.mean(), rel=2e-3)
 
 
 def test_phases_of_orders_count_from_crank_angle_zero():
@@ -516,7 +573,7 @@ def test_the_input_s_torque_is_read_from_a_table_and_survives_an_overview(comman
     assert run.returncode == 0, run.stderr
     assert json.loads(run.stdout)["starting_torque"]["value"] == pytest.approx(0.04)
     assert json.loads(run.stdout)["starting_torque"]["starts"] == 3
-    monkeypatch.setattr("fitting.survey._OVERVIEW", 500)  # as if it were too long to be kept whole
+    monkeypatch.setattr("fitting.survey._OVERVIEW", 1000)  # as if it were too long to be kept whole
     surveyed = survey(open_bench_recording(tmp_path / "start.csv"), -39.0, None)
     assert surveyed.averaged == 2
     found = figures_of([surveyed], -39.0, None)

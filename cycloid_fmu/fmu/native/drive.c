@@ -486,6 +486,10 @@ static double damping_of(const struct drive *drive, double contacts, double spee
 static double rub(struct drive *drive, double way, double *lost) {
     struct state *s = &drive->state;
     double before = s->bristle, friction = s->friction_torque;
+    if (friction == 0.0) { /* where it acts anew it begins unstrained, without energy */
+        s->bristle = *lost = 0.0;
+        return 0.0;
+    }
     s->bristle = clipped(before + way, FRICTION_DISPLACEMENT);
     *lost = friction * fabs(before + way - s->bristle);
     return 0.5 * friction / FRICTION_DISPLACEMENT * (s->bristle * s->bristle - before * before) + *lost;
