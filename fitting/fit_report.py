@@ -70,9 +70,9 @@ def _intervals(parameters: Sequence[Parameter]) -> Panel:
     lines = [Trace("95 % interval" if i == 0 else "", np.array(p.interval) * 1e6, np.array([-i, -i], float), "thick", 0)
              for i, p in enumerate(shown)]  # fmt: skip
     at, place = np.array([p.value * 1e6 for p in shown]), -np.arange(float(len(shown)))
-    names = Trace("", at, place, "points", -1, tuple(p.name for p in shown))
-    return Panel("Identified errors", "error [µm]", "", (*lines, names),
-                 "Each with its 95 % interval; the order is that of the table.")  # fmt: skip
+    values = Trace("", at, place, "points", -1, tuple(f"{value:.2f}" for value in at))
+    return Panel("Identified errors", "error [µm]", "", (*lines, values),
+                 "Each with its 95 % interval.", y_names=tuple(p.name for p in shown))  # fmt: skip
 
 
 _ARC = 1.0 / ARCSEC

@@ -53,7 +53,10 @@ class Trace:
 
 @dataclass(frozen=True)
 class Panel:
-    """One diagram with its title, axes, and a sentence that says what is seen."""
+    """One diagram with its title, axes, and a sentence that says what is seen.
+
+    `y_names` stand beside the y axis in place of numbers, at 0, -1, -2 and so on.
+    """
 
     title: str
     x_label: str
@@ -61,6 +64,7 @@ class Panel:
     traces: tuple[Trace, ...]
     caption: str
     log_y: bool = False
+    y_names: tuple[str, ...] = ()
 
 
 def label_of(curve: Curve) -> str:

@@ -47,6 +47,8 @@ def draw_panel(axis: Axes, panel: Panel) -> None:
     axis.set(xlabel=panel.x_label, ylabel=panel.y_label)
     if panel.log_y:
         axis.set_yscale("log")
+    if panel.y_names:
+        axis.set_yticks([-float(row) for row in range(len(panel.y_names))], panel.y_names, fontsize=7)
     axis.set_title(panel.title, fontsize=10, loc="left")
     axis.grid(alpha=0.3)
     if any(t.label for t in panel.traces):

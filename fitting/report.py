@@ -209,13 +209,16 @@ def _plotly(panel: Panel) -> dict[str, Any]:
             one["line"] = {**_PLOTLY_LINES[t.style], "color": _colour(t)}
         data.append(one)
     axis = {"gridcolor": "#e5e5e5", "zeroline": False, "ticks": "outside", "automargin": True}
-    layout = {
+    layout: dict[str, Any] = {
         "margin": {"l": 60, "r": 20, "t": 30, "b": 45}, "paper_bgcolor": "white", "plot_bgcolor": "white",
         "xaxis": {**axis, "title": {"text": panel.x_label}},
         "yaxis": {**axis, "title": {"text": panel.y_label}, "type": "log" if panel.log_y else "linear"},
         "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom"}, "modebar": {"orientation": "v"},
         "hovermode": "closest",
     }  # fmt: skip
+    if panel.y_names:
+        rows = [-row for row in range(len(panel.y_names))]
+        layout["yaxis"] |= {"tickvals": rows, "ticktext": list(panel.y_names), "tickfont": {"size": 10}}
     return {"data": data, "layout": layout}
 
 

@@ -1,6 +1,8 @@
 """The fit itself: the same optimum as finite differences, its intervals, and benches that are not as they should be."""
 
 import dataclasses
+import json
+import re
 
 import numpy as np
 import pytest
@@ -259,6 +261,10 @@ def test_errors_of_pins_and_teeth_are_never_swapped(nominal, pattern):
     assert all(abs(v) < 0.1e-6 for n, v in values.items() if n.startswith(other))
 
 
+def panels_in(page):
+    return json.loads(re.search(r"const panels = (.*);", page)[1])
+
+
 def test_every_pin_and_tooth_by_itself(nominal, tmp_path):
     """With tolerances as prior each pin's place is found within its interval; the report stands by itself."""
     generator = np.random.default_rng(11)
@@ -282,6 +288,8 @@ def test_every_pin_and_tooth_by_itself(nominal, tmp_path):
     text = (tmp_path / "fit.html").read_text()
     assert "pin_tangential_at_39" in text
     assert 'id="correlation"' in text
+    (axis,) = (p["layout"]["yaxis"] for p in panels_in(text) if p["layout"]["yaxis"].get("ticktext"))
+    assert axis["ticktext"] == [p.name for p in found.parameters if p.held is None and p.unit == "m"]
     assert "<link" not in text
     assert 'src="http' not in text
     with pytest.raises(edge.InputError, match=r"must end in \.html"):
