@@ -1,10 +1,10 @@
 """How the tables of `tables.py` are read and interpolated in Python, by the formulas of native/table.c and drive.c.
 
 Everything lies in two arrays, for each further argument of a kernel is time at every step. `numbers`: ratio, period,
-crank angles, how many loads each direction and its pressure have, and whether there is a torque at rest; the loads of
-each direction and of its pressure; the deviation's integral over the load up to each node; torque and energy at rest.
-`values`, of each direction: deviation, compliance, contact count and square of the largest pressure. The loads of one
-crank angle stand side by side.
+crank angles, how many loads each direction and its pressure have, whether there is a torque at rest, and the crank
+angles of what is told alone (contact count and pressure); the loads of each direction and of its pressure; the
+deviation's integral over the load up to each node; torque and energy at rest. `values`, of each direction: deviation,
+compliance, contact count and square of the largest pressure. The loads of one crank angle stand side by side.
 """
 
 from __future__ import annotations
@@ -24,19 +24,18 @@ from cycloid_fmu.fmu.teeth import StepError
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
-Side = tuple[Array, Array, Array32, Array32]
+Side = tuple[Array, Array, Array32, Array32, Array32, Array32]
 _Nodes = tuple[int, int, int, int]
 _Weights = tuple[float, float, float, float]
 _Place = tuple[_Nodes, _Weights, _Weights, float]
 
 TABLE = "drive.table"  # in an FMU's resources
-MAGIC, VERSION = b"cycltab\n", 3
+MAGIC, VERSION = b"cycltab\n", 4
 HEAD = struct.Struct("<8sIIQQ")  # magic, version, nothing, size of the file, hash of the rest
 MOST_LOADS = 192  # of one direction; table.h has the same
 NO_PLAY = 1e-13  # rad
 _LEAST_COMPLIANCE = 1e-12  # rad/(N·m): between nodes a table may have none
-_FIRST = 8  # number of the loads' first
-_CHANNELS = 3  # of each direction, beside the pressure
+_FIRST = 9  # number of the loads' first
 
 
 @dataclass(frozen=True)
@@ -77,8 +76,8 @@ class _Reader:
     def text(self) -> str:
         return self.take(*self.numbers("H")).decode()
 
-    def channel(self, angles: int) -> tuple[Array, float]:
-        """Whole steps of each crank angle from second differences of seven bits a byte, and the step."""
+    def channel(self, angles: int, order: int) -> tuple[Array, float]:
+        """Whole steps of each crank angle from first or second differences of seven bits a byte, and the step."""
         step, size = self.numbers("dI")
         data = np.frombuffer(self.take(size), dtype=np.uint8)
         first = np.append(0, np.flatnonzero(data < 128) + 1)
@@ -90,7 +89,18 @@ class _Reader:
         groups = (data & np.uint8(127)).astype(np.uint64) << (np.uint64(7) * place.astype(np.uint64))
         folded = np.add.reduceat(groups, first[:-1])
         differences = (folded >> np.uint64(1)) ^ (np.uint64(0) - (folded & np.uint64(1)))
-        return np.cumsum(np.cumsum(differences)).astype(np.int64).astype(float), step
+        whole = np.cumsum(differences) if order == 1 else np.cumsum(np.cumsum(differences))
+        return whole.astype(np.int64).astype(float), step
+
+    def channels(self, angles: int, loads: int, order: int) -> Array32:
+        """Return values of a channel at each load, shape (angles, loads)."""
+        values = np.empty((angles, loads), np.float32)
+        for j in range(loads):
+            whole, step = self.channel(angles, order)
+            values[:, j] = whole * step
+        if not (np.abs(values) < 1e30).all():
+            raise ValueError
+        return values
 
     def end(self) -> None:
         if self._at != len(self._data):
@@ -132,12 +142,12 @@ def _read_body(reader: _Reader) -> Interpolation:
         reader.text()
         *_, size = reader.numbers("BBBBddI")
         reader.take(8 * size)
-    ratio, period, *_, angles, positive, of_positive, negative, of_negative = reader.numbers("7dIIIII")
+    ratio, period, *_, angles, told, positive, of_positive, negative, of_negative = reader.numbers("7dIIIIII")
     loads = (positive, of_positive), (negative, of_negative)
-    if not (abs(ratio) >= 1.0 and 0.0 < period < 1e6 and 4 <= angles <= 10**8 and min(map(min, loads)) >= 2):
+    if not (abs(ratio) >= 1.0 and 0.0 < period < 1e6 and 4 <= told <= angles <= 10**8 and min(map(min, loads)) >= 2):
         raise ValueError
-    sides = [_read_side(reader, angles, *counts) for counts in loads]
-    whole, step = reader.channel(angles)
+    sides = [_read_side(reader, angles, told, *counts) for counts in loads]
+    whole, step = reader.channel(angles, 2)
     reader.end()
     return assembled(ratio, period, sides, whole * step)
 
@@ -150,15 +160,16 @@ def assembled(ratio: float, period: float, sides: Sequence[Side], rest_torque: A
     ratio, period
         As of `tables.Tables`.
     sides
-        Of positive and of negative torque: the loads, the pressure's loads, deviation, compliance and contact count in
-        an array of shape (3, angles, loads), and the pressure's square, (1, angles, pressure loads).
+        Of positive and of negative torque: the loads, the pressure's loads, deviation and compliance, each of shape
+        (angles, loads), contact count (told angles, loads), and the pressure's square (told angles, pressure loads).
     rest_torque
         Spline coefficients, shape (angles,), N·m.
     """
-    angles, loads = rest_torque.size, [(load.size, of_pressure.size) for load, of_pressure, _, _ in sides]
+    angles, loads = rest_torque.size, [(load.size, of_pressure.size) for load, of_pressure, *_ in sides]
+    told = sides[0][-1].shape[0]
     rest = _rest(rest_torque, period / angles) if rest_torque.any() else np.empty(0)
-    head = [ratio, period, angles, *loads[0], *loads[1], float(rest.size > 0)]
-    integrals = [_integral(load, *values[:2]).ravel() for load, _, values, _ in sides]
+    head = [ratio, period, angles, *loads[0], *loads[1], float(rest.size > 0), told]
+    integrals = [_integral(load, x, c).ravel() for load, _, x, c, _, _ in sides]
     numbers = np.concatenate([head, *(load for side in sides for load in side[:2]), *integrals, rest])
     return Interpolation(numbers, np.concatenate([part.ravel() for side in sides for part in side[2:]]))
 
@@ -170,19 +181,13 @@ def _integral(load: Array, deviation: Array32, compliance: Array32) -> Array:
     return np.hstack([np.zeros((x.shape[0], 1)), np.cumsum(cells, axis=1)])
 
 
-def _read_side(reader: _Reader, angles: int, loads: int, pressures: int) -> Side:
+def _read_side(reader: _Reader, angles: int, told: int, loads: int, pressures: int) -> Side:
     load, pressure_load = (_read_loads(reader, count) for count in (loads, pressures))
     if load[-1] != pressure_load[-1]:
         raise ValueError
-    values, pressure = np.empty((_CHANNELS, angles, loads), np.float32), np.empty((1, angles, pressures), np.float32)
-    for part in (values, pressure):
-        for channel in part:
-            for j in range(channel.shape[1]):
-                whole, step = reader.channel(angles)
-                channel[:, j] = whole * step
-        if not (np.abs(part) < 1e30).all():
-            raise ValueError
-    return load, pressure_load, values, pressure
+    shapes = ((angles, loads, 2), (angles, loads, 1), (told, loads, 1), (told, pressures, 1))
+    deviation, compliance, contact_count, pressure = (reader.channels(*shape) for shape in shapes)
+    return load, pressure_load, deviation, compliance, contact_count, pressure
 
 
 def _read_loads(reader: _Reader, count: int) -> Array:
@@ -220,7 +225,11 @@ def _fnv1a(words: NDArray[np.uint64]) -> np.uint64:
 @compiled
 def _place(numbers: Array, theta: float) -> _Place:
     """Nodes and weights at a crank angle, those of the derivative, and its share of the way between two nodes."""
-    period, n = numbers[1], int(numbers[2])
+    return _place_among(numbers[1], int(numbers[2]), theta)
+
+
+@compiled
+def _place_among(period: float, n: int, theta: float) -> _Place:
     turns = theta / period
     at = (turns - math.floor(turns)) * n
     first = int(at)
@@ -245,8 +254,9 @@ def _side(numbers: Array, side: int) -> tuple[int, int, int, int]:
     angles, positive, pressures = int(numbers[2]), int(numbers[3]), int(numbers[4])
     if side == 0:
         return positive, _FIRST, 0, angles * positive
-    negative = int(numbers[5])
-    return negative, _FIRST + positive + pressures, angles * (_CHANNELS * positive + pressures), angles * negative
+    negative, told = int(numbers[5]), int(numbers[8])
+    begin = 2 * angles * positive + told * (positive + pressures)
+    return negative, _FIRST + positive + pressures, begin, angles * negative
 
 
 @compiled
@@ -468,16 +478,17 @@ def pressed(
 @compiled
 def sharing(numbers: Array, values: Array32, theta: float, torque: float) -> tuple[int, float]:
     """Pins in contact, and the largest pressure (Pa), under a torque."""
-    place = _place(numbers, theta)
-    nodes, weights, _, s = place
+    told = int(numbers[8])
+    nodes, weights, _, s = _place_among(numbers[1], told, theta)
     side, load = (0, torque) if torque >= 0.0 else (1, -torque)
     loads, first, begin, size = _side(numbers, side)
+    counts = begin + 2 * size
     j = _cell(numbers, first, loads, load)
     nearest = j + 1 if 2.0 * load > numbers[first + j] + numbers[first + j + 1] or j == 0 else j
-    count = values[begin + 2 * size + nodes[1 if s < 0.5 else 2] * loads + nearest]
+    count = values[counts + nodes[1 if s < 0.5 else 2] * loads + nearest]
     first, pressures = first + loads, int(numbers[4 + 2 * side])
     j = _cell(numbers, first, pressures, load)
-    low, high, pressure = numbers[first + j], numbers[first + j + 1], begin + 3 * size + j
+    low, high, pressure = numbers[first + j], numbers[first + j + 1], counts + told * loads + j
     u = (load - low) / (high - low)
     square = (1.0 - u) * _blend(values, pressure, pressures, nodes, weights)
     square += u * _blend(values, pressure + 1, pressures, nodes, weights)

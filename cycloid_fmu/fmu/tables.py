@@ -10,8 +10,8 @@ so that the torques of both flanges are the derivatives of one elastic energy, T
 own error, and no path makes or loses energy. Between the two sides at zero torque lies the play.
 
 The file, little endian: magic, version, size and hash (FNV-1a, 64 bits) of the rest; then the FMU's token, interface
-and variables; ratio, period, what stands before the drive, torques and channels: second differences of whole multiples
-of a step, seven bits a byte.
+and variables; ratio, period, what stands before the drive, torques and channels: first or second differences of whole
+multiples of a step, seven bits a byte.
 """
 
 from __future__ import annotations
@@ -59,7 +59,9 @@ _WORST = 200  # probes that tell whether loads or crank angles are too few
 _DIRECTIONS = (1.0, -1.0)
 _SPREAD = 1000  # random crank angles at which the loads are chosen
 _FIRST_SLOPE = 0.125  # of the first torque: where the slope at zero load is taken, which Hertz's logarithm has infinite
-_PRESSURE_LOADS = 32  # at most: the pressure is told, nothing follows from it
+# Contact count and pressure are told, nothing follows from them: their crank angles are the fewest of a mesh pitch.
+_PRESSURE_LOADS = 32  # at most
+_PRESSURE_STEP = 4e-3  # of the largest pressure's square
 _STEPS = 8  # steps of the stored deviation in what it may err
 _COMPLIANCE_SHARE = 0.02  # largest step of the stored compliance, of its mean
 PROBES = 20000  # random crank angles and torques at which the finished tables are held against the model
@@ -77,11 +79,11 @@ class Side:
         Spline coefficients over the crank angle of the deviation times the direction (rad) and of its derivative by
         the load (rad/(N·m)), shape (loads, angles).
     contact_count
-        Pins in contact at the nodes, shape (loads, angles).
+        Pins in contact at some of the nodes, shape (loads, told angles).
     pressure_load
         Some of the loads, from the first to the last, shape (pressure loads,), N·m.
     pressure
-        Spline coefficients of the largest contact pressure's square at those, shape (pressure loads, angles), Pa²:
+        Spline coefficients of the largest contact pressure's square at those, shape (pressure loads, told angles), Pa²:
         force, so nearly linear in the load.
     steps
         What deviation, compliance and pressure of each load are whole multiples of.
@@ -267,27 +269,28 @@ def _coefficients(values: Array | Array32) -> Array:
     return np.asarray(ndimage.spline_filter1d(values, order=3, axis=-1, mode="grid-wrap"))
 
 
-def _side(loads: Array, exact: _Solved, allowed: float) -> Side:
+def _side(loads: Array, exact: _Solved, allowed: float, told: int) -> Side:
     """Turn nodes into coefficients that are monotone in the load for every crank angle, rounded as they are stored.
 
     Where the coefficients satisfy Fritsch and Carlson's condition (SIAM J. Numer. Anal. 17 (1980) 238), every spline
-    between them does, for a B-spline's weights are positive.
+    between them does, for a B-spline's weights are positive. Count and pressure are kept at every `told`th node.
     """
+    square, count = exact.pressure[:, ::told], exact.contact_count[:, ::told]
     some = np.unique(np.round(np.linspace(0, loads.size - 1, _PRESSURE_LOADS)).astype(int))
     h = np.diff(loads)
     widest = np.maximum(np.append(h[:1], h), np.append(h, h[-1:]))
     steps = (
         np.full(loads.size, allowed / _STEPS),
         np.minimum(4.0 * allowed / _STEPS / widest, _COMPLIANCE_SHARE * np.abs(exact.compliance).mean(axis=1)),
-        2e-3 * np.maximum(exact.pressure[some].max(axis=1), 1.0),
+        _PRESSURE_STEP * np.maximum(square[some].max(axis=1), 1.0),
     )  # fmt: skip
     fine, c_fine, p_fine = (s[:, None] for s in steps)
     x = np.maximum.accumulate(np.round(_coefficients(exact.deviation) / fine), axis=0) * fine
     slope = np.diff(x, axis=0) / h[:, None]
     most = 3.0 * np.minimum(np.vstack([slope[:1], slope]), np.vstack([slope, slope[-1:]]))
     c = np.floor(np.minimum(np.maximum(_coefficients(exact.compliance), 0.0), most) / c_fine) * c_fine
-    p = np.maximum(np.round(_coefficients(exact.pressure[some]) / p_fine), 0.0) * p_fine
-    return Side(loads, x, c, exact.contact_count.astype(np.uint8), loads[some], p, steps)
+    p = np.maximum(np.round(_coefficients(square[some]) / p_fine), 0.0) * p_fine
+    return Side(loads, x, c, count.astype(np.uint8), loads[some], p, steps)
 
 
 def _rest_torque(pair: Pair, surface: ErrorSurface, angles: Array) -> Array:
@@ -402,7 +405,8 @@ def _assembled(
     pair: Pair, surface: ErrorSurface, period: float, loads: Sequence[Array], exact: Sequence[_Solved], angles: Array,
     allowed: float,
 ) -> Tables:  # fmt: skip
-    made = [_side(n, one, allowed) for n, one in zip(loads, exact, strict=True)]
+    told = angles.size // (mesh_pitches(pair, surface) * _SAMPLES[0])
+    made = [_side(n, one, allowed, told) for n, one in zip(loads, exact, strict=True)]
     rest = _coefficients(_rest_torque(pair, surface, angles))
     rest_step = _rest_step(rest)
     # Where there is hardly any play the splines of its two ends must not cross.
@@ -469,15 +473,16 @@ def write(
     stage = (0.0, 0.0, 0.0, 0.0) if first_stage is None else dataclasses.astuple(first_stage)
     numbers = (tables.ratio, tables.period, tables.allowed, *stage)
     counts = [count for s in sides for count in (s.load.size, s.pressure_load.size)]
-    body += struct.pack("<7dIIIII", *numbers, angles, *counts)
+    body += struct.pack("<7dIIIIII", *numbers, angles, tables.positive.pressure.shape[1], *counts)
     for side in sides:
         body += side.load.astype("<f8").tobytes() + side.pressure_load.astype("<f8").tobytes()
         kinds: tuple[NDArray[Any], ...] = (side.deviation, side.compliance, side.contact_count, side.pressure)
         fine, c_fine, p_fine = side.steps
-        for values, steps in zip(kinds, (fine, c_fine, np.ones(side.load.size), p_fine), strict=True):
+        each = zip(kinds, (fine, c_fine, np.ones(side.load.size), p_fine), (2, 1, 1, 1), strict=True)
+        for values, steps, order in each:
             for channel, step in zip(values, steps, strict=True):
-                body += _channel(channel, float(step))
-    body += _channel(tables.rest_torque, _rest_step(tables.rest_torque))
+                body += _channel(channel, float(step), order)
+    body += _channel(tables.rest_torque, _rest_step(tables.rest_torque), 2)
     return _headed(bytes(body))
 
 
@@ -498,10 +503,10 @@ def _text(text: str) -> bytes:
     return struct.pack("<H", len(encoded)) + encoded
 
 
-def _channel(values: NDArray[Any], step: float) -> bytes:
-    """Second differences of whole steps, signs folded into the last bit, seven bits a byte, the lowest first."""
+def _channel(values: NDArray[Any], step: float, order: int) -> bytes:
+    """Differences of an order of whole steps, signs folded into the last bit, seven bits a byte, the lowest first."""
     whole = np.round(values / step).astype(np.int64)
-    differences = np.diff(whole, n=2, prepend=(0, 0))
+    differences = np.diff(whole, n=order, prepend=(0,) * order)
     folded = ((differences << 1) ^ (differences >> 63)).astype(np.uint64)
     groups = folded[:, None] >> np.arange(0, 63, 7, dtype=np.uint64)
     further = groups[:, 1:] > 0
@@ -513,11 +518,21 @@ def _channel(values: NDArray[Any], step: float) -> bytes:
 
 def interpolation(tables: Tables) -> Interpolation:
     """Return what an FMU reads of the tables."""
+
+    def stored(channel: NDArray[Any]) -> Array32:
+        return channel.T.astype(np.float32)
+
     sides = [
-        (s.load, s.pressure_load, np.array([s.deviation.T, s.compliance.T, s.contact_count.T], dtype=np.float32),
-         s.pressure.T[None].astype(np.float32))
+        (
+            s.load,
+            s.pressure_load,
+            stored(s.deviation),
+            stored(s.compliance),
+            stored(s.contact_count),
+            stored(s.pressure),
+        )
         for s in (tables.positive, tables.negative)
-    ]  # fmt: skip
+    ]
     return assembled(tables.ratio, tables.period, sides, tables.rest_torque)
 
 

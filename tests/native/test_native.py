@@ -123,6 +123,7 @@ def test_tables_of_a_drive_with_all_errors_keep_their_accuracy_over_the_whole_pe
     record_property("native TE with all errors, largest error", f"{errors['deviation_largest'] / ARCSEC:.4f}″")
     record_property("its tables in the FMU", f"{size / 1e6:.2f} MB")
     assert errors["deviation_largest"] < max(0.02 * ARCSEC, 1e-3 * np.ptp(error, axis=1).max())
+    assert errors["max_contact_pressure_rms"] < 0.005
     assert size < 9e6  # and five libraries of some 0.1 MB
 
 

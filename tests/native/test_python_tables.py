@@ -159,15 +159,19 @@ def arrays(draw, shape, most):
 @st.composite
 def any_tables(draw):
     """Tables of whole steps of any size and sign; no drive's."""
-    angles = draw(st.integers(4, 6))
+    angles = draw(st.integers(4, 8))
+    told = draw(st.integers(4, angles))
     sides = []
     for _ in range(2):
         loads = draw(st.integers(2, 4))
-        count = np.abs(arrays(draw, (loads, angles), 255)).astype(np.uint8)
+        count = np.abs(arrays(draw, (loads, told), 255)).astype(np.uint8)
         load = np.concatenate([[0.0], np.cumsum(1.0 + np.abs(arrays(draw, (loads - 1,), 1000)))])
         some = load[[True, *(draw(st.booleans()) for _ in load[2:]), True]]
         steps = tuple(10.0 ** draw(st.integers(-12, 0)) * np.ones(size) for size in (loads, loads, some.size))
-        deviation, compliance, pressure = (arrays(draw, (s.size, angles), 2**40) * s[0] for s in steps)
+        shapes = ((loads, angles), (loads, angles), (some.size, told))
+        deviation, compliance, pressure = (
+            arrays(draw, shape, 2**40) * s[0] for shape, s in zip(shapes, steps, strict=True)
+        )
         sides.append(tables.Side(load, deviation, compliance, count, some, pressure, steps))
     rest = arrays(draw, (angles,), 10**6)
     return tables.Tables(draw(st.sampled_from([-39.0, 40.0])), draw(st.floats(0.1, 300.0)), *sides, rest, 1e-7)
@@ -184,7 +188,7 @@ def test_what_is_written_is_read_again(made):
     first = 0
     for side in (made.positive, made.negative):
         for values in (side.deviation, side.compliance, side.contact_count, side.pressure):
-            found = read.values[first : first + values.size].reshape(angles, values.shape[0])
+            found = read.values[first : first + values.size].reshape(values.shape[::-1])
             np.testing.assert_allclose(found, values.T, rtol=1e-6)
             first += values.size
     assert first == read.values.size

@@ -832,8 +832,16 @@ static double output(struct drive *drive, int field) {
         stiffness = stiffness_at(drive, place, load, side, load > 0.0 ? 0.0 : play_at(drive, place).width);
         return stiffness > 0.0 ? 1.0 / (1.0 / stiffness + s->series_compliance) : 0.0;
     }
-    case MAX_CONTACT_PRESSURE: return pressed ? table_pressure(side_of(drive, side), place, load) : 0.0;
-    case CONTACT_COUNT: return pressed ? table_contact_count(side_of(drive, side), place, load) : 0.0;
+    case MAX_CONTACT_PRESSURE:
+    case CONTACT_COUNT: {
+        struct place told;
+        if (!pressed) {
+            return 0.0;
+        }
+        told = table_told_place(drive->table, still ? s->placed : s->crank_angle);
+        return field == CONTACT_COUNT ? table_contact_count(side_of(drive, side), &told, load)
+                                      : table_pressure(side_of(drive, side), &told, load);
+    }
     case POWER_LOSS:
         if (still) {
             return loss_torque(drive, driving_torque(drive)) * s->crank_speed

@@ -11,7 +11,7 @@
 #endif
 
 static const char MAGIC[8] = {'c', 'y', 'c', 'l', 't', 'a', 'b', '\n'};
-enum { VERSION = 3, HEAD = 32 };
+enum { VERSION = 4, HEAD = 32 };
 static const double LARGEST_FILE = 1e9;
 
 struct reader {
@@ -78,8 +78,8 @@ uint64_t table_hash(const unsigned char *data, size_t size) {
     return found;
 }
 
-/* One channel: the whole steps of each angle, handed to `keep`, from second differences. */
-static double channel(struct reader *reader, uint32_t angles, int64_t *steps) {
+/* One channel: the whole steps of each angle from first or second differences. */
+static double channel(struct reader *reader, uint32_t angles, int order, int64_t *steps) {
     double step = number(reader);
     size_t size = (size_t)whole(reader, 4);
     struct reader part = {reader->at, reader->at + size, 0};
@@ -98,7 +98,7 @@ static double channel(struct reader *reader, uint32_t angles, int64_t *steps) {
             shift += 7;
             more = (group & 128u) != 0;
         }
-        slope += (folded >> 1) ^ (~(folded & 1u) + 1u);
+        slope = (order > 1 ? slope : 0) + ((folded >> 1) ^ (~(folded & 1u) + 1u));
         value += slope;
         steps[i] = (int64_t)value;
     }
@@ -106,11 +106,11 @@ static double channel(struct reader *reader, uint32_t angles, int64_t *steps) {
     return step;
 }
 
-static float *channels(struct reader *reader, uint32_t angles, uint32_t loads, int64_t *steps) {
+static float *channels(struct reader *reader, uint32_t angles, uint32_t loads, int order, int64_t *steps) {
     float *values = allocate(reader, (size_t)angles * loads, sizeof *values);
     uint32_t j, i;
     for (j = 0; j < loads && !reader->failed; j++) {
-        double step = channel(reader, angles, steps);
+        double step = channel(reader, angles, order, steps);
         for (i = 0; i < angles && !reader->failed; i++) {
             values[(size_t)i * loads + j] = (float)((double)steps[i] * step);
             if (!(fabsf(values[(size_t)i * loads + j]) < 1e30f)) {
@@ -131,7 +131,7 @@ static void read_loads(struct reader *reader, uint32_t count, double *load) {
     }
 }
 
-static void read_side(struct reader *reader, uint32_t angles, struct side *side, int64_t *steps) {
+static void read_side(struct reader *reader, const struct table *table, struct side *side, int64_t *steps) {
     float *counts;
     size_t i;
     read_loads(reader, side->loads, side->load);
@@ -139,11 +139,11 @@ static void read_side(struct reader *reader, uint32_t angles, struct side *side,
     if (side->load[side->loads - 1] != side->pressure_load[side->pressure_loads - 1]) {
         reader->failed = 1;
     }
-    side->deviation = channels(reader, angles, side->loads, steps);
-    side->compliance = channels(reader, angles, side->loads, steps);
-    counts = channels(reader, angles, side->loads, steps);
-    side->contact_count = allocate(reader, (size_t)angles * side->loads, 1);
-    for (i = 0; !reader->failed && i < (size_t)angles * side->loads; i++) {
+    side->deviation = channels(reader, table->angles, side->loads, 2, steps);
+    side->compliance = channels(reader, table->angles, side->loads, 1, steps);
+    counts = channels(reader, table->told_angles, side->loads, 1, steps);
+    side->contact_count = allocate(reader, (size_t)table->told_angles * side->loads, 1);
+    for (i = 0; !reader->failed && i < (size_t)table->told_angles * side->loads; i++) {
         if (counts[i] < 0.0f || counts[i] > 255.0f) {
             reader->failed = 1;
         } else {
@@ -151,13 +151,13 @@ static void read_side(struct reader *reader, uint32_t angles, struct side *side,
         }
     }
     free(counts);
-    side->pressure = channels(reader, angles, side->pressure_loads, steps);
+    side->pressure = channels(reader, table->told_angles, side->pressure_loads, 1, steps);
 }
 
 /* The torque's mean is taken off: a crank turned round gives no energy. Its integral is the energy at the nodes. */
 static void read_rest(struct reader *reader, struct table *table, int64_t *steps) {
     uint32_t n = table->angles, i;
-    double step = channel(reader, n, steps), mean = 0.0, least = 0.0, width = table->period / n;
+    double step = channel(reader, n, 2, steps), mean = 0.0, least = 0.0, width = table->period / n;
     int any = 0;
     for (i = 0; i < n && !reader->failed; i++) {
         any |= steps[i] != 0;
@@ -221,6 +221,7 @@ static void read_body(struct reader *reader, struct table *table) {
     table->sun_play = number(reader);
     table->bearing_play = number(reader);
     table->angles = (uint32_t)whole(reader, 4);
+    table->told_angles = (uint32_t)whole(reader, 4);
     for (k = 0; k < 2; k++) {
         struct side *side = &table->side[k];
         side->loads = (uint32_t)whole(reader, 4);
@@ -235,13 +236,13 @@ static void read_body(struct reader *reader, struct table *table) {
           && fabs(table->bearing_play) < 1.0)) {
         reader->failed = 1;
     }
-    if (!(fabs(table->ratio) >= 1.0 && table->period > 0.0 && table->period < 1e6 && table->angles >= 4
-          && table->angles <= 100000000u)) {
+    if (!(fabs(table->ratio) >= 1.0 && table->period > 0.0 && table->period < 1e6 && table->told_angles >= 4
+          && table->told_angles <= table->angles && table->angles <= 100000000u)) {
         reader->failed = 1;
     }
     steps = allocate(reader, table->angles, sizeof *steps);
     for (k = 0; k < 2 && !reader->failed; k++) {
-        read_side(reader, table->angles, &table->side[k], steps);
+        read_side(reader, table, &table->side[k], steps);
     }
     if (!reader->failed) {
         read_rest(reader, table, steps);
@@ -351,14 +352,14 @@ void table_free(struct table *table) {
     free(table);
 }
 
-struct place table_place(const struct table *table, double crank_angle) {
-    double turns = crank_angle / table->period, n = table->angles;
+static struct place place_among(double period, uint32_t angles, double crank_angle) {
+    double turns = crank_angle / period, n = angles;
     double at = (turns - floor(turns)) * n, s;
     uint32_t first = (uint32_t)at;
     struct place place;
     int i;
     s = at - first;
-    first = first >= table->angles ? 0 : first;
+    first = first >= angles ? 0 : first;
     place.share = s;
     place.weight[0] = (1.0 - s) * (1.0 - s) * (1.0 - s) / 6.0;
     place.weight[1] = (3.0 * s * s * s - 6.0 * s * s + 4.0) / 6.0;
@@ -370,11 +371,19 @@ struct place table_place(const struct table *table, double crank_angle) {
     place.rate[3] = 0.5 * s * s;
     for (i = 0; i < 4; i++) {
         uint32_t node = first + (uint32_t)i;
-        place.rate[i] *= n / table->period;
-        node = node == 0 ? table->angles - 1 : node - 1;
-        place.node[i] = node >= table->angles ? node - table->angles : node;
+        place.rate[i] *= n / period;
+        node = node == 0 ? angles - 1 : node - 1;
+        place.node[i] = node >= angles ? node - angles : node;
     }
     return place;
+}
+
+struct place table_place(const struct table *table, double crank_angle) {
+    return place_among(table->period, table->angles, crank_angle);
+}
+
+struct place table_told_place(const struct table *table, double crank_angle) {
+    return place_among(table->period, table->told_angles, crank_angle);
 }
 
 static double blend(const float *values, uint32_t loads, const struct place *place, uint32_t load,
@@ -517,19 +526,19 @@ void table_energy(const struct side *side, const struct place *place, double loa
     }
 }
 
-double table_pressure(const struct side *side, const struct place *place, double load) {
+double table_pressure(const struct side *side, const struct place *told, double load) {
     uint32_t loads = side->pressure_loads, j = cell_of(side->pressure_load, loads, load);
     double u = (load - side->pressure_load[j]) / (side->pressure_load[j + 1] - side->pressure_load[j]);
-    double low = blend(side->pressure, loads, place, j, place->weight);
-    double high = blend(side->pressure, loads, place, j + 1, place->weight);
+    double low = blend(side->pressure, loads, told, j, told->weight);
+    double high = blend(side->pressure, loads, told, j + 1, told->weight);
     double square = (1.0 - u) * low + u * high;
     return square > 0.0 ? sqrt(square) : 0.0;
 }
 
-int table_contact_count(const struct side *side, const struct place *place, double load) {
+int table_contact_count(const struct side *side, const struct place *told, double load) {
     uint32_t j = cell_of(side->load, side->loads, load);
     uint32_t nearest = 2.0 * load > side->load[j] + side->load[j + 1] || j == 0 ? j + 1 : j;
-    return side->contact_count[(size_t)place->node[place->share < 0.5 ? 1 : 2] * side->loads + nearest];
+    return side->contact_count[(size_t)told->node[told->share < 0.5 ? 1 : 2] * side->loads + nearest];
 }
 
 double table_rest_torque(const struct table *table, const struct place *place) {

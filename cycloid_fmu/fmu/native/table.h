@@ -35,7 +35,8 @@ struct side {
 struct table {
     uint64_t hash;
     char *token;
-    uint32_t offers, variables, angles; /* offers: which interface, not the word that Windows' headers take */
+    uint32_t offers, variables; /* offers: which interface, not the word that Windows' headers take */
+    uint32_t angles, told_angles; /* of deviation and compliance; of contact count and pressure */
     struct variable *variable;
     double ratio, period, allowed;
     double sun_teeth, planet_teeth, sun_play, bearing_play; /* of an RV reducer's first stage; else no teeth */
@@ -60,6 +61,7 @@ void table_free(struct table *table);
 uint64_t table_hash(const unsigned char *data, size_t size);
 
 struct place table_place(const struct table *table, double crank_angle);
+struct place table_told_place(const struct table *table, double crank_angle); /* of contact count and pressure */
 struct loaded table_at(const struct side *side, const struct place *place, double load);
 struct loaded table_at_node(const struct side *side, const struct place *place, uint32_t node);
 /* Load at which the deviation, with a further compliance in series and less an offset, is the given one; 0 below the
@@ -67,8 +69,8 @@ struct loaded table_at_node(const struct side *side, const struct place *place, 
 double table_load(const struct side *side, const struct place *place, double deviation, double offset, double series);
 /* Integral of the deviation over the load, and of its rate. */
 void table_energy(const struct side *side, const struct place *place, double load, double *energy, double *rate);
-double table_pressure(const struct side *side, const struct place *place, double load);
-int table_contact_count(const struct side *side, const struct place *place, double load);
+double table_pressure(const struct side *side, const struct place *told, double load);
+int table_contact_count(const struct side *side, const struct place *told, double load);
 double table_rest_torque(const struct table *table, const struct place *place);
 double table_rest_energy(const struct table *table, const struct place *place);
 
