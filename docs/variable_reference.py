@@ -63,8 +63,8 @@ def tables() -> Iterator[tuple[str, tuple[Variable, ...]]]:
 
 def in_native(variable: Variable) -> str:
     """What a native FMU has of a variable."""
-    (kept,) = from_tables([variable]).values() or (None,)
-    return "–" if kept is None else "the same" if kept == variable else kept.variability
+    (kept,) = from_tables([variable]).values()
+    return "the same" if kept == variable else kept.variability
 
 
 def span(variable: Variable) -> str:

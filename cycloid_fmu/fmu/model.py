@@ -8,9 +8,10 @@ is carried along by the nearer end. At zero torque without friction these ends a
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -71,6 +72,8 @@ class DriveModel:
         self._deviation = self._theta = 0.0  # θ: the crank's angle, reduced
         self._moved = operator.attrgetter(*self._MOVED)
         self._lever = 1.0  # of the driven shaft on the crank's torque
+        # Of no use but with tables, whose errors stay.
+        self._contacts = functools.cache(self._contact_teeth)
         self._rebuild()
 
     def _structured(self) -> dict[str, float]:
@@ -90,8 +93,9 @@ class DriveModel:
         self._forget()
 
     def _made_teeth(self) -> Teeth:
-        if self.tables is not None:
-            return TableTeeth(self.tables)
+        return self._contact_teeth() if self.tables is None else TableTeeth(self.tables, self._contacts)
+
+    def _contact_teeth(self) -> ContactTeeth:
         worn = self.surface if self.surface.life is None else surface_after(self.surface, self._crank_turns_worn)
         surface = with_structured(self.pair, worn, self._changed())
         drive = drive_of(self.pair, surface, slices_needed(surface))
@@ -340,16 +344,16 @@ class DriveModel:
     @property
     def pin_force(self) -> list[float]:
         """Force on each pin, disc by disc, N."""
-        self._load_sharing()
-        values = self._teeth.pin_force()
-        return values if self._stiffness > 0.0 else [0.0] * len(values)
+        return self._pin_loads(self._teeth.pin_force)
 
     @property
     def pin_pressure(self) -> list[float]:
         """Largest pressure on each pin, disc by disc, Pa."""
+        return self._pin_loads(self._teeth.pin_pressure)
+
+    def _pin_loads(self, told: Callable[[float], list[float]]) -> list[float]:
         self._load_sharing()
-        values = self._teeth.pin_pressure()
-        return values if self._stiffness > 0.0 else [0.0] * len(values)
+        return told(self._theta) if self._stiffness > 0.0 else [0.0] * (self.pair.pair.discs * self.pair.pair.pins)
 
     @property
     def contact_count(self) -> int:

@@ -29,9 +29,10 @@ from cycloid_fmu.fmu.table_teeth import TABLE
 from cycloid_fmu.fmu.variables import Interface, Variable, from_tables, variables
 from cycloid_fmu.pair import Pair
 from cycloid_fmu.surface import ErrorSurface
+from cycloid_fmu.transmission import drive_of, slices_needed
 
 IDENTIFIER = "CycloidDrive"
-SOURCES = ("fmi2.c", "fmi3.c", "instance.c", "drive.c", "table.c")
+SOURCES = ("fmi2.c", "fmi3.c", "instance.c", "drive.c", "table.c", "pins.c")
 _NATIVE = Path(__file__).with_name("native")
 _FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off", "-s")
 _UCRT = _NATIVE / "windows" / "ucrt.c"
@@ -105,8 +106,8 @@ def _compiler(name: str) -> list[str]:
 def windows_runtime(*more: str) -> list[str]:
     """Return what zig compiles and links for Windows in place of mingw's library, which takes minutes to compile.
 
-    The C runtime is Windows' own (the Universal CRT, part of it since Windows 10), sine and cosine are those of zig's
-    compiler runtime.
+    The C runtime is Windows' own (the Universal CRT, part of it since Windows 10), but sine, cosine, exponential and
+    logarithm are those of zig's compiler runtime.
 
     Parameters
     ----------
@@ -115,7 +116,7 @@ def windows_runtime(*more: str) -> list[str]:
     """
     (zig,) = importlib.util.find_spec("ziglang").submodule_search_locations  # type: ignore[union-attr, misc]
     include = Path(zig, "lib", "libc", "include", "any-windows-any")
-    parts = ("stdio", "heap", "string", "private", *more)
+    parts = ("stdio", "heap", "string", "private", "math", *more)
     return [
         "-nostdlib", "-rtlib=compiler-rt", "-isystem", str(include), str(_UCRT),
         *(f"-lapi-ms-win-crt-{part}-l1-1-0" for part in parts), "-lkernel32",
@@ -297,7 +298,8 @@ def build_native(
         if made is None:
             made = tables.compute(pair, surface, workers=workers, total=total, progress=progress)
         table = variables(pair, surface, interface, version)
-        plain = tables.write(made, interface, table, first_stage=first_stage)
+        contacts = drive_of(pair, surface, slices_needed(surface)) if version == "3.0" else None
+        plain = tables.write(made, interface, table, first_stage=first_stage, contacts=contacts)
         token = f"{{{uuid.uuid5(_SPACE, __version__ + hashlib.sha256(plain).hexdigest())}}}"
         contents = {
             "modelDescription.xml": _xml(_description(version, token, table, interface, made)),

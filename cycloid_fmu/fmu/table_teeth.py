@@ -12,7 +12,7 @@ from __future__ import annotations
 import copy
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu.contact import compiled
-from cycloid_fmu.fmu.teeth import StepError
+from cycloid_fmu.fmu.teeth import ContactTeeth, StepError
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -148,6 +148,7 @@ def _read_body(reader: _Reader) -> Interpolation:
         raise ValueError
     sides = [_read_side(reader, angles, told, *counts) for counts in loads]
     whole, step = reader.channel(angles, 2)
+    reader.take(*reader.numbers("Q"))  # the native FMU's contact problem
     reader.end()
     return assembled(ratio, period, sides, whole * step)
 
@@ -496,10 +497,20 @@ def sharing(numbers: Array, values: Array32, theta: float, torque: float) -> tup
 
 
 class TableTeeth:
-    """`Teeth` that are interpolated."""
+    """`Teeth` that are interpolated; the forces of single pins, which tables do not hold, are solved when asked for.
 
-    def __init__(self, tables: Interpolation) -> None:
+    Parameters
+    ----------
+    tables
+        What is interpolated.
+    contacts
+        Gives the exact contacts that the tables were made of, nothing solved; they are left as they are.
+    """
+
+    def __init__(self, tables: Interpolation, contacts: Callable[[], ContactTeeth]) -> None:
         self._numbers, self._values = tables.numbers, tables.values
+        self._contacts = contacts
+        self._solved: tuple[tuple[float, float], ContactTeeth] | None = None
         self._positive, self._negative = tables.largest
         self.torque = 0.0
         self._crank: tuple[float, float] | None = None
@@ -560,11 +571,23 @@ class TableTeeth:
         """As of `Teeth`."""
         return sharing(self._numbers, self._values, theta, self.torque)
 
-    def pin_force(self) -> list[float]:
-        """Nothing: the tables hold no single pins."""
-        return []
+    def _solve_pins(self, theta: float) -> ContactTeeth:
+        """Return contacts that carry the torque, solved from nothing: what was asked for before is of no effect."""
+        at = theta, self.torque
+        if self._solved is None or self._solved[0] != at:
+            teeth = self._contacts().copy()
+            teeth.equilibrium(theta, self.torque, loaded(self._numbers, self._values, theta, self.torque)[0])
+            teeth.sharing(theta)
+            self._solved = at, teeth
+        return self._solved[1]
 
-    pin_pressure = pin_force
+    def pin_force(self, theta: float) -> list[float]:
+        """As of `Teeth`."""
+        return self._solve_pins(theta).pin_force(theta)
+
+    def pin_pressure(self, theta: float) -> list[float]:
+        """As of `Teeth`."""
+        return self._solve_pins(theta).pin_pressure(theta)
 
     def begin(self) -> None:
         """As of `Teeth`."""

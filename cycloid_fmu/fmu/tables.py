@@ -11,7 +11,7 @@ own error, and no path makes or loses energy. Between the two sides at zero torq
 
 The file, little endian: magic, version, size and hash (FNV-1a, 64 bits) of the rest; then the FMU's token, interface
 and variables; ratio, period, what stands before the drive, torques and channels: first or second differences of whole
-multiples of a step, seven bits a byte.
+multiples of a step, seven bits a byte; last the contact problem, where forces of single pins are solved.
 """
 
 from __future__ import annotations
@@ -445,6 +445,7 @@ def write(
     variables: Sequence[Variable],
     token: str = "",
     first_stage: FirstStage | None = None,
+    contacts: contact.Drive | None = None,
 ) -> bytes:
     """Return the file that FMUs from tables read.
 
@@ -458,6 +459,8 @@ def write(
         The `guid` or `instantiationToken` of a native FMU.
     first_stage
         What makes the drive an RV reducer.
+    contacts
+        What the forces of single pins are solved from, where a native FMU has such variables.
     """
     offered = 0 if interface.kind == "kinematic" else 1 if interface.output_inertia == 0.0 else 2
     body = bytearray(_text(token) + struct.pack("<II", offered, len(variables)))
@@ -483,6 +486,8 @@ def write(
             for channel, step in zip(values, steps, strict=True):
                 body += _channel(channel, float(step), order)
     body += _channel(tables.rest_torque, _rest_step(tables.rest_torque), 2)
+    problem = b"" if contacts is None else _problem(contacts)
+    body += struct.pack("<Q", len(problem)) + problem
     return _headed(bytes(body))
 
 
@@ -493,6 +498,29 @@ def named(file: bytes, token: str) -> bytes:
 
 def _headed(body: bytes) -> bytes:
     return HEAD.pack(MAGIC, VERSION, 0, HEAD.size + len(body), fnv1a(body)) + body
+
+
+def _problem(drive: contact.Drive) -> bytes:
+    """Return a contact problem as native/table.c reads it; single precision keeps deviations to 1e-13 m."""
+    rough = drive.flank_alpha.size > 0
+    counts = (
+        drive.crank_phase.size, drive.centre_x.size, drive.teeth, drive.ring, drive.flank_alpha.size,
+        drive.pin_deviation.shape[2], drive.gear_curvature.size > 0,
+    )  # fmt: skip
+    scalars = (
+        drive.circle_radius, drive.generating_radius, drive.generating_eccentricity, drive.eccentricity,
+        drive.slice_width, drive.compliance_gear, drive.compliance_pin, drive.largest_log_radius, drive.root_phase,
+        drive.root_margin, drive.largest_deviation,
+    )  # fmt: skip
+    arrays = (
+        drive.pin_x, drive.pin_y, drive.pin_radius, drive.tooth_turn, drive.crank_phase, drive.centre_x, drive.centre_y,
+        *((drive.flank_alpha, drive.flank_x, drive.flank_y, drive.flank_normal_x, drive.flank_normal_y)
+          if rough else ()),
+    )  # fmt: skip
+    maps = (drive.gear_deviation, drive.pin_deviation, drive.gear_curvature, drive.pin_curvature)
+    body = struct.pack("<7I11d", *counts, *scalars)
+    body += b"".join(array.astype("<f8").tobytes() for array in arrays)
+    return body + b"".join(values.astype("<f4").tobytes() for values in maps)
 
 
 _CAUSALITIES = ("input", "output", "parameter", "independent")

@@ -57,10 +57,10 @@ class Teeth(Protocol):
     def sharing(self, theta: float) -> tuple[int, float]:
         """Pins in contact, and the largest pressure (Pa)."""
 
-    def pin_force(self) -> list[float]:
+    def pin_force(self, theta: float) -> list[float]:
         """Force on each pin after `sharing`, disc by disc, N."""
 
-    def pin_pressure(self) -> list[float]:
+    def pin_pressure(self, theta: float) -> list[float]:
         """Largest pressure on each pin after `sharing`, disc by disc, Pa."""
 
     def begin(self) -> None:
@@ -222,11 +222,11 @@ class ContactTeeth:
         """As of `Teeth`."""
         return _load_sharing(self._drive, self._rows, self._pin_force, self._pin_pressure)
 
-    def pin_force(self) -> list[float]:
+    def pin_force(self, theta: float) -> list[float]:
         """As of `Teeth`."""
         return self._pin_force.ravel().tolist()
 
-    def pin_pressure(self) -> list[float]:
+    def pin_pressure(self, theta: float) -> list[float]:
         """As of `Teeth`."""
         return self._pin_pressure.ravel().tolist()
 

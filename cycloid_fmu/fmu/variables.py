@@ -295,12 +295,11 @@ def variables(
 def from_tables(table: Sequence[Variable]) -> dict[int, Variable]:
     """Return what an FMU from tables has of the variables, by value reference.
 
-    What its tables were made with is a constant; the loads of single pins they do not hold.
+    What its tables were made with is a constant.
     """
     kept = {
         reference: dataclasses.replace(v, causality="local", variability="constant") if v.baked else v
         for reference, v in enumerate(table)
-        if not (v.dimensions and v.causality == "output")
     }
     constants = {v.name for v in kept.values() if v.variability == "constant"}
     return {

@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import fmpy
+import numpy as np
 import pytest
 
 from cycloid_fmu.fmu import native_build
@@ -40,6 +42,12 @@ def run_host(program, library, uri, guid, *words, prefix=(), **environment):
         [*prefix, str(program), str(library), uri, guid, *map(str, words)], capture_output=True, text=True,
         timeout=900, env={**os.environ, **environment}, check=False,
     )  # fmt: skip
+
+
+def pins_of(fmu):
+    """What the C host is told of an unpacked FMU's pins: the reference of their forces, and how many there are."""
+    (force,) = (v for v in fmpy.read_model_description(str(fmu.folder)).modelVariables if v.name == "pin_force")
+    return force.valueReference, int(np.prod(force.shape))
 
 
 def needs(program):

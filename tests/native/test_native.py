@@ -15,7 +15,7 @@ from types import SimpleNamespace
 import fmpy
 import numpy as np
 import pytest
-from c_host import COMPILER, HERE, INTERFACES, compiled, needs
+from c_host import COMPILER, HERE, INTERFACES, compiled, needs, pins_of
 from common import ARCSEC, EXAMPLES, PAIR, make_pair
 from fmpy.fmi2 import FMU2Slave
 from fmpy.validation import validate_fmu
@@ -567,6 +567,7 @@ def test_the_library_is_clean_under_the_address_and_undefined_behaviour_sanitize
             ("open",),
             ("save", tmp_path / "s"),
             ("load", tmp_path / "s"),
+            *([("pins", 200, *pins_of(unpacked(kind, version)))] if version == "3.0" else []),
         ):
             host(unpacked(kind, version), *words, program=program, library=library)
 
@@ -576,7 +577,8 @@ def test_the_library_is_clean_under_the_address_and_undefined_behaviour_sanitize
 @pytest.mark.parametrize(("kind", "version"), EACH)
 def test_the_library_is_clean_under_valgrind(unpacked, host, kind, version):
     valgrind = ("valgrind", "--quiet", "--error-exitcode=9", "--leak-check=full", "--errors-for-leak-kinds=definite")
-    for words in (("random", int(STUDIES) // 50), ("rollback", 20), ("run", 200)):
+    pins = [("pins", 100, *pins_of(unpacked(kind, version)))] if version == "3.0" else []
+    for words in (("random", int(STUDIES) // 50), ("rollback", 20), ("run", 200), *pins):
         host(unpacked(kind, version), *words, prefix=valgrind)
 
 
@@ -703,8 +705,7 @@ def test_variables_have_the_references_of_the_fmu_in_python(built, drive):
         described = fmpy.read_model_description(str(built(version=version))).modelVariables
         table = variables(drive.pair, drive.surface, INTERFACES["kinematic"], version)
         assert all(table[v.valueReference].name == v.name and table[v.valueReference].unit == v.unit for v in described)
-        left_out = {v.name for v in table} - {v.name for v in described}
-        assert left_out == ({"pin_force", "pin_pressure"} if version == "3.0" else set())
+        assert {v.name for v in table} == {v.name for v in described}
 
 
 def test_the_sources_in_the_fmu_compile_alone(unpacked, tmp_path):
@@ -838,3 +839,5 @@ def test_the_windows_library_does_the_same_under_wine(unpacked, host, tmp_path):
             assert differing[: 100 if kind == "inertia" else 800].max() <= 1e-12, (kind, version)
             assert "100 states restored" in host(fmu, "rollback", 100, **run)
             assert "refused" in host(fmu, "random", int(STUDIES) // 20, **run)
+            if version == "3.0":
+                assert "0 refused" in host(fmu, "pins", 200, *pins_of(fmu), **run)

@@ -20,14 +20,14 @@ enum { BLOB_VERSION = 2 };
 enum field {
     CRANK_ANGLE, CRANK_SPEED, CRANK_TORQUE, OUTPUT_ANGLE, OUTPUT_SPEED, OUTPUT_TORQUE, TRANSMISSION_ERROR, BACKLASH,
     TORSIONAL_STIFFNESS, MAX_CONTACT_PRESSURE, CONTACT_COUNT, FRICTION_TORQUE, SERIES_COMPLIANCE, POWER_LOSS,
-    BACKLASH_ON, ELASTIC_ENERGY, DISSIPATED_ENERGY, MESH_DAMPING, LARGEST_STEP, OUTPUT_INERTIA, TIME, FIELDS,
-    LOSS = FIELDS
+    BACKLASH_ON, ELASTIC_ENERGY, DISSIPATED_ENERGY, MESH_DAMPING, LARGEST_STEP, OUTPUT_INERTIA, TIME, PIN_FORCE,
+    PIN_PRESSURE, FIELDS, LOSS = FIELDS
 };
 static const char *const NAMES[FIELDS] = {
     "flange_a.phi", "flange_a.w", "flange_a.tau", "flange_b.phi", "flange_b.w", "flange_b.tau", "transmission_error",
     "backlash", "torsional_stiffness", "max_contact_pressure", "contact_count", "friction_torque", "series_compliance",
     "power_loss", "backlash_on", "elastic_energy", "dissipated_energy", "mesh_damping", "largest_step",
-    "output_inertia", "time",
+    "output_inertia", "time", "pin_force", "pin_pressure",
 };
 
 static int refuse(char message[MESSAGE_SIZE], const char *format, double value, double limit) {
@@ -753,6 +753,11 @@ int drive_open(struct drive *drive, struct table *table, char message[MESSAGE_SI
                 v->field = k;
             }
         }
+        if ((v->field == PIN_FORCE || v->field == PIN_PRESSURE)
+            && (table->pins == NULL || v->size != pins_count(table->pins))) {
+            snprintf(message, MESSAGE_SIZE, "%.100s: the table does not hold the pins of this variable.", v->name);
+            return 1;
+        }
         if (sscanf(v->name, "loss_table[%d,%d]", &v->row, &v->column) == 2) {
             v->field = LOSS;
             v->row -= 1;
@@ -803,14 +808,39 @@ int drive_set(struct drive *drive, const struct variable *variable, const double
     return 0;
 }
 
+/* How much the teeth carry, and on which side; 0 where nothing touches. */
+static int teeth_press(struct drive *drive, double *load, double *side) {
+    const struct state *s = &drive->state;
+    *load = kinematic(drive) ? s->load : drive->pressed.load;
+    *side = (kinematic(drive) ? s->side : drive->pressed.side) < 0.0 ? -1.0 : 1.0;
+    return *load > 0.0 || (s->loose == 0.0 && play_at(drive, placed(drive)).width == 0.0);
+}
+
+/* Forces or pressures of all pins. Which of the two is asked for first, and how often, is of no effect on them. */
+static int pin_loads(struct drive *drive, int field, double *values, char message[MESSAGE_SIZE]) {
+    struct pins *pins = drive->table->pins;
+    double load, side, deviation, crank_angle = kinematic(drive) ? drive->state.placed : drive->state.crank_angle;
+    size_t size = pins_count(pins) * sizeof *values;
+    if (!teeth_press(drive, &load, &side)) {
+        memset(values, 0, size);
+        return 0;
+    }
+    deviation = side * (load > 0.0 ? table_at(side_of(drive, side), placed(drive), load)
+                                   : table_at_node(side_of(drive, side), placed(drive), 0)).deviation;
+    if (pins_solve(pins, crank_angle, side * load, deviation)) {
+        return refuse(message, "the contacts of single pins can't be solved at a crank angle of %g rad, under a torque of "
+                      "%g N.m.", crank_angle, side * load);
+    }
+    memcpy(values, field == PIN_FORCE ? pins->force : pins->pressure, size);
+    return 0;
+}
+
 static double output(struct drive *drive, int field) {
     struct state *s = &drive->state;
     const struct place *place = placed(drive);
     int still = kinematic(drive);
-    double load = still ? s->load : drive->pressed.load, side = still ? s->side : drive->pressed.side;
-    double torque, ratio = drive->table->ratio;
-    int pressed = load > 0.0 || (s->loose == 0.0 && play_at(drive, place).width == 0.0);
-    side = side < 0.0 ? -1.0 : 1.0;
+    double torque, ratio = drive->table->ratio, load, side;
+    int pressed = teeth_press(drive, &load, &side);
     switch (field) {
     case CRANK_TORQUE:
         if (still) {
@@ -857,6 +887,15 @@ static double output(struct drive *drive, int field) {
     }
 }
 
+/* All values of an output. */
+static int outputs(struct drive *drive, const struct variable *variable, double *values, char message[MESSAGE_SIZE]) {
+    if (variable->field == PIN_FORCE || variable->field == PIN_PRESSURE) {
+        return pin_loads(drive, variable->field, values, message);
+    }
+    values[0] = output(drive, variable->field);
+    return 0;
+}
+
 int drive_get(struct drive *drive, const struct variable *variable, double *values, char message[MESSAGE_SIZE]) {
     double *value = variable->causality == CAUSALITY_OUTPUT ? NULL : stored(drive, variable);
     if (value != NULL) {
@@ -874,10 +913,7 @@ int drive_get(struct drive *drive, const struct variable *variable, double *valu
     if (drive->initializing) {
         /* Outputs of initialization follow what is set: they are found without keeping anything. */
         struct state kept = drive->state;
-        int failed = drive_start(drive, message);
-        if (!failed) {
-            values[0] = output(drive, variable->field);
-        }
+        int failed = drive_start(drive, message) || outputs(drive, variable, values, message);
         drive->state = kept;
         drive->initializing = 1;
         drive->placed = drive->solved = 0;
@@ -885,10 +921,9 @@ int drive_get(struct drive *drive, const struct variable *variable, double *valu
             return 1;
         }
     } else {
-        if (!kinematic(drive) && solve(drive, message)) {
+        if ((!kinematic(drive) && solve(drive, message)) || outputs(drive, variable, values, message)) {
             return 1;
         }
-        values[0] = output(drive, variable->field);
     }
     if (!(fabs(values[0]) < HUGE_VAL)) {
         snprintf(message, MESSAGE_SIZE, "%.100s is beyond the range of numbers at these inputs.", variable->name);

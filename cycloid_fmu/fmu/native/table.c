@@ -185,6 +185,137 @@ static void read_rest(struct reader *reader, struct table *table, int64_t *steps
     }
 }
 
+/* Numbers that are all finite. */
+static double *numbers(struct reader *reader, size_t count) {
+    double *values;
+    size_t i;
+    if (count > (size_t)(reader->end - reader->at) / 8) {
+        reader->failed = 1;
+    }
+    values = allocate(reader, count, sizeof *values);
+    for (i = 0; i < count && !reader->failed; i++) {
+        values[i] = number(reader);
+        reader->failed |= !(fabs(values[i]) < 1e30);
+    }
+    return values;
+}
+
+static float *short_numbers(struct reader *reader, size_t count) {
+    float *values;
+    size_t i;
+    if (count > (size_t)(reader->end - reader->at) / 4) {
+        reader->failed = 1;
+    }
+    values = allocate(reader, count, sizeof *values);
+    for (i = 0; i < count && !reader->failed; i++) {
+        uint32_t bits = (uint32_t)whole(reader, 4);
+        memcpy(&values[i], &bits, 4);
+        reader->failed |= !(fabsf(values[i]) < 1e30f);
+    }
+    return values;
+}
+
+static int ascending(const struct reader *reader, const double *values, size_t count) {
+    size_t i;
+    for (i = 1; i < count && !reader->failed; i++) {
+        if (!(values[i] > values[i - 1])) {
+            return 0;
+        }
+    }
+    return 1;
+}
+
+static void read_deviations(struct reader *reader, struct pins *pins) {
+    size_t flanks = (size_t)pins->discs * pins->slices * pins->teeth * pins->points;
+    size_t surfaces = (size_t)pins->slices * (pins->teeth + 1) * pins->elements;
+    pins->alpha = numbers(reader, pins->points);
+    pins->flank_x = numbers(reader, pins->points);
+    pins->flank_y = numbers(reader, pins->points);
+    pins->normal_x = numbers(reader, pins->points);
+    pins->normal_y = numbers(reader, pins->points);
+    pins->gear_deviation = short_numbers(reader, flanks);
+    pins->pin_deviation = short_numbers(reader, surfaces);
+    if (pins->curved) {
+        pins->gear_curvature = short_numbers(reader, flanks);
+        pins->pin_curvature = short_numbers(reader, surfaces);
+    }
+    reader->failed |= !ascending(reader, pins->alpha, pins->points);
+}
+
+/* What pins.c solves; nothing where no variable needs it. */
+static struct pins *read_pins(struct reader *reader) {
+    uint32_t *counts[7], i;
+    double *scalars[11];
+    struct pins *pins = allocate(reader, 1, sizeof *pins);
+    uint64_t size = whole(reader, 8);
+    if (pins == NULL || size == 0) {
+        free(pins);
+        return NULL;
+    }
+    if (size != (uint64_t)(reader->end - reader->at)) {
+        reader->failed = 1;
+        return pins;
+    }
+    counts[0] = &pins->discs, counts[1] = &pins->slices, counts[2] = &pins->teeth, counts[3] = &pins->ring;
+    counts[4] = &pins->points, counts[5] = &pins->elements, counts[6] = &pins->curved;
+    for (i = 0; i < 7; i++) {
+        *counts[i] = (uint32_t)whole(reader, 4);
+        reader->failed |= *counts[i] > 100000 || (i < 3 && *counts[i] == 0);
+    }
+    scalars[0] = &pins->circle_radius, scalars[1] = &pins->generating_radius;
+    scalars[2] = &pins->generating_eccentricity, scalars[3] = &pins->eccentricity, scalars[4] = &pins->slice_width;
+    scalars[5] = &pins->compliance_gear, scalars[6] = &pins->compliance_pin, scalars[7] = &pins->largest_log_radius;
+    scalars[8] = &pins->root_phase, scalars[9] = &pins->root_margin, scalars[10] = &pins->largest_deviation;
+    for (i = 0; i < 11; i++) {
+        *scalars[i] = number(reader);
+        reader->failed |= !(fabs(*scalars[i]) < 1e30 || i == 7);
+    }
+    if ((double)pins->discs * pins->slices * (pins->teeth + 1.0) * (pins->points + pins->elements + 1.0) > 1e8
+        || (pins->points > 0 && (pins->points < 3 || pins->elements < 2))) {
+        reader->failed = 1;
+    }
+    pins->x = numbers(reader, pins->teeth + 1);
+    pins->y = numbers(reader, pins->teeth + 1);
+    pins->radius = numbers(reader, pins->teeth + 1);
+    pins->tooth_turn = numbers(reader, (size_t)pins->discs * pins->teeth);
+    pins->crank_phase = numbers(reader, pins->discs);
+    pins->centre_x = numbers(reader, pins->slices);
+    pins->centre_y = numbers(reader, pins->slices);
+    if (pins->points > 0) {
+        read_deviations(reader, pins);
+    }
+    pins->contacts = allocate(reader, pins_contacts(pins), sizeof *pins->contacts);
+    pins->force = allocate(reader, pins_count(pins), sizeof *pins->force);
+    pins->pressure = allocate(reader, pins_count(pins), sizeof *pins->pressure);
+    return pins;
+}
+
+static void free_pins(struct pins *pins) {
+    if (pins == NULL) {
+        return;
+    }
+    free(pins->x);
+    free(pins->y);
+    free(pins->radius);
+    free(pins->tooth_turn);
+    free(pins->crank_phase);
+    free(pins->centre_x);
+    free(pins->centre_y);
+    free(pins->alpha);
+    free(pins->flank_x);
+    free(pins->flank_y);
+    free(pins->normal_x);
+    free(pins->normal_y);
+    free(pins->gear_deviation);
+    free(pins->pin_deviation);
+    free(pins->gear_curvature);
+    free(pins->pin_curvature);
+    free(pins->contacts);
+    free(pins->force);
+    free(pins->pressure);
+    free(pins);
+}
+
 static void read_body(struct reader *reader, struct table *table) {
     uint32_t i, k;
     int64_t *steps;
@@ -248,6 +379,7 @@ static void read_body(struct reader *reader, struct table *table) {
         read_rest(reader, table, steps);
     }
     free(steps);
+    table->pins = read_pins(reader);
     reader->failed |= reader->at != reader->end;
 }
 
@@ -349,6 +481,7 @@ void table_free(struct table *table) {
     free(table->token);
     free(table->rest_torque);
     free(table->rest_energy);
+    free_pins(table->pins);
     free(table);
 }
 

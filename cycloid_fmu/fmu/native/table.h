@@ -5,6 +5,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "pins.h"
+
 enum { MESSAGE_SIZE = 512, MOST_LOADS = 192 };
 
 enum kind { KIND_REAL, KIND_INTEGER, KIND_BOOLEAN };
@@ -42,6 +44,7 @@ struct table {
     double sun_teeth, planet_teeth, sun_play, bearing_play; /* of an RV reducer's first stage; else no teeth */
     struct side side[2]; /* positive and negative torque */
     double *rest_torque, *rest_energy; /* at zero load, by crank angle; NULL without interference */
+    struct pins *pins; /* NULL where no variable needs them */
 };
 
 /* Nodes and weights of a crank angle. */
