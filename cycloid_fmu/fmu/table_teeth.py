@@ -1,8 +1,8 @@
 """How the tables of `tables.py` are read and interpolated in Python, by the formulas of native/table.c and drive.c.
 
 Everything lies in two arrays, for each further argument of a kernel is time at every step. `numbers`: ratio, period,
-crank angles, how many loads each direction and its pressure have, whether there is a torque at rest, and the crank
-angles of what is told alone (contact count and pressure); the loads of each direction and of its pressure; the
+crank angles, how many loads each direction has, and for what is told alone (contact count and pressure), whether there
+is a torque at rest, and the crank angles of what is told alone; the loads of each direction, all and told; the
 deviation's integral over the load up to each node; torque and energy at rest. `values`, of each direction: deviation,
 compliance, contact count and square of the largest pressure. The loads of one crank angle stand side by side.
 """
@@ -142,8 +142,8 @@ def _read_body(reader: _Reader) -> Interpolation:
         reader.text()
         *_, size = reader.numbers("BBBBddI")
         reader.take(8 * size)
-    ratio, period, *_, angles, told, positive, of_positive, negative, of_negative = reader.numbers("7dIIIIII")
-    loads = (positive, of_positive), (negative, of_negative)
+    ratio, period, *_, angles, told, positive, told_positive, negative, told_negative = reader.numbers("7dIIIIII")
+    loads = (positive, told_positive), (negative, told_negative)
     if not (abs(ratio) >= 1.0 and 0.0 < period < 1e6 and 4 <= told <= angles <= 10**8 and min(map(min, loads)) >= 2):
         raise ValueError
     sides = [_read_side(reader, angles, told, *counts) for counts in loads]
@@ -161,12 +161,12 @@ def assembled(ratio: float, period: float, sides: Sequence[Side], rest_torque: A
     ratio, period
         As of `tables.Tables`.
     sides
-        Of positive and of negative torque: the loads, the pressure's loads, deviation and compliance, each of shape
-        (angles, loads), contact count (told angles, loads), and the pressure's square (told angles, pressure loads).
+        Of positive and of negative torque: the loads, those of what is told alone, deviation and compliance, each of
+        shape (angles, loads), contact count and the pressure's square, each (told angles, told loads).
     rest_torque
         Spline coefficients, shape (angles,), N·m.
     """
-    angles, loads = rest_torque.size, [(load.size, of_pressure.size) for load, of_pressure, *_ in sides]
+    angles, loads = rest_torque.size, [(load.size, told_load.size) for load, told_load, *_ in sides]
     told = sides[0][-1].shape[0]
     rest = _rest(rest_torque, period / angles) if rest_torque.any() else np.empty(0)
     head = [ratio, period, angles, *loads[0], *loads[1], float(rest.size > 0), told]
@@ -182,13 +182,13 @@ def _integral(load: Array, deviation: Array32, compliance: Array32) -> Array:
     return np.hstack([np.zeros((x.shape[0], 1)), np.cumsum(cells, axis=1)])
 
 
-def _read_side(reader: _Reader, angles: int, told: int, loads: int, pressures: int) -> Side:
-    load, pressure_load = (_read_loads(reader, count) for count in (loads, pressures))
-    if load[-1] != pressure_load[-1]:
+def _read_side(reader: _Reader, angles: int, told: int, loads: int, told_loads: int) -> Side:
+    load, told_load = (_read_loads(reader, count) for count in (loads, told_loads))
+    if load[-1] != told_load[-1]:
         raise ValueError
-    shapes = ((angles, loads, 2), (angles, loads, 1), (told, loads, 1), (told, pressures, 1))
+    shapes = ((angles, loads, 2), (angles, loads, 1), (told, told_loads, 1), (told, told_loads, 1))
     deviation, compliance, contact_count, pressure = (reader.channels(*shape) for shape in shapes)
-    return load, pressure_load, deviation, compliance, contact_count, pressure
+    return load, told_load, deviation, compliance, contact_count, pressure
 
 
 def _read_loads(reader: _Reader, count: int) -> Array:
@@ -252,12 +252,12 @@ def _place_among(period: float, n: int, theta: float) -> _Place:
 @compiled
 def _side(numbers: Array, side: int) -> tuple[int, int, int, int]:
     """Loads, where the first of them stands among the numbers, where the side's values begin, and a channel's size."""
-    angles, positive, pressures = int(numbers[2]), int(numbers[3]), int(numbers[4])
+    angles, positive, told_loads = int(numbers[2]), int(numbers[3]), int(numbers[4])
     if side == 0:
         return positive, _FIRST, 0, angles * positive
     negative, told = int(numbers[5]), int(numbers[8])
-    begin = 2 * angles * positive + told * (positive + pressures)
-    return negative, _FIRST + positive + pressures, begin, angles * negative
+    begin = 2 * (angles * positive + told * told_loads)
+    return negative, _FIRST + positive + told_loads, begin, angles * negative
 
 
 @compiled
@@ -479,20 +479,18 @@ def pressed(
 @compiled
 def sharing(numbers: Array, values: Array32, theta: float, torque: float) -> tuple[int, float]:
     """Pins in contact, and the largest pressure (Pa), under a torque."""
-    told = int(numbers[8])
+    told, told_loads = int(numbers[8]), int(numbers[4 if torque >= 0.0 else 6])
     nodes, weights, _, s = _place_among(numbers[1], told, theta)
     side, load = (0, torque) if torque >= 0.0 else (1, -torque)
     loads, first, begin, size = _side(numbers, side)
-    counts = begin + 2 * size
-    j = _cell(numbers, first, loads, load)
-    nearest = j + 1 if 2.0 * load > numbers[first + j] + numbers[first + j + 1] or j == 0 else j
-    count = values[counts + nodes[1 if s < 0.5 else 2] * loads + nearest]
-    first, pressures = first + loads, int(numbers[4 + 2 * side])
-    j = _cell(numbers, first, pressures, load)
-    low, high, pressure = numbers[first + j], numbers[first + j + 1], counts + told * loads + j
-    u = (load - low) / (high - low)
-    square = (1.0 - u) * _blend(values, pressure, pressures, nodes, weights)
-    square += u * _blend(values, pressure + 1, pressures, nodes, weights)
+    first, counts = first + loads, begin + 2 * size
+    j = _cell(numbers, first, told_loads, load)
+    low, high = numbers[first + j], numbers[first + j + 1]
+    nearest = j + 1 if 2.0 * load > low + high or j == 0 else j
+    count = values[counts + nodes[1 if s < 0.5 else 2] * told_loads + nearest]
+    u, pressure = (load - low) / (high - low), counts + told * told_loads + j
+    square = (1.0 - u) * _blend(values, pressure, told_loads, nodes, weights)
+    square += u * _blend(values, pressure + 1, told_loads, nodes, weights)
     return int(count), math.sqrt(max(square, 0.0))
 
 

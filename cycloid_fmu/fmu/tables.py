@@ -60,10 +60,12 @@ _DIRECTIONS = (1.0, -1.0)
 _SPREAD = 1000  # random crank angles at which the loads are chosen
 _FIRST_SLOPE = 0.125  # of the first torque: where the slope at zero load is taken, which Hertz's logarithm has infinite
 # Contact count and pressure are told, nothing follows from them: their crank angles are the fewest of a mesh pitch.
-_PRESSURE_LOADS = 32  # at most
+_TOLD_LOADS = 32  # at most
 _PRESSURE_STEP = 4e-3  # of the largest pressure's square
-_STEPS = 8  # steps of the stored deviation in what it may err
-_COMPLIANCE_SHARE = 0.02  # largest step of the stored compliance, of its mean
+# Of what the deviation may err: how many steps of the stored deviation, and of what a stored compliance adds to it.
+# Finer ones take more and err as much.
+_STEPS, _COMPLIANCE_STEPS = 4, 2
+_COMPLIANCE_SHARE = 0.04  # largest step of the stored compliance, of its mean
 PROBES = 20000  # random crank angles and torques at which the finished tables are held against the model
 
 
@@ -78,12 +80,12 @@ class Side:
     deviation, compliance
         Spline coefficients over the crank angle of the deviation times the direction (rad) and of its derivative by
         the load (rad/(N·m)), shape (loads, angles).
+    told_load
+        Some of the loads, from the first to the last, shape (told loads,), N·m.
     contact_count
-        Pins in contact at some of the nodes, shape (loads, told angles).
-    pressure_load
-        Some of the loads, from the first to the last, shape (pressure loads,), N·m.
+        Pins in contact at those and at some of the nodes, shape (told loads, told angles).
     pressure
-        Spline coefficients of the largest contact pressure's square at those, shape (pressure loads, told angles), Pa²:
+        Spline coefficients of the largest contact pressure's square there, shape (told loads, told angles), Pa²:
         force, so nearly linear in the load.
     steps
         What deviation, compliance and pressure of each load are whole multiples of.
@@ -92,8 +94,8 @@ class Side:
     load: Array
     deviation: Array
     compliance: Array
+    told_load: Array
     contact_count: NDArray[np.uint8]
-    pressure_load: Array
     pressure: Array
     steps: tuple[Array, Array, Array]
 
@@ -275,22 +277,24 @@ def _side(loads: Array, exact: _Solved, allowed: float, told: int) -> Side:
     Where the coefficients satisfy Fritsch and Carlson's condition (SIAM J. Numer. Anal. 17 (1980) 238), every spline
     between them does, for a B-spline's weights are positive. Count and pressure are kept at every `told`th node.
     """
-    square, count = exact.pressure[:, ::told], exact.contact_count[:, ::told]
-    some = np.unique(np.round(np.linspace(0, loads.size - 1, _PRESSURE_LOADS)).astype(int))
+    some = np.unique(np.round(np.linspace(0, loads.size - 1, _TOLD_LOADS)).astype(int))
+    square, count = exact.pressure[some, ::told], exact.contact_count[some, ::told]
     h = np.diff(loads)
     widest = np.maximum(np.append(h[:1], h), np.append(h, h[-1:]))
     steps = (
         np.full(loads.size, allowed / _STEPS),
-        np.minimum(4.0 * allowed / _STEPS / widest, _COMPLIANCE_SHARE * np.abs(exact.compliance).mean(axis=1)),
-        _PRESSURE_STEP * np.maximum(square[some].max(axis=1), 1.0),
+        np.minimum(
+            4.0 * allowed / _COMPLIANCE_STEPS / widest, _COMPLIANCE_SHARE * np.abs(exact.compliance).mean(axis=1)
+        ),
+        _PRESSURE_STEP * np.maximum(square.max(axis=1), 1.0),
     )  # fmt: skip
     fine, c_fine, p_fine = (s[:, None] for s in steps)
     x = np.maximum.accumulate(np.round(_coefficients(exact.deviation) / fine), axis=0) * fine
     slope = np.diff(x, axis=0) / h[:, None]
     most = 3.0 * np.minimum(np.vstack([slope[:1], slope]), np.vstack([slope, slope[-1:]]))
     c = np.floor(np.minimum(np.maximum(_coefficients(exact.compliance), 0.0), most) / c_fine) * c_fine
-    p = np.maximum(np.round(_coefficients(square[some]) / p_fine), 0.0) * p_fine
-    return Side(loads, x, c, count.astype(np.uint8), loads[some], p, steps)
+    p = np.maximum(np.round(_coefficients(square) / p_fine), 0.0) * p_fine
+    return Side(loads, x, c, loads[some], count.astype(np.uint8), p, steps)
 
 
 def _rest_torque(pair: Pair, surface: ErrorSurface, angles: Array) -> Array:
@@ -475,13 +479,13 @@ def write(
     angles = tables.rest_torque.size
     stage = (0.0, 0.0, 0.0, 0.0) if first_stage is None else dataclasses.astuple(first_stage)
     numbers = (tables.ratio, tables.period, tables.allowed, *stage)
-    counts = [count for s in sides for count in (s.load.size, s.pressure_load.size)]
+    counts = [count for s in sides for count in (s.load.size, s.told_load.size)]
     body += struct.pack("<7dIIIIII", *numbers, angles, tables.positive.pressure.shape[1], *counts)
     for side in sides:
-        body += side.load.astype("<f8").tobytes() + side.pressure_load.astype("<f8").tobytes()
+        body += side.load.astype("<f8").tobytes() + side.told_load.astype("<f8").tobytes()
         kinds: tuple[NDArray[Any], ...] = (side.deviation, side.compliance, side.contact_count, side.pressure)
         fine, c_fine, p_fine = side.steps
-        each = zip(kinds, (fine, c_fine, np.ones(side.load.size), p_fine), (2, 1, 1, 1), strict=True)
+        each = zip(kinds, (fine, c_fine, np.ones(side.told_load.size), p_fine), (2, 1, 1, 1), strict=True)
         for values, steps, order in each:
             for channel, step in zip(values, steps, strict=True):
                 body += _channel(channel, float(step), order)
@@ -553,7 +557,7 @@ def interpolation(tables: Tables) -> Interpolation:
     sides = [
         (
             s.load,
-            s.pressure_load,
+            s.told_load,
             stored(s.deviation),
             stored(s.compliance),
             stored(s.contact_count),

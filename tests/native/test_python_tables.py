@@ -164,7 +164,6 @@ def any_tables(draw):
     sides = []
     for _ in range(2):
         loads = draw(st.integers(2, 4))
-        count = np.abs(arrays(draw, (loads, told), 255)).astype(np.uint8)
         load = np.concatenate([[0.0], np.cumsum(1.0 + np.abs(arrays(draw, (loads - 1,), 1000)))])
         some = load[[True, *(draw(st.booleans()) for _ in load[2:]), True]]
         steps = tuple(10.0 ** draw(st.integers(-12, 0)) * np.ones(size) for size in (loads, loads, some.size))
@@ -172,7 +171,8 @@ def any_tables(draw):
         deviation, compliance, pressure = (
             arrays(draw, shape, 2**40) * s[0] for shape, s in zip(shapes, steps, strict=True)
         )
-        sides.append(tables.Side(load, deviation, compliance, count, some, pressure, steps))
+        count = np.abs(arrays(draw, (some.size, told), 255)).astype(np.uint8)
+        sides.append(tables.Side(load, deviation, compliance, some, count, pressure, steps))
     rest = arrays(draw, (angles,), 10**6)
     return tables.Tables(draw(st.sampled_from([-39.0, 40.0])), draw(st.floats(0.1, 300.0)), *sides, rest, 1e-7)
 
@@ -182,7 +182,7 @@ def any_tables(draw):
 def test_what_is_written_is_read_again(made):
     read = table_teeth.read(tables.write(made, Interface(), ()), "tables")
     angles = made.rest_torque.size
-    loads = [size for side in (made.positive, made.negative) for size in (side.load.size, side.pressure_load.size)]
+    loads = [size for side in (made.positive, made.negative) for size in (side.load.size, side.told_load.size)]
     assert read.numbers[:7].tolist() == [made.ratio, made.period, angles, *loads]
     assert read.largest == (made.positive.load[-1], made.negative.load[-1])
     first = 0

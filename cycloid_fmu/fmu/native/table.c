@@ -135,15 +135,15 @@ static void read_side(struct reader *reader, const struct table *table, struct s
     float *counts;
     size_t i;
     read_loads(reader, side->loads, side->load);
-    read_loads(reader, side->pressure_loads, side->pressure_load);
-    if (side->load[side->loads - 1] != side->pressure_load[side->pressure_loads - 1]) {
+    read_loads(reader, side->told_loads, side->told_load);
+    if (side->load[side->loads - 1] != side->told_load[side->told_loads - 1]) {
         reader->failed = 1;
     }
     side->deviation = channels(reader, table->angles, side->loads, 2, steps);
     side->compliance = channels(reader, table->angles, side->loads, 1, steps);
-    counts = channels(reader, table->told_angles, side->loads, 1, steps);
-    side->contact_count = allocate(reader, (size_t)table->told_angles * side->loads, 1);
-    for (i = 0; !reader->failed && i < (size_t)table->told_angles * side->loads; i++) {
+    counts = channels(reader, table->told_angles, side->told_loads, 1, steps);
+    side->contact_count = allocate(reader, (size_t)table->told_angles * side->told_loads, 1);
+    for (i = 0; !reader->failed && i < (size_t)table->told_angles * side->told_loads; i++) {
         if (counts[i] < 0.0f || counts[i] > 255.0f) {
             reader->failed = 1;
         } else {
@@ -151,7 +151,7 @@ static void read_side(struct reader *reader, const struct table *table, struct s
         }
     }
     free(counts);
-    side->pressure = channels(reader, table->told_angles, side->pressure_loads, 1, steps);
+    side->pressure = channels(reader, table->told_angles, side->told_loads, 1, steps);
 }
 
 /* The torque's mean is taken off: a crank turned round gives no energy. Its integral is the energy at the nodes. */
@@ -356,9 +356,9 @@ static void read_body(struct reader *reader, struct table *table) {
     for (k = 0; k < 2; k++) {
         struct side *side = &table->side[k];
         side->loads = (uint32_t)whole(reader, 4);
-        side->pressure_loads = (uint32_t)whole(reader, 4);
-        if (side->loads < 2 || side->loads > MOST_LOADS || side->pressure_loads < 2
-            || side->pressure_loads > MOST_LOADS) {
+        side->told_loads = (uint32_t)whole(reader, 4);
+        if (side->loads < 2 || side->loads > MOST_LOADS || side->told_loads < 2
+            || side->told_loads > MOST_LOADS) {
             reader->failed = 1;
         }
     }
@@ -660,8 +660,8 @@ void table_energy(const struct side *side, const struct place *place, double loa
 }
 
 double table_pressure(const struct side *side, const struct place *told, double load) {
-    uint32_t loads = side->pressure_loads, j = cell_of(side->pressure_load, loads, load);
-    double u = (load - side->pressure_load[j]) / (side->pressure_load[j + 1] - side->pressure_load[j]);
+    uint32_t loads = side->told_loads, j = cell_of(side->told_load, loads, load);
+    double u = (load - side->told_load[j]) / (side->told_load[j + 1] - side->told_load[j]);
     double low = blend(side->pressure, loads, told, j, told->weight);
     double high = blend(side->pressure, loads, told, j + 1, told->weight);
     double square = (1.0 - u) * low + u * high;
@@ -669,9 +669,9 @@ double table_pressure(const struct side *side, const struct place *told, double 
 }
 
 int table_contact_count(const struct side *side, const struct place *told, double load) {
-    uint32_t j = cell_of(side->load, side->loads, load);
-    uint32_t nearest = 2.0 * load > side->load[j] + side->load[j + 1] || j == 0 ? j + 1 : j;
-    return side->contact_count[(size_t)told->node[told->share < 0.5 ? 1 : 2] * side->loads + nearest];
+    uint32_t loads = side->told_loads, j = cell_of(side->told_load, loads, load);
+    uint32_t nearest = 2.0 * load > side->told_load[j] + side->told_load[j + 1] || j == 0 ? j + 1 : j;
+    return side->contact_count[(size_t)told->node[told->share < 0.5 ? 1 : 2] * loads + nearest];
 }
 
 double table_rest_torque(const struct table *table, const struct place *place) {

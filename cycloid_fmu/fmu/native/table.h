@@ -25,12 +25,10 @@ struct variable {
 
 /* One direction of torque; spline coefficients, the loads of one crank angle side by side. */
 struct side {
-    uint32_t loads;
-    double load[MOST_LOADS];
+    uint32_t loads, told_loads; /* told: of contact count and pressure, from which nothing follows */
+    double load[MOST_LOADS], told_load[MOST_LOADS];
     float *deviation, *compliance;
     uint8_t *contact_count;
-    uint32_t pressure_loads;
-    double pressure_load[MOST_LOADS];
     float *pressure;
 };
 
