@@ -62,9 +62,7 @@ _FIRST_SLOPE = 0.125  # of the first torque: where the slope at zero load is tak
 # Contact count and pressure are told, nothing follows from them: their crank angles are the fewest of a mesh pitch.
 _TOLD_LOADS = 32  # at most
 _PRESSURE_STEP = 4e-3  # of the largest pressure's square
-# Of what the deviation may err: how many steps of the stored deviation, and of what a stored compliance adds to it.
-# Finer ones take more and err as much.
-_STEPS, _COMPLIANCE_STEPS = 4, 2
+_STEPS = 6  # of the stored deviation, and of what a stored compliance adds to it, in what it may err
 _COMPLIANCE_SHARE = 0.04  # largest step of the stored compliance, of its mean
 PROBES = 20000  # random crank angles and torques at which the finished tables are held against the model
 
@@ -283,9 +281,7 @@ def _side(loads: Array, exact: _Solved, allowed: float, told: int) -> Side:
     widest = np.maximum(np.append(h[:1], h), np.append(h, h[-1:]))
     steps = (
         np.full(loads.size, allowed / _STEPS),
-        np.minimum(
-            4.0 * allowed / _COMPLIANCE_STEPS / widest, _COMPLIANCE_SHARE * np.abs(exact.compliance).mean(axis=1)
-        ),
+        np.minimum(4.0 * allowed / _STEPS / widest, _COMPLIANCE_SHARE * np.abs(exact.compliance).mean(axis=1)),
         _PRESSURE_STEP * np.maximum(square.max(axis=1), 1.0),
     )  # fmt: skip
     fine, c_fine, p_fine = (s[:, None] for s in steps)
