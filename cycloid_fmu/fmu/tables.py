@@ -55,6 +55,7 @@ RANGE_SHARE = 1e-3  # of the transmission error's range over the crank angle, wh
 LARGEST_LOAD = 2.5  # times the rated torque: what reducers' makers allow for a moment (emergency stop)
 _SAMPLES = (16, 128)  # crank angles a mesh pitch: the fewest, doubled up to the most
 _SHARE = 1.1  # of the allowed error that a cell between loads may have in its middle
+_NEIGHBOURS, _REACHES = 5, (1.0, 0.5, 0.25)  # places drawn around each of the worst probes, and how far: cells
 _WORST = 200  # probes that tell whether loads or crank angles are too few
 _DIRECTIONS = (1.0, -1.0)
 _SPREAD = 1000  # random crank angles at which the loads are chosen
@@ -62,7 +63,7 @@ _FIRST_SLOPE = 0.125  # of the first torque: where the slope at zero load is tak
 # Contact count and pressure are told, nothing follows from them: their crank angles are the fewest of a mesh pitch.
 _TOLD_LOADS = 32  # at most
 _PRESSURE_STEP = 4e-3  # of the largest pressure's square
-_STEPS = 6  # of the stored deviation, and of what a stored compliance adds to it, in what it may err
+_STEPS = 4  # of the stored deviation, and of what a stored compliance adds to it, in what it may err
 _COMPLIANCE_SHARE = 0.04  # largest step of the stored compliance, of its mean
 PROBES = 20000  # random crank angles and torques at which the finished tables are held against the model
 
@@ -362,19 +363,19 @@ def compute(
         return _solved(pair, surface, direction, at, crank_angle, workers, progress)
 
     exact = [solved(d, n, angles) for d, n in zip(_DIRECTIONS, loads, strict=True)]
-    probed, drawn = _probed(pair, surface, period, largest_load, PROBES, 1), 1
+    probed, drawn = _Probed(np.empty(0), np.empty(0), np.empty((4, 0))), 0
     while True:
         tables = _assembled(pair, surface, period, loads, exact, angles, allowed)
         off = evaluate(tables, probed.crank_angle, probed.torque)["deviation"] - probed.exact[0]
-        if np.abs(off).max() <= allowed:
+        if off.size == 0 or np.abs(off).max() <= allowed:
             # Held against places that nothing was chosen by; where they find more, they are chosen by too.
             drawn += 1
-            fresh = _probed(pair, surface, period, largest_load, PROBES, drawn)
+            fresh = _probed(pair, surface, *_places(period, largest_load, PROBES, drawn))
             tables = dataclasses.replace(tables, error=_errors(tables, fresh))
-            if tables.error["deviation_largest"] <= allowed:
-                return tables
-            probed = _Probed(*(np.concatenate(both, axis=-1) for both in zip(probed, fresh, strict=True)))
+            probed = _together(probed, _around_the_worst(tables, pair, surface, fresh, pitch / samples, drawn))
             off = evaluate(tables, probed.crank_angle, probed.torque)["deviation"] - probed.exact[0]
+            if np.abs(off).max() <= allowed:
+                return tables
         further, by_angle = _missing_loads(pair, surface, loads, probed, off, allowed)
         if by_angle and samples < _SAMPLES[-1]:
             samples *= 2
@@ -600,7 +601,7 @@ def compare(tables: Tables, pair: Pair, surface: ErrorSurface, probes: int, seed
         "crank_torque_rms" relative to the root mean square of the quantity itself (1).
     """
     largest = min(tables.positive.load[-1], tables.negative.load[-1])
-    return _errors(tables, _probed(pair, surface, tables.period, largest, probes, seed))
+    return _errors(tables, _probed(pair, surface, *_places(tables.period, largest, probes, seed)))
 
 
 class _Probed(NamedTuple):
@@ -614,18 +615,42 @@ class _Probed(NamedTuple):
     exact: Array
 
 
-def _probed(pair: Pair, surface: ErrorSurface, period: float, largest: float, probes: int, seed: int) -> _Probed:
+def _places(period: float, largest: float, probes: int, seed: int) -> tuple[Array, Array]:
+    """Random crank angles, and torques evenly and evenly in the logarithm."""
     random = np.random.default_rng(seed)
     size = np.where(
         random.random(probes) < 0.5, random.uniform(0.0, 1.0, probes), 10.0 ** random.uniform(-4.0, 0.0, probes)
     )  # fmt: skip
     torque = largest * size * random.choice([-1.0, 1.0], probes)
-    theta = np.sort(random.uniform(0.0, period, probes))
+    return np.sort(random.uniform(0.0, period, probes)), torque
+
+
+def _around_the_worst(
+    tables: Tables, pair: Pair, surface: ErrorSurface, probed: _Probed, spacing: float, seed: int
+) -> _Probed:
+    """Add places ever closer around those where tables err most: the largest errors are narrower than probes lie."""
+    random, found = np.random.default_rng(seed), probed
+    for reach in _REACHES:
+        off = np.abs(evaluate(tables, found.crank_angle, found.torque)["deviation"] - found.exact[0])
+        worst = np.repeat(np.argsort(-off)[:_WORST], _NEIGHBOURS)
+        theta = found.crank_angle[worst] + reach * spacing * random.uniform(-1.0, 1.0, worst.size)
+        torque = found.torque[worst] * (1.0 + 0.1 * reach * random.uniform(-1.0, 1.0, worst.size))
+        largest = min(tables.positive.load[-1], tables.negative.load[-1])
+        near = _probed(pair, surface, np.mod(theta, tables.period), np.clip(torque, -largest, largest))
+        found = _together(found, near)
+    return found
+
+
+def _together(*parts: _Probed) -> _Probed:
+    return _Probed(*(np.concatenate(channel, axis=-1) for channel in zip(*parts, strict=True)))
+
+
+def _probed(pair: Pair, surface: ErrorSurface, theta: Array, torque: Array) -> _Probed:
     drive = drive_of(pair, surface, slices_needed(surface))
     rows = contact.contact_rows(drive)
     forces, pressures = np.zeros((pair.pair.discs, pair.pair.pins)), np.zeros((pair.pair.discs, pair.pair.pins))
-    exact = np.empty((4, probes))
-    for i in range(probes):
+    exact = np.empty((4, theta.size))
+    for i in range(theta.size):
         x, stiffness = contact.equilibrium(drive, theta[i], torque[i], 0.0, rows, True)
         crank = contact.crank_side(drive, theta[i], x, rows)[0]
         exact[:, i] = x, stiffness, contact.load_sharing(drive, rows, forces, pressures)[1], crank
