@@ -1,6 +1,7 @@
 import dataclasses
 import math
 
+import numba
 import numpy as np
 import pytest
 from common import CASES, PAIR, make_pair
@@ -441,6 +442,7 @@ def test_two_discs_cancel_an_order_one_pin_error():
     assert amplitude(2) < 0.1
 
 
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
 def test_views_of_angles_and_torques_do_not_compile_the_kernels_again():
     """A step between values or a read-only array is another type to the compiler: it took seconds, of every user."""
     pair = read_pair(CASES / "errors-39-40.toml")
