@@ -140,7 +140,7 @@ def opened(path: str | os.PathLike[str], inputs: Iterable[str] = (), outputs: It
     Raises
     ------
     edge.InputError
-        If the file is no co-simulation FMU or lacks a variable.
+        If the file is no co-simulation FMU, lacks a variable or does not instantiate.
     """
     import fmpy
     from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
@@ -166,15 +166,15 @@ def opened(path: str | os.PathLike[str], inputs: Iterable[str] = (), outputs: It
         modelIdentifier=description.coSimulation.modelIdentifier,
         instanceName="drive",
     )
+    callbacks = fmi2CallbackFunctions(*(getattr(defaultCallbacks, n) for n, _ in fmi2CallbackFunctions._fields_))
+    callbacks.logger = fmi2CallbackLoggerTYPE(listen)
+    logging = {"logMessage": listen} if new else {"callbacks": callbacks}
     try:
-        if new:
-            slave.instantiate(loggingOn=True, logMessage=listen)
-        else:
-            callbacks = fmi2CallbackFunctions(
-                *(getattr(defaultCallbacks, n) for n, _ in fmi2CallbackFunctions._fields_)
-            )
-            callbacks.logger = fmi2CallbackLoggerTYPE(listen)
-            slave.instantiate(callbacks=callbacks, loggingOn=True)
+        try:
+            slave.instantiate(loggingOn=True, **logging)
+        except Exception as problem:  # fmpy has no class for it
+            why = said[-1] if said else str(problem)
+            raise edge.InputError(f"{path}: this FMU can't be instantiated: {why.rstrip('.')}.") from None
         yield Fmu(path, description, slave, said)
         slave.terminate()
     finally:

@@ -28,6 +28,8 @@ from cycloid_fmu.fmu import native_build, tables
 from cycloid_fmu.fmu.compliant_model import CompliantModel
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.reducer_model import ReducerModel
+from cycloid_fmu.fmu.run import opened
+from cycloid_fmu.fmu.table_teeth import TABLE
 from cycloid_fmu.fmu.variables import variables
 from cycloid_fmu.pair import parse_pair, read_pair
 from cycloid_fmu.surface import nominal_surface, surface_of_pair
@@ -106,6 +108,19 @@ def test_tables_keep_their_accuracy_at_crank_angles_and_torques_they_were_not_ma
     assert errors["deviation_largest"] < 0.02 * ARCSEC
     assert errors["max_contact_pressure_rms"] < 0.005
     assert errors["crank_torque_rms"] < 0.005
+
+
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_an_fmu_whose_table_is_damaged_says_so_when_it_is_opened(built, tmp_path, version):
+    damaged = tmp_path / "damaged.fmu"
+    with zipfile.ZipFile(built("kinematic", version)) as whole, zipfile.ZipFile(damaged, "w") as archive:
+        for name in whole.namelist():
+            data = bytearray(whole.read(name))
+            if name.endswith(TABLE):
+                data[len(data) // 2] ^= 1
+            archive.writestr(name, bytes(data))
+    with pytest.raises(edge.InputError, match=r"can't be instantiated: .* the table is damaged"), opened(damaged):
+        pass
 
 
 @pytest.mark.slow(10)
