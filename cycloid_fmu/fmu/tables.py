@@ -552,14 +552,7 @@ def interpolation(tables: Tables) -> Interpolation:
         return channel.T.astype(np.float32)
 
     sides = [
-        (
-            s.load,
-            s.told_load,
-            stored(s.deviation),
-            stored(s.compliance),
-            stored(s.contact_count),
-            stored(s.pressure),
-        )
+        (s.load, s.told_load, stored(s.deviation), stored(s.compliance), stored(s.contact_count), stored(s.pressure))
         for s in (tables.positive, tables.negative)
     ]
     return assembled(tables.ratio, tables.period, sides, tables.rest_torque)
@@ -630,12 +623,12 @@ def _around_the_worst(
 ) -> _Probed:
     """Add places ever closer around those where tables err most: the largest errors are narrower than probes lie."""
     random, found = np.random.default_rng(seed), probed
+    largest = min(tables.positive.load[-1], tables.negative.load[-1])
     for reach in _REACHES:
         off = np.abs(evaluate(tables, found.crank_angle, found.torque)["deviation"] - found.exact[0])
         worst = np.repeat(np.argsort(-off)[:_WORST], _NEIGHBOURS)
         theta = found.crank_angle[worst] + reach * spacing * random.uniform(-1.0, 1.0, worst.size)
         torque = found.torque[worst] * (1.0 + 0.1 * reach * random.uniform(-1.0, 1.0, worst.size))
-        largest = min(tables.positive.load[-1], tables.negative.load[-1])
         near = _probed(pair, surface, np.mod(theta, tables.period), np.clip(torque, -largest, largest))
         found = _together(found, near)
     return found
