@@ -20,7 +20,7 @@ import numpy as np
 from cycloid_fmu import __version__, edge
 from cycloid_fmu.fmu.description import Version
 from cycloid_fmu.fmu.losses import check_losses
-from cycloid_fmu.fmu.parts import parts
+from cycloid_fmu.fmu.parts import parts, write_archive
 from cycloid_fmu.fmu.reducer_model import FirstStage
 from cycloid_fmu.fmu.variables import Interface, LossRow, from_tables, variables
 from cycloid_fmu.pair import Pair
@@ -31,6 +31,12 @@ if TYPE_CHECKING:
 
 _LIBRARIES = {"2.0": "pythonfmu", "3.0": "pythonfmu3"}
 _SCRIPTS = {"2.0": "cycloid_drive.py", "3.0": "cycloid_drive3.py"}
+# FMI 2.0's library stands before pythonfmu's, which does not decode the resources' URI (front/front.c).
+_FRONT = Path(__file__).with_name("front")
+_FRONTS = {
+    "binaries/linux64/CycloidDrive.so": "binaries/linux64/pythonfmu-export.so",
+    "binaries/win64/CycloidDrive.dll": "binaries/win64/pythonfmu-export.dll",
+}
 
 
 def build_fmu(
@@ -110,12 +116,12 @@ def build_fmu(
             # The builder leaves the script's folder and module behind, and the next build would find the old one.
             sys.path[:] = [p for p in sys.path if p != str(place)]
             sys.modules.pop(script.stem, None)
-        built = place / "CycloidDrive.fmu"
         told = table if tables is None else tuple(from_tables(table).values())
-        with zipfile.ZipFile(built, "a", zipfile.ZIP_DEFLATED) as archive:
-            for name, content in parts(pair, interface, told, fmi_version, [library]).items():
-                archive.writestr(name, content)
-        shutil.copyfile(built, temporary)
+        fronts = _FRONTS if fmi_version == "2.0" else {}
+        with zipfile.ZipFile(place / "CycloidDrive.fmu") as made:
+            contents = {fronts.get(name, name): made.read(name) for name in made.namelist()}
+        contents.update({name: (_FRONT / name.removeprefix("binaries/")).read_bytes() for name in fronts})
+        write_archive(temporary, {**contents, **parts(pair, interface, told, fmi_version, [library])})
 
 
 def checked_interface(interface: Interface, first_stage: FirstStage | None) -> Interface:

@@ -14,7 +14,6 @@ import subprocess
 import sys
 import tempfile
 import uuid
-import zipfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
@@ -23,7 +22,7 @@ from cycloid_fmu import __version__, edge
 from cycloid_fmu.fmu import tables
 from cycloid_fmu.fmu.build import checked_interface
 from cycloid_fmu.fmu.description import Version, model_structure, model_variables, unit_definitions
-from cycloid_fmu.fmu.parts import parts
+from cycloid_fmu.fmu.parts import parts, write_archive
 from cycloid_fmu.fmu.reducer_model import FirstStage
 from cycloid_fmu.fmu.table_teeth import TABLE
 from cycloid_fmu.fmu.variables import Interface, Variable, from_tables, variables
@@ -32,7 +31,7 @@ from cycloid_fmu.surface import ErrorSurface
 from cycloid_fmu.transmission import drive_of, slices_needed
 
 IDENTIFIER = "CycloidDrive"
-SOURCES = ("fmi2.c", "fmi3.c", "instance.c", "drive.c", "table.c", "pins.c")
+SOURCES = ("fmi2.c", "fmi3.c", "instance.c", "drive.c", "table.c", "pins.c", "uri.c")
 _NATIVE = Path(__file__).with_name("native")
 _FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off", "-s")
 _UCRT = _NATIVE / "windows" / "ucrt.c"
@@ -310,10 +309,5 @@ def build_native(
         }
         if version == "3.0":
             contents["sources/buildDescription.xml"] = _xml(_build_description())
-        with zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive:
-            for name, data in contents.items():
-                # The same drive gives the same bytes: no time of day in the archive.
-                entry = zipfile.ZipInfo(name)
-                entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
-                archive.writestr(entry, data, compresslevel=9)
+        write_archive(temporary, contents)
     return made

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+import os
+import zipfile
+from collections.abc import Mapping, Sequence
 from importlib import metadata
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
@@ -128,3 +130,12 @@ def parts(
         return {**found, "model.png": icon(pair)}
     return {**found, "terminalsAndIcons/terminalsAndIcons.xml": terminals(interface),
             "terminalsAndIcons/icon.png": icon(pair)}  # fmt: skip
+
+
+def write_archive(path: str | os.PathLike[str], contents: Mapping[str, bytes]) -> None:
+    """Write an FMU of these files, {path in the archive: content}; the same contents give the same bytes."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in contents.items():
+            entry = zipfile.ZipInfo(name)  # without the time of day
+            entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
+            archive.writestr(entry, content, compresslevel=9)

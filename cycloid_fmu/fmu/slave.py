@@ -62,8 +62,8 @@ class DriveSlave:
     log_queue: list[Any]
     core: Core
 
-    def _open(self, resources: str, platform: str) -> None:
-        _release_at_exit(Path(resources).parent / "binaries" / platform / "CycloidDrive.so")
+    def _open(self, resources: str, library: str) -> None:
+        _release_at_exit(Path(resources).parent / "binaries" / library)
         self.core = Core(Path(resources), self.fmi_version)
         self._getters, self._put_all = self.core.getters, self.core.put_all
 
@@ -123,7 +123,7 @@ class DriveSlave2(DriveSlave, Fmi2Slave):  # type: ignore[misc]
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self.default_experiment = DefaultExperiment(start_time=0.0, stop_time=1.0, step_size=1e-3)
-        self._open(self.resources, "linux64")
+        self._open(self.resources, "linux64/pythonfmu-export.so")
 
     def _refuse(self, message: str) -> None:
         self.log(message, Fmi2Status.discard)

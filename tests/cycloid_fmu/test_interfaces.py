@@ -48,11 +48,11 @@ def fmus(tmp_path_factory):
     return built
 
 
-def loaded(path, name="one", logger=None):
+def loaded(path, name="one", logger=None, folder=None):
     description = fmpy.read_model_description(str(path), validate=False)
     new = description.fmiVersion.startswith("3")
     slave = (FMU3Slave if new else FMU2Slave)(
-        guid=description.guid, unzipDirectory=fmpy.extract(str(path)), instanceName=name,
+        guid=description.guid, unzipDirectory=fmpy.extract(str(path), unzipdir=folder), instanceName=name,
         modelIdentifier=description.coSimulation.modelIdentifier,
     )  # fmt: skip
     if new and logger is not None:
@@ -271,14 +271,18 @@ def test_instances_come_go_and_reset(fmus, version):
     freed(kept)
 
 
-def test_fmi_3_runs_from_a_folder_with_other_letters(fmus, tmp_path):
-    folder = fmpy.extract(str(fmus("kinematic", "3.0")), unzipdir=str(tmp_path / "Gerät ä 歯車"))
-    description = fmpy.read_model_description(folder, validate=False)
-    slave = FMU3Slave(guid=description.guid, unzipDirectory=folder, modelIdentifier="CycloidDrive", instanceName="é")
-    slave.instantiate()
-    slave.enterInitializationMode()
-    slave.exitInitializationMode()
-    slave.freeInstance()
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_an_fmu_runs_from_a_folder_with_other_letters(fmus, tmp_path, version):
+    found = []
+    for folder in (None, str(tmp_path / "Gerät 100% 歯車 #1")):
+        slave, v = loaded(fmus("kinematic", version), "é", folder=folder)
+        new = version == "3.0"
+        put, get = (slave.setFloat64, slave.getFloat64) if new else (slave.setReal, slave.getReal)
+        put([v["flange_a.phi"], v["flange_b.tau"]], [0.5, 80.0])
+        slave.exitInitializationMode()
+        found.append(get([v["flange_b.phi"]]))
+        freed(slave)
+    assert found[0] == found[1]
 
 
 def test_commands_lead_and_compare(command, tmp_path):

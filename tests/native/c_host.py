@@ -52,3 +52,7 @@ def pins_of(fmu):
 
 def needs(program):
     return pytest.mark.skipif(shutil.which(program) is None, reason=f"{program} is not installed")
+
+
+WINE = shutil.which("wine64") or "/usr/lib/wine/wine64"
+needs_wine = pytest.mark.skipif(not os.path.exists(WINE), reason="wine64 is not installed")

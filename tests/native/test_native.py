@@ -15,7 +15,7 @@ from types import SimpleNamespace
 import fmpy
 import numpy as np
 import pytest
-from c_host import COMPILER, HERE, INTERFACES, compiled, needs, pins_of
+from c_host import COMPILER, HERE, INTERFACES, WINE, compiled, needs, needs_wine, pins_of
 from common import ARCSEC, EXAMPLES, PAIR, make_pair
 from fmpy.fmi2 import FMU2Slave
 from fmpy.validation import validate_fmu
@@ -827,16 +827,13 @@ def test_libraries_ask_for_no_newer_system_than_promised():
 
 
 @pytest.mark.slow(30)
-@pytest.mark.skipif(
-    shutil.which("wine64") is None and not os.path.exists("/usr/lib/wine/wine64"), reason="wine64 is not installed"
-)
+@needs_wine
 def test_the_windows_library_does_the_same_under_wine(unpacked, host, tmp_path):
-    wine = shutil.which("wine64") or "/usr/lib/wine/wine64"
     zig = (sys.executable, "-m", "ziglang", "cc", "-target", "x86_64-windows-gnu")
     runtime = ("-Wl,--entry=start", *native_build.windows_runtime("convert", "runtime", "time"))
     library = tmp_path / "CycloidDrive.dll"
     library.write_bytes(native_build.binary("x86_64-windows"))
-    run = {"prefix": (wine,), "WINEPREFIX": str(tmp_path / "wine"), "WINEDEBUG": "-all"}
+    run = {"prefix": (WINE,), "WINEPREFIX": str(tmp_path / "wine"), "WINEDEBUG": "-all"}
     for version in ("2.0", "3.0"):
         run["program"] = compiled(
             tmp_path / f"host{version[0]}.exe", [HERE / "host.c", HERE / "windows_start.c"],

@@ -1,57 +1,21 @@
 #include "instance.h"
 
-#include <ctype.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "uri.h"
+
 static const char TABLE[] = "drive.table";
 
-static int hexadecimal(int letter) {
-    if (letter >= '0' && letter <= '9') {
-        return letter - '0';
-    }
-    letter = tolower(letter);
-    return letter >= 'a' && letter <= 'f' ? letter - 'a' + 10 : -1;
-}
-
-int instance_table_path(const char *resources, char *path, size_t size) {
-    size_t used = 0;
-    const char *from = resources;
-    int uri = 0;
-    if (resources == NULL || resources[0] == '\0') {
+static int table_path(const char *resources, char *path, size_t size) {
+    size_t used;
+    if (path_from_uri(resources, path, size)) {
         return 1;
     }
-    /* file:/path, file:///path, file://localhost/path and, of a share on Windows, file://server/path */
-    if (strncmp(from, "file:", 5) == 0) {
-        uri = 1;
-        from += 5;
-        if (strncmp(from, "//", 2) == 0) {
-            from += strncmp(from, "//localhost/", 12) == 0 ? 11 : from[2] == '/' ? 2 : 0;
-        }
-        if (from[0] == '/' && isalpha((unsigned char)from[1]) && (from[2] == ':' || from[2] == '|')) {
-            from += 1;
-        }
-    } else if (strstr(resources, "://") != NULL) {
-        return 1;
-    }
-    for (; *from != '\0' && !(uri && (*from == '?' || *from == '#')); from++) {
-        char letter = *from;
-        if (uri && letter == '%') {
-            int high = hexadecimal((unsigned char)from[1]), low = high < 0 ? -1 : hexadecimal((unsigned char)from[2]);
-            if (low < 0 || (high == 0 && low == 0)) {
-                return 1;
-            }
-            letter = (char)(16 * high + low);
-            from += 2;
-        }
-        if (used + 1 >= size) {
-            return 1;
-        }
-        path[used++] = letter;
-    }
-    if (used == 0 || used + 1 + sizeof TABLE > size) {
+    used = strlen(path);
+    if (used + 1 + sizeof TABLE > size) {
         return 1;
     }
     if (path[used - 1] != '/' && path[used - 1] != '\\') {
@@ -81,7 +45,7 @@ int instance_open(struct instance *instance, const char *name, const char *token
     if (size > 0) {
         memcpy(instance->name, name, size);
     }
-    if (instance_table_path(resources, path, sizeof path)) {
+    if (table_path(resources, path, sizeof path)) {
         instance_refuse(instance, STATUS_ERROR, "\"%.200s\" is neither a path nor a file URI of the FMU's resources.",
                         resources == NULL ? "" : resources);
         return 1;

@@ -20,8 +20,6 @@ struct instance {
 
 enum { STATUS_OK, STATUS_WARNING, STATUS_DISCARD, STATUS_ERROR, STATUS_FATAL };
 
-/* A path of the resources' folder, or a file URI of it, into the path of the table; 1 where it is neither. */
-int instance_table_path(const char *resources, char *path, size_t size);
 /* An instance, or NULL with a sentence in its message; the caller has set the log. */
 int instance_open(struct instance *instance, const char *name, const char *token, const char *resources);
 void instance_close(struct instance *instance);

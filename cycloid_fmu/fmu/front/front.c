@@ -1,0 +1,257 @@
+/* What hosts load as the library of an FMI 2.0 FMU that runs in Python: it stands before pythonfmu's, which lies beside
+   it and takes the resources' URI for a path, so that it finds nothing where letters are percent-encoded. The URI becomes
+   a path here; every call goes on to pythonfmu's library as it is. Compiled beforehand, as an FMU that runs in Python is
+   built without a compiler: `python tests/native/front.py`. */
+#ifdef _WIN32
+#include <windows.h>
+#else
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <limits.h>
+#include <link.h>
+#endif
+
+#include <string.h>
+
+#include "fmi2Functions.h"
+#include "uri.h"
+
+/* Hash of the source, by which a test knows whether the library was compiled from it. */
+FMI2_Export const char front_source[] = SOURCE_HASH;
+
+#define FUNCTIONS(X)                                                                                                   \
+    X(SetDebugLogging, (fmi2Component c, fmi2Boolean on, size_t n, const fmi2String categories[]),                     \
+      (c, on, n, categories))                                                                                          \
+    X(SetupExperiment,                                                                                                 \
+      (fmi2Component c, fmi2Boolean tolerance_defined, fmi2Real tolerance, fmi2Real start, fmi2Boolean stop_defined,   \
+       fmi2Real stop),                                                                                                 \
+      (c, tolerance_defined, tolerance, start, stop_defined, stop))                                                    \
+    X(EnterInitializationMode, (fmi2Component c), (c))                                                                 \
+    X(ExitInitializationMode, (fmi2Component c), (c))                                                                  \
+    X(Terminate, (fmi2Component c), (c))                                                                               \
+    X(Reset, (fmi2Component c), (c))                                                                                   \
+    X(GetReal, (fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Real v[]), (c, r, n, v))                  \
+    X(GetInteger, (fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Integer v[]), (c, r, n, v))            \
+    X(GetBoolean, (fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Boolean v[]), (c, r, n, v))            \
+    X(GetString, (fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2String v[]), (c, r, n, v))              \
+    X(SetReal, (fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Real v[]), (c, r, n, v))            \
+    X(SetInteger, (fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Integer v[]), (c, r, n, v))      \
+    X(SetBoolean, (fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Boolean v[]), (c, r, n, v))      \
+    X(SetString, (fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2String v[]), (c, r, n, v))        \
+    X(GetFMUstate, (fmi2Component c, fmi2FMUstate *state), (c, state))                                                 \
+    X(SetFMUstate, (fmi2Component c, fmi2FMUstate state), (c, state))                                                  \
+    X(FreeFMUstate, (fmi2Component c, fmi2FMUstate *state), (c, state))                                                \
+    X(SerializedFMUstateSize, (fmi2Component c, fmi2FMUstate state, size_t *size), (c, state, size))                   \
+    X(SerializeFMUstate, (fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t n), (c, state, bytes, n))      \
+    X(DeSerializeFMUstate, (fmi2Component c, const fmi2Byte bytes[], size_t n, fmi2FMUstate *state),                   \
+      (c, bytes, n, state))                                                                                            \
+    X(GetDirectionalDerivative,                                                                                        \
+      (fmi2Component c, const fmi2ValueReference of[], size_t n_of, const fmi2ValueReference by[], size_t n_by,        \
+       const fmi2Real change[], fmi2Real v[]),                                                                         \
+      (c, of, n_of, by, n_by, change, v))                                                                              \
+    X(SetRealInputDerivatives,                                                                                         \
+      (fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Integer orders[], const fmi2Real v[]),       \
+      (c, r, n, orders, v))                                                                                            \
+    X(GetRealOutputDerivatives,                                                                                        \
+      (fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Integer orders[], fmi2Real v[]),             \
+      (c, r, n, orders, v))                                                                                            \
+    X(DoStep, (fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boolean no_state), (c, time, step, no_state))        \
+    X(CancelStep, (fmi2Component c), (c))                                                                              \
+    X(GetStatus, (fmi2Component c, const fmi2StatusKind kind, fmi2Status *v), (c, kind, v))                            \
+    X(GetRealStatus, (fmi2Component c, const fmi2StatusKind kind, fmi2Real *v), (c, kind, v))                          \
+    X(GetIntegerStatus, (fmi2Component c, const fmi2StatusKind kind, fmi2Integer *v), (c, kind, v))                    \
+    X(GetBooleanStatus, (fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *v), (c, kind, v))                    \
+    X(GetStringStatus, (fmi2Component c, const fmi2StatusKind kind, fmi2String *v), (c, kind, v))
+
+#ifdef _WIN32
+enum { PATH_SIZE = 1024 }; /* several times what Windows has without a setting; all stays within a page of the stack */
+#else
+enum { PATH_SIZE = PATH_MAX };
+#endif
+
+/* The functions behind: found for the first instance, let go with the last. */
+static struct {
+    void *library;
+    size_t instances;
+    fmi2InstantiateTYPE *Instantiate;
+    fmi2FreeInstanceTYPE *FreeInstance;
+#define X(NAME, PARAMETERS, ARGUMENTS) fmi2##NAME##TYPE *NAME;
+    FUNCTIONS(X)
+#undef X
+} behind;
+
+/* `open_library` answers why the library behind can't be loaded, or NULL. */
+#ifdef _WIN32
+static const char *open_library(void) {
+    static const wchar_t NAME[] = L"pythonfmu-export.dll";
+    wchar_t path[PATH_SIZE];
+    HMODULE module;
+    DWORD used;
+    if (!GetModuleHandleExW(GET_MODULE_HANDLE_EX_FLAG_FROM_ADDRESS | GET_MODULE_HANDLE_EX_FLAG_UNCHANGED_REFCOUNT,
+                            (LPCWSTR)&behind, &module)) {
+        return "the FMU's library does not find itself";
+    }
+    used = GetModuleFileNameW(module, path, PATH_SIZE);
+    while (used > 0 && path[used - 1] != L'\\') {
+        used--;
+    }
+    if (used + sizeof NAME / sizeof *NAME > PATH_SIZE) {
+        return "the path of the FMU's library is too long";
+    }
+    memcpy(path + used, NAME, sizeof NAME);
+    /* First as Python's ctypes loads a library, which finds Python's own where it is not yet loaded. */
+    module = LoadLibraryExW(path, NULL, LOAD_LIBRARY_SEARCH_DEFAULT_DIRS | LOAD_LIBRARY_SEARCH_DLL_LOAD_DIR);
+    if (module == NULL) {
+        module = LoadLibraryExW(path, NULL, LOAD_WITH_ALTERED_SEARCH_PATH);
+    }
+    if (module == NULL) {
+        return "pythonfmu-export.dll beside the FMU's library can't be loaded";
+    }
+    behind.library = module;
+    return NULL;
+}
+
+static void *symbol(const char *name) {
+    return (void *)GetProcAddress(behind.library, name);
+}
+
+static void close_library(void) {
+    FreeLibrary(behind.library);
+}
+
+static int is_ascii(const wchar_t *path) {
+    while (*path != 0 && *path <= 126) {
+        path++;
+    }
+    return *path == 0;
+}
+
+/* pythonfmu reads the path both as UTF-8 and in the system's code page: only ASCII is the same in both. A path with
+   other letters has a short one of ASCII, unless the volume keeps none. */
+static void make_ascii(char *path) {
+    wchar_t wide[PATH_SIZE];
+    DWORD i, used;
+    if (MultiByteToWideChar(CP_UTF8, MB_ERR_INVALID_CHARS, path, -1, wide, PATH_SIZE) == 0 || is_ascii(wide)) {
+        return;
+    }
+    used = GetShortPathNameW(wide, wide, PATH_SIZE);
+    if (used > 0 && used < PATH_SIZE && is_ascii(wide)) {
+        for (i = 0; i <= used; i++) {
+            path[i] = (char)wide[i];
+        }
+    }
+}
+#else
+static const char *open_library(void) {
+    static const char NAME[] = "/pythonfmu-export.so";
+    char path[PATH_MAX + sizeof NAME];
+    struct link_map *self;
+    Dl_info told;
+    /* Not $ORIGIN in the path: glibc takes another FMU's library for this one then, as the paths are alike. */
+    if (!dladdr1(&behind, &told, (void **)&self, RTLD_DL_LINKMAP) || dlinfo(self, RTLD_DI_ORIGIN, path)) {
+        return "the FMU's library does not find itself";
+    }
+    strcat(path, NAME);
+    behind.library = dlopen(path, RTLD_NOW | RTLD_LOCAL);
+    return behind.library == NULL ? dlerror() : NULL;
+}
+
+static void *symbol(const char *name) {
+    return dlsym(behind.library, name);
+}
+
+static void close_library(void) {
+    dlclose(behind.library);
+}
+
+static void make_ascii(char *path) {
+    (void)path;
+}
+#endif
+
+/* Answers which function is missing, or NULL. */
+static const char *find_functions(void) {
+    void *function;
+#define X(NAME, PARAMETERS, ARGUMENTS)                                                                                 \
+    function = symbol("fmi2" #NAME);                                                                                   \
+    if (function == NULL) {                                                                                            \
+        return "the library beside the FMU's is not pythonfmu's: it has no fmi2" #NAME;                                \
+    }                                                                                                                  \
+    memcpy(&behind.NAME, &function, sizeof function);
+    FUNCTIONS(X) X(FreeInstance, , ) X(Instantiate, , )
+#undef X
+    return NULL;
+}
+
+static char busy;
+
+static void lock(void) {
+    while (__atomic_test_and_set(&busy, __ATOMIC_ACQUIRE)) {
+    }
+}
+
+static void unlock(void) {
+    __atomic_clear(&busy, __ATOMIC_RELEASE);
+}
+
+static const char *enter(void) {
+    const char *problem = NULL;
+    lock();
+    if (behind.instances == 0) {
+        problem = open_library();
+        if (problem == NULL && (problem = find_functions()) != NULL) {
+            close_library();
+        }
+    }
+    behind.instances += problem == NULL;
+    unlock();
+    return problem;
+}
+
+static void leave(void) {
+    lock();
+    if (--behind.instances == 0) {
+        close_library();
+    }
+    unlock();
+}
+
+const char *fmi2GetTypesPlatform(void) {
+    return fmi2TypesPlatform;
+}
+
+const char *fmi2GetVersion(void) {
+    return fmi2Version;
+}
+
+fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
+                              const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean logging) {
+    char path[PATH_SIZE];
+    fmi2Component made = NULL;
+    const char *problem = path_from_uri(resources, path, sizeof path)
+                              ? "the resources' location is neither a path nor a file URI"
+                              : enter();
+    if (problem == NULL) {
+        make_ascii(path);
+        made = behind.Instantiate(name, type, guid, path, functions, visible, logging);
+        if (made == NULL) {
+            leave();
+        }
+    } else if (functions != NULL && functions->logger != NULL) {
+        functions->logger(functions->componentEnvironment, name, fmi2Error, "logStatusError", problem);
+    }
+    return made;
+}
+
+void fmi2FreeInstance(fmi2Component c) {
+    if (c != NULL) {
+        behind.FreeInstance(c);
+        leave();
+    }
+}
+
+#define X(NAME, PARAMETERS, ARGUMENTS)                                                                                 \
+    fmi2Status fmi2##NAME PARAMETERS {                                                                                 \
+        return behind.NAME ARGUMENTS;                                                                                  \
+    }
+FUNCTIONS(X)

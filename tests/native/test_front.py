@@ -1,0 +1,243 @@
+"""The library before pythonfmu's in an FMU of FMI 2.0: all calls go on as they are but for the resources' path."""
+
+import ctypes
+import os
+import re
+import subprocess
+import sys
+import threading
+from importlib import metadata
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from c_host import HERE, WINE, compiled, needs_wine
+from front import LIBRARIES, SHIPPED, compile_front, source_hash
+
+from cycloid_fmu.fmu import native_build
+
+LOGGER = ctypes.CFUNCTYPE(
+    None, ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p
+)  # fmt: skip
+
+
+def signatures():
+    """Kinds of arguments ("i" for integers and pointers, "d" for reals) of FMI 2.0's functions, by name."""
+    text = (native_build.headers() / "fmi2FunctionTypes.h").read_text()
+    found = {}
+    for name, arguments in re.findall(r"typedef\s+fmi2Status\s+(fmi2\w+)TYPE\s*\(([^)]*)\);", text):
+        kinds = [re.fullmatch(r"\s*fmi2Real\s+\w+\s*", word) for word in arguments.split(",")]
+        found[name] = "".join("i" if kind is None else "d" for kind in kinds)
+    return found
+
+
+@pytest.fixture(scope="session")
+def behind(tmp_path_factory):
+    calls = " ".join(f"CALL({name})" for name in signatures())
+    path = tmp_path_factory.mktemp("behind") / "pythonfmu-export.so"
+    return compiled(path, [HERE / "front_behind.c"], f"-DCALLS={calls}", "-shared", "-fPIC")
+
+
+@pytest.fixture(scope="session", params=["shipped", "compiled here"])
+def front(request, tmp_path_factory):
+    name = "linux64/CycloidDrive.so"
+    if request.param == "shipped":
+        return SHIPPED / name
+    path = tmp_path_factory.mktemp("front") / "CycloidDrive.so"
+    compile_front(name, path)
+    return path
+
+
+@pytest.fixture
+def placed(front, behind, tmp_path):
+    """Both libraries side by side in a folder, as the FMU has them."""
+
+    def place(folder="one", library=behind):
+        beside = tmp_path / folder
+        beside.mkdir()
+        (beside / "CycloidDrive.so").write_bytes(front.read_bytes())
+        if library is not None:
+            (beside / "pythonfmu-export.so").write_bytes(library.read_bytes())
+        return beside
+
+    return place
+
+
+def opened(path):
+    library = ctypes.CDLL(str(path))
+    library.fmi2Instantiate.restype = ctypes.c_void_p
+    library.fmi2FreeInstance.argtypes = [ctypes.c_void_p]
+    library.fmi2FreeInstance.restype = None
+    return library
+
+
+def instantiate(library, location, guid=b"", functions=None):
+    return library.fmi2Instantiate(b"one", 1, guid, location, functions, 0, 1)
+
+
+def seen(folder):
+    """What reached the library behind."""
+    library = ctypes.CDLL(str(folder / "pythonfmu-export.so"))
+    return SimpleNamespace(
+        last=(ctypes.c_char * 64).in_dll(library, "last").value.decode(),
+        location=(ctypes.c_char * 4096).in_dll(library, "location").value.decode(),
+        integers=list((ctypes.c_size_t * 7).in_dll(library, "integers")),
+        reals=list((ctypes.c_double * 3).in_dll(library, "reals")),
+    )
+
+
+def is_loaded(path):
+    return str(path) in Path("/proc/self/maps").read_text()
+
+
+@pytest.mark.parametrize("name", LIBRARIES)
+def test_the_library_that_is_shipped_comes_from_the_source(name):
+    assert source_hash().encode() in (SHIPPED / name).read_bytes()
+
+
+def test_it_has_the_functions_that_pythonfmu_has(front):
+    library = metadata.distribution("pythonfmu").locate_file(
+        "pythonfmu/resources/binaries/linux64/libpythonfmu-export.so"
+    )
+    theirs, ours = ctypes.CDLL(str(library)), ctypes.CDLL(str(front))
+    header = (native_build.headers() / "fmi2Functions.h").read_text()
+    names = set(re.findall(r"TYPE +(fmi2\w+);", header))
+    assert {n for n in names if hasattr(ours, n)} == {n for n in names if hasattr(theirs, n)}
+    for name in ("fmi2GetVersion", "fmi2GetTypesPlatform"):
+        told = [getattr(library, name) for library in (ours, theirs)]
+        for function in told:
+            function.restype = ctypes.c_char_p
+        assert told[0]() == told[1]()
+
+
+def test_every_call_goes_on_as_it_is(placed):
+    folder = placed()
+    library = opened(folder / "CycloidDrive.so")
+    component = instantiate(library, b"/somewhere/resources")
+    assert seen(folder).integers[1] == 1
+    assert seen(folder).integers[5:] == [0, 1]
+    called = 0
+    for name, kinds in signatures().items():
+        if not hasattr(library, name):  # a function of Model Exchange
+            continue
+        called += 1
+        function, values = library[name], [3 + i if kind == "i" else 0.5 + i for i, kind in enumerate(kinds)]
+        function.argtypes = [ctypes.c_size_t if kind == "i" else ctypes.c_double for kind in kinds]
+        assert function(*values) == 2
+        found = seen(folder)
+        assert found.last == name
+        whole, real = ([v for v, k in zip(values, kinds, strict=True) if k == kind] for kind in "id")
+        # Above the 32 bits of an integer a register may hold anything.
+        assert [v & 0xFFFFFFFF for v in found.integers[: len(whole)]] == whole
+        assert found.reals[: len(real)] == real
+    assert called == 30
+    library.fmi2FreeInstance(component)
+    assert (seen(folder).last, seen(folder).integers[0]) == ("fmi2FreeInstance", component)
+
+
+@pytest.mark.parametrize(
+    ("location", "path"),
+    [
+        ("file:///home/M%C3%BCller/a%20b/resources", "/home/Müller/a b/resources"),
+        ("file://localhost/tmp/100%25/resources", "/tmp/100%/resources"),
+        ("file:/tmp/resources", "/tmp/resources"),
+        ("file:///tmp/歯車/resources", "/tmp/歯車/resources"),
+        ("/home/Müller/100%25", "/home/Müller/100%25"),
+    ],
+)
+def test_the_location_becomes_a_path(placed, location, path):
+    folder = placed()
+    library = opened(folder / "CycloidDrive.so")
+    component = instantiate(library, location.encode())
+    assert seen(folder).location == path
+    library.fmi2FreeInstance(component)
+
+
+def test_each_fmu_has_its_own_library_behind_also_from_a_relative_path(placed, tmp_path, monkeypatch):
+    folders = [placed(name) for name in ("one", "Gerät 歯車")]
+    monkeypatch.chdir(tmp_path.parent)
+    libraries = [opened(os.path.join(tmp_path.name, folder.name, "CycloidDrive.so")) for folder in folders]
+    monkeypatch.chdir("/")
+    components = [instantiate(library, f"/{i}".encode()) for i, library in enumerate(libraries)]
+    assert [seen(folder).location for folder in folders] == ["/0", "/1"]
+    for library, component in zip(libraries, components, strict=True):
+        library.fmi2FreeInstance(component)
+
+
+def test_the_library_behind_is_let_go_with_the_last_instance(placed):
+    folder = placed()
+    library, behind = opened(folder / "CycloidDrive.so"), folder / "pythonfmu-export.so"
+    assert instantiate(library, b"/r", b"foreign") is None
+    assert not is_loaded(behind)
+    components = [instantiate(library, b"/r") for _ in range(2)]
+    library.fmi2FreeInstance(components[0])
+    library.fmi2FreeInstance(None)
+    assert is_loaded(behind)
+    library.fmi2FreeInstance(components[1])
+    assert not is_loaded(behind)
+
+    def many():
+        for _ in range(300):
+            library.fmi2FreeInstance(instantiate(library, b"/r"))
+
+    threads = [threading.Thread(target=many) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not is_loaded(behind)
+
+
+def test_what_stands_in_the_way_is_said(placed, tmp_path):
+    told = []
+    logger = LOGGER(lambda environment, name, status, category, message: told.append((status, message.decode())))
+    functions = (ctypes.c_void_p * 5)(ctypes.cast(logger, ctypes.c_void_p))
+    other = compiled(tmp_path / "other.so", [HERE.parents[1] / "cycloid_fmu/fmu/native/uri.c"], "-shared", "-fPIC")
+    for folder, library, location, said in (
+        ("none", None, b"/r", "none/pythonfmu-export.so: cannot open shared object file"),
+        ("other", other, b"/r", "it has no fmi2SetDebugLogging"),
+        ("location", other, b"https://host/resources", "the resources' location is neither a path nor a file URI"),
+    ):
+        front = opened(placed(folder, library) / "CycloidDrive.so")
+        assert instantiate(front, location, functions=functions) is None
+        status, message = told.pop()
+        assert status == 3
+        assert said in message
+        assert not told
+    assert instantiate(front, None, functions=functions) is None
+
+
+@pytest.mark.slow(1)
+@needs_wine
+@pytest.mark.parametrize("made", ["shipped", "compiled here"])
+def test_the_windows_library_hands_on_a_path_of_ascii(tmp_path, made):
+    zig = (sys.executable, "-m", "ziglang", "cc", "-target", "x86_64-windows-gnu")
+    runtime = native_build.windows_runtime("runtime")
+    folder = tmp_path / "Gerät 歯車"
+    (folder / "resources").mkdir(parents=True)
+    calls = "".join(f"CALL({name})" for name in signatures())
+    behind = compiled(
+        tmp_path / "pythonfmu-export.exe", [HERE / "front_behind.c"], f"-DCALLS={calls}", "-O2", "-shared",
+        "-Wl,--no-entry", *runtime, compiler=zig,
+    )  # fmt: skip
+    (folder / "pythonfmu-export.dll").write_bytes(behind.read_bytes())
+    name = "win64/CycloidDrive.dll"
+    if made == "shipped":
+        (folder / "CycloidDrive.dll").write_bytes((SHIPPED / name).read_bytes())
+    else:
+        compile_front(name, folder / "CycloidDrive.dll")
+    host = compiled(
+        tmp_path / "host.exe", [HERE / "front_host.c", HERE / "windows_start.c"], "-O2", "-Wl,--entry=start", *runtime,
+        compiler=zig,
+    )  # fmt: skip
+    environment = {**os.environ, "WINEPREFIX": str(tmp_path / "wine"), "WINEDEBUG": "-all"}
+    for resources in (folder / "resources", tmp_path):
+        uri = resources.as_uri().replace("file:///", "file:///Z:/")
+        run = subprocess.run([WINE, host, uri], cwd=folder, env=environment, capture_output=True, check=True)
+        location, status, end = run.stdout.decode().split("\n")[:3]
+        assert (status, end) == ("discarded", "let go")
+        assert location.isascii()
+        if resources == tmp_path:
+            assert location == f"Z:{tmp_path}"
+        else:  # it ends with the short name of the folder
+            assert re.fullmatch(r"[\x21-\x7d]+~[^/]+", Path(location).parent.name)
