@@ -26,7 +26,7 @@ _SUB_STEP = 0.2  # rad of the output inertia's own oscillation in one sub-step
 _CRANK_STEP = 0.02  # rad of the crank in one sub-step of what is dissipated
 _DEVIATION_STEP = 5e-6  # rad of the deviation likewise
 _MOST_SUB_STEPS = 20000
-_NO_LOSS = list(LOSSLESS[0][1:])
+_NO_LOSSES = [list(row) for row in LOSSLESS]
 _SAME = 1e-11  # rad: over a shorter way the torque of its middle is taken instead of an energy difference
 _CLOSE = 1e-15  # rad: last change of a sub-step's solution
 
@@ -59,15 +59,19 @@ class CompliantModel(DriveModel):
     """
 
     _STATE = (
-        *(n for n in DriveModel._STATE if n not in ("torque", "_deviation", "_pushed")),
-        "_output_speed", "_load_torque", "_bristle", "_seen", "mesh_damping", "dissipated_energy", "largest_step",
-        "output_inertia",
+        *(n for n in DriveModel._STATE if n not in ("torque", "_output_angle", "_deviation", "_pushed")),
+        "output_angle", "output_speed", "_load_torque", "_bristle", "_seen", "mesh_damping", "dissipated_energy",
+        "largest_step", "output_inertia",
     )  # fmt: skip
     _CACHES = (*DriveModel._CACHES, "_solved_at", "_solved")
     _MOVED = (
-        *DriveModel._MOVED, "crank_angle", "_output_angle", "_output_speed", "_bristle", "_seen", "dissipated_energy",
+        *DriveModel._MOVED, "crank_angle", "output_angle", "output_speed", "_bristle", "_seen", "dissipated_energy",
         "_solved_at", "_solved",
     )  # fmt: skip
+
+    # What the quasi-static drive finds is given here, or the inertia's.
+    output_angle: float = 0.0
+    output_speed: float = 0.0
 
     def __init__(
         self,
@@ -79,34 +83,15 @@ class CompliantModel(DriveModel):
     ) -> None:
         self._held, self.output_inertia = output_inertia == 0.0, output_inertia
         self._bristle = self._seen = 0.0  # how far friction is strained, and the output angle that it has followed to
-        self._output_speed = self._load_torque = self.dissipated_energy = 0.0
+        self._load_torque = self.dissipated_energy = 0.0
         self.mesh_damping, self.largest_step = 0.0, LARGEST_STEP
         super().__init__(pair, surface, losses, tables)
-        self._output_angle: float = 0.0
 
     def _rebuild(self) -> None:
         super()._rebuild()
         self._solved_at: Sequence[float] = ()
         self._solved: Sequence[float] = ()
         self._stiffest = 0.0
-
-    @property
-    def output_angle(self) -> float:
-        """φ_b, rad."""
-        return self._output_angle
-
-    @output_angle.setter
-    def output_angle(self, value: float) -> None:
-        self._output_angle = value
-
-    @property
-    def output_speed(self) -> float:
-        """dφ_b/dt, rad/s."""
-        return self._output_speed
-
-    @output_speed.setter
-    def output_speed(self, value: float) -> None:
-        self._output_speed = value
 
     def _contact(self, theta: float, deviation: float) -> tuple[float, float, float]:
         """Energy of contacts and series compliance, with its derivatives by crank and output angle."""
@@ -115,7 +100,7 @@ class CompliantModel(DriveModel):
             raise StepError(
                 f"flange_b.phi is {deviation:g} rad from flange_a.phi/ratio: it must stay within {FARTHEST:g} rad"
             )
-        self._forget()
+        self._play = self._crank = self._sharing = None
         self._theta = theta
         if not self.backlash_on:
             low, high, interference = self._solve_play()
@@ -130,8 +115,6 @@ class CompliantModel(DriveModel):
 
     def _damping(self, elastic: float, speed: float) -> float:
         """Torque of the contacts' damping at the output, N·m."""
-        if self.mesh_damping == 0.0:
-            return 0.0
         return math.copysign(min(self.mesh_damping * abs(speed), abs(elastic)), speed)
 
     def _rub(self, way: float) -> tuple[float, float]:
@@ -147,17 +130,20 @@ class CompliantModel(DriveModel):
 
     def _solve(self) -> Sequence[float]:
         """Energy and torques at the flanges' present place: energy, torques at a and b, loss torque, damping."""
-        crank, crank_speed, output, speed = self.crank_angle, self.crank_speed, self._output_angle, self._output_speed
+        crank, crank_speed, output, speed = self.crank_angle, self.crank_speed, self.output_angle, self.output_speed
         at = [
             crank, crank_speed, output, speed, self._bristle, self._seen, self.friction_torque, self.series_compliance,
             self.mesh_damping, self.backlash_on,
         ]  # fmt: skip
         if at != self._solved_at:
             energy, by_angle, by_rotation = self._contact(self._reduced(crank), output - crank / self._ratio)
-            damping = self._damping(by_rotation, speed - crank_speed / self._ratio)
-            transmitted = by_angle - damping / self._ratio
-            lost = loss_torque(self.loss_table, crank_speed, transmitted)
-            torque = by_rotation + damping
+            torque, transmitted, lost, damping = by_rotation, by_angle, 0.0, 0.0
+            if self.mesh_damping > 0.0:
+                damping = self._damping(by_rotation, speed - crank_speed / self._ratio)
+                torque += damping
+                transmitted -= damping / self._ratio
+            if self.loss_table != _NO_LOSSES:
+                lost = loss_torque(self.loss_table, crank_speed, transmitted)
             if self.friction_torque > 0.0:
                 strain = self._bristle + output - self._seen
                 strain = min(max(strain / FRICTION_DISPLACEMENT, -1.0), 1.0)
@@ -173,12 +159,12 @@ class CompliantModel(DriveModel):
             still = DriveModel(self.pair, self.surface, tables=self.tables)
             still.restore({**still.state(), **self._shared(still)})
             still.advance()
-            self._output_angle, self._output_speed = still.output_angle, still.output_speed
+            self.output_angle, self.output_speed = still.output_angle, still.output_speed
             for _ in range(5 if self._load_torque != 0.0 else 0):
                 # The energy's torque and that of the quasi-static balance differ a little (`contact.elastic_energy`).
                 torque = self._contact(self._reduced(self.crank_angle), self.transmission_error)[2]
-                self._output_angle += (self._load_torque - torque) * (1.0 / self._stiffness + self.series_compliance)
-        self._seen = self._output_angle
+                self.output_angle += (self._load_torque - torque) * (1.0 / self._stiffness + self.series_compliance)
+        self._seen = self.output_angle
 
     def _shared(self, still: DriveModel) -> dict[str, Any]:
         own = self.state()
@@ -198,30 +184,31 @@ class CompliantModel(DriveModel):
 
     def _follow(self, step: float) -> None:
         """Both flanges move at their speeds."""
-        crank, output = self.crank_angle, self._output_angle
-        lost = self._rub(output - self._seen)[1]
-        crank_way, way = self.crank_speed * step, self._output_speed * step
-        deviation_way = way - crank_way / self._ratio
-        count = 1
-        dissipative = self.mesh_damping > 0.0 or any([row[1:] != _NO_LOSS for row in self.loss_table])
-        if dissipative:
-            parts = max(abs(crank_way) / _CRANK_STEP, abs(deviation_way) / _DEVIATION_STEP)
-            count = min(max(math.ceil(parts), 1), 100)
-        power = self._power() if dissipative else 0.0
+        way, crank_way = self.output_speed * step, self.crank_speed * step
+        if self.friction_torque > 0.0 or self._bristle != 0.0:
+            self.dissipated_energy += self._rub(self.output_angle - self._seen)[1] + self._rub(way)[1]
+        if self.mesh_damping > 0.0 or self.loss_table != _NO_LOSSES:
+            self._follow_losing(step, way, crank_way)
+        else:
+            self._seen = self.output_angle = self.output_angle + way
+            self.crank_angle += crank_way
+
+    def _follow_losing(self, step: float, way: float, crank_way: float) -> None:
+        """Move on by the ways of both flanges, in parts over which damping and losses are summed up."""
+        crank, output, power = self.crank_angle, self.output_angle, self._power()
+        parts = max(abs(crank_way) / _CRANK_STEP, abs(way - crank_way / self._ratio) / _DEVIATION_STEP)
+        count = min(max(math.ceil(parts), 1), 100)
         for i in range(1, count + 1):
-            lost += self._rub(way / count)[1]
-            self._seen = self._output_angle = output + way * i / count
+            self._seen = self.output_angle = output + way * i / count
             self.crank_angle = crank + crank_way * i / count
-            if dissipative:
-                following = self._power()
-                lost += 0.5 * (power + following) * step / count
-                power = following
-        self.dissipated_energy += lost
+            following = self._power()
+            self.dissipated_energy += 0.5 * (power + following) * step / count
+            power = following
 
     def _power(self) -> float:
         """Power of damping and losses, W."""
         _, _, _, lost, damping = self._solve()
-        return lost * self.crank_speed + damping * (self._output_speed - self.crank_speed / self._ratio)
+        return lost * self.crank_speed + damping * (self.output_speed - self.crank_speed / self._ratio)
 
     def _sub_steps(self, step: float) -> int:
         if self._stiffest == 0.0:
@@ -248,7 +235,7 @@ class CompliantModel(DriveModel):
 
     def _sub_step(self, part: float) -> None:
         theta, ideal = self._reduced(self.crank_angle), self.crank_angle / self._ratio
-        start, speed, bristle = self._output_angle, self._output_speed, self._bristle
+        start, speed, bristle = self.output_angle, self.output_speed, self._bristle
         turning = self.crank_speed / self._ratio
         energy, crank_torque, elastic = self._contact(theta, start - ideal)
         stiffness, inertia = self._stiffness, self.output_inertia
@@ -267,8 +254,8 @@ class CompliantModel(DriveModel):
             if abs(change) <= _CLOSE + 1e-10 * abs(way):
                 break
             way += change
-        self._seen = self._output_angle = start + way
-        self._output_speed = 2.0 * way / part - speed
+        self._seen = self.output_angle = start + way
+        self.output_speed = 2.0 * way / part - speed
         crank_loss = loss_torque(self.loss_table, self.crank_speed, crank_torque - damping / self._ratio)
         self.dissipated_energy += lost + damping * (way - turning * part) + crank_loss * self.crank_speed * part
 
@@ -291,7 +278,7 @@ class CompliantModel(DriveModel):
     @property
     def transmission_error(self) -> float:
         """φ_b - φ_a/ratio, rad."""
-        return self._output_angle - self.crank_angle / self._ratio
+        return self.output_angle - self.crank_angle / self._ratio
 
     @property
     def elastic_energy(self) -> float:
@@ -301,9 +288,9 @@ class CompliantModel(DriveModel):
     @property
     def power_loss(self) -> float:
         """Power of damping, losses and sliding friction, W."""
-        sliding = abs(self._bristle + self._output_angle - self._seen) >= FRICTION_DISPLACEMENT
-        return self._power() + (self.friction_torque * abs(self._output_speed) if sliding else 0.0)
+        sliding = abs(self._bristle + self.output_angle - self._seen) >= FRICTION_DISPLACEMENT
+        return self._power() + (self.friction_torque * abs(self.output_speed) if sliding else 0.0)
 
     def _settle(self) -> float:
         self._solve()
-        return self._output_angle
+        return self.output_angle

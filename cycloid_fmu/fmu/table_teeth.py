@@ -35,6 +35,7 @@ HEAD = struct.Struct("<8sIIQQ")  # magic, version, nothing, size of the file, ha
 MOST_LOADS = 192  # of one direction; table.h has the same
 NO_PLAY = 1e-13  # rad
 _LEAST_COMPLIANCE = 1e-12  # rad/(N·m): between nodes a table may have none
+_CLOSE = 1e-9  # of a cell: a step this short is the last
 _FIRST = 9  # number of the loads' first
 
 
@@ -421,17 +422,14 @@ def _load(numbers: Array, values: Array32, place: _Place, side: int, goal: float
     left, right = 0.0, 1.0
     for _ in range(60):
         short, slope = goal - _hermite(u, h, a, b, ca, cb), h * _hermite_slope(u, h, a, b, ca, cb)
+        if abs(short) < _CLOSE * slope:  # Newton's next error is the square of this step: below rounding
+            return float(numbers[first + low] + min(max(u + short / slope, 0.0), 1.0) * h)
         if short > 0.0:
             left = u
         else:
             right = u
-        following = u + short / slope if slope > 0.0 else 0.5 * (left + right)
-        if not left <= following <= right:
-            following = 0.5 * (left + right)
-        near = abs(following - u) <= 1e-15
-        u = following
-        if near:
-            break
+        following = u + short / slope if slope > 0.0 else right + 1.0
+        u = following if left <= following <= right else 0.5 * (left + right)
     return float(numbers[first + low] + u * h)
 
 

@@ -13,6 +13,7 @@
 static const char MAGIC[8] = {'c', 'y', 'c', 'l', 't', 'a', 'b', '\n'};
 enum { VERSION = 4, HEAD = 32 };
 static const double LARGEST_FILE = 1e9;
+static const double CLOSE = 1e-9; /* of a cell: a step this short is the last */
 
 struct reader {
     const unsigned char *at, *end;
@@ -611,20 +612,17 @@ double table_load(const struct side *side, const struct place *place, double dev
     u = b > a ? (goal - a) / (b - a) : 0.0;
     for (step = 0; step < 60; step++) {
         double short_ = goal - hermite(u, h, a, b, ca, cb), slope = h * hermite_slope(u, h, a, b, ca, cb), next;
+        if (fabs(short_) < CLOSE * slope) { /* Newton's next error is the square of this step: below rounding */
+            u += short_ / slope;
+            return side->load[low] + (u < 0.0 ? 0.0 : u > 1.0 ? 1.0 : u) * h;
+        }
         if (short_ > 0.0) {
             left = u;
         } else {
             right = u;
         }
-        next = slope > 0.0 ? u + short_ / slope : 0.5 * (left + right);
-        if (!(next >= left && next <= right)) {
-            next = 0.5 * (left + right);
-        }
-        if (fabs(next - u) <= 1e-15) {
-            u = next;
-            break;
-        }
-        u = next;
+        next = slope > 0.0 ? u + short_ / slope : right + 1.0;
+        u = next >= left && next <= right ? next : 0.5 * (left + right);
     }
     return side->load[low] + u * h;
 }
