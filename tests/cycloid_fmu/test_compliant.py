@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cycloid_fmu import edge
+from cycloid_fmu.fmu import tables
 from cycloid_fmu.fmu.build import read_losses
 from cycloid_fmu.fmu.compliant_model import FARTHEST, CompliantModel
 from cycloid_fmu.fmu.losses import interpolated, loss_torque
@@ -29,8 +30,8 @@ HALF = 1.8e-4  # rad, more than half of the play
 STEPS = int(float(os.environ.get("CYCLOID_STEPS", "1e6")))
 
 
-def compliant(inertia=0.0, losses=((0.0, 1.0, 1.0, 0.0, 0.0),), **parameters):
-    model = CompliantModel(PLAY, SURFACE, losses, inertia)
+def compliant(inertia=0.0, losses=((0.0, 1.0, 1.0, 0.0, 0.0),), tabulated=None, **parameters):
+    model = CompliantModel(PLAY, SURFACE, losses, inertia, tabulated)
     for name, value in parameters.items():
         setattr(model, name, value)
     return model
@@ -167,9 +168,12 @@ def test_random_motion_never_gains_energy(parameters):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("origin", ["exact", "from tables"])
 @pytest.mark.parametrize("parameters", [{}, {"mesh_damping": 10.0, "friction_torque": 0.5}])
-def test_a_million_steps_of_random_motion_never_gain_energy(parameters, record_property):
-    work, deepest = random_motion(STEPS, **parameters)
+def test_a_million_steps_of_random_motion_never_gain_energy(parameters, origin, record_property):
+    # Energy is kept whatever the tables err: these are coarse.
+    made = None if origin == "exact" else tables.compute(PLAY, SURFACE, accuracy=2e-5, largest_load=800.0)
+    work, deepest = random_motion(STEPS, tabulated=made and tables.interpolation(made), **parameters)
     record_property(
         f"{STEPS} steps of random motion: energy that went through, was taken, dissipated, and ever gained",
         f"{work.throughput:.4g}, {work.taken:.4g}, {work.model.dissipated_energy:.4g} and {max(-deepest, 0.0):.3g} J",
