@@ -120,7 +120,9 @@ def build_fmu(
         fronts = _FRONTS if fmi_version == "2.0" else {}
         with zipfile.ZipFile(place / "CycloidDrive.fmu") as made:
             contents = {fronts.get(name, name): made.read(name) for name in made.namelist()}
-        contents.update({name: (_FRONT / name.removeprefix("binaries/")).read_bytes() for name in fronts})
+        for name, behind in fronts.items():
+            if behind in contents:
+                contents[name] = (_FRONT / name.removeprefix("binaries/")).read_bytes()
         write_archive(temporary, {**contents, **parts(pair, interface, told, fmi_version, [library])})
 
 

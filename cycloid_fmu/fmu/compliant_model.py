@@ -26,7 +26,7 @@ _SUB_STEP = 0.2  # rad of the output inertia's own oscillation in one sub-step
 _CRANK_STEP = 0.02  # rad of the crank in one sub-step of what is dissipated
 _DEVIATION_STEP = 5e-6  # rad of the deviation likewise
 _MOST_SUB_STEPS = 20000
-_NO_LOSSES = [list(row) for row in LOSSLESS]
+_NO_LOSSES = [list(row) for row in LOSSLESS]  # a longer table that takes nothing is walked through in vain
 _SAME = 1e-11  # rad: over a shorter way the torque of its middle is taken instead of an energy difference
 _CLOSE = 1e-15  # rad: last change of a sub-step's solution
 
@@ -128,6 +128,10 @@ class CompliantModel(DriveModel):
         stored = 0.5 * self.friction_torque / FRICTION_DISPLACEMENT * (self._bristle**2 - before**2)
         return stored + lost, lost
 
+    def _strained(self) -> float:
+        """How far friction is strained at the present output angle, rad; more than it can be while it slides."""
+        return self._bristle + (self.output_angle - self._seen)
+
     def _solve(self) -> Sequence[float]:
         """Energy and torques at the flanges' present place: energy, torques at a and b, loss torque, damping."""
         crank, crank_speed, output, speed = self.crank_angle, self.crank_speed, self.output_angle, self.output_speed
@@ -145,8 +149,7 @@ class CompliantModel(DriveModel):
             if self.loss_table != _NO_LOSSES:
                 lost = loss_torque(self.loss_table, crank_speed, transmitted)
             if self.friction_torque > 0.0:
-                strain = self._bristle + output - self._seen
-                strain = min(max(strain / FRICTION_DISPLACEMENT, -1.0), 1.0)
+                strain = min(max(self._strained() / FRICTION_DISPLACEMENT, -1.0), 1.0)
                 energy += 0.5 * self.friction_torque * FRICTION_DISPLACEMENT * strain**2
                 torque += self.friction_torque * strain
             self._solved_at, self._solved = at, [energy, transmitted + lost, torque, lost, damping]
@@ -155,6 +158,7 @@ class CompliantModel(DriveModel):
     def forget_history(self) -> None:
         """Make the next step start without history: friction unstrained and, with an inertia, at rest on the load."""
         self._bristle = self.dissipated_energy = 0.0
+        self._solved_at = ()  # with the losses that were set since
         if not self._held:
             still = DriveModel(self.pair, self.surface, tables=self.tables)
             still.restore({**still.state(), **self._shared(still)})
@@ -185,25 +189,25 @@ class CompliantModel(DriveModel):
     def _follow(self, step: float) -> None:
         """Both flanges move at their speeds."""
         way, crank_way = self.output_speed * step, self.crank_speed * step
-        if self.friction_torque > 0.0 or self._bristle != 0.0:
-            self.dissipated_energy += self._rub(self.output_angle - self._seen)[1] + self._rub(way)[1]
-        if self.mesh_damping > 0.0 or self.loss_table != _NO_LOSSES:
-            self._follow_losing(step, way, crank_way)
-        else:
-            self._seen = self.output_angle = self.output_angle + way
-            self.crank_angle += crank_way
-
-    def _follow_losing(self, step: float, way: float, crank_way: float) -> None:
-        """Move on by the ways of both flanges, in parts over which damping and losses are summed up."""
-        crank, output, power = self.crank_angle, self.output_angle, self._power()
-        parts = max(abs(crank_way) / _CRANK_STEP, abs(way - crank_way / self._ratio) / _DEVIATION_STEP)
-        count = min(max(math.ceil(parts), 1), 100)
+        rubbing, count, power = self.friction_torque > 0.0 or self._bristle != 0.0, 1, 0.0
+        if rubbing:
+            self.dissipated_energy += self._rub(self.output_angle - self._seen)[1]
+            self._seen = self.output_angle
+        losing = self.mesh_damping > 0.0 or self.loss_table != _NO_LOSSES
+        if losing:
+            parts = max(abs(crank_way) / _CRANK_STEP, abs(way - crank_way / self._ratio) / _DEVIATION_STEP)
+            count = min(max(math.ceil(parts), 1), 100)
+            power = self._power()
+        if rubbing:
+            self.dissipated_energy += self._rub(way)[1]
+        crank, output = self.crank_angle, self.output_angle
         for i in range(1, count + 1):
             self._seen = self.output_angle = output + way * i / count
             self.crank_angle = crank + crank_way * i / count
-            following = self._power()
-            self.dissipated_energy += 0.5 * (power + following) * step / count
-            power = following
+            if losing:
+                following = self._power()
+                self.dissipated_energy += 0.5 * (power + following) * step / count
+                power = following
 
     def _power(self) -> float:
         """Power of damping and losses, W."""
@@ -288,7 +292,7 @@ class CompliantModel(DriveModel):
     @property
     def power_loss(self) -> float:
         """Power of damping, losses and sliding friction, W."""
-        sliding = abs(self._bristle + self.output_angle - self._seen) >= FRICTION_DISPLACEMENT
+        sliding = abs(self._strained()) >= FRICTION_DISPLACEMENT
         return self._power() + (self.friction_torque * abs(self.output_speed) if sliding else 0.0)
 
     def _settle(self) -> float:

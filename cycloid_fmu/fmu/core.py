@@ -32,7 +32,7 @@ from cycloid_fmu.pair import Pair
 from cycloid_fmu.surface import ErrorSurface, Life
 
 NUMBERS, SURFACE = "pair.json", "surface.npz"
-MAGIC, STATE_VERSION = b"cycloid state\0\0\0", 2
+MAGIC, STATE_VERSION = b"cycloid state\0\0\0", 3
 _LARGEST = sys.float_info.max
 _HEAD = struct.Struct("<16sII32sQ")  # magic, version, checksum, hash of the resources, length
 _ATTRIBUTES = {

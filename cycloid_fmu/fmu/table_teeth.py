@@ -428,7 +428,7 @@ def _load(numbers: Array, values: Array32, place: _Place, side: int, goal: float
             left = u
         else:
             right = u
-        following = u + short / slope if slope > 0.0 else right + 1.0
+        following = u + short / slope if slope > 0.0 else math.inf
         u = following if left <= following <= right else 0.5 * (left + right)
     return float(numbers[first + low] + u * h)
 

@@ -53,8 +53,8 @@ Array32 = NDArray[np.float32]
 ACCURACY = 0.02 / 3600 * math.pi / 180  # rad: what the deviation may err
 RANGE_SHARE = 1e-3  # of the transmission error's range over the crank angle, where that is more
 LARGEST_LOAD = 2.5  # times the rated torque: what reducers' makers allow for a moment (emergency stop)
-_SAMPLES = (16, 1024)  # crank angles a mesh pitch: the fewest, doubled up to the most
-_MOST_ANGLES = 200_000  # in all: where each pin and tooth differs 128 a mesh pitch, stored in less than 10 MB
+_SAMPLES = (16, 128, 1024)  # crank angles a mesh pitch: the fewest, doubled to the most of any drive and of few pitches
+_MOST_ANGLES = 200_000  # in all, of more than 128 a mesh pitch
 _SHARE = 1.1  # of the allowed error that a cell between loads may have in its middle
 _NEIGHBOURS, _REACHES = 5, (1.0, 0.5, 0.25)  # places drawn around each of the worst probes, and how far: cells
 _WORST = 200  # probes that tell whether loads or crank angles are too few
@@ -356,7 +356,7 @@ def compute(
     range_ = float(np.ptp(_solved(pair, surface, 1.0, np.array([0.0, largest_load]), spread).deviation, axis=1).max())
     allowed = max(accuracy, RANGE_SHARE * range_)
     loads = [_chosen_loads(pair, surface, d, largest_load, spread, _SHARE * allowed) for d in _DIRECTIONS]
-    samples = _SAMPLES[0]
+    samples, most = _SAMPLES[0], max(_SAMPLES[1], min(_SAMPLES[2], _MOST_ANGLES // pitches))
     angles: Array = np.arange(pitches * samples, dtype=float) * (pitch / samples)
     total(angles.size * sum(n.size for n in loads))
 
@@ -378,7 +378,7 @@ def compute(
             if np.abs(off).max() <= allowed:
                 return tables
         further, by_angle = _missing_loads(pair, surface, loads, probed, off, allowed)
-        if by_angle and 2 * samples <= _SAMPLES[1] and 2 * angles.size <= _MOST_ANGLES:
+        if by_angle and 2 * samples <= most:
             samples *= 2
             angles = np.arange(pitches * samples, dtype=float) * (pitch / samples)
             total(angles[1::2].size * sum(n.size for n in loads))

@@ -184,6 +184,29 @@ def test_a_million_steps_of_random_motion_never_gain_energy(parameters, origin, 
         assert work.taken == pytest.approx(work.model.dissipated_energy, rel=0.05)
 
 
+@pytest.mark.parametrize("place", [0.3, 0.7, 1.5, 3.0, 6.0, 12.0, 25.0, 50.0])
+def test_sliding_friction_takes_its_power_at_every_angle(place):
+    # How a strain of micrometres is rounded beside an angle depends on the angle's power of two.
+    model, speed, lost = compliant(friction_torque=5.0), 0.05, []
+    for i in range(5):
+        put(model, PLAY.ratio * (place + 1e-3 * speed * i), 0.0, PLAY.ratio * speed)
+        model.advance(1e-3)
+        lost.append(model.dissipated_energy)
+        if i > 0:  # it slides
+            assert model.power_loss == pytest.approx(5.0 * speed, rel=1e-9)
+    assert lost[-1] - lost[-2] == pytest.approx(5.0 * speed * 1e-3, rel=1e-6)
+
+
+def test_a_loss_that_is_set_before_the_start_acts_from_the_start_on():
+    model = compliant()
+    put(model, 0.0, 0.0, 1.0)
+    assert model.crank_torque == 0.0
+    model.loss_table[0][3] = 0.5
+    model.forget_history()
+    model.advance()
+    assert model.crank_torque == 0.5
+
+
 def test_damping_acts_in_contact_only_never_pulls_and_takes_c_times_the_square_of_the_speed():
     model, elastic = compliant(mesh_damping=10.0), compliant()
     for speed in (0.1, -0.1, -100.0, 100.0):

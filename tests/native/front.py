@@ -31,7 +31,7 @@ def compile_front(library, target):
         runtime = ["-nostdlib", "-Wl,--no-entry", "-isystem", str(include),
                    *(f"-lapi-ms-win-crt-{part}-l1-1-0" for part in parts), "-lkernel32"]  # fmt: skip
     else:
-        runtime = ["-ldl"]
+        runtime = ["-ldl", "-lpthread"]
     subprocess.run(
         [sys.executable, "-m", "ziglang", "cc", "-target", platform.target, "-std=c99", "-Os", "-Wall", "-Wextra",
          "-Werror", "-fPIC", "-shared", "-fvisibility=hidden", "-s", f'-DSOURCE_HASH="{source_hash()}"',

@@ -194,7 +194,8 @@ def test_what_stands_in_the_way_is_said(placed, tmp_path):
     functions = (ctypes.c_void_p * 5)(ctypes.cast(logger, ctypes.c_void_p))
     other = compiled(tmp_path / "other.so", [HERE.parents[1] / "cycloid_fmu/fmu/native/uri.c"], "-shared", "-fPIC")
     for folder, library, location, said in (
-        ("none", None, b"/r", "none/pythonfmu-export.so: cannot open shared object file"),
+        # The message is a format: a host in C would look for an argument behind each single %.
+        ("100% none", None, b"/r", "100%% none/pythonfmu-export.so: cannot open shared object file"),
         ("other", other, b"/r", "it has no fmi2SetDebugLogging"),
         ("location", other, b"https://host/resources", "the resources' location is neither a path nor a file URI"),
     ):
@@ -205,6 +206,7 @@ def test_what_stands_in_the_way_is_said(placed, tmp_path):
         assert said in message
         assert not told
     assert instantiate(front, None, functions=functions) is None
+    assert told
 
 
 @pytest.mark.slow(1)

@@ -9,6 +9,7 @@
 #include <dlfcn.h>
 #include <limits.h>
 #include <link.h>
+#include <pthread.h>
 #endif
 
 #include <string.h>
@@ -64,12 +65,13 @@ FMI2_Export const char front_source[] = SOURCE_HASH;
     X(GetStringStatus, (fmi2Component c, const fmi2StatusKind kind, fmi2String *v), (c, kind, v))
 
 #ifdef _WIN32
-enum { PATH_SIZE = 1024 }; /* several times what Windows has without a setting; all stays within a page of the stack */
+enum { PATH_SIZE = 512 }; /* Windows has 260; no function may take a page of the stack, as no stack probe is linked */
 #else
 enum { PATH_SIZE = PATH_MAX };
 #endif
 
-/* The functions behind: found for the first instance, let go with the last. */
+/* The functions behind: found for the first instance, let go with the last. That unloads the library on Windows alone: on
+   Linux the slave itself keeps it loaded. */
 static struct {
     void *library;
     size_t instances;
@@ -80,8 +82,18 @@ static struct {
 #undef X
 } behind;
 
-/* `open_library` answers why the library behind can't be loaded, or NULL. */
+/* `open_library` answers why the library behind can't be loaded, `make_ascii` why pythonfmu can't read a path, or NULL. */
 #ifdef _WIN32
+static SRWLOCK busy = SRWLOCK_INIT;
+
+static void lock(void) {
+    AcquireSRWLockExclusive(&busy);
+}
+
+static void unlock(void) {
+    ReleaseSRWLockExclusive(&busy);
+}
+
 static const char *open_library(void) {
     static const wchar_t NAME[] = L"pythonfmu-export.dll";
     wchar_t path[PATH_SIZE];
@@ -92,6 +104,9 @@ static const char *open_library(void) {
         return "the FMU's library does not find itself";
     }
     used = GetModuleFileNameW(module, path, PATH_SIZE);
+    if (used == 0 || used >= PATH_SIZE) {
+        return "the path of the FMU's library is too long";
+    }
     while (used > 0 && path[used - 1] != L'\\') {
         used--;
     }
@@ -105,7 +120,7 @@ static const char *open_library(void) {
         module = LoadLibraryExW(path, NULL, LOAD_WITH_ALTERED_SEARCH_PATH);
     }
     if (module == NULL) {
-        return "pythonfmu-export.dll beside the FMU's library can't be loaded";
+        return "pythonfmu-export.dll beside the FMU's library can't be loaded: is Python (python3.dll) on the PATH?";
     }
     behind.library = module;
     return NULL;
@@ -128,20 +143,38 @@ static int is_ascii(const wchar_t *path) {
 
 /* pythonfmu reads the path both as UTF-8 and in the system's code page: only ASCII is the same in both. A path with
    other letters has a short one of ASCII, unless the volume keeps none. */
-static void make_ascii(char *path) {
+static const char *make_ascii(char *path) {
     wchar_t wide[PATH_SIZE];
     DWORD i, used;
-    if (MultiByteToWideChar(CP_UTF8, MB_ERR_INVALID_CHARS, path, -1, wide, PATH_SIZE) == 0 || is_ascii(wide)) {
-        return;
+    if (GetACP() == CP_UTF8) {
+        return NULL;
+    }
+    if (MultiByteToWideChar(CP_UTF8, MB_ERR_INVALID_CHARS, path, -1, wide, PATH_SIZE) == 0) {
+        return "the resources' location is no UTF-8, or too long";
+    }
+    if (is_ascii(wide)) {
+        return NULL;
     }
     used = GetShortPathNameW(wide, wide, PATH_SIZE);
-    if (used > 0 && used < PATH_SIZE && is_ascii(wide)) {
-        for (i = 0; i <= used; i++) {
-            path[i] = (char)wide[i];
-        }
+    if (used == 0 || used >= PATH_SIZE || !is_ascii(wide)) {
+        return "the FMU lies under a path with letters beyond ASCII, on a volume without short names: move it";
     }
+    for (i = 0; i <= used; i++) {
+        path[i] = (char)wide[i];
+    }
+    return NULL;
 }
 #else
+static pthread_mutex_t busy = PTHREAD_MUTEX_INITIALIZER;
+
+static void lock(void) {
+    pthread_mutex_lock(&busy);
+}
+
+static void unlock(void) {
+    pthread_mutex_unlock(&busy);
+}
+
 static const char *open_library(void) {
     static const char NAME[] = "/pythonfmu-export.so";
     char path[PATH_MAX + sizeof NAME];
@@ -164,8 +197,9 @@ static void close_library(void) {
     dlclose(behind.library);
 }
 
-static void make_ascii(char *path) {
+static const char *make_ascii(char *path) {
     (void)path;
+    return NULL;
 }
 #endif
 
@@ -181,17 +215,6 @@ static const char *find_functions(void) {
     FUNCTIONS(X) X(FreeInstance, , ) X(Instantiate, , )
 #undef X
     return NULL;
-}
-
-static char busy;
-
-static void lock(void) {
-    while (__atomic_test_and_set(&busy, __ATOMIC_ACQUIRE)) {
-    }
-}
-
-static void unlock(void) {
-    __atomic_clear(&busy, __ATOMIC_RELEASE);
 }
 
 static const char *enter(void) {
@@ -224,21 +247,40 @@ const char *fmi2GetVersion(void) {
     return fmi2Version;
 }
 
+static void log_problem(const fmi2CallbackFunctions *functions, fmi2String name, const char *message) {
+    char format[1024];
+    size_t used = 0;
+    if (functions == NULL || functions->logger == NULL) {
+        return;
+    }
+    /* Not "%s" and the message: hosts in Python see the format alone. */
+    for (; *message != '\0' && used + 3 <= sizeof format; message++) {
+        if (*message == '%') {
+            format[used++] = '%';
+        }
+        format[used++] = *message;
+    }
+    format[used] = '\0';
+    functions->logger(functions->componentEnvironment, name, fmi2Error, "logStatusError", format);
+}
+
 fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
                               const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean logging) {
     char path[PATH_SIZE];
-    fmi2Component made = NULL;
+    fmi2Component made;
     const char *problem = path_from_uri(resources, path, sizeof path)
-                              ? "the resources' location is neither a path nor a file URI"
-                              : enter();
+                              ? "the resources' location is neither a path nor a file URI, or too long"
+                              : make_ascii(path);
     if (problem == NULL) {
-        make_ascii(path);
-        made = behind.Instantiate(name, type, guid, path, functions, visible, logging);
-        if (made == NULL) {
-            leave();
-        }
-    } else if (functions != NULL && functions->logger != NULL) {
-        functions->logger(functions->componentEnvironment, name, fmi2Error, "logStatusError", problem);
+        problem = enter();
+    }
+    if (problem != NULL) {
+        log_problem(functions, name, problem);
+        return NULL;
+    }
+    made = behind.Instantiate(name, type, guid, path, functions, visible, logging);
+    if (made == NULL) {
+        leave();
     }
     return made;
 }

@@ -495,6 +495,11 @@ static double rub(struct drive *drive, double way, double *lost) {
     return 0.5 * friction / FRICTION_DISPLACEMENT * (s->bristle * s->bristle - before * before) + *lost;
 }
 
+/* How far friction is strained at the present output angle; more than it can be while it slides. */
+static double strained(const struct state *s) {
+    return s->bristle + (s->output_angle - s->seen);
+}
+
 static int solve(struct drive *drive, char message[MESSAGE_SIZE]) {
     const struct state *s = &drive->state;
     double ratio = drive->table->ratio;
@@ -505,7 +510,7 @@ static int solve(struct drive *drive, char message[MESSAGE_SIZE]) {
         return 1;
     }
     drive->damping = damping_of(drive, drive->pressed.by_rotation, s->output_speed - s->crank_speed / ratio);
-    drive->strain = clipped((s->bristle + s->output_angle - s->seen) / FRICTION_DISPLACEMENT, 1.0);
+    drive->strain = clipped(strained(s) / FRICTION_DISPLACEMENT, 1.0);
     drive->loss_torque = loss_torque(drive, drive->pressed.by_angle - drive->damping / ratio);
     drive->solved = 1;
     return 0;
@@ -524,6 +529,7 @@ static int move_flanges(struct drive *drive, double step, char message[MESSAGE_S
     double crank_way = s->crank_speed * step, way = s->output_speed * step;
     int count = 1, i, lossy = dissipative(drive);
     rub(drive, output - s->seen, &all);
+    s->seen = output;
     if (lossy) {
         double parts = fmax(fabs(crank_way) / CRANK_STEP, fabs(way - crank_way / drive->table->ratio) / DEVIATION_STEP);
         count = parts < 1.0 ? 1 : parts < 100.0 ? (int)ceil(parts) : 100;
@@ -877,8 +883,8 @@ static double output(struct drive *drive, int field) {
             return loss_torque(drive, driving_torque(drive)) * s->crank_speed
                 + s->friction_torque * fabs(carried_speed(drive));
         }
-        return power(drive) + (fabs(s->bristle + s->output_angle - s->seen) >= FRICTION_DISPLACEMENT
-                                   ? s->friction_torque * fabs(s->output_speed) : 0.0);
+        return power(drive)
+            + (fabs(strained(s)) >= FRICTION_DISPLACEMENT ? s->friction_torque * fabs(s->output_speed) : 0.0);
     case ELASTIC_ENERGY:
         return drive->pressed.energy
             + 0.5 * s->friction_torque * FRICTION_DISPLACEMENT * drive->strain * drive->strain;

@@ -621,7 +621,7 @@ double table_load(const struct side *side, const struct place *place, double dev
         } else {
             right = u;
         }
-        next = slope > 0.0 ? u + short_ / slope : right + 1.0;
+        next = slope > 0.0 ? u + short_ / slope : HUGE_VAL;
         u = next >= left && next <= right ? next : 0.5 * (left + right);
     }
     return side->load[low] + u * h;
