@@ -117,7 +117,8 @@ class Tables:
     allowed
         What the deviation may err, rad.
     error
-        What the tables were found to err at random crank angles and torques: {name: largest or rms}, SI.
+        What the tables were found to err at random crank angles and torques, the largest also ever closer around those
+        where they err most: {name: largest or rms}, SI.
     """
 
     ratio: float
@@ -372,11 +373,12 @@ def compute(
             # Held against places that nothing was chosen by; where they find more, they are chosen by too.
             drawn += 1
             fresh = _probed(pair, surface, *_places(period, largest_load, PROBES, drawn))
-            tables = dataclasses.replace(tables, error=_errors(tables, fresh))
+            error = _errors(tables, fresh)
             probed = _together(probed, _around_the_worst(tables, pair, surface, fresh, pitch / samples, drawn))
             off = evaluate(tables, probed.crank_angle, probed.torque)["deviation"] - probed.exact[0]
-            if np.abs(off).max() <= allowed:
-                return tables
+            error["deviation_largest"] = float(np.abs(off).max())
+            if error["deviation_largest"] <= allowed:
+                return dataclasses.replace(tables, error=error)
         further, by_angle = _missing_loads(pair, surface, loads, probed, off, allowed)
         if by_angle and 2 * samples <= most:
             samples *= 2

@@ -109,6 +109,7 @@ def test_tables_keep_their_accuracy_at_crank_angles_and_torques_they_were_not_ma
     errors = tables.compare(drive.tables, drive.pair, drive.surface, 3000, seed=7)
     record_property("native TE, largest error", f"{errors['deviation_largest'] / ARCSEC:.4f}″")
     assert errors["deviation_largest"] < 0.02 * ARCSEC
+    assert errors["deviation_largest"] <= 1.05 * drive.tables.error["deviation_largest"]
     assert errors["max_contact_pressure_rms"] < 0.005
     assert errors["crank_torque_rms"] < 0.005
 
@@ -142,7 +143,9 @@ def test_tables_of_a_drive_with_all_errors_keep_their_accuracy_over_the_whole_pe
     record_property("its tables in the FMU", f"{size / 1e6:.2f} MB")
     allowed = max(0.02 * ARCSEC, 1e-3 * np.ptp(error, axis=1).max())
     assert errors["deviation_largest"] < allowed
-    assert made.error["deviation_largest"] <= allowed  # also around where they err most
+    assert made.error["deviation_largest"] <= allowed
+    # What the FMU tells of itself holds at other places too, which find other extremes.
+    assert errors["deviation_largest"] <= 1.05 * made.error["deviation_largest"]
     assert errors["max_contact_pressure_rms"] < 0.005
     assert size < 9e6  # and five libraries of some 0.1 MB
 
