@@ -133,7 +133,7 @@ class CompliantModel(DriveModel):
         return self._bristle + (self.output_angle - self._seen)
 
     def _solve(self) -> Sequence[float]:
-        """Energy and torques at the flanges' present place: energy, torques at a and b, loss torque, damping."""
+        """Energy, torques at a (without losses) and b, and damping at the flanges' present place."""
         crank, crank_speed, output, speed = self.crank_angle, self.crank_speed, self.output_angle, self.output_speed
         at = [
             crank, crank_speed, output, speed, self._bristle, self._seen, self.friction_torque, self.series_compliance,
@@ -141,24 +141,25 @@ class CompliantModel(DriveModel):
         ]  # fmt: skip
         if at != self._solved_at:
             energy, by_angle, by_rotation = self._contact(self._reduced(crank), output - crank / self._ratio)
-            torque, transmitted, lost, damping = by_rotation, by_angle, 0.0, 0.0
+            torque, transmitted, damping = by_rotation, by_angle, 0.0
             if self.mesh_damping > 0.0:
                 damping = self._damping(by_rotation, speed - crank_speed / self._ratio)
                 torque += damping
                 transmitted -= damping / self._ratio
-            if self.loss_table != _NO_LOSSES:
-                lost = loss_torque(self.loss_table, crank_speed, transmitted)
             if self.friction_torque > 0.0:
                 strain = min(max(self._strained() / FRICTION_DISPLACEMENT, -1.0), 1.0)
                 energy += 0.5 * self.friction_torque * FRICTION_DISPLACEMENT * strain**2
                 torque += self.friction_torque * strain
-            self._solved_at, self._solved = at, [energy, transmitted + lost, torque, lost, damping]
+            self._solved_at, self._solved = at, [energy, transmitted, torque, damping]
         return self._solved
+
+    def _lost(self, transmitted: float) -> float:
+        """Torque that losses add at flange_a, N·m: not kept, for their table is set cell by cell."""
+        return 0.0 if self.loss_table == _NO_LOSSES else loss_torque(self.loss_table, self.crank_speed, transmitted)
 
     def forget_history(self) -> None:
         """Make the next step start without history: friction unstrained and, with an inertia, at rest on the load."""
         self._bristle = self.dissipated_energy = 0.0
-        self._solved_at = ()  # with the losses that were set since
         if not self._held:
             still = DriveModel(self.pair, self.surface, tables=self.tables)
             still.restore({**still.state(), **self._shared(still)})
@@ -211,8 +212,10 @@ class CompliantModel(DriveModel):
 
     def _power(self) -> float:
         """Power of damping and losses, W."""
-        _, _, _, lost, damping = self._solve()
-        return lost * self.crank_speed + damping * (self.output_speed - self.crank_speed / self._ratio)
+        _, transmitted, _, damping = self._solve()
+        return self._lost(transmitted) * self.crank_speed + damping * (
+            self.output_speed - self.crank_speed / self._ratio
+        )
 
     def _sub_steps(self, step: float) -> int:
         if self._stiffest == 0.0:
@@ -260,13 +263,14 @@ class CompliantModel(DriveModel):
             way += change
         self._seen = self.output_angle = start + way
         self.output_speed = 2.0 * way / part - speed
-        crank_loss = loss_torque(self.loss_table, self.crank_speed, crank_torque - damping / self._ratio)
+        crank_loss = self._lost(crank_torque - damping / self._ratio)
         self.dissipated_energy += lost + damping * (way - turning * part) + crank_loss * self.crank_speed * part
 
     @property
     def crank_torque(self) -> float:
         """Torque into the drive at the crank, N·m."""
-        return self._solve()[1]
+        transmitted = self._solve()[1]
+        return transmitted + self._lost(transmitted)
 
     @property
     def torque(self) -> float:

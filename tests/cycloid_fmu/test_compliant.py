@@ -197,11 +197,13 @@ def test_sliding_friction_takes_its_power_at_every_angle(place):
     assert lost[-1] - lost[-2] == pytest.approx(5.0 * speed * 1e-3, rel=1e-6)
 
 
-def test_a_loss_that_is_set_before_the_start_acts_from_the_start_on():
+def test_a_loss_that_is_set_before_the_start_acts_at_once_and_from_the_start_on():
     model = compliant()
     put(model, 0.0, 0.0, 1.0)
     assert model.crank_torque == 0.0
     model.loss_table[0][3] = 0.5
+    assert model.crank_torque == 0.5
+    assert model.power_loss == 0.5
     model.forget_history()
     model.advance()
     assert model.crank_torque == 0.5
