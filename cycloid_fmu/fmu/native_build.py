@@ -102,6 +102,12 @@ def _compiler(name: str) -> list[str]:
     )
 
 
+def windows_headers() -> Path:
+    """Return the folder of zig's Windows headers, which it offers only along with mingw's library."""
+    (zig,) = importlib.util.find_spec("ziglang").submodule_search_locations  # type: ignore[union-attr, misc]
+    return Path(zig, "lib", "libc", "include", "any-windows-any")
+
+
 def windows_runtime(*more: str) -> list[str]:
     """Return what zig compiles and links for Windows in place of mingw's library, which takes minutes to compile.
 
@@ -113,11 +119,9 @@ def windows_runtime(*more: str) -> list[str]:
     more
         Names of its parts that a program needs beside the library's, such as "time".
     """
-    (zig,) = importlib.util.find_spec("ziglang").submodule_search_locations  # type: ignore[union-attr, misc]
-    include = Path(zig, "lib", "libc", "include", "any-windows-any")
     parts = ("stdio", "heap", "string", "private", "math", *more)
     return [
-        "-nostdlib", "-rtlib=compiler-rt", "-isystem", str(include), str(_UCRT),
+        "-nostdlib", "-rtlib=compiler-rt", "-isystem", str(windows_headers()), str(_UCRT),
         *(f"-lapi-ms-win-crt-{part}-l1-1-0" for part in parts), "-lkernel32",
     ]  # fmt: skip
 

@@ -25,6 +25,11 @@ INTERFACES = {
 COMPILER = ("cc",) if shutil.which("cc") else (sys.executable, "-m", "ziglang", "cc")
 
 
+def zig(platform):
+    """Command of zig's compiler for one of `native_build.PLATFORMS`."""
+    return (sys.executable, "-m", "ziglang", "cc", "-target", native_build.PLATFORMS[platform].target)
+
+
 def compiled(target, sources, *flags, compiler=COMPILER):
     """Compile C sources with FMI's headers."""
     include = ["-I", str(native_build.headers()), "-I", str(HERE.parents[1] / "cycloid_fmu" / "fmu" / "native")]

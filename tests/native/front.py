@@ -1,39 +1,37 @@
 """Compile the library that stands before pythonfmu's in an FMU of FMI 2.0: `python tests/native/front.py`."""
 
 import hashlib
-import importlib.util
 import subprocess
-import sys
 import tempfile
 from pathlib import Path
+
+from c_host import zig
 
 from cycloid_fmu.fmu import native_build
 
 FMU = Path(native_build.__file__).parent
 SHIPPED = FMU / "front"
 SOURCES = (SHIPPED / "front.c", FMU / "native" / "uri.c")
+HEADERS = (FMU / "native" / "format.h", FMU / "native" / "uri.h")
 LIBRARIES = {"linux64/CycloidDrive.so": "x86_64-linux", "win64/CycloidDrive.dll": "x86_64-windows"}
 
 
 def source_hash():
     """Of all that is compiled but FMI's headers."""
-    text = b"".join(path.read_bytes() for path in (*SOURCES, FMU / "native" / "uri.h"))
+    text = b"".join(path.read_bytes() for path in (*SOURCES, *HEADERS))
     return hashlib.sha256(text).hexdigest()
 
 
 def compile_front(library, target):
     """Compile one of `LIBRARIES`."""
-    platform = native_build.PLATFORMS[LIBRARIES[library]]
-    if platform.suffix == ".dll":  # not mingw's library, which takes minutes to compile
-        (zig,) = importlib.util.find_spec("ziglang").submodule_search_locations
-        include = Path(zig, "lib", "libc", "include", "any-windows-any")
+    if library.endswith(".dll"):  # not mingw's library, which takes minutes to compile
         parts = ("string", "private")
-        runtime = ["-nostdlib", "-Wl,--no-entry", "-isystem", str(include),
+        runtime = ["-nostdlib", "-Wl,--no-entry", "-isystem", str(native_build.windows_headers()),
                    *(f"-lapi-ms-win-crt-{part}-l1-1-0" for part in parts), "-lkernel32"]  # fmt: skip
     else:
         runtime = ["-ldl", "-lpthread"]
     subprocess.run(
-        [sys.executable, "-m", "ziglang", "cc", "-target", platform.target, "-std=c99", "-Os", "-Wall", "-Wextra",
+        [*zig(LIBRARIES[library]), "-std=c99", "-Os", "-Wall", "-Wextra",
          "-Werror", "-fPIC", "-shared", "-fvisibility=hidden", "-s", f'-DSOURCE_HASH="{source_hash()}"',
          "-I", str(FMU / "native"), "-I", str(native_build.headers()), *map(str, SOURCES), "-o", str(target), *runtime],
         check=True,

@@ -4,14 +4,13 @@ import ctypes
 import os
 import re
 import subprocess
-import sys
 import threading
 from importlib import metadata
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from c_host import HERE, WINE, compiled, needs_wine
+from c_host import HERE, WINE, compiled, needs_wine, zig
 from front import LIBRARIES, SHIPPED, compile_front, source_hash
 
 from cycloid_fmu.fmu import native_build
@@ -213,14 +212,13 @@ def test_what_stands_in_the_way_is_said(placed, tmp_path):
 @needs_wine
 @pytest.mark.parametrize("made", ["shipped", "compiled here"])
 def test_the_windows_library_hands_on_a_path_of_ascii(tmp_path, made):
-    zig = (sys.executable, "-m", "ziglang", "cc", "-target", "x86_64-windows-gnu")
     runtime = native_build.windows_runtime("runtime")
     folder = tmp_path / "Gerät 歯車"
     (folder / "resources").mkdir(parents=True)
     calls = "".join(f"CALL({name})" for name in signatures())
     behind = compiled(
         tmp_path / "pythonfmu-export.exe", [HERE / "front_behind.c"], f"-DCALLS={calls}", "-O2", "-shared",
-        "-Wl,--no-entry", *runtime, compiler=zig,
+        "-Wl,--no-entry", *runtime, compiler=zig("x86_64-windows"),
     )  # fmt: skip
     (folder / "pythonfmu-export.dll").write_bytes(behind.read_bytes())
     name = "win64/CycloidDrive.dll"
@@ -230,7 +228,7 @@ def test_the_windows_library_hands_on_a_path_of_ascii(tmp_path, made):
         compile_front(name, folder / "CycloidDrive.dll")
     host = compiled(
         tmp_path / "host.exe", [HERE / "front_host.c", HERE / "windows_start.c"], "-O2", "-Wl,--entry=start", *runtime,
-        compiler=zig,
+        compiler=zig("x86_64-windows"),
     )  # fmt: skip
     environment = {**os.environ, "WINEPREFIX": str(tmp_path / "wine"), "WINEDEBUG": "-all"}
     for resources in (folder / "resources", tmp_path):

@@ -7,7 +7,6 @@ import re
 import shutil
 import struct
 import subprocess
-import sys
 import zipfile
 import zlib
 from pathlib import Path
@@ -16,7 +15,7 @@ from types import SimpleNamespace
 import fmpy
 import numpy as np
 import pytest
-from c_host import COMPILER, HERE, INTERFACES, WINE, compiled, needs, needs_wine, pins_of
+from c_host import COMPILER, HERE, INTERFACES, WINE, compiled, needs, needs_wine, pins_of, zig
 from common import ARCSEC, EXAMPLES, PAIR, make_pair
 from fmpy.fmi2 import FMU2Slave
 from fmpy.validation import validate_fmu
@@ -837,7 +836,6 @@ def test_libraries_ask_for_no_newer_system_than_promised():
 @pytest.mark.slow(30)
 @needs_wine
 def test_the_windows_library_does_the_same_under_wine(unpacked, host, tmp_path):
-    zig = (sys.executable, "-m", "ziglang", "cc", "-target", "x86_64-windows-gnu")
     runtime = ("-Wl,--entry=start", *native_build.windows_runtime("convert", "runtime", "time"))
     library = tmp_path / "CycloidDrive.dll"
     library.write_bytes(native_build.binary("x86_64-windows"))
@@ -845,7 +843,7 @@ def test_the_windows_library_does_the_same_under_wine(unpacked, host, tmp_path):
     for version in ("2.0", "3.0"):
         run["program"] = compiled(
             tmp_path / f"host{version[0]}.exe", [HERE / "host.c", HERE / "windows_start.c"],
-            f"-DFMI={version[0]}", "-O2", *runtime, compiler=zig,
+            f"-DFMI={version[0]}", "-O2", *runtime, compiler=zig("x86_64-windows"),
         )  # fmt: skip
         for kind in INTERFACES:
             fmu = SimpleNamespace(**vars(unpacked(kind, version)))
@@ -868,10 +866,9 @@ def test_the_windows_library_does_the_same_under_wine(unpacked, host, tmp_path):
     shutil.which("qemu-aarch64") is None or not ARM.is_dir(), reason="qemu-user and libc6-arm64-cross are not installed"
 )
 def test_the_aarch64_library_does_the_same_under_qemu(unpacked, host, tmp_path):
-    zig = (sys.executable, "-m", "ziglang", "cc", "-target", native_build.PLATFORMS["aarch64-linux"].target)
     library = tmp_path / "CycloidDrive.so"
     library.write_bytes(native_build.binary("aarch64-linux"))
-    program = compiled(tmp_path / "host", [HERE / "host.c"], "-DFMI=3", "-O2", compiler=zig)
+    program = compiled(tmp_path / "host", [HERE / "host.c"], "-DFMI=3", "-O2", compiler=zig("aarch64-linux"))
     run = {"prefix": ("qemu-aarch64", "-L", ARM), "program": program}
     for kind in INTERFACES:
         fmu = SimpleNamespace(**vars(unpacked(kind, "3.0")))

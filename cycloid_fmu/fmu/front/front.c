@@ -15,6 +15,7 @@
 #include <string.h>
 
 #include "fmi2Functions.h"
+#include "format.h"
 #include "uri.h"
 
 /* Hash of the source, by which a test knows whether the library was compiled from it. */
@@ -249,18 +250,10 @@ const char *fmi2GetVersion(void) {
 
 static void log_problem(const fmi2CallbackFunctions *functions, fmi2String name, const char *message) {
     char format[1024];
-    size_t used = 0;
     if (functions == NULL || functions->logger == NULL) {
         return;
     }
-    /* Not "%s" and the message: hosts in Python see the format alone. */
-    for (; *message != '\0' && used + 3 <= sizeof format; message++) {
-        if (*message == '%') {
-            format[used++] = '%';
-        }
-        format[used++] = *message;
-    }
-    format[used] = '\0';
+    format_of(message, format, sizeof format);
     functions->logger(functions->componentEnvironment, name, fmi2Error, "logStatusError", format);
 }
 

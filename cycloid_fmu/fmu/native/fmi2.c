@@ -3,20 +3,13 @@
 #include <string.h>
 
 #include "fmi2Functions.h"
+#include "format.h"
 #include "instance.h"
 
 static void log_message(struct instance *instance, int status, const char *message) {
     const fmi2CallbackFunctions *functions = instance->callback;
     char format[2 * MESSAGE_SIZE];
-    size_t used = 0;
-    /* Not "%s" and the message: hosts in Python see the format alone. */
-    for (; *message != '\0'; message++) {
-        if (*message == '%') {
-            format[used++] = '%';
-        }
-        format[used++] = *message;
-    }
-    format[used] = '\0';
+    format_of(message, format, sizeof format);
     if (functions != NULL && functions->logger != NULL) {
         functions->logger(functions->componentEnvironment, instance->name, (fmi2Status)status,
                           status == STATUS_DISCARD ? "logStatusDiscard" : "logStatusError", format);
