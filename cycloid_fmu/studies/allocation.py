@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.contact import SCALAR_ERRORS
+from cycloid_fmu.errors.surface import nominal_surface
 from cycloid_fmu.screening import error_vector
-from cycloid_fmu.surface import nominal_surface
-from cycloid_fmu.tolerance import (
+from cycloid_fmu.studies.tolerance import (
     Study,
     demand,
     figures_of,
