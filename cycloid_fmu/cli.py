@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     import numpy
     from numpy.typing import NDArray
 
-    from cycloid_fmu.errors.surface import ErrorSurface
     from cycloid_fmu.fmu.description import Version
     from cycloid_fmu.fmu.reducer_model import FirstStage
     from cycloid_fmu.fmu.variables import Interface
     from cycloid_fmu.geometry.pair import Pair
+    from cycloid_fmu.surfaces.surface import ErrorSurface
 
 app = typer.Typer(
     no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich",
@@ -40,8 +40,8 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print the result for scrip
 
 
 def _load(pair_file: Path, surface_file: Path | None) -> tuple[Pair, ErrorSurface]:
-    from cycloid_fmu.errors.surface import check_surface, read_surface, surface_of_pair
     from cycloid_fmu.geometry.pair import read_pair
+    from cycloid_fmu.surfaces.surface import check_surface, read_surface, surface_of_pair
 
     pair = read_pair(pair_file)
     if surface_file is None:
@@ -170,7 +170,7 @@ def nominal(
     Example: [cyan]cycloid-fmu surface nominal pair.toml -o surface.nc[/]
     """
     from cycloid_fmu.draw import plots
-    from cycloid_fmu.errors.surface import write_surface
+    from cycloid_fmu.surfaces.surface import write_surface
 
     if plot is not None:
         plots.check_path(plot)
@@ -198,9 +198,9 @@ def sampled(
     Example: [cyan]cycloid-fmu surface sampled pair.toml --tolerances tolerances.toml --seed 1 -o surface.nc[/]
     """
     from cycloid_fmu.draw import plots
-    from cycloid_fmu.errors.sampling import read_tolerances, sample_surface
-    from cycloid_fmu.errors.surface import Elements, write_surface
     from cycloid_fmu.geometry.pair import read_pair
+    from cycloid_fmu.surfaces.sampling import read_tolerances, sample_surface
+    from cycloid_fmu.surfaces.surface import Elements, write_surface
 
     if plot is not None:
         plots.check_path(plot)
@@ -235,9 +235,9 @@ def measured(
     import numpy as np
 
     from cycloid_fmu.draw import plots
-    from cycloid_fmu.errors.measuring import measured_surface, read_points
-    from cycloid_fmu.errors.surface import Elements, write_surface
     from cycloid_fmu.geometry.pair import read_pair
+    from cycloid_fmu.surfaces.measuring import measured_surface, read_points
+    from cycloid_fmu.surfaces.surface import Elements, write_surface
 
     if plot is not None:
         plots.check_path(plot)
@@ -312,9 +312,9 @@ def build(
     Example: [cyan]cycloid-fmu build pair.toml --surface identified.nc -o drive.fmu[/]
     """
     from cycloid_fmu import reducer as rv
-    from cycloid_fmu.errors.surface import check_surface, read_surface
     from cycloid_fmu.fmu import build as builder
     from cycloid_fmu.fmu.variables import INTERFACES, LOSSLESS, Interface
+    from cycloid_fmu.surfaces.surface import check_surface, read_surface
 
     edge.output_path(output, "--output", (".fmu",))
     if interface not in INTERFACES:
@@ -567,9 +567,9 @@ def wear(
     from rich.progress import Progress
 
     from cycloid_fmu.draw import plots
-    from cycloid_fmu.errors.surface import write_surface
-    from cycloid_fmu.wear.law import duty_cycle, read_wear_law
+    from cycloid_fmu.surfaces.surface import write_surface
     from cycloid_fmu.wear import life as wear_run
+    from cycloid_fmu.wear.law import duty_cycle, read_wear_law
     from cycloid_fmu.wear.progress import tooth_thickness, wear_model, wear_rate
 
     if plot is not None:
@@ -770,9 +770,9 @@ def tolerance(
     from rich.progress import Progress
 
     from cycloid_fmu.draw import plots
-    from cycloid_fmu.errors.sampling import read_tolerances
     from cycloid_fmu.geometry.pair import read_pair
     from cycloid_fmu.studies import tolerance as study_of
+    from cycloid_fmu.surfaces.sampling import read_tolerances
 
     if plot is not None:
         plots.check_path(plot)

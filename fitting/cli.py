@@ -430,9 +430,9 @@ def identify(
     from rich.console import Console
 
     from cycloid_fmu.draw import plots
-    from cycloid_fmu.errors.sampling import read_tolerances
-    from cycloid_fmu.errors.surface import write_surface
     from cycloid_fmu.geometry.pair import read_pair
+    from cycloid_fmu.surfaces.sampling import read_tolerances
+    from cycloid_fmu.surfaces.surface import write_surface
     from fitting.fit_report import FORMATS, write_fit_report
     from fitting.identification import as_json as content
     from fitting.identification import write_identification
@@ -545,8 +545,8 @@ def plan(
     """
     from cycloid_fmu.cli import print_table
     from cycloid_fmu.draw import plots
-    from cycloid_fmu.errors.surface import unit_of
     from cycloid_fmu.geometry.pair import read_pair
+    from cycloid_fmu.surfaces.surface import unit_of
     from fitting.observation import errors_of
     from fitting.plan import bench_plans
     from fitting.plots import plot_plans
@@ -605,8 +605,8 @@ def ensemble(
     from rich.progress import track
 
     from cycloid_fmu.draw import plots
-    from cycloid_fmu.errors.surface import check_surface, read_surface, write_surface
     from cycloid_fmu.geometry.pair import read_pair
+    from cycloid_fmu.surfaces.surface import check_surface, read_surface, write_surface
     from fitting.ensemble import drawn_surfaces
     from fitting.plots import plot_band
 

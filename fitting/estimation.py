@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from cycloid_fmu.errors.surface import (
+from cycloid_fmu.geometry.pair import LARGEST_DEVIATION, LARGEST_MISALIGNMENT, Pair
+from cycloid_fmu.surfaces.surface import (
     LARGEST_ELEMENT,
     profile_names,
     structured_value,
@@ -28,7 +29,6 @@ from cycloid_fmu.errors.surface import (
     unit_of,
     with_structured,
 )
-from cycloid_fmu.geometry.pair import LARGEST_DEVIATION, LARGEST_MISALIGNMENT, Pair
 from fitting.identifiability import UNKNOWN
 from fitting.observation import (
     CREEP,

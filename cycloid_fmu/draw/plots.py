@@ -121,7 +121,7 @@ def plot_surface(surface: object) -> Figure:
 
     Of the flanks the mean of all teeth and tooth 0 of disc 0 are drawn, of the pins the mean and pin 0.
     """
-    from cycloid_fmu.errors.surface import ErrorSurface
+    from cycloid_fmu.surfaces.surface import ErrorSurface
 
     assert isinstance(surface, ErrorSurface)
     maps = []

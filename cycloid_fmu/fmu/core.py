@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 
 from cycloid_fmu import __version__
-from cycloid_fmu.errors.surface import ErrorSurface, Life
 from cycloid_fmu.fmu.compliant_model import CompliantModel
 from cycloid_fmu.fmu.description import Version
 from cycloid_fmu.fmu.model import DriveModel
@@ -30,6 +29,7 @@ from cycloid_fmu.fmu.table_teeth import TABLE, Interpolation, read
 from cycloid_fmu.fmu.teeth import StepError
 from cycloid_fmu.fmu.variables import ARRAYS, Interface, Variable, from_tables, variables
 from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.surface import ErrorSurface, Life
 
 NUMBERS, SURFACE = "pair.json", "surface.npz"
 MAGIC, STATE_VERSION = b"cycloid state\0\0\0", 3

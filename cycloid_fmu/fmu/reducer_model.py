@@ -13,11 +13,11 @@ import dataclasses
 import math
 from collections.abc import Sequence
 
-from cycloid_fmu.errors.surface import ErrorSurface
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.table_teeth import Interpolation
 from cycloid_fmu.fmu.variables import LOSSLESS
 from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.surface import ErrorSurface
 
 _STEP = 1e-13  # rad of the output: last step of the crank angle's iteration
 _DIFFERENCE = 1e-6  # rad of the crank, for the change of its torque

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.contact import SCALAR_ERRORS
-from cycloid_fmu.errors.surface import nominal_surface
 from cycloid_fmu.screening import error_vector
 from cycloid_fmu.studies.tolerance import (
     Study,
@@ -28,6 +27,7 @@ from cycloid_fmu.studies.tolerance import (
     surface_of,
     yields,
 )
+from cycloid_fmu.surfaces.surface import nominal_surface
 
 Array = NDArray[np.float64]
 NARROWEST, WIDEST = 0.05, 4.0  # of the stated tolerances

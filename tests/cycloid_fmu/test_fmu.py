@@ -16,10 +16,10 @@ from common import CASES, PAIR
 from fmpy.fmi2 import FMU2Slave
 from fmpy.validation import validate_fmu
 
-from cycloid_fmu.errors.surface import nominal_surface, surface_of_pair, write_surface
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.run import follow
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
+from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair, write_surface
 from cycloid_fmu.transmission import solve
 
 ERRORS = read_pair(CASES / "errors-39-40.toml")
@@ -258,7 +258,7 @@ slave.freeInstance()
 shutil.rmtree(folder)
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.geometry.pair import read_pair
-from cycloid_fmu.errors.surface import nominal_surface
+from cycloid_fmu.surfaces.surface import nominal_surface
 pair = read_pair({str(CASES / "errors-39-40.toml")!r})
 build_fmu(pair, nominal_surface(pair), "again.fmu")
 names = zipfile.ZipFile("again.fmu").namelist()

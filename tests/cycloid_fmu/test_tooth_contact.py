@@ -5,9 +5,9 @@ import pytest
 from common import ARCSEC, WEAR_PAIR, make_pair
 
 from cycloid_fmu import contact
-from cycloid_fmu.errors.surface import nominal_surface
 from cycloid_fmu.geometry.pair import parse_pair
 from cycloid_fmu.geometry.profile import flank_points
+from cycloid_fmu.surfaces.surface import nominal_surface
 from cycloid_fmu.tooth_contact import (
     clearances,
     contact_ratio,

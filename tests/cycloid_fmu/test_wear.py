@@ -15,10 +15,10 @@ from typer.testing import CliRunner
 
 from cycloid_fmu import cli, edge
 from cycloid_fmu.draw import plots
-from cycloid_fmu.errors.surface import nominal_surface, read_surface, surface_after, surface_of_pair, write_surface
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.geometry.profile import flank_normals, flank_points
+from cycloid_fmu.surfaces.surface import nominal_surface, read_surface, surface_after, surface_of_pair, write_surface
 from cycloid_fmu.transmission import drive_of, solve
 from cycloid_fmu.wear import progress as wear
 from cycloid_fmu.wear.law import Load, Regression, duty_cycle, parse_wear_law, read_duty_cycle

@@ -17,7 +17,6 @@ from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
 
 from cycloid_fmu import reducer as rv
-from cycloid_fmu.errors.surface import nominal_surface, surface_of_pair
 from cycloid_fmu.fmu import native_build, tables
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.compliant_model import CompliantModel
@@ -25,6 +24,7 @@ from cycloid_fmu.fmu.core import Core
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.reducer_model import ReducerModel
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
+from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
 
 MODIFIED = "[modification]\n" + 'isometric = "-15 um"\noffset = "-40 um"\n'
 TEXT = PAIR + 'rated_torque = "181 N*m"\n' + MODIFIED

@@ -26,7 +26,6 @@ from scipy.optimize import least_squares
 from scipy.sparse import csr_array
 
 from cycloid_fmu import edge
-from cycloid_fmu.errors.surface import LARGEST_ELEMENT, Elements, ErrorSurface, nominal_surface
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.profile import (
     arc_parts,
@@ -36,6 +35,7 @@ from cycloid_fmu.geometry.profile import (
     flank_points,
     flank_speed,
 )
+from cycloid_fmu.surfaces.surface import LARGEST_ELEMENT, Elements, ErrorSurface, nominal_surface
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
