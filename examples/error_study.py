@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cycloid_fmu.cli import print_table
+from cycloid_fmu.edge.commands import print_table
 from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.pair import Modification, read_pair
 from cycloid_fmu.plots import new_figure, save
