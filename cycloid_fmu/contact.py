@@ -32,11 +32,8 @@ _Flank = tuple[float, float, float, int, bool]  # R, e, r, teeth, ring
     ANGLE, ANGLE_RATE, FOOT_ANGLE_RATE, COLUMNS,
 ) = range(16)  # fmt: skip
 
-# The scalar errors, in the order of the sensitivities' first columns.
-SCALAR_ERRORS = (
-    "centre_distance_x", "centre_distance_y", "misalignment_xz", "misalignment_yz", "eccentricity",
-    "pin_circle_radius", "pin_radius", "isometric", "offset",
-)  # fmt: skip
+# The displacements of one number, in the order of `errors.kinds.BODIES`; then those of pins and teeth.
+CENTRE_X, CENTRE_Y, TILT_X, TILT_Y, CRANK_THROW, PIN_GENERATING, CIRCLE_GENERATING, BODY_COUNT = range(8)
 
 TOUCHING = 2e-10  # m: an interference below this counts as touching
 _FOOT_STEP = 1e-11  # m: Newton's last step along the flank; near a root the moment arm errs by a thousand times that
@@ -1299,8 +1296,9 @@ def sensitivities(drive: Drive, theta: float, x: float, contacts: Array, out: Ar
     drive, theta, x, contacts
         A solved equilibrium.
     out
-        Overwritten, shape (9 + 3 pins + discs x teeth,): `SCALAR_ERRORS`; radial, tangential and radius error of each
-        pin; turn of each tooth, disc by disc. rad/m, and rad/rad for the misalignments and turns.
+        Overwritten, shape (7 + 3 pins + discs x teeth,), by what is displaced: the bodies (`errors.kinds.BODIES`);
+        place outwards, along the circle and radius of each pin; turn of each tooth, disc by disc. rad/m, and rad/rad
+        for tilts and turns.
 
     Returns
     -------
@@ -1308,9 +1306,8 @@ def sensitivities(drive: Drive, theta: float, x: float, contacts: Array, out: Ar
         ∂M/∂x, N·m/rad.
     """
     pins, slices = drive.teeth + 1, drive.centre_x.size
-    scalars = len(SCALAR_ERRORS)
-    radial, tangential, radius = scalars, scalars + pins, scalars + 2 * pins
-    pitch = scalars + 3 * pins
+    radial, tangential, radius = BODY_COUNT, BODY_COUNT + pins, BODY_COUNT + 2 * pins
+    pitch = BODY_COUNT + 3 * pins
     out[:] = 0.0
     stiffness = 0.0
     for row in range(contacts.shape[0]):
@@ -1326,24 +1323,21 @@ def sensitivities(drive: Drive, theta: float, x: float, contacts: Array, out: Ar
         turn = 0.0 if drive.ring else 1.0
         along_x = _displaced(contacts, row, local, -1.0, 0.0, 0.0, turn)
         along_y = _displaced(contacts, row, local, 0.0, -1.0, -turn, 0.0)
-        out[0] += along_x
-        out[1] += along_y
-        out[2] += along_x * z
-        out[3] += along_y * z
-        out[4] += along_x * math.cos(crank) + along_y * math.sin(crank)
+        out[CENTRE_X] += along_x
+        out[CENTRE_Y] += along_y
+        out[TILT_X] += along_x * z
+        out[TILT_Y] += along_y * z
+        out[CRANK_THROW] += along_x * math.cos(crank) + along_y * math.sin(crank)
         # The pin moves with the ring.
         direction = pin * 2.0 * math.pi / pins + ring
         c, s = math.cos(direction), math.sin(direction)
         sign = 1.0 if drive.ring else -1.0
-        outwards = _displaced(contacts, row, local, c, s, -sign * s, sign * c)
-        out[5] += outwards
-        out[radial + pin] += outwards
+        out[radial + pin] += _displaced(contacts, row, local, c, s, -sign * s, sign * c)
         out[tangential + pin] += _displaced(contacts, row, local, -s, c, -sign * c, -sign * s)
         thicker = contacts[row, STIFFNESS] * contacts[row, ARM]
-        out[6] += thicker
         out[radius + pin] += thicker
-        out[7] -= thicker
-        out[8] += _larger_circle(drive, contacts, row, pin, local)
+        out[PIN_GENERATING] -= thicker
+        out[CIRCLE_GENERATING] += _larger_circle(drive, contacts, row, pin, local)
         foot = pin * 2.0 * math.pi / pins + (crank - ring) / drive.teeth + contacts[row, FOOT]
         tooth = math.floor(foot * drive.teeth / (2.0 * math.pi)) % drive.teeth
         wx, wy = (local.lever_x, local.lever_y) if drive.ring else (-local.gear_x, -local.gear_y)

@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import contact, edge
 from cycloid_fmu.edge import ARCMIN, Angle, Config
-from cycloid_fmu.fmu.reducer_model import FirstStage
 from cycloid_fmu.errors.kinds import LARGEST_DEVIATION
+from cycloid_fmu.fmu.reducer_model import FirstStage
 from cycloid_fmu.geometry.pair import Pair, PositiveLength, pair_of_tables
 from cycloid_fmu.surfaces.sampling import Distribution, error_stream, within_tolerance
 from cycloid_fmu.surfaces.surface import ErrorSurface

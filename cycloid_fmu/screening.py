@@ -16,7 +16,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact import ARM, ARM_RATE, CURVATURE, GAP, SCALAR_ERRORS, compiled
+from cycloid_fmu.contact import (
+    ARM,
+    ARM_RATE,
+    BODY_COUNT,
+    CENTRE_X,
+    CENTRE_Y,
+    CIRCLE_GENERATING,
+    CRANK_THROW,
+    CURVATURE,
+    GAP,
+    PIN_GENERATING,
+    TILT_X,
+    TILT_Y,
+    compiled,
+)  # fmt: skip
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.surface import ErrorSurface, nominal_surface
 from cycloid_fmu.transmission import drive_of
@@ -46,15 +60,6 @@ class Contacts(NamedTuple):
     number: NDArray[np.int64]
     deviation: Array
     torque: float
-
-
-def error_vector(pair: Pair, surface: ErrorSurface) -> Array:
-    """Return a drive's errors in one row: pins' radial, tangential, radius error, teeth's turns, then the scalars."""
-    turns = surface.tooth_cumulative_pitch.ravel() / pair.pin_circle_radius
-    scalars = [getattr(surface, name) for name in SCALAR_ERRORS]
-    return np.concatenate(
-        [surface.pin_radial, surface.pin_tangential, surface.pin_radius_deviation, turns, np.array(scalars)]
-    )
 
 
 def contacts_of(
@@ -127,19 +132,17 @@ def _sweep(
 @compiled
 def _gaps(rows: Array, count: int, pins: int, teeth: int, errors: Array, gaps: Array) -> None:
     """Gaps of a drive with further errors at the rotation of the contacts."""
-    scalars = 3 * pins + teeth
-    x, y, xz, yz = errors[scalars], errors[scalars + 1], errors[scalars + 2], errors[scalars + 3]
-    longer, circle = errors[scalars + 4], errors[scalars + 5]
-    smaller = errors[scalars + 7] - errors[scalars + 6]
-    offset = errors[scalars + 8]
+    x, y, xz, yz = errors[CENTRE_X], errors[CENTRE_Y], errors[TILT_X], errors[TILT_Y]
+    longer, smaller, offset = errors[CRANK_THROW], errors[PIN_GENERATING], errors[CIRCLE_GENERATING]
+    radial, tangential, radius = BODY_COUNT, BODY_COUNT + pins, BODY_COUNT + 2 * pins
     for k in range(count):
         one = rows[k]
         pin, tooth = int(one[_PIN]), int(one[_TOOTH])
         gaps[k] = (
-            one[_GAP] + one[_RADIAL] * (errors[pin] + circle) + one[_TANGENTIAL] * errors[pins + pin]
-            - errors[2 * pins + pin] + smaller - one[_FACING] * offset - one[_CRANK] * longer
+            one[_GAP] + one[_RADIAL] * errors[radial + pin] + one[_TANGENTIAL] * errors[tangential + pin]
+            - errors[radius + pin] + smaller - one[_FACING] * offset - one[_CRANK] * longer
             - one[_X] * (x + one[_HEIGHT] * xz) - one[_Y] * (y + one[_HEIGHT] * yz)
-            + one[_TURN] * errors[3 * pins + tooth]
+            + one[_TURN] * errors[BODY_COUNT + 3 * pins + tooth]
         )  # fmt: skip
 
 
@@ -207,7 +210,7 @@ def sweep(
     contacts
         At the load.
     errors
-        Shape (drives, errors), rows of `error_vector` less that of the contacts' drive.
+        Shape (drives, errors), rows of `displacement_vector` minus that of the contacts' drive.
     deviation, pressure
         Overwritten, shape (drives, angles): rotation (rad) and largest contact pressure (Pa).
     """
@@ -233,7 +236,6 @@ def _sweep_sensitivities(
     compliance_pin: float, largest_log_radius: float, torque: Array, deviation: Array, each: Array, by_torque: Array,
 ) -> None:  # fmt: skip
     gaps, forces = np.empty(contacts.rows.shape[1]), np.empty(contacts.rows.shape[1])
-    scalars = len(SCALAR_ERRORS)
     each[:] = 0.0
     x = 0.0
     for i in range(contacts.number.size):
@@ -257,19 +259,17 @@ def _sweep_sensitivities(
             stiffness += spring * arm * arm + force * one[_RATE]
             opened = spring * arm
             pin, tooth = int(one[_PIN]), int(one[_TOOTH])
-            out[0] -= opened * one[_X]
-            out[1] -= opened * one[_Y]
-            out[2] -= opened * one[_X] * one[_HEIGHT]
-            out[3] -= opened * one[_Y] * one[_HEIGHT]
-            out[4] -= opened * one[_CRANK]
-            out[5] += opened * one[_RADIAL]
-            out[6] -= opened
-            out[7] += opened
-            out[8] -= opened * one[_FACING]
-            out[scalars + pin] += opened * one[_RADIAL]
-            out[scalars + pins + pin] += opened * one[_TANGENTIAL]
-            out[scalars + 2 * pins + pin] -= opened
-            out[scalars + 3 * pins + tooth] += opened * one[_TURN]
+            out[CENTRE_X] -= opened * one[_X]
+            out[CENTRE_Y] -= opened * one[_Y]
+            out[TILT_X] -= opened * one[_X] * one[_HEIGHT]
+            out[TILT_Y] -= opened * one[_Y] * one[_HEIGHT]
+            out[CRANK_THROW] -= opened * one[_CRANK]
+            out[PIN_GENERATING] += opened
+            out[CIRCLE_GENERATING] -= opened * one[_FACING]
+            out[BODY_COUNT + pin] += opened * one[_RADIAL]
+            out[BODY_COUNT + pins + pin] += opened * one[_TANGENTIAL]
+            out[BODY_COUNT + 2 * pins + pin] -= opened
+            out[BODY_COUNT + 3 * pins + tooth] += opened * one[_TURN]
         for column in range(out.size):
             out[column] /= stiffness
         by_torque[i] = 1.0 / stiffness
@@ -285,7 +285,7 @@ def sensitivities(
     pair, contacts, slices
         The nominal pair and what `contacts_of` found.
     errors
-        `error_vector` of the drive less that of the contacts' drive.
+        `displacement_vector` of the drive minus that of the contacts' drive.
     torque
         At each crank angle, shape (angles,), N·m, not 0.
 
@@ -300,7 +300,7 @@ def sensitivities(
     """
     g, angles = pair, contacts.number.size
     teeth = g.discs * g.gear_teeth
-    each = np.empty((angles, len(SCALAR_ERRORS) + 3 * g.pins + teeth))
+    each = np.empty((angles, BODY_COUNT + 3 * g.pins + teeth))
     deviation, by_torque = np.empty(angles), np.empty(angles)
     _sweep_sensitivities(contacts, g.pins, teeth, errors, *_law(pair, slices), torque, deviation, each, by_torque)
     return deviation, each, by_torque

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from cycloid_fmu.cli import print_table
 from cycloid_fmu.draw.plots import new_figure, save
 from cycloid_fmu.edge import ARCSEC
+from cycloid_fmu.edge.commands import print_table
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.surfaces.surface import nominal_surface
 from cycloid_fmu.tooth_contact import contact_ratio, handovers, loaded_contacts, phase_of_pin, unloaded_contact
@@ -93,7 +93,7 @@ save(figure, "wear_study.png")
 
 own = unloaded_contact(pair, surface, theta, -1).transmission_error * ARCSEC
 passing = handovers(pair, surface, np.linspace(0.0, 1.0, 200), -1)
-free = wear_model(pair, surface, law.replace(**{"pins": "free"}), model.loads)
+free = wear_model(pair, surface, law.replace(pins="free"), model.loads)
 even = wear_rate(free, free.surface).depth.pin.max() * TURNS
 span = np.ptp(phase_of_pin(pair, theta[loaded.angle], loaded.disc, loaded.pin))
 linear, updated, as_printed = found["linear"], found["updated"], found["as_printed"]

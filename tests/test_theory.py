@@ -13,7 +13,8 @@ import pytest
 from common import PAIR, make_pair
 
 from cycloid_fmu import contact
-from cycloid_fmu.surfaces.surface import nominal_surface, with_structured
+from cycloid_fmu.surfaces.structured import with_structured
+from cycloid_fmu.surfaces.surface import nominal_surface
 from cycloid_fmu.transmission import drive_of, solve
 from fitting.figure import DEFINITIONS
 

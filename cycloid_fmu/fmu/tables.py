@@ -44,7 +44,7 @@ from cycloid_fmu.fmu.table_teeth import (
 )
 from cycloid_fmu.fmu.variables import Interface, Variable
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.surfaces.surface import ErrorSurface
+from cycloid_fmu.surfaces.surface import ErrorSurface, alike
 from cycloid_fmu.transmission import drive_of, slices_needed, solve
 
 Array = NDArray[np.float64]
@@ -141,23 +141,8 @@ def mesh_pitches(pair: Pair, surface: ErrorSurface) -> int:
 
     Pins stand in the frame, as the offset of the gear's centre does, and teeth with the gear held.
     """
-
-    def alike(values: Array | None, axis: int) -> bool:
-        return values is None or bool(np.all(np.ptp(values, axis=axis) == 0.0))
-
-    g = pair
-    pins = (surface.pin_radial, surface.pin_tangential, surface.pin_radius_deviation)
-    pins_alike = all(alike(v, 0) for v in (*pins, surface.pin_deviation, surface.pin_curvature))
-    teeth = (surface.tooth_cumulative_pitch, surface.gear_deviation, surface.gear_curvature)
-    teeth_alike = all(alike(v, 1) for v in teeth)
-    centred = not np.any([
-        surface.centre_distance_x, surface.centre_distance_y, surface.misalignment_xz, surface.misalignment_yz
-    ])  # fmt: skip
-    if g.output == "gear":
-        pins_alike = pins_alike and centred
-    else:
-        teeth_alike = teeth_alike and centred
-    return (1 if pins_alike else g.pins) * (1 if teeth_alike else g.gear_teeth)
+    teeth_alike, pins_alike = alike(surface)
+    return (1 if pins_alike else pair.pins) * (1 if teeth_alike else pair.gear_teeth)
 
 
 class _Solved(NamedTuple):

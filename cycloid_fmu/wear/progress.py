@@ -230,11 +230,7 @@ def wear_model(
     alpha = np.linspace(0.0, 2.0 * np.pi / g.gear_teeth, 4001)
     arc = float(np.trapezoid(flank_speed(pair, alpha), alpha))
     total = sum(load.crank_turns for load in loads)
-    shares = (
-        tuple(load.replace(crank_turns=load.crank_turns / total) for load in loads)
-        if total > 0.0
-        else ()
-    )
+    shares = tuple(load.replace(crank_turns=load.crank_turns / total) for load in loads) if total > 0.0 else ()
     return WearModel(pair, refined, law, shares, total, sweep_of(pair, surface), arc)
 
 

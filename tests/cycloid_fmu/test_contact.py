@@ -9,14 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cycloid_fmu import contact
+from cycloid_fmu.errors.kinds import structured_names
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
-from cycloid_fmu.surfaces.surface import (
-    nominal_surface,
-    structured_names,
-    structured_value,
-    surface_of_pair,
-    with_structured,
-)
+from cycloid_fmu.surfaces.structured import structured_value, with_structured
+from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
 from cycloid_fmu.transmission import drive_of, error_sensitivity, solve
 
 STEEL = (1 - 0.3**2) / 206e9
