@@ -16,20 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact import (
-    ARM,
-    ARM_RATE,
-    BODY_COUNT,
-    CENTRE_X,
-    CENTRE_Y,
-    CIRCLE_GENERATING,
-    CRANK_THROW,
-    CURVATURE,
-    GAP,
-    PIN_GENERATING,
-    TILT_X,
-    TILT_Y,
-    compiled,
+from cycloid_fmu.contact import compiled, part
+from cycloid_fmu.contact.sensitivity import (
+    BODY_COUNT, CENTRE_X, CENTRE_Y, CIRCLE_GENERATING, CRANK_THROW, PIN_GENERATING, TILT_X, TILT_Y,
 )  # fmt: skip
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.surface import ErrorSurface, nominal_surface
@@ -81,7 +70,7 @@ def contacts_of(
         By how much further errors and their rotation may close a gap, m.
     """
     drive = drive_of(pair, surface, slices)
-    kept = np.zeros((crank_angle.size, contact.contact_rows(drive).shape[0], _COLUMNS))
+    kept = np.zeros((crank_angle.size, contact.contact_rows(drive).size, _COLUMNS))
     count, deviation = np.zeros(crank_angle.size, dtype=np.int64), np.zeros(crank_angle.size)
     _sweep(drive, np.ascontiguousarray(crank_angle), float(torque), reach, kept, count, deviation)
     return Contacts(np.ascontiguousarray(kept[:, : max(int(count.max()), 1)]), count, deviation, float(torque))
@@ -89,11 +78,11 @@ def contacts_of(
 
 @compiled
 def _sweep(
-    drive: contact.Drive, thetas: Array, torque: float, reach: float, kept: Array, count: NDArray[np.int64],
+    drive: contact.Problem, thetas: Array, torque: float, reach: float, kept: Array, count: NDArray[np.int64],
     deviation: Array,
 ) -> None:  # fmt: skip
     contacts = contact.contact_rows(drive)
-    pins, slices = drive.teeth + 1, drive.centre_x.size
+    pins = drive.teeth + 1
     x, cold = 0.0, True
     for i in range(thetas.size):
         if torque == 0.0:
@@ -106,30 +95,30 @@ def _sweep(
         deviation[i] = x
         number = 0
         for row in range(contacts.shape[0]):
-            if not contacts[row, GAP] < reach:
+            if not contacts[row].gap < reach:
                 continue
-            disc, slice_, pin = row // (2 * pins * slices), row // (2 * pins) % slices, row // 2 % pins
-            crank, ring, _ = contact._poses(drive, thetas[i], x, disc)
-            local = contact._local(drive, thetas[i], x, contacts, row)
+            disc, slice_, pin = contact.disc_slice_pin(drive, row)
+            crank, ring, _ = contact.poses(drive, thetas[i], x, disc)
+            local = contact.local_frame(drive, thetas[i], x, contacts, row)
             direction = pin * 2.0 * math.pi / pins + ring
             c, s = math.cos(direction), math.sin(direction)
             nx, ny = local.normal_x, local.normal_y
             one = kept[i, number]
-            one[_GAP], one[_ARM], one[_RATE] = contacts[row, GAP], contacts[row, ARM], contacts[row, ARM_RATE]
-            one[_CURVATURE] = contacts[row, CURVATURE]
+            one[_GAP], one[_ARM], one[_RATE] = contacts[row].gap, contacts[row].arm, contacts[row].arm_rate
+            one[_CURVATURE] = contacts[row].curvature
             one[_RADIAL], one[_TANGENTIAL] = nx * c + ny * s, ny * c - nx * s
             one[_X], one[_Y], one[_HEIGHT] = nx, ny, drive.slice_z[slice_]
             one[_CRANK] = nx * math.cos(crank) + ny * math.sin(crank)
             one[_FACING] = local.facing
             one[_TURN] = nx * local.gear_y - ny * local.gear_x
-            foot = pin * 2.0 * math.pi / pins + (crank - ring) / drive.teeth + contacts[row, contact.FOOT]
+            foot = pin * 2.0 * math.pi / pins + (crank - ring) / drive.teeth + contacts[row].foot
             tooth = math.floor(foot * drive.teeth / (2.0 * math.pi)) % drive.teeth
             one[_PIN], one[_TOOTH] = pin, disc * drive.teeth + tooth
             number += 1
         count[i] = number
 
 
-@compiled
+@part
 def _gaps(rows: Array, count: int, pins: int, teeth: int, errors: Array, gaps: Array) -> None:
     """Gaps of a drive with further errors at the rotation of the contacts."""
     x, y, xz, yz = errors[CENTRE_X], errors[CENTRE_Y], errors[TILT_X], errors[TILT_Y]
@@ -146,7 +135,7 @@ def _gaps(rows: Array, count: int, pins: int, teeth: int, errors: Array, gaps: A
         )  # fmt: skip
 
 
-@compiled
+@part
 def _equilibrium(
     rows: Array, count: int, gaps: Array, forces: Array, torque: float, start: float, pin_radius: float, width: float,
     compliance_gear: float, compliance_pin: float, largest_log_radius: float,
@@ -336,7 +325,7 @@ def sweep_play(
                     interference[j, i] = deepest
 
 
-@compiled
+@part
 def _deepest(rows: Array, count: int, gaps: Array, first: float, last: float) -> float:
     """Interference at the rotation between two where the smallest gap is largest, by halving where it turns."""
     worst = 0.0

@@ -434,7 +434,7 @@ def write(
     variables: Sequence[Variable],
     token: str = "",
     first_stage: FirstStage | None = None,
-    contacts: contact.Drive | None = None,
+    contacts: contact.Problem | None = None,
 ) -> bytes:
     """Return the file that FMUs from tables read.
 
@@ -489,24 +489,23 @@ def _headed(body: bytes) -> bytes:
     return HEAD.pack(MAGIC, VERSION, 0, HEAD.size + len(body), fnv1a(body)) + body
 
 
-def _problem(drive: contact.Drive) -> bytes:
+def _problem(drive: contact.Problem) -> bytes:
     """Return a contact problem as native/table.c reads it; single precision keeps deviations to 1e-13 m."""
-    rough = drive.flank_alpha.size > 0
+    rough = drive.deviations
     counts = (
-        drive.crank_phase.size, drive.centre_x.size, drive.teeth, drive.ring, drive.flank_alpha.size,
-        drive.pin_deviation.shape[2], drive.gear_curvature.size > 0,
+        drive.crank_phase.size, drive.centre_x.size, drive.teeth, drive.ring, rough.flank_alpha.size if rough else 0,
+        rough.pin.shape[2] if rough else 0, rough is not None and rough.gear_curvature.size > 0,
     )  # fmt: skip
     scalars = (
         drive.circle_radius, drive.generating_radius, drive.generating_eccentricity, drive.eccentricity,
         drive.slice_width, drive.compliance_gear, drive.compliance_pin, drive.largest_log_radius, drive.root_phase,
-        drive.root_margin, drive.largest_deviation,
+        drive.root_margin, rough.largest if rough else 0.0,
     )  # fmt: skip
     arrays = (
         drive.pin_x, drive.pin_y, drive.pin_radius, drive.tooth_turn, drive.crank_phase, drive.centre_x, drive.centre_y,
-        *((drive.flank_alpha, drive.flank_x, drive.flank_y, drive.flank_normal_x, drive.flank_normal_y)
-          if rough else ()),
+        *(rough[:5] if rough else ()),
     )  # fmt: skip
-    maps = (drive.gear_deviation, drive.pin_deviation, drive.gear_curvature, drive.pin_curvature)
+    maps = (rough.gear, rough.pin, rough.gear_curvature, rough.pin_curvature) if rough else ()
     body = struct.pack("<7I11d", *counts, *scalars)
     body += b"".join(array.astype("<f8").tobytes() for array in arrays)
     return body + b"".join(values.astype("<f4").tobytes() for values in maps)
