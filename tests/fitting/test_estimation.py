@@ -12,10 +12,10 @@ from scipy.optimize import least_squares
 import fitting.estimation
 import fitting.observation
 from cycloid_fmu import edge
+from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.surfaces.sampling import parse_tolerances
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
-from cycloid_fmu.transmission import solve
 from fitting.curve import Curve, transmission_error_curves
 from fitting.estimation import confirmed, fit, possible, profile_interval, turn_bootstrap
 from fitting.fit_report import write_fit_report

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from common import EXAMPLES
 
+from cycloid_fmu.contact.transmission import error_sensitivity, solve
 from cycloid_fmu.surfaces.sampling import read_tolerances
 from cycloid_fmu.surfaces.surface import (
     profile_names,
@@ -13,7 +14,6 @@ from cycloid_fmu.surfaces.surface import (
     with_structured,
     write_surface,
 )  # fmt: skip
-from cycloid_fmu.transmission import error_sensitivity, solve
 from fitting.curve import Curve
 from fitting.identify import identify
 from fitting.prior import profile_of
