@@ -6,9 +6,10 @@ The names below are what a notebook needs; they are loaded when they are first u
 from __future__ import annotations
 
 import importlib
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+__version__ = version("cycloid-fmu")
 
 if TYPE_CHECKING:
     from cycloid_fmu.drive import Drive, field_units, read_drive

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from cycloid_fmu import contact, edge
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_normals, flank_points
+from cycloid_fmu.surfaces.provenance import provenance
 from cycloid_fmu.surfaces.structured import PROFILE_POINTS, displacement_columns, displacements, profile_wave
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
@@ -466,7 +467,7 @@ def analyze(
     except Interrupted as interrupted:
         result, complete = interrupted.result, 0
     data = dataset_of(pair, result)
-    data.attrs.update(pair=pair.text, slices=slices, surface=surface.origin, complete=complete)
+    data.attrs.update(provenance(pair, surface), slices=slices, complete=complete)
     return data
 
 

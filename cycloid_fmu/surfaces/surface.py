@@ -367,10 +367,10 @@ def alike(surface: ErrorSurface) -> tuple[bool, bool]:
     """
     parts = {"pins": True, "teeth": True, "frame": True}
     for name, kind in KINDS.items():
-        if kind.breaks == "frame":
-            parts["frame"] &= not np.any(surface.errors[name])
-        elif kind.breaks:
-            parts[kind.breaks] &= not np.ptp(np.atleast_1d(surface.errors[name]), axis=-1).any()
+        values = surface.errors[name]
+        if kind.breaks:
+            # One number makes parts unlike wherever it is not zero, many where they are not the same.
+            parts[kind.breaks] &= not np.any(values if kind.of == "drive" else np.ptp(values, axis=-1))
     for name, axis, part in (("gear", 1, "teeth"), ("pin", 0, "pins")):
         for what in ("deviation", "curvature"):
             values = getattr(surface, f"{name}_{what}")
