@@ -15,8 +15,9 @@ from cycloid_fmu.fmu.run import follow
 from cycloid_fmu.pair import read_pair
 from cycloid_fmu.plots import save
 from cycloid_fmu.surface import read_surface, structured_value, surface_of_pair, write_surface
-from drivers.bench import BenchRun, CanBench, fmu_output_angle, simulate_motion
-from drivers.recorder import record_bench
+from drivers.simulated.can_bench import SimulatedCanBench
+from drivers.simulated.motion import SimulatedRun, fmu_output_angle, simulate_motion
+from drivers.recorder.session import record_bench
 from fitting.cli import print_identification
 from fitting.curve import transmission_error_curve
 from fitting.identification import write_identification
@@ -40,13 +41,13 @@ def main() -> None:
     recordings = []
     for load in (20.0, 200.0):
         for direction, sign in (("forward", 1.0), ("backward", -1.0)):  # a brake: the torque opposes the motion
-            run = BenchRun(
+            run = SimulatedRun(
                 torque=sign * load, turns=39, samples_per_turn=48, direction=direction, noise=0.5 * ARCSEC,
                 torque_noise=0.2, seed=len(recordings),
             )  # fmt: skip
             path = OUT / f"{load:g}Nm-{direction}.arrows"
             path.unlink(missing_ok=True)
-            with CanBench(simulate_motion(drive, run)) as bench:
+            with SimulatedCanBench(simulate_motion(drive, run)) as bench:
                 wiring = bench.write_wiring(OUT / "bench.toml", ratio=as_made.ratio, pair="drive-39-40")
                 done = record_bench(wiring, path, samples=run.samples, idle=5.0)
             print(f"   {path}: {min(done.samples.values())} samples a channel")

@@ -11,8 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.bench import BenchRun, CanBench, simulate_motion
-from drivers.recorder import record_bench
+from drivers.simulated.can_bench import SimulatedCanBench
+from drivers.simulated.motion import SimulatedRun, simulate_motion
+from drivers.recorder.session import record_bench
 from drivers.recording_format import read_recording
 
 OUT = Path("record_can_out")
@@ -22,8 +23,8 @@ def main() -> None:
     OUT.mkdir(exist_ok=True)
     path = OUT / "run.arrows"
     path.unlink(missing_ok=True)
-    run = BenchRun(torque=-20.0, turns=2, noise=2e-6, torque_noise=0.1)
-    with CanBench(simulate_motion(lambda angle, torque: -angle / 39 + 1e-6 * torque, run)) as bench:
+    run = SimulatedRun(torque=-20.0, turns=2, noise=2e-6, torque_noise=0.1)
+    with SimulatedCanBench(simulate_motion(lambda angle, torque: -angle / 39 + 1e-6 * torque, run)) as bench:
         wiring = bench.write_wiring(OUT / "bench.toml", ratio=-39.0, pair="drive-39-40")
 
         done = record_bench(wiring, path, samples=run.samples, idle=5.0)

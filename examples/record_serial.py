@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.bench import BenchRun, simulate_motion
-from drivers.recorder import record_bench
+from drivers.simulated.motion import SimulatedRun, simulate_motion
+from drivers.recorder.session import record_bench
 from drivers.recording_format import read_recording
-from drivers.serial_bench import AsciiBench
+from drivers.simulated.serial_bench import SimulatedAsciiBench
 
 OUT = Path("record_serial_out")
 
@@ -23,8 +23,8 @@ def main() -> None:
     OUT.mkdir(exist_ok=True)
     path = OUT / "run.arrows"
     path.unlink(missing_ok=True)
-    motion = simulate_motion(lambda angle, torque: -angle / 39, BenchRun(torque=0.0, turns=3, samples_per_turn=200))
-    with AsciiBench(motion, clock_drift=50e-6) as bench:
+    motion = simulate_motion(lambda angle, torque: -angle / 39, SimulatedRun(torque=0.0, turns=3, samples_per_turn=200))
+    with SimulatedAsciiBench(motion, clock_drift=50e-6) as bench:
         wiring = bench.write_wiring(OUT / "bench.toml", ratio=-39.0)
 
         done = record_bench(wiring, path, stop=lambda: bench.wait(0.0))

@@ -6,7 +6,7 @@ import time
 import numpy as np
 
 from drivers.encoder import Encoder, steady_time
-from drivers.recorder import record
+from drivers.recorder.session import record
 from drivers.recording_format import Channel, RecordingReader, Samples
 
 NAMES = ("input_angle", "output_angle", "torque")

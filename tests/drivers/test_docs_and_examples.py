@@ -8,7 +8,7 @@ import pytest
 from common import EXAMPLES
 
 from drivers import encoder
-from drivers.recorder import record_bench
+from drivers.recorder.session import record_bench
 from drivers.recording_format import read_recording
 
 

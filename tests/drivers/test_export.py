@@ -10,8 +10,9 @@ import pytest
 import xarray as xr
 
 from cycloid_fmu import edge
-from drivers.export import export, repaired
 from drivers.recording_format import GAP, Event, RecordingReader, RecordingWriter, Samples, read_recording
+from drivers.recording_format.export import export
+from drivers.recording_format.repair import repaired
 from tests.drivers.test_recording_format import HEADER, NAMES, block, write
 
 ROOT = Path(__file__).parents[2]
@@ -79,7 +80,7 @@ def test_mdf4_holds_every_sample(tmp_path, recording):
 
 
 def test_csv_pairs_the_angles_and_interpolates_the_torque(tmp_path, recording, monkeypatch):
-    from drivers import export as module
+    from drivers.recording_format import export as module
 
     exported(recording, tmp_path / "whole.csv")
     monkeypatch.setattr(module, "_CHUNK", 100)  # in many pieces it must be the same table
@@ -108,7 +109,7 @@ MEMORY = """
 import resource, sys
 from pathlib import Path
 import h5netcdf, pyarrow.parquet, asammdf, numpy
-from drivers.export import export
+from drivers.recording_format.export import export
 from drivers.recording_format import RecordingReader
 for name in sys.argv[2:]:
     with RecordingReader(sys.argv[1]) as reader:

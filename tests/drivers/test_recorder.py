@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 
 from cycloid_fmu import edge
-from drivers import recorder
 from drivers import recording_format as rf
 from drivers.encoder import AngleConfig, Encoder, EncoderTimeout, channel_of, steady_time
-from drivers.recorder import read_bench, record
+from drivers.recorder import session
+from drivers.recorder.bench import read_bench
+from drivers.recorder.session import record
 from drivers.recording_format import Event, Samples, read_recording
 
 
@@ -215,15 +216,15 @@ def test_a_channel_that_is_out_is_named_and_the_others_go_on(tmp_path, monkeypat
 
 def test_a_disk_that_takes_no_more_leaves_what_was_written(tmp_path, monkeypatch):
     blocks = [([0.1 * i, 0.1 * i + 0.05], [0.0, 1.0]) for i in range(9)]
-    one, real = Scripted("input_angle", blocks), recorder.RecordingWriter.write
+    one, real = Scripted("input_angle", blocks), session.RecordingWriter.write
 
     def full(self, samples, events=()):
         if len(samples) and samples.time_host[0] > 0.35:
             raise OSError(errno.ENOSPC, "No space left on device")
         real(self, samples, events)
 
-    monkeypatch.setattr(recorder.RecordingWriter, "write", full)
-    with pytest.raises(recorder.RecordingError, match=r"a\.arrows: the disk takes no more \(No space left on device\)"):
+    monkeypatch.setattr(session.RecordingWriter, "write", full)
+    with pytest.raises(session.RecordingError, match=r"a\.arrows: the disk takes no more \(No space left on device\)"):
         record([one], tmp_path / "a.arrows", stop=exhausted(one))
     assert len(read_recording(tmp_path / "a.arrows").samples["input_angle"]) == 8
 

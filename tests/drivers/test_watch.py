@@ -10,8 +10,8 @@ import urllib.request
 import numpy as np
 import pytest
 
+from drivers.live_page.server import Watcher, WatchServer, order_spectrum
 from drivers.recording_format import Channel, Event, Header, RecordingWriter, Samples
-from drivers.watch import Watcher, WatchServer, order_spectrum
 
 ARCSEC = math.pi / 648000
 CHROMIUM = shutil.which("chromium")

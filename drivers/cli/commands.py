@@ -14,10 +14,11 @@ import typer
 from cycloid_fmu import edge
 
 if TYPE_CHECKING:
-    from drivers.bench import CanBench, Motion
-    from drivers.recorder import Live, Recorded
-    from drivers.recording_format import RecordingReader
-    from drivers.serial_bench import Amt21Bench, AsciiBench, ModbusBench
+    from drivers.recorder.session import Live, Recorded
+    from drivers.recording_format.reader import RecordingReader
+    from drivers.simulated.can_bench import SimulatedCanBench
+    from drivers.simulated.motion import Motion
+    from drivers.simulated.serial_bench import SimulatedAmt21Bench, SimulatedAsciiBench, SimulatedModbusBench
 
 app = typer.Typer(
     name="cycloid-bench",
@@ -80,7 +81,7 @@ def _live_line() -> Iterator[Callable[[Live], None]]:
 
 
 def _record(bench: Path, output: Path, **stops: Any) -> None:
-    from drivers.recorder import record_bench
+    from drivers.recorder.session import record_bench
 
     with _recording_to(output), _live_line() as progress:
         done = record_bench(bench, output, progress=progress, **stops)
@@ -91,7 +92,7 @@ def _record(bench: Path, output: Path, **stops: Any) -> None:
 def _recording_to(path: Path) -> Iterator[None]:
     """Say what stopped a recording, with the exit status that belongs to it."""
     from drivers.encoder import EncoderError
-    from drivers.recorder import RecordingError
+    from drivers.recorder.session import RecordingError
 
     try:
         yield
@@ -184,9 +185,10 @@ def simulate(
     and in a second terminal [cyan]cycloid-bench record BENCH.toml -o run.arrows --idle "2 s"[/].
     The virtual bus ends at its process: with [cyan]--bus virtual[/] add [cyan]-o run.arrows[/].
     """
-    from drivers.bench import BenchRun, CanBench, fmu_output_angle, simulate_hysteresis, simulate_motion
-    from drivers.faults import read_faults
-    from drivers.serial_bench import Amt21Bench, AsciiBench, ModbusBench
+    from drivers.simulated.can_bench import SimulatedCanBench
+    from drivers.simulated.faults import read_faults
+    from drivers.simulated.motion import SimulatedRun, fmu_output_angle, simulate_hysteresis, simulate_motion
+    from drivers.simulated.serial_bench import SimulatedAmt21Bench, SimulatedAsciiBench, SimulatedModbusBench
 
     if fmu is None and ratio is None:
         raise edge.InputError("--fmu or --ratio is missing: give the drive's FMU, or the ratio of an ideal drive.")
@@ -198,7 +200,7 @@ def simulate(
         raise edge.InputError("--bus = virtual: this bus ends at its process; add -o RUN.arrows or use udp_multicast.")
     if clock_drift and not (serial is Serial.ascii or (serial is None and bus == "virtual")):
         raise edge.InputError(f"--clock-drift = {clock_drift}: only --serial ascii and --bus virtual have a clock.")
-    run = BenchRun(
+    run = SimulatedRun(
         torque=edge.quantity_option(torque, "N*m", "--torque"),
         turns=turns,
         samples_per_turn=samples_per_turn,
@@ -219,16 +221,16 @@ def simulate(
     moved = simulate_hysteresis if hysteresis else simulate_motion
     motion = moved(fmu_output_angle(fmu) if fmu else lambda angle, _: angle / ideal, run)
     script = read_faults(faults) if faults is not None else []
-    made: CanBench | Amt21Bench | ModbusBench | AsciiBench
+    made: SimulatedCanBench | SimulatedAmt21Bench | SimulatedModbusBench | SimulatedAsciiBench
     if serial is Serial.amt21:
-        made = Amt21Bench(motion, speed_factor=speed_factor or 1.0, faults=script)
+        made = SimulatedAmt21Bench(motion, speed_factor=speed_factor or 1.0, faults=script)
     elif serial is Serial.modbus:
-        made = ModbusBench(motion, speed_factor=speed_factor or 1.0, faults=script)
+        made = SimulatedModbusBench(motion, speed_factor=speed_factor or 1.0, faults=script)
     elif serial is Serial.ascii:
-        made = AsciiBench(motion, speed_factor=speed_factor or 1.0, clock_drift=clock_drift, faults=script)
+        made = SimulatedAsciiBench(motion, speed_factor=speed_factor or 1.0, clock_drift=clock_drift, faults=script)
     else:
         group = "239.74.163.2" if bus == "udp_multicast" else "bench"
-        made = CanBench(
+        made = SimulatedCanBench(
             motion, interface=bus, channel=channel or group, trigger=trigger.value, speed_factor=speed_factor,
             clock_drift=clock_drift or None, faults=script,
         )  # fmt: skip
@@ -236,7 +238,7 @@ def simulate(
 
 
 def _serve(
-    made: CanBench | Amt21Bench | ModbusBench | AsciiBench,
+    made: SimulatedCanBench | SimulatedAmt21Bench | SimulatedModbusBench | SimulatedAsciiBench,
     motion: Motion,
     wiring: Path,
     ratio: float | None,
@@ -282,7 +284,7 @@ def run(
     """
     import subprocess
 
-    from drivers.sequence import read_sequence, report_command, run_step
+    from drivers.recorder.sequence import read_sequence, report_command, run_step
 
     made = read_sequence(sequence)
     done: list[Path] = []
@@ -336,7 +338,7 @@ def watch(
     import ipaddress
     import secrets
 
-    from drivers.watch import Watcher, WatchServer
+    from drivers.live_page.server import Watcher, WatchServer
 
     try:
         local = ipaddress.ip_address(host).is_loopback
@@ -363,9 +365,9 @@ def export(
     .csv is one table: the two angles, paired by the SYNC that latched both, and the torque interpolated to those
     instants. .nc (netCDF), .parquet and .mf4 (MDF4, ASAM) hold every channel's samples as they came.
     """
-    from drivers.export import WRITERS
-    from drivers.export import export as write
-    from drivers.recording_format import RecordingReader
+    from drivers.recording_format.export import WRITERS
+    from drivers.recording_format.export import export as write
+    from drivers.recording_format.reader import RecordingReader
 
     edge.output_path(output, "--output", WRITERS)
     with RecordingReader(recording) as reader, _bytes_bar(reader) as progress:
@@ -399,8 +401,8 @@ def repair(
 
     The file itself is not changed. Exit status 1 where something is wrong with it.
     """
-    from drivers.export import repaired
-    from drivers.recording_format import RecordingReader
+    from drivers.recording_format.reader import RecordingReader
+    from drivers.recording_format.repair import repaired
 
     with RecordingReader(recording) as reader, _bytes_bar(reader) as progress:
         held = repaired(reader, output, progress)

@@ -20,9 +20,10 @@ from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
 from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadHoldingRegistersResponse
 
 from cycloid_fmu import edge
-from drivers.amt21_encoder import check_bits
-from drivers.bench import Motion, SimulatedBench, conditions_text, head_text, quantised, write_text
-from drivers.faults import SERIAL_FAULTS, Fault, at_wrong_baud
+from drivers.encoders.amt21 import check_bits
+from drivers.simulated.bench import SimulatedBench, conditions_text, head_text, write_text
+from drivers.simulated.faults import SERIAL_FAULTS, Fault, at_wrong_baud
+from drivers.simulated.motion import Motion, quantised
 
 _BITS_PER_BYTE = 10  # with start and stop bit
 
@@ -134,7 +135,7 @@ class _PtyBench(SimulatedBench):
         return write_text(path, f"{head_text(ratio, pair)}{conditions_text(self.motion.run)}{port}{channels}")
 
 
-class Amt21Bench(_PtyBench):
+class SimulatedAmt21Bench(_PtyBench):
     """A bench of two AMT21 encoders on one RS-485 line, which is a pseudo-terminal: record `url`.
 
     The motion begins with the first question and runs at its own speed times `speed_factor`; each
@@ -205,7 +206,7 @@ class Amt21Bench(_PtyBench):
                     asked += 1
 
 
-class ModbusBench(_PtyBench):
+class SimulatedModbusBench(_PtyBench):
     """A bench of two Modbus RTU encoders on one line, which is a pseudo-terminal: record `url`.
 
     Each device holds its position, 32 bits that count turns too, in the holding registers 0 and 1,
@@ -267,7 +268,7 @@ class ModbusBench(_PtyBench):
             asked += 1
 
 
-class AsciiBench(_PtyBench):
+class SimulatedAsciiBench(_PtyBench):
     """A counter that sends a line for each sample, "$sequence,time,counts*checksum", by itself: record `url`.
 
     The motion begins when the port is opened. The time is the counter's own clock in microseconds,

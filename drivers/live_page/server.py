@@ -21,8 +21,7 @@ from typing import Any
 import numpy as np
 
 from cycloid_fmu import edge
-from drivers.recorder import MARKS
-from drivers.recording_format import FloatArray, RecordingReader, Samples
+from drivers.recording_format import MARKS, FloatArray, RecordingReader, Samples
 
 REFRESH_SECONDS = 0.2
 WINDOW = 1 << 17  # samples of each channel that are looked at
@@ -223,7 +222,7 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         if not self._allowed(urllib.parse.parse_qs(parts.query)):
             self.send_error(403)
         elif parts.path == "/":
-            page = importlib.resources.files("drivers").joinpath("watch.html").read_bytes()
+            page = importlib.resources.files("drivers.live_page").joinpath("page.html").read_bytes()
             self.send_response(200)
             self.send_header("Content-Type", "text/html; charset=utf-8")
             self.send_header("Content-Length", str(len(page)))

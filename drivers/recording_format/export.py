@@ -1,10 +1,9 @@
-"""A recording in other formats, batch by batch: netCDF, Parquet, CSV, MDF4; and what a torn one still holds."""
+"""A recording in other formats, batch by batch: netCDF, Parquet, CSV, MDF4."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
-import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -12,15 +11,13 @@ from typing import Any
 import numpy as np
 
 from cycloid_fmu import edge
-from drivers.recording_format import (
+from drivers.recording_format.reader import RecordingReader
+from drivers.recording_format.schema import (
     COLUMN_DTYPES,
-    GAP,
     Event,
     FloatArray,
-    Header,
-    RecordingReader,
-    RecordingWriter,
     Samples,
+    joined,
     record_batch,
     recording_metadata,
     recording_schema,
@@ -61,25 +58,11 @@ def _gathered(reader: RecordingReader, events: list[Event], progress: Progress) 
         blocks = waiting[samples.channel]
         blocks.append(samples)
         if sum(map(len, blocks)) >= _CHUNK:
-            yield joined(blocks)
+            yield joined(blocks[0].channel, blocks, fill=True)
             blocks.clear()
     for blocks in waiting.values():
         if any(map(len, blocks)):
-            yield joined(blocks)
-
-
-def joined(blocks: list[Samples]) -> Samples:
-    """Return blocks of one channel as one; a column that one of them lacks is NaN or 0 there."""
-    columns: dict[str, Any] = {}
-    for name, kind in COLUMN_DTYPES.items():
-        parts = [getattr(b, name) for b in blocks]
-        if all(p is None for p in parts):
-            columns[name] = None
-            continue
-        missing = np.nan if kind == "<f8" else 0
-        filled = [np.full(len(b), missing, kind) if p is None else p for b, p in zip(blocks, parts, strict=True)]
-        columns[name] = np.concatenate(filled)
-    return Samples(blocks[0].channel, **columns)
+            yield joined(blocks[0].channel, blocks, fill=True)
 
 
 def _event_text(events: list[Event]) -> str:
@@ -258,62 +241,3 @@ def _paired(
 WRITERS: dict[str, Callable[[RecordingReader, Path, Progress], int]] = {
     ".csv": _csv, ".nc": _netcdf, ".parquet": _parquet, ".mf4": _mdf,
 }  # fmt: skip
-
-
-@dataclasses.dataclass
-class HeldChannel:
-    """What a recording holds of a channel: samples, how many follow a gap, first and last `time_host` in s."""
-
-    samples: int = 0
-    gaps: int = 0
-    first: float = np.inf
-    last: float = -np.inf
-
-
-@dataclasses.dataclass
-class Held:
-    """What a recording holds that can be trusted."""
-
-    header: Header
-    channels: dict[str, HeldChannel]
-    events: int = 0
-
-
-def repaired(reader: RecordingReader, output: str | os.PathLike[str] | None, progress: Progress) -> Held:
-    """Read all that can be trusted of a recording, and write it as a whole one.
-
-    Parameters
-    ----------
-    reader
-        The recording, nothing of it read yet; its `problems` say afterwards what is wrong.
-    output
-        New recording, or None.
-    progress
-        Called after each batch.
-
-    Raises
-    ------
-    edge.InputError
-        If the output exists or can't be created.
-    """
-    held = Held(reader.header, {c.name: HeldChannel() for c in reader.header.channels})
-    # What is written has a checksum that is right: that the header was damaged must stand in it.
-    said = {"damaged header": " ".join(reader.problems)} if reader.problems else {}
-    header = dataclasses.replace(reader.header, conditions={**reader.header.conditions, **said})
-    writer = RecordingWriter(output, header) if output is not None else None
-    try:
-        for samples, events in reader.batches():
-            progress()
-            held.events += len(events)
-            if len(samples):
-                channel = held.channels[samples.channel]
-                channel.samples += len(samples)
-                channel.gaps += int(np.count_nonzero(samples.status & GAP))
-                channel.first = min(channel.first, float(samples.time_host.min()))
-                channel.last = max(channel.last, float(samples.time_host.max()))
-            if writer is not None:
-                writer.write(samples, events)
-    finally:
-        if writer is not None:
-            writer.close()
-    return held

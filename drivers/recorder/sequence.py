@@ -22,7 +22,8 @@ import pydantic
 from cycloid_fmu import edge
 from drivers import recording_format as rf
 from drivers.encoder import EncoderError, EncoderTimeout
-from drivers.recorder import Bench, ChannelState, Live, open_encoders, read_bench, record
+from drivers.recorder.bench import Bench, open_encoders, read_bench
+from drivers.recorder.session import ChannelState, Live, record
 from drivers.recording_format import Samples, read_recording
 
 FORMAT = "cycloid-sequence/1"
