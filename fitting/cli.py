@@ -15,7 +15,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.edge import commands
 
 if TYPE_CHECKING:
-    from cycloid_fmu.pair import Pair
+    from cycloid_fmu.geometry.pair import Pair
     from fitting.curve import Curve
     from fitting.figure import Figure
     from fitting.identification import Identification
@@ -79,7 +79,7 @@ def _figures(
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    from cycloid_fmu.pair import read_pair
+    from cycloid_fmu.geometry.pair import read_pair
     from fitting.mapping import read_mapping
     from fitting.metrics import figures_of
     from fitting.recording import open_bench_recording
@@ -180,9 +180,9 @@ def curve(
     """
     import numpy as np
 
-    from cycloid_fmu import plots
+    from cycloid_fmu.draw import plots
     from cycloid_fmu.edge.commands import print_table
-    from cycloid_fmu.pair import read_pair
+    from cycloid_fmu.geometry.pair import read_pair
     from fitting.curve import curves_dataset, noise_of, write_curves
     from fitting.panels import label_of
     from fitting.plots import plot_curves
@@ -230,7 +230,7 @@ def inspect(
     Example: [cyan]cycloid-fit inspect run.tdms -o map.toml --plot channels.png[/], then check map.toml and give it as
     [cyan]--mapping map.toml[/]
     """
-    from cycloid_fmu import plots
+    from cycloid_fmu.draw import plots
     from cycloid_fmu.edge.commands import print_table
     from fitting.inspection import LOOKED_AT, look, propose
     from fitting.plots import plot_channels
@@ -294,7 +294,7 @@ def metrics(
 
     Example: [cyan]cycloid-fit metrics loop.csv *.arrows --ratio -39 --rated-torque "167 N*m"[/]
     """
-    from cycloid_fmu import plots
+    from cycloid_fmu.draw import plots
     from fitting.metrics import figures_json
     from fitting.panels import panels_of
     from fitting.plots import plot_panels
@@ -348,7 +348,7 @@ def compare(
     Example: [cyan]cycloid-fit metrics new/*.csv --ratio -39 -o new.json[/], the same for worn.json, then
     [cyan]cycloid-fit compare new.json worn.json --plot moved.png[/]
     """
-    from cycloid_fmu import plots
+    from cycloid_fmu.draw import plots
     from cycloid_fmu.edge.commands import print_table
     from fitting.comparison import changes_json, read_figures
     from fitting.comparison import compare as compare_figures
@@ -429,10 +429,10 @@ def identify(
     """
     from rich.console import Console
 
-    from cycloid_fmu import plots
-    from cycloid_fmu.pair import read_pair
-    from cycloid_fmu.sampling import read_tolerances
-    from cycloid_fmu.surface import write_surface
+    from cycloid_fmu.draw import plots
+    from cycloid_fmu.geometry.pair import read_pair
+    from cycloid_fmu.surfaces.sampling import read_tolerances
+    from cycloid_fmu.surfaces.surface import write_surface
     from fitting.fit_report import FORMATS, write_fit_report
     from fitting.identification import as_json as content
     from fitting.identification import write_identification
@@ -541,10 +541,10 @@ def plan(
 
     Example: [cyan]cycloid-fit plan pair.toml --torque "20 N*m" --torque "200 N*m"[/]
     """
-    from cycloid_fmu import plots
+    from cycloid_fmu.draw import plots
     from cycloid_fmu.edge.commands import print_table
-    from cycloid_fmu.pair import read_pair
-    from cycloid_fmu.surface import unit_of
+    from cycloid_fmu.geometry.pair import read_pair
+    from cycloid_fmu.surfaces.surface import unit_of
     from fitting.observation import errors_of
     from fitting.plan import bench_plans
     from fitting.plots import plot_plans
@@ -602,9 +602,9 @@ def ensemble(
     """
     from rich.progress import track
 
-    from cycloid_fmu import plots
-    from cycloid_fmu.pair import read_pair
-    from cycloid_fmu.surface import check_surface, read_surface, write_surface
+    from cycloid_fmu.draw import plots
+    from cycloid_fmu.geometry.pair import read_pair
+    from cycloid_fmu.surfaces.surface import check_surface, read_surface, write_surface
     from fitting.ensemble import drawn_surfaces
     from fitting.plots import plot_band
 
