@@ -12,19 +12,19 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cycloid_fmu import edge
+from cycloid_fmu.edge import commands
 
 if TYPE_CHECKING:
-    from cycloid_fmu.pair import Pair
+    from cycloid_fmu.geometry.pair import Pair
     from fitting.curve import Curve
     from fitting.figure import Figure
     from fitting.identification import Identification
     from fitting.metrics import Figures
     from fitting.survey import Surveyed
 
-app = typer.Typer(
-    no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich",
-    help="Measured transmission errors: curves, and the errors of the drive behind them.",
-)  # fmt: skip
+app = commands.command_line(
+    "cycloid-fit", "Measured transmission errors: curves, and the errors of the drive behind them."
+)
 
 Recordings = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings of any kind that is read.")]
 PairFile = Annotated[Path, typer.Option("--pair", metavar="PAIR.toml", help="The nominal gear pair.")]
@@ -79,7 +79,7 @@ def _figures(
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    from cycloid_fmu.pair import read_pair
+    from cycloid_fmu.geometry.pair import read_pair
     from fitting.mapping import read_mapping
     from fitting.metrics import figures_of
     from fitting.recording import open_bench_recording
@@ -180,9 +180,9 @@ def curve(
     """
     import numpy as np
 
-    from cycloid_fmu import plots
-    from cycloid_fmu.cli import print_table
-    from cycloid_fmu.pair import read_pair
+    from cycloid_fmu.draw import plots
+    from cycloid_fmu.edge.commands import print_table
+    from cycloid_fmu.geometry.pair import read_pair
     from fitting.curve import curves_dataset, noise_of, write_curves
     from fitting.panels import label_of
     from fitting.plots import plot_curves
@@ -230,8 +230,8 @@ def inspect(
     Example: [cyan]cycloid-fit inspect run.tdms -o map.toml --plot channels.png[/], then check map.toml and give it as
     [cyan]--mapping map.toml[/]
     """
-    from cycloid_fmu import plots
-    from cycloid_fmu.cli import print_table
+    from cycloid_fmu.draw import plots
+    from cycloid_fmu.edge.commands import print_table
     from fitting.inspection import LOOKED_AT, look, propose
     from fitting.plots import plot_channels
     from fitting.readers import open_bench_file
@@ -262,7 +262,7 @@ def inspect(
         return
     roles_of = {o.channel.name: role for role, o in found.roles.items()}
     rows = [
-        [o.channel.name.replace("[", "\\["), o.channel.unit.replace("[", "\\["), str(o.values.size),
+        [o.channel.name, o.channel.unit, str(o.values.size),
          f"{o.values.min():.6g}", f"{o.values.max():.6g}", roles_of.get(o.channel.name, "")]
         for o in looks
     ]  # fmt: skip
@@ -294,7 +294,7 @@ def metrics(
 
     Example: [cyan]cycloid-fit metrics loop.csv *.arrows --ratio -39 --rated-torque "167 N*m"[/]
     """
-    from cycloid_fmu import plots
+    from cycloid_fmu.draw import plots
     from fitting.metrics import figures_json
     from fitting.panels import panels_of
     from fitting.plots import plot_panels
@@ -348,8 +348,8 @@ def compare(
     Example: [cyan]cycloid-fit metrics new/*.csv --ratio -39 -o new.json[/], the same for worn.json, then
     [cyan]cycloid-fit compare new.json worn.json --plot moved.png[/]
     """
-    from cycloid_fmu import plots
-    from cycloid_fmu.cli import print_table
+    from cycloid_fmu.draw import plots
+    from cycloid_fmu.edge.commands import print_table
     from fitting.comparison import changes_json, read_figures
     from fitting.comparison import compare as compare_figures
     from fitting.figure import in_field_units
@@ -429,10 +429,10 @@ def identify(
     """
     from rich.console import Console
 
-    from cycloid_fmu import plots
-    from cycloid_fmu.pair import read_pair
-    from cycloid_fmu.sampling import read_tolerances
-    from cycloid_fmu.surface import write_surface
+    from cycloid_fmu.draw import plots
+    from cycloid_fmu.geometry.pair import read_pair
+    from cycloid_fmu.surfaces.sampling import read_tolerances
+    from cycloid_fmu.surfaces.surface import write_surface
     from fitting.fit_report import FORMATS, write_fit_report
     from fitting.identification import as_json as content
     from fitting.identification import write_identification
@@ -470,7 +470,7 @@ def identify(
 
 def print_figures(found: Figures) -> None:
     """Print the figures in field units, each with its uncertainty and what is behind it."""
-    from cycloid_fmu.cli import print_table
+    from cycloid_fmu.edge.commands import print_table
     from fitting.figure import in_field_units
 
     rows = []
@@ -485,7 +485,7 @@ def print_figures(found: Figures) -> None:
 
 def print_identification(result: Identification, truth: dict[str, float] | None = None) -> None:
     """Print identified errors with their 95 % intervals, what is held and why; beside the truth where it is known."""
-    from cycloid_fmu.cli import print_table
+    from cycloid_fmu.edge.commands import print_table
 
     scale = {"m": (1e6, "µm"), "rad": (1e3, "mrad")}
     rows, held = [], []
@@ -494,9 +494,7 @@ def print_identification(result: Identification, truth: dict[str, float] | None 
         true = [] if truth is None else [f"{truth.get(p.name, 0.0) * factor:.3f}"]
         if p.held is None:
             low, high = (v * factor for v in p.interval)
-            rows.append(
-                [f"{p.name} [{unit}]".replace("[", "\\["), *true, f"{p.value * factor:.3f}", f"{low:.3f} … {high:.3f}"]
-            )
+            rows.append([f"{p.name} [{unit}]", *true, f"{p.value * factor:.3f}", f"{low:.3f} … {high:.3f}"])
         else:
             held.append([p.name, p.held])
     known = [] if truth is None else ["true"]
@@ -543,10 +541,10 @@ def plan(
 
     Example: [cyan]cycloid-fit plan pair.toml --torque "20 N*m" --torque "200 N*m"[/]
     """
-    from cycloid_fmu import plots
-    from cycloid_fmu.cli import print_table
-    from cycloid_fmu.pair import read_pair
-    from cycloid_fmu.surface import unit_of
+    from cycloid_fmu.draw import plots
+    from cycloid_fmu.edge.commands import print_table
+    from cycloid_fmu.geometry.pair import read_pair
+    from cycloid_fmu.surfaces.surface import unit_of
     from fitting.observation import errors_of
     from fitting.plan import bench_plans
     from fitting.plots import plot_plans
@@ -578,7 +576,7 @@ def plan(
     for name in errors_of(pair):
         factor, unit = scale[unit_of(name)]
         known = [f"{p.standard_error[name] * factor:.3f}" if name in p.standard_error else "–" for p in plans]
-        rows.append([f"{name} \\[{unit}]", *known])
+        rows.append([f"{name} [{unit}]", *known])
     labels = [chr(ord("A") + i) for i in range(len(plans))]
     print_table("Standard error of what each set of runs would identify", ["error", *labels], rows)
     for label, one in zip(labels, plans, strict=True):
@@ -604,9 +602,9 @@ def ensemble(
     """
     from rich.progress import track
 
-    from cycloid_fmu import plots
-    from cycloid_fmu.pair import read_pair
-    from cycloid_fmu.surface import check_surface, read_surface, write_surface
+    from cycloid_fmu.draw import plots
+    from cycloid_fmu.geometry.pair import read_pair
+    from cycloid_fmu.surfaces.surface import check_surface, read_surface, write_surface
     from fitting.ensemble import drawn_surfaces
     from fitting.plots import plot_band
 
@@ -630,4 +628,4 @@ def ensemble(
 
 def main() -> None:
     """Run the command line."""
-    edge.run(lambda: app)
+    commands.run(app)

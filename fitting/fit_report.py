@@ -12,7 +12,7 @@ import numpy as np
 
 from cycloid_fmu import edge
 from cycloid_fmu.edge import ARCMIN, ARCSEC
-from cycloid_fmu.pair import Pair
+from cycloid_fmu.geometry.pair import Pair
 from fitting.curve import Curve
 from fitting.identification import Identification, Parameter
 from fitting.loop_branches import LoopFit
