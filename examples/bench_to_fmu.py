@@ -15,7 +15,7 @@ from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.run import follow
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.surfaces.surface import read_surface, structured_value, surface_of_pair, write_surface
-from drivers.recorder.session import record_bench
+from drivers.recorder.session import record
 from drivers.simulated.can_bench import SimulatedCanBench
 from drivers.simulated.motion import SimulatedRun, fmu_output_angle, simulate_motion
 from fitting.cli import print_identification
@@ -49,7 +49,7 @@ def main() -> None:
             path.unlink(missing_ok=True)
             with SimulatedCanBench(simulate_motion(drive, run)) as bench:
                 wiring = bench.write_wiring(OUT / "bench.toml", ratio=as_made.ratio, pair="drive-39-40")
-                done = record_bench(wiring, path, samples=run.samples, idle=5.0)
+                done = record(wiring, path, samples=run.samples, idle=5.0)
             print(f"   {path}: {min(done.samples.values())} samples a channel")
             recordings.append(path)
 

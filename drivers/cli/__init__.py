@@ -1,5 +1,19 @@
-"""The command `cycloid-bench`."""
+"""The command `cycloid-bench`; each module is a command."""
 
-from drivers.cli.commands import app, main
+from __future__ import annotations
 
-__all__ = ["app", "main"]
+from typing import NoReturn
+
+from cycloid_fmu.edge import commands
+
+app = commands.command_line(
+    "cycloid-bench",
+    "Record encoders and torque of a gear test bench, real or simulated.",
+    "drivers.cli",
+    ["list", "simulate", "record", "run", "watch", "export", "repair"],
+)
+
+
+def main() -> NoReturn:
+    """Run the command line."""
+    commands.run(app)

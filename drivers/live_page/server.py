@@ -10,9 +10,11 @@ import dataclasses
 import hmac
 import http.server
 import importlib.resources
+import ipaddress
 import json
 import math
 import os
+import secrets
 import threading
 import time
 import urllib.parse
@@ -178,6 +180,8 @@ class WatchServer(http.server.ThreadingHTTPServer):
         Where to listen; port 0 takes a free one.
     token
         What a client must show, None: only clients that call this machine by a local name are answered.
+
+    It serves from the beginning; a context manager that ends it.
     """
 
     daemon_threads = True
@@ -187,8 +191,8 @@ class WatchServer(http.server.ThreadingHTTPServer):
         self.token, self.newest = token, _Newest()
         self._watcher = watcher
         self._stopping = threading.Event()
-        self._reader = threading.Thread(target=self._read, name="watch", daemon=True)
-        self._reader.start()
+        for work in (self._read, self.serve_forever):
+            threading.Thread(target=work, name="watch", daemon=True).start()
 
     @property
     def url(self) -> str:
@@ -206,10 +210,55 @@ class WatchServer(http.server.ThreadingHTTPServer):
             self.newest.put(json.dumps(data))
             self._stopping.wait(REFRESH_SECONDS)
 
+    def wait(self) -> None:
+        """Wait until the server is closed."""
+        self._stopping.wait()
+
     def server_close(self) -> None:
         """Stop reading and listening."""
         self._stopping.set()
+        self.shutdown()
         super().server_close()
+
+
+def watch(recording: str | os.PathLike[str], *, host: str = "127.0.0.1", port: int = 0) -> WatchServer:
+    """Serve a page that follows a recording while it grows: transmission error, spectrum, health.
+
+    Parameters
+    ----------
+    recording
+        The `.arrows` file, finished or growing.
+    host
+        Address to listen on; where it is not this machine's own, a token is asked for, which is in the `url`.
+    port
+        0: any that is free.
+
+    Returns
+    -------
+    WatchServer
+        It serves already; a context manager that ends it.
+
+    Raises
+    ------
+    edge.InputError
+        If the file is no recording or the address can't be listened on.
+
+    Examples
+    --------
+    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, interface="virtual") as bench:
+    ...     done = bench.record("seen.arrows")
+    >>> with drivers.watch("seen.arrows") as server:
+    ...     server.url.startswith("http://127.0.0.1:")
+    True
+    """
+    try:
+        local = ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        raise edge.ArgumentError("host", "write an address, such as 127.0.0.1 or 0.0.0.0", host) from None
+    try:
+        return WatchServer(Watcher(recording), host, port, None if local else secrets.token_urlsafe(16))
+    except OSError as problem:
+        raise edge.ArgumentError("port", f"{host} can't be listened on: {problem.strerror}", port) from None
 
 
 class _Handler(http.server.BaseHTTPRequestHandler):

@@ -12,11 +12,11 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from drivers import recording_format as rf
+from drivers.arguments import in_si
 from drivers.encoder import (
     Encoder,
     EncoderError,
@@ -251,7 +251,7 @@ class _Session:
         self.live.disk_free = shutil.disk_usage(Path(path).parent).free
 
 
-def record(
+def record_encoders(
     encoders: Sequence[Encoder],
     path: str | os.PathLike[str],
     *,
@@ -346,9 +346,61 @@ def record(
     return Recorded(Path(path), live.samples, marks, live.events, failures)
 
 
-def record_bench(bench: Bench | str | os.PathLike[str], path: str | os.PathLike[str], **stops: Any) -> Recorded:
-    """Record a bench, or the one of a `BENCH.toml`; `stops` are `record`'s `duration`, `samples`, `idle` and so on."""
+def record(
+    bench: Bench | str | os.PathLike[str],
+    path: str | os.PathLike[str],
+    *,
+    duration: float | str | None = None,
+    samples: int | None = None,
+    idle: float | str | None = None,
+    stop: Callable[[], bool] | None = None,
+    progress: Callable[[Live], None] | None = None,
+) -> Recorded:
+    """Record all channels of a bench: until Ctrl-C, or what comes first of the others.
+
+    What came is in the file a twentieth of a second later, safe from a kill of the process; every second the disk is
+    told to hold it, safe from a power cut. Buses and ports that fail are opened again.
+
+    Parameters
+    ----------
+    bench
+        The bench, or its `BENCH.toml`.
+    path
+        New `.arrows` file.
+    duration
+        Time after which to stop, s, or text such as "30 s".
+    samples
+        Stop when every channel has at least so many.
+    idle
+        Stop when no channel got a sample for so long, s, or text such as "2 s".
+    stop, progress
+        See `record_encoders`.
+
+    Raises
+    ------
+    edge.InputError
+        If the wiring is wrong or the file exists.
+    EncoderError
+        If a bus, port or device does not answer.
+    RecordingError
+        If the disk takes no more; the file keeps all that came before.
+    KeyboardInterrupt
+        If interrupted; the file is closed and whole.
+
+    Examples
+    --------
+    >>> with drivers.simulate_bench(ratio=-39, torque="20 N*m", turns=1, interface="virtual") as bench:
+    ...     wiring = bench.write_wiring("BENCH.toml")
+    ...     done = drivers.record(wiring, "run.arrows", samples=96, idle="2 s")
+    >>> done.samples
+    {'input_angle': 96, 'output_angle': 96, 'torque': 96}
+    """
     wired = bench if isinstance(bench, Bench) else read_bench(bench)
+    duration = None if duration is None else in_si(duration, "s", "duration", above=0.0)
+    idle = None if idle is None else in_si(idle, "s", "idle", above=0.0)
     check_new(path)  # before any device is set going
     with open_encoders(wired) as encoders:
-        return record(encoders, path, ratio=wired.ratio, pair=wired.pair, conditions=wired.conditions, **stops)
+        return record_encoders(
+            encoders, path, ratio=wired.ratio, pair=wired.pair, conditions=wired.conditions, duration=duration,
+            samples=samples, idle=idle, stop=stop, progress=progress,
+        )  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -23,38 +24,66 @@ from drivers.recording_format.schema import (
     recording_schema,
 )
 
-Progress = Callable[[], None]
+Progress = Callable[[float], None]
 _CHUNK = 1 << 16  # samples gathered before they are written: small batches make large files of netCDF and MDF4
 
 
-def export(reader: RecordingReader, path: Path, progress: Progress) -> int:
-    """Write a recording by the file's ending, .csv, .nc, .parquet or .mf4, at constant memory; return the rows.
+@dataclasses.dataclass(frozen=True)
+class Exported:
+    """A recording in another format: the file, its rows, and one sentence for each problem of the recording."""
+
+    path: Path
+    rows: int
+    problems: tuple[str, ...]
+
+
+def export(
+    recording: str | os.PathLike[str], output: str | os.PathLike[str], *, progress: Progress | None = None
+) -> Exported:
+    """Write a recording in the format of the file's ending, at constant memory; it appears whole or not at all.
 
     Parameters
     ----------
-    reader
-        The recording, nothing of it read yet.
-    path
-        File to write; it appears whole or not at all.
+    recording
+        The `.arrows` file.
+    output
+        `.csv`: one table of the two angles, paired by the SYNC that latched both, and the torque interpolated to those
+        instants. `.nc` (netCDF), `.parquet`, `.mf4` (MDF4, ASAM): the samples of each channel as they came.
     progress
-        Called after each batch.
+        Called with the number of bytes read since the call before.
 
     Raises
     ------
     edge.InputError
         If the ending is another, a library is missing, or the CSV's channels are not there.
+
+    Examples
+    --------
+    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, interface="virtual") as bench:
+    ...     done = bench.record("test.arrows")
+    >>> drivers.export("test.arrows", "test.csv").rows
+    96
     """
-    edge.output_path(path, "--output", WRITERS)
-    with edge.written_whole(path) as temporary:
-        return WRITERS[path.suffix.lower()](reader, temporary, progress)
+    target = edge.output_path(output, "output", WRITERS)
+    with RecordingReader(recording) as reader, edge.written_whole(target) as temporary:
+        rows = WRITERS[target.suffix.lower()](reader, temporary, progress or (lambda _: None))
+    return Exported(target, rows, tuple(reader.problems))
+
+
+def batches(reader: RecordingReader, progress: Progress) -> Iterator[tuple[Samples, tuple[Event, ...]]]:
+    """Yield what `RecordingReader.batches` does and report the bytes read."""
+    done = 0
+    for batch in reader.batches():
+        progress(reader.position - done)
+        done = reader.position
+        yield batch
 
 
 def _gathered(reader: RecordingReader, events: list[Event], progress: Progress) -> Iterator[Samples]:
     """Yield each channel's samples in large blocks, and collect the events."""
     waiting: dict[str, list[Samples]] = {c.name: [] for c in reader.header.channels}
-    for samples, said in reader.batches():
+    for samples, said in batches(reader, progress):
         events.extend(said)
-        progress()
         blocks = waiting[samples.channel]
         blocks.append(samples)
         if sum(map(len, blocks)) >= _CHUNK:
@@ -222,8 +251,7 @@ def _paired(
         held["torque"] = tt[tt >= oldest], torque[tt >= oldest]
 
     gathered = 0
-    for samples, _ in reader.batches():
-        progress()
+    for samples, _ in batches(reader, progress):
         role = roles.get(samples.channel)
         if role is None or not len(samples):
             continue

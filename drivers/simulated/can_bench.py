@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -21,7 +20,7 @@ from drivers.can.hub import SYNC_COUNTER_MAX
 from drivers.encoder import BusConfig
 from drivers.encoders.canopen import COUNTS_PER_TURN, HEARTBEAT_TIME, POSITION, TURNS
 from drivers.recording_format import FloatArray
-from drivers.simulated.bench import SimulatedBench, conditions_text, head_text, write_text
+from drivers.simulated.bench import SimulatedBench
 from drivers.simulated.faults import NODE_FAULTS, Fault, Frame, faulty_frames
 from drivers.simulated.motion import Motion, quantised
 
@@ -64,16 +63,8 @@ def _object_dictionary(node: int, identifier: int, counts_per_turn: int, timer: 
     dictionary.add_object(variable("device type", 0x1000, UNSIGNED32, 0x00020196))
     dictionary.add_object(variable("error register", 0x1001, UNSIGNED8, 0))
     dictionary.add_object(variable("heartbeat time", 0x1017, UNSIGNED16, 0, access="rw"))
-    record(
-        "identity",
-        0x1018,
-        [
-            ("vendor", UNSIGNED32, 0),
-            ("product", UNSIGNED32, 0x406),
-            ("revision", UNSIGNED32, 1),
-            ("serial", UNSIGNED32, node),
-        ],
-    )
+    who = [("vendor", 0), ("product", 0x406), ("revision", 1), ("serial", node)]
+    record("identity", 0x1018, [(entry, UNSIGNED32, value) for entry, value in who])
     sent = [("identifier", UNSIGNED32, identifier), ("transmission type", UNSIGNED8, 1 if timer is None else 254)]
     if timer is not None:
         sent += [("inhibit time", UNSIGNED16, 0), ("compatibility", UNSIGNED8, 0), ("event timer", UNSIGNED16, timer)]
@@ -192,23 +183,23 @@ class SimulatedCanBench(SimulatedBench):
             node.nmt.stop_heartbeat()
         self._network.disconnect()
 
-    def write_wiring(self, path: str | os.PathLike[str], *, ratio: float | None = None, pair: str = "") -> Path:
-        """Write the `BENCH.toml` that records this bench, and torque.dbc beside it; return its path."""
-        bus = self.bus_config
+    def _connections(self, folder: Path) -> str:
         angles = "".join(
             f'[channel.{name}]\nprotocol = "canopen"\nbus = "can0"\nnode = {node}\nsigned = true\n\n'
             for name, node in (("input_angle", _INPUT_NODE), ("output_angle", _OUTPUT_NODE))
         )
         sync = f'sync_period = "{self._interval:.9g} s"\n' if self.trigger == "sync" else ""
-        latched = "false" if self.trigger == "timer" else "true"
-        write_text(Path(path).with_name("torque.dbc"), _TORQUE_DBC)
-        return write_text(
-            path,
-            f"{head_text(ratio, pair)}{conditions_text(self.motion.run)}\n[bus.can0]\n"
-            f"interface = {edge.json_text(bus.interface)}\nchannel = {edge.json_text(bus.channel)}\n{sync}\n{angles}"
+        with edge.written_whole(folder / "torque.dbc") as temporary:
+            temporary.write_text(_TORQUE_DBC, encoding="utf-8")
+        return (
+            f"[bus.can0]\ninterface = {edge.json_text(self.bus_config.interface)}\n"
+            f"channel = {edge.json_text(self.bus_config.channel)}\n{sync}\n{angles}"
             '[channel.torque]\nprotocol = "dbc"\nbus = "can0"\nfile = "torque.dbc"\nmessage = "torque"\n'
-            f'signal = "torque"\nsync = {latched}\n',
+            f'signal = "torque"\nsync = {"false" if self.trigger == "timer" else "true"}\n'
         )
+
+    def _end(self) -> dict[str, Any]:
+        return {"samples": self.motion.run.samples, "idle": 5.0}
 
     def _stamp(self, host: float) -> float:
         """Return what the interface's clock shows at a time of the host's."""

@@ -37,7 +37,7 @@ class SimulatedRun:
     noise, torque_noise
         Standard deviation of each encoder's reading, rad, and of the torque's, N*m.
     seed
-        Of the noise.
+        Random seed of the noise.
     lead_in
         Samples before the first, at the same spacing, while the drive settles on its flank; recorded as all others.
     """
@@ -84,18 +84,7 @@ def simulate_motion(output_angle: OutputAngle, run: SimulatedRun) -> Motion:
     angle = step * np.arange(-run.lead_in, run.samples - run.lead_in, dtype=np.float64)
     if run.direction == "backward":
         angle = step * (run.turns * run.samples_per_turn - 1) - angle
-    torque = np.full(run.samples, float(run.torque))
-    output = np.asarray(output_angle(angle, torque), np.float64)
-    if output.shape != angle.shape:
-        raise ValueError(f"output_angle returned the shape {output.shape} for angles of shape {angle.shape}")
-    random = np.random.default_rng(run.seed)
-    return Motion(
-        run,
-        np.arange(run.samples, dtype=np.float64) * (step / run.speed),
-        angle + run.noise * random.standard_normal(run.samples),
-        output + run.noise * random.standard_normal(run.samples),
-        torque + run.torque_noise * random.standard_normal(run.samples),
-    )
+    return _measured(output_angle, run, angle, np.full(run.samples, float(run.torque)))
 
 
 def simulate_hysteresis(output_angle: OutputAngle, run: SimulatedRun) -> Motion:
@@ -111,8 +100,14 @@ def simulate_hysteresis(output_angle: OutputAngle, run: SimulatedRun) -> Motion:
     phase = 4.0 * np.arange(run.samples) / run.samples_per_turn % 4.0
     phase[-1] = 0.0  # back at zero, where it began
     torque = run.torque * np.interp(phase, [0.0, 1.0, 2.0, 3.0, 4.0], [0.0, 1.0, 0.0, -1.0, 0.0])
-    angle = np.zeros(run.samples)
+    return _measured(output_angle, run, np.zeros(run.samples), torque)
+
+
+def _measured(output_angle: OutputAngle, run: SimulatedRun, angle: FloatArray, torque: FloatArray) -> Motion:
+    """Return what the sensors show of crank angles, rad, and torques, N*m, both of shape (n,)."""
     output = np.asarray(output_angle(angle, torque), np.float64)
+    if output.shape != angle.shape:
+        raise ValueError(f"output_angle returned the shape {output.shape} for angles of shape {angle.shape}")
     random = np.random.default_rng(run.seed)
     return Motion(
         run,

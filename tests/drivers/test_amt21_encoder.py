@@ -12,7 +12,7 @@ from drivers import recording_format as rf
 from drivers.encoder import EncoderSetupError, EncoderTimeout
 from drivers.encoders.amt21 import check_bits, checked_position
 from drivers.recorder.bench import open_encoders
-from drivers.recorder.session import record_bench
+from drivers.recorder.session import record
 from drivers.recording_format import read_recording
 from drivers.serial import port as serial_port
 from drivers.simulated.faults import Fault
@@ -54,7 +54,7 @@ def test_the_recording_is_the_commanded_motion(tmp_path, bits):
     path = tmp_path / "run.arrows"
     with SimulatedAmt21Bench(motion, bits=bits) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
-        record_bench(toml, path, stop=lambda: bench.wait(0.0))
+        record(toml, path, stop=lambda: bench.wait(0.0))
     recording = read_recording(path)
     assert recording.problems == recording.events == ()
     half_a_count = math.pi / (1 << bits)
@@ -75,7 +75,7 @@ def test_a_word_with_wrong_check_bits_is_never_an_angle(tmp_path):
     faults = [Fault("corrupt", question) for question in (22, 24, 31)]
     with SimulatedAmt21Bench(motion, faults=faults) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
-        record_bench(toml, path, stop=lambda: bench.wait(0.0))
+        record(toml, path, stop=lambda: bench.wait(0.0))
     recording = read_recording(path)
     marked = {n: np.flatnonzero(s.status & rf.CHECKSUM) for n, s in recording.samples.items()}
     # Questions 0 and 1 find the encoders; then input and output are asked in turn: 22 and 24 are the input's.
@@ -111,7 +111,7 @@ def test_an_encoder_that_falls_silent_is_an_event(tmp_path):
     path = tmp_path / "run.arrows"
     with SimulatedAmt21Bench(motion, faults=[Fault("mute", 50, 10**9, target=0x58)]) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
-        record_bench(toml, path, duration=0.6)
+        record(toml, path, duration=0.6)
     recording = read_recording(path)
     assert any(e.channel == "output_angle" and "no answer" in e.text for e in recording.events)
     assert len(recording.samples["input_angle"]) > len(recording.samples["output_angle"])

@@ -215,10 +215,10 @@ def test_bad_wiring_is_refused_in_a_sentence_that_names_file_and_field(wiring, o
         (["record", "none.toml", "-o", "run.arrows"], "none.toml: No such file or directory."),
         (["record", "BENCH.toml", "-o", "run.arrows", "--idle", "2"], '--idle = "2": write one number'),
         (["record", "BENCH.toml", "-o", "BENCH.toml"], "BENCH.toml: this file exists and recordings"),
-        (["simulate", "--torque", "20 N*m"], "--fmu or --ratio is missing"),
+        (["simulate", "--torque", "20 N*m"], "--ratio is missing"),
         (["simulate", "--torque", "20 N*m", "--ratio", "-39", "--clock-drift", "1e-4"], "--clock-drift = 0.0001: only"),
         (["simulate", "--torque", "20 mm", "--ratio", "-39"], '--torque = "20 mm": the unit "mm" measures'),
-        (["simulate", "--torque", "20 N*m", "--ratio", "-39", "--bus", "virtual"], "--bus = virtual: this bus ends"),
+        (["simulate", "--torque", "20 N*m", "--ratio", "-39", "--bus", "virtual"], '--bus = "virtual": this bus ends'),
         (["simulate", "--torque", "20 N*m", "--fmu", "BENCH.toml"], "BENCH.toml: this is not an FMU"),
         (["export", "BENCH.toml", "-o", "run.csv"], "BENCH.toml: this is not a recording"),
         (["export", "run.arrows", "-o", "run.xls"], "--output = run.xls: the name must end in .csv"),
@@ -254,11 +254,11 @@ def test_a_bench_that_cannot_be_is_bad_input_and_records_nothing(tmp_path, wirin
             'protocol = "canopen"\nbus = "can0"\nnode = 1\nsigned = true', 'protocol = "amt21"\nport = "p"'
         )
     wiring.write_text(text)
-    from drivers.recorder.session import record_bench
+    from drivers.recorder.session import record
 
     motion = simulate_motion(lambda angle, torque: -angle / 39, SimulatedRun(torque=20.0, turns=1))
     with SimulatedCanBench(motion, channel=bus_name), pytest.raises(edge.InputError) as problem:
-        record_bench(wiring, tmp_path / "run.arrows")
+        record(wiring, tmp_path / "run.arrows")
     assert said in str(problem.value)
     assert "\n" not in str(problem.value)
     assert not (tmp_path / "run.arrows").exists()

@@ -19,7 +19,7 @@ from drivers.can.bus import open_bus
 from drivers.can.hub import hubs
 from drivers.encoder import BusConfig, EncoderConnectionError, EncoderSetupError
 from drivers.recorder.bench import open_encoders, read_bench
-from drivers.recorder.session import record_bench
+from drivers.recorder.session import record
 from drivers.recorder.supervision import Supervised
 from drivers.recording_format import read_recording
 from drivers.simulated.can_bench import SimulatedCanBench
@@ -39,7 +39,7 @@ def test_the_recorder_produces_sync_and_each_sample_answers_one(tmp_path, bus_na
     with SimulatedCanBench(motion, channel=bus_name, trigger="sync") as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
         assert 'sync_period = "0.01 s"' in toml.read_text()
-        record_bench(toml, path, idle=1.0)
+        record(toml, path, idle=1.0)
     recording = read_recording(path)
     angle, output = recording.samples["input_angle"], recording.samples["output_angle"]
     # The virtual bus may hand over an answer before the SYNC it answers; such a one is left out, never misplaced.
@@ -56,7 +56,7 @@ def test_event_timer_frames_are_stamped_by_themselves_and_gaps_are_told_by_the_t
     motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=1, samples_per_turn=100))
     path = tmp_path / "run.arrows"
     with SimulatedCanBench(motion, channel=bus_name, trigger="timer", faults=[Fault("drop", 40, 3, 0x181)]) as bench:
-        record_bench(bench.write_wiring(tmp_path / "BENCH.toml"), path, idle=0.5)
+        record(bench.write_wiring(tmp_path / "BENCH.toml"), path, idle=0.5)
     recording = read_recording(path)
     samples = recording.samples["input_angle"]
     assert np.flatnonzero(samples.status & rf.GAP).tolist() == [40]
@@ -70,7 +70,7 @@ def test_an_interface_s_own_clock_is_put_on_the_host_s(tmp_path, bus_name):
     path = tmp_path / "run.arrows"
     faults = [Fault("emergency", 100, target=0x181)]
     with SimulatedCanBench(motion, channel=bus_name, clock_drift=300e-6, faults=faults) as bench:
-        record_bench(bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39), path, idle=0.7)
+        record(bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39), path, idle=0.7)
     recording = read_recording(path)
     angle, clock = recording.samples["input_angle"], recording.clock("input_angle")
     stamps = angle.time_device - angle.time_device[0]

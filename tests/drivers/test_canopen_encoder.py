@@ -13,7 +13,7 @@ from drivers import recording_format as rf
 from drivers.can.bus import open_bus
 from drivers.encoder import BusConfig, EncoderConnectionError, EncoderProtocolError, EncoderSetupError, EncoderTimeout
 from drivers.recorder.bench import open_encoders, read_bench
-from drivers.recorder.session import record, record_bench
+from drivers.recorder.session import record, record_encoders
 from drivers.recording_format import read_recording
 from drivers.simulated.can_bench import SimulatedCanBench
 from drivers.simulated.faults import Fault
@@ -31,7 +31,7 @@ def recorded(tmp_path, bus_name, motion, lossy=False, **options):
     path = tmp_path / "run.arrows"
     with SimulatedCanBench(motion, channel=bus_name, **options) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39, pair="reference")
-        record_bench(toml, path, samples=None if lossy else motion.run.samples, idle=1.0 if lossy else 10.0)
+        record(toml, path, samples=None if lossy else motion.run.samples, idle=1.0 if lossy else 10.0)
         assert bench.wait(10)
     recording = read_recording(path)
     assert recording.problems == ()
@@ -141,7 +141,7 @@ def test_wrong_frames_and_emergencies_are_events(tmp_path, bus_name):
                     seen["at"] = counts.samples
                     disturb()
 
-            record(encoders, path, samples=motion.run.samples - 1, idle=2.0, progress=progress)
+            record_encoders(encoders, path, samples=motion.run.samples - 1, idle=2.0, progress=progress)
     recording = read_recording(path)
     assert done.is_set()
     texts = [e.text for e in recording.events if e.channel == "output_angle"]
@@ -165,7 +165,7 @@ def test_a_channel_that_breaks_leaves_the_others_recording(tmp_path, bus_name):
                 raise EncoderConnectionError("output_angle: the cable is out.")
 
             broken.read = fail
-            done = record(encoders, path, idle=0.5)
+            done = record_encoders(encoders, path, idle=0.5)
     assert [str(f) for f in done.failures] == ["output_angle: the cable is out."]
     recording = read_recording(path)
     assert recording.problems == ()
@@ -218,7 +218,7 @@ def test_a_bench_whose_node_is_stopped_ends(tmp_path, bus_name):
     motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=1000))
     with SimulatedCanBench(motion, channel=bus_name) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
-        done = record_bench(toml, tmp_path / "run.arrows", samples=1000)
+        done = record(toml, tmp_path / "run.arrows", samples=1000)
         assert bench.wait(10), "closing the encoders sets the nodes pre-operational"
         assert bench.sent < motion.run.samples
     assert min(done.samples.values()) >= 1000
@@ -231,7 +231,7 @@ def test_bench_counts_are_read_by_unsigned_configuration_too(tmp_path, bus_name)
     with SimulatedCanBench(motion, channel=bus_name) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
         toml.write_text(toml.read_text().replace("signed = true", 'signed = false\ndirection = -1\nzero = "90 deg"'))
-        record_bench(toml, path, samples=run.samples, idle=10.0)
+        record(toml, path, samples=run.samples, idle=10.0)
     value = read_recording(path).samples["input_angle"].value
     np.testing.assert_allclose(value, -motion.input_angle - math.pi / 2, atol=math.pi / (1 << 22))
 

@@ -20,7 +20,7 @@ from drivers.can.hub import BLOCK_SECONDS
 from drivers.encoder import EncoderError, EncoderSetupError
 from drivers.recorder import session
 from drivers.recorder.bench import open_encoders
-from drivers.recorder.session import record, record_bench
+from drivers.recorder.session import record, record_encoders
 from drivers.recording_format import read_clocks, read_recording
 from drivers.serial import port as serial_port
 from drivers.simulated.can_bench import SimulatedCanBench
@@ -50,7 +50,7 @@ def can_recording(tmp_path, bus_name, faults, motion=None, edit=lambda text: tex
     with SimulatedCanBench(motion, channel=bus_name, faults=faults, **options) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
         toml.write_text(edit(toml.read_text()))
-        done = record_bench(toml, path, idle=idle)
+        done = record(toml, path, idle=idle)
     recording = read_recording(path)
     assert recording.problems == ()
     return recording, done, motion
@@ -61,7 +61,7 @@ def serial_recording(tmp_path, bench, edit=lambda text: text, **stops):
     with bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
         toml.write_text(edit(toml.read_text()))
-        done = record_bench(toml, path, **({"stop": lambda: bench.wait(0.0)} | stops))
+        done = record(toml, path, **({"stop": lambda: bench.wait(0.0)} | stops))
     recording = read_recording(path)
     assert recording.problems == ()
     return recording, done
@@ -265,13 +265,13 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, 150_000))
 from tests.drivers.test_recording_format import HEADER, block
 from drivers.simulated.can_bench import SimulatedCanBench
 from drivers.simulated.motion import SimulatedRun, simulate_motion
-from drivers.recorder.session import RecordingError, record_bench
+from drivers.recorder.session import RecordingError, record
 motion = simulate_motion(lambda a, t: -a / 39, SimulatedRun(torque=5.0, turns=1000, samples_per_turn=480))
 # At the crank's own speed the file is full after some seconds, so that something was acknowledged before.
 with SimulatedCanBench(motion, channel="full", speed_factor=1.0) as bench:
     toml = bench.write_wiring("BENCH.toml")
     try:
-        record_bench(toml, "run.arrows", progress=lambda live: print(*live.samples.values(), flush=True))
+        record(toml, "run.arrows", progress=lambda live: print(*live.samples.values(), flush=True))
     except RecordingError as problem:
         print(problem)
 """
@@ -297,8 +297,8 @@ def test_disk_full(tmp_path):
 RECORDER = """
 import sys
 sys.modules["asammdf"] = None  # python-can would load it, more than a second of each kill
-from drivers.recorder.session import record_bench
-record_bench("BENCH.toml", sys.argv[1], progress=lambda live: print(*live.samples.values(), flush=True))
+from drivers.recorder.session import record
+record("BENCH.toml", sys.argv[1], progress=lambda live: print(*live.samples.values(), flush=True))
 """
 
 
@@ -353,7 +353,7 @@ def test_slow_consumer(tmp_path, bus_name, monkeypatch):
 
     with SimulatedCanBench(motion, channel=bus_name, speed_factor=20) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
-        done = record_bench(toml, path, idle=1.0, progress=sleepy)
+        done = record(toml, path, idle=1.0, progress=sleepy)
     recording = read_recording(path)
     for name in ("input_angle", "output_angle", "torque"):
         lost = [t for t in texts(recording, name) if "recorder was too slow" in t]
@@ -395,7 +395,7 @@ def test_echoes_of_own_frames_are_counted_and_never_samples(tmp_path, bus_name, 
         with open_encoders(toml) as encoders:
             hub = encoders[0].hub
             hub.bus.send(can.Message(arbitration_id=OUTPUT, is_extended_id=False, data=b"\xff\xff\xff\x7f"))
-            record(encoders, path, idle=1.0)
+            record_encoders(encoders, path, idle=1.0)
     recording = read_recording(path)
     assert any("1 echoes of own frames" in e.text for e in recording.events)
     assert np.max(np.abs(recording.samples["output_angle"].value)) < 1.0
@@ -416,7 +416,7 @@ def test_a_reader_thread_that_dies_is_an_event(tmp_path, bus_name):
                 if live.samples["input_angle"] > 20 and hub._take is not die:
                     hub._take = die
 
-            done = record(encoders, path, idle=1.5, progress=progress)
+            done = record_encoders(encoders, path, idle=1.5, progress=progress)
     recording = read_recording(path)
     for name in ("input_angle", "output_angle", "torque"):
         assert any("a bug nobody thought of" in t for t in texts(recording, name))

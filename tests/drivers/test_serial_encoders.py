@@ -28,7 +28,7 @@ from drivers.encoders.amt21 import Amt21Config, Amt21Encoder
 from drivers.encoders.ascii import AsciiConfig, AsciiCounter, line_pattern
 from drivers.encoders.modbus import ModbusConfig, ModbusEncoder
 from drivers.recorder.bench import open_encoders, read_bench
-from drivers.recorder.session import record_bench
+from drivers.recorder.session import record
 from drivers.recording_format import read_recording
 from drivers.serial import port as serial_port
 from drivers.simulated.faults import Fault
@@ -137,7 +137,7 @@ def test_a_modbus_line_is_recorded_and_never_a_wrong_angle(tmp_path, kind, monke
     faults = [] if kind is None else [Fault(kind, 20, 2, target=2)]
     with SimulatedModbusBench(motion, faults=faults) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
-        done = record_bench(toml, path, stop=lambda: bench.wait(0.0))
+        done = record(toml, path, stop=lambda: bench.wait(0.0))
     recording = read_recording(path)
     for name, angle in (("input_angle", motion.input_angle), ("output_angle", motion.output_angle)):
         samples = recording.samples[name]
@@ -172,7 +172,7 @@ def test_lines_are_the_commanded_motion_and_their_clock_is_known(tmp_path):
     path = tmp_path / "run.arrows"
     drift = 0.01  # a counter without a crystal; what a busy machine delays all lines by is far less
     with SimulatedAsciiBench(motion, clock_drift=drift) as bench:
-        record_bench(bench.write_wiring(tmp_path / "BENCH.toml"), path, stop=lambda: bench.wait(0.0))
+        record(bench.write_wiring(tmp_path / "BENCH.toml"), path, stop=lambda: bench.wait(0.0))
     recording = read_recording(path)
     samples = recording.samples["output_angle"]
     assert len(samples) > 300
@@ -245,7 +245,7 @@ def test_a_multi_turn_encoder_counts_what_the_readings_missed(tmp_path):
     )
     path = tmp_path / "run.arrows"
     with SimulatedAmt21Bench(motion, multi_turn=True, faults=[Fault("mute", 400, 1, 0x54)]) as bench:
-        done = record_bench(bench.write_wiring(tmp_path / "BENCH.toml"), path, stop=lambda: bench.wait(0.0))
+        done = record(bench.write_wiring(tmp_path / "BENCH.toml"), path, stop=lambda: bench.wait(0.0))
     samples = read_recording(path).samples["input_angle"]
     assert done.marks["input_angle"]["resets"] >= 1, "it turned by more than half a turn unseen"
     turned = (samples.value[-1] - samples.value[0]) / (2 * math.pi)
@@ -297,7 +297,7 @@ def test_a_port_may_be_a_socket(tmp_path):
         '[channel.output_angle]\nprotocol = "ascii"\nport = "a"\n'
         'line = "${sequence},{counts}*{checksum}"\nchecksum = "xor"\ncounts_per_turn = 1000\n'
     )
-    record_bench(bench, tmp_path / "run.arrows", samples=50)
+    record(bench, tmp_path / "run.arrows", samples=50)
     stop.set()
     thread.join()
     server.close()
@@ -365,7 +365,7 @@ def test_a_port_may_be_a_serial_device_server_by_rfc_2217(tmp_path):
         toml.write_text(toml.read_text().replace(bench.url, f"rfc2217://127.0.0.1:{server.getsockname()[1]}"))
         thread = threading.Thread(target=serve, args=(bench.url,), daemon=True)
         thread.start()
-        done = record_bench(toml, path, samples=40)
+        done = record(toml, path, samples=40)
         stopping.set()
         thread.join()
         server.close()

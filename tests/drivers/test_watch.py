@@ -3,7 +3,6 @@
 import json
 import math
 import shutil
-import threading
 import urllib.error
 import urllib.request
 
@@ -66,13 +65,11 @@ def serve():
 
     def start(watcher, token=None):
         server = WatchServer(watcher, "127.0.0.1", 0, token)
-        threading.Thread(target=server.serve_forever, daemon=True).start()
         servers.append(server)
         return server
 
     yield start
     for server in servers:
-        server.shutdown()
         server.server_close()
 
 
