@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from drivers.live_page.server import watch
     from drivers.recorder.bench import Bench, read_bench
     from drivers.recorder.sequence import run_sequence
-    from drivers.recorder.session import Recorded, RecordingError, record
+    from drivers.recorder.session import record
     from drivers.recording_format import Recording, read_recording
     from drivers.recording_format.export import export
     from drivers.recording_format.repair import repair
@@ -34,7 +34,7 @@ _HOMES = {
     "live_page.server": ("watch",),
     "recorder.bench": ("Bench", "read_bench"),
     "recorder.sequence": ("run_sequence",),
-    "recorder.session": ("Recorded", "RecordingError", "record"),
+    "recorder.session": ("record",),
     "recording_format": ("Recording", "read_recording"),
     "recording_format.export": ("export",),
     "recording_format.repair": ("repair",),
@@ -45,9 +45,7 @@ __all__ = [
     "Bench",
     "Encoder",
     "EncoderError",
-    "Recorded",
     "Recording",
-    "RecordingError",
     "export",
     "list_connections",
     "read_bench",

@@ -24,7 +24,15 @@ _EPOCH = time.time() - time.monotonic()
 
 
 class EncoderError(Exception):
-    """An encoder or its bus does not do what it should; the text is one sentence that names channel and place."""
+    """An encoder or its bus does not do what it should; the text is one sentence that names channel and place.
+
+    Examples
+    --------
+    >>> import drivers
+    >>> from drivers.encoder import EncoderTimeout
+    >>> issubclass(EncoderTimeout, drivers.EncoderError)
+    True
+    """
 
 
 class EncoderTimeout(EncoderError):  # noqa: N818
@@ -131,6 +139,14 @@ class Encoder(abc.ABC):
     """A sensor that yields time-stamped samples in blocks; a context manager that opens and closes it.
 
     `start` is called once all channels of a bench are open, so that none misses what the first one sets going.
+
+    Examples
+    --------
+    What a protocol of your own has to write:
+
+    >>> import drivers
+    >>> sorted(drivers.Encoder.__abstractmethods__)
+    ['__enter__', 'close', 'events', 'from_config', 'read']
     """
 
     configuration: ClassVar[type[ChannelConfig]]

@@ -55,7 +55,7 @@ class CanEncoder(Encoder):
         assert self.hub is not None, "start() is for a sensor that is open"
         self.hub.produce_sync()
 
-    def leave(self, hub: CanHub) -> None:  # noqa: B027
+    def leave(self, hub: CanHub) -> None:
         """Take back what `set_up` did besides the reader."""
 
     def close(self) -> None:

@@ -1,7 +1,8 @@
 """One reader for each CAN bus: data frames in blocks to the channels, everything else to CANopen's supervision.
 
 A callback a frame costs more than the frame; so one thread takes what the bus has, sorts it by identifier, notes for
-each data frame the SYNC that it answers, and hands it on by the block for NumPy to decode."""
+each data frame the SYNC that it answers, and hands it on by the block for NumPy to decode.
+"""
 
 from __future__ import annotations
 

@@ -25,7 +25,6 @@ def run(
     Recordings are written beside the sequence; steps that are recorded are left out, so an interrupted sequence goes on
     where it was. A step that falls short is kept under another name, and made again if you say so.
     """
-
     made = read_sequence(sequence)
     driven, numbers = made.file.drive is not None, itertools.count(1)
 

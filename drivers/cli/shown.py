@@ -41,6 +41,7 @@ class LiveLine:
         self._display: Display | None = None
 
     def __call__(self, live: Live) -> None:
+        """Show how the recording stands."""
         from rich.console import Console
         from rich.live import Live as Display
         from rich.text import Text

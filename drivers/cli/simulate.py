@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -23,7 +23,7 @@ def simulate(
     ratio: Annotated[float | None, typer.Option(help="Signed ratio input/output, such as -39.")] = None,
     turns: Annotated[int, typer.Option(min=1, help="Crank turns.")] = 39,
     samples_per_turn: Annotated[int, typer.Option(min=3, help="Samples each crank turn.")] = 96,
-    direction: Annotated[str, choice_option(("forward", "backward"), "Way the crank turns.")] = "forward",
+    direction: Annotated[Any, choice_option(("forward", "backward"), "Way the crank turns.")] = "forward",
     speed: Annotated[float, quantity_option("rad/s", "Crank speed.", show_default="60 rpm")] = 6.283185307179586,
     noise: Annotated[float, quantity_option("rad", "Noise of each encoder, rms.")] = 0.0,
     torque_noise: Annotated[float, quantity_option("N*m", "Noise of the torque, rms.")] = 0.0,
@@ -31,10 +31,10 @@ def simulate(
     interface: Annotated[str, typer.Option("--bus", help=_BUS)] = "loopback",
     channel: Annotated[str | None, typer.Option(help="Channel of the bus.")] = None,
     trigger: Annotated[
-        str, choice_option(("controller", "sync", "timer"), "What makes encoders on CAN send.")
+        Any, choice_option(("controller", "sync", "timer"), "What makes encoders on CAN send.")
     ] = "controller",
     serial: Annotated[
-        str | None, choice_option(("amt21", "modbus", "ascii"), "Encoders on a pseudo-terminal instead of CAN.")
+        Any, choice_option(("amt21", "modbus", "ascii"), "Encoders on a pseudo-terminal instead of CAN.")
     ] = None,
     clock_drift: Annotated[
         float, typer.Option(help="Of the ASCII counter's or the virtual bus's clock, relative, such as 50e-6.")
@@ -66,7 +66,7 @@ def simulate(
         speed=speed, noise=noise, torque_noise=torque_noise, seed=seed, hysteresis=hysteresis, interface=interface,
         channel=channel, trigger=trigger, serial=serial, clock_drift=clock_drift, faults=faults,
         speed_factor=speed_factor,
-    )  # type: ignore[arg-type]  # fmt: skip
+    )  # fmt: skip
     with failures(), bench:
         if output is not None:
             with LiveLine() as progress:

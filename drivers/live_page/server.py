@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import collections
 import dataclasses
+import functools
 import hmac
 import http.server
 import importlib.resources
@@ -191,7 +192,7 @@ class WatchServer(http.server.ThreadingHTTPServer):
         self.token, self.newest = token, _Newest()
         self._watcher = watcher
         self._stopping = threading.Event()
-        for work in (self._read, self.serve_forever):
+        for work in (self._read, functools.partial(self.serve_forever, 0.05)):
             threading.Thread(target=work, name="watch", daemon=True).start()
 
     @property
@@ -245,6 +246,7 @@ def watch(recording: str | os.PathLike[str], *, host: str = "127.0.0.1", port: i
 
     Examples
     --------
+    >>> import drivers
     >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, interface="virtual") as bench:
     ...     done = bench.record("seen.arrows")
     >>> with drivers.watch("seen.arrows") as server:

@@ -74,6 +74,14 @@ class Bench:
         Class and configuration of each channel's encoder by its name.
     wiring
         Buses and ports.
+
+    Examples
+    --------
+    >>> import drivers
+    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, interface="virtual") as simulated:
+    ...     bench = drivers.read_bench(simulated.write_wiring("BENCH.toml"))
+    >>> bench.conditions["load"]
+    20.0
     """
 
     ratio: float | None
@@ -94,6 +102,14 @@ def read_bench(path: str | os.PathLike[str]) -> Bench:
     ------
     edge.InputError
         Naming file, table and key.
+
+    Examples
+    --------
+    >>> import drivers
+    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, interface="virtual") as simulated:
+    ...     bench = drivers.read_bench(simulated.write_wiring("BENCH.toml"))
+    >>> bench.ratio, list(bench.channels)
+    (-39.0, ['input_angle', 'output_angle', 'torque'])
     """
     source = str(path)
     table = edge.toml_table(edge.read_text(path), BENCH_FORMAT, source)

@@ -51,6 +51,15 @@ class Recording:
         All events in the order of the file, `time` in seconds since the start.
     problems
         One sentence for each thing wrong with the file; empty where it is whole.
+
+    Examples
+    --------
+    >>> import drivers
+    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, interface="virtual") as bench:
+    ...     done = bench.record("aligned.arrows")
+    >>> recording = drivers.read_recording("aligned.arrows")
+    >>> [c.unit for c in recording.header.channels], recording.aligned_time("torque").shape
+    (['rad', 'rad', 'N*m'], (96,))
     """
 
     header: Header
@@ -395,6 +404,15 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
     ------
     edge.InputError
         If the file can't be read, is no recording or has another format.
+
+    Examples
+    --------
+    >>> import drivers
+    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, interface="virtual") as bench:
+    ...     done = bench.record("read.arrows")
+    >>> recording = drivers.read_recording("read.arrows")
+    >>> recording.header.ratio, len(recording.samples["torque"]), recording.problems
+    (-39.0, 96, ())
     """
     with RecordingReader(path) as reader:
         blocks: dict[str, list[Samples]] = {c.name: [] for c in reader.header.channels}

@@ -75,6 +75,7 @@ def repair(
 
     Examples
     --------
+    >>> import drivers
     >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, interface="virtual") as bench:
     ...     done = bench.record("whole.arrows")
     >>> kept = drivers.repair("whole.arrows")

@@ -201,6 +201,7 @@ def recording_metadata(header: Header) -> dict[str, str]:
 
 
 def header_checksum(texts: Mapping[str, str]) -> str:
+    """Return the CRC-32 of the header's texts as eight hexadecimal digits; the module's text defines the bytes."""
     said = "".join(f"{key}{texts[key]}" for key in ("format", "channels", "conditions", "ratio", "pair", "start"))
     return f"{zlib.crc32(said.encode()):08x}"
 

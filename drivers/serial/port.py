@@ -10,14 +10,13 @@ from typing import Any
 
 import serial
 
-from drivers.can.hub import BLOCK_SECONDS
 from drivers.encoder import (
     EncoderConnectionError,
     EncoderSetupError,
     PortConfig,
     steady_time,
 )
-from drivers.hubs import BlockQueue, SharedHubs, reason
+from drivers.hubs import BLOCK_SECONDS, BlockQueue, SharedHubs, reason
 
 ANSWER_SECONDS = 0.1  # far above the encoders' microseconds: it covers a USB adapter and a busy machine
 

@@ -40,17 +40,16 @@ class LoopbackBus(can.BusABC):  # type: ignore[misc]
         self._sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             group = socket.inet_aton(channel)
-            for option in ("SO_REUSEADDR", "SO_REUSEPORT"):
-                if hasattr(socket, option):  # Windows has no SO_REUSEPORT
-                    self._receiver.setsockopt(socket.SOL_SOCKET, getattr(socket, option), 1)
-            self._receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
-            for level, option in (
-                (socket.SOL_SOCKET, _BUFFER_FORCE), (socket.SOL_SOCKET, _TIMESTAMP_NS), (socket.IPPROTO_IP, _MULTICAST_ALL)
-            ):  # fmt: skip
-                with contextlib.suppress(OSError):  # the first without the right to it, all but on Linux
-                    self._receiver.setsockopt(
-                        level, option, {_BUFFER_FORCE: _RECEIVE_BUFFER, _TIMESTAMP_NS: 1}.get(option, 0)
-                    )
+            for level, option, value in (
+                (socket.SOL_SOCKET, socket.SO_REUSEADDR, 1),
+                (socket.SOL_SOCKET, getattr(socket, "SO_REUSEPORT", socket.SO_REUSEADDR), 1),  # Windows has none
+                (socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER),
+                (socket.SOL_SOCKET, _BUFFER_FORCE, _RECEIVE_BUFFER),
+                (socket.SOL_SOCKET, _TIMESTAMP_NS, 1),
+                (socket.IPPROTO_IP, _MULTICAST_ALL, 0),
+            ):
+                with contextlib.suppress(OSError):  # Linux alone has the last three, the first of them with the right
+                    self._receiver.setsockopt(level, option, value)
             self._receiver.bind(("", _PORT))
             loopback = socket.inet_aton(_LOOPBACK)
             self._receiver.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group + loopback)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from cycloid_fmu import edge
 from drivers.arguments import in_si
@@ -120,7 +120,7 @@ def simulate_bench(
             clock_drift=clock_drift or None, faults=script,
         )  # fmt: skip
     else:
-        clock = {"clock_drift": clock_drift} if serial == "ascii" else {}
-        bench = SERIAL_BENCHES[serial](motion, speed_factor=speed_factor or 1.0, faults=script, **clock)
+        options: dict[str, Any] = {"clock_drift": clock_drift} if serial == "ascii" else {}
+        bench = SERIAL_BENCHES[serial](motion, speed_factor=speed_factor or 1.0, faults=script, **options)
     bench.ratio, bench.pair = ratio, name
     return bench

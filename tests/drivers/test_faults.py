@@ -250,7 +250,8 @@ def test_lines_missing_duplicate_and_out_of_order_are_told_by_their_number(tmp_p
 @pytest.mark.parametrize("kind", ["half", "corrupt", "garbage", "wrong_baud"])
 def test_lines_that_are_torn_or_wrong_never_become_angles(tmp_path, kind):
     motion = slow_motion(1)
-    recording, done = serial_recording(tmp_path, SimulatedAsciiBench(motion, faults=[Fault(kind, 60, 2)]), idle=0.5, stop=None)
+    bench = SimulatedAsciiBench(motion, faults=[Fault(kind, 60, 2)])
+    recording, done = serial_recording(tmp_path, bench, idle=0.5, stop=None)
     samples = recording.samples["output_angle"]
     assert any("line lost" in t for t in texts(recording, "output_angle"))
     assert done.marks["output_angle"]["gaps"] >= 1
