@@ -57,7 +57,7 @@ TARGETS = {
         ("tests/fitting/test_metrics.py", "tests/fitting/test_comparison.py"),
     ),
     "recorder": Target(
-        ("drivers/recorder.py",),
+        ("drivers/recorder/session.py",),
         ("tests/drivers/test_recorder.py",),
     ),
     "contact": Target(

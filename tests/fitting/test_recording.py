@@ -4,17 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cycloid_fmu import edge
-from drivers.clock import ClockEstimate
-from drivers.recording_format import (
-    GAP,
-    Channel,
-    Header,
-    RecordingWriter,
-    Samples,
-    clock_event,
-    read_clocks,
-    read_recording,
-)
+from drivers.recorder.clock import ClockEstimate
+from drivers.recording_format import GAP, Channel, Header, RecordingWriter, Samples, clock_event, read_clocks, read_recording
 from fitting.curve import transmission_error_curve
 from fitting.metrics import figures_of
 from fitting.recording import open_bench_recording, read_bench_recording

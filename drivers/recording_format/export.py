@@ -1,4 +1,4 @@
-"""A recording in other formats, batch by batch: netCDF, Parquet, CSV, MDF4; and what a torn one still holds."""
+"""A recording in other formats, batch by batch: netCDF, Parquet, CSV, MDF4."""
 
 from __future__ import annotations
 
@@ -12,74 +12,87 @@ from typing import Any
 import numpy as np
 
 from cycloid_fmu import edge
-from drivers.recording_format import (
+from drivers.recording_format.reader import RecordingReader
+from drivers.recording_format.schema import (
     COLUMN_DTYPES,
-    GAP,
     Event,
     FloatArray,
-    Header,
-    RecordingReader,
-    RecordingWriter,
     Samples,
+    joined,
     record_batch,
     recording_metadata,
     recording_schema,
 )
 
-Progress = Callable[[], None]
+Progress = Callable[[float], None]
 _CHUNK = 1 << 16  # samples gathered before they are written: small batches make large files of netCDF and MDF4
 
 
-def export(reader: RecordingReader, path: Path, progress: Progress) -> int:
-    """Write a recording by the file's ending, .csv, .nc, .parquet or .mf4, at constant memory; return the rows.
+@dataclasses.dataclass(frozen=True)
+class Exported:
+    """A recording in another format: the file, its rows, and one sentence for each problem of the recording."""
+
+    path: Path
+    rows: int
+    problems: tuple[str, ...]
+
+
+def export(
+    recording: str | os.PathLike[str], output: str | os.PathLike[str], *, progress: Progress | None = None
+) -> Exported:
+    """Write a recording in the format of the file's ending, at constant memory; it appears whole or not at all.
 
     Parameters
     ----------
-    reader
-        The recording, nothing of it read yet.
-    path
-        File to write; it appears whole or not at all.
+    recording
+        The `.arrows` file.
+    output
+        `.csv`: one table of the two angles, paired by the SYNC that latched both, and the torque interpolated to those
+        instants. `.nc` (netCDF), `.parquet`, `.mf4` (MDF4, ASAM): the samples of each channel as they came.
     progress
-        Called after each batch.
+        Called with the number of bytes read since the call before.
 
     Raises
     ------
     edge.InputError
         If the ending is another, a library is missing, or the CSV's channels are not there.
+
+    Examples
+    --------
+    >>> import drivers
+    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, interface="virtual") as bench:
+    ...     done = bench.record("test.arrows")
+    >>> drivers.export("test.arrows", "test.csv").rows
+    96
     """
-    edge.output_path(path, "--output", WRITERS)
-    with edge.written_whole(path) as temporary:
-        return WRITERS[path.suffix.lower()](reader, temporary, progress)
+    target = edge.output_path(output, "output", WRITERS)
+    with RecordingReader(recording) as reader, edge.written_whole(target) as temporary:
+        rows = WRITERS[target.suffix.lower()](reader, temporary, progress or (lambda _: None))
+    return Exported(target, rows, tuple(reader.problems))
+
+
+def batches(reader: RecordingReader, progress: Progress) -> Iterator[tuple[Samples, tuple[Event, ...]]]:
+    """Yield what `RecordingReader.batches` does and report the bytes read."""
+    done = 0
+    for batch in reader.batches():
+        progress(reader.position - done)
+        done = reader.position
+        yield batch
 
 
 def _gathered(reader: RecordingReader, events: list[Event], progress: Progress) -> Iterator[Samples]:
     """Yield each channel's samples in large blocks, and collect the events."""
     waiting: dict[str, list[Samples]] = {c.name: [] for c in reader.header.channels}
-    for samples, said in reader.batches():
+    for samples, said in batches(reader, progress):
         events.extend(said)
-        progress()
         blocks = waiting[samples.channel]
         blocks.append(samples)
         if sum(map(len, blocks)) >= _CHUNK:
-            yield joined(blocks)
+            yield joined(blocks[0].channel, blocks, fill=True)
             blocks.clear()
     for blocks in waiting.values():
         if any(map(len, blocks)):
-            yield joined(blocks)
-
-
-def joined(blocks: list[Samples]) -> Samples:
-    """Return blocks of one channel as one; a column that one of them lacks is NaN or 0 there."""
-    columns: dict[str, Any] = {}
-    for name, kind in COLUMN_DTYPES.items():
-        parts = [getattr(b, name) for b in blocks]
-        if all(p is None for p in parts):
-            columns[name] = None
-            continue
-        missing = np.nan if kind == "<f8" else 0
-        filled = [np.full(len(b), missing, kind) if p is None else p for b, p in zip(blocks, parts, strict=True)]
-        columns[name] = np.concatenate(filled)
-    return Samples(blocks[0].channel, **columns)
+            yield joined(blocks[0].channel, blocks, fill=True)
 
 
 def _event_text(events: list[Event]) -> str:
@@ -239,8 +252,7 @@ def _paired(
         held["torque"] = tt[tt >= oldest], torque[tt >= oldest]
 
     gathered = 0
-    for samples, _ in reader.batches():
-        progress()
+    for samples, _ in batches(reader, progress):
         role = roles.get(samples.channel)
         if role is None or not len(samples):
             continue
@@ -258,62 +270,3 @@ def _paired(
 WRITERS: dict[str, Callable[[RecordingReader, Path, Progress], int]] = {
     ".csv": _csv, ".nc": _netcdf, ".parquet": _parquet, ".mf4": _mdf,
 }  # fmt: skip
-
-
-@dataclasses.dataclass
-class HeldChannel:
-    """What a recording holds of a channel: samples, how many follow a gap, first and last `time_host` in s."""
-
-    samples: int = 0
-    gaps: int = 0
-    first: float = np.inf
-    last: float = -np.inf
-
-
-@dataclasses.dataclass
-class Held:
-    """What a recording holds that can be trusted."""
-
-    header: Header
-    channels: dict[str, HeldChannel]
-    events: int = 0
-
-
-def repaired(reader: RecordingReader, output: str | os.PathLike[str] | None, progress: Progress) -> Held:
-    """Read all that can be trusted of a recording, and write it as a whole one.
-
-    Parameters
-    ----------
-    reader
-        The recording, nothing of it read yet; its `problems` say afterwards what is wrong.
-    output
-        New recording, or None.
-    progress
-        Called after each batch.
-
-    Raises
-    ------
-    edge.InputError
-        If the output exists or can't be created.
-    """
-    held = Held(reader.header, {c.name: HeldChannel() for c in reader.header.channels})
-    # What is written has a checksum that is right: that the header was damaged must stand in it.
-    said = {"damaged header": " ".join(reader.problems)} if reader.problems else {}
-    header = dataclasses.replace(reader.header, conditions={**reader.header.conditions, **said})
-    writer = RecordingWriter(output, header) if output is not None else None
-    try:
-        for samples, events in reader.batches():
-            progress()
-            held.events += len(events)
-            if len(samples):
-                channel = held.channels[samples.channel]
-                channel.samples += len(samples)
-                channel.gaps += int(np.count_nonzero(samples.status & GAP))
-                channel.first = min(channel.first, float(samples.time_host.min()))
-                channel.last = max(channel.last, float(samples.time_host.max()))
-            if writer is not None:
-                writer.write(samples, events)
-    finally:
-        if writer is not None:
-            writer.close()
-    return held

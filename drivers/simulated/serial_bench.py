@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import contextlib
 import functools
 import operator
@@ -10,9 +11,9 @@ import select
 import struct
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pymodbus.framer import FramerRTU
@@ -20,9 +21,10 @@ from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
 from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadHoldingRegistersResponse
 
 from cycloid_fmu import edge
-from drivers.amt21_encoder import check_bits
-from drivers.bench import Motion, SimulatedBench, conditions_text, head_text, quantised, write_text
-from drivers.faults import SERIAL_FAULTS, Fault, at_wrong_baud
+from drivers.encoders.amt21 import check_bits
+from drivers.simulated.bench import SimulatedBench
+from drivers.simulated.faults import SERIAL_FAULTS, Fault, at_wrong_baud
+from drivers.simulated.motion import Motion, quantised
 
 _BITS_PER_BYTE = 10  # with start and stop bit
 
@@ -46,6 +48,8 @@ class _PtyBench(SimulatedBench):
     url
         The port to record.
     """
+
+    _protocol: ClassVar[str]
 
     def __init__(
         self, motion: Motion, *, speed_factor: float = 1.0, baud_rate: int, faults: Sequence[Fault] = ()
@@ -129,12 +133,22 @@ class _PtyBench(SimulatedBench):
             os.write(self._bench, sent)
         return sent == data
 
-    def _wiring(self, path: str | os.PathLike[str], channels: str, ratio: float | None, pair: str) -> Path:
-        port = f"\n[port.tty]\nurl = {edge.json_text(self.url)}\nbaud_rate = {self.baud_rate}\n"
-        return write_text(path, f"{head_text(ratio, pair)}{conditions_text(self.motion.run)}{port}{channels}")
+    def _connections(self, folder: Path) -> str:
+        port = f"[port.tty]\nurl = {edge.json_text(self.url)}\nbaud_rate = {self.baud_rate}\n"
+        return port + "".join(
+            f'\n[channel.{name}]\nprotocol = "{self._protocol}"\nport = "tty"\n{keys}'
+            for name, keys in self._channels().items()
+        )
+
+    @abc.abstractmethod
+    def _channels(self) -> dict[str, str]:
+        """Return the protocol's own keys of each channel."""
+
+    def _end(self) -> dict[str, Any]:
+        return {"stop": lambda: self.wait(0.0)}  # a device that is asked has no number of samples of its own
 
 
-class Amt21Bench(_PtyBench):
+class SimulatedAmt21Bench(_PtyBench):
     """A bench of two AMT21 encoders on one RS-485 line, which is a pseudo-terminal: record `url`.
 
     The motion begins with the first question and runs at its own speed times `speed_factor`; each
@@ -157,6 +171,8 @@ class Amt21Bench(_PtyBench):
         The sample each address answered, question by question, wrong answers left out.
     """
 
+    _protocol = "amt21"
+
     def __init__(
         self,
         motion: Motion,
@@ -172,14 +188,10 @@ class Amt21Bench(_PtyBench):
         self.addresses, self.bits, self.multi_turn = addresses, bits, multi_turn
         self.answered: dict[int, list[int]] = {a: [] for a in addresses}
 
-    def write_wiring(self, path: str | os.PathLike[str], *, ratio: float | None = None, pair: str = "") -> Path:
-        """Write the `BENCH.toml` that records this bench and return its path."""
+    def _channels(self) -> dict[str, str]:
         turns = "multi_turn = true\n" if self.multi_turn else ""
-        channels = "".join(
-            f'\n[channel.{name}]\nprotocol = "amt21"\nport = "tty"\naddress = {address}\nbits = {self.bits}\n{turns}'
-            for name, address in zip(("input_angle", "output_angle"), self.addresses, strict=True)
-        )
-        return self._wiring(path, channels, ratio, pair)
+        keys = [f"address = {address}\nbits = {self.bits}\n{turns}" for address in self.addresses]
+        return dict(zip(("input_angle", "output_angle"), keys, strict=True))
 
     def _run(self) -> None:
         counts = 1 << self.bits
@@ -205,7 +217,7 @@ class Amt21Bench(_PtyBench):
                     asked += 1
 
 
-class ModbusBench(_PtyBench):
+class SimulatedModbusBench(_PtyBench):
     """A bench of two Modbus RTU encoders on one line, which is a pseudo-terminal: record `url`.
 
     Each device holds its position, 32 bits that count turns too, in the holding registers 0 and 1,
@@ -222,6 +234,8 @@ class ModbusBench(_PtyBench):
         Resolution.
     """
 
+    _protocol = "modbus"
+
     def __init__(
         self,
         motion: Motion,
@@ -235,14 +249,10 @@ class ModbusBench(_PtyBench):
         super().__init__(motion, speed_factor=speed_factor, baud_rate=baud_rate, faults=faults)
         self.devices, self.counts_per_turn = devices, counts_per_turn
 
-    def write_wiring(self, path: str | os.PathLike[str], *, ratio: float | None = None, pair: str = "") -> Path:
-        """Write the `BENCH.toml` that records this bench and return its path."""
-        channels = "".join(
-            f'\n[channel.{name}]\nprotocol = "modbus"\nport = "tty"\ndevice = {device}\nregister = 0\n'
-            f"counts_per_turn = {self.counts_per_turn}\nsigned = true\n"
-            for name, device in zip(("input_angle", "output_angle"), self.devices, strict=True)
-        )
-        return self._wiring(path, channels, ratio, pair)
+    def _channels(self) -> dict[str, str]:
+        keys = f"register = 0\ncounts_per_turn = {self.counts_per_turn}\nsigned = true\n"
+        angles = zip(("input_angle", "output_angle"), self.devices, strict=True)
+        return {name: f"device = {device}\n{keys}" for name, device in angles}
 
     def _run(self) -> None:
         angles = (self.motion.input_angle, self.motion.output_angle)
@@ -267,7 +277,7 @@ class ModbusBench(_PtyBench):
             asked += 1
 
 
-class AsciiBench(_PtyBench):
+class SimulatedAsciiBench(_PtyBench):
     """A counter that sends a line for each sample, "$sequence,time,counts*checksum", by itself: record `url`.
 
     The motion begins when the port is opened. The time is the counter's own clock in microseconds,
@@ -282,6 +292,8 @@ class AsciiBench(_PtyBench):
     clock_drift
         How much faster than the host's the counter's clock runs, relative.
     """
+
+    _protocol = "ascii"
 
     def __init__(
         self,
@@ -298,15 +310,10 @@ class AsciiBench(_PtyBench):
         self._odd = {f.sample: f.kind for f in faults if f.kind in ("duplicate", "swap", "drop")}
         self.counts_per_turn, self.clock_drift = counts_per_turn, clock_drift
 
-    def write_wiring(self, path: str | os.PathLike[str], *, ratio: float | None = None, pair: str = "") -> Path:
-        """Write the `BENCH.toml` that records this bench and return its path."""
-        channel = (
-            '\n[channel.output_angle]\nprotocol = "ascii"\nport = "tty"\n'
-            'line = "${sequence},{time},{counts}*{checksum}"\nchecksum = "xor"\ntime_unit = "1 us"\n'
-            f"time_modulus = {1 << 32}\ncounts_per_turn = {self.counts_per_turn}\n"
-            'zero_reference = "incremental"\n'
-        )
-        return self._wiring(path, channel, ratio, pair)
+    def _channels(self) -> dict[str, str]:
+        line = 'line = "${sequence},{time},{counts}*{checksum}"\nchecksum = "xor"\ntime_unit = "1 us"\n'
+        counts = f'time_modulus = {1 << 32}\ncounts_per_turn = {self.counts_per_turn}\nzero_reference = "incremental"\n'
+        return {"output_angle": line + counts}
 
     def _run(self) -> None:
         times = self.motion.time / self._factor
@@ -338,3 +345,8 @@ class AsciiBench(_PtyBench):
             for one in [line] * (1 + (odd == "duplicate")) + [held] * (held is not None):
                 self._put(one or b"", self._fault(i, 0))
             held = None
+
+
+SERIAL_BENCHES: Mapping[str, type[SimulatedAmt21Bench] | type[SimulatedModbusBench] | type[SimulatedAsciiBench]] = {
+    "amt21": SimulatedAmt21Bench, "modbus": SimulatedModbusBench, "ascii": SimulatedAsciiBench,
+}  # fmt: skip

@@ -15,9 +15,11 @@ import numpy as np
 import numpy.typing as npt
 import pydantic
 
-from drivers.encoder import AngleConfig, PortConfig, channel_of, counts_to_value, device_counts, unwrap
+from drivers.counts import counts_to_value, unwrap
+from drivers.encoder import AngleConfig, PortConfig, channel_of, device_counts
 from drivers.recording_format import GAP, RESET, ROLLOVER, FloatArray, IntArray, Samples
-from drivers.serial_hub import MIDDLE, PolledEncoder, PortHub, ask
+from drivers.serial.polled import PolledEncoder
+from drivers.serial.port import MIDDLE, PortHub, ask
 
 _TURNS = 1 << 14
 _ODD, _EVEN = 0xAAAA, 0x5555

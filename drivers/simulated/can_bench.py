@@ -1,19 +1,13 @@
-"""The simulated test bench: a motion that a function or an FMU says, in the same frames and bytes as a real one's."""
+"""The simulated bench on a CAN bus: two CiA 406 encoders, a torque transducer and a controller."""
 
 from __future__ import annotations
 
-import abc
-import dataclasses
 import math
-import os
-import shutil
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from ctypes import c_double, c_uint32
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Literal, Self, TypeAlias
+from typing import Any, Literal
 
 import can
 import canopen
@@ -21,13 +15,14 @@ import numpy as np
 from canopen.objectdictionary import UNSIGNED8, UNSIGNED16, UNSIGNED32, ODRecord, ODVariable
 
 from cycloid_fmu import edge
-from drivers.can_hub import SYNC_COUNTER_MAX, SYNC_ID, open_bus
-from drivers.canopen_encoder import COUNTS_PER_TURN, HEARTBEAT_TIME, POSITION, TURNS
+from drivers.can.bus import SYNC_ID, open_bus
+from drivers.can.hub import SYNC_COUNTER_MAX
 from drivers.encoder import BusConfig
-from drivers.faults import NODE_FAULTS, Fault, Frame, faulty_frames
-from drivers.recording_format import FloatArray, IntArray
-
-OutputAngle: TypeAlias = Callable[[FloatArray, FloatArray], FloatArray]
+from drivers.encoders.canopen import COUNTS_PER_TURN, HEARTBEAT_TIME, POSITION, TURNS
+from drivers.recording_format import FloatArray
+from drivers.simulated.bench import SimulatedBench
+from drivers.simulated.faults import NODE_FAULTS, Fault, Frame, faulty_frames
+from drivers.simulated.motion import Motion, quantised
 
 _END_SECONDS = 2.0  # without any node operating: then nobody listens any more
 _UP_SECONDS = 1000.0  # since an interface with a clock of its own was powered
@@ -42,204 +37,6 @@ BU_: bench
 BO_ {_TORQUE_ID} torque: 4 bench
  SG_ torque : 0|32@1- ({_TORQUE_SCALE},0) [-200000|200000] "Nm" bench
 """
-
-
-@dataclasses.dataclass(frozen=True)
-class BenchRun:
-    """One run of the bench at a constant torque.
-
-    Attributes
-    ----------
-    torque
-        What the environment puts on the output, N*m, counter-clockwise positive; keeps its sign in both directions.
-    turns
-        Crank turns.
-    samples_per_turn
-        Samples each crank turn, evenly from crank angle 0, end excluded.
-    direction
-        "forward": the crank angle grows; "backward": the same angles from the last to the first.
-    speed
-        Crank speed, rad/s: it gives the time.
-    noise, torque_noise
-        Standard deviation of each encoder's reading, rad, and of the torque's, N*m.
-    seed
-        Of the noise.
-    lead_in
-        Samples before the first, at the same spacing, while the drive settles on its flank; recorded as all others.
-    """
-
-    torque: float
-    turns: int = 39
-    samples_per_turn: int = 96
-    direction: Literal["forward", "backward"] = "forward"
-    speed: float = 2 * math.pi
-    noise: float = 0.0
-    torque_noise: float = 0.0
-    seed: int = 0
-    lead_in: int = 0
-
-    @property
-    def samples(self) -> int:
-        """Number of samples, lead-in included."""
-        return self.turns * self.samples_per_turn + self.lead_in
-
-
-@dataclasses.dataclass(frozen=True)
-class Motion:
-    """What the sensors see, noise included: time s, angles rad, torque N*m, arrays of shape (n,), and of which run."""
-
-    run: BenchRun
-    time: FloatArray
-    input_angle: FloatArray
-    output_angle: FloatArray
-    torque: FloatArray
-
-
-def simulate_motion(output_angle: OutputAngle, run: BenchRun) -> Motion:
-    """Move a drive through a run.
-
-    Parameters
-    ----------
-    output_angle
-        Returns the output angles, rad, for crank angles, rad, and torques, N*m, all of shape (n,) in the order of time;
-        `fmu_output_angle` gives that of an FMU.
-    run
-        Angles, torque and noise.
-    """
-    step = 2 * math.pi / run.samples_per_turn
-    angle = step * np.arange(-run.lead_in, run.samples - run.lead_in, dtype=np.float64)
-    if run.direction == "backward":
-        angle = step * (run.turns * run.samples_per_turn - 1) - angle
-    torque = np.full(run.samples, float(run.torque))
-    output = np.asarray(output_angle(angle, torque), np.float64)
-    if output.shape != angle.shape:
-        raise ValueError(f"output_angle returned the shape {output.shape} for angles of shape {angle.shape}")
-    random = np.random.default_rng(run.seed)
-    return Motion(
-        run,
-        np.arange(run.samples, dtype=np.float64) * (step / run.speed),
-        angle + run.noise * random.standard_normal(run.samples),
-        output + run.noise * random.standard_normal(run.samples),
-        torque + run.torque_noise * random.standard_normal(run.samples),
-    )
-
-
-def simulate_hysteresis(output_angle: OutputAngle, run: BenchRun) -> Motion:
-    """Lock a drive's input at crank angle 0 and let the torque go round: 0, +T, 0, -T, 0.
-
-    Parameters
-    ----------
-    output_angle
-        As for `simulate_motion`.
-    run
-        `torque` is T, `turns` the loops, `samples_per_turn` the samples of each, `speed` gives the time: 2 pi a loop.
-    """
-    phase = 4.0 * np.arange(run.samples) / run.samples_per_turn % 4.0
-    phase[-1] = 0.0  # back at zero, where it began
-    torque = run.torque * np.interp(phase, [0.0, 1.0, 2.0, 3.0, 4.0], [0.0, 1.0, 0.0, -1.0, 0.0])
-    angle = np.zeros(run.samples)
-    output = np.asarray(output_angle(angle, torque), np.float64)
-    random = np.random.default_rng(run.seed)
-    return Motion(
-        run,
-        np.arange(run.samples, dtype=np.float64) * (2 * math.pi / run.samples_per_turn / run.speed),
-        angle + run.noise * random.standard_normal(run.samples),
-        output + run.noise * random.standard_normal(run.samples),
-        torque + run.torque_noise * random.standard_normal(run.samples),
-    )
-
-
-def fmu_output_angle(path: str | os.PathLike[str], step: float = 1e-3) -> OutputAngle:
-    """Return the output angle that an FMI 2.0 co-simulation FMU of a drive gives, one step of it a sample.
-
-    Parameters
-    ----------
-    path
-        The FMU: inputs `flange_a.phi`, `flange_b.tau`, output `flange_b.phi`.
-    step
-        Communication step, s.
-
-    Raises
-    ------
-    edge.InputError
-        If it is no such FMU.
-    """
-    from fmpy import extract, read_model_description
-    from fmpy.fmi2 import FMU2Slave, fmi2True
-
-    edge.existing(path)
-    try:
-        description = read_model_description(str(path))
-    except Exception as problem:  # fmpy raises what its XML reader and checks raise
-        said = str(problem).splitlines()[0] if str(problem) else type(problem).__name__
-        raise edge.InputError(f"{path}: this is not an FMU: {said}.") from None
-    references = {v.name: v.valueReference for v in description.modelVariables}
-    missing = [n for n in ("flange_a.phi", "flange_b.tau", "flange_b.phi") if n not in references]
-    if description.fmiVersion != "2.0" or description.coSimulation is None or missing:
-        what = f"it has no variable {missing[0]}" if missing else f"FMI {description.fmiVersion}"
-        raise edge.InputError(f"{path}: the bench needs an FMI 2.0 co-simulation FMU of a drive; {what}.")
-
-    def output_angle(angle: FloatArray, torque: FloatArray) -> FloatArray:
-        folder = extract(str(path))
-        fmu = FMU2Slave(
-            guid=description.guid,
-            unzipDirectory=folder,
-            modelIdentifier=description.coSimulation.modelIdentifier,
-            instanceName="bench",
-        )
-        inputs = (c_uint32 * 2)(references["flange_a.phi"], references["flange_b.tau"])
-        given, result = (c_double * 2)(), (c_double * 1)()
-        outputs = (c_uint32 * 1)(references["flange_b.phi"])
-        output = np.empty(len(angle))
-        try:
-            fmu.instantiate()
-            try:
-                fmu.setupExperiment(startTime=0.0)
-                fmu.enterInitializationMode()
-                if len(angle):
-                    fmu.setReal(list(inputs), [float(angle[0]), float(torque[0])])
-                fmu.exitInitializationMode()
-                component, set_real, do_step, get_real = fmu.component, fmu.fmi2SetReal, fmu.fmi2DoStep, fmu.fmi2GetReal
-                for i, (phi, tau) in enumerate(zip(angle.tolist(), torque.tolist(), strict=True)):
-                    given[0], given[1] = phi, tau
-                    set_real(component, inputs, 2, given)
-                    do_step(component, i * step, step, fmi2True)
-                    get_real(component, outputs, 1, result)
-                    output[i] = result[0]
-                fmu.terminate()
-            finally:
-                fmu.freeInstance()
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)
-        return output
-
-    return output_angle
-
-
-def quantised(angle: FloatArray, counts_per_turn: int) -> IntArray:
-    """Return the nearest counts of angles in rad, not yet rolled over, shape (n,)."""
-    return np.rint(angle * (counts_per_turn / (2 * math.pi))).astype(np.int64)
-
-
-def conditions_text(run: BenchRun) -> str:
-    """Return the table `[conditions]` of a `BENCH.toml` that says what the run is."""
-    return (
-        f'[conditions]\nload = "{edge.format_quantity(run.torque, "N*m", "N*m")}"\n'
-        f'speed = "{edge.format_quantity(run.speed, "rad/s", "rad/s")}"\ndirection = "{run.direction}"\n'
-    )
-
-
-def head_text(ratio: float | None, pair: str) -> str:
-    """Return the first lines of a `BENCH.toml`."""
-    shown = f"ratio = {float(ratio)!r}\n" if ratio is not None else ""
-    return f'format = "cycloid-bench/1"\n{shown}pair = {edge.json_text(pair)}\n\n'
-
-
-def write_text(path: str | os.PathLike[str], text: str) -> Path:
-    """Write a text file that appears whole, and return its path."""
-    with edge.written_whole(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    return Path(path)
 
 
 def _turns(counts_per_turn: int) -> int:
@@ -266,16 +63,8 @@ def _object_dictionary(node: int, identifier: int, counts_per_turn: int, timer: 
     dictionary.add_object(variable("device type", 0x1000, UNSIGNED32, 0x00020196))
     dictionary.add_object(variable("error register", 0x1001, UNSIGNED8, 0))
     dictionary.add_object(variable("heartbeat time", 0x1017, UNSIGNED16, 0, access="rw"))
-    record(
-        "identity",
-        0x1018,
-        [
-            ("vendor", UNSIGNED32, 0),
-            ("product", UNSIGNED32, 0x406),
-            ("revision", UNSIGNED32, 1),
-            ("serial", UNSIGNED32, node),
-        ],
-    )
+    who = [("vendor", 0), ("product", 0x406), ("revision", 1), ("serial", node)]
+    record("identity", 0x1018, [(entry, UNSIGNED32, value) for entry, value in who])
     sent = [("identifier", UNSIGNED32, identifier), ("transmission type", UNSIGNED8, 1 if timer is None else 254)]
     if timer is not None:
         sent += [("inhibit time", UNSIGNED16, 0), ("compatibility", UNSIGNED8, 0), ("event timer", UNSIGNED16, timer)]
@@ -312,66 +101,7 @@ class _StampedNetwork(canopen.Network):  # type: ignore[misc]
             self.bus.send(message)
 
 
-class SimulatedBench(abc.ABC):
-    """A motion that a thread sends; a context manager, whose thread ends with it.
-
-    Parameters
-    ----------
-    motion
-        What to send.
-    """
-
-    def __init__(self, motion: Motion) -> None:
-        self.motion = motion
-        self._stopping = threading.Event()
-        self._done = threading.Event()
-        self._failure: Exception | None = None
-
-    def __enter__(self) -> Self:
-        """Be there to be recorded."""
-        self._open()
-        self._thread = threading.Thread(target=self._work, name="bench", daemon=True)
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stopping.set()
-        self._thread.join()
-        self._close()
-        if kind is None and self._failure is not None:
-            raise self._failure
-
-    def wait(self, timeout: float | None = None) -> bool:
-        """Wait for the end of the motion and return whether it came; raise what broke the bench, if so."""
-        ended = self._done.wait(timeout)
-        if self._failure is not None:
-            raise self._failure
-        return ended
-
-    def _work(self) -> None:
-        try:
-            self._run()
-        except Exception as problem:  # told by wait(): nobody else sees a thread's end
-            self._failure = problem
-        finally:
-            self._done.set()
-
-    @abc.abstractmethod
-    def _open(self) -> None:
-        """Put it on its line."""
-
-    @abc.abstractmethod
-    def _close(self) -> None:
-        """Take it off its line."""
-
-    @abc.abstractmethod
-    def _run(self) -> None:
-        """Send the motion until `_stopping`."""
-
-
-class CanBench(SimulatedBench):
+class SimulatedCanBench(SimulatedBench):
     """A bench on a CAN bus: two CiA 406 nodes, a torque transducer and, by default, a controller that sends SYNC.
 
     Once both nodes are told to operate, a thread sends the motion; it ends with the motion or when
@@ -453,23 +183,23 @@ class CanBench(SimulatedBench):
             node.nmt.stop_heartbeat()
         self._network.disconnect()
 
-    def write_wiring(self, path: str | os.PathLike[str], *, ratio: float | None = None, pair: str = "") -> Path:
-        """Write the `BENCH.toml` that records this bench, and torque.dbc beside it; return its path."""
-        bus = self.bus_config
+    def _connections(self, folder: Path) -> str:
         angles = "".join(
             f'[channel.{name}]\nprotocol = "canopen"\nbus = "can0"\nnode = {node}\nsigned = true\n\n'
             for name, node in (("input_angle", _INPUT_NODE), ("output_angle", _OUTPUT_NODE))
         )
         sync = f'sync_period = "{self._interval:.9g} s"\n' if self.trigger == "sync" else ""
-        latched = "false" if self.trigger == "timer" else "true"
-        write_text(Path(path).with_name("torque.dbc"), _TORQUE_DBC)
-        return write_text(
-            path,
-            f"{head_text(ratio, pair)}{conditions_text(self.motion.run)}\n[bus.can0]\n"
-            f"interface = {edge.json_text(bus.interface)}\nchannel = {edge.json_text(bus.channel)}\n{sync}\n{angles}"
+        with edge.written_whole(folder / "torque.dbc") as temporary:
+            temporary.write_text(_TORQUE_DBC, encoding="utf-8")
+        return (
+            f"[bus.can0]\ninterface = {edge.json_text(self.bus_config.interface)}\n"
+            f"channel = {edge.json_text(self.bus_config.channel)}\n{sync}\n{angles}"
             '[channel.torque]\nprotocol = "dbc"\nbus = "can0"\nfile = "torque.dbc"\nmessage = "torque"\n'
-            f'signal = "torque"\nsync = {latched}\n',
+            f'signal = "torque"\nsync = {"false" if self.trigger == "timer" else "true"}\n'
         )
+
+    def _end(self) -> dict[str, Any]:
+        return {"samples": self.motion.run.samples, "idle": 5.0}
 
     def _stamp(self, host: float) -> float:
         """Return what the interface's clock shows at a time of the host's."""

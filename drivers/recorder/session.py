@@ -1,4 +1,4 @@
-"""Samples -> crash-safe recording on disk; and the `BENCH.toml` that says which encoders there are."""
+"""Samples -> crash-safe recording on disk."""
 
 from __future__ import annotations
 
@@ -12,137 +12,24 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
 
 import numpy as np
-import pydantic
 
-from cycloid_fmu import edge
 from drivers import recording_format as rf
-from drivers.clock import ClockEstimate
+from drivers.arguments import in_si
 from drivers.encoder import (
-    BusConfig,
-    ChannelConfig,
     Encoder,
     EncoderError,
-    PortConfig,
-    Wiring,
-    encoder_class,
-    opened,
     steady_time,
 )
-from drivers.recording_format import Event, Header, RecordingWriter, Samples, check_new
-from drivers.supervision import Supervised
+from drivers.recorder.bench import Bench, open_encoders, read_bench
+from drivers.recorder.clock import ClockEstimate
+from drivers.recorder.supervision import Supervised
+from drivers.recording_format import MARKS, Event, Header, RecordingWriter, Samples, check_new
 
-BENCH_FORMAT = "cycloid-bench/1"
 _WAIT = 0.05
 _CLOCK_SECONDS = 10.0  # between two notes of a device's clock
 _CALENDAR_STEP = 0.1  # s; slower corrections are slewed, and the monotonic clock follows them
-
-
-class Conditions(edge.Config):
-    """What a `[conditions]` says: load on the output (signed), crank speed, direction, temperature, a free note."""
-
-    load: edge.Torque | None = None
-    speed: edge.Speed | None = None
-    direction: Literal["forward", "backward"] | None = None
-    temperature: edge.Temperature | None = None
-    note: str | None = None
-
-
-class _BenchFile(edge.Config):
-    ratio: float | None = None
-    pair: str = ""
-    conditions: Conditions = Conditions()
-    bus: dict[str, BusConfig] = pydantic.Field(default_factory=dict)
-    port: dict[str, PortConfig] = pydantic.Field(default_factory=dict)
-    channel: dict[str, dict[str, Any]]
-
-    @pydantic.field_validator("ratio")
-    @classmethod
-    def _ratio(cls, value: float | None) -> float | None:
-        if value is not None and not 0 < abs(value) < float("inf"):
-            raise ValueError("write the signed ratio input/output of the ideal drive, such as -39")
-        return value
-
-    @pydantic.field_validator("channel")
-    @classmethod
-    def _some(cls, value: dict[str, Any]) -> dict[str, Any]:
-        if not value:
-            raise ValueError("write at least one table [channel.input_angle]")
-        return value
-
-
-@dataclasses.dataclass(frozen=True)
-class Bench:
-    """The wiring of a bench.
-
-    Attributes
-    ----------
-    ratio
-        Signed input/output ratio of the ideal drive, or None.
-    pair
-        Name of the gear pair.
-    conditions
-        SI numbers and text: load N*m, speed rad/s, direction, temperature K, note; absent where not stated.
-    channels
-        Class and configuration of each channel's encoder by its name.
-    wiring
-        Buses and ports.
-    """
-
-    ratio: float | None
-    pair: str
-    conditions: Mapping[str, float | str]
-    channels: Mapping[str, tuple[type[Encoder], ChannelConfig]]
-    wiring: Wiring
-
-    def encoders(self) -> list[Encoder]:
-        """Return new encoders for all channels, not yet opened."""
-        return [cls.from_config(name, config, self.wiring) for name, (cls, config) in self.channels.items()]
-
-
-def read_bench(path: str | os.PathLike[str]) -> Bench:
-    """Read a `BENCH.toml` and check all that can be checked without a device.
-
-    Raises
-    ------
-    edge.InputError
-        Naming file, table and key.
-    """
-    source = str(path)
-    table = edge.toml_table(edge.read_text(path), BENCH_FORMAT, source)
-    file = edge.validated(_BenchFile, table, source)
-    channels = {}
-    for name, given in file.channel.items():
-        cls = encoder_class(given.get("protocol"), name, source)
-        channels[name] = (cls, edge.validated(cls.configuration, given, f"{source}: [channel.{name}]"))
-    wiring = Wiring(file.bus, file.port, Path(path).parent, source)
-    conditions = file.conditions.model_dump(exclude_none=True)
-    bench = Bench(file.ratio, file.pair, conditions, channels, wiring)
-    bench.encoders()
-    return bench
-
-
-@contextlib.contextmanager
-def open_encoders(bench: Bench | str | os.PathLike[str]) -> Iterator[list[Encoder]]:
-    """Open and start the encoders of a bench, or of the `BENCH.toml` of this path; close them at the end.
-
-    Raises
-    ------
-    edge.InputError
-        If the file is wrong.
-    EncoderError
-        If a bus, port or device does not answer.
-    """
-    with opened((bench if isinstance(bench, Bench) else read_bench(bench)).encoders()) as encoders:
-        yield encoders
-
-
-MARKS = {
-    "gaps": rf.GAP, "checksum": rf.CHECKSUM, "resets": rf.RESET, "duplicates": rf.DUPLICATE,
-    "out of order": rf.OUT_OF_ORDER, "rollovers": rf.ROLLOVER,
-}  # fmt: skip
 
 
 class RecordingError(Exception):
@@ -364,7 +251,7 @@ class _Session:
         self.live.disk_free = shutil.disk_usage(Path(path).parent).free
 
 
-def record(
+def record_encoders(
     encoders: Sequence[Encoder],
     path: str | os.PathLike[str],
     *,
@@ -459,9 +346,62 @@ def record(
     return Recorded(Path(path), live.samples, marks, live.events, failures)
 
 
-def record_bench(bench: Bench | str | os.PathLike[str], path: str | os.PathLike[str], **stops: Any) -> Recorded:
-    """Record a bench, or the one of a `BENCH.toml`; `stops` are `record`'s `duration`, `samples`, `idle` and so on."""
+def record(
+    bench: Bench | str | os.PathLike[str],
+    path: str | os.PathLike[str],
+    *,
+    duration: float | str | None = None,
+    samples: int | None = None,
+    idle: float | str | None = None,
+    stop: Callable[[], bool] | None = None,
+    progress: Callable[[Live], None] | None = None,
+) -> Recorded:
+    """Record all channels of a bench: until Ctrl-C, or what comes first of the others.
+
+    What came is in the file a twentieth of a second later, safe from a kill of the process; every second the disk is
+    told to hold it, safe from a power cut. Buses and ports that fail are opened again.
+
+    Parameters
+    ----------
+    bench
+        The bench, or its `BENCH.toml`.
+    path
+        New `.arrows` file.
+    duration
+        Time after which to stop, s, or text such as "30 s".
+    samples
+        Stop when every channel has at least so many.
+    idle
+        Stop when no channel got a sample for so long, s, or text such as "2 s".
+    stop, progress
+        See `record_encoders`.
+
+    Raises
+    ------
+    edge.InputError
+        If the wiring is wrong or the file exists.
+    EncoderError
+        If a bus, port or device does not answer.
+    RecordingError
+        If the disk takes no more; the file keeps all that came before.
+    KeyboardInterrupt
+        If interrupted; the file is closed and whole.
+
+    Examples
+    --------
+    >>> import drivers
+    >>> with drivers.simulate_bench(ratio=-39, torque="20 N*m", turns=1, interface="virtual") as bench:
+    ...     wiring = bench.write_wiring("BENCH.toml")
+    ...     done = drivers.record(wiring, "recorded.arrows", samples=96, idle="2 s")
+    >>> done.samples
+    {'input_angle': 96, 'output_angle': 96, 'torque': 96}
+    """
     wired = bench if isinstance(bench, Bench) else read_bench(bench)
+    duration = None if duration is None else in_si(duration, "s", "duration", above=0.0)
+    idle = None if idle is None else in_si(idle, "s", "idle", above=0.0)
     check_new(path)  # before any device is set going
     with open_encoders(wired) as encoders:
-        return record(encoders, path, ratio=wired.ratio, pair=wired.pair, conditions=wired.conditions, **stops)
+        return record_encoders(
+            encoders, path, ratio=wired.ratio, pair=wired.pair, conditions=wired.conditions, duration=duration,
+            samples=samples, idle=idle, stop=stop, progress=progress,
+        )  # fmt: skip

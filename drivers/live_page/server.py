@@ -7,12 +7,15 @@ from __future__ import annotations
 
 import collections
 import dataclasses
+import functools
 import hmac
 import http.server
 import importlib.resources
+import ipaddress
 import json
 import math
 import os
+import secrets
 import threading
 import time
 import urllib.parse
@@ -21,8 +24,7 @@ from typing import Any
 import numpy as np
 
 from cycloid_fmu import edge
-from drivers.recorder import MARKS
-from drivers.recording_format import FloatArray, RecordingReader, Samples
+from drivers.recording_format import MARKS, FloatArray, RecordingReader, Samples
 
 REFRESH_SECONDS = 0.2
 WINDOW = 1 << 17  # samples of each channel that are looked at
@@ -179,6 +181,8 @@ class WatchServer(http.server.ThreadingHTTPServer):
         Where to listen; port 0 takes a free one.
     token
         What a client must show, None: only clients that call this machine by a local name are answered.
+
+    It serves from the beginning; a context manager that ends it.
     """
 
     daemon_threads = True
@@ -188,8 +192,8 @@ class WatchServer(http.server.ThreadingHTTPServer):
         self.token, self.newest = token, _Newest()
         self._watcher = watcher
         self._stopping = threading.Event()
-        self._reader = threading.Thread(target=self._read, name="watch", daemon=True)
-        self._reader.start()
+        for work in (self._read, functools.partial(self.serve_forever, 0.05)):
+            threading.Thread(target=work, name="watch", daemon=True).start()
 
     @property
     def url(self) -> str:
@@ -207,10 +211,56 @@ class WatchServer(http.server.ThreadingHTTPServer):
             self.newest.put(json.dumps(data))
             self._stopping.wait(REFRESH_SECONDS)
 
+    def wait(self) -> None:
+        """Wait until the server is closed."""
+        self._stopping.wait()
+
     def server_close(self) -> None:
         """Stop reading and listening."""
         self._stopping.set()
+        self.shutdown()
         super().server_close()
+
+
+def watch(recording: str | os.PathLike[str], *, host: str = "127.0.0.1", port: int = 0) -> WatchServer:
+    """Serve a page that follows a recording while it grows: transmission error, spectrum, health.
+
+    Parameters
+    ----------
+    recording
+        The `.arrows` file, finished or growing.
+    host
+        Address to listen on; where it is not this machine's own, a token is asked for, which is in the `url`.
+    port
+        0: any that is free.
+
+    Returns
+    -------
+    WatchServer
+        It serves already; a context manager that ends it.
+
+    Raises
+    ------
+    edge.InputError
+        If the file is no recording or the address can't be listened on.
+
+    Examples
+    --------
+    >>> import drivers
+    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, interface="virtual") as bench:
+    ...     done = bench.record("seen.arrows")
+    >>> with drivers.watch("seen.arrows") as server:
+    ...     server.url.startswith("http://127.0.0.1:")
+    True
+    """
+    try:
+        local = ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        raise edge.ArgumentError("host", "write an address, such as 127.0.0.1 or 0.0.0.0", host) from None
+    try:
+        return WatchServer(Watcher(recording), host, port, None if local else secrets.token_urlsafe(16))
+    except OSError as problem:
+        raise edge.ArgumentError("port", f"{host} can't be listened on: {problem.strerror}", port) from None
 
 
 class _Handler(http.server.BaseHTTPRequestHandler):
@@ -223,7 +273,7 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         if not self._allowed(urllib.parse.parse_qs(parts.query)):
             self.send_error(403)
         elif parts.path == "/":
-            page = importlib.resources.files("drivers").joinpath("watch.html").read_bytes()
+            page = importlib.resources.files("drivers.live_page").joinpath("page.html").read_bytes()
             self.send_response(200)
             self.send_header("Content-Type", "text/html; charset=utf-8")
             self.send_header("Content-Length", str(len(page)))

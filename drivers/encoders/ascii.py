@@ -19,18 +19,11 @@ import numpy as np
 import pydantic
 
 from cycloid_fmu import edge
-from drivers.encoder import (
-    AngleConfig,
-    EncoderProtocolError,
-    EncoderTimeout,
-    PortConfig,
-    channel_of,
-    counts_to_value,
-    judge_sequence,
-    unwrap,
-)
+from drivers.counts import counts_to_value, judge_sequence, unwrap
+from drivers.encoder import AngleConfig, EncoderProtocolError, EncoderTimeout, PortConfig, channel_of
 from drivers.recording_format import GAP, RESET, ROLLOVER, Samples
-from drivers.serial_hub import Exchange, PortHub, SerialEncoder, ask
+from drivers.serial.polled import SerialEncoder
+from drivers.serial.port import Exchange, PortHub, ask
 
 LONGEST_LINE = 4096
 FIRST_LINE_SECONDS = 2.0

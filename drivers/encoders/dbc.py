@@ -5,16 +5,20 @@ from __future__ import annotations
 import re
 import time
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import cantools
 import numpy as np
 import numpy.typing as npt
 
 from cycloid_fmu import edge
-from drivers.can_hub import SYNC_ID, CanHub, FrameReader, acquire_hub, release_hub, time_source
-from drivers.encoder import BusConfig, ChannelConfig, Encoder, Wiring, channel_of, extract_bits, judge_sequence
-from drivers.recording_format import DUPLICATE, GAP, Event, FloatArray, IntArray, Samples
+from drivers.can.bus import SYNC_ID, time_source
+from drivers.can.encoder import CanEncoder
+from drivers.can.frames import FrameReader
+from drivers.can.hub import CanHub
+from drivers.counts import extract_bits, judge_sequence
+from drivers.encoder import BusConfig, ChannelConfig, Wiring, channel_of
+from drivers.recording_format import DUPLICATE, GAP, FloatArray, IntArray, Samples
 
 _NEWTON_METRE = re.compile(r"([kmu]?)Nm")
 _SI = {"torque": "N*m", "input_angle": "rad", "output_angle": "rad"}
@@ -36,7 +40,7 @@ class DbcConfig(ChannelConfig):
     counter: str | None = None
 
 
-class DbcSensor(Encoder):
+class DbcSensor(CanEncoder):
     """One signal of one frame.
 
     Parameters
@@ -61,9 +65,7 @@ class DbcSensor(Encoder):
     configuration = DbcConfig
 
     def __init__(self, name: str, config: DbcConfig, bus: BusConfig, folder: Path, source: str) -> None:
-        self.name, self.config, self.bus = name, config, bus
-        self._hub: CanHub | None = None
-        self._reader: FrameReader | None = None
+        super().__init__(name, config, bus)
         where = f"{source}: [channel.{name}]"
         path = folder / config.file
         text = edge.read_text(path)
@@ -101,25 +103,17 @@ class DbcSensor(Encoder):
         """Return the sensor of a `[channel.name]`; see `Encoder.from_config`."""
         return cls(name, config, wiring.bus(config.bus, name), wiring.folder, wiring.source)
 
-    def __enter__(self) -> Self:
-        """Open the bus; see `Encoder.__enter__`."""
-        self._hub = acquire_hub(self.bus)
+    def set_up(self, hub: CanHub) -> None:
+        """See `CanEncoder.set_up`."""
         step = 1 if self.config.sync else None
-        self._reader = FrameReader(self._hub, self._message.frame_id, self._message.length, step, self.name)
-        stamp = f"SYNC 0x{SYNC_ID:03X}" if step else "frame"
+        self.reader = FrameReader(hub, self._message.frame_id, self._message.length, step, self.name)
         self.channel = channel_of(
             self.name,
             self.config,
             identity=f"{self.config.file}: {self.config.signal} of {self.config.message}, 0x{self._message.frame_id:X}",
-            time_source=time_source(self.bus, stamp),
+            time_source=time_source(self.bus, f"SYNC 0x{SYNC_ID:03X}" if step else "frame"),
             unit=self._unit,
         )
-        return self
-
-    def start(self) -> None:
-        """Let the hub send SYNC, where it is told to."""
-        assert self._hub is not None, "start() is for a sensor that is open"
-        self._hub.produce_sync()
 
     @property
     def measuring_range(self) -> tuple[float, float] | None:
@@ -131,22 +125,9 @@ class DbcSensor(Encoder):
         ))  # fmt: skip
         return (low, high) if low < high else None
 
-    @property
-    def waiting(self) -> int:
-        """Frames that came and are not yet read."""
-        return self._reader.waiting if self._reader is not None else 0
-
-    def close(self) -> None:
-        """Release the bus."""
-        hub, self._hub = self._hub, None
-        if hub is not None and self._reader is not None:
-            self._reader.close()
-            release_hub(hub)
-
     def read(self, timeout: float) -> Samples | None:
         """Return the values that came; see `Encoder.read`."""
-        assert self._reader is not None, "read() is for a sensor that is open"
-        block = self._reader.read(timeout)
+        block = self.reader.read(timeout)
         if block is None:
             return None
         decoded, there = self._decoded(block.payloads)
@@ -157,11 +138,11 @@ class DbcSensor(Encoder):
             status = status | judged
             if missing.any():
                 first = float(block.time_host[np.flatnonzero(missing)[0]])
-                self._reader.say(first, f"{int(missing.sum())} frame missing by the counter {self._counter.name}")
+                self.reader.say(first, f"{int(missing.sum())} frame missing by the counter {self._counter.name}")
             again = judged & DUPLICATE > 0
             if again.any():
                 first = float(block.time_host[np.flatnonzero(again)[0]])
-                self._reader.say(first, f"{int(again.sum())} duplicate by the counter {self._counter.name}")
+                self.reader.say(first, f"{int(again.sum())} duplicate by the counter {self._counter.name}")
         if not there.any():
             return None
         value = self.config.direction * self._si * decoded[there]
@@ -187,13 +168,8 @@ class DbcSensor(Encoder):
             except Exception:  # cantools raises several; a frame it can't decode is lost, the next ones are not
                 wrong += 1
         if wrong:
-            assert self._reader is not None
-            self._reader.say(time.time(), f"{wrong} {self.config.message} skipped: it can't be decoded", GAP)
+            self.reader.say(time.time(), f"{wrong} {self.config.message} skipped: it can't be decoded", GAP)
         return decoded, ~np.isnan(decoded)
-
-    def events(self) -> list[Event]:
-        """Return gaps and skipped frames; see `Encoder.events`."""
-        return self._reader.events() if self._reader is not None else []
 
 
 def _raw(signal: Any, payloads: npt.NDArray[np.uint8]) -> IntArray:

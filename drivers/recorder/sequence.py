@@ -12,7 +12,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
@@ -22,7 +22,8 @@ import pydantic
 from cycloid_fmu import edge
 from drivers import recording_format as rf
 from drivers.encoder import EncoderError, EncoderTimeout
-from drivers.recorder import Bench, ChannelState, Live, open_encoders, read_bench, record
+from drivers.recorder.bench import Bench, open_encoders, read_bench
+from drivers.recorder.session import ChannelState, Live, record_encoders
 from drivers.recording_format import Samples, read_recording
 
 FORMAT = "cycloid-sequence/1"
@@ -114,7 +115,7 @@ class Step:
         """What its recording says about it."""
         return {"load": self.torque, "speed": self.speed, "direction": self.direction}
 
-    def said(self) -> str:
+    def instruction(self) -> str:
         """Return what a person has to set."""
         if self.is_hysteresis:
             peak = f"{self.torque:g}"
@@ -124,7 +125,7 @@ class Step:
 
 
 @dataclasses.dataclass(frozen=True)
-class TestSequence:
+class BenchSequence:
     """A sequence that can be run: its file, its bench, its steps and where it lies."""
 
     file: SequenceFile
@@ -134,7 +135,7 @@ class TestSequence:
     source: str
 
 
-def read_sequence(path: str | os.PathLike[str]) -> TestSequence:
+def read_sequence(path: str | os.PathLike[str]) -> BenchSequence:
     """Read a `SEQUENCE.toml` and its `BENCH.toml` and check all that can be checked without a device.
 
     Raises
@@ -159,7 +160,7 @@ def read_sequence(path: str | os.PathLike[str]) -> TestSequence:
         raise edge.InputError(f"{folder / file.bench}: ratio is missing: a brake's torque opposes the output's motion.")
     steps = _steps(file, bench.ratio or -1.0)
     _check_range(bench, file, source)
-    return TestSequence(file, bench, steps, folder, source)
+    return BenchSequence(file, bench, steps, folder, source)
 
 
 def _steps(file: SequenceFile, ratio: float) -> tuple[Step, ...]:
@@ -268,7 +269,7 @@ class _End:
 
 
 @contextlib.contextmanager
-def _driven(sequence: TestSequence, step: Step) -> Iterator[subprocess.Popen[bytes] | None]:
+def _driven(sequence: BenchSequence, step: Step) -> Iterator[subprocess.Popen[bytes] | None]:
     """Run the command that drives a step beside it, where there is one."""
     drive = sequence.file.drive
     if drive is None:
@@ -292,7 +293,7 @@ def _driven(sequence: TestSequence, step: Step) -> Iterator[subprocess.Popen[byt
         process.wait()
 
 
-def run_step(sequence: TestSequence, step: Step, path: Path, progress: Callable[[Live], None]) -> list[str]:
+def _run_step(sequence: BenchSequence, step: Step, path: Path, progress: Callable[[Live], None]) -> list[str]:
     """Make one step's recording and return in what it falls short.
 
     Raises
@@ -309,7 +310,7 @@ def run_step(sequence: TestSequence, step: Step, path: Path, progress: Callable[
     with _driven(sequence, step) as process:
         bench, encoders, stack = _opened(sequence, process)
         with stack:
-            record(
+            record_encoders(
                 encoders, path, ratio=bench.ratio, pair=bench.pair, conditions={**bench.conditions, **step.conditions},
                 progress=look, stop=lambda: end.reached, idle=None if process is None else 3.0,
             )  # fmt: skip
@@ -320,7 +321,7 @@ def run_step(sequence: TestSequence, step: Step, path: Path, progress: Callable[
     return said + ([f"{gaps} samples follow a gap"] if gaps else [])
 
 
-def _opened(sequence: TestSequence, process: Any) -> tuple[Bench, list[Any], contextlib.ExitStack]:
+def _opened(sequence: BenchSequence, process: Any) -> tuple[Bench, list[Any], contextlib.ExitStack]:
     """Open the encoders, waiting for those of a bench that is just being started."""
     start = sequence.file.drive.start_time if sequence.file.drive is not None else 0.0
     deadline = time.monotonic() + start
@@ -339,14 +340,92 @@ def _opened(sequence: TestSequence, process: Any) -> tuple[Bench, list[Any], con
             time.sleep(_RETRY_SECONDS)
 
 
-def report_command(sequence: TestSequence, recordings: Sequence[Path]) -> list[str] | None:
-    """Return the `cycloid-fit report` of these recordings, None where the sequence asks for none.
+@dataclasses.dataclass(frozen=True)
+class SequenceResult:
+    """What became of a sequence.
 
-    The command is the one beside this Python, so that no environment has to be activated.
+    Attributes
+    ----------
+    recordings
+        One file a step that was reached, in the sequence's order.
+    shortfalls
+        Of each step that was not: in what its last trial falls short, by the step's name.
+    report_command
+        The `cycloid-fit report` of these recordings; None where the sequence asks for none.
     """
+
+    recordings: tuple[Path, ...]
+    shortfalls: Mapping[str, Sequence[str]]
+    report_command: tuple[str, ...] | None
+
+
+def run_sequence(
+    sequence: BenchSequence | str | os.PathLike[str],
+    *,
+    note: Callable[[Step, Path | None], None] | None = None,
+    ready: Callable[[Step], None] | None = None,
+    again: Callable[[Step, Path, list[str]], bool] | None = None,
+    progress: Callable[[Live], None] | None = None,
+) -> SequenceResult:
+    """Run a test sequence: make each step, check that it was reached, write one recording a step.
+
+    Recordings are written beside the sequence; steps that are recorded already are left out, so an interrupted sequence
+    goes on where it was. A trial that falls short is kept as `STEP.trial-N.arrows`.
+
+    Parameters
+    ----------
+    sequence
+        The sequence, or its `SEQUENCE.toml`.
+    note
+        Called with each step and None when it begins, with its recording when it is there.
+    ready
+        Called before each trial of a step that no command of the sequence drives; it returns when the bench runs.
+    again
+        Called with a step, its trial and in what that falls short; whether to make it again. Without it: no.
+    progress
+        See `drivers.record`.
+
+    Raises
+    ------
+    edge.InputError, EncoderError, RecordingError, KeyboardInterrupt
+        As `record` does; what was recorded before is kept.
+
+    Examples
+    --------
+    >>> import drivers
+    >>> drivers.run_sequence("sequence.toml")
+    Traceback (most recent call last):
+    cycloid_fmu.edge.problems.InputError: sequence.toml: No such file or directory.
+    """
+    made = sequence if isinstance(sequence, BenchSequence) else read_sequence(sequence)
+    recordings, missed = [], {}
+    for step in made.steps:
+        path = made.folder / f"{step.name}.arrows"
+        if note is not None:
+            note(step, None)
+        while not path.exists():
+            if made.file.drive is None and ready is not None:
+                ready(step)
+            trials = (made.folder / f"{step.name}.trial-{number}.arrows" for number in itertools.count(1))
+            trial = next(t for t in trials if not t.exists())
+            short = _run_step(made, step, trial, progress or (lambda _: None))
+            if not short:
+                trial.rename(path)
+            elif again is None or not again(step, trial, short):
+                missed[step.name] = short
+                break
+        if path.exists():
+            recordings.append(path)
+            if note is not None:
+                note(step, path)
+    return SequenceResult(tuple(recordings), missed, _report_command(made, recordings))
+
+
+def _report_command(sequence: BenchSequence, recordings: Sequence[Path]) -> tuple[str, ...] | None:
+    """Return the command beside this Python, so that no environment has to be activated."""
     file = sequence.file
     if file.report is None or not recordings:
         return None
     pair = ["--pair", str(sequence.folder / file.pair)] if file.pair is not None else []
     beside = shutil.which("cycloid-fit", path=str(Path(sys.executable).parent)) or "cycloid-fit"
-    return [beside, "report", *map(str, recordings), *pair, "-o", str(sequence.folder / file.report)]
+    return (beside, "report", *map(str, recordings), *pair, "-o", str(sequence.folder / file.report))

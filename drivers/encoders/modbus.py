@@ -11,18 +11,11 @@ from pymodbus.framer import FramerRTU
 from pymodbus.pdu import DecodePDU
 from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadInputRegistersRequest
 
-from drivers.encoder import (
-    AngleConfig,
-    EncoderProtocolError,
-    EncoderSetupError,
-    PortConfig,
-    channel_of,
-    counts_to_value,
-    extract_bits,
-    unwrap,
-)
+from drivers.counts import counts_to_value, extract_bits, unwrap
+from drivers.encoder import AngleConfig, EncoderProtocolError, EncoderSetupError, PortConfig, channel_of
 from drivers.recording_format import ROLLOVER, FloatArray, IntArray, Samples
-from drivers.serial_hub import MIDDLE, PolledEncoder, PortHub, ask
+from drivers.serial.polled import PolledEncoder
+from drivers.serial.port import MIDDLE, PortHub, ask
 
 _REQUESTS = {"holding": ReadHoldingRegistersRequest, "input": ReadInputRegistersRequest}
 

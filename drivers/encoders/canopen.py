@@ -7,32 +7,33 @@ import struct
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 import canopen
 import numpy as np
 import pydantic
 
 from cycloid_fmu import edge
-from drivers.can_hub import SYNC_ID, CanHub, FrameReader, acquire_hub, release_hub, time_source
+from drivers.can.bus import SYNC_ID, time_source
+from drivers.can.encoder import CanEncoder
+from drivers.can.frames import FrameReader
+from drivers.can.hub import CanHub
+from drivers.counts import counts_to_value, extract_bits, unwrap
 from drivers.encoder import (
     AngleConfig,
     BusConfig,
-    Encoder,
     EncoderProtocolError,
     EncoderTimeout,
     Wiring,
     channel_of,
-    counts_to_value,
     device_counts,
-    extract_bits,
     steady_time,
-    unwrap,
 )
-from drivers.recording_format import RESET, ROLLOVER, Event, Samples
+from drivers.recording_format import RESET, ROLLOVER, Samples
 
 POSITION, SPEED, COUNTS_PER_TURN, TURNS = 0x6004, 0x6030, 0x6501, 0x6502
 HEARTBEAT_TIME = 0x1017
+_HEARTBEAT_ID = 0x700
 TPDOS = 4  # CiA 301 predefines so many
 _MISSED_HEARTBEATS = 3
 _NO_SUCH_OBJECT = (0x06020000, 0x06090011, 0x060A0023)
@@ -75,7 +76,7 @@ class CanopenConfig(AngleConfig):
     heartbeat: Annotated[edge.Seconds, pydantic.Field(ge=0.001, le=65.535)] | None = None
 
 
-class CanopenEncoder(Encoder):
+class CanopenEncoder(CanEncoder):
     """One node of CiA 406 with a TPDO that maps the position 0x6004 or the speed 0x6030.
 
     Node or EDS say the identifier and mapping of its TPDO (0x1800 ff., 0x1A00 ff.), when it sends (transmission type 1
@@ -103,12 +104,11 @@ class CanopenEncoder(Encoder):
     configuration = CanopenConfig
 
     def __init__(self, name: str, config: CanopenConfig, bus: BusConfig, dictionary: Any = None) -> None:
-        self.name, self.config, self.bus, self._dictionary = name, config, bus, dictionary
-        self._hub: CanHub | None = None
+        super().__init__(name, config, bus)
+        self._dictionary = dictionary
         self._node: Any = None
-        self._reader: FrameReader | None = None
         self._previous: int | None = None
-        self._started = self._restarted = False
+        self._started = self._restarted = self._listening = False
 
     @classmethod
     def from_config(cls, name: str, config: Any, wiring: Wiring) -> CanopenEncoder:
@@ -125,19 +125,10 @@ class CanopenEncoder(Encoder):
 
     @property
     def _where(self) -> str:
-        return f'{self.name}: node {self.config.node} on the CAN bus {self.bus.interface} "{self.bus.channel}"'
+        return f"{self.name}: node {self.config.node} on the CAN bus {self.bus.place}"
 
-    def __enter__(self) -> Self:
-        """Open the bus and ask the node what it is; see `Encoder.__enter__`."""
-        self._hub = acquire_hub(self.bus)
-        try:
-            self._set_up(self._hub)
-        except BaseException:
-            self.close()
-            raise
-        return self
-
-    def _set_up(self, hub: CanHub) -> None:
+    def set_up(self, hub: CanHub) -> None:
+        """Ask the node what it is; see `CanEncoder.set_up`."""
         self._node = hub.node(self.config.node, self.config.quantity)
         vendor, product = self._object(0x1018, 1, 0), self._object(0x1018, 2, 0)
         serial = self._object(0x1018, 4, 0)
@@ -163,13 +154,10 @@ class CanopenEncoder(Encoder):
             unit="rad" if self.config.quantity == "position" else "rad/s",
             counts_per_turn=self._counts_per_turn if self.config.quantity == "position" else None,
         )
-        self._reader = FrameReader(hub, identifier, length, step, self.name, timer / 1000 or None)
-        reader = self._reader
-        self._emergency = lambda e: reader.say(
-            e.timestamp, f"EMCY 0x{e.code:04X}, register 0x{e.register:02X}: {e.get_desc()}"
-        )
-        self._node.emcy.add_callback(self._emergency)
-        self._node.nmt.add_heartbeat_callback(self._on_heartbeat)
+        self.reader = FrameReader(hub, identifier, length, step, self.name, timer / 1000 or None)
+        self._node.emcy.add_callback(self._on_emergency)
+        hub.network.subscribe(_HEARTBEAT_ID + self.config.node, self._on_heartbeat)
+        self._listening = True
 
     def _uploaded(self, index: int, subindex: int, *, optional: bool) -> bytes | None:
         """Return an object by SDO; None where it is `optional` and the node has no such object."""
@@ -255,11 +243,16 @@ class CanopenEncoder(Encoder):
         self._alive = self._framed = steady_time()
         self._dead = False
 
-    def _on_heartbeat(self, state: int) -> None:
+    def _on_emergency(self, problem: Any) -> None:
+        """Take an EMCY; runs in the reader's thread."""
+        said = f"EMCY 0x{problem.code:04X}, register 0x{problem.register:02X}: {problem.get_desc()}"
+        self.reader.say(problem.timestamp, said)
+
+    def _on_heartbeat(self, identifier: int, data: bytearray, stamp: float) -> None:
         """Take a heartbeat; runs in the reader's thread."""
         self._alive = steady_time()
-        if state == 0 and self._reader is not None:
-            self._reader.say(time.time(), "the node started again", RESET)
+        if len(data) == 1 and data[0] == 0:
+            self.reader.say(time.time(), "the node started again", RESET)
             self._restarted = True
 
     def start(self) -> None:
@@ -267,37 +260,23 @@ class CanopenEncoder(Encoder):
         self._node.nmt.state = "OPERATIONAL"
         self._started = True
         self._alive = self._framed = steady_time()
-        assert self._hub is not None, "start() is for an encoder that is open"
-        self._hub.produce_sync()
+        super().start()
 
-    def close(self) -> None:
-        """Set the node back to pre-operational, where `start` was called, and release the bus."""
-        hub, self._hub = self._hub, None
-        if hub is None:
-            return
+    def leave(self, hub: CanHub) -> None:
+        """Set the node back to pre-operational, where `start` was called, and give it back."""
         if self._started:
             with contextlib.suppress(Exception):  # a broken bus can't be told
                 self._node.nmt.state = "PRE-OPERATIONAL"
-        self._started = False
-        if self._reader is not None:
-            self._reader.close()
+        if self._listening:
+            self._node.emcy.callbacks.remove(self._on_emergency)
+            hub.network.unsubscribe(_HEARTBEAT_ID + self.config.node, self._on_heartbeat)
         if self._node is not None:
-            if self._reader is not None:
-                self._node.emcy.callbacks.remove(self._emergency)
-                self._node.nmt._callbacks.remove(self._on_heartbeat)  # canopen has no way to take one back
             hub.leave_node(self.config.node, self.config.quantity)
-        self._node = None
-        release_hub(hub)
-
-    @property
-    def waiting(self) -> int:
-        """Frames that came and are not yet read."""
-        return self._reader.waiting if self._reader is not None else 0
+        self._node, self._started, self._listening = None, False, False
 
     def read(self, timeout: float) -> Samples | None:
         """Return the positions or speeds that came; see `Encoder.read`."""
-        assert self._reader is not None, "read() is for an encoder that is open"
-        block = self._reader.read(timeout)
+        block = self.reader.read(timeout)
         now = steady_time()
         if self._restarted:
             self._restarted = False
@@ -324,21 +303,17 @@ class CanopenEncoder(Encoder):
 
     def _check_alive(self, now: float) -> None:
         """Say that the heartbeat is missing; give the node up where its frames are missing too."""
-        if not self._heartbeat or not self._started or self._reader is None:
+        if not self._heartbeat or not self._started:
             return
         silent = now - self._alive
         late = silent > max(_MISSED_HEARTBEATS * self._heartbeat, 0.2)
         if late and now - self._framed > max(_MISSED_HEARTBEATS * self._heartbeat, 0.2):
             raise EncoderTimeout(f"{self._where}: no heartbeat and no frame for {silent:.2f} s.")
         if late and not self._dead:
-            self._reader.say(time.time(), f"no heartbeat for {silent:.2f} s, though frames come")
+            self.reader.say(time.time(), f"no heartbeat for {silent:.2f} s, though frames come")
         elif self._dead and not late:
-            self._reader.say(time.time(), "the heartbeat is back")
+            self.reader.say(time.time(), "the heartbeat is back")
         self._dead = late
-
-    def events(self) -> list[Event]:
-        """Return EMCY, restarts, gaps and skipped frames; see `Encoder.events`."""
-        return self._reader.events() if self._reader is not None else []
 
 
 def _read_eds(path: Path, node: int) -> Any:
