@@ -10,7 +10,8 @@ from numpydoc.docscrape import NumpyDocString
 from cycloid_fmu import edge, pair, reducer, sampling, wear_law
 from drivers import faults, recorder, sequence
 from drivers.encoder import protocols
-from fitting import coaxiality, mapping
+from fitting.recordings import mapping
+from fitting.recordings import read_head as coaxiality
 
 # title, format, class that reads it, top table (""), example
 FILES = (

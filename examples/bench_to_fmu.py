@@ -18,11 +18,11 @@ from cycloid_fmu.surface import read_surface, structured_value, surface_of_pair,
 from drivers.bench import BenchRun, CanBench, fmu_output_angle, simulate_motion
 from drivers.recorder import record_bench
 from fitting.cli import print_identification
-from fitting.curve import transmission_error_curve
-from fitting.identification import write_identification
-from fitting.identify import identify
-from fitting.plots import plot_comparison
-from fitting.recording import read_bench_recording
+from fitting.estimation.identify import identify
+from fitting.estimation.result import write_identification
+from fitting.recordings.recording import open_recording
+from fitting.reports.plots import plot_comparison
+from fitting.transmission_error.curve import transmission_error_curve
 
 HERE, OUT = Path(__file__).parent, Path("bench_to_fmu_out")
 ARCSEC = np.pi / 648000
@@ -54,7 +54,7 @@ def main() -> None:
 
     print("3. Transmission error curves, and the errors behind them")
     nominal = read_pair(HERE / "drive-39-40.toml")
-    curves = [transmission_error_curve(read_bench_recording(path), nominal.ratio) for path in recordings]
+    curves = [transmission_error_curve(open_recording(path).read(), nominal.ratio) for path in recordings]
     found = identify(curves, nominal, lambda step: print(f"   {step}"))
     write_identification(found, OUT / "identification.json")
     write_surface(found.surface, OUT / "identified.nc")

@@ -15,11 +15,11 @@ from cycloid_fmu import edge
 
 if TYPE_CHECKING:
     from cycloid_fmu.pair import Pair
-    from fitting.curve import Curve
-    from fitting.figure import Figure
-    from fitting.identification import Identification
-    from fitting.metrics import Figures
-    from fitting.survey import Surveyed
+    from fitting.estimation.result import Identification
+    from fitting.figures.figure import Figure
+    from fitting.figures.metrics import Figures
+    from fitting.figures.survey import Surveyed
+    from fitting.transmission_error.curve import Curve
 
 app = typer.Typer(
     no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich",
@@ -59,7 +59,7 @@ class _Taken:
 
     def say(self, *, as_json: bool) -> None:
         """Print figures and notes for people, or the figures for scripts; leave with the status that belongs to it."""
-        from fitting.metrics import figures_json
+        from fitting.figures.metrics import figures_json
 
         if as_json:
             typer.echo(edge.json_text(figures_json(self.figures)))
@@ -80,10 +80,10 @@ def _figures(
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     from cycloid_fmu.pair import read_pair
-    from fitting.mapping import read_mapping
-    from fitting.metrics import figures_of
-    from fitting.recording import open_bench_recording
-    from fitting.survey import survey
+    from fitting.figures.metrics import figures_of
+    from fitting.figures.survey import survey
+    from fitting.recordings.mapping import read_mapping
+    from fitting.recordings.recording import open_recording
 
     if pair_file is not None and ratio is not None:
         raise edge.InputError(f"--ratio = {ratio:g}: the pair {pair_file} says the ratio; give one of the two.")
@@ -109,7 +109,7 @@ def _figures(
                 bar.update(task, description=f"{said}: {samples / 1e6:.1f} million samples")
 
             try:
-                surveyed.append(survey(open_bench_recording(file, mapped), ratio, rated, progress))
+                surveyed.append(survey(open_recording(file, mapped), ratio, rated, progress))
             except edge.InputError as problem:
                 left_out.append(str(problem))
                 status = edge.BAD_INPUT
@@ -129,17 +129,17 @@ def _curves(
     files: list[Path], ratio: float, mapping: Path | None, read_head: Path | None, *, keep_turns: bool = False
 ) -> list[Curve]:
     """Return the curves of recordings, one for each direction; with a read head, free of its coaxiality error."""
-    from fitting.coaxiality import read_read_head, without_coaxiality_error
-    from fitting.curve import transmission_error_curves
-    from fitting.mapping import read_mapping
-    from fitting.recording import open_bench_recording, read_bench_recording
+    from fitting.recordings.mapping import read_mapping
+    from fitting.recordings.read_head import read_read_head, without_coaxiality_error
+    from fitting.recordings.recording import open_recording
+    from fitting.transmission_error.curve import transmission_error_curves
 
     mapped = None if mapping is None else read_mapping(mapping)
     curves_of = functools.partial(transmission_error_curves, ratio=ratio, keep_turns=keep_turns)
     if read_head is None:
-        return [c for f in files for c in curves_of(open_bench_recording(f, mapped))]
+        return [c for f in files for c in curves_of(open_recording(f, mapped))]
     head = read_read_head(read_head)
-    corrected = (without_coaxiality_error(read_bench_recording(f, mapped), head) for f in files)
+    corrected = (without_coaxiality_error(open_recording(f, mapped).read(), head) for f in files)
     return [c for one in corrected for c in curves_of(one)]
 
 
@@ -147,15 +147,15 @@ def _curves_and_loops(
     files: list[Path], pair: Pair, mapping: Path | None, read_head: Path | None, *, keep_turns: bool
 ) -> tuple[list[Curve], list[Curve]]:
     """Return the curves of recordings and the branches of those that are loops with the input locked."""
-    from fitting.loop_branches import branches_of, is_locked
-    from fitting.mapping import read_mapping
-    from fitting.recording import open_bench_recording
-    from fitting.survey import survey
+    from fitting.figures.survey import survey
+    from fitting.model.loops import branches_of, is_locked
+    from fitting.recordings.mapping import read_mapping
+    from fitting.recordings.recording import open_recording
 
     mapped = None if mapping is None else read_mapping(mapping)
-    locked = [f for f in files if is_locked(open_bench_recording(f, mapped))]
+    locked = [f for f in files if is_locked(open_recording(f, mapped))]
     turning = [f for f in files if f not in locked]
-    surveyed = [survey(open_bench_recording(f, mapped), pair.ratio, pair.pair.rated_torque) for f in locked]
+    surveyed = [survey(open_recording(f, mapped), pair.ratio, pair.pair.rated_torque) for f in locked]
     return (
         _curves(turning, pair.ratio, mapping, read_head, keep_turns=keep_turns),
         [branch for one in surveyed for branch in branches_of(one, pair.ratio)],
@@ -183,9 +183,9 @@ def curve(
     from cycloid_fmu import plots
     from cycloid_fmu.cli import print_table
     from cycloid_fmu.pair import read_pair
-    from fitting.curve import curves_dataset, noise_of, write_curves
-    from fitting.panels import label_of
-    from fitting.plots import plot_curves
+    from fitting.reports.panels import label_of
+    from fitting.reports.plots import plot_curves
+    from fitting.transmission_error.curve import curves_dataset, noise_of, write_curves
 
     if plot is not None:
         plots.check_path(plot)
@@ -232,9 +232,9 @@ def inspect(
     """
     from cycloid_fmu import plots
     from cycloid_fmu.cli import print_table
-    from fitting.inspection import LOOKED_AT, look, propose
-    from fitting.plots import plot_channels
-    from fitting.readers import open_bench_file
+    from fitting.recordings.formats import open_bench_file
+    from fitting.recordings.proposal import LOOKED_AT, look, propose
+    from fitting.reports.plots import plot_channels
 
     if plot is not None:
         plots.check_path(plot)
@@ -295,9 +295,9 @@ def metrics(
     Example: [cyan]cycloid-fit metrics loop.csv *.arrows --ratio -39 --rated-torque "167 N*m"[/]
     """
     from cycloid_fmu import plots
-    from fitting.metrics import figures_json
-    from fitting.panels import panels_of
-    from fitting.plots import plot_panels
+    from fitting.figures.metrics import figures_json
+    from fitting.reports.panels import panels_of
+    from fitting.reports.plots import plot_panels
 
     if plot is not None:
         plots.check_path(plot)
@@ -324,7 +324,7 @@ def report(
 
     Example: [cyan]cycloid-fit report loop.csv *.arrows --pair pair.toml -o report.html[/]
     """
-    from fitting.report import FORMATS, write_report
+    from fitting.reports.report import FORMATS, write_report
 
     edge.output_path(output, "--output", FORMATS)
     taken = _figures(files, pair_file, ratio, rated_torque, mapping)
@@ -350,10 +350,10 @@ def compare(
     """
     from cycloid_fmu import plots
     from cycloid_fmu.cli import print_table
-    from fitting.comparison import changes_json, read_figures
-    from fitting.comparison import compare as compare_figures
-    from fitting.figure import in_field_units
-    from fitting.plots import plot_changes
+    from fitting.figures.comparison import changes_json, read_figures
+    from fitting.figures.comparison import compare as compare_figures
+    from fitting.figures.figure import in_field_units
+    from fitting.reports.plots import plot_changes
 
     if plot is not None:
         plots.check_path(plot)
@@ -433,12 +433,12 @@ def identify(
     from cycloid_fmu.pair import read_pair
     from cycloid_fmu.sampling import read_tolerances
     from cycloid_fmu.surface import write_surface
-    from fitting.fit_report import FORMATS, write_fit_report
-    from fitting.identification import as_json as content
-    from fitting.identification import write_identification
-    from fitting.identify import identify as fit
-    from fitting.plots import plot_identification
-    from fitting.prior import profile_of, scatter_of
+    from fitting.estimation.identify import identify as fit
+    from fitting.estimation.result import as_json as content
+    from fitting.estimation.result import write_identification
+    from fitting.model.prior import profile_of, scatter_of
+    from fitting.reports.fit_report import FORMATS, write_fit_report
+    from fitting.reports.plots import plot_identification
 
     if plot is not None:
         plots.check_path(plot)
@@ -471,7 +471,7 @@ def identify(
 def print_figures(found: Figures) -> None:
     """Print the figures in field units, each with its uncertainty and what is behind it."""
     from cycloid_fmu.cli import print_table
-    from fitting.figure import in_field_units
+    from fitting.figures.figure import in_field_units
 
     rows = []
     for name, figure in found.figures.items():
@@ -547,9 +547,9 @@ def plan(
     from cycloid_fmu.cli import print_table
     from cycloid_fmu.pair import read_pair
     from cycloid_fmu.surface import unit_of
-    from fitting.observation import errors_of
-    from fitting.plan import bench_plans
-    from fitting.plots import plot_plans
+    from fitting.estimation.plan import bench_plans
+    from fitting.model.observations import errors_of
+    from fitting.reports.plots import plot_plans
 
     if plot is not None:
         plots.check_path(plot)
@@ -607,8 +607,8 @@ def ensemble(
     from cycloid_fmu import plots
     from cycloid_fmu.pair import read_pair
     from cycloid_fmu.surface import check_surface, read_surface, write_surface
-    from fitting.ensemble import drawn_surfaces
-    from fitting.plots import plot_band
+    from fitting.estimation.ensemble import drawn_surfaces
+    from fitting.reports.plots import plot_band
 
     if plot is not None:
         plots.check_path(plot)

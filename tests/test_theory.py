@@ -15,7 +15,7 @@ from common import PAIR, make_pair
 from cycloid_fmu import contact
 from cycloid_fmu.surface import nominal_surface, with_structured
 from cycloid_fmu.transmission import drive_of, solve
-from fitting.figure import DEFINITIONS
+from fitting.figures.figure import DEFINITIONS
 
 ROOT = Path(__file__).parent.parent
 PAGES = {page.stem: page.read_text(encoding="utf-8") for page in sorted((ROOT / "docs" / "theory").glob("*.md"))}

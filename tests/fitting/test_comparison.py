@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from test_metrics import ARCMIN, ARCSEC, figures_from, loop
 
-from fitting.comparison import compare
+from fitting.figures.comparison import compare
 
 
 def noisy(seed, *, stiffness=49.0, play=0.6):

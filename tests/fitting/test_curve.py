@@ -8,18 +8,24 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from cycloid_fmu import edge
-from fitting.curve import Folding, noise_of, transmission_error_curve, transmission_error_curves, write_curves
-from fitting.metrics import figures_of
-from fitting.panels import panels_of
-from fitting.recording import BenchRecording, Block
-from fitting.survey import survey
+from fitting.figures.metrics import figures_of
+from fitting.figures.survey import survey
+from fitting.recordings.recording import Block, Recording
+from fitting.reports.panels import panels_of
+from fitting.transmission_error.curve import (
+    Folding,
+    noise_of,
+    transmission_error_curve,
+    transmission_error_curves,
+    write_curves,
+)
 
 
 def recorded(angle, error, ratio=-39.0, torque=50.0):
     n = angle.size
-    return BenchRecording(
-        np.arange(n) * 1e-3, angle, angle / ratio + error, np.full(n, torque), np.zeros(n, np.uint8), True, True, ratio,
-        "run.arrows", "0",
+    return Recording(
+        np.arange(n) * 1e-3, angle, angle / ratio + error, np.full(n, torque), np.zeros(n, np.uint8), ratio=ratio,
+        common_zero=True, known_index=True, source="run.arrows", checksum="0",
     )  # fmt: skip
 
 
@@ -104,8 +110,8 @@ def test_blocks_and_reversals_anywhere_give_the_same_curves(ways, forwards, cuts
     borders = np.unique(np.r_[0, (np.array(cuts) * angle.size).astype(int), angle.size])
     folding = Folding(-39.0, "run.arrows")
     for a, b in itertools.pairwise(borders):
-        folding.add(Block(*(v[a:b] for v in (made.time, made.input_angle, made.output_angle, made.torque)), None,
-                          made.status[a:b]))  # fmt: skip
+        folding.add(Block(*(v[a:b] for v in (made.time, made.input_angle, made.output_angle, made.torque,
+                                               made.status))))  # fmt: skip
     found = {c.direction: c for c in folding.curves(made)}
     assert found.keys() == whole.keys() == set(way.astype(int))
     for direction, curve in whole.items():

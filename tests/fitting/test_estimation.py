@@ -9,20 +9,20 @@ import pytest
 from common import EXAMPLES
 from scipy.optimize import least_squares
 
-import fitting.estimation
-import fitting.observation
+import fitting.estimation.fit
+import fitting.model.observations
 from cycloid_fmu import edge
 from cycloid_fmu.sampling import parse_tolerances
 from cycloid_fmu.surface import structured_value, surface_of_pair, with_structured
 from cycloid_fmu.transmission import solve
-from fitting.curve import Curve, transmission_error_curves
-from fitting.estimation import confirmed, fit, possible, profile_interval, turn_bootstrap
-from fitting.fit_report import write_fit_report
-from fitting.identifiability import chosen_errors, posterior_covariance
-from fitting.identify import identify
-from fitting.observation import State, errors_of, linearise, observations, spread_of, with_scatter
-from fitting.prior import scatter_of
-from fitting.recording import BenchRecording
+from fitting.estimation.fit import confirmed, fit, possible, profile_interval, turn_bootstrap
+from fitting.estimation.identify import identify
+from fitting.model.identifiability import chosen_errors, posterior_covariance
+from fitting.model.observations import State, errors_of, linearise, observations, spread_of, with_scatter
+from fitting.model.prior import scatter_of
+from fitting.recordings.recording import Recording
+from fitting.reports.fit_report import write_fit_report
+from fitting.transmission_error.curve import Curve, transmission_error_curves
 
 ARCSEC = np.pi / 648000
 ERRORS = ["centre_distance_x", "centre_distance_y", "eccentricity", "pin_radius", "pin_radial_2_cos",
@@ -69,13 +69,13 @@ def test_the_optimum_is_that_of_finite_differences_for_a_twentieth_of_the_evalua
                            np.zeros(spread_of(nominal, {}).size))  # fmt: skip
     assert len(errors) > 15
     solved = {"fit": 0, "differences": 0}
-    kernel = fitting.observation.error_sensitivity
+    kernel = fitting.model.observations.error_sensitivity
 
     def counted(pair, surface, torque, angles, names):
         solved["fit"] += angles.size
         return kernel(pair, surface, torque, angles, names)
 
-    monkeypatch.setattr(fitting.observation, "error_sensitivity", counted)
+    monkeypatch.setattr(fitting.model.observations, "error_sensitivity", counted)
     found = fit(nominal, observed, errors, at_nominal(nominal, observed), {}, gain=0.01, estimated=False)
     known = np.isfinite(observed.bench_prior)
     scale = np.concatenate([np.full(len(errors), 5e-6), np.where(known, observed.bench_prior, 1e-4),
@@ -106,14 +106,14 @@ def test_lmfit_confirms_the_optimum_and_its_covariance(simple, nominal, monkeypa
     found = fit(nominal, observed, ERRORS, at_nominal(nominal, observed), {"pin_radial": 1e-6}, gain=1e-3,
                 estimated=False)  # fmt: skip
     solved = 0
-    kernel = fitting.observation.error_sensitivity
+    kernel = fitting.model.observations.error_sensitivity
 
     def counted(pair, surface, torque, angles, names):
         nonlocal solved
         solved += angles.size
         return kernel(pair, surface, torque, angles, names)
 
-    monkeypatch.setattr(fitting.observation, "error_sensitivity", counted)
+    monkeypatch.setattr(fitting.model.observations, "error_sensitivity", counted)
     again, parameters, covariance = confirmed(nominal, found, gain=1e-6)
     assert solved <= 2 * observed.measured.size
     assert again.misfit <= found.misfit * (1.0 + 1e-12)
@@ -164,7 +164,8 @@ def test_bounds_are_where_the_pair_ceases_to_be_one(nominal):
 def test_a_fit_that_leaves_what_is_possible_ends_at_its_bound_and_says_so(simple, nominal, monkeypatch):
     _, observed = simple
     monkeypatch.setattr(
-        fitting.estimation, "possible", lambda pair, name: (-0.5e-6, 0.5e-6) if name == "pin_radius" else (-1e-3, 1e-3)
+        "fitting.estimation.fit.possible",
+        lambda pair, name: (-0.5e-6, 0.5e-6) if name == "pin_radius" else (-1e-3, 1e-3),
     )
     found = identify(observed.curves, nominal, held_out=False)
     one = found.lmfit_parameters["pin_radius"]
@@ -217,7 +218,7 @@ def test_turns_drawn_again_show_what_is_not_white(simple, nominal):
 def test_a_curve_keeps_its_turns_where_asked_to(nominal):
     angle = np.arange(5 * 39 * 20) * 2.0 * np.pi / 20
     number = np.floor(angle / (2.0 * np.pi * 39) + 1e-9)
-    recording = BenchRecording(
+    recording = Recording(
         time=np.arange(angle.size) * 1e-3, input_angle=angle, output_angle=angle / -39.0 + 1e-5 * number,
         torque=20.0 + 5.0 * np.cos(angle), status=np.zeros(angle.size, np.uint8), source="run", checksum="0",
         common_zero=True, known_index=True, ratio=-39.0,

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from common import BENCH, EXAMPLES
 
-import fitting.identify
+import fitting.estimation.identify
 from cycloid_fmu.pair import read_pair
 from cycloid_fmu.surface import read_surface, structured_value, surface_of_pair, write_surface
 from cycloid_fmu.transmission import error_sensitivity, solve
-from fitting.ensemble import drawn_surfaces
-from fitting.identify import identify, kept_back
-from fitting.plan import bench_plans, planned_curve
+from fitting.estimation.ensemble import drawn_surfaces
+from fitting.estimation.identify import identify, kept_back
+from fitting.estimation.plan import bench_plans, planned_curve
 
 ARCSEC = np.pi / 648000
 
@@ -127,7 +127,7 @@ def test_curves_of_another_gear_are_not_explained(measured):
 
 def test_starts_that_end_apart_are_said(measured, nominal, monkeypatch):
     """Where no two starts agree all five are tried, the best is taken, and the fit says what that may mean."""
-    monkeypatch.setattr(fitting.identify, "_AGREE", -np.inf)
+    monkeypatch.setattr(fitting.estimation.identify, "_AGREE", -np.inf)
     said = []
     found = identify(measured(8, each=12), nominal, said.append, held_out=False)
     assert "finding a start (5)" in said

@@ -11,13 +11,13 @@ from cycloid_fmu import edge
 from cycloid_fmu.pair import read_pair
 from cycloid_fmu.surface import read_surface, structured_value, surface_of_pair, with_structured, write_surface
 from cycloid_fmu.transmission import solve
-from fitting.curve import Curve, transmission_error_curve
-from fitting.identifiability import choose, posterior_covariance
-from fitting.identification import as_json, read_lmfit_parameters, write_identification
-from fitting.identify import identify
-from fitting.observation import State, errors_of, linearise, observations, spread_of
-from fitting.prior import tolerances_of
-from fitting.recording import read_bench_recording
+from fitting.estimation.identify import identify
+from fitting.estimation.result import as_json, read_lmfit_parameters, write_identification
+from fitting.model.identifiability import choose, posterior_covariance
+from fitting.model.observations import State, errors_of, linearise, observations, spread_of
+from fitting.model.prior import tolerances_of
+from fitting.recordings.recording import open_recording
+from fitting.transmission_error.curve import Curve, transmission_error_curve
 
 ARCSEC = np.pi / 648000
 
@@ -147,7 +147,7 @@ def test_scatter_of_single_pins_does_not_bend_the_structured_errors():
     """A drive with 0.3 µm of scatter a pin that no structured error holds, and a load kept back."""
     truth = json.loads((BENCH / "truth.json").read_text())
     pair = read_pair(BENCH / "pair.toml")
-    curves = [transmission_error_curve(read_bench_recording(f), pair.ratio) for f in sorted(BENCH.glob("*.csv"))]
+    curves = [transmission_error_curve(open_recording(f).read(), pair.ratio) for f in sorted(BENCH.glob("*.csv"))]
     found = identify(curves, pair)
     parameters = {p.name: p for p in found.parameters}
     inside = [

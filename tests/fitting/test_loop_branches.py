@@ -10,12 +10,12 @@ from cycloid_fmu import edge
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.surface import structured_value, surface_of_pair, with_structured
 from cycloid_fmu.transmission import solve
-from fitting.identify import identify
-from fitting.loop_branches import branches_of, is_locked, on_the_curves_zero, play_of
-from fitting.observation import State, left_of, linearise, observations, spread_of
-from fitting.plan import bench_plans
-from fitting.recording import BenchRecording
-from fitting.survey import survey
+from fitting.estimation.identify import identify
+from fitting.estimation.plan import bench_plans
+from fitting.figures.survey import survey
+from fitting.model.loops import branches_of, is_locked, on_the_curves_zero, play_of
+from fitting.model.observations import State, left_of, linearise, observations, spread_of
+from fitting.recordings.recording import Recording
 
 ARCSEC = np.pi / 648000
 RATED, CRANK = 181.0, 7.3
@@ -33,9 +33,10 @@ def wound_up(pair, *, friction, crank=CRANK, sides=(1, -1), samples=800, noise=0
         drive.advance()
         output.append(crank / pair.ratio + drive.transmission_error)
     output += 3e-4 + np.random.default_rng(0).normal(0.0, noise, torque.size)
-    return BenchRecording(
+    return Recording(
         np.arange(torque.size) * 0.01, np.full(torque.size, crank), np.array(output), torque,
-        np.zeros(torque.size, np.uint8), common_zero, True, pair.ratio, "loop.csv", "0",
+        np.zeros(torque.size, np.uint8), common_zero=common_zero, known_index=True,
+        ratio=pair.ratio, source="loop.csv", checksum="0",
     )  # fmt: skip
 
 

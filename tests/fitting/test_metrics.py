@@ -7,15 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fitting.curve import transmission_error_curve
-from fitting.figure import Figure, in_field_units
-from fitting.hysteresis import find_lobes, fit_line, loop_marks
-from fitting.metrics import figures_of
-from fitting.panels import panels_of
-from fitting.recording import BenchRecording, open_bench_recording
-from fitting.spectrum import Spectrum, angular_transmission_error, spectrum
-from fitting.starts import back_driving_torques, starting_torques, starts_of
-from fitting.survey import survey
+from fitting.figures.figure import Figure, in_field_units
+from fitting.figures.hysteresis import find_lobes, fit_line, loop_marks
+from fitting.figures.metrics import figures_of
+from fitting.figures.spectrum import Spectrum, angular_transmission_error, spectrum
+from fitting.figures.starts import back_driving_torques, starting_torques, starts_of
+from fitting.figures.survey import survey
+from fitting.recordings.recording import Recording, open_recording
+from fitting.reports.panels import panels_of
+from fitting.transmission_error.curve import transmission_error_curve
 
 SEEDS = int(os.environ.get("CYCLOID_SEEDS", "100"))
 ARCMIN = np.pi / 10800
@@ -24,8 +24,8 @@ ARCSEC = ARCMIN / 60
 
 def recording(time, input_angle, output_angle, torque, ratio=-39.0):
     n = time.size
-    return BenchRecording(time, input_angle * np.ones(n), output_angle, torque * np.ones(n), np.zeros(n, np.uint8),
-                          True, True, ratio, "run.csv", "0")  # fmt: skip
+    return Recording(time, input_angle * np.ones(n), output_angle, torque * np.ones(n), np.zeros(n, np.uint8),
+                     common_zero=True, known_index=True, ratio=ratio, source="run.csv", checksum="0")  # fmt: skip
 
 
 def loop(rated, stiffness, play, friction, *, loops=1, each=500, first=1, reach=1.0):
@@ -471,7 +471,7 @@ def test_a_locked_input_without_a_loop_is_said_and_no_other():
 
 def test_an_overview_keeps_as_many_samples_as_it_may(monkeypatch):
     """Between half of the most and the most, whatever the length and however the blocks come."""
-    monkeypatch.setattr("fitting.survey._OVERVIEW", 500)
+    monkeypatch.setattr("fitting.figures.survey._OVERVIEW", 500)
     for samples in (900, 1100, 3900, 4100, 30000):
         made = recording(np.arange(samples) * 1e-3, np.arange(samples) * 1.0, np.arange(samples) / -39, 100.0)
         overview = survey(made, -39.0, None).overview
@@ -580,8 +580,8 @@ def test_the_input_s_torque_is_read_from_a_table_and_survives_an_overview(comman
     assert run.returncode == 0, run.stderr
     assert json.loads(run.stdout)["starting_torque"]["value"] == pytest.approx(0.04)
     assert json.loads(run.stdout)["starting_torque"]["starts"] == 3
-    monkeypatch.setattr("fitting.survey._OVERVIEW", 1000)  # as if it were too long to be kept whole
-    surveyed = survey(open_bench_recording(tmp_path / "start.csv"), -39.0, None)
+    monkeypatch.setattr("fitting.figures.survey._OVERVIEW", 1000)  # as if it were too long to be kept whole
+    surveyed = survey(open_recording(tmp_path / "start.csv"), -39.0, None)
     assert surveyed.averaged == 2
     found = figures_of([surveyed], -39.0, None)
     assert found.figures["starting_torque"].value == pytest.approx(0.04, rel=0.02)

@@ -14,9 +14,9 @@ from cycloid_fmu.surface import (
     write_surface,
 )  # fmt: skip
 from cycloid_fmu.transmission import error_sensitivity, solve
-from fitting.curve import Curve
-from fitting.identify import identify
-from fitting.prior import profile_of
+from fitting.estimation.identify import identify
+from fitting.model.prior import profile_of
+from fitting.transmission_error.curve import Curve
 
 ARCSEC = np.pi / 648000
 FORM = {"profile_deviation_1": -0.4e-6, "profile_deviation_2": 0.5e-6, "profile_deviation_3": 0.6e-6,

@@ -8,10 +8,10 @@ import pytest
 from test_metrics import ARCMIN, ARCSEC, KNOWN, loop, recording, run_with
 
 from cycloid_fmu.pair import read_pair
-from fitting.metrics import figures_of
-from fitting.panels import order_name, panels_of
-from fitting.report import write_report
-from fitting.survey import survey
+from fitting.figures.metrics import figures_of
+from fitting.figures.survey import survey
+from fitting.reports.panels import order_name, panels_of
+from fitting.reports.report import write_report
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 
