@@ -22,7 +22,7 @@ from fitting.estimation.identify import identify
 from fitting.estimation.result import write_identification
 from fitting.recordings.recording import open_recording
 from fitting.reports.plots import plot_comparison
-from fitting.transmission_error.curve import transmission_error_curve
+from fitting.transmission_error.folding import transmission_error_curves
 
 HERE, OUT = Path(__file__).parent, Path("bench_to_fmu_out")
 ARCSEC = np.pi / 648000
@@ -54,7 +54,7 @@ def main() -> None:
 
     print("3. Transmission error curves, and the errors behind them")
     nominal = read_pair(HERE / "drive-39-40.toml")
-    curves = [transmission_error_curve(open_recording(path).read(), nominal.ratio) for path in recordings]
+    curves = [transmission_error_curves(open_recording(path).read(), nominal.ratio)[0] for path in recordings]
     found = identify(curves, nominal, lambda step: print(f"   {step}"))
     write_identification(found, OUT / "identification.json")
     write_surface(found.surface, OUT / "identified.nc")

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from cycloid_fmu import edge
+from cycloid_fmu.pair import Pair
+from fitting.arguments import si_value, wrong
 from fitting.figures.figure import Figure, figure_json, pooled
 from fitting.figures.hysteresis import loop_figures
 from fitting.figures.spectrum import Spectrum, angular_transmission_error, spectrum
 from fitting.figures.starts import Start, back_driving_torques, start_figure, starting_torques
-from fitting.figures.survey import Surveyed
+from fitting.figures.survey import Surveyed, survey
+from fitting.recordings.sources import Source, open_source
 from fitting.transmission_error.curve import Curve
 
 FORMAT = "cycloid-figures/1"
@@ -35,6 +38,12 @@ class Figures:
         T_N (N·m) and signed ratio, where known.
     notes
         What was left out and why, one sentence each.
+    pair
+        The nominal gear pair, where it is known.
+    problems
+        Of the notes, those on recordings that could not be read at all, and on an interrupt.
+    interrupted
+        Whether an interrupt left recordings out.
     """
 
     figures: dict[str, Figure]
@@ -43,6 +52,9 @@ class Figures:
     rated_torque: float | None
     ratio: float | None
     notes: tuple[str, ...]
+    pair: Pair | None = None
+    problems: tuple[str, ...] = ()
+    interrupted: bool = False
 
     @property
     def curves(self) -> list[Curve]:
@@ -122,6 +134,79 @@ def figures_of(surveyed: Sequence[Surveyed], ratio: float | None, rated_torque: 
         if starts:
             figures[name] = start_figure(name, [s.torque for s in starts])
     return Figures(figures, tuple(surveyed), tuple(spectra), rated_torque, ratio, tuple(dict.fromkeys(notes)))
+
+
+def metrics(
+    recordings: Source | Iterable[Source],
+    drive: Pair | None = None,
+    *,
+    ratio: float | None = None,
+    rated_torque: float | str | None = None,
+    progress: Callable[[str], None] = lambda step: None,
+) -> Figures:
+    """Return the standard figures of a drive: transmission error, lost motion, backlash, stiffness, starting torques.
+
+    A recording that can't be read, or an interrupt, leaves the figures of the others, with a note.
+
+    Parameters
+    ----------
+    recordings
+        What `fitting.read_recordings` gave, `fitting.Run`, or one of them: runs at a load, hysteresis loops, starts.
+    drive
+        The nominal drive, which gives ratio and rated torque.
+    ratio
+        In place of a drive: its signed ratio input over output. Without either the recordings' own.
+    rated_torque
+        T_N, N·m or text with a unit; by default the drive's, without one the largest torque of each recording.
+    progress
+        Called with what is being read.
+
+    Raises
+    ------
+    edge.InputError
+        If an argument is wrong or no recording can be read.
+
+    Examples
+    --------
+    >>> import numpy as np, fitting
+    >>> torque = 100.0 * np.sin(np.linspace(0.0, 4.0 * np.pi, 4000))
+    >>> loop = fitting.Run(input_angle=0.0, output_angle=torque / 1e6, torque=torque)
+    >>> figures = fitting.metrics(loop, ratio=-39.0, rated_torque="100 N*m").figures
+    >>> round(figures["torsional_stiffness"].value)
+    1000000
+    """
+    if drive is not None and ratio is not None:
+        raise wrong("ratio", "the drive states its ratio; give one of the two", ratio)
+    if ratio is not None and not (math.isfinite(ratio) and ratio):
+        raise wrong("ratio", "give the signed ratio input/output, such as -39", ratio)
+    rated = None if rated_torque is None else si_value(rated_torque, "N*m", "rated_torque", above=0.0)
+    if drive is not None:
+        ratio, rated = drive.ratio, drive.pair.rated_torque if rated is None else rated
+    given = [recordings] if isinstance(recordings, Source) else list(recordings)
+    surveyed: list[Surveyed] = []
+    problems: list[str] = []
+    interrupted = False
+    for number, source in enumerate(given, start=1):
+
+        def report(samples: int, number: int = number) -> None:
+            progress(f"recording {number} of {len(given)}: {samples / 1e6:.1f} million samples")
+
+        try:
+            surveyed.append(survey(open_source(source), ratio, rated, report))
+        except edge.InputError as problem:
+            problems.append(str(problem))
+        except KeyboardInterrupt:
+            if not surveyed:
+                raise
+            problems.append(f"Interrupted: {len(surveyed)} of {len(given)} recordings were taken.")
+            interrupted = True
+            break
+    if not surveyed:
+        raise edge.InputError("\n".join(problems) or "recordings: there is none.")
+    found = figures_of(surveyed, ratio, rated)
+    return dataclasses.replace(
+        found, notes=(*problems, *found.notes), pair=drive, problems=tuple(problems), interrupted=interrupted
+    )
 
 
 def figures_json(found: Figures) -> dict[str, Any]:

@@ -15,7 +15,8 @@ from fitting.figures.hysteresis import LoopData, loops_of
 from fitting.recordings.cleaning import Block
 from fitting.recordings.mapping import OPTIONAL
 from fitting.recordings.recording import Recording, RecordingStream
-from fitting.transmission_error.curve import Curve, Folding
+from fitting.transmission_error.curve import Curve
+from fitting.transmission_error.folding import Folding
 
 Array = NDArray[np.float64]
 

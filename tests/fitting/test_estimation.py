@@ -22,7 +22,8 @@ from fitting.model.observations import State, errors_of, linearise, observations
 from fitting.model.prior import scatter_of
 from fitting.recordings.recording import Recording
 from fitting.reports.fit_report import write_fit_report
-from fitting.transmission_error.curve import Curve, transmission_error_curves
+from fitting.transmission_error.curve import Curve
+from fitting.transmission_error.folding import transmission_error_curves
 
 ARCSEC = np.pi / 648000
 ERRORS = ["centre_distance_x", "centre_distance_y", "eccentricity", "pin_radius", "pin_radial_2_cos",

@@ -17,7 +17,8 @@ from fitting.model.identifiability import choose, posterior_covariance
 from fitting.model.observations import State, errors_of, linearise, observations, spread_of
 from fitting.model.prior import tolerances_of
 from fitting.recordings.recording import open_recording
-from fitting.transmission_error.curve import Curve, transmission_error_curve
+from fitting.transmission_error.curve import Curve
+from fitting.transmission_error.folding import transmission_error_curves
 
 ARCSEC = np.pi / 648000
 
@@ -147,7 +148,7 @@ def test_scatter_of_single_pins_does_not_bend_the_structured_errors():
     """A drive with 0.3 µm of scatter a pin that no structured error holds, and a load kept back."""
     truth = json.loads((BENCH / "truth.json").read_text())
     pair = read_pair(BENCH / "pair.toml")
-    curves = [transmission_error_curve(open_recording(f).read(), pair.ratio) for f in sorted(BENCH.glob("*.csv"))]
+    curves = [transmission_error_curves(open_recording(f).read(), pair.ratio)[0] for f in sorted(BENCH.glob("*.csv"))]
     found = identify(curves, pair)
     parameters = {p.name: p for p in found.parameters}
     inside = [

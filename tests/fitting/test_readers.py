@@ -21,7 +21,7 @@ from fitting.recordings.mapping import read_mapping
 from fitting.recordings.proposal import Look, look, propose
 from fitting.recordings.recording import open_recording
 from fitting.recordings.tables import find_dialect
-from fitting.transmission_error.curve import transmission_error_curve
+from fitting.transmission_error.folding import transmission_error_curves
 
 SAMPLES = 4000
 TIME = np.arange(SAMPLES) * 1e-3
@@ -297,7 +297,8 @@ def test_the_last_line_of_a_cut_table_is_left_out(tmp_path):
 
 def test_a_missing_package_names_its_extra(tmp_path):
     (tmp_path / "a.tdms").write_bytes(b"x")
-    hide = "import sys; sys.modules['nptdms'] = None; import fitting.recordings.formats as f; f.open_bench_file('a.tdms')"
+    hide = "import sys; sys.modules['nptdms'] = None; from fitting.recordings import formats as f; "
+    hide += "f.open_bench_file('a.tdms')"
     run = subprocess.run([sys.executable, "-c", hide], cwd=tmp_path, capture_output=True, text=True)
     assert "pip install 'cycloid-fmu[bench-files]'" in run.stderr
 
@@ -358,7 +359,7 @@ def test_a_drift_in_the_mapping_takes_two_clocks_apart_together(tmp_path):
         late = time[0] + (time - time[0]) * (1 + 100e-6)
         mdf.append([asammdf.Signal(-crank / 39 + 1e-4 * np.cos(crank), late, unit="rad", name="output_angle")])
         mdf.save(tmp_path / "a.mf4")
-    runs_away = transmission_error_curve(open_recording(tmp_path / "a.mf4").read(), -39.0)
+    runs_away = transmission_error_curves(open_recording(tmp_path / "a.mf4").read(), -39.0)[0]
     (note,) = (n for n in runs_away.notes if "runs away" in n)
     assert "clock runs +100 ppm fast" in note
     assert f"by {100e-6 * 2 * np.pi * 206264.8:.3g}″ a turn" in note
@@ -366,7 +367,7 @@ def test_a_drift_in_the_mapping_takes_two_clocks_apart_together(tmp_path):
     found = open_recording(tmp_path / "a.mf4", mapping(tmp_path, f"{columns}drift = 100e-6\n")).read()
     # What is left is the error of interpolating a wave over steps of 0.6 rad.
     assert found.output_angle + found.input_angle / 39 == pytest.approx(1e-4 * np.cos(found.input_angle), abs=6e-6)
-    assert not any("runs away" in n for n in transmission_error_curve(found, -39.0).notes)
+    assert not any("runs away" in n for n in transmission_error_curves(found, -39.0)[0].notes)
     with pytest.raises(edge.InputError, match=r"\[output_angle\] drift = 0.5: it should be less than 0.01"):
         mapping(tmp_path, f"{columns}drift = 0.5\n")
 
@@ -380,7 +381,7 @@ def test_a_rollover_within_a_gap_is_counted_by_the_output_angle(tmp_path, gap):
     error = 1e-4 * np.cos(angle)
     shown = (angle % (2 * np.pi))[~missing], ((-angle / 39 + error) % (2 * np.pi))[~missing]
     path = write_table(tmp_path / "a.csv", time[~missing], *shown)
-    curve = transmission_error_curve(open_recording(path).read(), -39.0)
+    curve = transmission_error_curves(open_recording(path).read(), -39.0)[0]
     expected = 1e-4 * np.cos(curve.input_angle)
     offset = np.mean(curve.transmission_error - expected)
     assert curve.transmission_error - offset == pytest.approx(expected, abs=2e-6)
@@ -399,7 +400,7 @@ def test_a_rollover_within_a_gap_is_counted_by_the_output_angle(tmp_path, gap):
 )
 def test_what_is_wrong_with_the_angles_is_said(tmp_path, columns, said):
     with pytest.raises(edge.InputError, match=said):
-        transmission_error_curve(open_recording(write_table(tmp_path / "a.csv", TIME, *columns)).read(), -39.0)
+        transmission_error_curves(open_recording(write_table(tmp_path / "a.csv", TIME, *columns)).read(), -39.0)[0]
 
 
 def test_blocks_join_to_the_same_recording(tmp_path):

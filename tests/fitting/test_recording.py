@@ -18,7 +18,7 @@ from drivers.recording_format import (
 from fitting.figures.metrics import figures_of
 from fitting.figures.survey import survey
 from fitting.recordings.recording import open_recording
-from fitting.transmission_error.curve import transmission_error_curve
+from fitting.transmission_error.folding import transmission_error_curves
 
 ARCSEC = np.pi / 648000
 HEADER = "time [s],input_angle [rad],output_angle [rad],torque [N*m]"
@@ -257,7 +257,7 @@ def test_angles_that_one_clock_stamped_stay_pairs(tmp_path):
     assert found.time.size > 9000
     assert not any("interpolated" in note for note in found.notes)
     assert found.output_angle == pytest.approx(-found.input_angle / 39 + error(found.input_angle), abs=1e-12)
-    assert transmission_error_curve(found, -39.0).turns == pytest.approx(20 * SPEED / (2 * np.pi * 39), rel=1e-3)
+    assert transmission_error_curves(found, -39.0)[0].turns == pytest.approx(20 * SPEED / (2 * np.pi * 39), rel=1e-3)
 
 
 def test_timers_of_their_own_on_one_interface_are_put_on_the_host_s_clock_once(tmp_path):
