@@ -17,7 +17,7 @@ from common import EXAMPLES
 BARE = ("numba", "scipy", "matplotlib")
 COMMANDS = ("cycloid-fmu", "cycloid-fit", "cycloid-bench")
 IMPORTED = (
-    "cycloid_fmu", "fitting", "drivers", "cycloid_fmu.pair", "cycloid_fmu.transmission", "fitting.recordings.recording",
+    "cycloid_fmu", "fitting", "drivers", "cycloid_fmu.geometry.pair", "cycloid_fmu.transmission", "fitting.recordings.recording",
     "fitting.estimation.identify", "drivers.recorder",
 )  # fmt: skip
 

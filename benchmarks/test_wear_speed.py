@@ -12,12 +12,12 @@ import brute_force
 import numpy as np
 import pytest
 
-from cycloid_fmu.pair import read_pair
-from cycloid_fmu.profile import flank_points
-from cycloid_fmu.sliding import ideal_velocities
-from cycloid_fmu.surface import nominal_surface
-from cycloid_fmu.wear import regression_coefficient, wear_model, wear_rate, wear_states
-from cycloid_fmu.wear_law import Load, read_wear_law
+from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.geometry.profile import flank_points
+from cycloid_fmu.surfaces.surface import nominal_surface
+from cycloid_fmu.wear.law import Load, read_wear_law
+from cycloid_fmu.wear.progress import regression_coefficient, wear_model, wear_rate, wear_states
+from cycloid_fmu.wear.sliding import ideal_velocities
 
 from common import EXAMPLES  # isort: skip
 

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from cycloid_fmu.fmu.description import Version
     from cycloid_fmu.fmu.reducer_model import FirstStage
     from cycloid_fmu.fmu.variables import Interface
-    from cycloid_fmu.pair import Pair
-    from cycloid_fmu.surface import ErrorSurface
+    from cycloid_fmu.geometry.pair import Pair
+    from cycloid_fmu.surfaces.surface import ErrorSurface
 
 app = typer.Typer(
     no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich",
@@ -40,8 +40,8 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print the result for scrip
 
 
 def _load(pair_file: Path, surface_file: Path | None) -> tuple[Pair, ErrorSurface]:
-    from cycloid_fmu.pair import read_pair
-    from cycloid_fmu.surface import check_surface, read_surface, surface_of_pair
+    from cycloid_fmu.geometry.pair import read_pair
+    from cycloid_fmu.surfaces.surface import check_surface, read_surface, surface_of_pair
 
     pair = read_pair(pair_file)
     if surface_file is None:
@@ -98,7 +98,7 @@ def analyze(
     import numpy as np
     from rich.progress import Progress
 
-    from cycloid_fmu import plots
+    from cycloid_fmu.draw import plots
     from cycloid_fmu.transmission import analyze as analyze_pair
     from cycloid_fmu.transmission import slices_needed, statistics
 
@@ -169,8 +169,8 @@ def nominal(
 
     Example: [cyan]cycloid-fmu surface nominal pair.toml -o surface.nc[/]
     """
-    from cycloid_fmu import plots
-    from cycloid_fmu.surface import write_surface
+    from cycloid_fmu.draw import plots
+    from cycloid_fmu.surfaces.surface import write_surface
 
     if plot is not None:
         plots.check_path(plot)
@@ -197,10 +197,10 @@ def sampled(
 
     Example: [cyan]cycloid-fmu surface sampled pair.toml --tolerances tolerances.toml --seed 1 -o surface.nc[/]
     """
-    from cycloid_fmu import plots
-    from cycloid_fmu.pair import read_pair
-    from cycloid_fmu.sampling import read_tolerances, sample_surface
-    from cycloid_fmu.surface import Elements, write_surface
+    from cycloid_fmu.draw import plots
+    from cycloid_fmu.geometry.pair import read_pair
+    from cycloid_fmu.surfaces.sampling import read_tolerances, sample_surface
+    from cycloid_fmu.surfaces.surface import Elements, write_surface
 
     if plot is not None:
         plots.check_path(plot)
@@ -234,10 +234,10 @@ def measured(
     """
     import numpy as np
 
-    from cycloid_fmu import plots
-    from cycloid_fmu.measuring import measured_surface, read_points
-    from cycloid_fmu.pair import read_pair
-    from cycloid_fmu.surface import Elements, write_surface
+    from cycloid_fmu.draw import plots
+    from cycloid_fmu.geometry.pair import read_pair
+    from cycloid_fmu.surfaces.measuring import measured_surface, read_points
+    from cycloid_fmu.surfaces.surface import Elements, write_surface
 
     if plot is not None:
         plots.check_path(plot)
@@ -314,7 +314,7 @@ def build(
     from cycloid_fmu import reducer as rv
     from cycloid_fmu.fmu import build as builder
     from cycloid_fmu.fmu.variables import INTERFACES, LOSSLESS, Interface
-    from cycloid_fmu.surface import check_surface, read_surface
+    from cycloid_fmu.surfaces.surface import check_surface, read_surface
 
     edge.output_path(output, "--output", (".fmu",))
     if interface not in INTERFACES:
@@ -462,7 +462,7 @@ def simulate(
     """
     import numpy as np
 
-    from cycloid_fmu import plots
+    from cycloid_fmu.draw import plots
     from cycloid_fmu.fmu import run
 
     if (torque is None) == (motion is None):
@@ -508,7 +508,7 @@ def compare(
     """
     import numpy as np
 
-    from cycloid_fmu import plots
+    from cycloid_fmu.draw import plots
     from cycloid_fmu.fmu import run
 
     if plot is not None:
@@ -566,10 +566,11 @@ def wear(
 
     from rich.progress import Progress
 
-    from cycloid_fmu import plots, wear_run
-    from cycloid_fmu.surface import write_surface
-    from cycloid_fmu.wear import tooth_thickness, wear_model, wear_rate
-    from cycloid_fmu.wear_law import duty_cycle, read_wear_law
+    from cycloid_fmu.draw import plots
+    from cycloid_fmu.surfaces.surface import write_surface
+    from cycloid_fmu.wear import life as wear_run
+    from cycloid_fmu.wear.law import duty_cycle, read_wear_law
+    from cycloid_fmu.wear.progress import tooth_thickness, wear_model, wear_rate
 
     if plot is not None:
         plots.check_path(plot)
@@ -654,8 +655,8 @@ def budget(
     """
     from rich.progress import Progress
 
-    from cycloid_fmu import plots
     from cycloid_fmu import reducer as rv
+    from cycloid_fmu.draw import plots
 
     if plot is not None:
         plots.check_path(plot)
@@ -768,10 +769,10 @@ def tolerance(
     import numpy as np
     from rich.progress import Progress
 
-    from cycloid_fmu import plots
-    from cycloid_fmu import tolerance as study_of
-    from cycloid_fmu.pair import read_pair
-    from cycloid_fmu.sampling import read_tolerances
+    from cycloid_fmu.draw import plots
+    from cycloid_fmu.geometry.pair import read_pair
+    from cycloid_fmu.studies import tolerance as study_of
+    from cycloid_fmu.surfaces.sampling import read_tolerances
 
     if plot is not None:
         plots.check_path(plot)
@@ -817,7 +818,7 @@ def tolerance(
             kept.path.unlink()
     allocation = None
     if allocate is not None:
-        from cycloid_fmu import allocation as allocation_of
+        from cycloid_fmu.studies import allocation as allocation_of
 
         with Progress(console=Console(stderr=True), transient=True) as bar:
             task = bar.add_task("allocation", total=allocation_of.steps())

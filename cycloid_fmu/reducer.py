@@ -20,9 +20,9 @@ from numpy.typing import ArrayLike, NDArray
 from cycloid_fmu import contact, edge
 from cycloid_fmu.edge import ARCMIN, Angle, Config
 from cycloid_fmu.fmu.reducer_model import FirstStage
-from cycloid_fmu.pair import LARGEST_DEVIATION, Pair, PositiveLength
-from cycloid_fmu.sampling import Distribution, error_stream, within_tolerance
-from cycloid_fmu.surface import ErrorSurface, nominal_surface
+from cycloid_fmu.geometry.pair import LARGEST_DEVIATION, Pair, PositiveLength
+from cycloid_fmu.surfaces.sampling import Distribution, error_stream, within_tolerance
+from cycloid_fmu.surfaces.surface import ErrorSurface, nominal_surface
 from cycloid_fmu.transmission import drive_of
 
 Array = NDArray[np.float64]

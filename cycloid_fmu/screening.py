@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact import ARM, ARM_RATE, CURVATURE, GAP, SCALAR_ERRORS, compiled
-from cycloid_fmu.pair import Pair
-from cycloid_fmu.surface import ErrorSurface, nominal_surface
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.surface import ErrorSurface, nominal_surface
 from cycloid_fmu.transmission import drive_of
 
 Array = NDArray[np.float64]

@@ -21,8 +21,8 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import contact
-from cycloid_fmu.pair import Pair
-from cycloid_fmu.surface import ErrorSurface
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.surface import ErrorSurface
 from cycloid_fmu.transmission import carried, check_balance, drive_of
 
 Array = NDArray[np.float64]

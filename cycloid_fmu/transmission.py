@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import contact, edge
-from cycloid_fmu.pair import Modification, Pair
-from cycloid_fmu.profile import equal_arc_parameters, flank_normals, flank_points
-from cycloid_fmu.surface import PROFILE_POINTS, ErrorSurface, profile_wave, structured_columns
+from cycloid_fmu.geometry.pair import Modification, Pair
+from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_normals, flank_points
+from cycloid_fmu.surfaces.surface import PROFILE_POINTS, ErrorSurface, profile_wave, structured_columns
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from cycloid_fmu.fmu.variables import UNITS, Interface, Variable, from_tables, variables
-from cycloid_fmu.pair import read_pair
-from cycloid_fmu.surface import Life, nominal_surface
+from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.surfaces.surface import Life, nominal_surface
 
 EXAMPLE = "drive-39-40.toml"
 INTERFACES = {

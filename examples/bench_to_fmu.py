@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
+from cycloid_fmu.draw.plots import save
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.run import follow
-from cycloid_fmu.pair import read_pair
-from cycloid_fmu.plots import save
-from cycloid_fmu.surface import read_surface, structured_value, surface_of_pair, write_surface
+from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.surfaces.surface import read_surface, structured_value, surface_of_pair, write_surface
 from drivers.bench import BenchRun, CanBench, fmu_output_angle, simulate_motion
 from drivers.recorder import record_bench
 from fitting.cli import print_identification

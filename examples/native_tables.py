@@ -17,11 +17,11 @@ import numpy as np
 from matplotlib.ticker import FixedLocator
 
 from cycloid_fmu.cli import print_table
+from cycloid_fmu.draw.plots import new_figure, save
 from cycloid_fmu.fmu import tables
 from cycloid_fmu.fmu.variables import Interface, variables
-from cycloid_fmu.pair import read_pair
-from cycloid_fmu.plots import new_figure, save
-from cycloid_fmu.surface import nominal_surface
+from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.surfaces.surface import nominal_surface
 
 ARCSEC = math.pi / 648000
 ASKED = (1.0, 0.3, 0.1, 0.05, 0.02)

@@ -14,7 +14,7 @@ import typer
 from cycloid_fmu import edge
 
 if TYPE_CHECKING:
-    from cycloid_fmu.pair import Pair
+    from cycloid_fmu.geometry.pair import Pair
     from fitting.estimation.result import Identification
     from fitting.figures.figure import Figure
     from fitting.figures.metrics import Figures
@@ -79,7 +79,7 @@ def _figures(
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    from cycloid_fmu.pair import read_pair
+    from cycloid_fmu.geometry.pair import read_pair
     from fitting.figures.metrics import figures_of
     from fitting.figures.survey import survey
     from fitting.recordings.mapping import read_mapping
@@ -132,7 +132,7 @@ def _curves(
     from fitting.recordings.mapping import read_mapping
     from fitting.recordings.read_head import read_read_head, without_coaxiality_error
     from fitting.recordings.recording import open_recording
-    from fitting.transmission_error.curve import transmission_error_curves
+    from fitting.transmission_error.folding import transmission_error_curves
 
     mapped = None if mapping is None else read_mapping(mapping)
     curves_of = functools.partial(transmission_error_curves, ratio=ratio, keep_turns=keep_turns)
@@ -180,9 +180,8 @@ def curve(
     """
     import numpy as np
 
-    from cycloid_fmu import plots
     from cycloid_fmu.cli import print_table
-    from cycloid_fmu.pair import read_pair
+    from cycloid_fmu.geometry.pair import read_pair
     from fitting.reports.panels import label_of
     from fitting.reports.plots import plot_curves
     from fitting.transmission_error.curve import curves_dataset, noise_of, write_curves
@@ -230,7 +229,6 @@ def inspect(
     Example: [cyan]cycloid-fit inspect run.tdms -o map.toml --plot channels.png[/], then check map.toml and give it as
     [cyan]--mapping map.toml[/]
     """
-    from cycloid_fmu import plots
     from cycloid_fmu.cli import print_table
     from fitting.recordings.formats import open_bench_file
     from fitting.recordings.proposal import LOOKED_AT, look, propose
@@ -294,7 +292,7 @@ def metrics(
 
     Example: [cyan]cycloid-fit metrics loop.csv *.arrows --ratio -39 --rated-torque "167 N*m"[/]
     """
-    from cycloid_fmu import plots
+    from cycloid_fmu.draw import plots
     from fitting.figures.metrics import figures_json
     from fitting.reports.panels import panels_of
     from fitting.reports.plots import plot_panels
@@ -348,7 +346,6 @@ def compare(
     Example: [cyan]cycloid-fit metrics new/*.csv --ratio -39 -o new.json[/], the same for worn.json, then
     [cyan]cycloid-fit compare new.json worn.json --plot moved.png[/]
     """
-    from cycloid_fmu import plots
     from cycloid_fmu.cli import print_table
     from fitting.figures.comparison import changes_json, read_figures
     from fitting.figures.comparison import compare as compare_figures
@@ -429,10 +426,10 @@ def identify(
     """
     from rich.console import Console
 
-    from cycloid_fmu import plots
-    from cycloid_fmu.pair import read_pair
-    from cycloid_fmu.sampling import read_tolerances
-    from cycloid_fmu.surface import write_surface
+    from cycloid_fmu.draw import plots
+    from cycloid_fmu.geometry.pair import read_pair
+    from cycloid_fmu.surfaces.sampling import read_tolerances
+    from cycloid_fmu.surfaces.surface import write_surface
     from fitting.estimation.identify import identify as fit
     from fitting.estimation.result import as_json as content
     from fitting.estimation.result import write_identification
@@ -543,10 +540,9 @@ def plan(
 
     Example: [cyan]cycloid-fit plan pair.toml --torque "20 N*m" --torque "200 N*m"[/]
     """
-    from cycloid_fmu import plots
     from cycloid_fmu.cli import print_table
-    from cycloid_fmu.pair import read_pair
-    from cycloid_fmu.surface import unit_of
+    from cycloid_fmu.geometry.pair import read_pair
+    from cycloid_fmu.surfaces.surface import unit_of
     from fitting.estimation.plan import bench_plans
     from fitting.model.observations import errors_of
     from fitting.reports.plots import plot_plans
@@ -604,9 +600,9 @@ def ensemble(
     """
     from rich.progress import track
 
-    from cycloid_fmu import plots
-    from cycloid_fmu.pair import read_pair
-    from cycloid_fmu.surface import check_surface, read_surface, write_surface
+    from cycloid_fmu.draw import plots
+    from cycloid_fmu.geometry.pair import read_pair
+    from cycloid_fmu.surfaces.surface import check_surface, read_surface, write_surface
     from fitting.estimation.ensemble import drawn_surfaces
     from fitting.reports.plots import plot_band
 

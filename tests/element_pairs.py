@@ -399,9 +399,9 @@ def solve_elements(
     Parameters
     ----------
     pair
-        As `cycloid_fmu.pair.read_pair` returns it (its nominal tables only: `[errors]` come with the surface).
+        As `cycloid_fmu.geometry.pair.read_pair` returns it (its nominal tables only: `[errors]` come with the surface).
     surface
-        As `cycloid_fmu.surface.ErrorSurface`.
+        As `cycloid_fmu.surfaces.surface.ErrorSurface`.
     crank_angle, torque
         Crank angle, rad; torque of the environment on the output, N*m.
     width_elements, profile_elements, angle_elements

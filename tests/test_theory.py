@@ -13,7 +13,7 @@ import pytest
 from common import PAIR, make_pair
 
 from cycloid_fmu import contact
-from cycloid_fmu.surface import nominal_surface, with_structured
+from cycloid_fmu.surfaces.surface import nominal_surface, with_structured
 from cycloid_fmu.transmission import drive_of, solve
 from fitting.figures.figure import DEFINITIONS
 

@@ -23,8 +23,8 @@ from cycloid_fmu.fmu.losses import check_losses
 from cycloid_fmu.fmu.parts import parts, write_archive
 from cycloid_fmu.fmu.reducer_model import FirstStage
 from cycloid_fmu.fmu.variables import Interface, LossRow, from_tables, variables
-from cycloid_fmu.pair import Pair
-from cycloid_fmu.surface import DESCRIPTIONS, DEVIATIONS, ErrorSurface, write_surface
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.surface import DESCRIPTIONS, DEVIATIONS, ErrorSurface, write_surface
 
 if TYPE_CHECKING:
     from cycloid_fmu.fmu.tables import Tables

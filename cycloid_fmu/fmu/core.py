@@ -28,8 +28,8 @@ from cycloid_fmu.fmu.reducer_model import FirstStage, ReducerModel
 from cycloid_fmu.fmu.table_teeth import TABLE, Interpolation, read
 from cycloid_fmu.fmu.teeth import StepError
 from cycloid_fmu.fmu.variables import ARRAYS, Interface, Variable, from_tables, variables
-from cycloid_fmu.pair import Pair
-from cycloid_fmu.surface import ErrorSurface, Life
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.surface import ErrorSurface, Life
 
 NUMBERS, SURFACE = "pair.json", "surface.npz"
 MAGIC, STATE_VERSION = b"cycloid state\0\0\0", 3

@@ -20,8 +20,14 @@ from cycloid_fmu.fmu.losses import check_losses, loss_torque
 from cycloid_fmu.fmu.table_teeth import Interpolation, TableTeeth
 from cycloid_fmu.fmu.teeth import ContactTeeth, StepError, Teeth
 from cycloid_fmu.fmu.variables import LOSSLESS, ORDERS
-from cycloid_fmu.pair import Pair
-from cycloid_fmu.surface import ErrorSurface, structured_names, structured_value, surface_after, with_structured
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.surface import (
+    ErrorSurface,
+    structured_names,
+    structured_value,
+    surface_after,
+    with_structured,
+)
 from cycloid_fmu.transmission import drive_of, slices_needed
 
 

@@ -26,8 +26,8 @@ from cycloid_fmu.fmu.parts import parts, write_archive
 from cycloid_fmu.fmu.reducer_model import FirstStage
 from cycloid_fmu.fmu.table_teeth import TABLE
 from cycloid_fmu.fmu.variables import Interface, Variable, from_tables, variables
-from cycloid_fmu.pair import Pair
-from cycloid_fmu.surface import ErrorSurface
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.surface import ErrorSurface
 from cycloid_fmu.transmission import drive_of, slices_needed
 
 IDENTIFIER = "CycloidDrive"

@@ -14,8 +14,8 @@ import numpy as np
 from cycloid_fmu import __version__
 from cycloid_fmu.fmu.description import Version
 from cycloid_fmu.fmu.variables import Interface, Variable
-from cycloid_fmu.pair import Pair
-from cycloid_fmu.profile import flank_points
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.geometry.profile import flank_points
 
 _FLANGE = "Modelica.Mechanics.Rotational.Interfaces.Flange_"
 _PAGE = """<!DOCTYPE html>

@@ -16,8 +16,8 @@ from collections.abc import Sequence
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.table_teeth import Interpolation
 from cycloid_fmu.fmu.variables import LOSSLESS
-from cycloid_fmu.pair import Pair
-from cycloid_fmu.surface import ErrorSurface
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.surface import ErrorSurface
 
 _STEP = 1e-13  # rad of the output: last step of the crank angle's iteration
 _DIFFERENCE = 1e-6  # rad of the crank, for the change of its torque

@@ -43,8 +43,8 @@ from cycloid_fmu.fmu.table_teeth import (
     sharing,
 )
 from cycloid_fmu.fmu.variables import Interface, Variable
-from cycloid_fmu.pair import Pair
-from cycloid_fmu.surface import ErrorSurface
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.surface import ErrorSurface
 from cycloid_fmu.transmission import drive_of, slices_needed, solve
 
 Array = NDArray[np.float64]

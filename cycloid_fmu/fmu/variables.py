@@ -14,8 +14,15 @@ from typing import Literal
 
 import numpy as np
 
-from cycloid_fmu.pair import LARGEST_DEVIATION, LARGEST_MISALIGNMENT, Pair
-from cycloid_fmu.surface import DESCRIPTIONS, PATTERNS, ErrorSurface, structured_names, structured_value, unit_of
+from cycloid_fmu.geometry.pair import LARGEST_DEVIATION, LARGEST_MISALIGNMENT, Pair
+from cycloid_fmu.surfaces.surface import (
+    DESCRIPTIONS,
+    PATTERNS,
+    ErrorSurface,
+    structured_names,
+    structured_value,
+    unit_of,
+)
 
 INTERFACES = ("kinematic", "compliant")
 ORDERS = (1, 2, 3)

@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from cycloid_fmu.pair import Pair
-from cycloid_fmu.surface import ErrorSurface, structured_value, with_structured
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.surface import ErrorSurface, structured_value, with_structured
 from fitting.model.observations import scatter_names, with_scatter
 
 Array = NDArray[np.float64]

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from cycloid_fmu.pair import LARGEST_DEVIATION, LARGEST_MISALIGNMENT, Pair
-from cycloid_fmu.surface import (
+from cycloid_fmu.geometry.pair import LARGEST_DEVIATION, LARGEST_MISALIGNMENT, Pair
+from cycloid_fmu.surfaces.surface import (
     LARGEST_ELEMENT,
     profile_names,
     structured_value,

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from cycloid_fmu import edge
-from cycloid_fmu.pair import Pair
-from cycloid_fmu.surface import structured_value, surface_of_pair, with_structured
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.surface import structured_value, surface_of_pair, with_structured
 from fitting.estimation.fit import NO_SCATTER, OUTLYING, TURNS, Estimate, fit
 from fitting.estimation.result import HeldOut, Identification, is_uneven, result_of
 from fitting.model.identifiability import chosen_errors

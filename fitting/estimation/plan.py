@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cycloid_fmu.pair import Pair
-from cycloid_fmu.surface import surface_of_pair
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.model.identifiability import chosen_errors, posterior_covariance, weakness
 from fitting.model.loops import planned_branches
 from fitting.model.observations import State, errors_of, linearise, observations, scatter_parts, spread_of

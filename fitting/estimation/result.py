@@ -21,8 +21,8 @@ from scipy.special import stdtrit
 from cycloid_fmu import edge
 from cycloid_fmu.contact import SCALAR_ERRORS
 from cycloid_fmu.edge import ARCSEC
-from cycloid_fmu.pair import Pair
-from cycloid_fmu.surface import ErrorSurface, structured_columns, structured_value, surface_of_pair, unit_of
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.surface import ErrorSurface, structured_columns, structured_value, surface_of_pair, unit_of
 from fitting.estimation.fit import NO_SCATTER, Estimate, confirmed, freedom, profile_interval, turn_bootstrap
 from fitting.model.identifiability import weakness
 from fitting.model.loops import LoopFit, play_of

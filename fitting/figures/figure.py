@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.special import stdtrit
 
-from cycloid_fmu.pair import LOST_MOTION
+from cycloid_fmu.geometry.pair import LOST_MOTION
 
 DEFINITIONS = {
     "hysteresis_loss": "distance of the two unloading branches, each extrapolated to zero torque by a straight line "

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from cycloid_fmu import edge
-from cycloid_fmu.pair import LOST_MOTION_LOAD
+from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD
 from fitting.figures.figure import DEFINITIONS, UNITS, Figure
 from fitting.recordings.recording import Recording
 

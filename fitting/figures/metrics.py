@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from cycloid_fmu import edge
-from cycloid_fmu.pair import Pair
+from cycloid_fmu.geometry.pair import Pair
 from fitting.arguments import si_value, wrong
 from fitting.figures.figure import Figure, figure_json, pooled
 from fitting.figures.hysteresis import loop_figures

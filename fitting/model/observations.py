@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import screening
 from cycloid_fmu.contact import SCALAR_ERRORS
-from cycloid_fmu.pair import Pair
-from cycloid_fmu.surface import ErrorSurface, structured_columns, structured_names, surface_of_pair
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.surface import ErrorSurface, structured_columns, structured_names, surface_of_pair
 from cycloid_fmu.transmission import error_sensitivity, solve
 from fitting.transmission_error.curve import Curve, noise_of
 

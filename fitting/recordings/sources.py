@@ -145,7 +145,7 @@ def read_recordings(
     --------
     >>> import fitting, pathlib
     >>> for load in (20, 200):
-    ...     _ = pathlib.Path(f"{load:03}Nm.csv").write_text("time [s],input_angle [rad],output_angle [rad],torque [N*m]")
+    ...     _ = pathlib.Path(f"{load:03}Nm.csv").write_text("time [s],output_angle [rad],torque [N*m]")
     >>> [one.path.name for one in fitting.read_recordings("*0Nm.csv")]
     ['020Nm.csv', '200Nm.csv']
     """

@@ -12,7 +12,7 @@ import numpy as np
 
 from cycloid_fmu import edge
 from cycloid_fmu.edge import ARCMIN, ARCSEC
-from cycloid_fmu.pair import Pair
+from cycloid_fmu.geometry.pair import Pair
 from fitting.estimation.result import Identification, Parameter
 from fitting.figures.spectrum import spectrum
 from fitting.model.loops import LoopFit

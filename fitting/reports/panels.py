@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu.edge import ARCMIN, ARCSEC
-from cycloid_fmu.pair import Pair
+from cycloid_fmu.geometry.pair import Pair
 from fitting.figures.hysteresis import LoopData, loop_marks
 from fitting.figures.metrics import Figures
 from fitting.figures.spectrum import Spectrum

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from cycloid_fmu.draw.plots import new_figure, show_legend
 from cycloid_fmu.edge import ARCSEC
-from cycloid_fmu.pair import Pair
-from cycloid_fmu.plots import new_figure, show_legend
-from cycloid_fmu.surface import ErrorSurface, unit_of
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.surface import ErrorSurface, unit_of
 from cycloid_fmu.transmission import solve
 from fitting.estimation.plan import Plan
 from fitting.estimation.result import Identification

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from cycloid_fmu import __version__, edge
-from cycloid_fmu.pair import Pair
+from cycloid_fmu.geometry.pair import Pair
 from fitting.figures.figure import DEFINITIONS, Figure, in_field_units
 from fitting.figures.metrics import Figures
 from fitting.reports.panels import Panel, Trace, panels_of

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.pair import Pair
+from cycloid_fmu.geometry.pair import Pair
 from drivers.recording_format import GAP
 from fitting.recordings.cleaning import Block
 from fitting.recordings.recording import Recording, RecordingStream

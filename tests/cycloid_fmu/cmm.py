@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
-from cycloid_fmu.profile import arc_parts, equal_arc_parameters, flank_normals, flank_points
+from cycloid_fmu.geometry.profile import arc_parts, equal_arc_parameters, flank_normals, flank_points
 
 
 def field(values, along, across):

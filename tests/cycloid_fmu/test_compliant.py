@@ -18,8 +18,8 @@ from cycloid_fmu.fmu.compliant_model import FARTHEST, CompliantModel
 from cycloid_fmu.fmu.losses import interpolated, loss_torque
 from cycloid_fmu.fmu.model import DriveModel, StepError
 from cycloid_fmu.fmu.variables import FRICTION_DISPLACEMENT
-from cycloid_fmu.pair import parse_pair
-from cycloid_fmu.surface import nominal_surface
+from cycloid_fmu.geometry.pair import parse_pair
+from cycloid_fmu.surfaces.surface import nominal_surface
 from cycloid_fmu.transmission import solve
 
 PLAY = parse_pair(

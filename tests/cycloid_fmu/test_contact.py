@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cycloid_fmu import contact
-from cycloid_fmu.pair import parse_pair, read_pair
-from cycloid_fmu.surface import (
+from cycloid_fmu.geometry.pair import parse_pair, read_pair
+from cycloid_fmu.surfaces.surface import (
     nominal_surface,
     structured_names,
     structured_value,

@@ -17,8 +17,8 @@ from common import ARCSEC, CASES, PAIR, make_pair
 from cycloid_fmu import edge
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.run import follow
-from cycloid_fmu.pair import parse_pair, read_pair
-from cycloid_fmu.surface import nominal_surface, read_surface, surface_of_pair, write_surface
+from cycloid_fmu.geometry.pair import parse_pair, read_pair
+from cycloid_fmu.surfaces.surface import nominal_surface, read_surface, surface_of_pair, write_surface
 from cycloid_fmu.transmission import Interrupted, analyze, solve, statistics
 
 ERRORS = read_pair(CASES / "errors-39-40.toml")

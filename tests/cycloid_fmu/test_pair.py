@@ -4,7 +4,7 @@ import pytest
 from common import CASES, PAIR, make_pair
 
 from cycloid_fmu import edge
-from cycloid_fmu.pair import Pair, parse_pair, read_pair
+from cycloid_fmu.geometry.pair import Pair, parse_pair, read_pair
 
 BAD = {
     "unit missing": ('"64 mm"', '"64"', "pin_circle_radius"),

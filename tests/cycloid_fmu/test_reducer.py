@@ -291,7 +291,7 @@ def test_limits_and_value_with_tolerance_say_the_same(value, tolerance, distribu
 
 def test_the_cycloid_stage_alone_is_a_pair_file(tmp_path):
     """Whatever knows pairs alone gets the reducer's pair from its text."""
-    from cycloid_fmu.pair import parse_pair
+    from cycloid_fmu.geometry.pair import parse_pair
 
     again = parse_pair(RV.stage.text, "inner")
     assert again.pair == RV.stage.pair

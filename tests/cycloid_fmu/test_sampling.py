@@ -11,7 +11,7 @@ from scipy import stats
 
 from cycloid_fmu import edge
 from cycloid_fmu.contact import SCALAR_ERRORS
-from cycloid_fmu.sampling import (
+from cycloid_fmu.surfaces.sampling import (
     PitchErrors,
     ProfileErrors,
     error_stream,
@@ -22,7 +22,7 @@ from cycloid_fmu.sampling import (
     sample_surface,
     within_tolerance,
 )
-from cycloid_fmu.surface import Elements, ErrorSurface, read_surface, write_surface
+from cycloid_fmu.surfaces.surface import Elements, ErrorSurface, read_surface, write_surface
 
 PAIR = make_pair(discs=2)
 SMALL = Elements(profile=12, width=3, angle=8)

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from common import EXAMPLES, make_pair
 
-from cycloid_fmu import edge, tolerance
-from cycloid_fmu.allocation import allocate, columns_of, scaled
-from cycloid_fmu.pair import read_pair
-from cycloid_fmu.sampling import parse_tolerances, read_tolerances
+from cycloid_fmu import edge
+from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.screening import Screen, contacts_of, error_vector, sensitivities
-from cycloid_fmu.surface import nominal_surface
-from cycloid_fmu.tolerance import Study, points, screened, surface_of
+from cycloid_fmu.studies import tolerance
+from cycloid_fmu.studies.allocation import allocate, columns_of, scaled
+from cycloid_fmu.studies.tolerance import Study, points, screened, surface_of
+from cycloid_fmu.surfaces.sampling import parse_tolerances, read_tolerances
+from cycloid_fmu.surfaces.surface import nominal_surface
 from cycloid_fmu.transmission import error_sensitivity, solve
 
 DRIVE = read_pair(EXAMPLES / "drive-39-40.toml")

@@ -13,15 +13,16 @@ import xarray as xr
 from common import ARCSEC, WEAR_PAIR, make_pair
 from typer.testing import CliRunner
 
-from cycloid_fmu import cli, edge, plots, wear
+from cycloid_fmu import cli, edge
+from cycloid_fmu.draw import plots
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.model import DriveModel
-from cycloid_fmu.profile import flank_normals, flank_points
-from cycloid_fmu.surface import nominal_surface, read_surface, surface_after, surface_of_pair, write_surface
+from cycloid_fmu.geometry.profile import flank_normals, flank_points
+from cycloid_fmu.surfaces.surface import nominal_surface, read_surface, surface_after, surface_of_pair, write_surface
 from cycloid_fmu.transmission import drive_of, solve
-from cycloid_fmu.wear import Sweep, accuracy, wear_model, wear_rate, wear_states, worn_surface
-from cycloid_fmu.wear_law import Load, Regression, duty_cycle, parse_wear_law, read_duty_cycle
-from cycloid_fmu.wear_run import (
+from cycloid_fmu.wear import progress as wear
+from cycloid_fmu.wear.law import Load, Regression, duty_cycle, parse_wear_law, read_duty_cycle
+from cycloid_fmu.wear.life import (
     Interrupted,
     coefficient_warning,
     run_wear,
@@ -29,6 +30,7 @@ from cycloid_fmu.wear_run import (
     unfinished_path,
     wear_figures,
 )
+from cycloid_fmu.wear.progress import Sweep, accuracy, wear_model, wear_rate, wear_states, worn_surface
 
 PAIR = WEAR_PAIR.replace("[modification]", 'contact_law = "as_printed"\n[modification]')
 LAW = """format = "cycloid-wear/1"

@@ -12,8 +12,8 @@ from scipy.optimize import least_squares
 import fitting.estimation.fit
 import fitting.model.observations
 from cycloid_fmu import edge
-from cycloid_fmu.sampling import parse_tolerances
-from cycloid_fmu.surface import structured_value, surface_of_pair, with_structured
+from cycloid_fmu.surfaces.sampling import parse_tolerances
+from cycloid_fmu.surfaces.surface import structured_value, surface_of_pair, with_structured
 from cycloid_fmu.transmission import solve
 from fitting.estimation.fit import confirmed, fit, possible, profile_interval, turn_bootstrap
 from fitting.estimation.identify import identify

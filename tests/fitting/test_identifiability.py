@@ -7,8 +7,8 @@ import pytest
 from common import BENCH, EXAMPLES
 
 import fitting.estimation.identify
-from cycloid_fmu.pair import read_pair
-from cycloid_fmu.surface import read_surface, structured_value, surface_of_pair, write_surface
+from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.surfaces.surface import read_surface, structured_value, surface_of_pair, write_surface
 from cycloid_fmu.transmission import error_sensitivity, solve
 from fitting.estimation.ensemble import drawn_surfaces
 from fitting.estimation.identify import identify, kept_back

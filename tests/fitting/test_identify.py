@@ -8,8 +8,8 @@ from common import BENCH
 from scipy.special import stdtrit
 
 from cycloid_fmu import edge
-from cycloid_fmu.pair import read_pair
-from cycloid_fmu.surface import read_surface, structured_value, surface_of_pair, with_structured, write_surface
+from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.surfaces.surface import read_surface, structured_value, surface_of_pair, with_structured, write_surface
 from cycloid_fmu.transmission import solve
 from fitting.estimation.identify import identify
 from fitting.estimation.result import as_json, read_lmfit_parameters, write_identification

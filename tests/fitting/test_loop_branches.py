@@ -8,7 +8,7 @@ import pytest
 
 from cycloid_fmu import edge
 from cycloid_fmu.fmu.model import DriveModel
-from cycloid_fmu.surface import structured_value, surface_of_pair, with_structured
+from cycloid_fmu.surfaces.surface import structured_value, surface_of_pair, with_structured
 from cycloid_fmu.transmission import solve
 from fitting.estimation.identify import identify
 from fitting.estimation.plan import bench_plans

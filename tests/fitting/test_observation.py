@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cycloid_fmu.fmu.model import DriveModel
-from cycloid_fmu.surface import surface_of_pair
+from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.estimation.plan import planned_curve
 from fitting.model.observations import State, linearise, observations, spread_of
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from common import EXAMPLES
 
-from cycloid_fmu.sampling import read_tolerances
-from cycloid_fmu.surface import (
+from cycloid_fmu.surfaces.sampling import read_tolerances
+from cycloid_fmu.surfaces.surface import (
     profile_names,
     read_surface,
     structured_value,

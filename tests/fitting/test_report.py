@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from test_metrics import ARCMIN, ARCSEC, KNOWN, loop, recording, run_with
 
-from cycloid_fmu.pair import read_pair
+from cycloid_fmu.geometry.pair import read_pair
 from fitting.figures.metrics import figures_of
 from fitting.figures.survey import survey
 from fitting.reports.panels import order_name, panels_of

@@ -31,8 +31,8 @@ from cycloid_fmu.fmu.reducer_model import ReducerModel
 from cycloid_fmu.fmu.run import opened
 from cycloid_fmu.fmu.table_teeth import TABLE
 from cycloid_fmu.fmu.variables import variables
-from cycloid_fmu.pair import parse_pair, read_pair
-from cycloid_fmu.surface import nominal_surface, surface_of_pair
+from cycloid_fmu.geometry.pair import parse_pair, read_pair
+from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
 from cycloid_fmu.transmission import solve
 
 ARM = Path("/usr/aarch64-linux-gnu")  # Debian's libc6-arm64-cross

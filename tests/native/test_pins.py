@@ -23,8 +23,8 @@ from cycloid_fmu.fmu.compliant_model import CompliantModel
 from cycloid_fmu.fmu.core import Core
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.reducer_model import ReducerModel
-from cycloid_fmu.pair import parse_pair, read_pair
-from cycloid_fmu.surface import nominal_surface, surface_of_pair
+from cycloid_fmu.geometry.pair import parse_pair, read_pair
+from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
 
 MODIFIED = "[modification]\n" + 'isometric = "-15 um"\noffset = "-40 um"\n'
 TEXT = PAIR + 'rated_torque = "181 N*m"\n' + MODIFIED

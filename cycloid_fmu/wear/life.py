@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.sliding import slip_pole
-from cycloid_fmu.surface import DEVIATIONS, ErrorSurface, Life
+from cycloid_fmu.surfaces.surface import DEVIATIONS, ErrorSurface, Life
 from cycloid_fmu.tooth_contact import contact_ratio
-from cycloid_fmu.wear import (
+from cycloid_fmu.wear.progress import (
     SENSIBLE_COEFFICIENTS,
     Depth,
     WearModel,
@@ -30,6 +29,7 @@ from cycloid_fmu.wear import (
     wear_states,
     worn_surface,
 )
+from cycloid_fmu.wear.sliding import slip_pole
 
 Array = NDArray[np.float64]
 FORMAT = "cycloid-wear-run/2"

@@ -9,8 +9,8 @@ from typing import Annotated, Literal
 import pydantic
 
 from cycloid_fmu import edge
-from cycloid_fmu.pair import PositiveLength
-from cycloid_fmu.surface import LARGEST_ELEMENT
+from cycloid_fmu.geometry.pair import PositiveLength
+from cycloid_fmu.surfaces.surface import LARGEST_ELEMENT
 
 FORMAT = "cycloid-wear/1"
 _ABOVE_ZERO = pydantic.Field(gt=0.0)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cycloid_fmu.pair import Pair
+from cycloid_fmu.geometry.pair import Pair
 
 Array = NDArray[np.float64]
 

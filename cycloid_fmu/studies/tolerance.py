@@ -22,10 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.pair import LOST_MOTION, Pair
-from cycloid_fmu.sampling import LARGEST_SEED, Tolerances, surface_at
+from cycloid_fmu.geometry.pair import LOST_MOTION, Pair
 from cycloid_fmu.screening import Screen, error_vector
-from cycloid_fmu.surface import Elements, ErrorSurface
+from cycloid_fmu.surfaces.sampling import LARGEST_SEED, Tolerances, surface_at
+from cycloid_fmu.surfaces.surface import Elements, ErrorSurface
 from cycloid_fmu.transmission import SLICES_MISALIGNED, slices_needed, solve
 
 if TYPE_CHECKING:

@@ -26,8 +26,8 @@ from scipy.optimize import least_squares
 from scipy.sparse import csr_array
 
 from cycloid_fmu import edge
-from cycloid_fmu.pair import Pair
-from cycloid_fmu.profile import (
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.geometry.profile import (
     arc_parts,
     equal_arc_parameters,
     flank_curvature,
@@ -35,7 +35,7 @@ from cycloid_fmu.profile import (
     flank_points,
     flank_speed,
 )
-from cycloid_fmu.surface import LARGEST_ELEMENT, Elements, ErrorSurface, nominal_surface
+from cycloid_fmu.surfaces.surface import LARGEST_ELEMENT, Elements, ErrorSurface, nominal_surface
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

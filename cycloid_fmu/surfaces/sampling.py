@@ -25,8 +25,8 @@ from scipy.special import ndtr, ndtri
 from cycloid_fmu import edge
 from cycloid_fmu.contact import SCALAR_ERRORS
 from cycloid_fmu.edge import Angle, Config, Length
-from cycloid_fmu.pair import LARGEST_DEVIATION, LARGEST_MISALIGNMENT, Pair
-from cycloid_fmu.surface import LARGEST_ELEMENT, Elements, ErrorSurface, nominal_surface
+from cycloid_fmu.geometry.pair import LARGEST_DEVIATION, LARGEST_MISALIGNMENT, Pair
+from cycloid_fmu.surfaces.surface import LARGEST_ELEMENT, Elements, ErrorSurface, nominal_surface
 
 Array = NDArray[np.float64]
 Distribution = Literal["normal", "uniform"]

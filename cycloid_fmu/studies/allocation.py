@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from cycloid_fmu import edge
 from cycloid_fmu.contact import SCALAR_ERRORS
 from cycloid_fmu.screening import error_vector
-from cycloid_fmu.surface import nominal_surface
-from cycloid_fmu.tolerance import (
+from cycloid_fmu.studies.tolerance import (
     Study,
     demand,
     figures_of,
@@ -28,6 +27,7 @@ from cycloid_fmu.tolerance import (
     surface_of,
     yields,
 )
+from cycloid_fmu.surfaces.surface import nominal_surface
 
 Array = NDArray[np.float64]
 NARROWEST, WIDEST = 0.05, 4.0  # of the stated tolerances

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.contact import SCALAR_ERRORS
-from cycloid_fmu.pair import Pair, parse_pair
+from cycloid_fmu.geometry.pair import Pair, parse_pair
 
 Array = NDArray[np.float64]
 FORMAT = "cycloid-surface/1"

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from cycloid_fmu.wear import WearModel, WearRate, WearState
+    from cycloid_fmu.wear.progress import WearModel, WearRate, WearState
 
 FORMATS = (".png", ".pdf")
 
@@ -121,7 +121,7 @@ def plot_surface(surface: object) -> Figure:
 
     Of the flanks the mean of all teeth and tooth 0 of disc 0 are drawn, of the pins the mean and pin 0.
     """
-    from cycloid_fmu.surface import ErrorSurface
+    from cycloid_fmu.surfaces.surface import ErrorSurface
 
     assert isinstance(surface, ErrorSurface)
     maps = []
@@ -209,7 +209,7 @@ def plot_tolerance(result: object) -> Figure:
 
     A figure that has no limit and is the same in all drives is left out.
     """
-    from cycloid_fmu.tolerance import FIGURES, PER_TORQUE, Result, yields
+    from cycloid_fmu.studies.tolerance import FIGURES, PER_TORQUE, Result, yields
 
     assert isinstance(result, Result)
     study = result.study
@@ -323,10 +323,10 @@ def plot_comparison(
 
 def plot_wear(model: WearModel, states: list[WearState], new: WearRate, figures: Mapping[str, Any]) -> Figure:
     """Mesh of one pin when new, wear depth over both bodies, and depth and accuracy over life."""
-    from cycloid_fmu.sliding import velocities
     from cycloid_fmu.tooth_contact import loaded_contacts
     from cycloid_fmu.transmission import drive_of
-    from cycloid_fmu.wear import contact_coefficients
+    from cycloid_fmu.wear.progress import contact_coefficients
+    from cycloid_fmu.wear.sliding import velocities
 
     figure, axes = new_figure(4, 3)
     drive = drive_of(model.pair, model.surface, model.unworn.gear.shape[3])
