@@ -33,5 +33,6 @@ def si_value(value: float | str, si: str, argument: str, *, above: float = -math
     except ValueError as problem:
         raise wrong(argument, str(problem), value) from None
     if not (math.isfinite(found) and found > above):
-        raise wrong(argument, f"it must be a finite number above {above:g} {si}", value)
+        limit = "zero" if abs(above) < 1e-200 else f"{above:g} {si}"
+        raise wrong(argument, f"it must be finite and {'not below' if above < 0.0 else 'above'} {limit}", value)
     return found

@@ -231,7 +231,7 @@ def inspect(
     """
     from cycloid_fmu.cli import print_table
     from fitting.recordings.formats import open_bench_file
-    from fitting.recordings.proposal import LOOKED_AT, look, propose
+    from fitting.recordings.inspection import LOOKED_AT, look, propose
     from fitting.reports.plots import plot_channels
 
     if plot is not None:
@@ -502,7 +502,7 @@ def print_identification(result: Identification, truth: dict[str, float] | None 
     if result.held_out is not None:
         kept = result.held_out
         typer.echo(
-            f"Kept from a first fit and predicted by it: {kept.said}: {kept.residual * edge.ARCSEC:.3f}″ rms left, "
+            f"Kept from a first fit and predicted by it: {kept.loads}: {kept.residual * edge.ARCSEC:.3f}″ rms left, "
             f"noise {kept.noise * edge.ARCSEC:.3f}″."
         )
     scatter = ", ".join(f"{n} {v * 1e6:.2f} µm" for n, v in result.scatter.items())
@@ -578,7 +578,7 @@ def plan(
     labels = [chr(ord("A") + i) for i in range(len(plans))]
     print_table("Standard error of what each set of runs would identify", ["error", *labels], rows)
     for label, one in zip(labels, plans, strict=True):
-        typer.echo(f"{label}: {one.said}")
+        typer.echo(f"{label}: {one.runs}")
     print_table("Held with all runs", ["error", "why"], [list(item) for item in plans[-1].held.items()])
 
 
@@ -603,7 +603,7 @@ def ensemble(
     from cycloid_fmu.draw import plots
     from cycloid_fmu.geometry.pair import read_pair
     from cycloid_fmu.surfaces.surface import check_surface, read_surface, write_surface
-    from fitting.estimation.ensemble import drawn_surfaces
+    from fitting.estimation.ensemble import ensemble
     from fitting.reports.plots import plot_band
 
     if plot is not None:
@@ -615,7 +615,7 @@ def ensemble(
     check_surface(pair, surface, str(pair_file), str(surface_file))
     if surface.covariance is None:
         raise edge.InputError(f"{surface_file}: there is no covariance of a fit; give what cycloid-fit identify wrote.")
-    drawn = drawn_surfaces(pair, surface, count, seed)
+    drawn = ensemble(pair, surface, count, seed)
     output.mkdir(parents=True, exist_ok=True)
     for number, one in enumerate(track(drawn, "writing", transient=True)):
         write_surface(one, output / f"{surface_file.stem}-{number:04d}.nc")

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
+from cycloid_fmu import edge
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.surface import ErrorSurface, structured_value, with_structured
 from fitting.model.observations import scatter_names, with_scatter
@@ -14,7 +15,7 @@ from fitting.model.observations import scatter_names, with_scatter
 Array = NDArray[np.float64]
 
 
-def drawn_surfaces(pair: Pair, surface: ErrorSurface, count: int, seed: int) -> list[ErrorSurface]:
+def ensemble(pair: Pair, surface: ErrorSurface, count: int, seed: int) -> list[ErrorSurface]:
     """Draw error surfaces from the normal distribution that a fit states.
 
     Parameters
@@ -35,11 +36,11 @@ def drawn_surfaces(pair: Pair, surface: ErrorSurface, count: int, seed: int) -> 
 
     Raises
     ------
-    ValueError
+    edge.InputError
         If the surface has no covariance.
     """
     if surface.covariance is None:
-        raise ValueError("the surface has no covariance")
+        raise edge.InputError("surface: there is no covariance of a fit; give what identify found.")
     places = scatter_names(pair)
     names = [n for n in surface.covariance_of if n not in places]
     at = [surface.covariance_of.index(n) for n in (*names, *places) if n in surface.covariance_of]

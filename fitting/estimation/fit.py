@@ -35,7 +35,7 @@ from fitting.model.observations import (
     NO_CREEP,
     PROFILE_ORDERS,
     Linear,
-    Near,
+    LinearisationPoint,
     Observations,
     State,
     joined,
@@ -90,7 +90,7 @@ class Estimate:
         that the data do not need makes it larger.
     evaluations
         How often the model was evaluated at all points, with its derivatives.
-    apart
+    disagreeing
         From how many starts a fit of some of the points ended in as many optima; 0 where two of them agreed.
     """
 
@@ -102,7 +102,7 @@ class Estimate:
     misfit: float
     unlikelihood: float
     evaluations: int
-    apart: int = 0
+    disagreeing: int = 0
 
     @property
     def noises(self) -> Array:
@@ -135,7 +135,9 @@ class _Normal:
 class _Problem:
     """Everything that a fit may change as one vector: errors, nuisances, scatter, each in units of a usual size."""
 
-    def __init__(self, pair: Pair, observed: Observations, chosen: Sequence[str], around: Near | None = None) -> None:
+    def __init__(
+        self, pair: Pair, observed: Observations, chosen: Sequence[str], around: LinearisationPoint | None = None
+    ) -> None:
         self.pair, self.chosen, self.around = pair, list(chosen), around
         self.prior = surface_of_pair(pair)
         self.columns_of_chosen = [observed.errors.index(n) for n in chosen]
@@ -232,7 +234,7 @@ def fit(
     scatter: Mapping[str, float],
     *,
     gain: float,
-    around: Near | None = None,
+    around: LinearisationPoint | None = None,
     evaluations: int = EVALUATIONS,
     estimated: bool = True,
     known: Mapping[str, float] | None = None,

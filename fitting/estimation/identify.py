@@ -1,4 +1,4 @@
-"""From transmission error curves to the drive's errors: the way to the best fit; `fitting.estimation.result` states it.
+"""From recordings to the drive's errors: the way to the best fit; `fitting.estimation.result` states it.
 
 The structured errors that the data tell apart are fitted with the exact contact model and its analytic Jacobian; lmfit
 takes the last step, confirms the optimum and states its covariance. What every single pin and tooth does beyond them is
@@ -10,7 +10,8 @@ than they are.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,28 +19,31 @@ from threadpoolctl import threadpool_limits
 
 from cycloid_fmu import edge
 from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.sampling import Tolerances, read_tolerances
 from cycloid_fmu.surfaces.surface import structured_value, surface_of_pair, with_structured
+from fitting.arguments import wrong
 from fitting.estimation.fit import NO_SCATTER, OUTLYING, TURNS, Estimate, fit
 from fitting.estimation.result import HeldOut, Identification, is_uneven, result_of
 from fitting.model.identifiability import chosen_errors
-from fitting.model.loops import on_the_curves_zero
+from fitting.model.loops import observed_curves, on_the_curves_zero
 from fitting.model.observations import (
     CREEP,
     NO_CREEP,
     Linear,
-    Near,
+    LinearisationPoint,
     Observations,
     State,
     errors_of,
     left_of,
+    linearisation_point,
     linearise,
-    near,
     observations,
     scatter_parts,
     spread_of,
     with_scatter,
 )
-from fitting.model.prior import tolerances_of
+from fitting.model.prior import Prior, prior_of, tolerances_of
+from fitting.recordings.sources import Source
 from fitting.transmission_error.curve import Curve
 
 Array = NDArray[np.float64]
@@ -56,87 +60,102 @@ _START_GAIN, _GAIN = 8.0, 1.0
 
 
 def identify(
-    curves: Sequence[Curve],
-    pair: Pair,
-    progress: Callable[[str], None] = lambda step: None,
+    recordings: Source | Curve | Iterable[Source | Curve],
+    drive: Pair,
     *,
-    loops: Sequence[Curve] = (),
-    held_out: bool = True,
-    scatter: Mapping[str, float] | None = None,
-    profile: Mapping[str, float] | None = None,
+    tolerances: Tolerances | Prior | str | os.PathLike[str] | None = None,
     profiled: Sequence[str] = (),
     bootstrap: int = 0,
+    held_out: bool = True,
+    progress: Callable[[str], None] = lambda step: None,
 ) -> Identification:
-    """Identify a drive's errors from its transmission error curves.
+    """Identify a drive's errors from recordings at one or more loads, one or both directions.
+
+    Recordings whose input stands still are taken as hysteresis loops: they tell the play apart from friction.
 
     Parameters
     ----------
-    curves
-        Curves at one or more loads, one or both directions.
-    pair
-        The nominal pair; the errors that its file states are the prior and start.
-    progress
-        Told what is being done.
-    loops
-        Branches of hysteresis loops with the input locked (`fitting.model.loops.branches_of`).
-    held_out
-        Whether a load or direction is first kept from the fit and predicted.
-    scatter
-        {pattern: standard deviation of a single pin or tooth, m}, from tolerances: with it every pin and tooth is
-        reported with its own error; a pattern that is not named is estimated from the data.
-    profile
-        {order of the profile deviation: what it may be, m}, from tolerances: with it the form that all teeth share is
-        fitted, as far as the data tell it.
+    recordings
+        What `fitting.read_recordings` gave, `fitting.Run`, or curves that were made of them.
+    drive
+        The nominal drive; the errors that it states are the prior and start.
+    tolerances
+        The drive's tolerances, their file or a prior: with it every pin and tooth is reported with its own error, and
+        the form that all teeth share is fitted as far as the data resolve it.
     profiled
         Errors whose intervals are found by their profile rather than by their standard error.
     bootstrap
-        How often turns are drawn again to see what their scatter makes of the errors, which widens the standard
-        errors where it is more than white noise; 0 for not at all. The curves must keep their turns.
+        Number of bootstrap resamples of output turns, whose scatter widens the standard errors where it is more than
+        white noise; 0 for none.
+    held_out
+        Whether a load or direction is first kept from the fit and predicted.
+    progress
+        Called with what is being done.
 
     Raises
     ------
     edge.InputError
-        If a curve has no load, the data tell nothing, or there are too few turns to draw from.
+        If a recording can't be read or has no load, an argument is wrong, the data resolve no error, or there are too
+        few turns to draw from.
+
+    Examples
+    --------
+    A drive of 9 teeth whose eccentricity is 3 µm too large, measured at two loads in both directions:
+
+    >>> import numpy as np, fitting
+    >>> from fitting.estimation.simulated import simulated_runs
+    >>> pair, runs = simulated_runs({"eccentricity": 3e-6}, loads=(20.0, -20.0, 100.0, -100.0))
+    >>> result = fitting.identify(runs, pair, held_out=False)
+    >>> {p.name: round(p.value * 1e6, 1) for p in result.parameters}["eccentricity"]
+    3.0
     """
-    if bootstrap:
-        for curve in curves:
-            turns = 0 if curve.each_turn is None else len(curve.each_turn)
-            if turns < TURNS:
-                raise edge.InputError(
-                    f"{curve.source}: it has {turns} output turns; at least {TURNS} are needed to draw turns again."
-                )
+    pair = drive
+    progress("reading")
+    curves = observed_curves(recordings, pair, keep_turns=bootstrap > 0)
+    if isinstance(tolerances, str | os.PathLike):
+        tolerances = read_tolerances(tolerances)
+    prior = prior_of(pair, tolerances) if isinstance(tolerances, Tolerances) else tolerances or Prior()
+    if bootstrap < 0:
+        raise wrong("bootstrap", "it must not be below zero", bootstrap)
+    for curve in curves if bootstrap else ():
+        turns = 0 if curve.each_turn is None else len(curve.each_turn)
+        if turns < TURNS and not curve.branch:
+            raise edge.InputError(
+                f"{curve.source}: it has {turns} output turns; at least {TURNS} are needed to draw turns again."
+            )
     for name in profiled:
-        if name not in (errors := [*errors_of(pair), *(profile or {})]):
-            raise edge.InputError(f'"{name}" is no error of this pair; one of {", ".join(errors)}.')
-    if not curves:
+        if name not in (errors := [*errors_of(pair), *prior.profile]):
+            raise wrong("profiled", f"it is no error of this pair; one of {', '.join(errors)}", name)
+    running = [c for c in curves if not c.branch]
+    if not running:
         raise edge.InputError(
             "there is no transmission error curve: a loop sees the drive at one crank angle only; give recordings of a "
             "turning crank too."
         )
-    loops = on_the_curves_zero(loops, curves)
-    for curve in (*curves, *loops):
+    loops = on_the_curves_zero([c for c in curves if c.branch], running)
+    for curve in (*running, *loops):
         if abs(curve.ratio / pair.ratio - 1.0) > 1e-9:
             raise edge.InputError(
                 f"{curve.source}: its ratio is {curve.ratio:g}, the pair's {pair.ratio:g}; it is of another drive."
             )
-    for curve in curves:
-        if abs(curve.torque) < 1e-3 * max(abs(c.torque) for c in curves) or curve.torque == 0.0:
+    for curve in running:
+        if abs(curve.torque) < 1e-3 * max(abs(c.torque) for c in running) or curve.torque == 0.0:
             raise edge.InputError(
                 f"{curve.source}: the mean torque is {curve.torque:g} N·m; the fit needs loaded curves."
             )
-    # The kernel's threads keep the processor busy; those of linear algebra wait beside them, turning in circles.
+    # The kernel's threads keep the processor busy; those of linear algebra would spin beside them.
     with threadpool_limits(limits=1, user_api="blas"):
-        kept, start = kept_back(curves) if held_out else (), None
+        kept, start = kept_back(running) if held_out else (), None
         predicted = None
         if kept:
             progress("fitting without the curves kept back")
-            rest = [*(c for i, c in enumerate(curves) if i not in kept), *loops]
-            start = _fitted(rest, pair, None, scatter, profile, progress)
-            predicted = _predicted(pair, start, [curves[i] for i in kept])
+            rest = [*(c for i, c in enumerate(running) if i not in kept), *loops]
+            start = _fitted(rest, pair, None, prior, progress)
+            predicted = _predicted(pair, start, [running[i] for i in kept])
             if predicted.residual > _MISPREDICTED * predicted.noise or is_uneven(start):
                 start = None
-        found = _fitted([*curves, *loops], pair, start, scatter, profile, progress)
-        return result_of(pair, found, predicted, scatter or {}, profiled, bootstrap, _GAIN, progress)
+        found = _fitted([*running, *loops], pair, start, prior, progress)
+        return result_of(pair, found, predicted, prior.scatter, profiled, bootstrap, _GAIN, progress)
 
 
 def kept_back(curves: Sequence[Curve]) -> tuple[int, ...]:
@@ -164,8 +183,8 @@ def _predicted(pair: Pair, fit: Estimate, curves: Sequence[Curve]) -> HeldOut:
     )
     if not all(c.common_zero for c in (*curves, *fit.observed.curves)):
         own |= np.array([n.startswith("output_angle_offset") for n in observed.bench_names])
-    foretold = ~own & ~np.array([n.startswith(CREEP) for n in observed.bench_names])
-    bench = np.array([known[n] if told else 0.0 for n, told in zip(observed.bench_names, foretold, strict=True)])
+    predictable = ~own & ~np.array([n.startswith(CREEP) for n in observed.bench_names])
+    bench = np.array([known[n] if shared else 0.0 for n, shared in zip(observed.bench_names, predictable, strict=True)])
     state = dataclasses.replace(fit.state, bench=bench)
     left = left_of(observed, linearise(pair, observed, state), state)
     # What single samples far off do to the rms is not the model's.
@@ -173,20 +192,19 @@ def _predicted(pair: Pair, fit: Estimate, curves: Sequence[Curve]) -> HeldOut:
     inside = np.abs(left - np.median(left)) < OUTLYING * scale
     columns = observed.bench[inside][:, own]
     left = left[inside] - columns @ np.linalg.lstsq(columns, left[inside], rcond=None)[0]
-    said = ", ".join(f"{c.torque:+.4g} N·m" for c in curves)
-    return HeldOut(said, float(np.sqrt(np.mean(left**2))), fit.noise)
+    loads = ", ".join(f"{c.torque:+.4g} N·m" for c in curves)
+    return HeldOut(loads, float(np.sqrt(np.mean(left**2))), fit.noise)
 
 
 def _fitted(
     curves: Sequence[Curve],
     pair: Pair,
     start: Estimate | None,
-    known: Mapping[str, float] | None,
-    profile: Mapping[str, float] | None,
+    known: Prior,
     progress: Callable[[str], None],
 ) -> Estimate:
-    observed = observations(curves, pair, profile=profile)
-    rough = _started(pair, observed, start, progress)
+    observed = observations(curves, pair, profile=known.profile)
+    rough = _starting_estimate(pair, observed, start, progress)
     state, scatter = rough.state, rough.scatter
     prior = observed.bench_prior.copy()
     prior[observed.creeping] = max(scatter.get(CREEP, 0.0), NO_CREEP)
@@ -195,17 +213,17 @@ def _fitted(
     linear, before = linearise(pair, observed, state), list(rough.chosen)
     chosen = _chosen(observed, linear, pair, scatter)
     for _ in range(_CHOICES):
-        state = _told_by(pair, observed, linear, state, before, chosen)
+        state = _carried_over(pair, observed, linear, state, before, chosen)
         progress(f"fitting {len(chosen)} errors and the scatter of pins and teeth")
-        estimate = fit(pair, observed, chosen, state, scatter, gain=_GAIN, known=known)
+        estimate = fit(pair, observed, chosen, state, scatter, gain=_GAIN, known=known.scatter)
         state, scatter, linear, before = estimate.state, estimate.scatter, estimate.linear, chosen
         chosen = _chosen(estimate.observed, linear, pair, scatter)
         if chosen == before:
             break
-    return dataclasses.replace(estimate, apart=rough.apart)
+    return dataclasses.replace(estimate, disagreeing=rough.disagreeing)
 
 
-def _told_by(
+def _carried_over(
     pair: Pair, observed: Observations, linear: Linear, state: State, before: Sequence[str], chosen: Sequence[str]
 ) -> State:
     """A state in which other errors than before do what those did that are no longer fitted."""
@@ -234,7 +252,9 @@ def _chosen(observed: Observations, linear: Linear, pair: Pair, scatter: Mapping
     return chosen
 
 
-def _started(pair: Pair, observed: Observations, start: Estimate | None, progress: Callable[[str], None]) -> Estimate:
+def _starting_estimate(
+    pair: Pair, observed: Observations, start: Estimate | None, progress: Callable[[str], None]
+) -> Estimate:
     """A fit near the best one: where another fit ended, or the best of several starts on some of the points.
 
     The curves' corners make minima beside the best one. From the prior and by way of the largest load alone a fit
@@ -244,7 +264,7 @@ def _started(pair: Pair, observed: Observations, start: Estimate | None, progres
     size = spread_of(pair, {}).size
     prior = surface_of_pair(pair)
 
-    def zeroed(part: Observations, state: State, around: Near | None) -> tuple[State, Linear]:
+    def zeroed(part: Observations, state: State, around: LinearisationPoint | None) -> tuple[State, Linear]:
         """The state with the unknown zeros of these observations, and the model there."""
         state = dataclasses.replace(state, bench=np.zeros(part.bench.shape[1]))
         free = ~np.isfinite(part.bench_prior)
@@ -265,13 +285,15 @@ def _started(pair: Pair, observed: Observations, start: Estimate | None, progres
     unknown = {**dict.fromkeys(scatter_parts(pair), NO_SCATTER), CREEP: NO_CREEP}
     pitch = 2.0 * np.pi / pair.pair.pins if observed.fit_crank else 0.0
 
-    def ended(part: Observations, state: State, scatter: Mapping[str, float], around: Near | None) -> Estimate:
+    def ended(
+        part: Observations, state: State, scatter: Mapping[str, float], around: LinearisationPoint | None
+    ) -> Estimate:
         state, linear = zeroed(part, state, around)
         chosen = _chosen(part, linear, pair, {})
         return fit(pair, part, chosen, state, scatter, gain=_START_GAIN, around=around, evaluations=_START_EVALUATIONS)
 
     # To first order from the prior, and from there once more; a crank whose zero is unknown needs the exact model.
-    nominal = None if observed.fit_crank else near(pair, prior, fewer)
+    nominal = None if observed.fit_crank else linearisation_point(pair, prior, fewer)
     found: list[Estimate] = []
     for number in range(_STARTS):
         progress(f"finding a start ({number + 1})")
@@ -284,10 +306,10 @@ def _started(pair: Pair, observed: Observations, start: Estimate | None, progres
             state = dataclasses.replace(state, surface=with_structured(pair, prior, values))
         part = high if number == 1 else all_of_them
         one = ended(fewer.some(part), state, unknown, None if nominal is None else nominal.some(part))
-        around = None if nominal is None else near(pair, one.state.surface, few)
+        around = None if nominal is None else linearisation_point(pair, one.state.surface, few)
         one = ended(few, one.state, one.scatter, around)
         found = sorted([*found, one], key=lambda e: e.unlikelihood)
         alike = len(found) > 1 and found[1].unlikelihood < found[0].unlikelihood + _AGREE * few.measured.size
         if alike and not is_uneven(found[0]):
             break
-    return dataclasses.replace(found[0], apart=0 if alike else len(found))
+    return dataclasses.replace(found[0], disagreeing=0 if alike else len(found))

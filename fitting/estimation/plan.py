@@ -1,4 +1,4 @@
-"""What bench runs that are only planned would tell: which errors, how exactly, and which not."""
+"""What planned bench runs would identify: which errors, how exactly, and which not."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.surface import surface_of_pair
+from fitting.arguments import si_value, wrong
 from fitting.model.identifiability import chosen_errors, posterior_covariance, weakness
 from fitting.model.loops import planned_branches
 from fitting.model.observations import State, errors_of, linearise, observations, scatter_parts, spread_of
@@ -17,11 +18,11 @@ from fitting.transmission_error.curve import Curve
 
 @dataclass(frozen=True)
 class Plan:
-    """What a set of bench runs would tell.
+    """What a set of bench runs would identify.
 
     Attributes
     ----------
-    said
+    runs
         The runs in words.
     standard_error
         {name: m or rad} of the errors that would be identified, the pins' and teeth's scatter allowed for.
@@ -29,7 +30,7 @@ class Plan:
         {name: why} of the others.
     """
 
-    said: str
+    runs: str
     standard_error: dict[str, float]
     held: dict[str, str]
 
@@ -60,41 +61,82 @@ def planned_curve(ratio: float, torque: float, direction: int, turns: float, sam
 
 
 def plan(
-    pair: Pair,
-    torques: Sequence[float],
-    directions: Sequence[int],
+    drive: Pair,
+    torque: float | str | Sequence[float | str],
     *,
-    turns: float,
-    samples: int,
-    noise: float,
-    scatter: float,
-    said: str,
-    loops: Sequence[tuple[float, float]] = (),
-) -> Plan:
-    """Return what bench runs at these torques, each in these directions, would tell of a pair.
+    turns: float = 2.0,
+    samples: int = 24,
+    noise: float | str = "0.5 arcsec",
+    scatter: float | str = "0.3 um",
+    loop: float | str | None = None,
+) -> list[Plan]:
+    """Return what ever larger sets of bench runs would identify of a drive, before anything is measured.
+
+    The sets are the largest torque one way, both ways, then with the smallest and those between added.
 
     Parameters
     ----------
-    torques
-        Sizes of the torque, N·m; it opposes the motion, so that it changes its sign with the direction.
-    directions
-        ±1 each.
+    drive
+        The nominal drive.
+    torque
+        The torques that the bench can hold, N·m; it opposes the motion, so its sign changes with the direction.
     turns, samples
         Output turns of each run, and samples in a crank turn.
     noise
         Standard deviation of a single sample of the transmission error, rad.
     scatter
         What single pins and teeth do beyond the structured errors, standard deviation, m.
-    said
-        The runs in words.
-    loops
-        Torque up to which each loop with the input locked goes, N·m, and the crank angle there, rad.
+    loop
+        Torque up to which a hysteresis loop goes, N·m, the crank locked at pin 0: the first and the last set come with
+        it too.
+
+    Raises
+    ------
+    edge.InputError
+        If an argument is wrong.
+
+    Examples
+    --------
+    >>> import fitting
+    >>> first, *_, last = fitting.plan(DRIVE, torque=[20.0, "200 N*m"], turns=1.0, samples=12)
+    >>> last.runs
+    '200 and 20 N·m both ways'
+    >>> len(last.standard_error) > len(first.standard_error)
+    True
     """
-    curves = [planned_curve(pair.ratio, way * torque, way, turns, samples) for torque in torques for way in directions]
-    for number, (torque, crank) in enumerate(loops):
-        curves += planned_branches(pair, torque, crank, number)
-    level = [noise / np.sqrt(c.sample_count[0]) for c in curves]
-    observed = observations(curves, pair, level)
+    pair = drive
+    given = [torque] if isinstance(torque, float | int | str) else torque
+    loads = {si_value(one, "N*m", "torque", above=0.0) for one in given}
+    level = si_value(noise, "rad", "noise", above=0.0)
+    spread = si_value(scatter, "m", "scatter", above=-1e-300)
+    peak = None if loop is None else si_value(loop, "N*m", "loop", above=0.0)
+    if not loads:
+        raise wrong("torque", "give one at least", "[]")
+    if not turns > 0.0:
+        raise wrong("turns", "it must be above zero", turns)
+    if samples < 6:
+        raise wrong("samples", "it must be 6 or more", samples)
+    ordered = sorted(loads, reverse=True)
+    ordered = ordered[:1] + ordered[:0:-1]
+    sets: list[tuple[str, list[float], tuple[int, ...], bool]]
+    sets = [(f"{ordered[0]:g} N·m forward", ordered[:1], (1,), False)]
+    for count in range(1, len(ordered) + 1):
+        names = " and ".join(f"{t:g}" for t in ordered[:count])
+        sets.append((f"{names} N·m both ways", ordered[:count], (1, -1), False))
+    if peak is not None:
+        wound = [(f"{s[0]} and a loop to {peak:g} N·m", s[1], s[2], True) for s in (sets[0], sets[-1])]
+        sets = [sets[0], wound[0], *sets[1:], wound[1]]
+    plans = []
+    for runs, torques, directions, with_loop in sets:
+        curves = [planned_curve(pair.ratio, way * t, way, turns, samples) for t in torques for way in directions]
+        if peak is not None and with_loop:
+            curves += planned_branches(pair, peak, 0.0, 0)
+        plans.append(_planned(pair, curves, level, spread, runs))
+    return plans
+
+
+def _planned(pair: Pair, curves: Sequence[Curve], noise: float, scatter: float, runs: str) -> Plan:
+    observed = observations(curves, pair, [noise / np.sqrt(c.sample_count[0]) for c in curves])
     names = errors_of(pair)
     spread = spread_of(pair, dict.fromkeys(scatter_parts(pair), scatter))
     state = State(surface_of_pair(pair), np.zeros_like(spread), np.zeros(observed.bench.shape[1]))
@@ -103,37 +145,4 @@ def plan(
     _, _, reasons = weakness(observed, linear, names, chosen)
     covariance = posterior_covariance(observed, linear, names, chosen, spread)
     error = np.sqrt(np.diag(covariance)[: len(chosen)])
-    return Plan(said, dict(zip(chosen, error.tolist(), strict=True)), reasons)
-
-
-def bench_plans(
-    pair: Pair,
-    torques: Sequence[float],
-    *,
-    turns: float,
-    samples: int,
-    noise: float,
-    scatter: float,
-    loop: float | None = None,
-) -> list[Plan]:
-    """Return what ever larger sets of runs would tell: the largest torque one way, both ways, then torque by torque.
-
-    Parameters are those of `plan`; the torques are added from the largest, then the smallest, to those between. With a
-    `loop` to a torque (N·m) the first and the last set come with it too, the crank locked at pin 0.
-    """
-    ordered = sorted(set(torques), reverse=True)
-    ordered = ordered[:1] + ordered[:0:-1]
-    sets: list[tuple[list[float], tuple[int, ...], str, bool]]
-    sets = [(ordered[:1], (1,), f"{ordered[0]:g} N·m forward", False)]
-    for count in range(1, len(ordered) + 1):
-        loads = " and ".join(f"{t:g}" for t in ordered[:count])
-        sets.append((ordered[:count], (1, -1), f"{loads} N·m both ways", False))
-    if loop is not None:
-        wound = [(s[0], s[1], f"{s[2]} and a loop to {loop:g} N·m", True) for s in (sets[0], sets[-1])]
-        sets = [sets[0], wound[0], *sets[1:], wound[1]]
-    loops = [] if loop is None else [(loop, 0.0)]
-    return [
-        plan(pair, loads, ways, turns=turns, samples=samples, noise=noise, scatter=scatter, said=said,
-             loops=loops if with_loop else ())
-        for loads, ways, said, with_loop in sets
-    ]  # fmt: skip
+    return Plan(runs, dict(zip(chosen, error.tolist(), strict=True)), reasons)

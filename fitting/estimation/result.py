@@ -28,7 +28,7 @@ from fitting.model.identifiability import weakness
 from fitting.model.loops import LoopFit, play_of
 from fitting.model.observations import left_of, scatter_columns, scatter_names, scatter_parts, spread_of, with_scatter
 from fitting.model.prior import tolerances_of
-from fitting.transmission_error.curve import noise_of
+from fitting.transmission_error.curve import Curve, noise_of
 
 if TYPE_CHECKING:
     import lmfit
@@ -65,9 +65,9 @@ class Parameter:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Curves kept from the fit and predicted by it: their load in words, rms of what is left, and their noise, rad."""
+    """Curves kept from the fit and predicted by it: their loads in words, rms of what is left, and their noise, rad."""
 
-    said: str
+    loads: str
     residual: float
     noise: float
 
@@ -112,7 +112,11 @@ class Identification:
     checksums
         {source: SHA-256} of the data.
     notes
-        What a reader should know of the data.
+        What a reader should know of the fit and of the data.
+    pair
+        The nominal pair.
+    curves
+        The curves that were fitted, the loops' branches apart.
     """
 
     parameters: tuple[Parameter, ...]
@@ -133,11 +137,18 @@ class Identification:
     loops: tuple[LoopFit, ...]
     checksums: dict[str, str]
     notes: tuple[str, ...]
+    pair: Pair
+    curves: tuple[Curve, ...]
 
     @property
     def fitted(self) -> tuple[str, ...]:
         """Names of the fitted parameters."""
         return tuple(p.name for p in self.parameters if p.held is None)
+
+    def write(self, path: str | os.PathLike[str]) -> None:
+        """Write the identification, `cycloid-identification/1`, whole or not at all."""
+        with edge.written_whole(path) as temporary:
+            temporary.write_text(edge.json_text(as_json(self)), encoding="utf-8")
 
 
 def is_uneven(fit: Estimate) -> bool:
@@ -264,7 +275,10 @@ def result_of(
                 if _bounded(found[n])
             ),
             *(f"{n} is held, so it has no profile: {reasons[n]}." for n in profiled if n not in chosen),
+            *dict.fromkeys(note for i in observed.running for note in observed.curves[i].notes),
         ),
+        pair=pair,
+        curves=tuple(observed.curves[i] for i in observed.running),
     )
 
 
@@ -342,9 +356,9 @@ def _loops(pair: Pair, fit: Estimate, fitted: Sequence[Array], covariance: Array
 def _ambiguity(pair: Pair, fit: Estimate) -> list[str]:
     """Say where the best of several minima may not have been found, and how many samples would tell."""
     notes = []
-    if fit.apart:
+    if fit.disagreeing:
         notes.append(
-            f"No two of {fit.apart} starts ended in the same optimum; the best was taken, and a better one may "
+            f"No two of {fit.disagreeing} starts ended in the same optimum; the best was taken, and a better one may "
             "have been missed: compare the residual with the encoders' noise, and record more samples a crank turn."
         )
     curves = [fit.observed.curves[i] for i in fit.observed.running]
@@ -450,12 +464,6 @@ def as_json(result: Identification) -> dict[str, Any]:
         "data": result.checksums,
         "notes": list(result.notes),
     }
-
-
-def write_identification(result: Identification, path: str | os.PathLike[str]) -> None:
-    """Write an identification file, whole or not at all."""
-    with edge.written_whole(path) as temporary:
-        temporary.write_text(edge.json_text(as_json(result)), encoding="utf-8")
 
 
 def read_lmfit_parameters(path: str | os.PathLike[str]) -> lmfit.Parameters:

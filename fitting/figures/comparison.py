@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from cycloid_fmu import edge
+from cycloid_fmu.geometry.pair import Pair
 from fitting.figures.figure import DEFINITIONS, Figure
-from fitting.figures.metrics import FORMAT
+from fitting.figures.metrics import FORMAT, Figures, metrics
+from fitting.recordings.sources import Source
 
 
 @dataclass(frozen=True)
@@ -47,17 +49,75 @@ class Change:
         return None if math.isnan(self.uncertainty) else abs(self.difference) > self.uncertainty
 
 
-def compare(before: Mapping[str, Figure], after: Mapping[str, Figure]) -> tuple[list[Change], list[str]]:
-    """Compare figures, their parts included.
+@dataclass(frozen=True)
+class Comparison:
+    """Figures of two sides, compared.
 
-    Returns
-    -------
+    Attributes
+    ----------
     changes
-        Of the figures that both have, taken over the same interval.
+        Of the figures that both sides have, taken over the same interval, parts included.
     notes
-        One sentence for each figure that can't be compared.
+        One sentence for each thing left out of either side, and each figure that can't be compared.
     """
-    changes, notes = [], []
+
+    changes: tuple[Change, ...]
+    notes: tuple[str, ...]
+
+
+def compare(
+    before: Figures | Source | str | os.PathLike[str],
+    after: Figures | Source | str | os.PathLike[str],
+    drive: Pair | None = None,
+    *,
+    ratio: float | None = None,
+    rated_torque: float | str | None = None,
+    progress: Callable[[str], None] = lambda step: None,
+) -> Comparison:
+    """Return which figures moved beyond their uncertainty: before and after, two drives, two temperatures.
+
+    Parameters
+    ----------
+    before, after
+        Figures, the file in which they were written, or a recording.
+    drive, ratio, rated_torque, progress
+        As in `fitting.metrics`, for a recording.
+
+    Raises
+    ------
+    edge.InputError
+        If a file can't be read or the two have no figure that can be compared.
+
+    Examples
+    --------
+    >>> import numpy as np, fitting
+    >>> torque = 100.0 * np.sin(np.linspace(0.0, 4.0 * np.pi, 4000))
+    >>> new, worn = (fitting.Run(input_angle=0.0, output_angle=torque * c, torque=torque) for c in (1e-6, 1.1e-6))
+    >>> stiffness, *_ = (c for c in fitting.compare(new, worn).changes if c.name == "torsional_stiffness")
+    >>> stiffness.moved, round(stiffness.difference / stiffness.before.value, 3)
+    (True, -0.091)
+    """
+    sides: list[dict[str, Figure]] = []
+    notes: list[str] = []
+    for side in (before, after):
+        if isinstance(side, str | os.PathLike):
+            sides.append(read_figures(side))
+            continue
+        if not isinstance(side, Figures):
+            side = metrics(side, drive, ratio=ratio, rated_torque=rated_torque, progress=progress)
+        sides.append(side.figures)
+        notes += side.notes
+    changes, missing = changes_between(*sides)
+    notes += missing
+    if not changes:
+        raise edge.InputError("\n".join([*notes, "before and after have no figure that can be compared."]))
+    return Comparison(tuple(changes), tuple(notes))
+
+
+def changes_between(before: Mapping[str, Figure], after: Mapping[str, Figure]) -> tuple[list[Change], list[str]]:
+    """Return the changes of figures that both sides have, and a sentence for each that can't be compared."""
+    changes: list[Change] = []
+    notes = []
     for name in DEFINITIONS:
         one, other = before.get(name), after.get(name)
         if one is None and other is None:
@@ -67,8 +127,8 @@ def compare(before: Mapping[str, Figure], after: Mapping[str, Figure]) -> tuple[
             continue
         if not _same_interval(one, other):
             notes.append(
-                f"{name}: it was taken over {_said(one)} in the first and {_said(other)} in the second; give both the "
-                "same rated torque."
+                f"{name}: it was taken over {_interval(one)} in the first and {_interval(other)} in the second; give "
+                "both the same rated torque."
             )
             continue
         changes.append(Change(name, one, other))
@@ -82,22 +142,22 @@ def _same_interval(one: Figure, other: Figure) -> bool:
     return all(math.isclose(a, b, rel_tol=1e-3) for a, b in zip(one.interval, other.interval, strict=True))
 
 
-def _said(figure: Figure) -> str:
+def _interval(figure: Figure) -> str:
     low, high = figure.interval or (math.nan, math.nan)
     return f"{low:.4g} … {high:.4g} {figure.interval_unit}"
 
 
-def changes_json(changes: list[Change], notes: list[str]) -> dict[str, Any]:
-    """Return changes for scripts (SI)."""
+def comparison_json(found: Comparison) -> dict[str, Any]:
+    """Return a comparison for scripts (SI)."""
     return {
         **{
             c.name: {
                 "before": c.before.value, "after": c.after.value, "difference": c.difference,
                 "uncertainty": c.uncertainty, "unit": c.before.unit, "moved": c.moved,
             }
-            for c in changes
+            for c in found.changes
         },
-        "notes": notes,
+        "notes": list(found.notes),
     }  # fmt: skip
 
 

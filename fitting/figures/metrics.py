@@ -107,7 +107,7 @@ def figures_of(surveyed: Sequence[Surveyed], ratio: float | None, rated_torque: 
                 )
             figure = angular_transmission_error(curve, orders)
             # Clocks that run apart add their way over one turn, for every turn begins anew.
-            uncertainty = math.hypot(figure.uncertainty, one.apart / max(curve.turns, 1.0))
+            uncertainty = math.hypot(figure.uncertainty, one.runaway / max(curve.turns, 1.0))
             figure = dataclasses.replace(figure, uncertainty=uncertainty)
             ways[way][f"{one.source}, {curve.torque:.4g} N*m, {way}"] = figure
     parts = {way: max(runs.values(), key=lambda f: f.value) for way, runs in ways.items() if runs}

@@ -43,7 +43,7 @@ class Surveyed:
         The loops, or None.
     notes
         What was left out and why.
-    apart
+    runaway
         Half the 95 % interval, rad of the output, of what the two angles' clocks may make the transmission error run
         away over the whole recording.
     """
@@ -57,7 +57,7 @@ class Surveyed:
     curves: tuple[Curve, ...]
     loops: LoopData | None
     notes: tuple[str, ...]
-    apart: float = 0.0
+    runaway: float = 0.0
 
 
 class _Overview:

@@ -8,7 +8,8 @@ exact model at that angle foretells it; friction stands between loading and unlo
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,9 +20,11 @@ from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD, Pair
 from cycloid_fmu.surfaces.surface import ErrorSurface
 from cycloid_fmu.transmission import error_sensitivity, solve
 from fitting.figures.hysteresis import FRICTION, FRICTION_NEAR, LOCKED, Lobe, LoopData, branch_line
-from fitting.figures.survey import Surveyed
+from fitting.figures.survey import Surveyed, survey
 from fitting.recordings.recording import Recording, RecordingStream
+from fitting.recordings.sources import Source, open_source
 from fitting.transmission_error.curve import Curve
+from fitting.transmission_error.folding import curves
 
 Array = NDArray[np.float64]
 
@@ -64,6 +67,26 @@ def is_locked(stream: Recording | RecordingStream) -> bool:
         if high - low > LOCKED:
             return False
     return True
+
+
+def observed_curves(
+    recordings: Source | Curve | Iterable[Source | Curve], pair: Pair, *, keep_turns: bool = False
+) -> list[Curve]:
+    """Return the curves of recordings, and behind them the branches of those whose input stands still, which are loops.
+
+    Raises
+    ------
+    edge.InputError
+        If a recording can't be read, or gives neither.
+    """
+    given = [recordings] if isinstance(recordings, Source | Curve) else list(recordings)
+    found = [one for one in given if isinstance(one, Curve)]
+    sources = [one for one in given if not isinstance(one, Curve)]
+    locked = [is_locked(open_source(one)) for one in sources]
+    found += curves([one for one, still in zip(sources, locked, strict=True) if not still], pair, keep_turns=keep_turns)
+    for one in itertools.compress(sources, locked):
+        found += branches_of(survey(open_source(one), pair.ratio, pair.pair.rated_torque), pair.ratio)
+    return found
 
 
 def branches_of(surveyed: Surveyed, ratio: float) -> list[Curve]:

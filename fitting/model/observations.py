@@ -282,7 +282,7 @@ def scatter_columns(pair: Pair, each: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Near:
+class LinearisationPoint:
     """The contacts of one drive at the points of each curve, from which drives near it are taken to first order.
 
     `errors` are that drive's as of `screening.error_vector`, `contacts` has one entry a curve.
@@ -291,23 +291,23 @@ class Near:
     errors: Array
     contacts: tuple[screening.Contacts, ...]
 
-    def some(self, numbers: Sequence[int] | NDArray[np.int64]) -> Near:
+    def some(self, numbers: Sequence[int] | NDArray[np.int64]) -> LinearisationPoint:
         """Some of the curves by themselves."""
-        return Near(self.errors, tuple(self.contacts[n] for n in numbers))
+        return LinearisationPoint(self.errors, tuple(self.contacts[n] for n in numbers))
 
 
-def near(pair: Pair, surface: ErrorSurface, observed: Observations) -> Near:
+def linearisation_point(pair: Pair, surface: ErrorSurface, observed: Observations) -> LinearisationPoint:
     """Solve a drive at every point of every curve, so that drives near it can be taken to first order."""
 
     def one(curve: Curve) -> screening.Contacts:
         return screening.contacts_of(pair, surface, curve.torque, curve.input_angle, 1, _REACH)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return Near(screening.error_vector(pair, surface), tuple(pool.map(one, observed.curves)))
+        return LinearisationPoint(screening.error_vector(pair, surface), tuple(pool.map(one, observed.curves)))
 
 
 def linearised_curve(
-    pair: Pair, observed: Observations, number: int, state: State, around: Near | None = None
+    pair: Pair, observed: Observations, number: int, state: State, around: LinearisationPoint | None = None
 ) -> Linear:
     """Evaluate the model and its analytic derivatives by every structured error at every point of one curve.
 
@@ -330,7 +330,7 @@ def linearised_curve(
     return Linear(model, jacobian, scatter_columns(pair, each), by_crank, against * by_torque)
 
 
-def linearise(pair: Pair, observed: Observations, state: State, around: Near | None = None) -> Linear:
+def linearise(pair: Pair, observed: Observations, state: State, around: LinearisationPoint | None = None) -> Linear:
     """Evaluate the model and its analytic derivatives at every point of every curve, as `linearised_curve` does."""
     # The kernel works without Python's lock.
     with ThreadPoolExecutor(os.cpu_count()) as pool:

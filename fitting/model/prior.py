@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +24,32 @@ def tolerances_of(names: Sequence[str], stated: Mapping[str, float] | None = Non
     return np.array([(stated or {}).get(n, TOLERANCE[unit_of(n)]) for n in names])
 
 
+@dataclass(frozen=True)
+class Prior:
+    """What is known of single pins and teeth before anything is measured: {name: standard deviation, m}.
+
+    Attributes
+    ----------
+    scatter
+        Of a pattern such as `pin_radial`; one that is not named is estimated from the data.
+    profile
+        Of the orders of the profile deviation that all teeth share; only those named are fitted.
+    """
+
+    scatter: Mapping[str, float] = field(default_factory=dict)
+    profile: Mapping[str, float] = field(default_factory=dict)
+
+
+def prior_of(pair: Pair, tolerances: Tolerances) -> Prior:
+    """Return what tolerances allow."""
+    return Prior(scatter_of(pair, tolerances), profile_of(pair, tolerances))
+
+
 def scatter_of(pair: Pair, tolerances: Tolerances) -> dict[str, float]:
     """Return what tolerances let single pins and teeth do beyond the structured orders: standard deviations, m.
 
-    They are those of drives that the tolerances allow (`cycloid_fmu.surfaces.sampling.sample_surface`). A pattern of which
-    the tolerances say nothing is left out.
+    They are those of drives that the tolerances allow (`cycloid_fmu.surfaces.sampling.sample_surface`). A pattern of
+    which the tolerances say nothing is left out.
     """
     drawn = [sample_surface(pair, tolerances, seed, Elements(2, 2, 1)) for seed in range(_DRAWN)]
     found = {}

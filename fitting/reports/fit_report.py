@@ -12,23 +12,21 @@ import numpy as np
 
 from cycloid_fmu import edge
 from cycloid_fmu.edge import ARCMIN, ARCSEC
-from cycloid_fmu.geometry.pair import Pair
 from fitting.estimation.result import Identification, Parameter
 from fitting.figures.spectrum import spectrum
 from fitting.model.loops import LoopFit
+from fitting.reports.page import html_page, made_now
 from fitting.reports.panels import Panel, Trace, label_of, spectra_panel
-from fitting.reports.report import html_page, made_now
-from fitting.transmission_error.curve import Curve
 
 FORMATS = (".html",)
 _CRANK_TURNS = 3.0  # of the curves that the first panel shows
 _FIELD_UNITS = {"m": (1e6, "µm"), "rad": (1e3, "mrad")}
 
 
-def fit_panels(curves: Sequence[Curve], result: Identification, pair: Pair) -> list[Panel]:
+def fit_panels(result: Identification) -> list[Panel]:
     """Return the panels of a fit: measured and fitted curves, what is left, its orders, and the errors' intervals."""
     fitted, left, rest = [], [], []
-    for number, (curve, model) in enumerate(zip(curves, result.fitted_curves, strict=True)):
+    for number, (curve, model) in enumerate(zip(result.curves, result.fitted_curves, strict=True)):
         turns = curve.input_angle / (2.0 * np.pi)
         shown = turns <= _CRANK_TURNS
         error, residual = curve.transmission_error, curve.transmission_error - model
@@ -42,7 +40,7 @@ def fit_panels(curves: Sequence[Curve], result: Identification, pair: Pair) -> l
         Panel("What is left", "crank turns", "measured less fitted [arcsec]", tuple(left),
               f"{result.residual / _ARC:.3f}″ rms are left; the noise of a point is {result.noise / _ARC:.3f}″."),
     ]  # fmt: skip
-    orders = spectra_panel(rest, [spectrum(c) for c in rest], pair, "Orders of what is left")
+    orders = spectra_panel(rest, [spectrum(c) for c in rest], result.pair, "Orders of what is left")
     loops = [panel for one in result.loops for panel in _loop_panels(one)]
     return [*panels, *([orders] if orders is not None else []), *loops, _intervals(result.parameters)]
 
@@ -135,7 +133,7 @@ def _trust(result: Identification) -> list[str]:
     if result.held_out is not None:
         kept = result.held_out
         said.append(
-            f"{kept.said} were kept from a first fit and predicted by it: {kept.residual / _ARC:.3f}″ rms are left, "
+            f"{kept.loads} were kept from a first fit and predicted by it: {kept.residual / _ARC:.3f}″ rms are left, "
             f"{kept.residual / kept.noise:.2f} times the noise."
         )
     else:
@@ -154,22 +152,20 @@ def _trust(result: Identification) -> list[str]:
     return said
 
 
-def write_fit_report(curves: Sequence[Curve], result: Identification, pair: Pair, path: str | os.PathLike[str]) -> None:
+def write_fit_report(result: Identification, path: str | os.PathLike[str]) -> None:
     """Write the report of a fit as one HTML file that needs nothing else, whole or not at all.
 
     Parameters
     ----------
-    curves, result
-        The curves that were fitted and what came of it.
-    pair
-        The nominal pair.
+    result
+        The fit.
     path
         A name that ends in .html.
     """
-    target = edge.output_path(path, "--report", FORMATS)
+    target, pair = edge.output_path(path, "path", FORMATS), result.pair
     text = html_page(
-        "Identified drive", f"{pair.pair.gear_teeth}/{pair.pair.pins}, {len(curves)} curves, {made_now()}", _ABOVE,
-        fit_panels(curves, result, pair), _BELOW, known=[_row(p) for p in result.parameters if p.held is None],
+        "Identified drive", f"{pair.pair.gear_teeth}/{pair.pair.pins}, {len(result.curves)} curves, {made_now()}",
+        _ABOVE, fit_panels(result), _BELOW, known=[_row(p) for p in result.parameters if p.held is None],
         trust=_trust(result), correlation=_correlation(result), weak=result.weak_combinations,
         held=[p for p in result.parameters if p.held is not None], singles=[_row(p) for p in result.singles],
         bench=[(n, f"{v:.4g} {_bench_unit(n)}") for n, v in result.bench.items()], notes=result.notes,

@@ -88,20 +88,18 @@ def order_name(order: int, ratio: float, pair: Pair | None) -> str:
     return "mesh" if len(kinds) > 1 else "".join(kinds)
 
 
-def panels_of(found: Figures, pair: Pair | None = None) -> list[Panel]:
+def panels_of(found: Figures) -> list[Panel]:
     """Return the panels of a report: curves, orders, loops, and the torque over time.
 
     Parameters
     ----------
     found
         The figures and what they were taken from.
-    pair
-        The gear pair, which names the orders.
     """
     panels = []
     if found.curves:
         panels.append(_curves_panel(found.curves))
-        spectra = spectra_panel(found.curves, found.spectra, pair)
+        spectra = spectra_panel(found.curves, found.spectra, found.pair)
         if spectra is not None:
             panels.append(spectra)
     panels += [p for s in found.surveyed if s.loops is not None for p in _loop_panels(s.loops)]

@@ -2,34 +2,74 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+import os
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cycloid_fmu.draw.plots import new_figure, show_legend
+from cycloid_fmu import edge
+from cycloid_fmu.draw.plots import new_figure, save, show_legend
 from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.surface import ErrorSurface, unit_of
 from cycloid_fmu.transmission import solve
 from fitting.estimation.plan import Plan
 from fitting.estimation.result import Identification
+from fitting.figures.comparison import Change, Comparison
+from fitting.figures.metrics import Figures
 from fitting.model.prior import TOLERANCE
-from fitting.reports.panels import Panel, label_of
+from fitting.recordings.inspection import Inspection, Look
+from fitting.reports.panels import Panel, label_of, panels_of
 from fitting.transmission_error.curve import Curve
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from fitting.figures.comparison import Change
-    from fitting.recordings.proposal import Look
-
 Array = NDArray[np.float64]
 
 
 _WIDTHS = {"line": 1.2, "thin": 0.8, "dashed": 1.0, "thick": 2.5}
+
+
+def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
+    """Draw a result, and write the picture where a path is given.
+
+    Parameters
+    ----------
+    result
+        What `fitting.curves`, `metrics`, `compare`, `identify`, `plan` or `inspect` returned.
+    path
+        `.png` or `.pdf`.
+
+    Raises
+    ------
+    edge.InputError
+        If there is no picture of such a result, or the name has another ending.
+
+    Examples
+    --------
+    >>> import numpy as np, fitting
+    >>> angle = np.linspace(0.0, 2.0 * np.pi * 39, 2000)
+    >>> run = fitting.Run(input_angle=angle, output_angle=-angle / 39 + 1e-5 * np.cos(angle), torque=20.0)
+    >>> len(fitting.plot(fitting.curves(run, -39.0)).axes)
+    2
+    """
+    pictures: list[tuple[type, Callable[[Any], Figure]]] = [
+        (Figures, lambda found: plot_panels(panels_of(found))), (Comparison, lambda found: plot_changes(found.changes)),
+        (Identification, plot_identification), (Inspection, lambda found: plot_channels(found.looks, found.roles)),
+        (Curve, plot_curves), (Plan, plot_plans),
+    ]  # fmt: skip
+    one = result[0] if isinstance(result, list | tuple) and result else result
+    draw = next((draw for kind, draw in pictures if isinstance(one, kind)), None)
+    if draw is None:
+        raise edge.InputError(f"result: there is no picture of {type(one).__name__}.")
+    figure = draw(result)
+    if path is not None:
+        save(figure, path)
+    return figure
 
 
 def draw_panel(axis: Axes, panel: Panel) -> None:
@@ -150,9 +190,9 @@ def plot_comparison(
     return figure
 
 
-def plot_identification(curves: Sequence[Curve], result: Identification) -> Figure:
+def plot_identification(result: Identification) -> Figure:
     """Measured and fitted transmission errors with their residual."""
-    return plot_comparison(curves, result.fitted_curves, "fitted")
+    return plot_comparison(result.curves, result.fitted_curves, "fitted")
 
 
 def plot_plans(plans: Sequence[Plan]) -> Figure:
@@ -162,7 +202,7 @@ def plot_plans(plans: Sequence[Plan]) -> Figure:
     figure.set_figheight(1.5 + 0.22 * len(names))
     for number, plan in enumerate(plans):
         share = [plan.standard_error.get(n, np.nan) / TOLERANCE[unit_of(n)] for n in names]
-        axis.plot(share, np.arange(len(names)), "o", color=f"C{number}", label=plan.said)
+        axis.plot(share, np.arange(len(names)), "o", color=f"C{number}", label=plan.runs)
     axis.set(xscale="log", xlabel="standard error as a share of what the error may be unmeasured")
     axis.set_yticks(np.arange(len(names)), names, fontsize=7)
     axis.invert_yaxis()

@@ -1,287 +1,40 @@
-"""The report that a person reads and hands on: one HTML file that needs nothing else, or the same as PDF."""
+"""The report that a person reads and hands on, of figures or of a fit."""
 
 from __future__ import annotations
 
-import base64
-import datetime
-import json
-import math
 import os
-import textwrap
-from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from cycloid_fmu import __version__, edge
-from cycloid_fmu.geometry.pair import Pair
-from fitting.figures.figure import DEFINITIONS, Figure, in_field_units
+from fitting.estimation.result import Identification
 from fitting.figures.metrics import Figures
-from fitting.reports.panels import Panel, Trace, panels_of
-
-FORMATS = (".html", ".pdf")
-TITLES = {name: name.replace("_", " ").capitalize() for name in DEFINITIONS}
-COLOURS = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b", "#e377c2")
-GREY = "#777777"
+from fitting.reports.figures_report import write_figures_report
+from fitting.reports.fit_report import write_fit_report
 
 
-def write_report(found: Figures, path: str | os.PathLike[str], pair: Pair | None = None) -> None:
-    """Write a report as HTML or PDF by its name's ending, whole or not at all.
+def report(result: Figures | Identification, path: str | os.PathLike[str]) -> None:
+    """Write the report of figures or of a fit, whole or not at all.
 
     Parameters
     ----------
-    found
-        The figures and what they were taken from.
+    result
+        What `fitting.metrics` or `fitting.identify` returned.
     path
-        `.html`: one file with all it needs, to zoom and hover in; `.pdf`: the same on pages.
-    pair
-        The gear pair, which names the orders.
+        `.html`: one file with all that it needs, to zoom and hover in; `.pdf`, of figures only: the same on pages.
+
+    Raises
+    ------
+    edge.InputError
+        If the name has another ending or its folder does not exist.
+
+    Examples
+    --------
+    >>> import numpy as np, fitting, pathlib
+    >>> torque = 100.0 * np.sin(np.linspace(0.0, 4.0 * np.pi, 4000))
+    >>> loop = fitting.Run(input_angle=0.0, output_angle=torque / 1e6, torque=torque)
+    >>> fitting.report(fitting.metrics(loop, ratio=-39.0), "report.html")
+    >>> "Torsional stiffness" in pathlib.Path("report.html").read_text(encoding="utf-8")
+    True
     """
-    target = edge.output_path(path, "--output", FORMATS)
-    panels = panels_of(found, pair)
-    with edge.written_whole(target) as temporary:
-        if target.suffix.lower() == ".html":
-            temporary.write_text(html_report(found, panels), encoding="utf-8")
-        else:
-            _write_pdf(found, panels, temporary)
-
-
-def figure_rows(found: Figures) -> list[dict[str, str]]:
-    """Return the figures' table, one row a figure and one, with `part`, for each of its parts and runs."""
-    rows = []
-    for name, figure in found.figures.items():
-        rows.append(_row(TITLES[name], figure, definition=figure.definition))
-        rows += [_row(Path(part).name, one, part="yes") for part, one in {**figure.parts, **figure.runs}.items()]
-    return rows
-
-
-def _row(name: str, figure: Figure, *, definition: str = "", part: str = "") -> dict[str, str]:
-    value, uncertainty, unit = in_field_units(figure)
-    interval = ""
-    if figure.interval is not None:
-        low, high = figure.interval
-        if figure.interval_unit == "rad":
-            interval = f"{math.degrees(low):g} … {math.degrees(high):g}°"
-        else:
-            interval = f"{low:.4g} … {high:.4g} N·m"
-    return {
-        "name": name, "value": value, "uncertainty": uncertainty, "unit": unit, "interval": interval,
-        "of": f"{figure.count:.4g} {figure.counted}", "definition": definition, "part": part,
-    }  # fmt: skip
-
-
-def _sources(found: Figures) -> list[dict[str, str]]:
-    rows = []
-    for one in found.surveyed:
-        temperature = one.overview.temperature
-        warm = "" if temperature is None else f"{np.nanmean(temperature) - 273.15:.1f} °C"
-        kind = "loops" if one.loops is not None else "run"
-        rows.append(
-            {"name": Path(one.source).name, "kind": kind, "samples": f"{one.samples:,}",
-             "time": f"{one.duration:.4g} s", "temperature": warm, "checksum": one.checksum}
-        )  # fmt: skip
-    return rows
-
-
-def _facts(found: Figures) -> str:
-    facts = []
-    if found.ratio is not None:
-        facts.append(f"ratio {found.ratio:g}")
-    if found.rated_torque is not None:
-        facts.append(f"rated torque {found.rated_torque:.5g} N·m")
-    return ", ".join([*facts, made_now()])
-
-
-def made_now() -> str:
-    """Say when and with which version a report is made."""
-    now = datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z")
-    return f"made {now} with cycloid-fmu {__version__}"
-
-
-# ---------------------------------------------------------------------------------------------------------------- HTML
-
-_HEAD = """<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{{ title }}</title>
-<style>
-body { font: 15px/1.45 system-ui, "Segoe UI", "DejaVu Sans", sans-serif; color: #222; max-width: 960px;
-  margin: 1.5em auto; padding: 0 1em; }
-h1 { font-size: 1.5em; margin: 0; } h2 { font-size: 1.15em; margin: 1.6em 0 .3em; }
-p.facts, p.caption { color: #555; margin: .2em 0 .6em; } p.caption { font-size: .9em; }
-table { border-collapse: collapse; width: 100%; } th { text-align: left; font-weight: 600; }
-th, td { padding: .25em .6em .25em 0; border-bottom: 1px solid #ddd; vertical-align: top; }
-td.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
-tr.part td { color: #555; font-size: .92em; border-bottom-style: dotted; }
-tr.part td:first-child { padding-left: 1.2em; }
-td.definition { font-size: .85em; color: #555; } code { font-size: .8em; word-break: break-all; color: #777; }
-.panel { height: 380px; } section { break-inside: avoid; } li { margin: .2em 0; }
-@media print { body { margin: 0; max-width: none; font-size: 11px; } .panel { height: 300px; }
-  .modebar { display: none; } }
-</style></head><body>
-<h1>{{ title }}</h1><p class="facts">{{ facts }}</p>
-"""
-_PANELS = """{% for p in panels %}<section><h2>{{ p.title }}</h2><div class="panel" id="panel-{{ loop.index0 }}"></div>
-<p class="caption">{{ p.caption }}</p></section>
-{% endfor %}
-"""
-_TAIL = """<script>{{ plotly }}</script>
-<script>
-const panels = {{ data }};
-panels.forEach((p, i) => Plotly.newPlot("panel-" + i, p.data, p.layout, {responsive: true, displaylogo: false}));
-const fit = () => panels.forEach((_, i) => Plotly.Plots.resize("panel-" + i));
-window.matchMedia("print").addEventListener("change", fit);
-window.addEventListener("beforeprint", fit);
-</script></body></html>
-"""
-
-_FIGURES = """<h2>Figures</h2>
-{% if rows %}<table id="figures"><thead><tr><th>Figure</th><th>Value</th><th>± (95 %)</th><th>Unit</th><th>Of</th>
-<th>Interval</th><th>Definition</th></tr></thead><tbody>
-{% for r in rows %}<tr class="{{ 'part' if r.part else 'figure' }}"><td>{{ r.name }}</td>
-<td class="number">{{ r.value }}</td><td class="number">{{ r.uncertainty }}</td><td>{{ r.unit }}</td>
-<td class="number">{{ r.of }}</td>
-<td>{{ r.interval if not r.part }}</td><td class="definition">{{ r.definition }}</td></tr>
-{% endfor %}</tbody></table>{% else %}<p>No figure could be computed; the notes say why.</p>{% endif %}
-"""
-_SOURCES = """<h2>What was left out, and what to know</h2>
-{% if notes %}<ul id="notes">{% for n in notes %}<li>{{ n }}</li>{% endfor %}</ul>{% else %}
-<p id="notes">Nothing was left out.</p>{% endif %}
-<h2>Recordings</h2><table id="recordings"><thead><tr><th>File</th><th>Kind</th><th>Samples</th><th>Time</th>
-<th>Temperature</th><th>SHA-256</th></tr></thead><tbody>
-{% for s in sources %}<tr><td>{{ s.name }}</td><td>{{ s.kind }}</td><td class="number">{{ s.samples }}</td>
-<td class="number">{{ s.time }}</td><td>{{ s.temperature }}</td><td><code>{{ s.checksum }}</code></td></tr>
-{% endfor %}</tbody></table>
-"""
-
-
-def html_report(found: Figures, panels: Sequence[Panel]) -> str:
-    """Return the report as one HTML page that loads nothing from anywhere."""
-    return html_page(
-        "Test bench report", _facts(found), _FIGURES, panels, _SOURCES, rows=figure_rows(found), notes=found.notes,
-        sources=_sources(found),
-    )  # fmt: skip
-
-
-def html_page(title: str, facts: str, above: str, panels: Sequence[Panel], below: str, **values: Any) -> str:
-    """Return one HTML page that loads nothing from anywhere: what stands above the panels, the panels, what is below.
-
-    `above` and `below` are jinja2 templates of `values`, which are escaped.
-    """
-    import jinja2
-    from markupsafe import Markup
-    from plotly.offline import get_plotlyjs
-
-    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
-    data = json.dumps([_plotly(p) for p in panels]).replace("</", "<\\/")
-    return environment.from_string(_HEAD + above + _PANELS + below + _TAIL).render(
-        title=title, facts=facts, panels=panels, plotly=Markup(get_plotlyjs()), data=Markup(data), **values
-    )
-
-
-def _packed(values: Any) -> dict[str, str]:
-    """Pack numbers as plotly reads them without a digit too many: 32 bit, base 64."""
-    return {"dtype": "f4", "bdata": base64.b64encode(np.asarray(values, "<f4").tobytes()).decode()}
-
-
-_PLOTLY_LINES: dict[str, dict[str, Any]] = {
-    "line": {"width": 1.5}, "thin": {"width": 1.0}, "dashed": {"width": 1.2, "dash": "dash"}, "thick": {"width": 3.5},
-}  # fmt: skip
-
-
-def _colour(trace: Trace) -> str:
-    return GREY if trace.colour < 0 else COLOURS[trace.colour % len(COLOURS)]
-
-
-def _plotly(panel: Panel) -> dict[str, Any]:
-    data = []
-    for t in panel.traces:
-        one: dict[str, Any] = {
-            "type": "scatter", "x": _packed(t.x), "y": _packed(t.y), "name": t.label, "showlegend": bool(t.label),
-            "mode": "lines",
-        }  # fmt: skip
-        if t.style == "points":
-            named = {"mode": "markers+text", "text": list(t.texts), "textposition": "top center",
-                     "textfont": {"size": 11}, "cliponaxis": False}  # fmt: skip
-            one |= {"mode": "markers", "marker": {"color": "#222" if t.texts else GREY, "size": 5 if t.texts else 2}}
-            one |= named if t.texts else {}
-        else:
-            one["line"] = {**_PLOTLY_LINES[t.style], "color": _colour(t)}
-        data.append(one)
-    axis = {"gridcolor": "#e5e5e5", "zeroline": False, "ticks": "outside", "automargin": True}
-    layout: dict[str, Any] = {
-        "margin": {"l": 60, "r": 20, "t": 30, "b": 45}, "paper_bgcolor": "white", "plot_bgcolor": "white",
-        "xaxis": {**axis, "title": {"text": panel.x_label}},
-        "yaxis": {**axis, "title": {"text": panel.y_label}, "type": "log" if panel.log_y else "linear"},
-        "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom"}, "modebar": {"orientation": "v"},
-        "hovermode": "closest",
-    }  # fmt: skip
-    if panel.y_names:
-        rows = [-row for row in range(len(panel.y_names))]
-        layout["yaxis"] |= {"tickvals": rows, "ticktext": list(panel.y_names), "tickfont": {"size": 10}}
-    return {"data": data, "layout": layout}
-
-
-# ----------------------------------------------------------------------------------------------------------------- PDF
-
-_A4 = (8.27, 11.69)
-_LINES = 62  # of text on a page
-
-
-def _write_pdf(found: Figures, panels: Sequence[Panel], path: Path) -> None:
-    from matplotlib.backends.backend_pdf import PdfPages
-    from matplotlib.figure import Figure as Page
-
-    from fitting.reports.plots import draw_panel
-
-    with PdfPages(path, metadata={"Title": "Test bench report", "Creator": f"cycloid-fmu {__version__}"}) as pdf:
-        for page in _text_pages(found):
-            pdf.savefig(page)
-        for begin in range(0, len(panels), 2):
-            page = Page(figsize=_A4, layout="constrained")
-            page.get_layout_engine().set(rect=(0.03, 0.03, 0.94, 0.94), hspace=0.08)  # type: ignore[union-attr, call-arg]
-            axes = page.subplots(2, 1)
-            for axis in axes[len(panels[begin : begin + 2]) :]:
-                axis.set_axis_off()
-            for axis, panel in zip(axes, panels[begin : begin + 2], strict=False):
-                draw_panel(axis, panel)
-                caption = "\n".join(textwrap.wrap(panel.caption, 110))
-                axis.set_xlabel(f"{panel.x_label}\n{caption}", fontsize=8)
-            pdf.savefig(page)
-
-
-def _text_pages(found: Figures) -> list[Any]:
-    """Set the figures' table, the notes and the recordings in lines of text, as many pages as they need."""
-    from matplotlib.figure import Figure as Page
-
-    lines: list[tuple[str, dict[str, Any]]] = [
-        ("Test bench report", {"fontsize": 16, "weight": "bold"}), (_facts(found), {"color": "#555555"}), ("", {}),
-    ]  # fmt: skip
-    mono = {"family": "DejaVu Sans Mono", "fontsize": 8}
-    heading = {"weight": "bold", "fontsize": 11}
-    lines.append(("Figures", heading))
-    lines.append((f"{'figure':<42} {'value':>10} {'± (95 %)':>10} {'unit':<11} of", {**mono, "weight": "bold"}))
-    for row in figure_rows(found):
-        name = f"  {row['name']}" if row["part"] else row["name"]
-        name = name if len(name) <= 42 else f"{name[:3]}…{name[-38:]}"
-        text = f"{name:<42} {row['value']:>10} {row['uncertainty']:>10} {row['unit']:<11} {row['of']}"
-        lines.append((text, mono))
-        if row["definition"]:
-            said = f"{row['definition']}; {row['interval']}" if row["interval"] else row["definition"]
-            lines += [(f"    {one}", {"color": "#555555", "fontsize": 7}) for one in textwrap.wrap(said, 120)]
-    lines += [("", {}), ("What was left out, and what to know", heading)]
-    for note in found.notes or ("Nothing was left out.",):
-        lines += [(one, {}) for one in textwrap.wrap(note, 112, subsequent_indent="    ")]
-    lines += [("", {}), ("Recordings", heading)]
-    for s in _sources(found):
-        lines.append((", ".join(filter(None, (s["name"], s["kind"], f"{s['samples']} samples", s["time"],
-                                              s["temperature"]))), {}))  # fmt: skip
-        lines.append((f"    SHA-256 {s['checksum']}", {**mono, "fontsize": 6.5, "color": "#777777"}))
-    pages = []
-    for begin in range(0, len(lines), _LINES):
-        page = Page(figsize=_A4)
-        for number, (text, style) in enumerate(lines[begin : begin + _LINES]):
-            # A note may hold a dollar sign, which is no formula.
-            page.text(0.07, 0.95 - number * 0.9 / _LINES, text.replace("$", r"\$"), **{"fontsize": 8.5, **style})
-        pages.append(page)
-    return pages
+    if isinstance(result, Identification):
+        write_fit_report(result, path)
+    else:
+        write_figures_report(result, path)

@@ -19,9 +19,9 @@ from fitting.estimation.fit import confirmed, fit, possible, profile_interval, t
 from fitting.estimation.identify import identify
 from fitting.model.identifiability import chosen_errors, posterior_covariance
 from fitting.model.observations import State, errors_of, linearise, observations, spread_of, with_scatter
-from fitting.model.prior import scatter_of
+from fitting.model.prior import Prior, scatter_of
 from fitting.recordings.recording import Recording
-from fitting.reports.fit_report import write_fit_report
+from fitting.reports.report import report
 from fitting.transmission_error.curve import Curve
 from fitting.transmission_error.folding import transmission_error_curves
 
@@ -277,7 +277,7 @@ def test_every_pin_and_tooth_by_itself(nominal, tmp_path):
     known = scatter_of(nominal, tolerances)
     assert set(known) == {"pin_tangential", "tooth_cumulative_pitch"}
     assert 0.2e-6 < known["pin_tangential"] < 3e-6  # within a single pitch of ± 3 µm
-    found = identify(curves, nominal, held_out=False, scatter=known, profiled=["isometric"])
+    found = identify(curves, nominal, held_out=False, tolerances=Prior(known), profiled=["isometric"])
     assert any(n.startswith("isometric is held, so it has no profile") for n in found.notes)
     places = {p.name: p for p in found.singles if p.name.startswith("pin_tangential_at_")}
     assert len(found.singles) == 40 + 40 + 39
@@ -286,7 +286,7 @@ def test_every_pin_and_tooth_by_itself(nominal, tmp_path):
     errors = np.array([places[f"pin_tangential_at_{i}"].standard_error for i in range(40)])
     # All pins turned alike are the output's zero; that they share.
     assert np.mean(np.abs(values - values.mean() - truth) < 1.96 * errors) > 0.85
-    write_fit_report(curves, found, nominal, tmp_path / "fit.html")
+    report(found, tmp_path / "fit.html")
     text = (tmp_path / "fit.html").read_text()
     assert "pin_tangential_at_39" in text
     assert 'id="correlation"' in text
@@ -295,7 +295,7 @@ def test_every_pin_and_tooth_by_itself(nominal, tmp_path):
     assert "<link" not in text
     assert 'src="http' not in text
     with pytest.raises(edge.InputError, match=r"must end in \.html"):
-        write_fit_report(curves, found, nominal, tmp_path / "fit.pdf")
+        report(found, tmp_path / "fit.pdf")
 
 
 def test_what_bench_runs_lack_is_said(simple, nominal):

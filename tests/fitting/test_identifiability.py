@@ -10,9 +10,9 @@ import fitting.estimation.identify
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.surfaces.surface import read_surface, structured_value, surface_of_pair, write_surface
 from cycloid_fmu.transmission import error_sensitivity, solve
-from fitting.estimation.ensemble import drawn_surfaces
+from fitting.estimation.ensemble import ensemble
 from fitting.estimation.identify import identify, kept_back
-from fitting.estimation.plan import bench_plans, planned_curve
+from fitting.estimation.plan import plan, planned_curve
 
 ARCSEC = np.pi / 648000
 
@@ -23,7 +23,7 @@ def found(measured, nominal):
 
 
 def test_a_load_is_kept_back_and_predicted_at_the_noise_level(found):
-    assert found.held_out.said == "+100 N·m, -100 N·m"
+    assert found.held_out.loads == "+100 N·m, -100 N·m"
     assert found.held_out.residual < 1.2 * found.held_out.noise
 
 
@@ -129,7 +129,7 @@ def test_starts_that_end_apart_are_said(measured, nominal, monkeypatch):
     """Where no two starts agree all five are tried, the best is taken, and the fit says what that may mean."""
     monkeypatch.setattr(fitting.estimation.identify, "_AGREE", -np.inf)
     said = []
-    found = identify(measured(8, each=12), nominal, said.append, held_out=False)
+    found = identify(measured(8, each=12), nominal, progress=said.append, held_out=False)
     assert "finding a start (5)" in said
     assert any("No two of 5 starts ended in the same optimum" in n for n in found.notes)
     assert found.residual < 0.6 * ARCSEC
@@ -137,8 +137,8 @@ def test_starts_that_end_apart_are_said(measured, nominal, monkeypatch):
 
 def test_more_runs_tell_no_less():
     pair = read_pair(EXAMPLES / "drive-39-40.toml")
-    plans = bench_plans(pair, [20.0, 200.0], turns=1.0, samples=12, noise=0.5 * ARCSEC, scatter=0.3e-6)
-    assert [p.said for p in plans] == ["200 N·m forward", "200 N·m both ways", "200 and 20 N·m both ways"]
+    plans = plan(pair, [20.0, 200.0], turns=1.0, samples=12, noise=0.5 * ARCSEC, scatter=0.3e-6)
+    assert [p.runs for p in plans] == ["200 N·m forward", "200 N·m both ways", "200 and 20 N·m both ways"]
     assert len(plans[0].standard_error) < len(plans[1].standard_error) <= len(plans[2].standard_error)
     for name, error in plans[1].standard_error.items():
         assert plans[2].standard_error.get(name, 0.0) < 1.01 * error
@@ -148,18 +148,18 @@ def test_more_runs_tell_no_less():
 def test_a_plan_foretells_the_fit(measured, nominal):
     """The standard errors that a plan states are those that the fit of such runs then has (no scatter in either)."""
     found = identify(measured(9), nominal, held_out=False)
-    planned = bench_plans(nominal, [20.0, 200.0], turns=1.0, samples=24, noise=0.5 * ARCSEC, scatter=1e-9)[-1]
+    planned = plan(nominal, [20.0, 200.0], turns=1.0, samples=24, noise=0.5 * ARCSEC, scatter=1e-9)[-1]
     ratios = [p.standard_error / planned.standard_error[p.name] for p in found.parameters
               if p.held is None and p.name in planned.standard_error]  # fmt: skip
     assert len(ratios) > 15
     assert np.median(ratios) == pytest.approx(1.0, abs=0.25)
 
 
-def test_drawn_surfaces_have_the_fit_s_covariance(found, nominal, tmp_path):
+def test_ensemble_have_the_fit_s_covariance(found, nominal, tmp_path):
     write_surface(found.surface, tmp_path / "s.nc")
     surface = read_surface(tmp_path / "s.nc")
-    drawn = drawn_surfaces(nominal, surface, 400, seed=1)
-    again = drawn_surfaces(nominal, surface, 2, seed=1)
+    drawn = ensemble(nominal, surface, 400, seed=1)
+    again = ensemble(nominal, surface, 2, seed=1)
     assert again[1].centre_distance_x == drawn[1].centre_distance_x
     at = surface.covariance_of.index("centre_distance_x")
     spread = np.std([s.centre_distance_x for s in drawn])
@@ -172,7 +172,7 @@ def test_the_ensemble_s_band_is_as_wide_as_the_fit_is_uncertain(found, nominal, 
     """At a load that was not measured the truth lies within a few widths of the drawn band."""
     angles = np.linspace(0.0, 200.0, 40)
     drawn = [solve(nominal, s, 60.0, angles, with_play=False).transmission_error[0]
-             for s in drawn_surfaces(nominal, found.surface, 60, seed=0)]  # fmt: skip
+             for s in ensemble(nominal, found.surface, 60, seed=0)]  # fmt: skip
     truth = solve(made, surface_of_pair(made), 60.0, angles, with_play=False).transmission_error[0]
     centre, width = np.mean(drawn, axis=0), np.std(drawn, axis=0)
     assert np.abs((truth - centre) / width).max() < 5.0

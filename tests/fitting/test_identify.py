@@ -12,7 +12,7 @@ from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.surfaces.surface import read_surface, structured_value, surface_of_pair, with_structured, write_surface
 from cycloid_fmu.transmission import solve
 from fitting.estimation.identify import identify
-from fitting.estimation.result import as_json, read_lmfit_parameters, write_identification
+from fitting.estimation.result import as_json, read_lmfit_parameters
 from fitting.model.identifiability import choose, posterior_covariance
 from fitting.model.observations import State, errors_of, linearise, observations, spread_of
 from fitting.model.prior import tolerances_of
@@ -93,7 +93,7 @@ def test_json_says_value_interval_and_what_is_held(found):
 
 
 def test_lmfit_reads_its_parameters_back(found, tmp_path):
-    write_identification(found, tmp_path / "fit.json")
+    found.write(tmp_path / "fit.json")
     again = read_lmfit_parameters(tmp_path / "fit.json")
     assert [*again] == [*found.lmfit_parameters]
     for name, one in found.lmfit_parameters.items():

@@ -11,7 +11,7 @@ from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.surfaces.surface import structured_value, surface_of_pair, with_structured
 from cycloid_fmu.transmission import solve
 from fitting.estimation.identify import identify
-from fitting.estimation.plan import bench_plans
+from fitting.estimation.plan import plan
 from fitting.figures.survey import survey
 from fitting.model.loops import branches_of, is_locked, on_the_curves_zero, play_of
 from fitting.model.observations import State, left_of, linearise, observations, spread_of
@@ -80,7 +80,7 @@ def test_a_loop_tells_what_transmission_errors_alone_do_not(measured, nominal, m
     """Without a common zero nothing says how the two sides of the teeth stand to each other, but the play does."""
     curves = measured(1, each=12, zeros=(3e-4, -2e-4, 1e-4, 5e-5), common_zero=False)
     alone = {p.name: p for p in identify(curves, nominal, held_out=False).parameters}
-    found = identify(curves, nominal, loops=loop)
+    found = identify([*curves, *loop], nominal)
     with_loop = {p.name: p for p in found.parameters}
     assert alone["pin_circle_radius"].held is not None
     assert with_loop["pin_circle_radius"].held is None
@@ -98,8 +98,8 @@ def test_a_loop_tells_what_transmission_errors_alone_do_not(measured, nominal, m
 
 def test_a_plan_with_a_loop_foretells_what_it_adds(nominal):
     runs = {"turns": 1.0, "samples": 12, "noise": 0.5 * ARCSEC, "scatter": 0.3e-6}
-    one_way, wound, both, all_of_it = bench_plans(nominal, [200.0], loop=RATED, **runs)
-    assert wound.said == "200 N·m forward and a loop to 181 N·m"
+    one_way, wound, both, all_of_it = plan(nominal, [200.0], loop=RATED, **runs)
+    assert wound.runs == "200 N·m forward and a loop to 181 N·m"
     assert "pin_radius" not in one_way.standard_error
     assert "pin_radius" in wound.standard_error
     for name, error in both.standard_error.items():
@@ -129,7 +129,7 @@ def test_a_loop_that_tells_no_play_is_refused(made, how, said):
 
 def test_loops_alone_are_refused(nominal, loop):
     with pytest.raises(edge.InputError, match="one crank angle only"):
-        identify([], nominal, loops=loop)
+        identify(loop, nominal)
 
 
 def test_loops_among_recordings_on_the_command_line(command, made, measured, tmp_path, nominal):

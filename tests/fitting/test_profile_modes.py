@@ -15,7 +15,7 @@ from cycloid_fmu.surfaces.surface import (
 )  # fmt: skip
 from cycloid_fmu.transmission import error_sensitivity, solve
 from fitting.estimation.identify import identify
-from fitting.model.prior import profile_of
+from fitting.model.prior import Prior, profile_of
 from fitting.transmission_error.curve import Curve
 
 ARCSEC = np.pi / 648000
@@ -70,7 +70,7 @@ def test_form_within_its_tolerance_no_longer_bends_the_other_errors(made, nomina
         for error in [solve(made, surface, load, angle, with_play=False).transmission_error[0]]
     ]  # fmt: skip
     without = identify(curves, nominal, held_out=False)
-    found = identify(curves, nominal, profile=tolerated, held_out=False)
+    found = identify(curves, nominal, tolerances=Prior(profile=tolerated), held_out=False)
 
     def distances(result):
         return {p.name: abs(p.value - structured_value(made, surface, p.name)) / p.standard_error

@@ -17,8 +17,8 @@ from cycloid_fmu import edge
 from drivers.recording_format import GAP
 from fitting.figures.survey import lag_of
 from fitting.recordings.formats import PIECE, BenchFile, RawChannel, open_bench_file, unit_text
+from fitting.recordings.inspection import Inspection, Look, inspect, roles_of
 from fitting.recordings.mapping import read_mapping
-from fitting.recordings.proposal import Look, look, propose
 from fitting.recordings.recording import open_recording
 from fitting.recordings.tables import find_dialect
 from fitting.transmission_error.folding import transmission_error_curves
@@ -433,8 +433,7 @@ def test_what_inspect_proposes_reads_the_file(tmp_path, name):
     else:
         write_can(tmp_path, ".blf")
         dbc = tmp_path / "bench.dbc"
-    file = open_bench_file(tmp_path / name, dbc)
-    (tmp_path / "map.toml").write_text(propose(file, look(file), dbc and dbc.name).text)
+    inspect(tmp_path / name, dbc).write(tmp_path / "map.toml")
     found = open_recording(tmp_path / name, read_mapping(tmp_path / "map.toml")).read()
     assert found.input_angle - found.input_angle[0] == pytest.approx(INPUT, abs=1e-3)
     assert found.torque == pytest.approx(TORQUE, abs=1e-3)
@@ -449,7 +448,7 @@ class Named(BenchFile):
 def test_a_proposed_mapping_names_whatever_columns_there_are(names):
     looks = [Look(RawChannel(name, "deg"), TIME, size * INPUT) for name, size in zip(names, (1.0, 0.1), strict=True)]
     file = Named("a.csv", tuple(one.channel for one in looks), timed=True)
-    mapping = tomllib.loads(propose(file, looks).text)
+    mapping = tomllib.loads(Inspection(file, tuple(looks), roles_of(file, looks)).text)
     assert {mapping["input_angle"]["column"], mapping["output_angle"]["column"]} == set(names)
 
 

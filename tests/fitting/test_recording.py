@@ -245,8 +245,8 @@ def test_what_is_left_of_the_drift_is_in_the_figure_s_uncertainty(tmp_path):
     (curve,) = surveyed.curves
     figure = figures_of([surveyed], -39.0, None).figures["angular_transmission_error"]
     run_away = 2 * open_recording(path).read().alignment * SPEED / 39
-    assert surveyed.apart == pytest.approx(run_away, rel=0.02)
-    assert figure.uncertainty >= surveyed.apart / curve.turns > 1e-3 * ARCSEC
+    assert surveyed.runaway == pytest.approx(run_away, rel=0.02)
+    assert figure.uncertainty >= surveyed.runaway / curve.turns > 1e-3 * ARCSEC
     assert abs(figure.value - 40 * ARCSEC) < figure.uncertainty + 0.1 * ARCSEC
 
 

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from fitting.recordings.formats import BenchFile, RawChannel, unit_text
+from fitting.recordings.formats import BenchFile, RawChannel, open_bench_file, unit_text
 from fitting.recordings.mapping import CHANNELS, FORMAT, OPTIONAL
 
 Array = NDArray[np.float64]
@@ -100,33 +102,71 @@ def _named(looks: Sequence[Look], role: str) -> list[Look]:
 
 
 @dataclass(frozen=True)
-class Proposal:
-    """A mapping that may fit.
+class Inspection:
+    """What is in a bench file, and a mapping that may fit it.
 
     Attributes
-    ----------
-    roles
-        {role: the channel proposed for it}.
-    text
-        The mapping file, with a comment wherever something was concluded from the values, or is missing.
-    """
-
-    roles: dict[str, Look]
-    text: str
-
-
-def propose(file: BenchFile, looks: Sequence[Look], dbc: str | None = None) -> Proposal:
-    """Propose which channel is what: by names and units, and of two angles the input is the one that goes further.
-
-    Parameters
     ----------
     file
         The file, opened.
     looks
         What its channels hold.
+    roles
+        {role: the channel proposed for it}.
     dbc
         The DBC with which it was opened.
     """
+
+    file: BenchFile
+    looks: tuple[Look, ...]
+    roles: dict[str, Look]
+    dbc: Path | None = None
+
+    @property
+    def text(self) -> str:
+        """The proposed mapping file, with a comment wherever something was concluded from the values, or is missing."""
+        return _mapping_text(self.roles, self.file, None if self.dbc is None else str(self.dbc.resolve()))
+
+    def write(self, path: str | os.PathLike[str]) -> None:
+        """Write the proposed mapping file, in which the DBC is named relative to it, whole or not at all."""
+        folder = Path(path).resolve().parent
+        dbc = None if self.dbc is None else os.path.relpath(self.dbc.resolve(), folder)
+        with edge.written_whole(path) as temporary:
+            temporary.write_text(_mapping_text(self.roles, self.file, dbc), encoding="utf-8")
+
+
+def inspect(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | None = None) -> Inspection:
+    """Return what is in a bench file and propose which channel is what, for a person to check.
+
+    Parameters
+    ----------
+    path
+        A file of any kind that is read.
+    dbc
+        The DBC of a CAN log.
+
+    Raises
+    ------
+    edge.InputError
+        If the file can't be read or holds no samples.
+
+    Examples
+    --------
+    >>> import fitting, pathlib
+    >>> rows = ["t [s];Motor [deg];Flange [deg];Md [Nm]", "0;0;0;5", "1;39;1;5", ""]
+    >>> _ = pathlib.Path("strange.csv").write_text(chr(10).join(rows))
+    >>> {role: one.channel.name for role, one in fitting.inspect("strange.csv").roles.items()}
+    {'time': 't', 'torque': 'Md', 'input_angle': 'Motor', 'output_angle': 'Flange'}
+    """
+    file = open_bench_file(path, dbc)
+    looks = look(file)
+    if not looks:
+        raise edge.InputError(" ".join([*file.problems, f"{path}: it holds no samples of a numeric channel."]))
+    return Inspection(file, tuple(looks), roles_of(file, looks), None if dbc is None else Path(dbc))
+
+
+def roles_of(file: BenchFile, looks: Sequence[Look]) -> dict[str, Look]:
+    """Propose which channel is what: by names and units, and of two angles the input is the one that goes further."""
     left = [one for one in looks if np.isfinite(one.values).any()]
     roles: dict[str, Look] = {}
 
@@ -162,7 +202,7 @@ def propose(file: BenchFile, looks: Sequence[Look], dbc: str | None = None) -> P
         roles["input_angle"], roles["output_angle"] = given, output
     elif angles:
         roles["output_angle"] = angles[0]
-    return Proposal(roles, _mapping_text(roles, file, dbc))
+    return roles
 
 
 def _mapping_text(roles: dict[str, Look], file: BenchFile, dbc: str | None) -> str:
@@ -170,7 +210,7 @@ def _mapping_text(roles: dict[str, Look], file: BenchFile, dbc: str | None) -> s
     if file.ratio is not None:
         lines.append(f"ratio = {file.ratio:g}")
     else:
-        lines.append("# ratio = -39                # signed, input over output; or give --ratio or --pair")
+        lines.append("# ratio = -39                # signed, input over output; or name the drive")
     if dbc is not None:
         lines.append(f"dbc = {_quoted(dbc)}")
     if not file.timed:
