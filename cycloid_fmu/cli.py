@@ -14,6 +14,8 @@ import typer
 from rich.console import Console
 
 from cycloid_fmu import edge
+from cycloid_fmu.edge import commands
+from cycloid_fmu.edge.commands import print_table
 
 if TYPE_CHECKING:
     import numpy
@@ -25,10 +27,9 @@ if TYPE_CHECKING:
     from cycloid_fmu.geometry.pair import Pair
     from cycloid_fmu.surfaces.surface import ErrorSurface
 
-app = typer.Typer(
-    no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich",
-    help="Cycloid-pin gear drives: transmission error, backlash, load sharing, and FMUs made from them.",
-)  # fmt: skip
+app = commands.command_line(
+    "cycloid-fmu", "Cycloid-pin gear drives: transmission error, backlash, load sharing, and FMUs made from them."
+)
 
 PairFile = Annotated[Path, typer.Argument(metavar="PAIR.toml", help="The gear pair (format cycloid-pair/1).")]
 SurfaceFile = Annotated[
@@ -49,18 +50,6 @@ def _load(pair_file: Path, surface_file: Path | None) -> tuple[Pair, ErrorSurfac
     surface = read_surface(surface_file)
     check_surface(pair, surface, str(pair_file), str(surface_file))
     return pair, surface
-
-
-def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
-    """Print a table for people; numbers are set to the right."""
-    from rich.table import Table
-
-    table = Table(title=title, title_justify="left")
-    for number, column in enumerate(columns):
-        table.add_column(column, justify="left" if number == 0 else "right")
-    for row in rows:
-        table.add_row(*row)
-    Console().print(table)
 
 
 @contextlib.contextmanager
@@ -152,7 +141,7 @@ def analyze(
         raise typer.Exit(edge.INTERRUPTED)
 
 
-surface_app = typer.Typer(no_args_is_help=True, help="Make error surfaces.")
+surface_app = commands.subcommands("Make error surfaces.")
 app.add_typer(surface_app, name="surface")
 
 
@@ -683,12 +672,12 @@ def budget(
         [n, f"{values[n] * 1e6:+.2f} µm", *(f"{found[v][n] * edge.ARCMIN:+.5f}" for v in rv.VARIANTS)] for n in terms
     ]
     for name in ("interaction", *rv.STAGES, "total"):
-        rows.append([f"[bold]{name}[/]", "", *(
+        rows.append([name, "", *(
             f"{found[v][name] * edge.ARCMIN:+.5f}" if name in found[v] else "" for v in rv.VARIANTS
         )])  # fmt: skip
     print_table(
-        f"{reducer_file.name}: play at the output \\[arcmin], ratio {reducer.ratio:g}",
-        ["term", "amount", *(v.replace("_", " ", 1).replace("_", "\n") for v in rv.VARIANTS)], rows,
+        f"{reducer_file.name}: play at the output [arcmin], ratio {reducer.ratio:g}",
+        ["term", "amount", *(v.replace("_", " ") for v in rv.VARIANTS)], rows,
     )  # fmt: skip
     exact = found["geometric"]
     if exact["interference"] > 0.0:
@@ -712,7 +701,7 @@ def budget(
                 [f"Monte Carlo, {name}", *(f"{v * edge.ARCMIN:.4f}" for v in (*one["central"], one["mean"])),
                  f"{one['interfering']:.1%} ({low:.1%} … {high:.1%})"]
             )  # fmt: skip
-        print_table("Total play within the tolerances \\[arcmin]",
+        print_table("Total play within the tolerances [arcmin]",
                     ["stack", "from", "to", "mean", "interference (95 %)"], rows)  # fmt: skip
         typer.echo(f"Monte Carlo: {samples} reducers, the central 99.73 %; geometric with the sun locked.")
     for warning in warnings:
@@ -853,7 +842,7 @@ def tolerance(
     rows = []
     for name, found in statistics.items():
         unit, factor = plots.SHOWN[study_of.FIGURES[name][0]]
-        shown = f"{name.replace('_', ' ')} \\[{unit}]"
+        shown = f"{name.replace('_', ' ')} [{unit}]"
         for k in range(len(loads) if name in study_of.PER_TORQUE else 1):
             figures = [found["mean"], found["standard_deviation"], *found["quantiles"].values()]
             load = f"{loads[k]:g} N·m" if name in study_of.PER_TORQUE else ""
@@ -868,7 +857,7 @@ def tolerance(
         rows.append([name.replace("_", " "), f"{limit * factor:g} {unit}", f"{kept_shares[name]['share']:.2%}"])
     if limits:
         whole = kept_shares["all"]
-        rows.append(["[bold]all[/]", "", f"{whole['share']:.2%} ({whole['low']:.2%} … {whole['high']:.2%})"])
+        rows.append(["all", "", f"{whole['share']:.2%} ({whole['low']:.2%} … {whole['high']:.2%})"])
         print_table("Yield", ["limit", "largest allowed", "keep it (95 % interval)"], rows)
     for label, one in indices.items():
         order = np.argsort(-one["total"])
@@ -904,4 +893,4 @@ def tolerance(
 
 def main() -> None:
     """Run the command line."""
-    edge.run(lambda: app)
+    commands.run(app)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 
 from cycloid_fmu import edge
+from cycloid_fmu.edge import commands
 
 if TYPE_CHECKING:
     from drivers.bench import CanBench, Motion
@@ -19,14 +20,7 @@ if TYPE_CHECKING:
     from drivers.recording_format import RecordingReader
     from drivers.serial_bench import Amt21Bench, AsciiBench, ModbusBench
 
-app = typer.Typer(
-    name="cycloid-bench",
-    help="Record encoders and torque of a gear test bench, real or simulated.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode="rich",
-    pretty_exceptions_enable=False,
-)
+app = commands.command_line("cycloid-bench", "Record encoders and torque of a gear test bench, real or simulated.")
 
 
 class Direction(StrEnum):
@@ -436,7 +430,7 @@ def list_() -> None:
 
 def main() -> NoReturn:
     """Run the command line."""
-    edge.run(lambda: app)
+    commands.run(app)
 
 
 if __name__ == "__main__":

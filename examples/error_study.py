@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from cycloid_fmu.cli import print_table
 from cycloid_fmu.draw.plots import new_figure, save
 from cycloid_fmu.edge import ARCSEC
+from cycloid_fmu.edge.commands import print_table
 from cycloid_fmu.geometry.pair import Modification, read_pair
 from cycloid_fmu.surfaces.surface import nominal_surface, with_structured
 from cycloid_fmu.transmission import analyze, slices_needed, statistics

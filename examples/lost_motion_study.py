@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from cycloid_fmu.cli import print_table
 from cycloid_fmu.draw.plots import new_figure, save
 from cycloid_fmu.edge import ARCMIN
+from cycloid_fmu.edge.commands import print_table
 from cycloid_fmu.reducer import TERMS, as_printed, budget, read_reducer, shaft_tilt, summed, values_of
 
 HERE = Path(__file__).parent

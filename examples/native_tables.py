@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.ticker import FixedLocator
 
-from cycloid_fmu.cli import print_table
 from cycloid_fmu.draw.plots import new_figure, save
+from cycloid_fmu.edge.commands import print_table
 from cycloid_fmu.fmu import tables
 from cycloid_fmu.fmu.variables import Interface, variables
 from cycloid_fmu.geometry.pair import read_pair

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from cycloid_fmu.cli import print_table
 from cycloid_fmu.draw.plots import new_figure, save
 from cycloid_fmu.edge import ARCSEC
+from cycloid_fmu.edge.commands import print_table
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.surfaces.surface import nominal_surface
 from cycloid_fmu.tooth_contact import contact_ratio, handovers, loaded_contacts, phase_of_pin, unloaded_contact

@@ -21,7 +21,6 @@ from cycloid_fmu import edge
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.sampling import Tolerances, read_tolerances
 from cycloid_fmu.surfaces.surface import structured_value, surface_of_pair, with_structured
-from fitting.arguments import wrong
 from fitting.estimation.fit import NO_SCATTER, OUTLYING, TURNS, Estimate, fit
 from fitting.estimation.result import HeldOut, Identification, is_uneven, result_of
 from fitting.model.identifiability import chosen_errors
@@ -116,7 +115,7 @@ def identify(
         tolerances = read_tolerances(tolerances)
     prior = prior_of(pair, tolerances) if isinstance(tolerances, Tolerances) else tolerances or Prior()
     if bootstrap < 0:
-        raise wrong("bootstrap", "it must not be below zero", bootstrap)
+        raise edge.ArgumentError("bootstrap", "it must not be below zero", bootstrap)
     for curve in curves if bootstrap else ():
         turns = 0 if curve.each_turn is None else len(curve.each_turn)
         if turns < TURNS and not curve.branch:
@@ -125,7 +124,7 @@ def identify(
             )
     for name in profiled:
         if name not in (errors := [*errors_of(pair), *prior.profile]):
-            raise wrong("profiled", f"it is no error of this pair; one of {', '.join(errors)}", name)
+            raise edge.ArgumentError("profiled", f"it is no error of this pair; one of {', '.join(errors)}", name)
     running = [c for c in curves if not c.branch]
     if not running:
         raise edge.InputError(

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cycloid_fmu import edge
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.surface import surface_of_pair
-from fitting.arguments import si_value, wrong
+from fitting.arguments import positive
 from fitting.model.identifiability import chosen_errors, posterior_covariance, weakness
 from fitting.model.loops import planned_branches
 from fitting.model.observations import State, errors_of, linearise, observations, scatter_parts, spread_of
@@ -106,16 +107,16 @@ def plan(
     """
     pair = drive
     given = [torque] if isinstance(torque, float | int | str) else torque
-    loads = {si_value(one, "N*m", "torque", above=0.0) for one in given}
-    level = si_value(noise, "rad", "noise", above=0.0)
-    spread = si_value(scatter, "m", "scatter", above=-1e-300)
-    peak = None if loop is None else si_value(loop, "N*m", "loop", above=0.0)
+    loads = {positive(one, "N*m", "torque") for one in given}
+    level = positive(noise, "rad", "noise")
+    spread = positive(scatter, "m", "scatter", zero=True)
+    peak = None if loop is None else positive(loop, "N*m", "loop")
     if not loads:
-        raise wrong("torque", "give one at least", "[]")
+        raise edge.ArgumentError("torque", "is missing")
     if not turns > 0.0:
-        raise wrong("turns", "it must be above zero", turns)
+        raise edge.ArgumentError("turns", "it must be above zero", turns)
     if samples < 6:
-        raise wrong("samples", "it must be 6 or more", samples)
+        raise edge.ArgumentError("samples", "it must be 6 or more", samples)
     ordered = sorted(loads, reverse=True)
     ordered = ordered[:1] + ordered[:0:-1]
     sets: list[tuple[str, list[float], tuple[int, ...], bool]]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import os
 from collections.abc import Callable, Mapping
@@ -10,7 +11,7 @@ from typing import Any
 
 from cycloid_fmu import edge
 from cycloid_fmu.geometry.pair import Pair
-from fitting.figures.figure import DEFINITIONS, Figure
+from fitting.figures.figure import DEFINITIONS, Figure, in_field_units
 from fitting.figures.metrics import FORMAT, Figures, metrics
 from fitting.recordings.sources import Source
 
@@ -47,6 +48,13 @@ class Change:
     def moved(self) -> bool | None:
         """Whether it moved beyond its uncertainty; None where that is unknown."""
         return None if math.isnan(self.uncertainty) else abs(self.difference) > self.uncertainty
+
+    def in_field_units(self) -> tuple[str, str, str, str, str]:
+        """Return both values, their difference, its uncertainty and the unit of all as people read them."""
+        larger = dataclasses.replace(self.after, value=max(abs(self.before.value), abs(self.after.value)))
+        change = dataclasses.replace(self.before, value=self.difference, uncertainty=self.uncertainty)
+        before, after = (in_field_units(one, like=larger)[0] for one in (self.before, self.after))
+        return before, after, *in_field_units(change, like=larger)
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from cycloid_fmu import edge
 from cycloid_fmu.geometry.pair import Pair
-from fitting.arguments import si_value, wrong
+from fitting.arguments import positive
 from fitting.figures.figure import Figure, figure_json, pooled
 from fitting.figures.hysteresis import loop_figures
 from fitting.figures.spectrum import Spectrum, angular_transmission_error, spectrum
@@ -60,6 +61,11 @@ class Figures:
     def curves(self) -> list[Curve]:
         """All curves."""
         return [c for s in self.surveyed for c in s.curves]
+
+    def write(self, path: str | os.PathLike[str]) -> None:
+        """Write the figures, `cycloid-figures/1`, whole or not at all."""
+        with edge.written_whole(path) as temporary:
+            temporary.write_text(edge.json_text(figures_json(self)), encoding="utf-8")
 
 
 def figures_of(surveyed: Sequence[Surveyed], ratio: float | None, rated_torque: float | None) -> Figures:
@@ -176,10 +182,10 @@ def metrics(
     1000000
     """
     if drive is not None and ratio is not None:
-        raise wrong("ratio", "the drive states its ratio; give one of the two", ratio)
+        raise edge.ArgumentError("ratio", "the drive states its ratio; give one of the two", ratio)
     if ratio is not None and not (math.isfinite(ratio) and ratio):
-        raise wrong("ratio", "give the signed ratio input/output, such as -39", ratio)
-    rated = None if rated_torque is None else si_value(rated_torque, "N*m", "rated_torque", above=0.0)
+        raise edge.ArgumentError("ratio", "give the signed ratio input/output, such as -39", ratio)
+    rated = None if rated_torque is None else positive(rated_torque, "N*m", "rated_torque")
     if drive is not None:
         ratio, rated = drive.ratio, drive.pair.rated_torque if rated is None else rated
     given = [recordings] if isinstance(recordings, Source) else list(recordings)

@@ -8,6 +8,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -163,6 +164,18 @@ def inspect(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | None = N
     if not looks:
         raise edge.InputError(" ".join([*file.problems, f"{path}: it holds no samples of a numeric channel."]))
     return Inspection(file, tuple(looks), roles_of(file, looks), None if dbc is None else Path(dbc))
+
+
+def inspection_json(found: Inspection) -> dict[str, Any]:
+    """Return what is in a file for scripts."""
+    channels = {
+        o.channel.name: {
+            "unit": o.channel.unit, "samples": o.values.size, "min": float(o.values.min()), "max": float(o.values.max())
+        }
+        for o in found.looks
+    }  # fmt: skip
+    roles = {role: one.channel.name for role, one in found.roles.items()}
+    return {"channels": channels, "proposed": roles, "problems": found.file.problems}
 
 
 def roles_of(file: BenchFile, looks: Sequence[Look]) -> dict[str, Look]:

@@ -210,8 +210,10 @@ def plot_plans(plans: Sequence[Plan]) -> Figure:
     return figure
 
 
-def plot_band(pair: Pair, surface: ErrorSurface, drawn: Sequence[ErrorSurface], torque: float) -> Figure:
-    """Transmission error of the identified drive at a torque (N·m), and the band of 95 % of the drawn ones."""
+def plot_band(
+    pair: Pair, surface: ErrorSurface, drawn: Sequence[ErrorSurface], torque: float, path: str | os.PathLike[str]
+) -> None:
+    """Write a picture of the identified drive's transmission error at a torque (N·m), and of 95 % of the drawn ones."""
     figure, axes = new_figure(2)
     angle = np.linspace(0.0, 2.0 * np.pi * abs(pair.ratio), 24 * round(abs(pair.ratio)), endpoint=False)
     identified = solve(pair, surface, torque, angle, with_play=False).transmission_error[0] * ARCSEC
@@ -224,4 +226,4 @@ def plot_band(pair: Pair, surface: ErrorSurface, drawn: Sequence[ErrorSurface], 
     show_legend(axes[0], ncols=2)
     axes[1].fill_between(turn, low - identified, high - identified, alpha=0.4, lw=0)
     axes[1].set(xlabel="crank turns", ylabel="drawn - identified [arcsec]")
-    return figure
+    save(figure, path)

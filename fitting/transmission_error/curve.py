@@ -6,7 +6,7 @@ import dataclasses
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -143,6 +143,13 @@ def curves_dataset(curves: Sequence[Curve]) -> xr.Dataset:
         data[name].attrs["units"] = unit
     data.attrs.update(format=FORMAT, ratio=curves[0].ratio)
     return data
+
+
+def curves_json(curves: Sequence[Curve]) -> dict[str, Any]:
+    """Return curves for scripts (SI), with their notes."""
+    data = curves_dataset(curves)
+    numbers = {str(name): values.values for name, values in {**data.coords, **data.data_vars}.items()}
+    return {**numbers, "notes": [note for one in curves for note in one.notes]}
 
 
 def write_curves(curves: Sequence[Curve], path: str | os.PathLike[str]) -> None:
