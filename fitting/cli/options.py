@@ -19,8 +19,7 @@ Recordings = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recor
 PairFile = Annotated[Path, typer.Option("--pair", metavar="PAIR.toml", help="The nominal gear pair.")]
 MaybePair = Annotated[Path | None, typer.Option("--pair", metavar="PAIR.toml", help="The nominal gear pair.")]
 HeadFile = Annotated[
-    Path | None,
-    typer.Option(metavar="HEAD.toml", help="Free the output angle of its single head's coaxiality error."),
+    Path | None, typer.Option(metavar="HEAD.toml", help="Free the output angle of its single head's coaxiality error.")
 ]
 Ratio = Annotated[float | None, typer.Option(help="Signed ratio input/output, such as -39, in place of a pair.")]
 RatedTorque = Annotated[float | None, commands.quantity_option("N*m", "Rated torque at the output.")]

@@ -40,7 +40,7 @@ def ensemble(pair: Pair, surface: ErrorSurface, count: int, seed: int) -> list[E
         If the surface has no covariance.
     """
     if surface.covariance is None:
-        raise edge.InputError("surface: there is no covariance of a fit; give what identify found.")
+        raise edge.ArgumentError("surface", "has no covariance of a fit; give what identify found")
     places = scatter_names(pair)
     names = [n for n in surface.covariance_of if n not in places]
     at = [surface.covariance_of.index(n) for n in (*names, *places) if n in surface.covariance_of]

@@ -124,7 +124,8 @@ def identify(
             )
     for name in profiled:
         if name not in (errors := [*errors_of(pair), *prior.profile]):
-            raise edge.ArgumentError("profiled", f"it is no error of this pair; one of {', '.join(errors)}", name)
+            near = edge.did_you_mean(name, errors).rstrip("?") or f"one of {', '.join(errors)}"
+            raise edge.ArgumentError("profiled", f"it is no error of this drive; {near}", name)
     running = [c for c in curves if not c.branch]
     if not running:
         raise edge.InputError(
@@ -196,11 +197,7 @@ def _predicted(pair: Pair, fit: Estimate, curves: Sequence[Curve]) -> HeldOut:
 
 
 def _fitted(
-    curves: Sequence[Curve],
-    pair: Pair,
-    start: Estimate | None,
-    known: Prior,
-    progress: Callable[[str], None],
+    curves: Sequence[Curve], pair: Pair, start: Estimate | None, known: Prior, progress: Callable[[str], None]
 ) -> Estimate:
     observed = observations(curves, pair, profile=known.profile)
     rough = _starting_estimate(pair, observed, start, progress)

@@ -150,11 +150,7 @@ def weakness(
 
 
 def posterior_covariance(
-    observed: Observations,
-    linear: Linear,
-    names: Sequence[str],
-    chosen: Sequence[str],
-    spread: Array,
+    observed: Observations, linear: Linear, names: Sequence[str], chosen: Sequence[str], spread: Array
 ) -> Array:
     """Covariance of the chosen errors and of the scatter of every pin and tooth, the nuisances unknown.
 

@@ -234,6 +234,5 @@ class ParquetFile(BenchFile):
         stored = dict(zip((c.name for c in self.channels), self._names.values(), strict=True))
         for batch in self._file.iter_batches(batch_size=PIECE, columns=[stored[n] for n in names]):
             yield Piece(
-                None,
-                {n: np.asarray(batch.column(stored[n]).to_numpy(zero_copy_only=False), float) for n in names},
+                None, {n: np.asarray(batch.column(stored[n]).to_numpy(zero_copy_only=False), float) for n in names}
             )

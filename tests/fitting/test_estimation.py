@@ -316,5 +316,7 @@ def test_what_bench_runs_lack_is_said(simple, nominal):
         identify([dataclasses.replace(curves[0], ratio=-29.0)], nominal)
     with pytest.raises(edge.InputError, match="turns again"):
         identify(curves, nominal, bootstrap=5)
-    with pytest.raises(edge.InputError, match='"eccentric" is no error of this pair'):
+    with pytest.raises(
+        edge.InputError, match='profiled = "eccentric": it is no error of this drive; did you mean eccentricity'
+    ):
         identify(curves, nominal, profiled=["eccentric"])

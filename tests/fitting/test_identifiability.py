@@ -190,10 +190,10 @@ def test_plan_and_ensemble_from_the_command_line(command, found, nominal, tmp_pa
     assert run.returncode == 0, run.stderr
     assert len(list((tmp_path / "drawn").iterdir())) == 3
     for words, said in (
-        (("plan", "pair.toml", "--torque", "-20 N*m"), "--torque = -20 N*m: it must be above zero"),
+        (("plan", "pair.toml", "--torque", "-20 N*m"), "--torque = -20.0: it must be above zero"),
         (
             ("ensemble", "drawn/s-0000.nc", "--pair", "pair.toml", "-o", "again"),
-            "drawn/s-0000.nc: there is no covariance",
+            "S.nc has no covariance of a fit",
         ),
         (("ensemble", "s.nc", "--pair", "pair.toml", "-o", "again", "--plot", "b.png"), "--plot and --torque belong"),
     ):
