@@ -12,7 +12,8 @@ from scipy.optimize import least_squares
 
 import fitting.model.observations
 from cycloid_fmu.geometry.pair import read_pair
-from cycloid_fmu.surfaces.surface import surface_of_pair, with_structured
+from cycloid_fmu.surfaces.structured import with_structured
+from cycloid_fmu.surfaces.surface import surface_of_pair
 from cycloid_fmu.transmission import solve
 from fitting.estimation.identify import identify
 from fitting.model.observations import errors_of, observations
@@ -31,7 +32,7 @@ def drive(pair, seed):
     values = dict(zip(names, generator.normal(0.0, 0.3, len(names)) * tolerances_of(names), strict=True))
     surface = with_structured(pair, surface_of_pair(pair), values)
     for scattered in (surface.pin_radial, surface.pin_tangential):
-        scattered += generator.normal(0.0, 2e-6, pair.pair.pins)
+        scattered += generator.normal(0.0, 2e-6, pair.pins)
     angle = np.arange(720) * 2.0 * np.pi * 39 / 720
     curves = []
     for load in LOADS:

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import contact, edge
-from cycloid_fmu.geometry.pair import Modification, Pair
+from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_normals, flank_points
-from cycloid_fmu.surfaces.surface import PROFILE_POINTS, ErrorSurface, profile_wave, structured_columns
+from cycloid_fmu.surfaces.structured import PROFILE_POINTS, displacement_columns, displacements, profile_wave
+from cycloid_fmu.surfaces.surface import ErrorSurface
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -76,13 +77,14 @@ class Transmission:
 
 
 def slices_needed(surface: ErrorSurface) -> int:
-    """Return the slices that a surface needs: its elements across the width, 20 with misalignment, else 1."""
-    tilted = surface.misalignment_xz != 0.0 or surface.misalignment_yz != 0.0
+    """Return the slices that a surface needs: its elements across the width, 20 where the gear's axis is tilted."""
+    made = displacements(surface.pair, surface, {})
+    tilted = made["tilt_x"] != 0.0 or made["tilt_y"] != 0.0
     elements = [int(d.shape[-1]) for d in (surface.gear_deviation, surface.pin_deviation) if d is not None]
     return max([SLICES_MISALIGNED if tilted else 1, *elements])
 
 
-def drive_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> contact.Drive:
+def drive_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> contact.Problem:
     """Return the contact problem of a pair with an error surface.
 
     Parameters
@@ -92,83 +94,83 @@ def drive_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> contact.Driv
     slices
         Slices across the face width, each independent and taken at its middle; 1 where nothing varies across it.
     """
-    g, material = pair.pair, pair.material
-    direction = 2.0 * np.pi * np.arange(g.pins) / g.pins
-    radius = g.pin_circle_radius + surface.pin_circle_radius + surface.pin_radial
-    angle = direction + surface.pin_tangential / g.pin_circle_radius
-    z = g.face_width * ((np.arange(slices) + 0.5) / slices - 0.5)
-    circle = pair.generating_circle_radius + surface.offset
+    direction = 2.0 * np.pi * np.arange(pair.pins) / pair.pins
+    made = displacements(pair, surface, {
+        "crank_throw": pair.eccentricity, "generating_pin_radius": pair.generating_pin_radius,
+        "generating_circle_radius": pair.generating_circle_radius, "pin_radial": pair.pin_circle_radius,
+        "pin_radius": pair.pin_radius,
+    })  # fmt: skip
+    angle = direction + made["pin_tangential"] / pair.pin_circle_radius
+    z = pair.face_width * ((np.arange(slices) + 0.5) / slices - 0.5)
     stray = _stray(pair, surface)
-    return contact.Drive(
-        circle_radius=circle,
-        generating_radius=pair.generating_pin_radius + surface.isometric,
-        generating_eccentricity=g.eccentricity,
-        eccentricity=g.eccentricity + surface.eccentricity,
-        teeth=g.gear_teeth,
-        ring=g.output == "ring",
-        pin_x=radius * np.cos(angle),
-        pin_y=radius * np.sin(angle),
-        pin_radius=g.pin_radius + surface.pin_radius + surface.pin_radius_deviation,
-        tooth_turn=np.ascontiguousarray(surface.tooth_cumulative_pitch / g.pin_circle_radius),
-        crank_phase=2.0 * np.pi * np.arange(g.discs) / g.discs,
-        centre_x=surface.centre_distance_x + surface.misalignment_xz * z,
-        centre_y=surface.centre_distance_y + surface.misalignment_yz * z,
+    return contact.Problem(
+        circle_radius=float(made["generating_circle_radius"]),
+        generating_radius=float(made["generating_pin_radius"]),
+        generating_eccentricity=pair.eccentricity,
+        eccentricity=float(made["crank_throw"]),
+        teeth=pair.gear_teeth,
+        ring=pair.output == "ring",
+        pin_x=made["pin_radial"] * np.cos(angle),
+        pin_y=made["pin_radial"] * np.sin(angle),
+        pin_radius=made["pin_radius"],
+        tooth_turn=np.ascontiguousarray(made["tooth_turn"]),
+        crank_phase=2.0 * np.pi * np.arange(pair.discs) / pair.discs,
+        centre_x=made["centre_x"] + made["tilt_x"] * z,
+        centre_y=made["centre_y"] + made["tilt_y"] * z,
         slice_z=z,
-        slice_width=g.face_width / slices,
-        compliance_gear=material.gear.compliance,
-        compliance_pin=material.pin.compliance,
-        largest_log_radius=g.pin_circle_radius if g.contact_law == "capped" else math.inf,
+        slice_width=pair.face_width / slices,
+        compliance_gear=pair.material.gear.compliance,
+        compliance_pin=pair.material.pin.compliance,
+        largest_log_radius=pair.pin_circle_radius if pair.contact_law == "capped" else math.inf,
         stray=stray,
-        root_phase=_root_phase(pair, stray, circle),
-        root_margin=1e-6 + 1.5 * float(np.ptp(surface.tooth_cumulative_pitch, axis=1).max()),
-        **_elements(pair, surface, z),
+        root_phase=_root_phase(pair, stray, float(made["generating_circle_radius"])),
+        root_margin=1e-6 + 1.5 * pair.pin_circle_radius * float(np.ptp(made["tooth_turn"], axis=1).max()),
+        deviations=_deviations(pair, surface, z),
     )
 
 
-def _elements(pair: Pair, surface: ErrorSurface, z: Array) -> dict[str, Any]:
-    """Deviations of flanks and pins at the slices' middles for `contact.Drive`; empty where all is nominal."""
+def _deviations(pair: Pair, surface: ErrorSurface, z: Array) -> contact.Deviations | None:
+    """Deviations of flanks and pins at the slices' middles; None where all is nominal."""
     gear, pin = surface.gear_deviation, surface.pin_deviation
-    g = pair.pair
+    g = pair
     if gear is None and pin is None:
-        return {
-            **dict.fromkeys(("flank_alpha", "flank_x", "flank_y", "flank_normal_x", "flank_normal_y"), np.empty(0)),
-            "gear_deviation": np.empty((0, 0, 0, 0)), "pin_deviation": np.empty((0, 0, 0)), "largest_deviation": 0.0,
-            "gear_curvature": np.empty((0, 0, 0, 0)), "pin_curvature": np.empty((0, 0, 0)),
-        }  # fmt: skip
+        return None
     if gear is None:
         gear = np.zeros((g.discs, g.gear_teeth, PROFILE_ELEMENTS, 1))
     if pin is None:
         pin = np.zeros((g.pins, 2, 1))
     gear_bend, pin_bend = surface.gear_curvature, surface.pin_curvature
-    return {
-        **_flank_points(pair, surface, gear.shape[2]),
-        "gear_curvature": np.empty((0, 0, 0, 0)) if gear_bend is None else _flanks_of(gear_bend, z, g.face_width),
-        "pin_curvature": np.empty((0, 0, 0)) if pin_bend is None else _pins_of(pin_bend, z, g.face_width),
-        "gear_deviation": _flanks_of(gear, z, g.face_width),
-        "pin_deviation": _pins_of(pin, z, g.face_width),
-        "largest_deviation": float(gear.max() + pin.max()),
-    }
+    return contact.Deviations(
+        *_flank_points(pair, surface, gear.shape[2]),
+        gear=_flanks_of(gear, z, g.face_width),
+        pin=_pins_of(pin, z, g.face_width),
+        largest=float(gear.max() + pin.max()),
+        gear_curvature=np.empty((0, 0, 0, 0)) if gear_bend is None else _flanks_of(gear_bend, z, g.face_width),
+        pin_curvature=np.empty((0, 0, 0)) if pin_bend is None else _pins_of(pin_bend, z, g.face_width),
+    )
 
 
 def _flanks_of(values: Array, z: Array, face_width: float) -> Array:
-    """Values of the flanks' elements as `contact.Drive` takes them; an end has the value of the element it is in."""
+    """Values of the flanks' elements for `contact.Deviations`; an end has the value of the element it is in."""
     flanks = np.moveaxis(_across_width(values, z, face_width), 3, 1)
     return np.ascontiguousarray(np.concatenate([flanks[..., :1], flanks, flanks[..., -1:]], axis=3))
 
 
 def _pins_of(values: Array, z: Array, face_width: float) -> Array:
-    """Values of the pins' elements as `contact.Drive` takes them."""
+    """Values of the pins' elements as `contact.Deviations` takes them."""
     return np.ascontiguousarray(np.moveaxis(_across_width(values, z, face_width), 2, 0))
 
 
-def _flank_points(pair: Pair, surface: ErrorSurface, elements: int) -> dict[str, Any]:
-    """Ends of tooth 0 and the middles of its elements on the flank that was made, as `contact.Drive` takes them."""
-    m = pair.modification
-    alpha = np.concatenate([[0.0], equal_arc_parameters(pair, elements), [2.0 * np.pi / pair.pair.gear_teeth]])
-    changed = Modification.model_construct(isometric=m.isometric + surface.isometric, offset=m.offset + surface.offset)
-    made = pair.model_copy(update={"modification": changed})
+def _flank_points(pair: Pair, surface: ErrorSurface, elements: int) -> tuple[Array, Array, Array, Array, Array]:
+    """Parameters, points and normals of tooth 0's ends and its elements' middles on the flank that was made."""
+    alpha = np.concatenate([[0.0], equal_arc_parameters(pair, elements), [2.0 * np.pi / pair.gear_teeth]])
+    errors, drawn = displacements(pair, surface, {}), pair.modification
+    made = pair.replace(
+        isometric=drawn.isometric + errors["generating_pin_radius"],
+        offset=drawn.offset + errors["generating_circle_radius"],
+    )
     (x, y), (nx, ny) = flank_points(made, alpha), flank_normals(made, alpha)
-    return {"flank_alpha": alpha, "flank_x": x, "flank_y": y, "flank_normal_x": nx, "flank_normal_y": ny}
+    return alpha, x, y, nx, ny
 
 
 def _across_width(deviation: Array, z: Array, face_width: float) -> Array:
@@ -183,16 +185,16 @@ def _across_width(deviation: Array, z: Array, face_width: float) -> Array:
 
 def _stray(pair: Pair, surface: ErrorSurface) -> float:
     """How far modifications and errors can take a pin's axis from the flank's generating path, m."""
-    g, m = pair.pair, pair.modification
-    return float(
-        abs(m.offset + surface.offset) + abs(m.isometric + surface.isometric) + abs(surface.pin_circle_radius)
-        + abs(surface.pin_radius) + abs(surface.eccentricity)
-        + math.hypot(surface.centre_distance_x, surface.centre_distance_y)
-        + math.hypot(surface.misalignment_xz, surface.misalignment_yz) * g.face_width
-        + np.abs(surface.pin_radial).max() + np.abs(surface.pin_tangential).max()
-        + np.abs(surface.pin_radius_deviation).max() + np.abs(surface.tooth_cumulative_pitch).max()
-        + sum(np.abs(d).max() for d in (surface.gear_deviation, surface.pin_deviation) if d is not None)
-    )  # fmt: skip
+    scale = {"tilt_x": pair.face_width, "tilt_y": pair.face_width, "tooth_turn": pair.pin_circle_radius}
+    modification = {
+        "generating_pin_radius": pair.modification.isometric, "generating_circle_radius": pair.modification.offset,
+    }  # fmt: skip
+    largest = {
+        name: float(np.abs(values).max()) * scale.get(name, 1.0)
+        for name, values in displacements(pair, surface, modification).items()
+    }
+    elements = sum(np.abs(d).max() for d in (surface.gear_deviation, surface.pin_deviation) if d is not None)
+    return float(sum(largest.values()) + elements)
 
 
 def _root_phase(pair: Pair, stray: float, circle: float) -> float:
@@ -201,7 +203,7 @@ def _root_phase(pair: Pair, stray: float, circle: float) -> float:
     It is where the generating path has run three times as far as the pin's axis may stray from it, the rotation that
     errors and modifications allow included.
     """
-    g = pair.pair
+    g = pair
     turning = circle / (g.eccentricity * g.gear_teeth)
     reach = 3.0 * (1.0 + turning) * stray + 5e-5
     k = g.eccentricity * g.pins / circle
@@ -216,9 +218,9 @@ def _contiguous(values: ArrayLike) -> Array:
     return np.array(values, dtype=float, order="C", ndmin=1)
 
 
-def carried(contacts: Array) -> Array:
-    """Torque that contacts carry, N·m: force times arm, summed over the rows, shape (..., rows, columns), of each."""
-    force, arm = contacts[..., contact.FORCE], contacts[..., contact.ARM]
+def carried(contacts: contact.Rows) -> Array:
+    """Torque that contacts carry, N·m: force times arm, summed over the rows, shape (..., rows), of each."""
+    force, arm = contacts["force"], contacts["arm"]
     return np.asarray(np.sum(np.where(force > 0.0, force * arm, 0.0), axis=-1))
 
 
@@ -248,12 +250,33 @@ def check_balance(torque: ArrayLike, balance: ArrayLike) -> None:
         )
 
 
-def _check_again(drive: contact.Drive, crank_angle: Array, torque: Array, falling: NDArray[np.bool_]) -> None:
+def _check_again(drive: contact.Problem, crank_angle: Array, torque: Array, falling: NDArray[np.bool_]) -> None:
     """Check the balance where the torque falls with the rotation, which it does on worn flanks or beyond any load."""
     rows = contact.contact_rows(drive)
     for i in np.flatnonzero(falling & (torque != 0.0)):
         contact.equilibrium(drive, crank_angle[i], torque[i], 0.0, rows, True)
         check_balance(torque[i], carried(rows))
+
+
+def _lines(
+    pair: Pair, surface: ErrorSurface, problem: contact.Problem, places: tuple[int, ...]
+) -> contact.ContactLines:
+    """Return empty contact lines, of the surface's elements or as many as by default."""
+    g, slices = pair.pair, problem.centre_x.size
+    profile = PROFILE_ELEMENTS if surface.gear_deviation is None else surface.gear_deviation.shape[2]
+    around = ANGLE_ELEMENTS if surface.pin_deviation is None else surface.pin_deviation.shape[1]
+    alpha, x, y, _, _ = _flank_points(pair, surface, profile)
+    return contact.ContactLines(
+        np.zeros((*places, slices), np.float32), np.zeros((*places, slices), np.float32),
+        np.zeros((places[0], g.discs, g.gear_teeth, profile, slices)), np.zeros((places[0], g.pins, around, slices)),
+        alpha, x, y,
+    )  # fmt: skip
+
+
+def _no_lines(torques: int) -> contact.ContactLines:
+    slices, elements = np.zeros((torques, 0, 0, 0, 0), np.float32), np.zeros((torques, 0, 0, 0, 0))
+    none = np.empty(0)
+    return contact.ContactLines(slices, slices, elements, elements.reshape(torques, 0, 0, 0), none, none, none)
 
 
 def solve(
@@ -296,50 +319,39 @@ def solve(
     Interrupted
         At a KeyboardInterrupt; it holds the results of the crank angles that were finished.
     """
-    drive = drive_of(pair, surface, slices)
-    g = pair.pair
+    problem = drive_of(pair, surface, slices)
+    g = pair
     torques, angles = _contiguous(torque), _contiguous(crank_angle)
     if not (np.isfinite(torques).all() and np.isfinite(angles).all()):
         raise ValueError("torque and crank_angle must be finite")
     loads, places = (torques.size, angles.size), (torques.size, angles.size, g.discs, g.pins)
     deviation, stiffness, pressure = (np.full(loads, np.nan) for _ in range(3))
-    count = np.zeros(loads, dtype=np.int64)
-    force, pin_pressure = np.zeros(places), np.zeros(places)
+    found = contact.LoadedSweep(
+        deviation, stiffness, np.zeros(loads, dtype=np.int64), pressure, np.zeros(places), np.zeros(places)
+    )
     low, high, gap = (np.full(angles.size, np.nan) for _ in range(3))
-    lines = (*places, slices) if with_elements else (torques.size, 0, 0, 0, 0)
-    slice_force, slice_direction = np.zeros(lines, np.float32), np.zeros(lines, np.float32)
-    profile = 0 if surface.gear_deviation is None else surface.gear_deviation.shape[2]
-    around = 0 if surface.pin_deviation is None else surface.pin_deviation.shape[1]
-    profile, around = profile or PROFILE_ELEMENTS, around or ANGLE_ELEMENTS
-    gear_shape, pin_shape = (g.discs, g.gear_teeth, profile, slices), (g.pins, around, slices)
-    if not with_elements:
-        gear_shape, pin_shape = (0, 0, 0, 0), (0, 0, 0)
-    elif drive.flank_alpha.size == 0:
-        drive = drive._replace(**_flank_points(pair, surface, profile))
-    gear_map, pin_map = np.zeros((torques.size, *gear_shape)), np.zeros((torques.size, *pin_shape))
-
+    lines = _lines(pair, surface, problem, places) if with_elements else None
     merging = threading.Lock()
 
     def part(first: int) -> int:
         last = min(first + PART, angles.size)
-        gear, pins = np.zeros_like(gear_map), np.zeros_like(pin_map)
-        if with_play:
-            contact.sweep_play(drive, angles, first, last, low, high, gap)
-        for k, load in enumerate(torques):
-            contact.sweep_load(
-                drive, angles, load, first, last, deviation[k], stiffness[k], count[k], pressure[k], force[k],
-                pin_pressure[k], slice_force[k], slice_direction[k], gear[k], pins[k],
-            )  # fmt: skip
-        with merging:
-            np.maximum(gear_map, gear, out=gear_map)
-            np.maximum(pin_map, pins, out=pin_map)
+        # Parts that are solved at once each raise pressures of their own.
+        mine = lines and lines._replace(
+            gear_pressure=np.zeros_like(lines.gear_pressure), pin_pressure=np.zeros_like(lines.pin_pressure)
+        )
+        contact.sweep(problem, angles, torques, first, last, with_play, low, high, gap, found, mine)
+        if lines is not None and mine is not None:
+            with merging:
+                np.maximum(lines.gear_pressure, mine.gear_pressure, out=lines.gear_pressure)
+                np.maximum(lines.pin_pressure, mine.pin_pressure, out=lines.pin_pressure)
         return last - first
 
     def result(done: slice) -> Transmission:
+        kept = lines or _no_lines(torques.size)
         return Transmission(
-            torques, angles[done], deviation[:, done], stiffness[:, done], count[:, done], pressure[:, done],
-            force[:, done], pin_pressure[:, done], low[done], high[done], gap[done], slice_force[:, done],
-            slice_direction[:, done], gear_map, pin_map,
+            torques, angles[done], deviation[:, done], stiffness[:, done], found.contact_count[:, done],
+            pressure[:, done], found.pin_force[:, done], found.pin_pressure[:, done], low[done], high[done], gap[done],
+            kept.slice_force[:, done], kept.slice_direction[:, done], kept.gear_pressure, kept.pin_pressure,
         )  # fmt: skip
 
     finished = 0
@@ -355,7 +367,7 @@ def solve(
                 pool.shutdown(cancel_futures=True)
             raise Interrupted(result(slice(0, finished))) from None
     for k, load in enumerate(torques):
-        _check_again(drive, angles, np.full(angles.size, load), stiffness[k] <= 0.0)
+        _check_again(problem, angles, np.full(angles.size, load), stiffness[k] <= 0.0)
     return result(slice(None))
 
 
@@ -391,7 +403,7 @@ def error_sensitivity(
     """
     drive = drive_of(pair, surface, slices)
     angles = _contiguous(crank_angle)
-    columns = structured_columns(pair, names)
+    columns = displacement_columns(pair, names)
     each = np.empty((angles.size, columns.shape[0]))
     deviation, by_angle, by_torque = (np.empty(angles.size) for _ in range(3))
     torques = _contiguous(np.broadcast_to(torque, angles.shape))
@@ -401,7 +413,7 @@ def error_sensitivity(
     elements = PROFILE_POINTS if surface.gear_deviation is None else surface.gear_deviation.shape[2]
     profiles = {at: wave for at, name in enumerate(names) if (wave := profile_wave(name, elements)) is not None}
     if profiles:
-        places = np.concatenate([[0.0], equal_arc_parameters(pair, elements), [2.0 * np.pi / pair.pair.gear_teeth]])
+        places = np.concatenate([[0.0], equal_arc_parameters(pair, elements), [2.0 * np.pi / pair.gear_teeth]])
         waves = np.pad(np.array(list(profiles.values())), ((0, 0), (1, 1)), "edge")
         of_waves = np.empty((angles.size, len(profiles)))
         contact.sweep_flank_sensitivities(drive, angles, deviation, places, waves, of_waves)
@@ -462,7 +474,7 @@ def dataset_of(pair: Pair, result: Transmission) -> xr.Dataset:
     """Return results as a labelled dataset with units."""
     import xarray as xr
 
-    g = pair.pair
+    g = pair
     grid = ("torque", "crank_angle")
     pins = (*grid, "disc", "pin")
     each = np.ones((result.torque.size, 1))

@@ -27,16 +27,16 @@ def compare(
     [cyan]cycloid-fit compare new.json worn.json --plot moved.png[/]
     """
     import fitting
-    from cycloid_fmu.geometry.pair import read_pair
+    from cycloid_fmu.drive import read_drive
     from fitting.figures.comparison import comparison_json
 
-    pair = None if drive is None else read_pair(drive)
+    nominal = None if drive is None else read_drive(drive)
     first, second = (
         file if file.suffix.lower() == ".json" else fitting.read_recordings(file, mapping)[0]
         for file in (before, after)
     )
     with options.status() as progress:
-        found = fitting.compare(first, second, pair, ratio=ratio, rated_torque=rated_torque, progress=progress)
+        found = fitting.compare(first, second, nominal, ratio=ratio, rated_torque=rated_torque, progress=progress)
     if plot is not None:
         fitting.plot(found, plot)
     if as_json:

@@ -25,11 +25,11 @@ def curve(
     import numpy as np
 
     import fitting
-    from cycloid_fmu.geometry.pair import read_pair
+    from cycloid_fmu.drive import read_drive
     from fitting.reports.panels import label_of
     from fitting.transmission_error.curve import curves_json, noise_of
 
-    curves = fitting.curves(fitting.read_recordings(files, mapping, read_head), read_pair(drive))
+    curves = fitting.curves(fitting.read_recordings(files, mapping, read_head), read_drive(drive))
     if output is not None:
         fitting.write_curves(curves, output)
     if plot is not None:

@@ -28,20 +28,18 @@ def ensemble(
     Example: [cyan]cycloid-fit ensemble s.nc --pair pair.toml -o drawn --torque "100 N*m" --plot band.png[/]
     """
     import fitting
-    from cycloid_fmu.geometry.pair import read_pair
-    from cycloid_fmu.surfaces.surface import check_surface, read_surface, write_surface
+    from cycloid_fmu.drive import read_drive
     from fitting.reports.plots import plot_band
 
     if (plot is None) != (torque is None):
         raise edge.InputError("--plot and --torque belong together: the band is drawn at one torque.")
-    pair, identified = read_pair(drive), read_surface(surface)
-    check_surface(pair, identified, str(drive), str(surface))
-    drawn = fitting.ensemble(pair, identified, count, seed)
+    identified = read_drive(drive, surface)
+    drawn = fitting.ensemble(identified, count, seed)
     output.mkdir(parents=True, exist_ok=True)
     with commands.progress("surfaces", count) as written:
         for number, one in enumerate(drawn):
-            write_surface(one, output / f"{surface.stem}-{number:04d}.nc")
+            one.write(output / f"{surface.stem}-{number:04d}.nc")
             written(1.0)
     if plot is not None and torque is not None:
-        plot_band(pair, identified, drawn, torque, plot)
+        plot_band(identified, drawn, torque, plot)
     typer.echo(f"{count} error surfaces are in {output}.")

@@ -49,20 +49,19 @@ def identify(
     Example: [cyan]cycloid-fit identify loop.csv *.arrows --pair pair.toml -o fit.json --surface s.nc --plot fit.png[/]
     """
     import fitting
-    from cycloid_fmu.geometry.pair import read_pair
-    from cycloid_fmu.surfaces.surface import write_surface
+    from cycloid_fmu.drive import read_drive
     from fitting.estimation.result import as_json as content
 
-    pair = read_pair(drive)
+    nominal = read_drive(drive)
     recordings = fitting.read_recordings(files, mapping, read_head)
     with options.status() as progress:
         result = fitting.identify(
-            recordings, pair, tolerances=tolerances, profiled=profiled or (), bootstrap=bootstrap, progress=progress
+            recordings, nominal, tolerances=tolerances, profiled=profiled or (), bootstrap=bootstrap, progress=progress
         )
     if output is not None:
         result.write(output)
     if surface is not None:
-        write_surface(result.surface, surface)
+        result.drive.write(surface)
     if plot is not None:
         fitting.plot(result, plot)
     if report is not None:

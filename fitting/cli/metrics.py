@@ -26,12 +26,12 @@ def metrics(
     Example: [cyan]cycloid-fit metrics loop.csv *.arrows --ratio -39 --rated-torque "167 N*m"[/]
     """
     import fitting
-    from cycloid_fmu.geometry.pair import read_pair
+    from cycloid_fmu.drive import read_drive
 
-    pair = None if drive is None else read_pair(drive)
+    nominal = None if drive is None else read_drive(drive)
     recordings = fitting.read_recordings(files, mapping)
     with options.status() as progress:
-        found = fitting.metrics(recordings, pair, ratio=ratio, rated_torque=rated_torque, progress=progress)
+        found = fitting.metrics(recordings, nominal, ratio=ratio, rated_torque=rated_torque, progress=progress)
     if plot is not None:
         fitting.plot(found, plot)
     if output is not None:

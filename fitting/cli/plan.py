@@ -43,11 +43,11 @@ def plan(
     Example: [cyan]cycloid-fit plan pair.toml --torque "20 N*m" --torque "200 N*m"[/]
     """
     import fitting
-    from cycloid_fmu.geometry.pair import read_pair
-    from cycloid_fmu.surfaces.surface import unit_of
+    from cycloid_fmu.drive import read_drive
+    from cycloid_fmu.surfaces.structured import unit_of
 
     plans = fitting.plan(
-        read_pair(drive), torque, turns=turns, samples=samples, noise=noise, scatter=scatter, loop=loop
+        read_drive(drive), torque, turns=turns, samples=samples, noise=noise, scatter=scatter, loop=loop
     )
     if plot is not None:
         fitting.plot(plans, plot)

@@ -23,11 +23,11 @@ def report(
     Example: [cyan]cycloid-fit report loop.csv *.arrows --pair pair.toml -o report.html[/]
     """
     import fitting
-    from cycloid_fmu.geometry.pair import read_pair
+    from cycloid_fmu.drive import read_drive
 
-    pair = None if drive is None else read_pair(drive)
+    nominal = None if drive is None else read_drive(drive)
     recordings = fitting.read_recordings(files, mapping)
     with options.status() as progress:
-        found = fitting.metrics(recordings, pair, ratio=ratio, rated_torque=rated_torque, progress=progress)
+        found = fitting.metrics(recordings, nominal, ratio=ratio, rated_torque=rated_torque, progress=progress)
     fitting.report(found, output)
     options.finish(found, as_json=as_json)

@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from cycloid_fmu import edge
+from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.sampling import Tolerances, read_tolerances
-from cycloid_fmu.surfaces.surface import structured_value, surface_of_pair, with_structured
+from cycloid_fmu.surfaces.structured import structured_value, with_structured
+from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.estimation.fit import NO_SCATTER, OUTLYING, TURNS, Estimate, fit
 from fitting.estimation.result import HeldOut, Identification, is_uneven, result_of
 from fitting.model.identifiability import chosen_errors
@@ -60,7 +62,7 @@ _START_GAIN, _GAIN = 8.0, 1.0
 
 def identify(
     recordings: Source | Curve | Iterable[Source | Curve],
-    drive: Pair,
+    drive: Drive,
     *,
     tolerances: Tolerances | Prior | str | os.PathLike[str] | None = None,
     profiled: Sequence[str] = (),
@@ -101,14 +103,20 @@ def identify(
     --------
     A drive of 9 teeth whose eccentricity is 3 µm too large, measured at two loads in both directions:
 
-    >>> import numpy as np, fitting
-    >>> from fitting.estimation.simulated import simulated_runs
-    >>> pair, runs = simulated_runs({"eccentricity": 3e-6}, loads=(20.0, -20.0, 100.0, -100.0))
-    >>> result = fitting.identify(runs, pair, held_out=False)
-    >>> {p.name: round(p.value * 1e6, 1) for p in result.parameters}["eccentricity"]
+    >>> import cycloid_fmu as cy, fitting, numpy as np
+    >>> pair = cy.Pair(gear_teeth=9, pin_circle_radius=0.04, pin_radius=0.004, eccentricity=0.002, face_width=0.01)
+    >>> drive = cy.Drive(pair)
+    >>> made, angle = drive.replace(errors={"eccentricity": "3 um"}), np.linspace(0.0, 2.0 * np.pi * 9, 200)
+    >>> def run(load):
+    ...     error = made.analyze(load, crank_angle=angle).transmission_error.values[0]
+    ...     return fitting.Run(input_angle=angle, output_angle=angle / -9 + error, torque=load, known_index=True)
+    >>> result = fitting.identify([run(load) for load in (20.0, -20.0, 100.0, -100.0)], drive, held_out=False)
+    >>> round(next(p for p in result.parameters if p.name == "eccentricity").value * 1e6, 1)
     3.0
+    >>> result.drive.surface.eccentricity == result.surface.eccentricity
+    True
     """
-    pair = drive
+    pair = drive.pair
     progress("reading")
     curves = observed_curves(recordings, pair, keep_turns=bootstrap > 0)
     if isinstance(tolerances, str | os.PathLike):
@@ -279,7 +287,7 @@ def _starting_estimate(
     generator = np.random.default_rng(0)
     # A scatter that grows from nothing as the data ask for it leads past most of the wrong minima.
     unknown = {**dict.fromkeys(scatter_parts(pair), NO_SCATTER), CREEP: NO_CREEP}
-    pitch = 2.0 * np.pi / pair.pair.pins if observed.fit_crank else 0.0
+    pitch = 2.0 * np.pi / pair.pins if observed.fit_crank else 0.0
 
     def ended(
         part: Observations, state: State, scatter: Mapping[str, float], around: LinearisationPoint | None

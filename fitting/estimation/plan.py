@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cycloid_fmu import edge
+from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.arguments import positive
@@ -62,7 +63,7 @@ def planned_curve(ratio: float, torque: float, direction: int, turns: float, sam
 
 
 def plan(
-    drive: Pair,
+    drive: Drive,
     torque: float | str | Sequence[float | str],
     *,
     turns: float = 2.0,
@@ -98,14 +99,15 @@ def plan(
 
     Examples
     --------
-    >>> import fitting
-    >>> first, *_, last = fitting.plan(DRIVE, torque=[20.0, "200 N*m"], turns=1.0, samples=12)
+    >>> import cycloid_fmu as cy, fitting
+    >>> pair = cy.Pair(gear_teeth=9, pin_circle_radius=0.04, pin_radius=0.004, eccentricity=0.002, face_width=0.01)
+    >>> first, *_, last = fitting.plan(cy.Drive(pair), torque=[20.0, "200 N*m"], turns=1.0, samples=12)
     >>> last.runs
     '200 and 20 N·m both ways'
     >>> len(last.standard_error) > len(first.standard_error)
     True
     """
-    pair = drive
+    pair = drive.pair
     given = [torque] if isinstance(torque, float | int | str) else torque
     loads = {positive(one, "N*m", "torque") for one in given}
     level = positive(noise, "rad", "noise")

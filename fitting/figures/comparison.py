@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from cycloid_fmu import edge
-from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.drive import Drive
 from fitting.figures.figure import DEFINITIONS, Figure, in_field_units
 from fitting.figures.metrics import FORMAT, Figures, metrics
 from fitting.recordings.sources import Source
@@ -76,7 +76,7 @@ class Comparison:
 def compare(
     before: Figures | Source | str | os.PathLike[str],
     after: Figures | Source | str | os.PathLike[str],
-    drive: Pair | None = None,
+    drive: Drive | None = None,
     *,
     ratio: float | None = None,
     rated_torque: float | str | None = None,

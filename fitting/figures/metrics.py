@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from cycloid_fmu import edge
+from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import Pair
 from fitting.arguments import positive
 from fitting.figures.figure import Figure, figure_json, pooled
@@ -144,7 +145,7 @@ def figures_of(surveyed: Sequence[Surveyed], ratio: float | None, rated_torque: 
 
 def metrics(
     recordings: Source | Iterable[Source],
-    drive: Pair | None = None,
+    drive: Drive | None = None,
     *,
     ratio: float | None = None,
     rated_torque: float | str | None = None,
@@ -187,7 +188,7 @@ def metrics(
         raise edge.ArgumentError("ratio", "give the signed ratio input/output, such as -39", ratio)
     rated = None if rated_torque is None else positive(rated_torque, "N*m", "rated_torque")
     if drive is not None:
-        ratio, rated = drive.ratio, drive.pair.rated_torque if rated is None else rated
+        ratio, rated = drive.pair.ratio, drive.pair.rated_torque if rated is None else rated
     given = [recordings] if isinstance(recordings, Source) else list(recordings)
     surveyed: list[Surveyed] = []
     problems: list[str] = []
@@ -209,10 +210,9 @@ def metrics(
             break
     if not surveyed:
         raise edge.InputError("\n".join(problems) or "recordings: there is none.")
-    found = figures_of(surveyed, ratio, rated)
-    return dataclasses.replace(
-        found, notes=(*problems, *found.notes), pair=drive, problems=tuple(problems), interrupted=interrupted
-    )
+    found, pair = figures_of(surveyed, ratio, rated), None if drive is None else drive.pair
+    notes = (*problems, *found.notes)
+    return dataclasses.replace(found, notes=notes, pair=pair, problems=tuple(problems), interrupted=interrupted)
 
 
 def figures_json(found: Figures) -> dict[str, Any]:

@@ -83,9 +83,11 @@ def observed_curves(
     found = [one for one in given if isinstance(one, Curve)]
     sources = [one for one in given if not isinstance(one, Curve)]
     locked = [is_locked(open_source(one)) for one in sources]
-    found += curves([one for one, still in zip(sources, locked, strict=True) if not still], pair, keep_turns=keep_turns)
+    found += curves(
+        [one for one, still in zip(sources, locked, strict=True) if not still], pair.ratio, keep_turns=keep_turns
+    )
     for one in itertools.compress(sources, locked):
-        found += branches_of(survey(open_source(one), pair.ratio, pair.pair.rated_torque), pair.ratio)
+        found += branches_of(survey(open_source(one), pair.ratio, pair.rated_torque), pair.ratio)
     return found
 
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.sampling import Tolerances, sample_surface
-from cycloid_fmu.surfaces.surface import Elements, profile_names, profile_wave, unit_of
+from cycloid_fmu.surfaces.structured import profile_names, profile_wave, unit_of
+from cycloid_fmu.surfaces.surface import Elements
 from fitting.model.observations import ORDERS, PROFILE_ORDERS, scatter_parts
 
 Array = NDArray[np.float64]

@@ -164,7 +164,7 @@ def write_fit_report(result: Identification, path: str | os.PathLike[str]) -> No
     """
     target, pair = edge.output_path(path, "path", FORMATS), result.pair
     text = html_page(
-        "Identified drive", f"{pair.pair.gear_teeth}/{pair.pair.pins}, {len(result.curves)} curves, {made_now()}",
+        "Identified drive", f"{pair.gear_teeth}/{pair.pins}, {len(result.curves)} curves, {made_now()}",
         _ABOVE, fit_panels(result), _BELOW, known=[_row(p) for p in result.parameters if p.held is None],
         trust=_trust(result), correlation=_correlation(result), weak=result.weak_combinations,
         held=[p for p in result.parameters if p.held is not None], singles=[_row(p) for p in result.singles],

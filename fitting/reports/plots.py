@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.draw.plots import new_figure, save, show_legend
+from cycloid_fmu.drive import Drive
 from cycloid_fmu.edge import ARCSEC
-from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.surfaces.surface import ErrorSurface, unit_of
+from cycloid_fmu.surfaces.structured import unit_of
 from cycloid_fmu.transmission import solve
 from fitting.estimation.plan import Plan
 from fitting.estimation.result import Identification
@@ -210,15 +210,17 @@ def plot_plans(plans: Sequence[Plan]) -> Figure:
     return figure
 
 
-def plot_band(
-    pair: Pair, surface: ErrorSurface, drawn: Sequence[ErrorSurface], torque: float, path: str | os.PathLike[str]
-) -> None:
+def plot_band(drive: Drive, drawn: Sequence[Drive], torque: float, path: str | os.PathLike[str]) -> None:
     """Write a picture of the identified drive's transmission error at a torque (N·m), and of 95 % of the drawn ones."""
+
+    def error(one: Drive) -> Array:
+        found: Array = solve(one.pair, one.surface, torque, angle, with_play=False).transmission_error[0] * ARCSEC
+        return found
+
     figure, axes = new_figure(2)
-    angle = np.linspace(0.0, 2.0 * np.pi * abs(pair.ratio), 24 * round(abs(pair.ratio)), endpoint=False)
-    identified = solve(pair, surface, torque, angle, with_play=False).transmission_error[0] * ARCSEC
-    each = [solve(pair, one, torque, angle, with_play=False).transmission_error[0] * ARCSEC for one in drawn]
-    low, high = np.quantile(np.array(each), [0.025, 0.975], axis=0)
+    angle = np.linspace(0.0, 2.0 * np.pi * abs(drive.pair.ratio), 24 * round(abs(drive.pair.ratio)), endpoint=False)
+    identified = error(drive)
+    low, high = np.quantile(np.array([error(one) for one in drawn]), [0.025, 0.975], axis=0)
     turn = angle / (2.0 * np.pi)
     axes[0].fill_between(turn, low, high, alpha=0.4, lw=0, label=f"95 % of {len(drawn)} drawn")
     axes[0].plot(turn, identified, lw=0.8, label="identified")

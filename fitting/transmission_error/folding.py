@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.drive import Drive
 from drivers.recording_format import GAP
 from fitting.recordings.cleaning import Block
 from fitting.recordings.recording import Recording, RecordingStream
@@ -426,7 +426,7 @@ def transmission_error_curves(
     return folding.curves(recording)
 
 
-def curves(recordings: Source | Iterable[Source], drive: Pair | float, *, keep_turns: bool = False) -> list[Curve]:
+def curves(recordings: Source | Iterable[Source], drive: Drive | float, *, keep_turns: bool = False) -> list[Curve]:
     """Return the transmission error curves of recordings, one for each direction in which the crank turns.
 
     Parameters
@@ -452,6 +452,6 @@ def curves(recordings: Source | Iterable[Source], drive: Pair | float, *, keep_t
     >>> round(float(np.ptp(curve.transmission_error)) * 1e6)
     20
     """
-    ratio = drive if isinstance(drive, float | int) else drive.ratio
+    ratio = drive if isinstance(drive, float | int) else drive.pair.ratio
     given = [recordings] if isinstance(recordings, Source) else recordings
     return [c for one in given for c in transmission_error_curves(open_source(one), ratio, keep_turns=keep_turns)]

@@ -12,8 +12,10 @@ from scipy.optimize import least_squares
 import fitting.estimation.fit
 import fitting.model.observations
 from cycloid_fmu import edge
+from cycloid_fmu.drive import Drive
 from cycloid_fmu.surfaces.sampling import parse_tolerances
-from cycloid_fmu.surfaces.surface import structured_value, surface_of_pair, with_structured
+from cycloid_fmu.surfaces.structured import structured_value, with_structured
+from cycloid_fmu.surfaces.surface import surface_of_pair
 from cycloid_fmu.transmission import solve
 from fitting.estimation.fit import confirmed, fit, possible, profile_interval, turn_bootstrap
 from fitting.estimation.identify import identify
@@ -153,10 +155,10 @@ def test_bounds_are_where_the_pair_ceases_to_be_one(nominal):
     for name in ("pin_radius", "eccentricity"):
         low, high = possible(nominal, name)
         assert -1e-3 <= low < 0.0 < high <= 1e-3
-    thin = nominal.model_copy(update={"pair": nominal.pair.model_copy(update={"eccentricity": 0.4e-3})})
+    thin = nominal.replace(eccentricity=0.4e-3)
     assert possible(thin, "eccentricity")[0] == -0.4e-3
     assert possible(nominal, "misalignment_xz") == (-0.02, 0.02)
-    g = nominal.pair
+    g = nominal
     wide = nominal.model_copy(update={"pair": g.model_copy(update={
         "pin_radius": g.pin_circle_radius * np.sin(np.pi / g.pins) - 1e-4})})  # fmt: skip
     assert possible(wide, "pin_radius")[1] == pytest.approx(1e-4)
@@ -168,7 +170,7 @@ def test_a_fit_that_leaves_what_is_possible_ends_at_its_bound_and_says_so(simple
         "fitting.estimation.fit.possible",
         lambda pair, name: (-0.5e-6, 0.5e-6) if name == "pin_radius" else (-1e-3, 1e-3),
     )
-    found = identify(observed.curves, nominal, held_out=False)
+    found = identify(observed.curves, Drive(nominal), held_out=False)
     one = found.lmfit_parameters["pin_radius"]
     assert one.value == pytest.approx(0.5e-6, rel=1e-3)  # 1 µm was made
     assert one.value <= one.max
@@ -237,7 +239,7 @@ def test_a_torque_that_swings_and_a_zero_that_creeps_do_not_bend_the_errors(simp
     generator = np.random.default_rng(5)
     loads = (20.0, -20.0, 200.0, -200.0)
     curves = [curve(nominal, made, t, generator, wave=0.3, drift=k * 2.0 * ARCSEC) for k, t in enumerate(loads)]
-    found = identify(curves, nominal, held_out=False)
+    found = identify(curves, Drive(nominal), held_out=False)
     far = distances(found, nominal, made)
     assert len(far) > 15
     assert max(abs(z) for z in far.values()) < 4.0
@@ -245,7 +247,7 @@ def test_a_torque_that_swings_and_a_zero_that_creeps_do_not_bend_the_errors(simp
     drifts = [found.bench[f"output_angle_drift_{k}"] for k in range(4)]
     assert np.diff(drifts) == pytest.approx(np.full(3, 2.0 * ARCSEC), abs=0.5 * ARCSEC)
     blind = [dataclasses.replace(c, torque_each=None) for c in curves]
-    far = distances(identify(blind, nominal, held_out=False), nominal, made)
+    far = distances(identify(blind, Drive(nominal), held_out=False), nominal, made)
     assert max(abs(z) for z in far.values()) > 4.0
 
 
@@ -254,7 +256,7 @@ def test_errors_of_pins_and_teeth_are_never_swapped(nominal, pattern):
     made = with_structured(nominal, surface_of_pair(nominal), {f"{pattern}_2_cos": 3e-6, f"{pattern}_3_sin": -2e-6})
     generator = np.random.default_rng(7)
     curves = [curve(nominal, made, t, generator) for t in (20.0, -20.0, 200.0, -200.0)]
-    found = identify(curves, nominal, held_out=False)
+    found = identify(curves, Drive(nominal), held_out=False)
     far = distances(found, nominal, made)
     assert max(abs(z) for z in far.values()) < 4.0
     other = {"pin_tangential": "tooth_cumulative_pitch", "tooth_cumulative_pitch": "pin_tangential"}[pattern]
@@ -277,7 +279,7 @@ def test_every_pin_and_tooth_by_itself(nominal, tmp_path):
     known = scatter_of(nominal, tolerances)
     assert set(known) == {"pin_tangential", "tooth_cumulative_pitch"}
     assert 0.2e-6 < known["pin_tangential"] < 3e-6  # within a single pitch of ± 3 µm
-    found = identify(curves, nominal, held_out=False, tolerances=Prior(known), profiled=["isometric"])
+    found = identify(curves, Drive(nominal), held_out=False, tolerances=Prior(known), profiled=["isometric"])
     assert any(n.startswith("isometric is held, so it has no profile") for n in found.notes)
     places = {p.name: p for p in found.singles if p.name.startswith("pin_tangential_at_")}
     assert len(found.singles) == 40 + 40 + 39
@@ -302,21 +304,21 @@ def test_what_bench_runs_lack_is_said(simple, nominal):
     made, _ = simple
     generator = np.random.default_rng(13)
     curves = [curve(nominal, made, t, generator, turns=0.4) for t in (20.0, 200.0)]
-    found = identify(curves, nominal)
+    found = identify(curves, Drive(nominal))
     assert any("covers 0.40 of an output turn" in n for n in found.notes)
     assert any("one way only" in n for n in found.notes)
     assert any("one sign" in n for n in found.notes)
     whole = [curve(nominal, made, t, generator) for t in (20.0, -20.0, 200.0)]
     added = 300 * ARCSEC * np.cos(whole[0].input_angle / 39)
     strong = [dataclasses.replace(c, transmission_error=c.transmission_error + added) for c in whole]
-    found = identify(strong, nominal, held_out=False)
+    found = identify(strong, Drive(nominal), held_out=False)
     assert any("Once an output turn the angle errs by 300" in n for n in found.notes)
     assert max(abs(z) for z in distances(found, nominal, made).values()) < 4.5
     with pytest.raises(edge.InputError, match="of another drive"):
-        identify([dataclasses.replace(curves[0], ratio=-29.0)], nominal)
+        identify([dataclasses.replace(curves[0], ratio=-29.0)], Drive(nominal))
     with pytest.raises(edge.InputError, match="turns again"):
-        identify(curves, nominal, bootstrap=5)
+        identify(curves, Drive(nominal), bootstrap=5)
     with pytest.raises(
         edge.InputError, match='profiled = "eccentric": it is no error of this drive; did you mean eccentricity'
     ):
-        identify(curves, nominal, profiled=["eccentric"])
+        identify(curves, Drive(nominal), profiled=["eccentric"])

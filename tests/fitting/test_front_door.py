@@ -9,7 +9,7 @@ from common import BENCH
 
 import fitting
 from cycloid_fmu import edge
-from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.drive import Drive, read_drive
 
 
 def test_importing_costs_next_to_nothing_and_every_name_is_there():
@@ -26,29 +26,29 @@ def test_importing_costs_next_to_nothing_and_every_name_is_there():
 
 
 def test_files_by_pattern_are_sorted_into_curves_and_named_where_they_are_bad(tmp_path):
-    pair = read_pair(BENCH / "pair.toml")
+    drive = read_drive(BENCH / "pair.toml")
     recordings = fitting.read_recordings(str(BENCH / "*-forward.csv"))
     assert [one.path.name for one in recordings] == ["100Nm-forward.csv", "250Nm-forward.csv", "30Nm-forward.csv"]
     (tmp_path / "bad.csv").write_text("a,b\n1,2\n")
     both = [*recordings[:1], *fitting.read_recordings([tmp_path / "bad.csv"])]
-    found = fitting.metrics(both, pair)
+    found = fitting.metrics(both, drive)
     assert len(found.problems) == 1
     assert found.problems[0].startswith(str(tmp_path / "bad.csv"))
     assert found.problems[0] in found.notes
     assert "angular_transmission_error" in found.figures
     with pytest.raises(edge.InputError, match=r"bad\.csv"):
-        fitting.identify(both, pair)
+        fitting.identify(both, Drive(drive))
     with pytest.raises(edge.InputError, match="fits this pattern"):
         fitting.read_recordings(str(tmp_path / "*.parquet"))
 
 
 def test_arrays_give_the_same_curve_as_the_file_they_are_in():
-    pair = read_pair(BENCH / "pair.toml")
+    drive = read_drive(BENCH / "pair.toml")
     (recording,) = fitting.read_recordings(BENCH / "30Nm-forward.csv")
     whole = recording.open().read()
     run = fitting.Run(input_angle=np.mod(whole.input_angle, 2 * np.pi), output_angle=whole.output_angle,
                       torque=whole.torque, time=whole.time)  # fmt: skip
-    (from_file,), (from_arrays,) = fitting.curves(recording, pair), fitting.curves([run], pair.ratio)
+    (from_file,), (from_arrays,) = fitting.curves(recording, drive), fitting.curves([run], drive.pair.ratio)
     assert from_arrays.transmission_error == pytest.approx(from_file.transmission_error, abs=1e-12)
 
 

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from cycloid_fmu import edge
+from cycloid_fmu.drive import Drive
 from cycloid_fmu.fmu.model import DriveModel
-from cycloid_fmu.surfaces.surface import structured_value, surface_of_pair, with_structured
+from cycloid_fmu.surfaces.structured import structured_value, with_structured
+from cycloid_fmu.surfaces.surface import surface_of_pair
 from cycloid_fmu.transmission import solve
 from fitting.estimation.identify import identify
 from fitting.estimation.plan import plan
@@ -79,8 +81,8 @@ def test_the_play_and_its_derivatives_are_those_of_the_contact_model(made):
 def test_a_loop_tells_what_transmission_errors_alone_do_not(measured, nominal, made, loop):
     """Without a common zero nothing says how the two sides of the teeth stand to each other, but the play does."""
     curves = measured(1, each=12, zeros=(3e-4, -2e-4, 1e-4, 5e-5), common_zero=False)
-    alone = {p.name: p for p in identify(curves, nominal, held_out=False).parameters}
-    found = identify([*curves, *loop], nominal)
+    alone = {p.name: p for p in identify(curves, Drive(nominal), held_out=False).parameters}
+    found = identify([*curves, *loop], Drive(nominal))
     with_loop = {p.name: p for p in found.parameters}
     assert alone["pin_circle_radius"].held is not None
     assert with_loop["pin_circle_radius"].held is None
@@ -98,7 +100,7 @@ def test_a_loop_tells_what_transmission_errors_alone_do_not(measured, nominal, m
 
 def test_a_plan_with_a_loop_foretells_what_it_adds(nominal):
     runs = {"turns": 1.0, "samples": 12, "noise": 0.5 * ARCSEC, "scatter": 0.3e-6}
-    one_way, wound, both, all_of_it = plan(nominal, [200.0], loop=RATED, **runs)
+    one_way, wound, both, all_of_it = plan(Drive(nominal), [200.0], loop=RATED, **runs)
     assert wound.runs == "200 N·m forward and a loop to 181 N·m"
     assert "pin_radius" not in one_way.standard_error
     assert "pin_radius" in wound.standard_error
@@ -129,7 +131,7 @@ def test_a_loop_that_tells_no_play_is_refused(made, how, said):
 
 def test_loops_alone_are_refused(nominal, loop):
     with pytest.raises(edge.InputError, match="one crank angle only"):
-        identify(loop, nominal)
+        identify(loop, Drive(nominal))
 
 
 def test_loops_among_recordings_on_the_command_line(command, made, measured, tmp_path, nominal):
