@@ -11,10 +11,10 @@ import numpy as np
 from scipy.optimize import least_squares
 
 import fitting.model.observations
+from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.surfaces.structured import with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
-from cycloid_fmu.transmission import solve
 from fitting.estimation.identify import identify
 from fitting.model.observations import errors_of, observations
 from fitting.model.prior import tolerances_of

@@ -25,7 +25,10 @@ _HOME = {
     "read_drive": "drive", "read_pair": "geometry.pair", "read_surface": "surfaces.files",
     "read_tolerances": "surfaces.sampling", "field_units": "drive", "ARCSEC": "edge", "ARCMIN": "edge",
 }  # fmt: skip
-__all__ = ["__version__", *_HOME]  # noqa: PLE0604
+__all__ = [
+    "ARCMIN", "ARCSEC", "Drive", "ErrorKind", "ErrorSurface", "InputError", "Material", "Pair", "Tolerances",
+    "__version__", "field_units", "read_drive", "read_pair", "read_surface", "read_tolerances", "register",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

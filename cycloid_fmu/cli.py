@@ -88,9 +88,9 @@ def analyze(
     import numpy as np
     from rich.progress import Progress
 
+    from cycloid_fmu.contact.transmission import analyze as analyze_pair
+    from cycloid_fmu.contact.transmission import slices_needed, statistics
     from cycloid_fmu.draw import plots
-    from cycloid_fmu.transmission import analyze as analyze_pair
-    from cycloid_fmu.transmission import slices_needed, statistics
 
     loads = [edge.quantity_option(t, "N*m", "--torque") for t in torque]
     if plot is not None:

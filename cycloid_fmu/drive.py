@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from cycloid_fmu import edge
 from cycloid_fmu.errors.kinds import KINDS
 from cycloid_fmu.errors.stated import Errors
-from cycloid_fmu.geometry.pair import Modification, Pair, read_pair
+from cycloid_fmu.geometry.pair import Pair, read_pair
 from cycloid_fmu.surfaces.surface import ErrorSurface, check_surface, stated_values, surface_of_pair
 
 if TYPE_CHECKING:

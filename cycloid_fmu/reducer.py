@@ -18,13 +18,13 @@ import pydantic
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import contact, edge
+from cycloid_fmu.contact.transmission import drive_of
 from cycloid_fmu.edge import ARCMIN, Angle, Config
 from cycloid_fmu.errors.kinds import LARGEST_DEVIATION
 from cycloid_fmu.fmu.reducer_model import FirstStage
 from cycloid_fmu.geometry.pair import Pair, PositiveLength, pair_of_tables
 from cycloid_fmu.surfaces.sampling import Distribution, error_stream, within_tolerance
 from cycloid_fmu.surfaces.surface import ErrorSurface
-from cycloid_fmu.transmission import drive_of
 
 Array = NDArray[np.float64]
 Variant = Literal["standard", "as_printed", "geometric", "geometric_sun_locked"]

@@ -63,7 +63,7 @@ def test_each_import_rule_can_be_broken(tmp_path):
     [
         ("cycloid_fmu, fitting, drivers, cycloid_fmu.cli, fitting.cli, drivers.cli", set()),
         ("cycloid_fmu.geometry.pair, cycloid_fmu.geometry.profile, fitting.recordings.recording", {"numpy", "pyarrow"}),
-        ("cycloid_fmu.transmission", {"numpy", "numba", "scipy"}),  # numba looks whether SciPy is there
+        ("cycloid_fmu.contact.transmission", {"numpy", "numba", "scipy"}),  # numba looks whether SciPy is there
         ("drivers.recorder, drivers.export, drivers.watch", {"numpy", "pyarrow"}),
     ],
 )

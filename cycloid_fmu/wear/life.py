@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
+from cycloid_fmu.contact.tooth_contact import contact_ratio
 from cycloid_fmu.surfaces.surface import DEVIATIONS, ErrorSurface, Life
-from cycloid_fmu.tooth_contact import contact_ratio
 from cycloid_fmu.wear.progress import (
     SENSIBLE_COEFFICIENTS,
     Depth,

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
+from cycloid_fmu.contact.transmission import error_sensitivity, solve
 from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD, Pair
 from cycloid_fmu.surfaces.surface import ErrorSurface
-from cycloid_fmu.transmission import error_sensitivity, solve
 from fitting.figures.hysteresis import FRICTION, FRICTION_NEAR, LOCKED, Lobe, LoopData, branch_line
 from fitting.figures.survey import Surveyed, survey
 from fitting.recordings.recording import Recording, RecordingStream

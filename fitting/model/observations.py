@@ -15,12 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cycloid_fmu import screening
+from cycloid_fmu.contact import first_order
+from cycloid_fmu.contact.transmission import error_sensitivity, solve
 from cycloid_fmu.errors.kinds import structured_names
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import displacement_columns, displacement_layout, displacement_vector
 from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
-from cycloid_fmu.transmission import error_sensitivity, solve
 from fitting.transmission_error.curve import Curve, noise_of
 
 Array = NDArray[np.float64]
@@ -290,7 +290,7 @@ class LinearisationPoint:
     """
 
     errors: Array
-    contacts: tuple[screening.Contacts, ...]
+    contacts: tuple[first_order.Contacts, ...]
 
     def some(self, numbers: Sequence[int] | NDArray[np.int64]) -> LinearisationPoint:
         """Some of the curves by themselves."""
@@ -300,8 +300,8 @@ class LinearisationPoint:
 def linearisation_point(pair: Pair, surface: ErrorSurface, observed: Observations) -> LinearisationPoint:
     """Solve a drive at every point of every curve, so that drives near it can be taken to first order."""
 
-    def one(curve: Curve) -> screening.Contacts:
-        return screening.contacts_of(pair, surface, curve.torque, curve.input_angle, 1, _REACH)
+    def one(curve: Curve) -> first_order.Contacts:
+        return first_order.contacts_of(pair, surface, curve.torque, curve.input_angle, 1, _REACH)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         return LinearisationPoint(displacement_vector(pair, surface), tuple(pool.map(one, observed.curves)))
@@ -326,7 +326,7 @@ def linearised_curve(
         by_crank, by_torque = further.T
     else:
         errors = displacement_vector(pair, state.surface) - around.errors
-        model, each, by_torque = screening.sensitivities(pair, around.contacts[number], 1, errors, torque)
+        model, each, by_torque = first_order.sensitivities(pair, around.contacts[number], 1, errors, torque)
         jacobian, by_crank = each @ displacement_columns(pair, observed.errors), np.zeros_like(model)
     return Linear(model, jacobian, scatter_columns(pair, each), by_crank, against * by_torque)
 

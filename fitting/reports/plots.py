@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
+from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.draw.plots import new_figure, save, show_legend
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.surfaces.structured import unit_of
-from cycloid_fmu.transmission import solve
 from fitting.estimation.plan import Plan
 from fitting.estimation.result import Identification
 from fitting.figures.comparison import Change, Comparison

@@ -12,11 +12,11 @@ from scipy.optimize import least_squares
 import fitting.estimation.fit
 import fitting.model.observations
 from cycloid_fmu import edge
+from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.surfaces.sampling import parse_tolerances
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
-from cycloid_fmu.transmission import solve
 from fitting.estimation.fit import confirmed, fit, possible, profile_interval, turn_bootstrap
 from fitting.estimation.identify import identify
 from fitting.model.identifiability import chosen_errors, posterior_covariance

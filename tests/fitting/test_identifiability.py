@@ -7,12 +7,12 @@ import pytest
 from common import BENCH, EXAMPLES
 
 import fitting.estimation.identify
+from cycloid_fmu.contact.transmission import error_sensitivity, solve
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.surfaces.files import read_surface, write_surface
 from cycloid_fmu.surfaces.structured import structured_value
 from cycloid_fmu.surfaces.surface import surface_of_pair
-from cycloid_fmu.transmission import error_sensitivity, solve
 from fitting.estimation.ensemble import ensemble
 from fitting.estimation.identify import identify, kept_back
 from fitting.estimation.plan import plan, planned_curve

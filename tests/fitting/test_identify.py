@@ -8,12 +8,12 @@ from common import BENCH
 from scipy.special import stdtrit
 
 from cycloid_fmu import edge
+from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.surfaces.files import read_surface, write_surface
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
-from cycloid_fmu.transmission import solve
 from fitting.estimation.identify import identify
 from fitting.estimation.result import as_json, read_lmfit_parameters
 from fitting.model.identifiability import choose, posterior_covariance

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from cycloid_fmu import edge
+from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
-from cycloid_fmu.transmission import solve
 from fitting.estimation.identify import identify
 from fitting.estimation.plan import plan
 from fitting.figures.survey import survey

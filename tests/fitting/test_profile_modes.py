@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from common import EXAMPLES
 
+from cycloid_fmu.contact.transmission import error_sensitivity, solve
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.surfaces.sampling import read_tolerances
 from cycloid_fmu.surfaces.surface import (
@@ -14,7 +15,6 @@ from cycloid_fmu.surfaces.surface import (
     with_structured,
     write_surface,
 )  # fmt: skip
-from cycloid_fmu.transmission import error_sensitivity, solve
 from fitting.estimation.identify import identify
 from fitting.model.prior import Prior, profile_of
 from fitting.transmission_error.curve import Curve

@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import contact
+from cycloid_fmu.contact.transmission import carried, check_balance, drive_of
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.surface import ErrorSurface
-from cycloid_fmu.transmission import carried, check_balance, drive_of
 
 Array = NDArray[np.float64]
 

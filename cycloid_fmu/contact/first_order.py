@@ -18,11 +18,18 @@ from numpy.typing import NDArray
 from cycloid_fmu import contact
 from cycloid_fmu.contact import compiled, part
 from cycloid_fmu.contact.sensitivity import (
-    BODY_COUNT, CENTRE_X, CENTRE_Y, CIRCLE_GENERATING, CRANK_THROW, PIN_GENERATING, TILT_X, TILT_Y,
+    BODY_COUNT,
+    CENTRE_X,
+    CENTRE_Y,
+    CIRCLE_GENERATING,
+    CRANK_THROW,
+    PIN_GENERATING,
+    TILT_X,
+    TILT_Y,
 )  # fmt: skip
+from cycloid_fmu.contact.transmission import drive_of
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.surface import ErrorSurface, nominal_surface
-from cycloid_fmu.transmission import drive_of
 
 Array = NDArray[np.float64]
 (

@@ -7,15 +7,15 @@ import pytest
 from common import EXAMPLES, make_pair
 
 from cycloid_fmu import edge
+from cycloid_fmu.contact.first_order import Screen, contacts_of, sensitivities
+from cycloid_fmu.contact.transmission import error_sensitivity, solve
 from cycloid_fmu.geometry.pair import read_pair
-from cycloid_fmu.screening import Screen, contacts_of, sensitivities
 from cycloid_fmu.studies import tolerance
 from cycloid_fmu.studies.allocation import allocate, errors_of_factors, scaled
 from cycloid_fmu.studies.tolerance import Study, points, screened, surface_of
 from cycloid_fmu.surfaces.sampling import parse_tolerances, read_tolerances
 from cycloid_fmu.surfaces.structured import displacement_vector
 from cycloid_fmu.surfaces.surface import nominal_surface
-from cycloid_fmu.transmission import error_sensitivity, solve
 
 DRIVE = read_pair(EXAMPLES / "drive-39-40.toml")
 EVERY = read_tolerances(EXAMPLES / "tolerances.toml").replace(gear_profile=None, pin_profile=None)

@@ -262,7 +262,7 @@ def _lines(
     pair: Pair, surface: ErrorSurface, problem: contact.Problem, places: tuple[int, ...]
 ) -> contact.ContactLines:
     """Return empty contact lines, of the surface's elements or as many as by default."""
-    g, slices = pair.pair, problem.centre_x.size
+    g, slices = pair, problem.centre_x.size
     profile = PROFILE_ELEMENTS if surface.gear_deviation is None else surface.gear_deviation.shape[2]
     around = ANGLE_ELEMENTS if surface.pin_deviation is None else surface.pin_deviation.shape[1]
     alpha, x, y, _, _ = _flank_points(pair, surface, profile)
