@@ -18,7 +18,7 @@ BARE = ("numba", "scipy", "matplotlib")
 COMMANDS = ("cycloid-fmu", "cycloid-fit", "cycloid-bench")
 IMPORTED = (
     "cycloid_fmu", "fitting", "drivers", "cycloid_fmu.geometry.pair", "cycloid_fmu.contact.transmission",
-    "fitting.recording", "fitting.identify", "drivers.recorder.session",
+    "fitting.recordings.recording", "fitting.estimation.identify", "drivers.recorder.session",
 )  # fmt: skip
 
 

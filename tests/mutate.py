@@ -52,8 +52,8 @@ class Target:
 
 TARGETS = {
     "metrics": Target(
-        ("fitting/figure.py", "fitting/hysteresis.py", "fitting/metrics.py", "fitting/spectrum.py", "fitting/starts.py",
-         "fitting/survey.py"),
+        ("fitting/figures/figure.py", "fitting/figures/hysteresis.py", "fitting/figures/metrics.py",
+         "fitting/figures/spectrum.py", "fitting/figures/starts.py", "fitting/figures/survey.py"),
         ("tests/fitting/test_metrics.py", "tests/fitting/test_comparison.py"),
     ),
     "recorder": Target(

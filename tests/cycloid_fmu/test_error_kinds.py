@@ -67,7 +67,9 @@ def test_its_sensitivity_is_that_of_finite_differences(new_kind):
         solve(pair, surface.replace(ring_distortion=2e-6 + s), 150.0, ANGLES, with_play=False).transmission_error[0]
         for s in (step, -step)
     ]
-    assert jacobian[:, 0] == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=2e-3, abs=2e-3 * np.abs(jacobian).max())
+    assert jacobian[:, 0] == pytest.approx(
+        (ends[0] - ends[1]) / (2 * step), rel=2e-3, abs=2e-3 * np.abs(jacobian).max()
+    )
 
 
 def test_it_makes_pins_unlike(new_kind):
