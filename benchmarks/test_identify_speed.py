@@ -31,7 +31,7 @@ def drive(pair, seed):
     values = dict(zip(names, generator.normal(0.0, 0.3, len(names)) * tolerances_of(names), strict=True))
     surface = with_structured(pair, surface_of_pair(pair), values)
     for scattered in (surface.pin_radial, surface.pin_tangential):
-        scattered += generator.normal(0.0, 2e-6, pair.pair.pins)
+        scattered += generator.normal(0.0, 2e-6, pair.pins)
     angle = np.arange(720) * 2.0 * np.pi * 39 / 720
     curves = []
     for load in LOADS:

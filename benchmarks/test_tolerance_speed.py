@@ -20,7 +20,7 @@ from cycloid_fmu.transmission import solve
 PAIR = read_pair(EXAMPLES / "drive-39-40.toml")
 # Form deviations and slices cost by themselves; the rest of the example's tolerances is sampled.
 WITHOUT = ("gear_profile", "pin_profile", "misalignment_xz", "misalignment_yz")
-TOLERANCES = read_tolerances(EXAMPLES / "tolerances.toml").model_copy(update=dict.fromkeys(WITHOUT))
+TOLERANCES = read_tolerances(EXAMPLES / "tolerances.toml").replace(**dict.fromkeys(WITHOUT))
 STUDY = Study(PAIR, TOLERANCES, 640, 1, (181.0, -181.0))
 
 

@@ -354,7 +354,7 @@ def _build_from_tables(
     from cycloid_fmu.fmu.native_build import build_native, platforms_of
     from cycloid_fmu.fmu.tables import LARGEST_LOAD, PROBES, compute
 
-    if pair.pair.rated_torque is None:
+    if pair.rated_torque is None:
         raise edge.InputError(
             f"{pair_file}: [pair] rated_torque is missing; state it: the tables reach {LARGEST_LOAD:g} times as far."
         )
@@ -768,7 +768,7 @@ def tolerance(
     if design not in study_of.DESIGNS:
         raise edge.InputError(f"--design = {design}: it must be one of {', '.join(study_of.DESIGNS)}.")
     pair, tolerances = read_pair(pair_file), read_tolerances(tolerances_file)
-    rated = pair.pair.rated_torque
+    rated = pair.rated_torque
     if torque is None and rated is None:
         raise edge.InputError(f"{pair_file}: [pair] rated_torque is missing; state it, or give --torque.")
     loads = [edge.quantity_option(t, "N*m", "--torque") for t in torque] if torque else [rated or 0.0, -(rated or 0.0)]

@@ -50,7 +50,7 @@ class Contacts(NamedTuple):
 
 def error_vector(pair: Pair, surface: ErrorSurface) -> Array:
     """Return a drive's errors in one row: pins' radial, tangential, radius error, teeth's turns, then the scalars."""
-    turns = surface.tooth_cumulative_pitch.ravel() / pair.pair.pin_circle_radius
+    turns = surface.tooth_cumulative_pitch.ravel() / pair.pin_circle_radius
     scalars = [getattr(surface, name) for name in SCALAR_ERRORS]
     return np.concatenate(
         [surface.pin_radial, surface.pin_tangential, surface.pin_radius_deviation, turns, np.array(scalars)]
@@ -298,7 +298,7 @@ def sensitivities(
     by_torque
         Shape (angles,), rad/(N·m).
     """
-    g, angles = pair.pair, contacts.number.size
+    g, angles = pair, contacts.number.size
     teeth = g.discs * g.gear_teeth
     each = np.empty((angles, len(SCALAR_ERRORS) + 3 * g.pins + teeth))
     deviation, by_torque = np.empty(angles), np.empty(angles)
@@ -356,7 +356,7 @@ def _deepest(rows: Array, count: int, gaps: Array, first: float, last: float) ->
 
 def _law(pair: Pair, slices: int) -> tuple[float, float, float, float, float]:
     """Return what Hertz's law takes of a pair."""
-    g, material = pair.pair, pair.material
+    g, material = pair, pair.material
     largest_log_radius = g.pin_circle_radius if g.contact_law == "capped" else math.inf
     return (g.pin_radius, g.face_width / slices, material.gear.compliance, material.pin.compliance,
             largest_log_radius)  # fmt: skip
@@ -376,7 +376,7 @@ class Screen:
     """
 
     def __init__(self, pair: Pair, loads: Sequence[tuple[float, Array]], slices: int, reach: float) -> None:
-        g, error_free = pair.pair, nominal_surface(pair)
+        g, error_free = pair, nominal_surface(pair)
         self.pair = pair
         self._contacts = [contacts_of(pair, error_free, torque, angles, slices, reach) for torque, angles in loads]
         self._sizes, self._law = (g.pins, g.discs * g.gear_teeth), _law(pair, slices)

@@ -254,7 +254,7 @@ def handovers(pair: Pair, surface: ErrorSurface, crank_angle: ArrayLike, side: i
     between two of them. Without errors a pin's mesh interval is one pin pitch long (loaded-contact-wear, section 5.1).
     """
     found = unloaded_contact(pair, surface, crank_angle, side)
-    pins = pair.pair.pins
+    pins = pair.pins
     number = found.disc * pins + found.pin
     at = np.flatnonzero(number[1:] != number[:-1])
     leaving, entering = number[at], number[at + 1]
@@ -271,7 +271,7 @@ def handovers(pair: Pair, surface: ErrorSurface, crank_angle: ArrayLike, side: i
 
 def phase_of_pin(pair: Pair, crank_angle: ArrayLike, disc: ArrayLike, pin: ArrayLike) -> Array:
     """Angle φ of a pin from its disc's crank, in -π to π, rad; the output without error."""
-    g = pair.pair
+    g = pair
     theta = np.asarray(crank_angle, dtype=float)
     ring = theta / g.pins if g.output == "ring" else 0.0
     angle = 2.0 * np.pi * np.asarray(pin) / g.pins + ring - theta - 2.0 * np.pi * np.asarray(disc) / g.discs

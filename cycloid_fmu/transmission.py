@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import contact, edge
-from cycloid_fmu.geometry.pair import Modification, Pair
+from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_normals, flank_points
-from cycloid_fmu.surfaces.surface import PROFILE_POINTS, ErrorSurface, profile_wave, structured_columns
+from cycloid_fmu.surfaces.structured import PROFILE_POINTS, displacement_columns, displacements, profile_wave
+from cycloid_fmu.surfaces.surface import ErrorSurface
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -76,8 +77,9 @@ class Transmission:
 
 
 def slices_needed(surface: ErrorSurface) -> int:
-    """Return the slices that a surface needs: its elements across the width, 20 with misalignment, else 1."""
-    tilted = surface.misalignment_xz != 0.0 or surface.misalignment_yz != 0.0
+    """Return the slices that a surface needs: its elements across the width, 20 where the gear's axis is tilted."""
+    made = displacements(surface.pair, surface, {})
+    tilted = made["tilt_x"] != 0.0 or made["tilt_y"] != 0.0
     elements = [int(d.shape[-1]) for d in (surface.gear_deviation, surface.pin_deviation) if d is not None]
     return max([SLICES_MISALIGNED if tilted else 1, *elements])
 
@@ -92,35 +94,37 @@ def drive_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> contact.Driv
     slices
         Slices across the face width, each independent and taken at its middle; 1 where nothing varies across it.
     """
-    g, material = pair.pair, pair.material
-    direction = 2.0 * np.pi * np.arange(g.pins) / g.pins
-    radius = g.pin_circle_radius + surface.pin_circle_radius + surface.pin_radial
-    angle = direction + surface.pin_tangential / g.pin_circle_radius
-    z = g.face_width * ((np.arange(slices) + 0.5) / slices - 0.5)
-    circle = pair.generating_circle_radius + surface.offset
+    direction = 2.0 * np.pi * np.arange(pair.pins) / pair.pins
+    made = displacements(pair, surface, {
+        "crank_throw": pair.eccentricity, "generating_pin_radius": pair.generating_pin_radius,
+        "generating_circle_radius": pair.generating_circle_radius, "pin_radial": pair.pin_circle_radius,
+        "pin_radius": pair.pin_radius,
+    })  # fmt: skip
+    angle = direction + made["pin_tangential"] / pair.pin_circle_radius
+    z = pair.face_width * ((np.arange(slices) + 0.5) / slices - 0.5)
     stray = _stray(pair, surface)
     return contact.Drive(
-        circle_radius=circle,
-        generating_radius=pair.generating_pin_radius + surface.isometric,
-        generating_eccentricity=g.eccentricity,
-        eccentricity=g.eccentricity + surface.eccentricity,
-        teeth=g.gear_teeth,
-        ring=g.output == "ring",
-        pin_x=radius * np.cos(angle),
-        pin_y=radius * np.sin(angle),
-        pin_radius=g.pin_radius + surface.pin_radius + surface.pin_radius_deviation,
-        tooth_turn=np.ascontiguousarray(surface.tooth_cumulative_pitch / g.pin_circle_radius),
-        crank_phase=2.0 * np.pi * np.arange(g.discs) / g.discs,
-        centre_x=surface.centre_distance_x + surface.misalignment_xz * z,
-        centre_y=surface.centre_distance_y + surface.misalignment_yz * z,
+        circle_radius=float(made["generating_circle_radius"]),
+        generating_radius=float(made["generating_pin_radius"]),
+        generating_eccentricity=pair.eccentricity,
+        eccentricity=float(made["crank_throw"]),
+        teeth=pair.gear_teeth,
+        ring=pair.output == "ring",
+        pin_x=made["pin_radial"] * np.cos(angle),
+        pin_y=made["pin_radial"] * np.sin(angle),
+        pin_radius=made["pin_radius"],
+        tooth_turn=np.ascontiguousarray(made["tooth_turn"]),
+        crank_phase=2.0 * np.pi * np.arange(pair.discs) / pair.discs,
+        centre_x=made["centre_x"] + made["tilt_x"] * z,
+        centre_y=made["centre_y"] + made["tilt_y"] * z,
         slice_z=z,
-        slice_width=g.face_width / slices,
-        compliance_gear=material.gear.compliance,
-        compliance_pin=material.pin.compliance,
-        largest_log_radius=g.pin_circle_radius if g.contact_law == "capped" else math.inf,
+        slice_width=pair.face_width / slices,
+        compliance_gear=pair.material.gear.compliance,
+        compliance_pin=pair.material.pin.compliance,
+        largest_log_radius=pair.pin_circle_radius if pair.contact_law == "capped" else math.inf,
         stray=stray,
-        root_phase=_root_phase(pair, stray, circle),
-        root_margin=1e-6 + 1.5 * float(np.ptp(surface.tooth_cumulative_pitch, axis=1).max()),
+        root_phase=_root_phase(pair, stray, float(made["generating_circle_radius"])),
+        root_margin=1e-6 + 1.5 * pair.pin_circle_radius * float(np.ptp(made["tooth_turn"], axis=1).max()),
         **_elements(pair, surface, z),
     )
 
@@ -128,7 +132,7 @@ def drive_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> contact.Driv
 def _elements(pair: Pair, surface: ErrorSurface, z: Array) -> dict[str, Any]:
     """Deviations of flanks and pins at the slices' middles for `contact.Drive`; empty where all is nominal."""
     gear, pin = surface.gear_deviation, surface.pin_deviation
-    g = pair.pair
+    g = pair
     if gear is None and pin is None:
         return {
             **dict.fromkeys(("flank_alpha", "flank_x", "flank_y", "flank_normal_x", "flank_normal_y"), np.empty(0)),
@@ -163,10 +167,12 @@ def _pins_of(values: Array, z: Array, face_width: float) -> Array:
 
 def _flank_points(pair: Pair, surface: ErrorSurface, elements: int) -> dict[str, Any]:
     """Ends of tooth 0 and the middles of its elements on the flank that was made, as `contact.Drive` takes them."""
-    m = pair.modification
-    alpha = np.concatenate([[0.0], equal_arc_parameters(pair, elements), [2.0 * np.pi / pair.pair.gear_teeth]])
-    changed = Modification.model_construct(isometric=m.isometric + surface.isometric, offset=m.offset + surface.offset)
-    made = pair.model_copy(update={"modification": changed})
+    alpha = np.concatenate([[0.0], equal_arc_parameters(pair, elements), [2.0 * np.pi / pair.gear_teeth]])
+    errors, drawn = displacements(pair, surface, {}), pair.modification
+    made = pair.replace(
+        isometric=drawn.isometric + errors["generating_pin_radius"],
+        offset=drawn.offset + errors["generating_circle_radius"],
+    )
     (x, y), (nx, ny) = flank_points(made, alpha), flank_normals(made, alpha)
     return {"flank_alpha": alpha, "flank_x": x, "flank_y": y, "flank_normal_x": nx, "flank_normal_y": ny}
 
@@ -183,16 +189,16 @@ def _across_width(deviation: Array, z: Array, face_width: float) -> Array:
 
 def _stray(pair: Pair, surface: ErrorSurface) -> float:
     """How far modifications and errors can take a pin's axis from the flank's generating path, m."""
-    g, m = pair.pair, pair.modification
-    return float(
-        abs(m.offset + surface.offset) + abs(m.isometric + surface.isometric) + abs(surface.pin_circle_radius)
-        + abs(surface.pin_radius) + abs(surface.eccentricity)
-        + math.hypot(surface.centre_distance_x, surface.centre_distance_y)
-        + math.hypot(surface.misalignment_xz, surface.misalignment_yz) * g.face_width
-        + np.abs(surface.pin_radial).max() + np.abs(surface.pin_tangential).max()
-        + np.abs(surface.pin_radius_deviation).max() + np.abs(surface.tooth_cumulative_pitch).max()
-        + sum(np.abs(d).max() for d in (surface.gear_deviation, surface.pin_deviation) if d is not None)
-    )  # fmt: skip
+    scale = {"tilt_x": pair.face_width, "tilt_y": pair.face_width, "tooth_turn": pair.pin_circle_radius}
+    modification = {
+        "generating_pin_radius": pair.modification.isometric, "generating_circle_radius": pair.modification.offset,
+    }  # fmt: skip
+    largest = {
+        name: float(np.abs(values).max()) * scale.get(name, 1.0)
+        for name, values in displacements(pair, surface, modification).items()
+    }
+    elements = sum(np.abs(d).max() for d in (surface.gear_deviation, surface.pin_deviation) if d is not None)
+    return float(sum(largest.values()) + elements)
 
 
 def _root_phase(pair: Pair, stray: float, circle: float) -> float:
@@ -201,7 +207,7 @@ def _root_phase(pair: Pair, stray: float, circle: float) -> float:
     It is where the generating path has run three times as far as the pin's axis may stray from it, the rotation that
     errors and modifications allow included.
     """
-    g = pair.pair
+    g = pair
     turning = circle / (g.eccentricity * g.gear_teeth)
     reach = 3.0 * (1.0 + turning) * stray + 5e-5
     k = g.eccentricity * g.pins / circle
@@ -297,7 +303,7 @@ def solve(
         At a KeyboardInterrupt; it holds the results of the crank angles that were finished.
     """
     drive = drive_of(pair, surface, slices)
-    g = pair.pair
+    g = pair
     torques, angles = _contiguous(torque), _contiguous(crank_angle)
     if not (np.isfinite(torques).all() and np.isfinite(angles).all()):
         raise ValueError("torque and crank_angle must be finite")
@@ -391,7 +397,7 @@ def error_sensitivity(
     """
     drive = drive_of(pair, surface, slices)
     angles = _contiguous(crank_angle)
-    columns = structured_columns(pair, names)
+    columns = displacement_columns(pair, names)
     each = np.empty((angles.size, columns.shape[0]))
     deviation, by_angle, by_torque = (np.empty(angles.size) for _ in range(3))
     torques = _contiguous(np.broadcast_to(torque, angles.shape))
@@ -401,7 +407,7 @@ def error_sensitivity(
     elements = PROFILE_POINTS if surface.gear_deviation is None else surface.gear_deviation.shape[2]
     profiles = {at: wave for at, name in enumerate(names) if (wave := profile_wave(name, elements)) is not None}
     if profiles:
-        places = np.concatenate([[0.0], equal_arc_parameters(pair, elements), [2.0 * np.pi / pair.pair.gear_teeth]])
+        places = np.concatenate([[0.0], equal_arc_parameters(pair, elements), [2.0 * np.pi / pair.gear_teeth]])
         waves = np.pad(np.array(list(profiles.values())), ((0, 0), (1, 1)), "edge")
         of_waves = np.empty((angles.size, len(profiles)))
         contact.sweep_flank_sensitivities(drive, angles, deviation, places, waves, of_waves)
@@ -462,7 +468,7 @@ def dataset_of(pair: Pair, result: Transmission) -> xr.Dataset:
     """Return results as a labelled dataset with units."""
     import xarray as xr
 
-    g = pair.pair
+    g = pair
     grid = ("torque", "crank_angle")
     pins = (*grid, "disc", "pin")
     each = np.ones((result.torque.size, 1))

@@ -40,12 +40,12 @@ def figures(pair, surface):
 
 def modified(pair, isometric, offset):
     amounts = Modification.model_construct(isometric=isometric * 1e-6, offset=offset * 1e-6)
-    return pair.model_copy(update={"modification": amounts})
+    return pair.replace(**{"modification": amounts})
 
 
 def errors_of(pair):
     """One error at a time, each of 10 µm or 1 mrad."""
-    blank, g = nominal_surface(pair), pair.pair
+    blank, g = nominal_surface(pair), pair
     profile = np.cos(2.0 * np.pi * 2.0 * (np.arange(200) + 0.5) / 200)[:, None]
     steps = RNG.uniform(-5e-6, 5e-6, g.gear_teeth)
     pitch = np.cumsum(steps - steps.mean())

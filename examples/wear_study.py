@@ -30,7 +30,7 @@ PITCH = 2.0 * np.pi / 40
 pair = read_pair(HERE / "wear-39-40.toml")
 surface = nominal_surface(pair)
 law = read_wear_law(HERE / "wear.toml")
-model = wear_model(pair, surface, law, [Load.model_construct(torque=TORQUE, crank_turns=1.0)])
+model = wear_model(pair, surface, law, [Load(torque=TORQUE, crank_turns=1.0)])
 new = wear_rate(model, model.surface)
 states = list(wear_states(model, TURNS, workers=2))
 found = wear_figures(model, states, new, workers=2)
@@ -93,7 +93,7 @@ save(figure, "wear_study.png")
 
 own = unloaded_contact(pair, surface, theta, -1).transmission_error * ARCSEC
 passing = handovers(pair, surface, np.linspace(0.0, 1.0, 200), -1)
-free = wear_model(pair, surface, law.model_copy(update={"pins": "free"}), model.loads)
+free = wear_model(pair, surface, law.replace(**{"pins": "free"}), model.loads)
 even = wear_rate(free, free.surface).depth.pin.max() * TURNS
 span = np.ptp(phase_of_pin(pair, theta[loaded.angle], loaded.disc, loaded.pin))
 linear, updated, as_printed = found["linear"], found["updated"], found["as_printed"]

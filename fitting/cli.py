@@ -94,7 +94,7 @@ def _figures(
         raise edge.InputError(f'--rated-torque = "{rated_torque}": it must be above zero.')
     pair = None if pair_file is None else read_pair(pair_file)
     if pair is not None:
-        ratio, rated = pair.ratio, rated if rated is not None else pair.pair.rated_torque
+        ratio, rated = pair.ratio, rated if rated is not None else pair.rated_torque
     mapped = None if mapping is None else read_mapping(mapping)
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     surveyed: list[Surveyed] = []
@@ -155,7 +155,7 @@ def _curves_and_loops(
     mapped = None if mapping is None else read_mapping(mapping)
     locked = [f for f in files if is_locked(open_bench_recording(f, mapped))]
     turning = [f for f in files if f not in locked]
-    surveyed = [survey(open_bench_recording(f, mapped), pair.ratio, pair.pair.rated_torque) for f in locked]
+    surveyed = [survey(open_bench_recording(f, mapped), pair.ratio, pair.rated_torque) for f in locked]
     return (
         _curves(turning, pair.ratio, mapping, read_head, keep_turns=keep_turns),
         [branch for one in surveyed for branch in branches_of(one, pair.ratio)],

@@ -387,7 +387,7 @@ def _ahead(
 
 def possible(pair: Pair, name: str) -> tuple[float, float]:
     """Return what an error can be, m or rad: what a pair file may state, and what still makes a gear pair."""
-    g = pair.pair
+    g = pair
     low, high = {"m": (-LARGEST_DEVIATION, LARGEST_DEVIATION), "rad": (-LARGEST_MISALIGNMENT, LARGEST_MISALIGNMENT)}[
         unit_of(name)
     ]

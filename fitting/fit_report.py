@@ -168,7 +168,7 @@ def write_fit_report(curves: Sequence[Curve], result: Identification, pair: Pair
     """
     target = edge.output_path(path, "--report", FORMATS)
     text = html_page(
-        "Identified drive", f"{pair.pair.gear_teeth}/{pair.pair.pins}, {len(curves)} curves, {made_now()}", _ABOVE,
+        "Identified drive", f"{pair.gear_teeth}/{pair.pins}, {len(curves)} curves, {made_now()}", _ABOVE,
         fit_panels(curves, result, pair), _BELOW, known=[_row(p) for p in result.parameters if p.held is None],
         trust=_trust(result), correlation=_correlation(result), weak=result.weak_combinations,
         held=[p for p in result.parameters if p.held is not None], singles=[_row(p) for p in result.singles],

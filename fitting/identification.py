@@ -303,7 +303,7 @@ def _singles(
     pair: Pair, surface: ErrorSurface, chosen: Sequence[str], covariance: Array, spread: Array
 ) -> tuple[Parameter, ...]:
     """Every pin's and tooth's own error: its part of the structured ones and its scatter."""
-    g = pair.pair
+    g = pair
     columns = structured_columns(pair, chosen)
     scalars = len(SCALAR_ERRORS)
     waves = np.vstack([columns[scalars : scalars + 2 * g.pins], columns[scalars + 3 * g.pins :] * g.pin_circle_radius])

@@ -263,7 +263,7 @@ def _started(pair: Pair, observed: Observations, start: Estimate | None, progres
     generator = np.random.default_rng(0)
     # A scatter that grows from nothing as the data ask for it leads past most of the wrong minima.
     unknown = {**dict.fromkeys(scatter_parts(pair), NO_SCATTER), CREEP: NO_CREEP}
-    pitch = 2.0 * np.pi / pair.pair.pins if observed.fit_crank else 0.0
+    pitch = 2.0 * np.pi / pair.pins if observed.fit_crank else 0.0
 
     def ended(part: Observations, state: State, scatter: Mapping[str, float], around: Near | None) -> Estimate:
         state, linear = zeroed(part, state, around)

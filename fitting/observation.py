@@ -243,12 +243,12 @@ class Linear:
 
 def errors_of(pair: Pair) -> list[str]:
     """Return the structured errors that every fit of this pair considers."""
-    return structured_names([k for k in ORDERS if 2 * k < pair.pair.gear_teeth])
+    return structured_names([k for k in ORDERS if 2 * k < pair.gear_teeth])
 
 
 def scatter_parts(pair: Pair) -> dict[str, slice]:
     """Return where the scatter of each pattern stands in a scatter vector."""
-    g = pair.pair
+    g = pair
     return {
         "pin_radial": slice(0, g.pins),
         "pin_tangential": slice(g.pins, 2 * g.pins),
@@ -276,7 +276,7 @@ def with_scatter(pair: Pair, surface: ErrorSurface, scatter: Array) -> ErrorSurf
 
 def scatter_columns(pair: Pair, each: Array) -> Array:
     """Return derivatives by a scatter vector, last axis, from those by every error as in `contact.sensitivities`."""
-    g, scalars = pair.pair, len(SCALAR_ERRORS)
+    g, scalars = pair, len(SCALAR_ERRORS)
     pins, teeth = slice(scalars, scalars + 2 * g.pins), slice(scalars + 3 * g.pins, None)
     return np.concatenate([each[..., pins], each[..., teeth] / g.pin_circle_radius], axis=-1)
 

@@ -83,7 +83,7 @@ def order_name(order: int, ratio: float, pair: Pair | None) -> str:
         return "rig"
     if pair is None:
         return "input turn" if abs(order / ratio - round(order / ratio)) * abs(ratio) < 1e-6 else ""
-    teeth, pins = pair.pair.gear_teeth, pair.pair.pins
+    teeth, pins = pair.gear_teeth, pair.pins
     kinds = [name for name, per_turn in (("pin", teeth), ("tooth", pins)) if order % per_turn == 0]
     return "mesh" if len(kinds) > 1 else "".join(kinds)
 

@@ -73,7 +73,7 @@ class DriveModel:
         self._crank_turns_worn = math.nan if surface.life is None else float(surface.life.crank_turns[-1])
         self._ratio = pair.ratio
         # Everything repeats after one turn of the gear in the ring; a reduced angle keeps its digits.
-        self._period = 2.0 * math.pi * (pair.pair.gear_teeth if pair.pair.output == "gear" else pair.pair.pins)
+        self._period = 2.0 * math.pi * (pair.gear_teeth if pair.output == "gear" else pair.pins)
         self._output_angle: float | None = None
         self._deviation = self._theta = 0.0  # θ: the crank's angle, reduced
         self._moved = operator.attrgetter(*self._MOVED)
@@ -105,7 +105,7 @@ class DriveModel:
         worn = self.surface if self.surface.life is None else surface_after(self.surface, self._crank_turns_worn)
         surface = with_structured(self.pair, worn, self._changed())
         drive = drive_of(self.pair, surface, slices_needed(surface))
-        return ContactTeeth(drive, (self.pair.pair.discs, self.pair.pair.pins))
+        return ContactTeeth(drive, (self.pair.discs, self.pair.pins))
 
     def _forget(self) -> None:
         self._play: tuple[float, float, float] | None = None
@@ -359,7 +359,7 @@ class DriveModel:
 
     def _pin_loads(self, told: Callable[[float], list[float]]) -> list[float]:
         self._load_sharing()
-        return told(self._theta) if self._stiffness > 0.0 else [0.0] * (self.pair.pair.discs * self.pair.pair.pins)
+        return told(self._theta) if self._stiffness > 0.0 else [0.0] * (self.pair.discs * self.pair.pins)
 
     @property
     def contact_count(self) -> int:

@@ -145,7 +145,7 @@ def mesh_pitches(pair: Pair, surface: ErrorSurface) -> int:
     def alike(values: Array | None, axis: int) -> bool:
         return values is None or bool(np.all(np.ptp(values, axis=axis) == 0.0))
 
-    g = pair.pair
+    g = pair
     pins = (surface.pin_radial, surface.pin_tangential, surface.pin_radius_deviation)
     pins_alike = all(alike(v, 0) for v in (*pins, surface.pin_deviation, surface.pin_curvature))
     teeth = (surface.tooth_cumulative_pitch, surface.gear_deviation, surface.gear_curvature)
@@ -345,10 +345,10 @@ def compute(
         If the pair states no rated torque and no largest load is given.
     """
     if largest_load is None:
-        if pair.pair.rated_torque is None:
+        if pair.rated_torque is None:
             raise ValueError("the pair has no rated_torque, which says how far the tables reach")
-        largest_load = LARGEST_LOAD * pair.pair.rated_torque
-    g = pair.pair
+        largest_load = LARGEST_LOAD * pair.rated_torque
+    g = pair
     pitches = mesh_pitches(pair, surface)
     pitch = 2.0 * math.pi / (g.pins if g.output == "gear" else g.gear_teeth)
     period = pitches * pitch
@@ -644,7 +644,7 @@ def _together(*parts: _Probed) -> _Probed:
 def _probed(pair: Pair, surface: ErrorSurface, theta: Array, torque: Array) -> _Probed:
     drive = drive_of(pair, surface, slices_needed(surface))
     rows = contact.contact_rows(drive)
-    forces, pressures = np.zeros((pair.pair.discs, pair.pair.pins)), np.zeros((pair.pair.discs, pair.pair.pins))
+    forces, pressures = np.zeros((pair.discs, pair.pins)), np.zeros((pair.discs, pair.pins))
     exact = np.empty((4, theta.size))
     for i in range(theta.size):
         x, stiffness = contact.equilibrium(drive, theta[i], torque[i], 0.0, rows, True)

@@ -247,7 +247,7 @@ def _further(interface: Interface) -> list[Variable]:
 
 
 def _arrays(pair: Pair, surface: ErrorSurface, placed: tuple[str, ...]) -> list[Variable]:
-    shape = (pair.pair.discs, pair.pair.pins)
+    shape = (pair.discs, pair.pins)
     found = [Variable("time", "time", "independent", unit="s")]
     for name, text, unit, display, nominal in (
         ("pin_force", "force on each pin", "N", None, 100.0),
@@ -258,7 +258,7 @@ def _arrays(pair: Pair, surface: ErrorSurface, placed: tuple[str, ...]) -> list[
     for name in ARRAYS:
         found.append(Variable(
             name, DESCRIPTIONS[name], "parameter", "tunable", "m", "um", -LARGEST_DEVIATION, LARGEST_DEVIATION, 1e-6,
-            tuple(map(float, getattr(surface, name))), dimensions=(pair.pair.pins,), baked=True,
+            tuple(map(float, getattr(surface, name))), dimensions=(pair.pins,), baked=True,
         ))  # fmt: skip
     return found
 
@@ -281,7 +281,7 @@ def variables(
     shape = next(v.depends for v in flanges if v.name == "transmission_error")
     count = Variable(
         "contact_count", "pins that carry more than 1 % of the most loaded pin's force", "output", "discrete",
-        kind="integer", least=0.0, most=float(pair.pair.pins * pair.pair.discs), depends=shape,
+        kind="integer", least=0.0, most=float(pair.pins * pair.discs), depends=shape,
     )  # fmt: skip
     found = [*flanges, count, *_parameters(pair, surface, interface), *_further(interface)]
     if fmi_version == "3.0":

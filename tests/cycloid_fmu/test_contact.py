@@ -363,9 +363,9 @@ def test_load_sharing_adds_up(case):
     """Forces of the pins are the rows'; pressures are Hertz's for them, 2F/(π a b); hardly loaded ones don't count."""
     pair, drive, rows = drive_and_rows(case, "gear")
     contact.equilibrium(drive, 0.7, 200.0, 0.0, rows, True)
-    force, pressure = np.zeros((pair.pair.discs, 40)), np.zeros((pair.pair.discs, 40))
+    force, pressure = np.zeros((pair.discs, 40)), np.zeros((pair.discs, 40))
     count, largest = contact.load_sharing(drive, rows, force, pressure)
-    by_row = rows[:, contact.FORCE].reshape(pair.pair.discs, -1, 40, 2)
+    by_row = rows[:, contact.FORCE].reshape(pair.discs, -1, 40, 2)
     assert force == pytest.approx(by_row.sum(axis=(1, 3)))
     assert largest == pressure.max()
     assert count == (force > 0.01 * force.max()).sum()

@@ -60,7 +60,7 @@ def without(values, columns):
 
 def known_drive(pair, seed, elements):
     """A sampled drive whose form holds no pitch, shift or radius: those have names of their own."""
-    g = pair.pair
+    g = pair
     s = sample_surface(pair, parse_tolerances(TOLERANCES, "t.toml"), seed, elements)
     generator = np.random.default_rng(seed)
     alpha = equal_arc_parameters(pair, elements.profile)
@@ -96,7 +96,7 @@ def test_closest_point_is_that_of_a_search():
     """Against the smallest distance to a finely drawn tooth."""
     generator = np.random.default_rng(0)
     for pair in (SMALL, BIG):
-        span = 2 * np.pi / pair.pair.gear_teeth
+        span = 2 * np.pi / pair.gear_teeth
         alpha = generator.uniform(0.02, 0.98, 200) * span
         point, normal = ((v[0] + 1j * v[1]) for v in (flank_points(pair, alpha), flank_normals(pair, alpha)))
         away = generator.uniform(-3e-4, 3e-4, 200)

@@ -66,7 +66,7 @@ def test_not_a_file(tmp_path):
 def test_numbers_go_through_json(case):
     pair = read_pair(CASES / f"{case}.toml")
     again = Pair.from_numbers(json.loads(json.dumps(pair.numbers())))
-    assert (again.pair, again.modification, again.material) == (pair.pair, pair.modification, pair.material)
+    assert (again.pair, again.modification, again.material) == (pair, pair.modification, pair.material)
 
 
 def test_signed_ratio():

@@ -32,7 +32,7 @@ def unmodified(**keys):
 
 def with_errors(pair, size=1e-7):
     """Errors of every kind that unloaded contact knows, small enough to leave some play."""
-    rng, g = np.random.default_rng(3), pair.pair
+    rng, g = np.random.default_rng(3), pair
     return dataclasses.replace(
         nominal_surface(pair),
         pin_radial=rng.normal(size=g.pins) * size, pin_tangential=rng.normal(size=g.pins) * size,
@@ -128,7 +128,7 @@ def test_deviations_of_nothing_change_nothing(keys):
     pair = wear_pair(**keys)
     smooth, theta = with_errors(pair), np.linspace(0.0, 2 * np.pi, 12)
     flat = dataclasses.replace(
-        smooth, gear_deviation=np.zeros((pair.pair.discs, 39, 400, 1)), pin_deviation=np.zeros((40, 200, 1))
+        smooth, gear_deviation=np.zeros((pair.discs, 39, 400, 1)), pin_deviation=np.zeros((40, 200, 1))
     )
     for side in (-1, 1):
         one, other = (unloaded_contact(pair, s, theta, side) for s in (smooth, flat))
@@ -146,7 +146,7 @@ def test_rough_flanks_and_pins_touch_where_their_play_ends(keys):
     pair = wear_pair(**keys)
     rng, theta = np.random.default_rng(2), np.linspace(0.0, 2 * np.pi, 25)
     rough = dataclasses.replace(
-        with_errors(pair), gear_deviation=rng.normal(size=(pair.pair.discs, 39, 200, 1)) * 2e-7,
+        with_errors(pair), gear_deviation=rng.normal(size=(pair.discs, 39, 200, 1)) * 2e-7,
         pin_deviation=rng.normal(size=(40, 100, 1)) * 2e-7,
     )  # fmt: skip
     play = solve(pair, rough, 0.0, theta)

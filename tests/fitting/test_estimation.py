@@ -152,10 +152,10 @@ def test_bounds_are_where_the_pair_ceases_to_be_one(nominal):
     for name in ("pin_radius", "eccentricity"):
         low, high = possible(nominal, name)
         assert -1e-3 <= low < 0.0 < high <= 1e-3
-    thin = nominal.model_copy(update={"pair": nominal.pair.model_copy(update={"eccentricity": 0.4e-3})})
+    thin = nominal.replace(**{"eccentricity": 0.4e-3})
     assert possible(thin, "eccentricity")[0] == -0.4e-3
     assert possible(nominal, "misalignment_xz") == (-0.02, 0.02)
-    g = nominal.pair
+    g = nominal
     wide = nominal.model_copy(update={"pair": g.model_copy(update={
         "pin_radius": g.pin_circle_radius * np.sin(np.pi / g.pins) - 1e-4})})  # fmt: skip
     assert possible(wide, "pin_radius")[1] == pytest.approx(1e-4)

@@ -92,7 +92,7 @@ def test_notes_say_what_the_curves_lack(measured, nominal):
 def test_too_few_crank_angles_for_the_pins_scatter_are_said(nominal, each, said):
     """Four curves in step with the crank see four times as many angles as a turn has samples, for 40 displacements."""
     changed = {"gear_teeth": 19, "pins": 20, "pin_circle_radius": 55e-3, "pin_radius": 4e-3, "eccentricity": 1.8e-3}
-    pair = nominal.model_copy(update={"pair": nominal.pair.model_copy(update=changed)})
+    pair = nominal.replace(**changed)
     generator, surface = np.random.default_rng(0), surface_of_pair(pair)
     scattered = dataclasses.replace(
         surface, pin_radial=generator.normal(0.0, 2e-6, 20), pin_tangential=generator.normal(0.0, 2e-6, 20)
@@ -120,7 +120,7 @@ def test_a_curve_with_more_noise_than_the_others_is_named(measured, nominal):
 def test_curves_of_another_gear_are_not_explained(measured):
     """The same ratio, another eccentricity and pin: the fit says so and still ends."""
     other = read_pair(BENCH / "pair.toml")
-    other = other.model_copy(update={"pair": other.pair.model_copy(update={"eccentricity": 0.7e-3})})
+    other = other.replace(**{"eccentricity": 0.7e-3})
     found = identify(measured(8, each=12), other, held_out=False)
     assert any("No error of this pair explains" in n for n in found.notes)
 

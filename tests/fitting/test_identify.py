@@ -208,8 +208,8 @@ def random_drive(pair, generator):
     surface = with_structured(pair, surface_of_pair(pair), values)
     surface = dataclasses.replace(
         surface,
-        pin_radial=surface.pin_radial + generator.normal(0.0, 2e-6, pair.pair.pins),
-        pin_tangential=surface.pin_tangential + generator.normal(0.0, 2e-6, pair.pair.pins),
+        pin_radial=surface.pin_radial + generator.normal(0.0, 2e-6, pair.pins),
+        pin_tangential=surface.pin_tangential + generator.normal(0.0, 2e-6, pair.pins),
     )
     return surface, values
 
@@ -228,7 +228,7 @@ def test_coverage_of_the_intervals(nominal, teeth, record_property):
         drives = max(1, drives // 5)
         changed = {"gear_teeth": teeth, "pins": teeth + 1, "pin_circle_radius": circle, "pin_radius": pin,
                    "eccentricity": crank}  # fmt: skip
-        pair = nominal.model_copy(update={"pair": nominal.pair.model_copy(update=changed)})
+        pair = nominal.replace(**changed)
     angle = np.arange(teeth * 24) * 2 * np.pi / 24
     rows, held_out, widths = {}, [], []
     for seed in range(drives):

@@ -173,7 +173,7 @@ def test_transmission_error_repeats_after_the_tables_period(keys, errors, pitche
     }
     surface = type(surface)(**{**vars(surface), **changes})
     assert tables.mesh_pitches(pair, surface) == pitches
-    period = pitches * 2.0 * np.pi / (39 if pair.pair.output == "ring" else 40)
+    period = pitches * 2.0 * np.pi / (39 if pair.output == "ring" else 40)
     angles = random.uniform(0.0, 50.0, 12)
     first, second = (solve(pair, surface, [150.0, -40.0], a).transmission_error for a in (angles, angles + period))
     np.testing.assert_allclose(first, second, atol=1e-11)
