@@ -20,12 +20,9 @@ if TYPE_CHECKING:
 
     from cycloid_fmu.wear.progress import WearModel, WearRate, WearState
 
-FORMATS = (".png", ".pdf")
-
-
 def check_path(path: str | os.PathLike[str]) -> Path:
     """Refuse a plot file that can't be written, before anything is computed."""
-    return edge.output_path(path, "--plot", FORMATS)
+    return edge.output_path(path, "path", edge.PICTURES)
 
 
 def save(figure: Figure, path: str | os.PathLike[str]) -> None:

@@ -62,8 +62,8 @@ class _Group(typer.core.TyperGroup):
             return super().invoke(ctx)
         except ArgumentError as problem:
             raise InputError(problem.named(_flag(ctx.meta["cycloid.command"], problem.argument))) from problem
-        except KeyboardInterrupt:
-            _say("Interrupted; what was finished is kept.")
+        except KeyboardInterrupt as interrupt:
+            _say(str(interrupt) or "Interrupted; what was finished is kept.")
             raise typer.Exit(INTERRUPTED) from None
 
 
@@ -91,6 +91,7 @@ class _Lazy(MutableMapping[str, Any]):
                 function, made = made, typer.Typer(**_SETTINGS)
                 made.command(name)(function)
             self._made[name] = typer.main.get_command(made)
+            self._made[name].name = name
         return self._made[name]
 
     def __setitem__(self, name: str, command: Any) -> None:
