@@ -12,7 +12,8 @@ from scipy.optimize import least_squares
 
 import fitting.observation
 from cycloid_fmu.geometry.pair import read_pair
-from cycloid_fmu.surfaces.surface import surface_of_pair, with_structured
+from cycloid_fmu.surfaces.structured import with_structured
+from cycloid_fmu.surfaces.surface import surface_of_pair
 from cycloid_fmu.transmission import solve
 from fitting.curve import Curve
 from fitting.identify import identify

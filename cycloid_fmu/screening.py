@@ -16,7 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact import ARM, ARM_RATE, CURVATURE, GAP, SCALAR_ERRORS, compiled
+from cycloid_fmu.contact import compiled, part
+from cycloid_fmu.contact.sensitivity import (
+    BODY_COUNT, CENTRE_X, CENTRE_Y, CIRCLE_GENERATING, CRANK_THROW, PIN_GENERATING, TILT_X, TILT_Y,
+)  # fmt: skip
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.surface import ErrorSurface, nominal_surface
 from cycloid_fmu.transmission import drive_of
@@ -48,15 +51,6 @@ class Contacts(NamedTuple):
     torque: float
 
 
-def error_vector(pair: Pair, surface: ErrorSurface) -> Array:
-    """Return a drive's errors in one row: pins' radial, tangential, radius error, teeth's turns, then the scalars."""
-    turns = surface.tooth_cumulative_pitch.ravel() / pair.pin_circle_radius
-    scalars = [getattr(surface, name) for name in SCALAR_ERRORS]
-    return np.concatenate(
-        [surface.pin_radial, surface.pin_tangential, surface.pin_radius_deviation, turns, np.array(scalars)]
-    )
-
-
 def contacts_of(
     pair: Pair, surface: ErrorSurface, torque: float, crank_angle: Array, slices: int, reach: float
 ) -> Contacts:
@@ -76,7 +70,7 @@ def contacts_of(
         By how much further errors and their rotation may close a gap, m.
     """
     drive = drive_of(pair, surface, slices)
-    kept = np.zeros((crank_angle.size, contact.contact_rows(drive).shape[0], _COLUMNS))
+    kept = np.zeros((crank_angle.size, contact.contact_rows(drive).size, _COLUMNS))
     count, deviation = np.zeros(crank_angle.size, dtype=np.int64), np.zeros(crank_angle.size)
     _sweep(drive, np.ascontiguousarray(crank_angle), float(torque), reach, kept, count, deviation)
     return Contacts(np.ascontiguousarray(kept[:, : max(int(count.max()), 1)]), count, deviation, float(torque))
@@ -84,11 +78,11 @@ def contacts_of(
 
 @compiled
 def _sweep(
-    drive: contact.Drive, thetas: Array, torque: float, reach: float, kept: Array, count: NDArray[np.int64],
+    drive: contact.Problem, thetas: Array, torque: float, reach: float, kept: Array, count: NDArray[np.int64],
     deviation: Array,
 ) -> None:  # fmt: skip
     contacts = contact.contact_rows(drive)
-    pins, slices = drive.teeth + 1, drive.centre_x.size
+    pins = drive.teeth + 1
     x, cold = 0.0, True
     for i in range(thetas.size):
         if torque == 0.0:
@@ -101,49 +95,47 @@ def _sweep(
         deviation[i] = x
         number = 0
         for row in range(contacts.shape[0]):
-            if not contacts[row, GAP] < reach:
+            if not contacts[row].gap < reach:
                 continue
-            disc, slice_, pin = row // (2 * pins * slices), row // (2 * pins) % slices, row // 2 % pins
-            crank, ring, _ = contact._poses(drive, thetas[i], x, disc)
-            local = contact._local(drive, thetas[i], x, contacts, row)
+            disc, slice_, pin = contact.disc_slice_pin(drive, row)
+            crank, ring, _ = contact.poses(drive, thetas[i], x, disc)
+            local = contact.local_frame(drive, thetas[i], x, contacts, row)
             direction = pin * 2.0 * math.pi / pins + ring
             c, s = math.cos(direction), math.sin(direction)
             nx, ny = local.normal_x, local.normal_y
             one = kept[i, number]
-            one[_GAP], one[_ARM], one[_RATE] = contacts[row, GAP], contacts[row, ARM], contacts[row, ARM_RATE]
-            one[_CURVATURE] = contacts[row, CURVATURE]
+            one[_GAP], one[_ARM], one[_RATE] = contacts[row].gap, contacts[row].arm, contacts[row].arm_rate
+            one[_CURVATURE] = contacts[row].curvature
             one[_RADIAL], one[_TANGENTIAL] = nx * c + ny * s, ny * c - nx * s
             one[_X], one[_Y], one[_HEIGHT] = nx, ny, drive.slice_z[slice_]
             one[_CRANK] = nx * math.cos(crank) + ny * math.sin(crank)
             one[_FACING] = local.facing
             one[_TURN] = nx * local.gear_y - ny * local.gear_x
-            foot = pin * 2.0 * math.pi / pins + (crank - ring) / drive.teeth + contacts[row, contact.FOOT]
+            foot = pin * 2.0 * math.pi / pins + (crank - ring) / drive.teeth + contacts[row].foot
             tooth = math.floor(foot * drive.teeth / (2.0 * math.pi)) % drive.teeth
             one[_PIN], one[_TOOTH] = pin, disc * drive.teeth + tooth
             number += 1
         count[i] = number
 
 
-@compiled
+@part
 def _gaps(rows: Array, count: int, pins: int, teeth: int, errors: Array, gaps: Array) -> None:
     """Gaps of a drive with further errors at the rotation of the contacts."""
-    scalars = 3 * pins + teeth
-    x, y, xz, yz = errors[scalars], errors[scalars + 1], errors[scalars + 2], errors[scalars + 3]
-    longer, circle = errors[scalars + 4], errors[scalars + 5]
-    smaller = errors[scalars + 7] - errors[scalars + 6]
-    offset = errors[scalars + 8]
+    x, y, xz, yz = errors[CENTRE_X], errors[CENTRE_Y], errors[TILT_X], errors[TILT_Y]
+    longer, smaller, offset = errors[CRANK_THROW], errors[PIN_GENERATING], errors[CIRCLE_GENERATING]
+    radial, tangential, radius = BODY_COUNT, BODY_COUNT + pins, BODY_COUNT + 2 * pins
     for k in range(count):
         one = rows[k]
         pin, tooth = int(one[_PIN]), int(one[_TOOTH])
         gaps[k] = (
-            one[_GAP] + one[_RADIAL] * (errors[pin] + circle) + one[_TANGENTIAL] * errors[pins + pin]
-            - errors[2 * pins + pin] + smaller - one[_FACING] * offset - one[_CRANK] * longer
+            one[_GAP] + one[_RADIAL] * errors[radial + pin] + one[_TANGENTIAL] * errors[tangential + pin]
+            - errors[radius + pin] + smaller - one[_FACING] * offset - one[_CRANK] * longer
             - one[_X] * (x + one[_HEIGHT] * xz) - one[_Y] * (y + one[_HEIGHT] * yz)
-            + one[_TURN] * errors[3 * pins + tooth]
+            + one[_TURN] * errors[BODY_COUNT + 3 * pins + tooth]
         )  # fmt: skip
 
 
-@compiled
+@part
 def _equilibrium(
     rows: Array, count: int, gaps: Array, forces: Array, torque: float, start: float, pin_radius: float, width: float,
     compliance_gear: float, compliance_pin: float, largest_log_radius: float,
@@ -207,7 +199,7 @@ def sweep(
     contacts
         At the load.
     errors
-        Shape (drives, errors), rows of `error_vector` less that of the contacts' drive.
+        Shape (drives, errors), rows of `displacement_vector` minus that of the contacts' drive.
     deviation, pressure
         Overwritten, shape (drives, angles): rotation (rad) and largest contact pressure (Pa).
     """
@@ -233,7 +225,6 @@ def _sweep_sensitivities(
     compliance_pin: float, largest_log_radius: float, torque: Array, deviation: Array, each: Array, by_torque: Array,
 ) -> None:  # fmt: skip
     gaps, forces = np.empty(contacts.rows.shape[1]), np.empty(contacts.rows.shape[1])
-    scalars = len(SCALAR_ERRORS)
     each[:] = 0.0
     x = 0.0
     for i in range(contacts.number.size):
@@ -257,19 +248,17 @@ def _sweep_sensitivities(
             stiffness += spring * arm * arm + force * one[_RATE]
             opened = spring * arm
             pin, tooth = int(one[_PIN]), int(one[_TOOTH])
-            out[0] -= opened * one[_X]
-            out[1] -= opened * one[_Y]
-            out[2] -= opened * one[_X] * one[_HEIGHT]
-            out[3] -= opened * one[_Y] * one[_HEIGHT]
-            out[4] -= opened * one[_CRANK]
-            out[5] += opened * one[_RADIAL]
-            out[6] -= opened
-            out[7] += opened
-            out[8] -= opened * one[_FACING]
-            out[scalars + pin] += opened * one[_RADIAL]
-            out[scalars + pins + pin] += opened * one[_TANGENTIAL]
-            out[scalars + 2 * pins + pin] -= opened
-            out[scalars + 3 * pins + tooth] += opened * one[_TURN]
+            out[CENTRE_X] -= opened * one[_X]
+            out[CENTRE_Y] -= opened * one[_Y]
+            out[TILT_X] -= opened * one[_X] * one[_HEIGHT]
+            out[TILT_Y] -= opened * one[_Y] * one[_HEIGHT]
+            out[CRANK_THROW] -= opened * one[_CRANK]
+            out[PIN_GENERATING] += opened
+            out[CIRCLE_GENERATING] -= opened * one[_FACING]
+            out[BODY_COUNT + pin] += opened * one[_RADIAL]
+            out[BODY_COUNT + pins + pin] += opened * one[_TANGENTIAL]
+            out[BODY_COUNT + 2 * pins + pin] -= opened
+            out[BODY_COUNT + 3 * pins + tooth] += opened * one[_TURN]
         for column in range(out.size):
             out[column] /= stiffness
         by_torque[i] = 1.0 / stiffness
@@ -285,7 +274,7 @@ def sensitivities(
     pair, contacts, slices
         The nominal pair and what `contacts_of` found.
     errors
-        `error_vector` of the drive less that of the contacts' drive.
+        `displacement_vector` of the drive minus that of the contacts' drive.
     torque
         At each crank angle, shape (angles,), N·m, not 0.
 
@@ -300,7 +289,7 @@ def sensitivities(
     """
     g, angles = pair, contacts.number.size
     teeth = g.discs * g.gear_teeth
-    each = np.empty((angles, len(SCALAR_ERRORS) + 3 * g.pins + teeth))
+    each = np.empty((angles, BODY_COUNT + 3 * g.pins + teeth))
     deviation, by_torque = np.empty(angles), np.empty(angles)
     _sweep_sensitivities(contacts, g.pins, teeth, errors, *_law(pair, slices), torque, deviation, each, by_torque)
     return deviation, each, by_torque
@@ -336,7 +325,7 @@ def sweep_play(
                     interference[j, i] = deepest
 
 
-@compiled
+@part
 def _deepest(rows: Array, count: int, gaps: Array, first: float, last: float) -> float:
     """Interference at the rotation between two where the smallest gap is largest, by halving where it turns."""
     worst = 0.0

@@ -14,10 +14,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import contact
@@ -98,7 +97,7 @@ def unloaded_contact(pair: Pair, surface: ErrorSurface, crank_angle: ArrayLike, 
     turn = 2.0 * half * tooth + drive.tooth_turn[np.arange(crank.shape[1])[None, :, None], tooth % teeth]
     turned = np.exp(1j * (gear + turn)) if drive.ring else np.exp(1j * turn)
     with np.errstate(invalid="ignore"):  # NaN where there is no contact
-        if drive.flank_alpha.size > 0:
+        if drive.deviations is not None:
             alpha, error = np.empty(from_gear.shape), np.empty(from_gear.shape)
             pin = np.arange(teeth + 1)
             if drive.ring:
@@ -106,7 +105,10 @@ def unloaded_contact(pair: Pair, surface: ErrorSurface, crank_angle: ArrayLike, 
             else:
                 facing = np.exp(1j * (2.0 * np.pi * pin / pin.size - gear)) / turned
                 seen = (from_gear / turned, np.zeros_like(turned), facing)
-            _first_touches(drive, *np.broadcast_arrays(*seen), tooth % teeth, first, float(side), alpha, error)
+            axis, offset, outwards = np.broadcast_arrays(*seen)
+            _first_touches(
+                drive, drive.deviations, axis, offset, outwards, tooth % teeth, first, float(side), alpha, error
+            )
         elif drive.ring:
             alpha = _where_radius(drive, reach, np.abs(axis), first, first + half, centre / turned)
             error = np.angle((_parallel(drive, alpha, reach).point * turned + centre) / axis)
@@ -122,9 +124,10 @@ def unloaded_contact(pair: Pair, surface: ErrorSurface, crank_angle: ArrayLike, 
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@contact.compiled
 def _first_touches(
-    drive: contact.Drive,
+    drive: contact.Problem,
+    deviations: contact.Deviations,
     axis: NDArray[np.complex128],
     offset: NDArray[np.complex128],
     outwards: NDArray[np.complex128],
@@ -144,8 +147,8 @@ def _first_touches(
     first
         Parameter at which the flank begins; it is half a tooth long.
     """
-    elements = drive.flank_alpha.size - 2
-    begin = np.searchsorted(drive.flank_alpha, first + 1e-12) if first > 0.0 else 0
+    elements = deviations.flank_alpha.size - 2
+    begin = np.searchsorted(deviations.flank_alpha, first + 1e-12) if first > 0.0 else 0
     end = begin + elements // 2 + 1
     error[:] = math.nan
     alpha[:] = math.nan
@@ -154,46 +157,49 @@ def _first_touches(
         where = (axis[i, disc, pin], offset[i, disc, pin], outwards[i, disc, pin], disc, tooth[i, disc, pin], pin, side)
         best = begin
         for point in range(begin, end):
-            rotation[point] = _touch_rotation(drive, where, point, drive.flank_alpha[point], 1.0)
-            nominal[point] = _touch_rotation(drive, where, point, drive.flank_alpha[point], 0.0)
+            rotation[point] = _touch_rotation(drive, deviations, where, point, deviations.flank_alpha[point], 1.0)
+            nominal[point] = _touch_rotation(drive, deviations, where, point, deviations.flank_alpha[point], 0.0)
             if rotation[point] < rotation[best]:
                 best = point
         if not begin < best < end - 1:
             continue
         # How far below its ends a piece between two points may come.
         sag = 0.25 * abs(nominal[best + 1] - 2.0 * nominal[best] + nominal[best - 1])
-        smallest, at = rotation[best], drive.flank_alpha[best]
+        smallest, at = rotation[best], deviations.flank_alpha[best]
         for point in range(begin, end - 1):
             if min(rotation[point], rotation[point + 1]) - sag > smallest:
                 continue
-            low, high = drive.flank_alpha[point], drive.flank_alpha[point + 1]
+            low, high = deviations.flank_alpha[point], deviations.flank_alpha[point + 1]
             for _ in range(40):
                 left, right = high - 0.618034 * (high - low), low + 0.618034 * (high - low)
-                if _touch_rotation(drive, where, point, left, 1.0) < _touch_rotation(drive, where, point, right, 1.0):
+                at_left = _touch_rotation(drive, deviations, where, point, left, 1.0)
+                if at_left < _touch_rotation(drive, deviations, where, point, right, 1.0):
                     high = right
                 else:
                     low = left
-            middle = _touch_rotation(drive, where, point, 0.5 * (low + high), 1.0)
+            middle = _touch_rotation(drive, deviations, where, point, 0.5 * (low + high), 1.0)
             if middle < smallest:
                 smallest, at = middle, 0.5 * (low + high)
         error[i, disc, pin] = side * smallest
         alpha[i, disc, pin] = at
 
 
-_Where = tuple[complex, complex, complex, int, int, int, float]
+_Where = tuple[Any, Any, Any, int, Any, int, float]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")  # type: ignore[untyped-decorator]
-def _touch_rotation(drive: contact.Drive, where: _Where, point: int, alpha: float, raised: float) -> float:
+@contact.part
+def _touch_rotation(
+    drive: contact.Problem, deviations: contact.Deviations, where: _Where, point: int, alpha: float, raised: float
+) -> float:
     """Rotation of the output, times the side, at which a point of the flank meets its pin; infinite if it never does.
 
     The point lies at α between the flank's points `point` and the next; `raised` is 1 with the deviations, 0 without.
     """
     axis, offset, outwards, disc, tooth, pin, side = where
-    after = min(point + 1, drive.flank_alpha.size - 1)
-    span = drive.flank_alpha[after] - drive.flank_alpha[point]
-    share = (alpha - drive.flank_alpha[point]) / span if span > 0.0 else 0.0
-    heights = drive.gear_deviation[disc, 0, tooth]
+    after = min(point + 1, deviations.flank_alpha.size - 1)
+    span = deviations.flank_alpha[after] - deviations.flank_alpha[point]
+    share = (alpha - deviations.flank_alpha[point]) / span if span > 0.0 else 0.0
+    heights = deviations.gear[disc, 0, tooth]
     height = raised * ((1.0 - share) * heights[point] + share * heights[after])
     pins, R, e = drive.teeth + 1, drive.circle_radius, drive.generating_eccentricity
     k = e * pins / R
@@ -216,11 +222,11 @@ def _touch_rotation(drive: contact.Drive, where: _Where, point: int, alpha: floa
             break
         moved = complex(math.cos(rotation), math.sin(rotation))
         facing = (axis * moved - place) * (outwards * moved).conjugate()
-        seen = (math.atan2(facing.imag, facing.real) / math.pi + 0.5) * drive.pin_deviation.shape[2] - 0.5
-        low = min(max(math.floor(seen), 0), drive.pin_deviation.shape[2] - 2)
+        seen = (math.atan2(facing.imag, facing.real) / math.pi + 0.5) * deviations.pin.shape[2] - 0.5
+        low = min(max(math.floor(seen), 0), deviations.pin.shape[2] - 2)
         part = min(max(seen - low, 0.0), 1.0)
         last = pin_height
-        pin_height = (1.0 - part) * drive.pin_deviation[0, pin, low] + part * drive.pin_deviation[0, pin, low + 1]
+        pin_height = (1.0 - part) * deviations.pin[0, pin, low] + part * deviations.pin[0, pin, low + 1]
         if abs(pin_height - last) < 1e-14:
             break
     return sense * rotation
@@ -325,7 +331,7 @@ class LoadedContacts:
     gear_curvature: Array
 
 
-def loaded_contacts(drive: contact.Drive, crank_angle: Array, torque: float) -> LoadedContacts:
+def loaded_contacts(drive: contact.Problem, crank_angle: Array, torque: float) -> LoadedContacts:
     """Solve the equilibrium at every crank angle and return the contacts that carry load.
 
     Parameters
@@ -349,20 +355,19 @@ def loaded_contacts(drive: contact.Drive, crank_angle: Array, torque: float) -> 
     if torque == 0.0:
         raise ValueError("torque = 0: without load no contact carries any; it must not be zero")
     deviation = np.empty(crank_angle.size)
-    rows = contact.contact_rows(drive).shape
-    table = np.empty((crank_angle.size, *rows))
+    table = np.empty((crank_angle.size, contact.contact_rows(drive).size), contact.ROW)
     contact.sweep_contacts(drive, crank_angle, torque, deviation, table)
     check_balance(torque, carried(table))
-    angle, row = np.nonzero(table[:, :, contact.FORCE] > 0.0)
-    held = table[angle, row].T
-    pins, slices, teeth = drive.teeth + 1, drive.centre_x.size, drive.teeth
-    disc, slice_, pin = row // (2 * pins * slices), row // (2 * pins) % slices, row // 2 % pins
+    angle, row = np.nonzero(table["force"] > 0.0)
+    held = table[angle, row]
+    pins, teeth = drive.teeth + 1, drive.teeth
+    disc, slice_, pin = contact.disc_slice_pin(drive, row)
     theta, x = crank_angle[angle], deviation[angle]
     crank = theta + drive.crank_phase[disc]
     ring = theta / pins + x if drive.ring else np.zeros(theta.size)
     gear = -drive.crank_phase[disc] / teeth if drive.ring else x - crank / teeth
     pitch = 2.0 * np.pi / teeth
-    alpha = held[contact.PLACE]
+    alpha = held["place"]
     tooth = np.floor(alpha / pitch).astype(np.int64)
     place, tooth = alpha - tooth * pitch, tooth % teeth
     flank = _parallel(drive, alpha, np.array(-drive.generating_radius))
@@ -370,15 +375,15 @@ def loaded_contacts(drive: contact.Drive, crank_angle: Array, torque: float) -> 
     axis = (drive.pin_x + 1j * drive.pin_y)[pin] * np.exp(1j * ring)
     centre = drive.eccentricity * np.exp(1j * crank) + (drive.centre_x + 1j * drive.centre_y)[slice_]
     inwards = -np.exp(1j * (2.0 * np.pi * pin / pins + ring))
-    force, both = held[contact.FORCE], drive.compliance_gear + drive.compliance_pin
-    radius = 1.0 / np.maximum(np.abs(1.0 / drive.pin_radius[pin] + held[contact.CURVATURE]), 1e-9)
+    force, both = held["force"], drive.compliance_gear + drive.compliance_pin
+    radius = 1.0 / np.maximum(np.abs(1.0 / drive.pin_radius[pin] + held["curvature"]), 1e-9)
     half = np.sqrt(4.0 * force * radius * both / (np.pi * drive.slice_width))
     phase = 2.0 * np.pi * pin / pins + ring - crank
     return LoadedContacts(
         crank_angle, deviation, angle, disc, slice_, pin, tooth, (phase + np.pi) % (2.0 * np.pi) - np.pi, place,
-        np.angle((flank.point * turned - axis + centre) / inwards), force, held[contact.ARM], -held[contact.GAP], half,
+        np.angle((flank.point * turned - axis + centre) / inwards), force, held["arm"], -held["gap"], half,
         2.0 * force / (np.pi * half * drive.slice_width), radius, axis - centre, -1j * flank.tangent * turned,
-        held[contact.CURVATURE],
+        held["curvature"],
     )  # fmt: skip
 
 
@@ -400,7 +405,7 @@ def clearances(pair: Pair, surface: ErrorSurface, crank_angle: ArrayLike, side: 
     found = np.empty(touching.pin_error.shape)
     for i, (theta, x) in enumerate(zip(touching.crank_angle, touching.transmission_error, strict=True)):
         contact.place(drive, theta, x, contacts, i == 0, math.inf, math.inf)
-        found[i] = np.minimum(contacts[::2, contact.GAP], contacts[1::2, contact.GAP]).reshape(found[i].shape)
+        found[i] = np.minimum(contacts["gap"][::2], contacts["gap"][1::2]).reshape(found[i].shape)
     return found
 
 
@@ -410,7 +415,7 @@ class _Parallel(NamedTuple):
     speed: Array
 
 
-def _parallel(drive: contact.Drive, alpha: Array, reach: Array) -> _Parallel:
+def _parallel(drive: contact.Problem, alpha: Array, reach: Array) -> _Parallel:
     """Point of the curve at `reach` outside the generating path, its tangent, and its arc length for each radian."""
     pins, R, e = drive.teeth + 1, drive.circle_radius, drive.generating_eccentricity
     k = e * pins / R
@@ -422,7 +427,12 @@ def _parallel(drive: contact.Drive, alpha: Array, reach: Array) -> _Parallel:
 
 
 def _where_radius(
-    drive: contact.Drive, reach: Array, radius: Array, first: float, last: float, offset: NDArray[np.complex128] | float
+    drive: contact.Problem,
+    reach: Array,
+    radius: Array,
+    first: float,
+    last: float,
+    offset: NDArray[np.complex128] | float,
 ) -> Array:
     """Parameter in one flank at which the parallel curve, moved by `offset`, is at `radius` from the origin; or NaN."""
 
@@ -451,7 +461,7 @@ def _where_radius(
     return np.where(none, math.nan, alpha)
 
 
-def _turning(drive: contact.Drive, reach: Array, alpha: Array, offset: NDArray[np.complex128] | float) -> Array:
+def _turning(drive: contact.Problem, reach: Array, alpha: Array, offset: NDArray[np.complex128] | float) -> Array:
     """Parameter near a root or tip at which the distance from the origin is stationary: there itself without offset."""
     if isinstance(offset, float):
         return alpha

@@ -84,7 +84,7 @@ def slices_needed(surface: ErrorSurface) -> int:
     return max([SLICES_MISALIGNED if tilted else 1, *elements])
 
 
-def drive_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> contact.Drive:
+def drive_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> contact.Problem:
     """Return the contact problem of a pair with an error surface.
 
     Parameters
@@ -103,7 +103,7 @@ def drive_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> contact.Driv
     angle = direction + made["pin_tangential"] / pair.pin_circle_radius
     z = pair.face_width * ((np.arange(slices) + 0.5) / slices - 0.5)
     stray = _stray(pair, surface)
-    return contact.Drive(
+    return contact.Problem(
         circle_radius=float(made["generating_circle_radius"]),
         generating_radius=float(made["generating_pin_radius"]),
         generating_eccentricity=pair.eccentricity,
@@ -125,48 +125,44 @@ def drive_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> contact.Driv
         stray=stray,
         root_phase=_root_phase(pair, stray, float(made["generating_circle_radius"])),
         root_margin=1e-6 + 1.5 * pair.pin_circle_radius * float(np.ptp(made["tooth_turn"], axis=1).max()),
-        **_elements(pair, surface, z),
+        deviations=_deviations(pair, surface, z),
     )
 
 
-def _elements(pair: Pair, surface: ErrorSurface, z: Array) -> dict[str, Any]:
-    """Deviations of flanks and pins at the slices' middles for `contact.Drive`; empty where all is nominal."""
+def _deviations(pair: Pair, surface: ErrorSurface, z: Array) -> contact.Deviations | None:
+    """Deviations of flanks and pins at the slices' middles; None where all is nominal."""
     gear, pin = surface.gear_deviation, surface.pin_deviation
     g = pair
     if gear is None and pin is None:
-        return {
-            **dict.fromkeys(("flank_alpha", "flank_x", "flank_y", "flank_normal_x", "flank_normal_y"), np.empty(0)),
-            "gear_deviation": np.empty((0, 0, 0, 0)), "pin_deviation": np.empty((0, 0, 0)), "largest_deviation": 0.0,
-            "gear_curvature": np.empty((0, 0, 0, 0)), "pin_curvature": np.empty((0, 0, 0)),
-        }  # fmt: skip
+        return None
     if gear is None:
         gear = np.zeros((g.discs, g.gear_teeth, PROFILE_ELEMENTS, 1))
     if pin is None:
         pin = np.zeros((g.pins, 2, 1))
     gear_bend, pin_bend = surface.gear_curvature, surface.pin_curvature
-    return {
-        **_flank_points(pair, surface, gear.shape[2]),
-        "gear_curvature": np.empty((0, 0, 0, 0)) if gear_bend is None else _flanks_of(gear_bend, z, g.face_width),
-        "pin_curvature": np.empty((0, 0, 0)) if pin_bend is None else _pins_of(pin_bend, z, g.face_width),
-        "gear_deviation": _flanks_of(gear, z, g.face_width),
-        "pin_deviation": _pins_of(pin, z, g.face_width),
-        "largest_deviation": float(gear.max() + pin.max()),
-    }
+    return contact.Deviations(
+        *_flank_points(pair, surface, gear.shape[2]),
+        gear=_flanks_of(gear, z, g.face_width),
+        pin=_pins_of(pin, z, g.face_width),
+        largest=float(gear.max() + pin.max()),
+        gear_curvature=np.empty((0, 0, 0, 0)) if gear_bend is None else _flanks_of(gear_bend, z, g.face_width),
+        pin_curvature=np.empty((0, 0, 0)) if pin_bend is None else _pins_of(pin_bend, z, g.face_width),
+    )
 
 
 def _flanks_of(values: Array, z: Array, face_width: float) -> Array:
-    """Values of the flanks' elements as `contact.Drive` takes them; an end has the value of the element it is in."""
+    """Values of the flanks' elements for `contact.Deviations`; an end has the value of the element it is in."""
     flanks = np.moveaxis(_across_width(values, z, face_width), 3, 1)
     return np.ascontiguousarray(np.concatenate([flanks[..., :1], flanks, flanks[..., -1:]], axis=3))
 
 
 def _pins_of(values: Array, z: Array, face_width: float) -> Array:
-    """Values of the pins' elements as `contact.Drive` takes them."""
+    """Values of the pins' elements as `contact.Deviations` takes them."""
     return np.ascontiguousarray(np.moveaxis(_across_width(values, z, face_width), 2, 0))
 
 
-def _flank_points(pair: Pair, surface: ErrorSurface, elements: int) -> dict[str, Any]:
-    """Ends of tooth 0 and the middles of its elements on the flank that was made, as `contact.Drive` takes them."""
+def _flank_points(pair: Pair, surface: ErrorSurface, elements: int) -> tuple[Array, Array, Array, Array, Array]:
+    """Parameters, points and normals of tooth 0's ends and its elements' middles on the flank that was made."""
     alpha = np.concatenate([[0.0], equal_arc_parameters(pair, elements), [2.0 * np.pi / pair.gear_teeth]])
     errors, drawn = displacements(pair, surface, {}), pair.modification
     made = pair.replace(
@@ -174,7 +170,7 @@ def _flank_points(pair: Pair, surface: ErrorSurface, elements: int) -> dict[str,
         offset=drawn.offset + errors["generating_circle_radius"],
     )
     (x, y), (nx, ny) = flank_points(made, alpha), flank_normals(made, alpha)
-    return {"flank_alpha": alpha, "flank_x": x, "flank_y": y, "flank_normal_x": nx, "flank_normal_y": ny}
+    return alpha, x, y, nx, ny
 
 
 def _across_width(deviation: Array, z: Array, face_width: float) -> Array:
@@ -222,9 +218,9 @@ def _contiguous(values: ArrayLike) -> Array:
     return np.array(values, dtype=float, order="C", ndmin=1)
 
 
-def carried(contacts: Array) -> Array:
-    """Torque that contacts carry, N·m: force times arm, summed over the rows, shape (..., rows, columns), of each."""
-    force, arm = contacts[..., contact.FORCE], contacts[..., contact.ARM]
+def carried(contacts: contact.Rows) -> Array:
+    """Torque that contacts carry, N·m: force times arm, summed over the rows, shape (..., rows), of each."""
+    force, arm = contacts["force"], contacts["arm"]
     return np.asarray(np.sum(np.where(force > 0.0, force * arm, 0.0), axis=-1))
 
 
@@ -254,12 +250,33 @@ def check_balance(torque: ArrayLike, balance: ArrayLike) -> None:
         )
 
 
-def _check_again(drive: contact.Drive, crank_angle: Array, torque: Array, falling: NDArray[np.bool_]) -> None:
+def _check_again(drive: contact.Problem, crank_angle: Array, torque: Array, falling: NDArray[np.bool_]) -> None:
     """Check the balance where the torque falls with the rotation, which it does on worn flanks or beyond any load."""
     rows = contact.contact_rows(drive)
     for i in np.flatnonzero(falling & (torque != 0.0)):
         contact.equilibrium(drive, crank_angle[i], torque[i], 0.0, rows, True)
         check_balance(torque[i], carried(rows))
+
+
+def _lines(
+    pair: Pair, surface: ErrorSurface, problem: contact.Problem, places: tuple[int, ...]
+) -> contact.ContactLines:
+    """Return empty contact lines, of the surface's elements or as many as by default."""
+    g, slices = pair.pair, problem.centre_x.size
+    profile = PROFILE_ELEMENTS if surface.gear_deviation is None else surface.gear_deviation.shape[2]
+    around = ANGLE_ELEMENTS if surface.pin_deviation is None else surface.pin_deviation.shape[1]
+    alpha, x, y, _, _ = _flank_points(pair, surface, profile)
+    return contact.ContactLines(
+        np.zeros((*places, slices), np.float32), np.zeros((*places, slices), np.float32),
+        np.zeros((places[0], g.discs, g.gear_teeth, profile, slices)), np.zeros((places[0], g.pins, around, slices)),
+        alpha, x, y,
+    )  # fmt: skip
+
+
+def _no_lines(torques: int) -> contact.ContactLines:
+    slices, elements = np.zeros((torques, 0, 0, 0, 0), np.float32), np.zeros((torques, 0, 0, 0, 0))
+    none = np.empty(0)
+    return contact.ContactLines(slices, slices, elements, elements.reshape(torques, 0, 0, 0), none, none, none)
 
 
 def solve(
@@ -302,50 +319,39 @@ def solve(
     Interrupted
         At a KeyboardInterrupt; it holds the results of the crank angles that were finished.
     """
-    drive = drive_of(pair, surface, slices)
+    problem = drive_of(pair, surface, slices)
     g = pair
     torques, angles = _contiguous(torque), _contiguous(crank_angle)
     if not (np.isfinite(torques).all() and np.isfinite(angles).all()):
         raise ValueError("torque and crank_angle must be finite")
     loads, places = (torques.size, angles.size), (torques.size, angles.size, g.discs, g.pins)
     deviation, stiffness, pressure = (np.full(loads, np.nan) for _ in range(3))
-    count = np.zeros(loads, dtype=np.int64)
-    force, pin_pressure = np.zeros(places), np.zeros(places)
+    found = contact.LoadedSweep(
+        deviation, stiffness, np.zeros(loads, dtype=np.int64), pressure, np.zeros(places), np.zeros(places)
+    )
     low, high, gap = (np.full(angles.size, np.nan) for _ in range(3))
-    lines = (*places, slices) if with_elements else (torques.size, 0, 0, 0, 0)
-    slice_force, slice_direction = np.zeros(lines, np.float32), np.zeros(lines, np.float32)
-    profile = 0 if surface.gear_deviation is None else surface.gear_deviation.shape[2]
-    around = 0 if surface.pin_deviation is None else surface.pin_deviation.shape[1]
-    profile, around = profile or PROFILE_ELEMENTS, around or ANGLE_ELEMENTS
-    gear_shape, pin_shape = (g.discs, g.gear_teeth, profile, slices), (g.pins, around, slices)
-    if not with_elements:
-        gear_shape, pin_shape = (0, 0, 0, 0), (0, 0, 0)
-    elif drive.flank_alpha.size == 0:
-        drive = drive._replace(**_flank_points(pair, surface, profile))
-    gear_map, pin_map = np.zeros((torques.size, *gear_shape)), np.zeros((torques.size, *pin_shape))
-
+    lines = _lines(pair, surface, problem, places) if with_elements else None
     merging = threading.Lock()
 
     def part(first: int) -> int:
         last = min(first + PART, angles.size)
-        gear, pins = np.zeros_like(gear_map), np.zeros_like(pin_map)
-        if with_play:
-            contact.sweep_play(drive, angles, first, last, low, high, gap)
-        for k, load in enumerate(torques):
-            contact.sweep_load(
-                drive, angles, load, first, last, deviation[k], stiffness[k], count[k], pressure[k], force[k],
-                pin_pressure[k], slice_force[k], slice_direction[k], gear[k], pins[k],
-            )  # fmt: skip
-        with merging:
-            np.maximum(gear_map, gear, out=gear_map)
-            np.maximum(pin_map, pins, out=pin_map)
+        # Parts that are solved at once each raise pressures of their own.
+        mine = lines and lines._replace(
+            gear_pressure=np.zeros_like(lines.gear_pressure), pin_pressure=np.zeros_like(lines.pin_pressure)
+        )
+        contact.sweep(problem, angles, torques, first, last, with_play, low, high, gap, found, mine)
+        if lines is not None and mine is not None:
+            with merging:
+                np.maximum(lines.gear_pressure, mine.gear_pressure, out=lines.gear_pressure)
+                np.maximum(lines.pin_pressure, mine.pin_pressure, out=lines.pin_pressure)
         return last - first
 
     def result(done: slice) -> Transmission:
+        kept = lines or _no_lines(torques.size)
         return Transmission(
-            torques, angles[done], deviation[:, done], stiffness[:, done], count[:, done], pressure[:, done],
-            force[:, done], pin_pressure[:, done], low[done], high[done], gap[done], slice_force[:, done],
-            slice_direction[:, done], gear_map, pin_map,
+            torques, angles[done], deviation[:, done], stiffness[:, done], found.contact_count[:, done],
+            pressure[:, done], found.pin_force[:, done], found.pin_pressure[:, done], low[done], high[done], gap[done],
+            kept.slice_force[:, done], kept.slice_direction[:, done], kept.gear_pressure, kept.pin_pressure,
         )  # fmt: skip
 
     finished = 0
@@ -361,7 +367,7 @@ def solve(
                 pool.shutdown(cancel_futures=True)
             raise Interrupted(result(slice(0, finished))) from None
     for k, load in enumerate(torques):
-        _check_again(drive, angles, np.full(angles.size, load), stiffness[k] <= 0.0)
+        _check_again(problem, angles, np.full(angles.size, load), stiffness[k] <= 0.0)
     return result(slice(None))
 
 

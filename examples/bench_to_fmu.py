@@ -14,7 +14,9 @@ from cycloid_fmu.draw.plots import save
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.run import follow
 from cycloid_fmu.geometry.pair import read_pair
-from cycloid_fmu.surfaces.surface import read_surface, structured_value, surface_of_pair, write_surface
+from cycloid_fmu.surfaces.files import read_surface, write_surface
+from cycloid_fmu.surfaces.structured import structured_value
+from cycloid_fmu.surfaces.surface import surface_of_pair
 from drivers.bench import BenchRun, CanBench, fmu_output_angle, simulate_motion
 from drivers.recorder import record_bench
 from fitting.cli import print_identification

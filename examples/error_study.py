@@ -17,7 +17,8 @@ from cycloid_fmu.draw.plots import new_figure, save
 from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.edge.commands import print_table
 from cycloid_fmu.geometry.pair import Modification, read_pair
-from cycloid_fmu.surfaces.surface import nominal_surface, with_structured
+from cycloid_fmu.surfaces.structured import with_structured
+from cycloid_fmu.surfaces.surface import nominal_surface
 from cycloid_fmu.transmission import analyze, slices_needed, statistics
 
 TORQUE = -181.0
@@ -40,7 +41,7 @@ def figures(pair, surface):
 
 def modified(pair, isometric, offset):
     amounts = Modification.model_construct(isometric=isometric * 1e-6, offset=offset * 1e-6)
-    return pair.replace(**{"modification": amounts})
+    return pair.replace(modification=amounts)
 
 
 def errors_of(pair):

@@ -93,7 +93,7 @@ save(figure, "wear_study.png")
 
 own = unloaded_contact(pair, surface, theta, -1).transmission_error * ARCSEC
 passing = handovers(pair, surface, np.linspace(0.0, 1.0, 200), -1)
-free = wear_model(pair, surface, law.replace(**{"pins": "free"}), model.loads)
+free = wear_model(pair, surface, law.replace(pins="free"), model.loads)
 even = wear_rate(free, free.surface).depth.pin.max() * TURNS
 span = np.ptp(phase_of_pin(pair, theta[loaded.angle], loaded.disc, loaded.pin))
 linear, updated, as_printed = found["linear"], found["updated"], found["as_printed"]

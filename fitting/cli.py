@@ -431,8 +431,8 @@ def identify(
 
     from cycloid_fmu.draw import plots
     from cycloid_fmu.geometry.pair import read_pair
+    from cycloid_fmu.surfaces.files import write_surface
     from cycloid_fmu.surfaces.sampling import read_tolerances
-    from cycloid_fmu.surfaces.surface import write_surface
     from fitting.fit_report import FORMATS, write_fit_report
     from fitting.identification import as_json as content
     from fitting.identification import write_identification
@@ -544,7 +544,7 @@ def plan(
     from cycloid_fmu.draw import plots
     from cycloid_fmu.edge.commands import print_table
     from cycloid_fmu.geometry.pair import read_pair
-    from cycloid_fmu.surfaces.surface import unit_of
+    from cycloid_fmu.surfaces.structured import unit_of
     from fitting.observation import errors_of
     from fitting.plan import bench_plans
     from fitting.plots import plot_plans
@@ -604,7 +604,8 @@ def ensemble(
 
     from cycloid_fmu.draw import plots
     from cycloid_fmu.geometry.pair import read_pair
-    from cycloid_fmu.surfaces.surface import check_surface, read_surface, write_surface
+    from cycloid_fmu.surfaces.files import read_surface, write_surface
+    from cycloid_fmu.surfaces.surface import check_surface
     from fitting.ensemble import drawn_surfaces
     from fitting.plots import plot_band
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.surfaces.surface import ErrorSurface, structured_value, with_structured
+from cycloid_fmu.surfaces.structured import structured_value, with_structured
+from cycloid_fmu.surfaces.surface import ErrorSurface
 from fitting.observation import scatter_names, with_scatter
 
 Array = NDArray[np.float64]
@@ -55,5 +54,5 @@ def drawn_surfaces(pair: Pair, surface: ErrorSurface, count: int, seed: int) -> 
         if shift.size > len(names):
             one = with_scatter(pair, one, shift[len(names) :])
         attributes = {**surface.attributes, "ensemble_seed": seed, "ensemble_number": number}
-        surfaces.append(dataclasses.replace(one, covariance=None, covariance_of=(), attributes=attributes))
+        surfaces.append(one.replace(covariance=None, covariance_of=(), attributes=attributes))
     return surfaces

@@ -20,15 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from cycloid_fmu.geometry.pair import LARGEST_DEVIATION, LARGEST_MISALIGNMENT, Pair
-from cycloid_fmu.surfaces.surface import (
-    LARGEST_ELEMENT,
-    profile_names,
-    structured_value,
-    surface_of_pair,
-    unit_of,
-    with_structured,
-)
+from cycloid_fmu.errors.kinds import LARGEST_DEVIATION, LARGEST_MISALIGNMENT
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.structured import profile_names, structured_value, unit_of, with_structured
+from cycloid_fmu.surfaces.surface import LARGEST_ELEMENT, surface_of_pair
 from fitting.identifiability import UNKNOWN
 from fitting.observation import (
     CREEP,

@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact import SCALAR_ERRORS
 from cycloid_fmu.edge import ARCSEC
+from cycloid_fmu.errors.kinds import wave_of
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.surfaces.surface import ErrorSurface, structured_columns, structured_value, surface_of_pair, unit_of
+from cycloid_fmu.surfaces.structured import displacement_columns, displacement_layout, structured_value, unit_of
+from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
 from fitting.curve import noise_of
 from fitting.estimation import NO_SCATTER, Estimate, confirmed, freedom, profile_interval, turn_bootstrap
 from fitting.identifiability import weakness
@@ -225,8 +226,7 @@ def result_of(
                              reasons[name])  # fmt: skip
         parameters.append(one)
     singles = _singles(pair, state.surface, chosen, every, spread) if known else ()
-    surface = dataclasses.replace(
-        state.surface,
+    surface = state.surface.replace(
         origin="identified",
         covariance_of=(*chosen, *scatter_names(pair)),
         covariance=every,
@@ -303,10 +303,11 @@ def _singles(
     pair: Pair, surface: ErrorSurface, chosen: Sequence[str], covariance: Array, spread: Array
 ) -> tuple[Parameter, ...]:
     """Every pin's and tooth's own error: its part of the structured ones and its scatter."""
-    g = pair
-    columns = structured_columns(pair, chosen)
-    scalars = len(SCALAR_ERRORS)
-    waves = np.vstack([columns[scalars : scalars + 2 * g.pins], columns[scalars + 3 * g.pins :] * g.pin_circle_radius])
+    # The patterns round the circles alone: an error of all pins alike is stated by itself.
+    columns = displacement_columns(pair, chosen) * [wave_of(n) is not None for n in chosen]
+    layout = displacement_layout(pair)
+    pins = [columns[layout[name]] for name in ("pin_radial", "pin_tangential")]
+    waves = np.vstack([*pins, columns[layout["tooth_turn"]] * pair.pin_circle_radius])
     lever = np.hstack([waves, np.eye(spread.size)])
     deviation = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", lever, covariance, lever), 0.0))
     values = np.concatenate([getattr(surface, pattern).ravel() for pattern in scatter_parts(pair)])

@@ -18,7 +18,8 @@ from threadpoolctl import threadpool_limits
 
 from cycloid_fmu import edge
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.surfaces.surface import structured_value, surface_of_pair, with_structured
+from cycloid_fmu.surfaces.structured import structured_value, with_structured
+from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.curve import Curve
 from fitting.estimation import NO_SCATTER, OUTLYING, TURNS, Estimate, fit
 from fitting.identifiability import chosen_errors

@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import screening
-from cycloid_fmu.contact import SCALAR_ERRORS
+from cycloid_fmu.errors.kinds import structured_names
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.surfaces.surface import ErrorSurface, structured_columns, structured_names, surface_of_pair
+from cycloid_fmu.surfaces.structured import displacement_columns, displacement_layout, displacement_vector
+from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
 from cycloid_fmu.transmission import error_sensitivity, solve
 from fitting.curve import Curve, noise_of
 
@@ -269,23 +270,23 @@ def spread_of(pair: Pair, deviations: Mapping[str, float]) -> Array:
 def with_scatter(pair: Pair, surface: ErrorSurface, scatter: Array) -> ErrorSurface:
     """Return a surface with a displacement of every pin and tooth added."""
     parts = scatter_parts(pair)
-    return dataclasses.replace(
-        surface, **{n: getattr(surface, n) + scatter[p].reshape(getattr(surface, n).shape) for n, p in parts.items()}
+    return surface.replace(
+        **{n: getattr(surface, n) + scatter[p].reshape(getattr(surface, n).shape) for n, p in parts.items()}
     )
 
 
 def scatter_columns(pair: Pair, each: Array) -> Array:
     """Return derivatives by a scatter vector, last axis, from those by every error as in `contact.sensitivities`."""
-    g, scalars = pair, len(SCALAR_ERRORS)
-    pins, teeth = slice(scalars, scalars + 2 * g.pins), slice(scalars + 3 * g.pins, None)
-    return np.concatenate([each[..., pins], each[..., teeth] / g.pin_circle_radius], axis=-1)
+    layout = displacement_layout(pair)
+    pins = [each[..., layout[name]] for name in ("pin_radial", "pin_tangential")]
+    return np.concatenate([*pins, each[..., layout["tooth_turn"]] / pair.pin_circle_radius], axis=-1)
 
 
 @dataclass(frozen=True)
 class Near:
     """The contacts of one drive at the points of each curve, from which drives near it are taken to first order.
 
-    `errors` are that drive's as of `screening.error_vector`, `contacts` has one entry a curve.
+    `errors` are that drive's as of `displacement_vector`, `contacts` has one entry a curve.
     """
 
     errors: Array
@@ -303,7 +304,7 @@ def near(pair: Pair, surface: ErrorSurface, observed: Observations) -> Near:
         return screening.contacts_of(pair, surface, curve.torque, curve.input_angle, 1, _REACH)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return Near(screening.error_vector(pair, surface), tuple(pool.map(one, observed.curves)))
+        return Near(displacement_vector(pair, surface), tuple(pool.map(one, observed.curves)))
 
 
 def linearised_curve(
@@ -324,9 +325,9 @@ def linearised_curve(
         )
         by_crank, by_torque = further.T
     else:
-        errors = screening.error_vector(pair, state.surface) - around.errors
+        errors = displacement_vector(pair, state.surface) - around.errors
         model, each, by_torque = screening.sensitivities(pair, around.contacts[number], 1, errors, torque)
-        jacobian, by_crank = each @ structured_columns(pair, observed.errors), np.zeros_like(model)
+        jacobian, by_crank = each @ displacement_columns(pair, observed.errors), np.zeros_like(model)
     return Linear(model, jacobian, scatter_columns(pair, each), by_crank, against * by_torque)
 
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from cycloid_fmu.draw.plots import new_figure, show_legend
 from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.surfaces.surface import ErrorSurface, unit_of
+from cycloid_fmu.surfaces.structured import unit_of
+from cycloid_fmu.surfaces.surface import ErrorSurface
 from cycloid_fmu.transmission import solve
 from fitting.curve import Curve
 from fitting.identification import Identification

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.sampling import Tolerances, sample_surface
-from cycloid_fmu.surfaces.surface import Elements, profile_names, profile_wave, unit_of
+from cycloid_fmu.surfaces.structured import profile_names, profile_wave, unit_of
+from cycloid_fmu.surfaces.surface import Elements
 from fitting.observation import ORDERS, PROFILE_ORDERS, scatter_parts
 
 Array = NDArray[np.float64]
@@ -26,7 +27,7 @@ def tolerances_of(names: Sequence[str], stated: Mapping[str, float] | None = Non
 def scatter_of(pair: Pair, tolerances: Tolerances) -> dict[str, float]:
     """Return what tolerances let single pins and teeth do beyond the structured orders: standard deviations, m.
 
-    They are those of drives that the tolerances allow (`cycloid_fmu.surfaces.sampling.sample_surface`). A pattern of which the
+    They are those of drives that the tolerances allow (`surfaces.sampling.sample_surface`). A pattern of which the
     tolerances say nothing is left out.
     """
     drawn = [sample_surface(pair, tolerances, seed, Elements(2, 2, 1)) for seed in range(_DRAWN)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -25,7 +24,7 @@ def limited(value: float, kind: ErrorKind) -> float:
     return value
 
 
-def _quantity(value: object, kind: ErrorKind, unit: str, in_file: bool) -> float:
+def _quantity(value: object, unit: str, in_file: bool) -> float:
     return edge.parse_quantity(value, unit) if in_file else edge.quantity(value, unit)
 
 
@@ -38,8 +37,8 @@ def _orders(table: Mapping[Any, Any], kind: ErrorKind, in_file: bool) -> dict[in
         if not isinstance(entry, list | tuple) or len(entry) != 2:
             raise ValueError(f'{key} needs an amplitude and a phase, such as ["3 um", "40 deg"]')
         try:
-            amplitude = limited(_quantity(entry[0], kind, "m", in_file), kind)
-            phase = _quantity(entry[1], kind, "rad", in_file)
+            amplitude = limited(_quantity(entry[0], "m", in_file), kind)
+            phase = _quantity(entry[1], "rad", in_file)
         except ValueError as problem:
             raise ValueError(f"{key}: {problem}") from None
         found[int(match[1])] = (amplitude, phase)
@@ -50,7 +49,7 @@ def _each(values: Any, kind: ErrorKind, in_file: bool) -> tuple[float, ...]:
     found = []
     for index, value in enumerate(values):
         try:
-            found.append(limited(_quantity(value, kind, kind.unit, in_file), kind))
+            found.append(limited(_quantity(value, kind.unit, in_file), kind))
         except ValueError as problem:
             raise ValueError(f"value {index} ({value!r}): {problem}") from None
     return tuple(found)
@@ -59,7 +58,7 @@ def _each(values: Any, kind: ErrorKind, in_file: bool) -> tuple[float, ...]:
 def _value(given: Any, kind: ErrorKind, in_file: bool) -> Any:
     """Check one error as it was stated: a number, {order: (amplitude, phase)}, one value each, or lists for discs."""
     if kind.of == "drive":
-        return limited(_quantity(given, kind, kind.unit, in_file), kind)
+        return limited(_quantity(given, kind.unit, in_file), kind)
     if isinstance(given, Mapping):
         return _orders(given, kind, in_file)
     if isinstance(given, np.ndarray):
@@ -101,8 +100,7 @@ class Errors(Mapping[str, Any]):
         values, problems = {}, []
         for key, given in (stated or {}).items():
             if key not in kinds:
-                close = difflib.get_close_matches(key, kinds, 1)
-                hint = f'did you mean "{close[0]}"?' if close else "check its spelling or remove it."
+                hint = edge.did_you_mean(str(key), kinds) or "check its spelling or remove it."
                 problems.append(f"{where}{key} is not a key known here; {hint}")
                 continue
             try:

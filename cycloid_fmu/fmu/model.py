@@ -16,18 +16,14 @@ from typing import Any
 
 import numpy as np
 
+from cycloid_fmu.errors.kinds import structured_names
 from cycloid_fmu.fmu.losses import check_losses, loss_torque
 from cycloid_fmu.fmu.table_teeth import Interpolation, TableTeeth
 from cycloid_fmu.fmu.teeth import ContactTeeth, StepError, Teeth
 from cycloid_fmu.fmu.variables import LOSSLESS, ORDERS
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.surfaces.surface import (
-    ErrorSurface,
-    structured_names,
-    structured_value,
-    surface_after,
-    with_structured,
-)
+from cycloid_fmu.surfaces.structured import structured_value, with_structured
+from cycloid_fmu.surfaces.surface import ErrorSurface, surface_after
 from cycloid_fmu.transmission import drive_of, slices_needed
 
 

@@ -92,9 +92,7 @@ class ReducerModel(DriveModel):
         turns = self.crank_angle / (2.0 * math.pi * self._ratio)
         reduced = 2.0 * math.pi * self._ratio * (turns - math.floor(turns))
         self._theta = (
-            -reduced * self.pair.gear_teeth / self._ratio
-            + self._a * deviation
-            - 0.5 * self._b * side * self._sun_play
+            -reduced * self.pair.gear_teeth / self._ratio + self._a * deviation - 0.5 * self._b * side * self._sun_play
         )
         self._forget()
 

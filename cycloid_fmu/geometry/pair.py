@@ -161,12 +161,9 @@ class Pair(Config):
             errors = Errors(errors)
         if values.get("pins") is None and isinstance(values.get("gear_teeth"), int):
             values["pins"] = values["gear_teeth"] + 1
-        try:
-            super().__init__(**values, errors=errors)
-        except pydantic.ValidationError as problems:
-            raise edge.InputError(edge.sentences(problems, "Pair")) from None
+        super().__init__(**values, errors=errors)
         for table, sentence in _contradictions(self):
-            raise _ContradictionError(table, sentence)
+            raise ContradictionError(table, sentence)
 
     def replace(self, **changes: Any) -> Self:
         """Return the pair with other values, validated as reading a file does.
@@ -228,7 +225,7 @@ class Pair(Config):
         return self.eccentricity * self.pins / self.generating_circle_radius
 
 
-class _ContradictionError(edge.InputError):
+class ContradictionError(edge.InputError):
     """Values that contradict each other, each possible by itself; `table` is theirs in a pair file."""
 
     def __init__(self, table: str, sentence: str) -> None:
@@ -382,7 +379,7 @@ def pair_of_tables(tables: Mapping[str, Any], source: str) -> Pair:
     geometry = {name: getattr(file.pair, name) for name in _Geometry.model_fields}
     try:
         return Pair(**geometry, modification=file.modification, material=file.material, errors=errors)
-    except _ContradictionError as problem:
+    except ContradictionError as problem:
         raise edge.InputError(f"{source}: [{problem.table}] {problem}") from None
 
 

@@ -13,7 +13,6 @@ circle's, the mean of their radius errors is that of all pins; what remains is e
 from __future__ import annotations
 
 import csv
-import dataclasses
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,7 +34,7 @@ from cycloid_fmu.geometry.profile import (
     flank_points,
     flank_speed,
 )
-from cycloid_fmu.surfaces.surface import Elements, ErrorSurface
+from cycloid_fmu.surfaces.surface import LARGEST_ELEMENT, Elements, ErrorSurface
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

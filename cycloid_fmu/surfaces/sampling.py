@@ -34,6 +34,11 @@ Array = NDArray[np.float64]
 Distribution = Literal["normal", "uniform"]
 FORMAT = "cycloid-tolerances/1"
 LARGEST_SEED = 2**63 - 1
+# The axes of a study's points that the first version had: a seed's drives stay the same, other kinds follow.
+_FIRST_AXES = (
+    "gear_profile", "pin_profile", "gear_pitch", "pin_pitch", "pin_circle_diameter", "pin_radius", "pin_radius_each",
+    "eccentricity", "centre_distance_x", "centre_distance_y", "misalignment_xz", "misalignment_yz", "isometric", "offset",
+)  # fmt: skip
 # How far a pitch may go of what is allowed: rounding in the sums that make positions from it must not exceed the limit.
 _WITHIN = 1.0 - 1e-9
 # Times that each pitch is met: with ten no figure of 3000 circles differs from four hundred's by more than chance.
@@ -180,10 +185,7 @@ class Tolerances(Config):
     costs: dict[str, Annotated[float, pydantic.Field(gt=0.0)]] = pydantic.Field(default_factory=dict)
 
     def __init__(self, /, **values: Any) -> None:
-        try:
-            checked = file_model().model_validate(values)
-        except pydantic.ValidationError as problems:
-            raise edge.InputError(edge.sentences(problems, "Tolerances")) from None
+        checked = file_model()(**values)
         super().__init__(**{n: v for n in type(checked).model_fields if (v := getattr(checked, n)) is not None})
         for name in self.costs:
             if name not in self.factors:
@@ -192,8 +194,10 @@ class Tolerances(Config):
                 )
 
     def replace(self, **changes: Any) -> Self:
-        """Return the tolerances with others changed; None takes one away."""
-        return type(self)(**{**{n: getattr(self, n) for n in (*self.factors, "limits", "costs")}, **changes})
+        """Return the tolerances with others changed; None takes one away, and its cost with it."""
+        values = {n: getattr(self, n) for n in (*self.factors, "limits")} | changes
+        costs = {n: cost for n, cost in self.costs.items() if values.get(n) is not None}
+        return type(self)(**{"costs": costs, **values})
 
     def of(self, factor: str) -> LengthError | AngleError | PitchErrors | ProfileErrors | None:
         """Return the tolerance of this name, None where there is none."""
@@ -213,8 +217,8 @@ class Tolerances(Config):
 
 def _keys() -> dict[str, ErrorKind | None]:
     """Every tolerance's key with its kind of error, None for form."""
-    kinds = {kind.tolerance.key: kind for kind in KINDS.values() if kind.tolerance is not None}
-    return {"gear_profile": None, "pin_profile": None, **kinds}
+    found = {kind.tolerance.key: kind for kind in KINDS.values() if kind.tolerance is not None}
+    return {**{name: found.get(name) for name in _FIRST_AXES}, **found}
 
 
 def file_model() -> type[Config]:
@@ -234,7 +238,7 @@ def _file_model(keys: tuple[str, ...]) -> type[Config]:
 
     tables = {key: (model(kind) | None, None) for key, kind in _keys().items()}
     others = {n: (Tolerances.__annotations__[n], Tolerances.model_fields[n]) for n in ("limits", "costs")}
-    made: type[Config] = pydantic.create_model("_ToleranceFile", __base__=Config, **tables, **others)
+    made: type[Config] = pydantic.create_model("Tolerances", __base__=Config, **tables, **others)
     return made
 
 
@@ -450,7 +454,9 @@ def _drawn(
             else:
                 changes["pin_deviation"] = sample_profile(streams[name], pair.pins, size.angle, size.width, error)
             continue
-        assert kind is not None and kind.tolerance is not None and error is not None
+        assert kind is not None
+        assert kind.tolerance is not None
+        assert error is not None
         shape = kind.shape(pair)
         if isinstance(error, PitchErrors):
             circles = [sample_pitch(streams[name], shape[-1], error) for _ in range(math.prod(shape[:-1]))]

@@ -6,7 +6,6 @@ Its errors are of the kinds of `cycloid_fmu.errors.kinds`; signs are those of do
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import functools
 import hashlib
 import types
@@ -232,8 +231,7 @@ def _unpickled(cls: type[ErrorSurface], values: dict[str, Any]) -> ErrorSurface:
 
 
 def _unknown(name: str) -> str:
-    close = difflib.get_close_matches(name, KINDS, 1)
-    return f"{name}: an error surface has no error of this kind" + (f'; did you mean "{close[0]}"?' if close else ".")
+    return f"{name}: an error surface has no error of this kind; {edge.did_you_mean(name, KINDS) or 'check its name.'}"
 
 
 def _frozen(values: ArrayLike) -> Array:

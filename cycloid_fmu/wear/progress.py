@@ -67,7 +67,7 @@ def regression_coefficient(regression: Regression, line_load: ArrayLike, radius:
     return np.asarray(3.981e29 / modulus * load**1.219 * viscosity**-7.377 * roughness**1.589)
 
 
-def contact_coefficients(law: WearLaw, drive: contact.Drive, contacts: LoadedContacts) -> Array:
+def contact_coefficients(law: WearLaw, drive: contact.Problem, contacts: LoadedContacts) -> Array:
     """k_0 at each contact by the law that the wear file states, shape (contacts,), m²/N."""
     if law.regression is None:
         assert law.coefficient is not None
@@ -230,11 +230,7 @@ def wear_model(
     alpha = np.linspace(0.0, 2.0 * np.pi / g.gear_teeth, 4001)
     arc = float(np.trapezoid(flank_speed(pair, alpha), alpha))
     total = sum(load.crank_turns for load in loads)
-    shares = (
-        tuple(load.replace(crank_turns=load.crank_turns / total) for load in loads)
-        if total > 0.0
-        else ()
-    )
+    shares = tuple(load.replace(crank_turns=load.crank_turns / total) for load in loads) if total > 0.0 else ()
     return WearModel(pair, refined, law, shares, total, sweep_of(pair, surface), arc)
 
 
@@ -341,7 +337,7 @@ def wear_rate(model: WearModel, surface: ErrorSurface, workers: int = 1) -> Wear
     )
 
 
-def _part_of_rate(model: WearModel, drive: contact.Drive, load: Load, crank_angle: Array) -> WearRate:
+def _part_of_rate(model: WearModel, drive: contact.Problem, load: Load, crank_angle: Array) -> WearRate:
     contacts = loaded_contacts(drive, crank_angle, load.torque)
     depth = model.unworn
     per_turn = load.crank_turns * 2.0 * np.pi / model.sweep.crank_angle.size
@@ -353,7 +349,8 @@ def _part_of_rate(model: WearModel, drive: contact.Drive, load: Load, crank_angl
     area = coefficient * work / drive.slice_width
     cells = depth.gear.shape[2]
     ends = np.concatenate([[0.0], np.arange(cells) + 0.5, [cells]])
-    place = np.interp(contacts.place, drive.flank_alpha, ends)
+    assert drive.deviations is not None  # what wears has elements
+    place = np.interp(contacts.place, drive.deviations.flank_alpha, ends)
     # Elements of a disc's teeth in a row for each slice: a contact at a root lies on both its teeth.
     rows = np.zeros((depth.gear.shape[0] * depth.gear.shape[3], drive.teeth * cells))
     _deposit(

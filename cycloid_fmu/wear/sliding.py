@@ -74,7 +74,7 @@ def slip_pole(pair: Pair) -> float:
     return float(np.arccos(g.eccentricity * g.pins / g.pin_circle_radius))
 
 
-def velocities(drive: contact.Drive, contacts: LoadedContacts) -> Velocities:
+def velocities(drive: contact.Problem, contacts: LoadedContacts) -> Velocities:
     """Velocities at solved contacts, of modified flanks and with the transmission error's own rate.
 
     Notes

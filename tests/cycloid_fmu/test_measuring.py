@@ -9,9 +9,10 @@ from common import PAIR, make_pair
 
 from cycloid_fmu import edge
 from cycloid_fmu.geometry.profile import arc_parts, equal_arc_parameters, flank_normals, flank_points, flank_speed
+from cycloid_fmu.surfaces.files import read_surface, write_surface
 from cycloid_fmu.surfaces.measuring import closest_on_tooth, fitted_circle, measured_surface, read_points
 from cycloid_fmu.surfaces.sampling import parse_tolerances, sample_surface
-from cycloid_fmu.surfaces.surface import Elements, check_surface, nominal_surface, read_surface, write_surface
+from cycloid_fmu.surfaces.surface import Elements, check_surface, nominal_surface
 
 MODIFIED = '[modification]\noffset = "-40 um"\nisometric = "-15 um"\n'
 # Twelve teeth of two discs: few points, quick fits.

@@ -8,7 +8,8 @@ import pytest
 from common import ARCSEC, CASES, PAIR, make_pair
 
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
-from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair, with_structured
+from cycloid_fmu.surfaces.structured import with_structured
+from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
 from cycloid_fmu.transmission import analyze, solve
 
 

@@ -8,16 +8,17 @@ from common import EXAMPLES, make_pair
 
 from cycloid_fmu import edge
 from cycloid_fmu.geometry.pair import read_pair
-from cycloid_fmu.screening import Screen, contacts_of, error_vector, sensitivities
+from cycloid_fmu.screening import Screen, contacts_of, sensitivities
 from cycloid_fmu.studies import tolerance
-from cycloid_fmu.studies.allocation import allocate, columns_of, scaled
+from cycloid_fmu.studies.allocation import allocate, errors_of_factors, scaled
 from cycloid_fmu.studies.tolerance import Study, points, screened, surface_of
 from cycloid_fmu.surfaces.sampling import parse_tolerances, read_tolerances
+from cycloid_fmu.surfaces.structured import displacement_vector
 from cycloid_fmu.surfaces.surface import nominal_surface
 from cycloid_fmu.transmission import error_sensitivity, solve
 
 DRIVE = read_pair(EXAMPLES / "drive-39-40.toml")
-EVERY = read_tolerances(EXAMPLES / "tolerances.toml").replace(**{"gear_profile": None, "pin_profile": None})
+EVERY = read_tolerances(EXAMPLES / "tolerances.toml").replace(gear_profile=None, pin_profile=None)
 ANGLES = np.linspace(0.0, 2 * np.pi, 24, endpoint=False)
 ARCSEC = np.pi / 648000
 HEAD = 'format = "cycloid-tolerances/1"\n'
@@ -27,7 +28,7 @@ MODIFIED = '\n[modification]\nisometric = "-15 um"\noffset = "-40 um"\n'
 def both(pair, surfaces, torque, slices=1):
     """Transmission error, pressure, backlash by both kernels, each (drives, angles)."""
     screen = Screen(pair, [(torque, ANGLES), (0.0, ANGLES)], slices, 120e-6)
-    errors = np.array([error_vector(pair, s) for s in surfaces])
+    errors = np.array([displacement_vector(pair, s) for s in surfaces])
     first = (*screen.loaded(0, errors), screen.play(1, errors)[0])
     exact = [solve(pair, s, torque, ANGLES, slices) for s in surfaces]
     return zip(
@@ -49,7 +50,7 @@ def test_derivatives_to_first_order(pair):
     made = surface_of(study, points(study)[0])
     torque = np.where(ANGLES < 3.0, 181.0, 40.0)
     contacts = contacts_of(pair, made, 181.0, ANGLES, 1, 120e-6)
-    nothing = np.zeros_like(error_vector(pair, made))
+    nothing = np.zeros_like(displacement_vector(pair, made))
     error, each, by_torque = sensitivities(pair, contacts, 1, nothing, torque)
     exact, _, exact_each, further = error_sensitivity(pair, made, torque, ANGLES, [])
     # Rotation to second order takes the contacts to another torque.
@@ -57,11 +58,9 @@ def test_derivatives_to_first_order(pair):
     assert by_torque == pytest.approx(further[:, 1], rel=0.02)
     largest = np.abs(exact_each).max(axis=0)
     assert (np.abs(each - exact_each).max(axis=0) <= 0.05 * largest).all()
-    # The columns begin with the scalars, with which `error_vector` ends.
-    order = [*range(9, each.shape[1]), *range(9)]
     moved = np.random.default_rng(1).normal(0.0, 1e-9, nothing.size)
     there, back = (sensitivities(pair, contacts, 1, sign * moved, torque)[0] for sign in (1.0, -1.0))
-    assert 0.5 * (there - back) == pytest.approx(each[:, order] @ moved, rel=1e-4, abs=1e-13)
+    assert 0.5 * (there - back) == pytest.approx(each @ moved, rel=1e-4, abs=1e-13)
 
 
 @pytest.mark.parametrize(
@@ -97,7 +96,7 @@ def test_errors_half_as_large_differ_a_quarter(pair, slices):
 def test_interference_is_found_with_its_depth():
     tight = dataclasses.replace(nominal_surface(DRIVE), pin_radius=12e-6, centre_distance_x=3e-6)
     screen = Screen(DRIVE, [(0.0, ANGLES)], 1, 120e-6)
-    backlash, depth = screen.play(0, error_vector(DRIVE, tight)[None])
+    backlash, depth = screen.play(0, displacement_vector(DRIVE, tight)[None])
     exact = solve(DRIVE, tight, [], ANGLES)
     assert np.isnan(exact.backlash).any()
     assert (np.isnan(backlash[0]) == np.isnan(exact.backlash)).all()
@@ -122,14 +121,14 @@ def test_screening_confirms_what_is_near_the_limits_exactly():
 def test_each_factor_has_its_own_columns():
     study = Study(DRIVE, EVERY, 4, 1, (181.0,))
     place = points(study)[1]
-    whole = error_vector(DRIVE, surface_of(study, place))
-    for i, column in enumerate(columns_of(study)):
+    whole = displacement_vector(DRIVE, surface_of(study, place))
+    of_factors = errors_of_factors(study, place[None])[:, 0]
+    assert of_factors.sum(axis=0) == pytest.approx(whole, rel=1e-12, abs=1e-18)
+    for i, of_factor in enumerate(of_factors):
         scale = np.ones(len(study.factors))
         scale[i] = 2.0
-        wider = error_vector(DRIVE, surface_of(scaled(study, scale), place))
-        wanted = whole.copy()
-        wanted[column] *= 2.0
-        assert wider == pytest.approx(wanted, rel=1e-12, abs=1e-18)
+        wider = displacement_vector(DRIVE, surface_of(scaled(study, scale), place))
+        assert wider == pytest.approx(whole + of_factor, rel=1e-12, abs=1e-18)
 
 
 def test_allocation_is_the_optimum_of_two_linear_errors():
@@ -161,7 +160,7 @@ def test_allocation_is_the_optimum_of_two_linear_errors():
     [
         ('[limits]\nbacklash = "1 arcsec"\n', 0.9, "t.toml: [limits] backlash: the error-free drive itself takes"),
         ("", 0.9, "t.toml: [limits] is missing"),
-        ('[limits]\nbacklash = "99 arcsec"\n', 1.0, "--allocate = 1: the yield to reach must lie between 0 and 1"),
+        ('[limits]\nbacklash = "99 arcsec"\n', 1.0, "target = 1: the yield to reach must lie between 0 and 1"),
     ],
 )
 def test_yields_that_can_t_be_met_are_one_sentence(limits, target, said):

@@ -18,7 +18,8 @@ from cycloid_fmu.draw import plots
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.geometry.profile import flank_normals, flank_points
-from cycloid_fmu.surfaces.surface import nominal_surface, read_surface, surface_after, surface_of_pair, write_surface
+from cycloid_fmu.surfaces.files import read_surface, write_surface
+from cycloid_fmu.surfaces.surface import nominal_surface, surface_after, surface_of_pair
 from cycloid_fmu.transmission import drive_of, solve
 from cycloid_fmu.wear import progress as wear
 from cycloid_fmu.wear.law import Load, Regression, duty_cycle, parse_wear_law, read_duty_cycle
@@ -85,7 +86,7 @@ def test_the_paper_s_own_depths():
     assert as_printed["gear_depth_mean"] == pytest.approx(17.0e-6, rel=0.01)
     assert as_printed["pin_depth_mean_off_pole"] == pytest.approx(22e-6, rel=0.02)
     assert as_printed["gear_depth_max"] == pytest.approx(60e-6, rel=0.06)
-    milder = law().regression.replace(**{"pressure_viscosity": 2.22e-8})
+    milder = law().regression.replace(pressure_viscosity=2.22e-8)
     half = model(loads=(load(-200.0),), regression=milder)
     _, gear, _ = wear.depth_as_printed(half, TURNS)
     assert gear.max() == pytest.approx(60e-6, rel=0.06)
@@ -500,7 +501,7 @@ def test_absurd_coefficients_are_named():
     """m²/N mistaken for mm²/N, and a viscosity coefficient per MPa."""
     wild = model(text=CONSTANT, coefficient=1e-12)
     assert "[wear] coefficient = 1e-12 m²/N" in coefficient_warning(1e-12, wild, "w.toml")
-    regression = law().regression.replace(**{"pressure_viscosity": 2.73e-9})
+    regression = law().regression.replace(pressure_viscosity=2.73e-9)
     odd = model(regression=regression)
     assert "pressure_viscosity = 2.73e-09" in coefficient_warning(
         wear_rate(odd, odd.surface).coefficient, odd, "w.toml"

@@ -13,7 +13,8 @@ import fitting.estimation
 import fitting.observation
 from cycloid_fmu import edge
 from cycloid_fmu.surfaces.sampling import parse_tolerances
-from cycloid_fmu.surfaces.surface import structured_value, surface_of_pair, with_structured
+from cycloid_fmu.surfaces.structured import structured_value, with_structured
+from cycloid_fmu.surfaces.surface import surface_of_pair
 from cycloid_fmu.transmission import solve
 from fitting.curve import Curve, transmission_error_curves
 from fitting.estimation import confirmed, fit, possible, profile_interval, turn_bootstrap
@@ -152,7 +153,7 @@ def test_bounds_are_where_the_pair_ceases_to_be_one(nominal):
     for name in ("pin_radius", "eccentricity"):
         low, high = possible(nominal, name)
         assert -1e-3 <= low < 0.0 < high <= 1e-3
-    thin = nominal.replace(**{"eccentricity": 0.4e-3})
+    thin = nominal.replace(eccentricity=0.4e-3)
     assert possible(thin, "eccentricity")[0] == -0.4e-3
     assert possible(nominal, "misalignment_xz") == (-0.02, 0.02)
     g = nominal

@@ -8,7 +8,9 @@ from common import BENCH, EXAMPLES
 
 import fitting.identify
 from cycloid_fmu.geometry.pair import read_pair
-from cycloid_fmu.surfaces.surface import read_surface, structured_value, surface_of_pair, write_surface
+from cycloid_fmu.surfaces.files import read_surface, write_surface
+from cycloid_fmu.surfaces.structured import structured_value
+from cycloid_fmu.surfaces.surface import surface_of_pair
 from cycloid_fmu.transmission import error_sensitivity, solve
 from fitting.ensemble import drawn_surfaces
 from fitting.identify import identify, kept_back
@@ -120,7 +122,7 @@ def test_a_curve_with_more_noise_than_the_others_is_named(measured, nominal):
 def test_curves_of_another_gear_are_not_explained(measured):
     """The same ratio, another eccentricity and pin: the fit says so and still ends."""
     other = read_pair(BENCH / "pair.toml")
-    other = other.replace(**{"eccentricity": 0.7e-3})
+    other = other.replace(eccentricity=0.7e-3)
     found = identify(measured(8, each=12), other, held_out=False)
     assert any("No error of this pair explains" in n for n in found.notes)
 

@@ -9,7 +9,9 @@ from scipy.special import stdtrit
 
 from cycloid_fmu import edge
 from cycloid_fmu.geometry.pair import read_pair
-from cycloid_fmu.surfaces.surface import read_surface, structured_value, surface_of_pair, with_structured, write_surface
+from cycloid_fmu.surfaces.files import read_surface, write_surface
+from cycloid_fmu.surfaces.structured import structured_value, with_structured
+from cycloid_fmu.surfaces.surface import surface_of_pair
 from cycloid_fmu.transmission import solve
 from fitting.curve import Curve, transmission_error_curve
 from fitting.identifiability import choose, posterior_covariance

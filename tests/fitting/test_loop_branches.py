@@ -8,7 +8,8 @@ import pytest
 
 from cycloid_fmu import edge
 from cycloid_fmu.fmu.model import DriveModel
-from cycloid_fmu.surfaces.surface import structured_value, surface_of_pair, with_structured
+from cycloid_fmu.surfaces.structured import structured_value, with_structured
+from cycloid_fmu.surfaces.surface import surface_of_pair
 from cycloid_fmu.transmission import solve
 from fitting.identify import identify
 from fitting.loop_branches import branches_of, is_locked, on_the_curves_zero, play_of

@@ -15,7 +15,7 @@ from fitting.plan import planned_curve
 @pytest.mark.parametrize(("direction", "torque"), [(1, 60.0), (1, -60.0), (-1, 60.0)])
 def test_friction_acts_against_the_motion(nominal, output, direction, torque):
     """What a drive with dry friction does is what the fit calls the same friction torque."""
-    pair = nominal.replace(**{"output": output})
+    pair = nominal.replace(output=output)
     drive = DriveModel(pair, surface_of_pair(pair))
     drive.friction_torque, drive.torque = 5.0, torque
     errors, angles = [], 10.0 + direction * np.arange(6) * 0.3

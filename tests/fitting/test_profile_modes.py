@@ -27,7 +27,7 @@ FORM = {"profile_deviation_1": -0.4e-6, "profile_deviation_2": 0.5e-6, "profile_
 @pytest.mark.parametrize("form", [{}, FORM])
 def test_derivatives_are_those_of_finite_differences(made, output, form):
     """Between the elements deviations are linear, so a few angles have a contact at a corner: there both err."""
-    pair = made.replace(**{"output": output})
+    pair = made.replace(output=output)
     surface = with_structured(pair, surface_of_pair(pair), form)
     names, angles, step = profile_names(range(1, 6)), np.linspace(0.0, 5.0, 40), 2e-8
     jacobian = error_sensitivity(pair, surface, 150.0, angles, ["pin_radius", *names])[1][:, 1:]

@@ -27,7 +27,7 @@ def found():
 
 
 def test_the_orders_are_named_by_what_makes_them(nominal):
-    ring = nominal.replace(**{"output": "ring"})
+    ring = nominal.replace(output="ring")
     for pair in (nominal, ring):
         names = {k: order_name(k, pair.ratio, pair) for k in (1, 39, 40, 41, 78, 120, 1560)}
         assert names == {1: "rig", 39: "pin", 40: "tooth", 41: "", 78: "pin", 120: "tooth", 1560: "mesh"}
