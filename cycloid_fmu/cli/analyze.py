@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cycloid_fmu import edge
-from cycloid_fmu.cli.shared import PairFile, SurfaceFile, load
+from cycloid_fmu.cli.shared import PairFile, SurfaceFile
 from cycloid_fmu.edge import commands
 
 if TYPE_CHECKING:
@@ -41,15 +41,16 @@ def analyze(
     import numpy as np
 
     from cycloid_fmu import transmission
+    from cycloid_fmu.drive import read_drive
 
-    pair, surface = load(pair_file, surface_file)
-    used = slices or transmission.slices_needed(surface)
+    drive = read_drive(pair_file, surface_file)
+    used = slices or transmission.slices_needed(drive.surface)
     angle = np.linspace(0.0, 2.0 * np.pi * turns, angles, endpoint=False)
     with commands.progress("crank angles", angles * len(torque)) as progress:
         try:
             found = transmission.solve(
-                pair, surface, torque, angle, used, with_elements=slices is not None, workers=os.cpu_count() or 1,
-                progress=progress,
+                drive.pair, drive.surface, torque, angle, used, with_elements=slices is not None,
+                workers=os.cpu_count() or 1, progress=progress,
             )  # fmt: skip
         except transmission.Interrupted as interrupted:
             found = interrupted.result
@@ -60,7 +61,7 @@ def analyze(
         raise typer.Exit(edge.INTERRUPTED)
     if output is not None or plot is not None or as_json:
         # Only here: xarray takes longer to load than the sweep.
-        data = transmission.labelled(pair, surface, found, used, complete=finished == angles)
+        data = transmission.labelled(drive.pair, drive.surface, found, used, complete=finished == angles)
         if output is not None:
             with edge.written_whole(output) as temporary:
                 data.to_netcdf(temporary, engine="h5netcdf")

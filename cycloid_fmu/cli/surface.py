@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cycloid_fmu.cli.shared import PairFile, TolerancesFile, load
+from cycloid_fmu.cli.shared import PairFile, TolerancesFile
 from cycloid_fmu.edge import commands
 
 if TYPE_CHECKING:
@@ -37,7 +37,9 @@ def nominal(pair_file: PairFile, output: SurfaceOutput, plot: commands.PlotFile 
 
     Example: [cyan]cycloid-fmu surface nominal pair.toml -o surface.nc[/]
     """
-    _write(load(pair_file, None)[1], output, plot)
+    from cycloid_fmu.drive import read_drive
+
+    _write(read_drive(pair_file).surface, output, plot)
 
 
 @surface.command()

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from cycloid_fmu import edge
-from cycloid_fmu.cli.shared import PairFile, SurfaceFile, load
+from cycloid_fmu.cli.shared import PairFile, SurfaceFile
 from cycloid_fmu.edge import commands
 
 
@@ -39,16 +39,17 @@ def wear(
 
     Example: [cyan]cycloid-fmu wear pair.toml --wear wear.toml --torque "-400 N*m" --crank-turns 3e6 -o worn.nc[/]
     """
+    from cycloid_fmu.drive import read_drive
     from cycloid_fmu.surfaces.files import write_surface
     from cycloid_fmu.wear import life
     from cycloid_fmu.wear.law import duty_cycle, read_wear_law
 
     law = read_wear_law(wear_file)
     loads, turns = duty_cycle(law, torque, crank_turns, duty_file, str(wear_file))
-    pair, surface = load(pair_file, surface_file)
+    drive = read_drive(pair_file, surface_file)
     with commands.Bar("crank turns", turns or 1.0) as bar:
         run = life.run_wear(
-            pair, surface, law, loads, turns, str(wear_file), workers=os.cpu_count() or 1,
+            drive.pair, drive.surface, law, loads, turns, str(wear_file), workers=os.cpu_count() or 1,
             progress=lambda done: bar.update(completed=done),
         )  # fmt: skip
     figures = run.figures
