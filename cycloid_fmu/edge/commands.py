@@ -251,7 +251,7 @@ def choice_option(choices: Collection[str], help: str, *names: str, **settings: 
     def parse(text: str) -> str:
         if text in choices:
             return text
-        near = did_you_mean(text, choices)
+        near = did_you_mean(text, choices) if text[:1].isalpha() else ""
         raise _Refused(text, f"it must be one of {', '.join(choices)}{f'; {near}' if near else ''}")
 
     parse.__name__ = "choice"
