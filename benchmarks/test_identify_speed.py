@@ -10,15 +10,15 @@ import time
 import numpy as np
 from scipy.optimize import least_squares
 
-import fitting.observation
+import fitting.model.observations
+from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.surfaces.structured import with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
-from cycloid_fmu.transmission import solve
-from fitting.curve import Curve
-from fitting.identify import identify
-from fitting.observation import errors_of, observations
-from fitting.prior import tolerances_of
+from fitting.estimation.identify import identify
+from fitting.model.observations import errors_of, observations
+from fitting.model.prior import tolerances_of
+from fitting.transmission_error.curve import Curve
 
 ARCSEC = np.pi / 648000
 LOADS = (20.0, -20.0, 60.0, -60.0, 200.0, -200.0)
@@ -71,14 +71,14 @@ def plain_fit(pair, curves):
 def test_identification_against_the_plain_way(benchmark, monkeypatch):
     pair = read_pair(PAIR)
     solved = 0
-    kernel = fitting.observation.error_sensitivity
+    kernel = fitting.model.observations.error_sensitivity
 
     def counted(pair, surface, torque, angles, names):
         nonlocal solved
         solved += np.size(angles)
         return kernel(pair, surface, torque, angles, names)
 
-    monkeypatch.setattr(fitting.observation, "error_sensitivity", counted)
+    monkeypatch.setattr(fitting.model.observations, "error_sensitivity", counted)
     identify([c.points(slice(None, 100)) for c in drive(pair, 0)[0]], pair, held_out=False)
     rows = {"identify": [], "plain": []}
 

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from common import EXAMPLES
 
+from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.studies.tolerance import Study, points, run, screened, surface_of
 from cycloid_fmu.surfaces.sampling import read_tolerances
-from cycloid_fmu.transmission import solve
 
 PAIR = read_pair(EXAMPLES / "drive-39-40.toml")
 # Form deviations and slices cost by themselves; the rest of the example's tolerances is sampled.

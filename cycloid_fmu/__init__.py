@@ -6,9 +6,10 @@ The names below are what a notebook needs; they are loaded when they are first u
 from __future__ import annotations
 
 import importlib
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+__version__ = version("cycloid-fmu")
 
 if TYPE_CHECKING:
     from cycloid_fmu.drive import Drive, field_units, read_drive
@@ -25,7 +26,10 @@ _HOME = {
     "read_drive": "drive", "read_pair": "geometry.pair", "read_surface": "surfaces.files",
     "read_tolerances": "surfaces.sampling", "field_units": "drive", "ARCSEC": "edge", "ARCMIN": "edge",
 }  # fmt: skip
-__all__ = ["__version__", *_HOME]  # noqa: PLE0604
+__all__ = [
+    "ARCMIN", "ARCSEC", "Drive", "ErrorKind", "ErrorSurface", "InputError", "Material", "Pair", "Tolerances",
+    "__version__", "field_units", "read_drive", "read_pair", "read_surface", "read_tolerances", "register",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

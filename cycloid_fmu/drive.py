@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import hashlib
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -15,7 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from cycloid_fmu import edge
 from cycloid_fmu.errors.kinds import KINDS
 from cycloid_fmu.errors.stated import Errors
-from cycloid_fmu.geometry.pair import Modification, Pair, read_pair
+from cycloid_fmu.geometry.pair import Pair, read_pair
+from cycloid_fmu.surfaces.provenance import drive_hash, drive_text, stating
 from cycloid_fmu.surfaces.surface import ErrorSurface, check_surface, stated_values, surface_of_pair
 
 if TYPE_CHECKING:
@@ -27,17 +27,6 @@ Array = NDArray[np.float64]
 _FIELD_UNITS = {
     "rad": ("arcsec", edge.ARCSEC), "N*m/rad": ("N*m/arcmin", 1.0 / edge.ARCMIN), "Pa": ("MPa", 1e-6), "m": ("um", 1e6),
 }  # fmt: skip
-
-
-def as_drive(pair: Pair, surface: ErrorSurface) -> Pair:
-    """Return the pair that states a surface's errors: its text is the drive's, but for form and wear of its elements.
-
-    What the pair itself states stays as it is written where it is the same.
-    """
-    if surface_of_pair(pair) == surface:
-        return pair
-    errors = {kind.file_key: np.asarray(surface.errors[name]).tolist() for name, kind in KINDS.items()}
-    return pair.replace(errors=Errors({key: value for key, value in errors.items() if np.any(value)}))
 
 
 class Drive:
@@ -84,7 +73,7 @@ class Drive:
             surface = surface_of_pair(pair)
         else:
             check_surface(pair, surface, "the pair", "the surface")
-            pair = as_drive(pair, surface)
+            pair = pair if surface_of_pair(pair) == surface else stating(pair, surface)
         self.__dict__.update(pair=pair, surface=surface)
 
     def __setattr__(self, name: str, value: object) -> None:
@@ -102,13 +91,16 @@ class Drive:
 
     @property
     def text(self) -> str:
-        """The drive as the text of a pair file, made from its values; form and wear of elements are not part of it."""
-        return self.pair.text
+        """The drive as the text of a pair file, the same for the same drive, however it was made.
+
+        Form and wear of elements are not part of it.
+        """
+        return drive_text(self.pair, self.surface)
 
     @functools.cached_property
     def hash(self) -> str:
         """Fingerprint of all values, 16 hexadecimal digits: the same for the same drive, however it was made."""
-        return hashlib.sha256(f"{self.pair.nominal.text}{self.surface.hash}".encode()).hexdigest()[:16]
+        return drive_hash(self.pair, self.surface)
 
     def replace(self, errors: Mapping[str, Any] | None = None, **changes: Any) -> Self:
         """Return the drive with other values, checked as reading a file does.

@@ -18,6 +18,7 @@ import pydantic
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import contact, edge
+from cycloid_fmu.contact.transmission import drive_of
 from cycloid_fmu.edge import ARCMIN, Angle, Config
 from cycloid_fmu.errors.kinds import LARGEST_DEVIATION
 from cycloid_fmu.fmu.reducer_model import FirstStage
@@ -25,7 +26,6 @@ from cycloid_fmu.geometry.pair import Pair, PositiveLength, pair_of_tables, read
 from cycloid_fmu.surfaces.files import read_surface
 from cycloid_fmu.surfaces.sampling import Distribution, error_stream, within_tolerance
 from cycloid_fmu.surfaces.surface import ErrorSurface, check_surface, surface_of_pair
-from cycloid_fmu.transmission import drive_of
 
 Array = NDArray[np.float64]
 Variant = Literal["standard", "as_printed", "geometric", "geometric_sun_locked"]

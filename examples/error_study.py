@@ -13,13 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
+from cycloid_fmu.contact.transmission import analyze, slices_needed, statistics
 from cycloid_fmu.draw.plots import new_figure, save
 from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.edge.commands import print_table
 from cycloid_fmu.geometry.pair import Modification, read_pair
 from cycloid_fmu.surfaces.structured import with_structured
 from cycloid_fmu.surfaces.surface import nominal_surface
-from cycloid_fmu.transmission import analyze, slices_needed, statistics
 
 TORQUE = -181.0
 ANGLES = np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)

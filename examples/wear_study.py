@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
+from cycloid_fmu.contact.tooth_contact import contact_ratio, handovers, loaded_contacts, phase_of_pin, unloaded_contact
+from cycloid_fmu.contact.transmission import drive_of, solve
 from cycloid_fmu.draw.plots import new_figure, save
 from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.edge.commands import print_table
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.surfaces.surface import nominal_surface
-from cycloid_fmu.tooth_contact import contact_ratio, handovers, loaded_contacts, phase_of_pin, unloaded_contact
-from cycloid_fmu.transmission import drive_of, solve
 from cycloid_fmu.wear.law import Load, read_wear_law
 from cycloid_fmu.wear.life import wear_figures
 from cycloid_fmu.wear.progress import contact_coefficients, depth_as_printed, wear_model, wear_rate, wear_states

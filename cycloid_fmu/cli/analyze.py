@@ -13,7 +13,7 @@ from cycloid_fmu.cli.shared import PairFile, SurfaceFile
 from cycloid_fmu.edge import commands
 
 if TYPE_CHECKING:
-    from cycloid_fmu.transmission import Transmission
+    from cycloid_fmu.contact.transmission import Transmission
 
 
 def analyze(
@@ -40,7 +40,7 @@ def analyze(
     """
     import numpy as np
 
-    from cycloid_fmu import transmission
+    from cycloid_fmu.contact import transmission
     from cycloid_fmu.drive import read_drive
 
     drive = read_drive(pair_file, surface_file)
@@ -80,7 +80,7 @@ def analyze(
 
 
 def _print(found: Transmission, title: str) -> None:
-    from cycloid_fmu.transmission import statistics
+    from cycloid_fmu.contact.transmission import statistics
 
     figures = statistics({**vars(found), "backlash": found.backlash[None]})
     deepest = found.interference.max() * 1e6

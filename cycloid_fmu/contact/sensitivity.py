@@ -34,7 +34,7 @@ def _larger_circle(problem: Problem, contact: np.record, pin: int, local: LocalF
 
 @compiled
 def sensitivities(problem: Problem, theta: float, x: float, contacts: Rows, out: Array) -> float:
-    """Derivatives of the deviation at constant torque by every displacement, by the implicit function of the equilibrium.
+    """Derivatives of the deviation at constant torque by every displacement (implicit function theorem).
 
     dx/dp = -(∂M/∂p)/(∂M/∂x) (docs/theory/errors.md), with the arms' own change included.
 

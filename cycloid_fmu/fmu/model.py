@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from cycloid_fmu.contact.transmission import drive_of, slices_needed
 from cycloid_fmu.errors.kinds import structured_names
 from cycloid_fmu.fmu.losses import check_losses, loss_torque
 from cycloid_fmu.fmu.table_teeth import Interpolation, TableTeeth
@@ -24,7 +25,6 @@ from cycloid_fmu.fmu.variables import LOSSLESS, ORDERS
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import ErrorSurface, surface_after
-from cycloid_fmu.transmission import drive_of, slices_needed
 
 
 class DriveModel:

@@ -30,6 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from cycloid_fmu import contact
+from cycloid_fmu.contact.transmission import drive_of, slices_needed, solve
 from cycloid_fmu.fmu.reducer_model import FirstStage
 from cycloid_fmu.fmu.table_teeth import (
     HEAD,
@@ -45,7 +46,6 @@ from cycloid_fmu.fmu.table_teeth import (
 from cycloid_fmu.fmu.variables import Interface, Variable
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.surface import ErrorSurface, alike
-from cycloid_fmu.transmission import drive_of, slices_needed, solve
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]

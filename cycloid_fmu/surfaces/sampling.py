@@ -37,7 +37,8 @@ LARGEST_SEED = 2**63 - 1
 # The axes of a study's points that the first version had: a seed's drives stay the same, other kinds follow.
 _FIRST_AXES = (
     "gear_profile", "pin_profile", "gear_pitch", "pin_pitch", "pin_circle_diameter", "pin_radius", "pin_radius_each",
-    "eccentricity", "centre_distance_x", "centre_distance_y", "misalignment_xz", "misalignment_yz", "isometric", "offset",
+    "eccentricity", "centre_distance_x", "centre_distance_y", "misalignment_xz", "misalignment_yz", "isometric",
+    "offset",
 )  # fmt: skip
 # How far a pitch may go of what is allowed: rounding in the sums that make positions from it must not exceed the limit.
 _WITHIN = 1.0 - 1e-9

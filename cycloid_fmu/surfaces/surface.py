@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
+import math
 import types
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -366,10 +367,10 @@ def alike(surface: ErrorSurface) -> tuple[bool, bool]:
     """
     parts = {"pins": True, "teeth": True, "frame": True}
     for name, kind in KINDS.items():
-        if kind.breaks == "frame":
-            parts["frame"] &= not np.any(surface.errors[name])
-        elif kind.breaks:
-            parts[kind.breaks] &= not np.ptp(np.atleast_1d(surface.errors[name]), axis=-1).any()
+        values = surface.errors[name]
+        if kind.breaks:
+            # One number makes parts unlike wherever it is not zero, many where they are not the same.
+            parts[kind.breaks] &= not np.any(values if kind.of == "drive" else np.ptp(values, axis=-1))
     for name, axis, part in (("gear", 1, "teeth"), ("pin", 0, "pins")):
         for what in ("deviation", "curvature"):
             values = getattr(surface, f"{name}_{what}")
@@ -384,6 +385,20 @@ def shown(value: Any) -> str:
     return f"{value:.9g}" if isinstance(value, float) else str(value)
 
 
+def _difference(field: str, one: Any, other: Any) -> tuple[str, Any, Any] | None:
+    """Return the first field in which two values differ by more than rounding, with both values, None without one."""
+    if isinstance(one, edge.Config):
+        parts = (
+            _difference(f"[{field.split()[-1]}] {name}", getattr(one, name), getattr(other, name))
+            for name in type(one).model_fields
+        )
+        return next((found for found in parts if found is not None), None)
+    same = (
+        math.isclose(one, other, rel_tol=1e-12) if isinstance(one, float) and isinstance(other, float) else one == other
+    )
+    return None if same else (field, one, other)
+
+
 def check_surface(pair: Pair, surface: ErrorSurface, pair_source: str, surface_source: str) -> None:
     """Refuse a surface that was made for another pair: geometry, modification and material must be the same.
 
@@ -394,12 +409,8 @@ def check_surface(pair: Pair, surface: ErrorSurface, pair_source: str, surface_s
     """
     mine, theirs = pair.nominal, surface.pair
     for name in type(pair).model_fields:
-        if name not in ("rated_torque", "contact_law") and getattr(mine, name) != getattr(theirs, name):
-            one, other, field = getattr(mine, name), getattr(theirs, name), f"[pair] {name}"
-            while isinstance(one, edge.Config):
-                part = next(n for n in type(one).model_fields if getattr(one, n) != getattr(other, n))
-                field = f"[{name}] {part}"
-                one, other = getattr(one, part), getattr(other, part)
+        field, one, other = _difference(f"[pair] {name}", getattr(mine, name), getattr(theirs, name)) or ("", 0, 0)
+        if field and name not in ("rated_torque", "contact_law"):
             raise edge.InputError(
                 f"{surface_source}: this surface belongs to another pair: {field} is {shown(other)} there and "
                 f"{shown(one)} in {pair_source}."

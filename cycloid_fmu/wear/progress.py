@@ -20,11 +20,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import correlate1d
 
 from cycloid_fmu import contact
+from cycloid_fmu.contact.tooth_contact import LoadedContacts, loaded_contacts
+from cycloid_fmu.contact.transmission import ANGLE_ELEMENTS, PART, PROFILE_ELEMENTS, drive_of, slices_needed, solve
 from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD, Pair
 from cycloid_fmu.geometry.profile import flank_points, flank_speed
 from cycloid_fmu.surfaces.surface import ErrorSurface, alike
-from cycloid_fmu.tooth_contact import LoadedContacts, loaded_contacts
-from cycloid_fmu.transmission import ANGLE_ELEMENTS, PART, PROFILE_ELEMENTS, drive_of, slices_needed, solve
 from cycloid_fmu.wear.law import Load, Regression, WearLaw
 from cycloid_fmu.wear.sliding import velocities
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import contact
+from cycloid_fmu.contact.tooth_contact import LoadedContacts
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.tooth_contact import LoadedContacts
 
 Array = NDArray[np.float64]
 

@@ -15,12 +15,12 @@ import xarray as xr
 from common import ARCSEC, CASES, PAIR, make_pair
 
 from cycloid_fmu import edge
+from cycloid_fmu.contact.transmission import Interrupted, analyze, solve, statistics
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.run import follow
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
 from cycloid_fmu.surfaces.files import read_surface, write_surface
 from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
-from cycloid_fmu.transmission import Interrupted, analyze, solve, statistics
 
 ERRORS = read_pair(CASES / "errors-39-40.toml")
 ANGLES = np.linspace(0.0, 12.0, 40)

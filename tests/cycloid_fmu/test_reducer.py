@@ -318,7 +318,7 @@ def test_budget_from_the_command_line(command, tmp_path):
 
 def test_play_is_that_of_the_analysis(found):
     """The same surface through the labelled dataset of an analysis, other crank angles: the same play on average."""
-    from cycloid_fmu.transmission import solve
+    from cycloid_fmu.contact.transmission import solve
 
     surface = dataclasses.replace(surface_of_reducer(RV))
     angles = np.linspace(0.0, 2 * np.pi * 39, 601, endpoint=False)

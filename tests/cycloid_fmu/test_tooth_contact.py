@@ -5,10 +5,7 @@ import pytest
 from common import ARCSEC, WEAR_PAIR, make_pair
 
 from cycloid_fmu import contact
-from cycloid_fmu.geometry.pair import parse_pair
-from cycloid_fmu.geometry.profile import flank_points
-from cycloid_fmu.surfaces.surface import nominal_surface
-from cycloid_fmu.tooth_contact import (
+from cycloid_fmu.contact.tooth_contact import (
     clearances,
     contact_ratio,
     handovers,
@@ -16,7 +13,10 @@ from cycloid_fmu.tooth_contact import (
     phase_of_pin,
     unloaded_contact,
 )
-from cycloid_fmu.transmission import drive_of, solve
+from cycloid_fmu.contact.transmission import drive_of, solve
+from cycloid_fmu.geometry.pair import parse_pair
+from cycloid_fmu.geometry.profile import flank_points
+from cycloid_fmu.surfaces.surface import nominal_surface
 from cycloid_fmu.wear.sliding import ideal_velocities, slip_pole, velocities
 
 PITCH = 2.0 * np.pi / 40

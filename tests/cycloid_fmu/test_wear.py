@@ -7,13 +7,13 @@ import pytest
 from common import ARCSEC, WEAR_PAIR, make_pair
 
 from cycloid_fmu import edge
+from cycloid_fmu.contact.transmission import drive_of, solve
 from cycloid_fmu.draw import plots
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.geometry.profile import flank_normals, flank_points
 from cycloid_fmu.surfaces.files import read_surface, write_surface
 from cycloid_fmu.surfaces.surface import nominal_surface, surface_after, surface_of_pair
-from cycloid_fmu.transmission import drive_of, solve
 from cycloid_fmu.wear import progress as wear
 from cycloid_fmu.wear.law import Load, Regression, duty_cycle, parse_wear_law, read_duty_cycle
 from cycloid_fmu.wear.life import coefficient_warning, run_wear, surface_of_run, wear_figures

@@ -7,8 +7,8 @@ import pytest
 
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.surfaces.surface import surface_of_pair
-from fitting.observation import State, linearise, observations, spread_of
-from fitting.plan import planned_curve
+from fitting.estimation.plan import planned_curve
+from fitting.model.observations import State, linearise, observations, spread_of
 
 
 @pytest.mark.parametrize("output", ["gear", "ring"])
