@@ -42,7 +42,8 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print the result for scrip
 
 def _load(pair_file: Path, surface_file: Path | None) -> tuple[Pair, ErrorSurface]:
     from cycloid_fmu.geometry.pair import read_pair
-    from cycloid_fmu.surfaces.surface import check_surface, read_surface, surface_of_pair
+    from cycloid_fmu.surfaces.files import read_surface
+    from cycloid_fmu.surfaces.surface import check_surface, surface_of_pair
 
     pair = read_pair(pair_file)
     if surface_file is None:
@@ -87,9 +88,9 @@ def analyze(
     import numpy as np
     from rich.progress import Progress
 
+    from cycloid_fmu.contact.transmission import analyze as analyze_pair
+    from cycloid_fmu.contact.transmission import slices_needed, statistics
     from cycloid_fmu.draw import plots
-    from cycloid_fmu.transmission import analyze as analyze_pair
-    from cycloid_fmu.transmission import slices_needed, statistics
 
     loads = [edge.quantity_option(t, "N*m", "--torque") for t in torque]
     if plot is not None:
@@ -159,7 +160,7 @@ def nominal(
     Example: [cyan]cycloid-fmu surface nominal pair.toml -o surface.nc[/]
     """
     from cycloid_fmu.draw import plots
-    from cycloid_fmu.surfaces.surface import write_surface
+    from cycloid_fmu.surfaces.files import write_surface
 
     if plot is not None:
         plots.check_path(plot)
@@ -188,8 +189,9 @@ def sampled(
     """
     from cycloid_fmu.draw import plots
     from cycloid_fmu.geometry.pair import read_pair
+    from cycloid_fmu.surfaces.files import write_surface
     from cycloid_fmu.surfaces.sampling import read_tolerances, sample_surface
-    from cycloid_fmu.surfaces.surface import Elements, write_surface
+    from cycloid_fmu.surfaces.surface import Elements
 
     if plot is not None:
         plots.check_path(plot)
@@ -225,8 +227,9 @@ def measured(
 
     from cycloid_fmu.draw import plots
     from cycloid_fmu.geometry.pair import read_pair
+    from cycloid_fmu.surfaces.files import write_surface
     from cycloid_fmu.surfaces.measuring import measured_surface, read_points
-    from cycloid_fmu.surfaces.surface import Elements, write_surface
+    from cycloid_fmu.surfaces.surface import Elements
 
     if plot is not None:
         plots.check_path(plot)
@@ -303,7 +306,8 @@ def build(
     from cycloid_fmu import reducer as rv
     from cycloid_fmu.fmu import build as builder
     from cycloid_fmu.fmu.variables import INTERFACES, LOSSLESS, Interface
-    from cycloid_fmu.surfaces.surface import check_surface, read_surface
+    from cycloid_fmu.surfaces.files import read_surface
+    from cycloid_fmu.surfaces.surface import check_surface
 
     edge.output_path(output, "--output", (".fmu",))
     if interface not in INTERFACES:
@@ -354,7 +358,7 @@ def _build_from_tables(
     from cycloid_fmu.fmu.native_build import build_native, platforms_of
     from cycloid_fmu.fmu.tables import LARGEST_LOAD, PROBES, compute
 
-    if pair.pair.rated_torque is None:
+    if pair.rated_torque is None:
         raise edge.InputError(
             f"{pair_file}: [pair] rated_torque is missing; state it: the tables reach {LARGEST_LOAD:g} times as far."
         )
@@ -556,7 +560,7 @@ def wear(
     from rich.progress import Progress
 
     from cycloid_fmu.draw import plots
-    from cycloid_fmu.surfaces.surface import write_surface
+    from cycloid_fmu.surfaces.files import write_surface
     from cycloid_fmu.wear import life as wear_run
     from cycloid_fmu.wear.law import duty_cycle, read_wear_law
     from cycloid_fmu.wear.progress import tooth_thickness, wear_model, wear_rate
@@ -768,7 +772,7 @@ def tolerance(
     if design not in study_of.DESIGNS:
         raise edge.InputError(f"--design = {design}: it must be one of {', '.join(study_of.DESIGNS)}.")
     pair, tolerances = read_pair(pair_file), read_tolerances(tolerances_file)
-    rated = pair.pair.rated_torque
+    rated = pair.rated_torque
     if torque is None and rated is None:
         raise edge.InputError(f"{pair_file}: [pair] rated_torque is missing; state it, or give --torque.")
     loads = [edge.quantity_option(t, "N*m", "--torque") for t in torque] if torque else [rated or 0.0, -(rated or 0.0)]

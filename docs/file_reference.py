@@ -13,7 +13,8 @@ from cycloid_fmu.surfaces import sampling
 from cycloid_fmu.wear import law as wear_law
 from drivers import faults, recorder, sequence
 from drivers.encoder import protocols
-from fitting import coaxiality, mapping
+from fitting.recordings import mapping
+from fitting.recordings import read_head as coaxiality
 
 # title, format, class that reads it, top table (""), example
 FILES = (

@@ -15,13 +15,15 @@ from cycloid_fmu.draw.plots import save
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.run import follow
 from cycloid_fmu.geometry.pair import read_pair
-from cycloid_fmu.surfaces.surface import read_surface, structured_value, surface_of_pair, write_surface
+from cycloid_fmu.surfaces.files import read_surface, write_surface
+from cycloid_fmu.surfaces.structured import structured_value
+from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.cli import print_identification
-from fitting.curve import transmission_error_curve
-from fitting.identification import write_identification
-from fitting.identify import identify
-from fitting.plots import plot_comparison
-from fitting.recording import read_bench_recording
+from fitting.estimation.identify import identify
+from fitting.estimation.result import write_identification
+from fitting.recordings.recording import open_recording
+from fitting.reports.plots import plot_comparison
+from fitting.transmission_error.folding import transmission_error_curves
 
 HERE, OUT = Path(__file__).parent, Path("bench_to_fmu_out")
 ARCSEC = np.pi / 648000
@@ -51,7 +53,7 @@ def main() -> None:
 
     print("3. Transmission error curves, and the errors behind them")
     nominal = read_pair(HERE / "drive-39-40.toml")
-    curves = [transmission_error_curve(read_bench_recording(path), nominal.ratio) for path in recordings]
+    curves = [transmission_error_curves(open_recording(path).read(), nominal.ratio)[0] for path in recordings]
     found = identify(curves, nominal, lambda step: print(f"   {step}"))
     write_identification(found, OUT / "identification.json")
     write_surface(found.surface, OUT / "identified.nc")

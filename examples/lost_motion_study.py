@@ -39,8 +39,8 @@ found = budget(reducer)
 
 def printed_at(tilt: float) -> tuple[float, float]:
     """Equation 21 with the nominal pressure angle at a tilt of the input shaft (deg), and its first stage, arcmin."""
-    involute = reducer.involute.model_copy(update={"shaft_tilt": np.radians(tilt)})
-    tilted = reducer.model_copy(update={"involute": involute})
+    involute = reducer.involute.replace(shaft_tilt=np.radians(tilt))
+    tilted = reducer.replace(involute=involute)
     plays = summed(as_printed(tilted, values_of(tilted)))
     return float(plays["total"]) * ARCMIN, float(plays["involute"]) * ARCMIN
 

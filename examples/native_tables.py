@@ -28,7 +28,7 @@ ASKED = (1.0, 0.3, 0.1, 0.05, 0.02)
 
 pair = read_pair(Path(__file__).parent / "drive-39-40.toml")
 nominal = nominal_surface(pair)
-radial = 2e-6 * np.random.default_rng(1).normal(size=pair.pair.pins)
+radial = 2e-6 * np.random.default_rng(1).normal(size=pair.pins)
 drives = {"pins and teeth alike": nominal, "pins as made": dataclasses.replace(nominal, pin_radial=radial)}
 
 figure, (axes,) = new_figure()

@@ -75,7 +75,7 @@ class Elements:
         self, pair: Any, surface: Any, crank_angle: float, sizes: tuple[int, int, int], reading: str, contact: str,
         pairs: str, arcs: int, each_tooth: bool, sampling: float,
     ) -> None:  # fmt: skip
-        main = pair.pair
+        main = pair
         if main.output != "gear":
             raise ValueError('only output = "gear" is solved here: the pin ring stands still')
         for value, known in ((reading, READINGS), (contact, CONTACTS), (pairs, PAIRS)):

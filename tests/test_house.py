@@ -45,10 +45,10 @@ def test_each_import_rule_can_be_broken(tmp_path):
     for file, line in (
         ("cycloid_fmu/edge/files.py", "import fitting"),
         ("drivers/recorder/clock.py", "import cycloid_fmu.geometry.pair"),
-        ("fitting/curve.py", "import drivers.recorder.clock"),
+        ("fitting/transmission_error/curve.py", "import drivers.recorder.clock"),
         ("cycloid_fmu/contact.py", "import cycloid_fmu.geometry.pair"),
-        ("fitting/recording.py", "import fitting.curve"),
-        ("fitting/metrics.py", "import cycloid_fmu.draw.plots"),
+        ("fitting/recordings/recording.py", "import fitting.transmission_error.curve"),
+        ("fitting/figures/metrics.py", "import cycloid_fmu.draw.plots"),
     ):
         with (tmp_path / file).open("a") as module:
             module.write(f"\n{line}\n")
@@ -62,8 +62,8 @@ def test_each_import_rule_can_be_broken(tmp_path):
     ("modules", "allowed"),
     [
         ("cycloid_fmu, fitting, drivers, cycloid_fmu.cli, fitting.cli, drivers.cli", set()),
-        ("cycloid_fmu.geometry.pair, cycloid_fmu.geometry.profile, fitting.recording", {"numpy", "pyarrow"}),
-        ("cycloid_fmu.transmission", {"numpy", "numba", "scipy"}),  # numba looks whether SciPy is there
+        ("cycloid_fmu.geometry.pair, cycloid_fmu.geometry.profile, fitting.recordings.recording", {"numpy", "pyarrow"}),
+        ("cycloid_fmu.contact.transmission", {"numpy", "numba", "scipy"}),  # numba looks whether SciPy is there
         ("drivers.recorder.session, drivers.recording_format.export, drivers.live_page.server", {"numpy", "pyarrow"}),
     ],
 )

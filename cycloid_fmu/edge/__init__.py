@@ -16,6 +16,7 @@ from cycloid_fmu.edge.config import (
     Torque,
     WearCoefficient,
     quantity,
+    unit_of_field,
     validated,
 )
 from cycloid_fmu.edge.files import (
@@ -93,6 +94,7 @@ __all__ = [
     "shown",
     "toml_table",
     "unit_columns",
+    "unit_of_field",
     "unit_scale",
     "units",
     "validated",

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import numbers
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated, Any, Self, TypeVar, get_args
 
 import pydantic
 
@@ -26,8 +26,8 @@ else:
                 raise _input_error(problems, cls, cls.__name__) from None
 
 
-def quantity(value: object, si: str, info: pydantic.ValidationInfo) -> float:
-    """Return a quantity of a model in SI units: a number or text with its unit in Python, only such text in a file.
+def quantity(value: object, si: str, info: pydantic.ValidationInfo | None = None) -> float:
+    """Return a quantity in SI units: a number or text with its unit in Python, only such text in a file.
 
     Parameters
     ----------
@@ -36,14 +36,15 @@ def quantity(value: object, si: str, info: pydantic.ValidationInfo) -> float:
     si
         The SI unit, as pint writes it: "m", "rad", "N*m".
     info
-        What pydantic gives a validator; its context says whether a file is read (`validated`).
+        What pydantic gives a validator; its context says whether a file is read (`validated`). None in Python.
 
     Raises
     ------
     ValueError
         If it is neither; the message says how to write it.
     """
-    if info.context is None and isinstance(value, numbers.Real) and not isinstance(value, bool):
+    in_file = info is not None and info.context is not None
+    if not in_file and isinstance(value, numbers.Real) and not isinstance(value, bool):
         if not math.isfinite(number := float(value)):
             raise ValueError(f'give a finite number in SI units, or text with a unit, such as "{EXAMPLES[si]}"')
         return number
@@ -79,8 +80,24 @@ class Config(pydantic.BaseModel, metaclass=_Construction):
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True, validate_default=False)
 
+    def replace(self, **changes: Any) -> Self:
+        """Return the model with other values, checked as constructing it does."""
+        return type(self)(**{**{name: getattr(self, name) for name in type(self).model_fields}, **changes})
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """As `replace`: there is no way to a value that was not checked."""
+        return self.replace(**(update or {}))
+
 
 Model = TypeVar("Model", bound=Config)
+
+
+def unit_of_field(field: Any) -> str | None:
+    """Return the SI unit of a model's field, None where it has none."""
+    if isinstance(extra := getattr(field, "json_schema_extra", None), dict) and "si" in extra:
+        return str(extra["si"])
+    parts = [*get_args(getattr(field, "annotation", field)), *getattr(field, "__metadata__", ())]
+    return next((unit for part in parts if (unit := unit_of_field(part)) is not None), None)
 
 
 def _models(annotation: Any) -> Iterator[type[pydantic.BaseModel]]:

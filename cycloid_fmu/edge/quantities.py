@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import re
+from decimal import Decimal
 from typing import TYPE_CHECKING, Any
 
 from cycloid_fmu.edge.problems import InputError, shown
@@ -105,7 +106,8 @@ def parse_quantity(value: object, si: str) -> float:
     match = _QUANTITY.fullmatch(value) if isinstance(value, str) else None
     if match is None:
         raise ValueError(how)
-    number = float(match[1]) * unit_scale(match[2].strip(), si)
+    # In decimals: "1.3 mm" is 0.0013 and not a last bit beside it, as the same value written in metres is.
+    number = float(Decimal(match[1]) * Decimal(repr(unit_scale(match[2].strip(), si))))
     if not math.isfinite(number):
         raise ValueError(how)
     return number

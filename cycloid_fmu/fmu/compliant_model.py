@@ -219,7 +219,7 @@ class CompliantModel(DriveModel):
 
     def _sub_steps(self, step: float) -> int:
         if self._stiffest == 0.0:
-            rated = self.pair.pair.rated_torque or 100.0
+            rated = self.pair.rated_torque or 100.0
             _, self._stiffest = self._made_teeth().equilibrium(0.0, rated, 0.0)
         stiffness = 1.0 / (1.0 / self._stiffest + self.series_compliance)
         stiffness += self.friction_torque / FRICTION_DISPLACEMENT

@@ -52,7 +52,7 @@ def documentation(pair: Pair, interface: Interface, table: Sequence[Variable]) -
     import jinja2
 
     page = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(_PAGE)
-    return page.render(g=pair.pair, ratio=pair.ratio, interface=interface, table=table, version=__version__)
+    return page.render(g=pair, ratio=pair.ratio, interface=interface, table=table, version=__version__)
 
 
 def terminals(interface: Interface) -> bytes:
@@ -81,7 +81,7 @@ def icon(pair: Pair) -> bytes:
     from matplotlib.figure import Figure
     from matplotlib.patches import Circle
 
-    g = pair.pair
+    g = pair
     figure = Figure(figsize=(2.56, 2.56))
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set_axis_off()

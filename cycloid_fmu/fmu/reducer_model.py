@@ -68,7 +68,7 @@ class ReducerModel(DriveModel):
         losses: Sequence[Sequence[float]] = LOSSLESS,
         tables: Interpolation | None = None,
     ) -> None:
-        teeth = pair.pair.gear_teeth
+        teeth = pair.gear_teeth
         self._b = first_stage.sun_teeth / first_stage.planet_teeth
         self._a = 1.0 + self._b
         self._s = 1.0 / (1.0 + self._a / teeth)
@@ -92,9 +92,7 @@ class ReducerModel(DriveModel):
         turns = self.crank_angle / (2.0 * math.pi * self._ratio)
         reduced = 2.0 * math.pi * self._ratio * (turns - math.floor(turns))
         self._theta = (
-            -reduced * self.pair.pair.gear_teeth / self._ratio
-            + self._a * deviation
-            - 0.5 * self._b * side * self._sun_play
+            -reduced * self.pair.gear_teeth / self._ratio + self._a * deviation - 0.5 * self._b * side * self._sun_play
         )
         self._forget()
 

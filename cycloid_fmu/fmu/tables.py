@@ -30,6 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from cycloid_fmu import contact
+from cycloid_fmu.contact.transmission import drive_of, slices_needed, solve
 from cycloid_fmu.fmu.reducer_model import FirstStage
 from cycloid_fmu.fmu.table_teeth import (
     HEAD,
@@ -44,8 +45,7 @@ from cycloid_fmu.fmu.table_teeth import (
 )
 from cycloid_fmu.fmu.variables import Interface, Variable
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.surfaces.surface import ErrorSurface
-from cycloid_fmu.transmission import drive_of, slices_needed, solve
+from cycloid_fmu.surfaces.surface import ErrorSurface, alike
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -141,23 +141,8 @@ def mesh_pitches(pair: Pair, surface: ErrorSurface) -> int:
 
     Pins stand in the frame, as the offset of the gear's centre does, and teeth with the gear held.
     """
-
-    def alike(values: Array | None, axis: int) -> bool:
-        return values is None or bool(np.all(np.ptp(values, axis=axis) == 0.0))
-
-    g = pair.pair
-    pins = (surface.pin_radial, surface.pin_tangential, surface.pin_radius_deviation)
-    pins_alike = all(alike(v, 0) for v in (*pins, surface.pin_deviation, surface.pin_curvature))
-    teeth = (surface.tooth_cumulative_pitch, surface.gear_deviation, surface.gear_curvature)
-    teeth_alike = all(alike(v, 1) for v in teeth)
-    centred = not np.any([
-        surface.centre_distance_x, surface.centre_distance_y, surface.misalignment_xz, surface.misalignment_yz
-    ])  # fmt: skip
-    if g.output == "gear":
-        pins_alike = pins_alike and centred
-    else:
-        teeth_alike = teeth_alike and centred
-    return (1 if pins_alike else g.pins) * (1 if teeth_alike else g.gear_teeth)
+    teeth_alike, pins_alike = alike(surface)
+    return (1 if pins_alike else pair.pins) * (1 if teeth_alike else pair.gear_teeth)
 
 
 class _Solved(NamedTuple):
@@ -345,10 +330,10 @@ def compute(
         If the pair states no rated torque and no largest load is given.
     """
     if largest_load is None:
-        if pair.pair.rated_torque is None:
+        if pair.rated_torque is None:
             raise ValueError("the pair has no rated_torque, which says how far the tables reach")
-        largest_load = LARGEST_LOAD * pair.pair.rated_torque
-    g = pair.pair
+        largest_load = LARGEST_LOAD * pair.rated_torque
+    g = pair
     pitches = mesh_pitches(pair, surface)
     pitch = 2.0 * math.pi / (g.pins if g.output == "gear" else g.gear_teeth)
     period = pitches * pitch
@@ -449,7 +434,7 @@ def write(
     variables: Sequence[Variable],
     token: str = "",
     first_stage: FirstStage | None = None,
-    contacts: contact.Drive | None = None,
+    contacts: contact.Problem | None = None,
 ) -> bytes:
     """Return the file that FMUs from tables read.
 
@@ -504,24 +489,23 @@ def _headed(body: bytes) -> bytes:
     return HEAD.pack(MAGIC, VERSION, 0, HEAD.size + len(body), fnv1a(body)) + body
 
 
-def _problem(drive: contact.Drive) -> bytes:
+def _problem(drive: contact.Problem) -> bytes:
     """Return a contact problem as native/table.c reads it; single precision keeps deviations to 1e-13 m."""
-    rough = drive.flank_alpha.size > 0
+    rough = drive.deviations
     counts = (
-        drive.crank_phase.size, drive.centre_x.size, drive.teeth, drive.ring, drive.flank_alpha.size,
-        drive.pin_deviation.shape[2], drive.gear_curvature.size > 0,
+        drive.crank_phase.size, drive.centre_x.size, drive.teeth, drive.ring, rough.flank_alpha.size if rough else 0,
+        rough.pin.shape[2] if rough else 0, rough is not None and rough.gear_curvature.size > 0,
     )  # fmt: skip
     scalars = (
         drive.circle_radius, drive.generating_radius, drive.generating_eccentricity, drive.eccentricity,
         drive.slice_width, drive.compliance_gear, drive.compliance_pin, drive.largest_log_radius, drive.root_phase,
-        drive.root_margin, drive.largest_deviation,
+        drive.root_margin, rough.largest if rough else 0.0,
     )  # fmt: skip
     arrays = (
         drive.pin_x, drive.pin_y, drive.pin_radius, drive.tooth_turn, drive.crank_phase, drive.centre_x, drive.centre_y,
-        *((drive.flank_alpha, drive.flank_x, drive.flank_y, drive.flank_normal_x, drive.flank_normal_y)
-          if rough else ()),
+        *(rough[:5] if rough else ()),
     )  # fmt: skip
-    maps = (drive.gear_deviation, drive.pin_deviation, drive.gear_curvature, drive.pin_curvature)
+    maps = (rough.gear, rough.pin, rough.gear_curvature, rough.pin_curvature) if rough else ()
     body = struct.pack("<7I11d", *counts, *scalars)
     body += b"".join(array.astype("<f8").tobytes() for array in arrays)
     return body + b"".join(values.astype("<f4").tobytes() for values in maps)
@@ -644,7 +628,7 @@ def _together(*parts: _Probed) -> _Probed:
 def _probed(pair: Pair, surface: ErrorSurface, theta: Array, torque: Array) -> _Probed:
     drive = drive_of(pair, surface, slices_needed(surface))
     rows = contact.contact_rows(drive)
-    forces, pressures = np.zeros((pair.pair.discs, pair.pair.pins)), np.zeros((pair.pair.discs, pair.pair.pins))
+    forces, pressures = np.zeros((pair.discs, pair.pins)), np.zeros((pair.discs, pair.pins))
     exact = np.empty((4, theta.size))
     for i in range(theta.size):
         x, stiffness = contact.equilibrium(drive, theta[i], torque[i], 0.0, rows, True)

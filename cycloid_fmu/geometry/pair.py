@@ -1,23 +1,26 @@
-"""What a cycloid-pin gear pair is: geometry, profile modification, material and the errors it is given.
+"""What a cycloid-pin gear pair is: geometry, profile modification, material and the errors that are stated of it.
 
-The pair file `cycloid-pair/1` is read here; everything leaves this module in SI units.
+The pair file `cycloid-pair/1` is read and written here; everything leaves this module in SI units. A pair is its
+values: its text is made from them, never kept from a file.
 """
 
 from __future__ import annotations
 
+import functools
+import hashlib
 import math
 import os
-import re
-from typing import Annotated, Any, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self
 
 import pydantic
 
 from cycloid_fmu import edge
-from cycloid_fmu.edge import Angle, Config, Length
+from cycloid_fmu.edge import Config, Length
+from cycloid_fmu.errors.kinds import KINDS, LARGEST_DEVIATION
+from cycloid_fmu.errors.stated import Errors
 
 FORMAT = "cycloid-pair/1"
-LARGEST_DEVIATION = 1e-3
-LARGEST_MISALIGNMENT = 0.02
 LOST_MOTION_LOAD = 0.03  # of the rated torque (GB/T 40731)
 _SHARE = f"{100.0 * LOST_MOTION_LOAD:g} %"
 LOST_MOTION = f"output angle at +{_SHARE} of the rated torque less that at -{_SHARE} (GB/T 40731)"
@@ -35,15 +38,8 @@ def _deviation(value: float) -> float:
     return value
 
 
-def _small_angle(value: float) -> float:
-    if abs(value) > LARGEST_MISALIGNMENT:
-        raise ValueError("misalignments must lie between -20 mrad and 20 mrad")
-    return value
-
-
 PositiveLength = Annotated[Length, pydantic.AfterValidator(_positive)]
 Deviation = Annotated[Length, pydantic.AfterValidator(_deviation)]
-Misalignment = Annotated[Angle, pydantic.AfterValidator(_small_angle)]
 PositivePressure = Annotated[edge.Pressure, pydantic.AfterValidator(_positive)]
 PositiveTorque = Annotated[edge.Torque, pydantic.AfterValidator(_positive)]
 
@@ -77,101 +73,39 @@ class Modification(Config):
     offset: Deviation = 0.0
 
 
-_ORDER = re.compile(r"order_([1-9]\d*)")
-# Values in TOML: {order_1 = ["3 um", "40 deg"]} or one value each; afterwards: {order: (amplitude, phase)} or a tuple.
-Orders = dict[int, tuple[float, float]]
+class _Geometry(Config):
+    """The table `[pair]` of a pair file."""
+
+    gear_teeth: int = pydantic.Field(ge=6, le=120, strict=True)
+    pins: int | None = pydantic.Field(default=None, strict=True)
+    pin_circle_radius: PositiveLength
+    pin_radius: PositiveLength
+    eccentricity: PositiveLength
+    face_width: PositiveLength
+    discs: int = pydantic.Field(default=1, ge=1, le=4, strict=True)
+    output: Literal["gear", "ring"] = "gear"
+    rated_torque: PositiveTorque | None = None
+    contact_law: Literal["capped", "as_printed"] = "capped"
 
 
-def _orders(table: dict[str, Any]) -> Orders:
-    found: Orders = {}
-    for key, entry in table.items():
-        match = _ORDER.fullmatch(key)
-        if match is None:
-            raise ValueError(f'the key "{key}" is unknown; orders are written order_1 = ["3 um", "40 deg"]')
-        if not isinstance(entry, list) or len(entry) != 2:
-            raise ValueError(f'{key} needs an amplitude and a phase, such as ["3 um", "40 deg"]')
-        try:
-            amplitude = _deviation(edge.parse_quantity(entry[0], "m"))
-            phase = edge.parse_quantity(entry[1], "rad")
-        except ValueError as problem:
-            raise ValueError(f"{key}: {problem}") from None
-        found[int(match[1])] = (amplitude, phase)
-    return found
+class _File(Config):
+    """A pair file's tables but `[errors]`, each number text with a unit."""
+
+    pair: _Geometry
+    modification: Modification = Modification()
+    material: Materials = Materials()
 
 
-def _each(values: list[Any]) -> tuple[float, ...]:
-    found = []
-    for index, value in enumerate(values):
-        try:
-            found.append(_deviation(edge.parse_quantity(value, "m")))
-        except ValueError as problem:
-            raise ValueError(f"value {index} ({value!r}): {problem}") from None
-    return tuple(found)
+class Pair(Config):
+    """A cycloid-pin gear pair, SI units, validated: it has one more pin than teeth and can be made and assembled.
 
-
-def _pattern(value: Any) -> Any:
-    if isinstance(value, dict):
-        return _orders(value)
-    if isinstance(value, list) and not any(isinstance(v, list) for v in value):
-        return _each(value)
-    raise ValueError('write a list of lengths or orders such as { order_1 = ["3 um", "40 deg"] }')
-
-
-def _pattern_of_discs(value: Any) -> Any:
-    if isinstance(value, list) and value and all(isinstance(v, list) for v in value):
-        return tuple(_each(v) for v in value)
-    return _pattern(value)
-
-
-Pattern = Annotated[Any, pydantic.BeforeValidator(_pattern)]
-PatternOfDiscs = Annotated[Any, pydantic.BeforeValidator(_pattern_of_discs)]
-
-
-class Errors(Config):
-    """The errors that a pair file states: what really was made and assembled.
-
-    Attributes
-    ----------
-    centre_distance_x, centre_distance_y
-        Offset of the gear, standing still in the frame, m.
-    misalignment_xz, misalignment_yz
-        Tilt of the gear's axis about mid-width, its +z end towards +x or +y, rad.
-    eccentricity, pin_circle_radius, pin_radius
-        What was made less what is drawn, m.
-    isometric, offset
-        Modification that was made less the one drawn, m.
-    pin_radial, pin_tangential
-        Position of the pins, > 0 outwards and counter-clockwise: a table `order_N = ["2.5 um", "40 deg"]` of amplitudes
-        and phases, {order: (m, rad)}, or a list of one length for each pin, m.
-    pin_radius_each
-        One length for each pin, m.
-    tooth_cumulative_pitch
-        Position of the teeth, > 0 counter-clockwise, as arc length at the pin circle radius: orders, a list, or a list
-        for each disc, m.
-    """
-
-    centre_distance_x: Deviation = 0.0
-    centre_distance_y: Deviation = 0.0
-    misalignment_xz: Misalignment = 0.0
-    misalignment_yz: Misalignment = 0.0
-    eccentricity: Deviation = 0.0
-    pin_circle_radius: Deviation = 0.0
-    pin_radius: Deviation = 0.0
-    isometric: Deviation = 0.0
-    offset: Deviation = 0.0
-    pin_radial: Pattern = ()
-    pin_tangential: Pattern = ()
-    pin_radius_each: Pattern = ()
-    tooth_cumulative_pitch: PatternOfDiscs = ()
-
-
-class Geometry(Config):
-    """The gear pair as drawn.
+    It is its values: two pairs of the same values are equal, hash alike and have the same `text`, wherever they came
+    from. Lengths and other quantities are SI numbers or text with a unit, `0.064` or `"64 mm"`.
 
     Attributes
     ----------
     gear_teeth, pins
-        z_c; z_p = z_c + 1.
+        z_c; z_p = z_c + 1, which need not be given.
     pin_circle_radius, pin_radius, eccentricity, face_width
         R_p, R_rp, e, b, m.
     discs
@@ -182,6 +116,29 @@ class Geometry(Config):
         At the output, for limits and loads that are parts of it, N·m.
     contact_law
         "capped" bounds the flank's curvature radius in Hertz's logarithm by the pin circle radius.
+    modification, material
+        Profile modification of the gear and the materials of both flanks.
+    errors
+        What is stated of how it was really made, by the keys of a pair file's `[errors]`.
+
+    Raises
+    ------
+    edge.InputError
+        If a value is missing, out of range or the pair can't be made; one sentence a problem, naming the value.
+
+    Examples
+    --------
+    >>> import cycloid_fmu as cy
+    >>> pair = cy.Pair(
+    ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius=0.003, eccentricity="1.3 mm", face_width="10 mm"
+    ... )
+    >>> pair.pins, pair.ratio
+    (40, -39.0)
+    >>> pair.replace(eccentricity="1.7 mm")
+    Traceback (most recent call last):
+    ...
+    cycloid_fmu.edge...InputError: eccentricity = "1.7 mm": eccentricity x pins / pin circle radius is 1.0625; it must
+    stay below 1, so the eccentricity below "1.6 mm".
     """
 
     gear_teeth: int = pydantic.Field(ge=6, le=120, strict=True)
@@ -194,106 +151,135 @@ class Geometry(Config):
     output: Literal["gear", "ring"] = "gear"
     rated_torque: PositiveTorque | None = None
     contact_law: Literal["capped", "as_printed"] = "capped"
-
-
-class Pair(Config):
-    """A cycloid-pin gear pair, SI units, validated: it has one more pin than teeth and can be made and assembled.
-
-    Attributes
-    ----------
-    text
-        The pair file's text, which travels with every result.
-    """
-
-    pair: Geometry
     modification: Modification = Modification()
     material: Materials = Materials()
-    errors: Errors = Errors()
-    text: str = ""
+    errors: pydantic.InstanceOf[Errors] = Errors()
 
-    @pydantic.model_validator(mode="after")
-    def _can_be_made(self) -> Pair:
-        g = self.pair
-        if g.pins != g.gear_teeth + 1:
-            raise ValueError(
-                f"[pair] pins = {g.pins}: a gear of gear_teeth = {g.gear_teeth} needs one pin more, {g.gear_teeth + 1}"
-            )
-        k = self.shortening
-        if k >= 1.0:
-            largest = self.generating_circle_radius / g.pins
-            raise ValueError(
-                f"[pair] eccentricity = {_mm(g.eccentricity)}: eccentricity x pins / pin circle radius is {k:.4f}; "
-                f"it must stay below 1, so the eccentricity below {_mm(largest)}"
-            )
-        smallest = smallest_convex_radius(self.generating_circle_radius, g.eccentricity, g.pins)
-        if self.generating_pin_radius >= smallest:
-            raise ValueError(
-                f"[pair] pin_radius = {_mm(g.pin_radius)}: the flank is undercut; with its modification the pin radius "
-                f"must stay below the smallest curvature radius of its centre's path, {_mm(smallest)}"
-            )
-        gap = 2.0 * g.pin_circle_radius * math.sin(math.pi / g.pins)
-        if 2.0 * g.pin_radius >= gap:
-            raise ValueError(
-                f"[pair] pin_radius = {_mm(g.pin_radius)}: neighbouring pins overlap; it must stay below {_mm(gap / 2)}"
-            )
-        for name in ("pin_radial", "pin_tangential", "pin_radius_each"):
-            values = getattr(self.errors, name)
-            if isinstance(values, tuple) and values and len(values) != g.pins:
-                raise ValueError(f"[errors] {name} has {len(values)} values; it needs one a pin, {g.pins}")
-        pitch = self.errors.tooth_cumulative_pitch
-        if isinstance(pitch, tuple) and pitch:
-            if isinstance(pitch[0], tuple) and len(pitch) != g.discs:
-                raise ValueError(
-                    f"[errors] tooth_cumulative_pitch has {len(pitch)} lists; it needs one a disc, {g.discs}"
-                )
-            for row in pitch if isinstance(pitch[0], tuple) else (pitch,):
-                if len(row) != g.gear_teeth:
-                    raise ValueError(
-                        f"[errors] tooth_cumulative_pitch has {len(row)} values; it needs one a tooth, {g.gear_teeth}"
-                    )
-        return self
+    def __init__(self, /, **values: Any) -> None:
+        errors = values.pop("errors", Errors())
+        if not isinstance(errors, Errors):
+            errors = Errors(errors)
+        if values.get("pins") is None and isinstance(values.get("gear_teeth"), int):
+            values["pins"] = values["gear_teeth"] + 1
+        super().__init__(**values, errors=errors)
+        for table, sentence in _contradictions(self):
+            raise ContradictionError(table, sentence)
 
-    def numbers(self) -> dict[str, Any]:
-        """Return the nominal pair as plain numbers, SI, for JSON; `Pair.from_numbers` reads them back."""
-        return self.model_dump(include={"pair", "modification", "material", "text"})
+    def replace(self, **changes: Any) -> Self:
+        """Return the pair with other values, validated as reading a file does.
 
-    @classmethod
-    def from_numbers(cls, numbers: dict[str, Any]) -> Pair:
-        """Return the pair of `numbers`, which were checked when they were written: no units to parse, no time lost."""
-        gear, pin = (Material.model_construct(**numbers["material"][side]) for side in ("gear", "pin"))
-        return cls.model_construct(
-            pair=Geometry.model_construct(**numbers["pair"]),
-            modification=Modification.model_construct(**numbers["modification"]),
-            material=Materials.model_construct(gear=gear, pin=pin),
-            errors=Errors(),
-            text=numbers["text"],
-        )
+        `isometric` and `offset` may be given directly; `errors` names those that change, the others are kept.
+
+        Raises
+        ------
+        edge.InputError
+            As constructing it does.
+        """
+        values = {name: getattr(self, name) for name in type(self).model_fields}
+        drawn = {n: changes.pop(n) for n in Modification.model_fields if n in changes}
+        if drawn:
+            values["modification"] = self.modification.replace(**drawn)
+        if isinstance(errors := changes.get("errors"), Mapping) and not isinstance(errors, Errors):
+            changes["errors"] = Errors({**self.errors, **Errors(errors), **_zeros(errors)})
+        return type(self)(**{**values, **changes})
+
+    @functools.cached_property
+    def nominal(self) -> Self:
+        """The pair as drawn: without the errors that are stated of it."""
+        return self.replace(errors=Errors()) if self.errors else self
+
+    @functools.cached_property
+    def text(self) -> str:
+        """The pair as the text of a pair file, made from its values alone: `parse_pair` gives an equal pair."""
+        return _text_of(self)
+
+    @property
+    def hash(self) -> str:
+        """The values' fingerprint: the first 16 hexadecimal digits of SHA-256 over `text`."""
+        return hashlib.sha256(self.text.encode()).hexdigest()[:16]
 
     @property
     def ratio(self) -> float:
         """Signed ratio φ_a/φ_b of the ideal drive: -z_c with the gear as output, +z_p with the ring."""
-        return float(-self.pair.gear_teeth if self.pair.output == "gear" else self.pair.pins)
+        return float(-self.gear_teeth if self.output == "gear" else self.pins)
 
     @property
     def lost_motion_loads(self) -> list[float]:
         """Torques between which the lost motion lies, + and - `LOST_MOTION_LOAD`, N·m; none without a rated torque."""
-        rated = self.pair.rated_torque
+        rated = self.rated_torque
         return [] if rated is None else [LOST_MOTION_LOAD * rated, -LOST_MOTION_LOAD * rated]
 
     @property
     def generating_circle_radius(self) -> float:
         """R = R_p + ΔR_p of the nominal flank, m."""
-        return self.pair.pin_circle_radius + self.modification.offset
+        return self.pin_circle_radius + self.modification.offset
 
     @property
     def generating_pin_radius(self) -> float:
         """R = R_rp + ΔR_rp of the nominal flank, m."""
-        return self.pair.pin_radius + self.modification.isometric
+        return self.pin_radius + self.modification.isometric
 
     @property
     def shortening(self) -> float:
         """K = e z_p/R of the nominal flank (the papers' shortening coefficient)."""
-        return self.pair.eccentricity * self.pair.pins / self.generating_circle_radius
+        return self.eccentricity * self.pins / self.generating_circle_radius
+
+
+class ContradictionError(edge.InputError):
+    """Values that contradict each other, each possible by itself; `table` is theirs in a pair file."""
+
+    def __init__(self, table: str, sentence: str) -> None:
+        super().__init__(f"{sentence}.")
+        self.table = table
+
+
+def _contradictions(pair: Pair) -> list[tuple[str, str]]:
+    """Return why a pair can't be made or its errors not be its own: the table in a pair file, and a sentence."""
+    if pair.pins != pair.gear_teeth + 1:
+        teeth = pair.gear_teeth
+        return [("pair", f"pins = {pair.pins}: a gear of gear_teeth = {teeth} needs one pin more, {teeth + 1}")]
+    k = pair.shortening
+    if k >= 1.0:
+        largest = pair.generating_circle_radius / pair.pins
+        return [
+            (
+                "pair",
+                f"eccentricity = {_mm(pair.eccentricity)}: eccentricity x pins / pin circle radius is {k:.4f}; "
+                f"it must stay below 1, so the eccentricity below {_mm(largest)}",
+            )
+        ]
+    smallest = smallest_convex_radius(pair.generating_circle_radius, pair.eccentricity, pair.pins)
+    if pair.generating_pin_radius >= smallest:
+        return [
+            (
+                "pair",
+                f"pin_radius = {_mm(pair.pin_radius)}: the flank is undercut; with its modification the pin radius "
+                f"must stay below the smallest curvature radius of its centre's path, {_mm(smallest)}",
+            )
+        ]
+    gap = 2.0 * pair.pin_circle_radius * math.sin(math.pi / pair.pins)
+    if 2.0 * pair.pin_radius >= gap:
+        sentence = f"neighbouring pins overlap; it must stay below {_mm(gap / 2)}"
+        return [("pair", f"pin_radius = {_mm(pair.pin_radius)}: {sentence}")]
+    found = []
+    for kind in KINDS.values():
+        stated = getattr(pair.errors, kind.file_key)
+        if not isinstance(stated, tuple) or not stated:
+            continue
+        rows = stated if isinstance(stated[0], tuple) else (stated,)
+        if isinstance(stated[0], tuple) and len(stated) != pair.discs:
+            found.append(("errors", f"{kind.file_key} has {len(stated)} lists; it needs one a disc, {pair.discs}"))
+        count = kind.shape(pair)[-1]
+        for row in rows:
+            if len(row) != count:
+                sentence = f"{kind.file_key} has {len(row)} values; it needs one a {kind.of}, {count}"
+                found.append(("errors", sentence))
+    return found
+
+
+def _zeros(errors: Mapping[str, Any]) -> dict[str, Any]:
+    """Errors that are taken back: those whose new value is zero."""
+    return {key: value for key, value in errors.items() if key not in Errors(errors)}
 
 
 def _mm(value: float) -> str:
@@ -316,6 +302,55 @@ def smallest_convex_radius(circle_radius: float, eccentricity: float, pins: int)
     return min(radii, default=math.inf)
 
 
+_SHOWN_UNITS = {"m": ("mm", "um"), "Pa": ("GPa",), "N*m": (), "rad": ("mrad",)}
+
+
+def _written(value: float, si: str) -> str:
+    """Write a quantity so that reading it gives the same number, in the unit of drawings where that can be."""
+    value += 0.0  # -0 is 0
+    units = _SHOWN_UNITS[si]
+    for unit in reversed(units) if 0.0 < abs(value) < 1e-4 else units:
+        shown = f"{value / edge.unit_scale(unit, si):.12g} {unit}"
+        if edge.parse_quantity(shown, si) == value:
+            return shown
+    return f"{value!r} {si}"
+
+
+def _toml(value: Any, si: str | None) -> str:
+    if isinstance(value, str):
+        return f'"{value}"'
+    if isinstance(value, int) or si is None:
+        return repr(value)
+    return f'"{_written(value, si)}"'
+
+
+def _error_toml(stated: Any, unit: str) -> str:
+    if isinstance(stated, Mapping):
+        waves = (f"order_{k} = [{_toml(a, unit)}, {_toml(p, 'rad')}]" for k, (a, p) in sorted(stated.items()))
+        return f"{{ {', '.join(waves)} }}"
+    if isinstance(stated, tuple):
+        return f"[{', '.join(_error_toml(v, unit) for v in stated)}]"
+    return _toml(stated, unit)
+
+
+def _text_of(pair: Pair) -> str:
+    lines = [f'format = "{FORMAT}"']
+    tables: dict[str, Config] = {
+        "modification": pair.modification, "material.gear": pair.material.gear, "material.pin": pair.material.pin,
+    }  # fmt: skip
+    for title, table in {"pair": pair, **tables}.items():
+        lines.append(f"[{title}]")
+        for name, field in (_Geometry if table is pair else type(table)).model_fields.items():
+            value = getattr(table, name)
+            if value is not None:
+                lines.append(f"{name} = {_toml(value, edge.unit_of_field(field))}")
+    if pair.errors:
+        lines.append("[errors]")
+        units = {kind.file_key: kind.unit for kind in KINDS.values()}
+        lines += [f"{key} = {_error_toml(stated, units[key])}" for key, stated in pair.errors.items()]
+    return "\n".join(lines) + "\n"
+
+
 def parse_pair(text: str, source: str) -> Pair:
     """Return the pair that a TOML text describes.
 
@@ -331,12 +366,29 @@ def parse_pair(text: str, source: str) -> Pair:
     edge.InputError
         If it is not a valid pair; one sentence a problem, naming field, value and file.
     """
-    table = edge.toml_table(text, FORMAT, source)
-    if "text" in table:
-        raise edge.InputError(f"{source}: text is not a key known here; check its spelling or remove it.")
-    return edge.validated(Pair, {**table, "text": text}, source)
+    return pair_of_tables(edge.toml_table(text, FORMAT, source), source)
+
+
+def pair_of_tables(tables: Mapping[str, Any], source: str) -> Pair:
+    """Return the pair that a file's tables describe; an `edge.InputError` names what is wrong in them."""
+    tables = dict(tables)
+    stated = tables.pop("errors", {})
+    if not isinstance(stated, Mapping):
+        raise edge.InputError(f"{source}: errors = {edge.shown(stated)}: it must be a table, [errors].")
+    file, errors = edge.validated(_File, tables, source), Errors(stated, source)
+    geometry = {name: getattr(file.pair, name) for name in _Geometry.model_fields}
+    try:
+        return Pair(**geometry, modification=file.modification, material=file.material, errors=errors)
+    except ContradictionError as problem:
+        raise edge.InputError(f"{source}: [{problem.table}] {problem}") from None
 
 
 def read_pair(path: str | os.PathLike[str]) -> Pair:
     """Return the pair of a pair file; an `edge.InputError` names what is wrong in it."""
     return parse_pair(edge.read_text(path), str(path))
+
+
+def write_pair(pair: Pair, path: str | os.PathLike[str]) -> None:
+    """Write a pair file that `read_pair` reads as an equal pair, whole or not at all."""
+    with edge.written_whole(path) as temporary:
+        temporary.write_text(pair.text, encoding="utf-8")

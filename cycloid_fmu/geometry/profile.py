@@ -34,7 +34,7 @@ def flank_points(pair: Pair, alpha: ArrayLike) -> tuple[Array, Array]:
     y = R sin α + r sin(ϑ - α) - e sin z_p α, with ϑ = atan2(k sin z_c α, 1 - k cos z_c α).
     """
     a = np.asarray(alpha, dtype=float)
-    g = pair.pair
+    g = pair
     big, small, e = pair.generating_circle_radius, pair.generating_pin_radius, g.eccentricity
     k = pair.shortening
     normal = np.arctan2(k * np.sin(g.gear_teeth * a), 1.0 - k * np.cos(g.gear_teeth * a))
@@ -46,7 +46,7 @@ def flank_points(pair: Pair, alpha: ArrayLike) -> tuple[Array, Array]:
 def flank_normals(pair: Pair, alpha: ArrayLike) -> tuple[Array, Array]:
     """Unit normals of the nominal flank, out of the gear's material, the shape of `alpha` each."""
     a = np.asarray(alpha, dtype=float)
-    k, teeth = pair.shortening, pair.pair.gear_teeth
+    k, teeth = pair.shortening, pair.gear_teeth
     normal = np.arctan2(k * np.sin(teeth * a), 1.0 - k * np.cos(teeth * a))
     return np.cos(a - normal), np.sin(a - normal)
 
@@ -58,7 +58,7 @@ def flank_curvature(pair: Pair, alpha: ArrayLike) -> Array:
     r inside it, so 1/ρ_c = κ/(1 - r κ).
     """
     a = np.asarray(alpha, dtype=float)
-    k, g = pair.shortening, pair.pair
+    k, g = pair.shortening, pair
     c = np.cos(g.gear_teeth * a)
     path = (1.0 + g.pins * k * k - k * (g.pins + 1) * c) / (
         pair.generating_circle_radius * (1.0 + k * k - 2.0 * k * c) ** 1.5
@@ -73,7 +73,7 @@ def flank_speed(pair: Pair, alpha: ArrayLike) -> Array:
     """
     a = np.asarray(alpha, dtype=float)
     k = pair.shortening
-    path = pair.generating_circle_radius * np.sqrt(1.0 + k * k - 2.0 * k * np.cos(pair.pair.gear_teeth * a))
+    path = pair.generating_circle_radius * np.sqrt(1.0 + k * k - 2.0 * k * np.cos(pair.gear_teeth * a))
     return np.asarray(path / (1.0 + pair.generating_pin_radius * flank_curvature(pair, a)))
 
 
@@ -84,7 +84,7 @@ def arc_parts(pair: Pair, alpha: ArrayLike) -> Array:
 
 
 def _arc_length(pair: Pair, steps: int) -> tuple[Array, Array]:
-    edges = np.linspace(0.0, 2.0 * np.pi / pair.pair.gear_teeth, steps + 1)
+    edges = np.linspace(0.0, 2.0 * np.pi / pair.gear_teeth, steps + 1)
     return edges, np.concatenate([[0.0], np.cumsum(np.hypot(*(np.diff(v) for v in flank_points(pair, edges))))])
 
 

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact import SCALAR_ERRORS
-from cycloid_fmu.screening import error_vector
+from cycloid_fmu.errors.kinds import KINDS
 from cycloid_fmu.studies.tolerance import (
     Study,
     demand,
@@ -27,7 +26,8 @@ from cycloid_fmu.studies.tolerance import (
     surface_of,
     yields,
 )
-from cycloid_fmu.surfaces.surface import nominal_surface
+from cycloid_fmu.surfaces.structured import displacement_vector
+from cycloid_fmu.surfaces.surface import ErrorSurface, nominal_surface
 
 Array = NDArray[np.float64]
 NARROWEST, WIDEST = 0.05, 4.0  # of the stated tolerances
@@ -58,24 +58,21 @@ class Allocation:
     stated_yield: float
 
 
-def columns_of(study: Study) -> list[slice]:
-    """Return the columns of `screening.error_vector` that each factor fills; no two share one."""
-    g = study.pair.pair
-    teeth = g.discs * g.gear_teeth
-    many = {
-        "pin_pitch": slice(g.pins, 2 * g.pins),
-        "pin_radius_each": slice(2 * g.pins, 3 * g.pins),
-        "gear_pitch": slice(3 * g.pins, 3 * g.pins + teeth),
-    }
-    found = []
-    for name in study.factors:
-        scalar = "pin_circle_radius" if name == "pin_circle_diameter" else name
-        if scalar in SCALAR_ERRORS:
-            start = 3 * g.pins + teeth + SCALAR_ERRORS.index(scalar)
-            found.append(slice(start, start + 1))
-        else:
-            found.append(many[name])
-    return found
+def errors_of_factors(study: Study, place: Array) -> Array:
+    """Return what each factor's errors displace in each drive, shape (factors, drives, displacements).
+
+    Parameters
+    ----------
+    place
+        Points of the unit cube, shape (drives, factors); the displacements are those of `displacement_vector`.
+    """
+    kinds = {kind.tolerance.key: kind.name for kind in KINDS.values() if kind.tolerance is not None}
+    rows = []
+    for point in place:
+        drawn = surface_of(study, point)
+        alone = (ErrorSurface(study.pair, {kinds[name]: drawn.errors[kinds[name]]}) for name in study.factors)
+        rows.append([displacement_vector(study.pair, surface) for surface in alone])
+    return np.swapaxes(np.array(rows), 0, 1)
 
 
 def scaled(study: Study, scale: Array) -> Study:
@@ -84,8 +81,8 @@ def scaled(study: Study, scale: Array) -> Study:
     for name, factor in zip(study.factors, scale, strict=True):
         stated = getattr(study.tolerances, name)
         widths = ("single", "cumulative") if hasattr(stated, "single") else ("tolerance",)
-        changes[name] = stated.model_copy(update={w: getattr(stated, w) * float(factor) for w in widths})
-    return dataclasses.replace(study, tolerances=study.tolerances.model_copy(update=changes))
+        changes[name] = stated.replace(**{w: getattr(stated, w) * float(factor) for w in widths})
+    return dataclasses.replace(study, tolerances=study.tolerances.replace(**changes))
 
 
 def allocate(
@@ -122,7 +119,7 @@ def allocate(
     if not limits:
         raise edge.InputError(f"{source}: [limits] is missing; a yield needs at least one limit.")
     if not 0.0 < target < 1.0:
-        raise edge.InputError(f"--allocate = {target:g}: the yield to reach must lie between 0 and 1.")
+        raise edge.InputError(f"target = {target:g}: the yield to reach must lie between 0 and 1.")
     nominal = demand(study, figures_of(study, nominal_surface(study.pair))[None])
     for name, taken in nominal.items():
         if taken[0] > 1.0:
@@ -132,14 +129,10 @@ def allocate(
             )
     costs = np.array([study.tolerances.costs.get(name, 1.0) for name in study.factors])
     place = points(study)
-    errors = np.array([error_vector(study.pair, surface_of(study, row)) for row in place])
-    screen, columns = screen_of(study, WIDEST), columns_of(study)
+    errors, screen = errors_of_factors(study, place), screen_of(study, WIDEST)
 
     def demands(scale: Array) -> Array:
-        grown = errors.copy()
-        for factor, column in zip(scale, columns, strict=True):
-            grown[:, column] *= factor
-        values = figures_to_first_order(study, screen, grown)
+        values = figures_to_first_order(study, screen, np.tensordot(scale, errors, 1))
         return np.asarray(np.max([*demand(study, values).values()], axis=0))
 
     def reached(scale: Array) -> float:
@@ -173,7 +166,7 @@ def allocate(
         narrower *= 0.99
         if narrower * scale.max() < NARROWEST:
             raise edge.InputError(
-                f"--allocate = {target:g}: no tolerances of {source}, narrowed to {NARROWEST:g} of their width, reach "
+                f"target = {target:g}: no tolerances of {source}, narrowed to {NARROWEST:g} of their width, reach "
                 "it; widen a limit or ask for less."
             )
     others = dataclasses.replace(study, seed=study.seed + 1)

@@ -22,11 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
+from cycloid_fmu.contact.first_order import Screen
+from cycloid_fmu.contact.transmission import SLICES_MISALIGNED, slices_needed, solve
 from cycloid_fmu.geometry.pair import LOST_MOTION, Pair
-from cycloid_fmu.screening import Screen, error_vector
-from cycloid_fmu.surfaces.sampling import LARGEST_SEED, Tolerances, surface_at
+from cycloid_fmu.surfaces.sampling import LARGEST_SEED, AngleError, Tolerances, surface_at
+from cycloid_fmu.surfaces.structured import displacement_vector
 from cycloid_fmu.surfaces.surface import Elements, ErrorSurface
-from cycloid_fmu.transmission import SLICES_MISALIGNED, slices_needed, solve
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -88,7 +89,7 @@ class Study:
     def columns(self) -> tuple[tuple[str, int | None], ...]:
         """Name and index of the torque (None where there is none) of each number that a sample yields."""
         alone: list[tuple[str, int | None]] = [(n, None) for n in FIGURES if n not in PER_TORQUE]
-        if self.pair.pair.rated_torque is None:
+        if self.pair.rated_torque is None:
             alone.remove(("lost_motion", None))
         return (*((n, k) for n in PER_TORQUE for k in range(len(self.torque))), *alone)
 
@@ -138,7 +139,7 @@ def check_study(study: Study, pair_source: str, tolerances_source: str) -> None:
         raise edge.InputError("--torque = 0 N*m: a study's loads must not be zero; the play has its own figures.")
     if not 0 <= study.seed <= LARGEST_SEED:
         raise edge.InputError(f"--seed = {study.seed}: it must lie between 0 and {LARGEST_SEED}.")
-    if study.tolerances.limits.lost_motion is not None and study.pair.pair.rated_torque is None:
+    if study.tolerances.limits.lost_motion is not None and study.pair.rated_torque is None:
         raise edge.InputError(
             f"{pair_source}: [pair] rated_torque is missing; state it: [limits] lost_motion of {tolerances_source} is "
             "taken at a share of it."
@@ -239,8 +240,8 @@ def screen_of(study: Study, largest: float = 1.0) -> Screen:
     for name in study.factors:
         stated = getattr(study.tolerances, name)
         width = stated.cumulative if hasattr(stated, "cumulative") else stated.tolerance
-        reach += width * (study.pair.pair.face_width if name.startswith("misalignment") else 1.0)
-    tilted = any(name.startswith("misalignment") for name in study.factors)
+        reach += width * (study.pair.face_width if isinstance(stated, AngleError) else 1.0)
+    tilted = any(isinstance(getattr(study.tolerances, name), AngleError) for name in study.factors)
     # Errors close a gap by their sum and once more by the rotation that they allow, here with room to spare.
     return Screen(study.pair, loads, SLICES_MISALIGNED if tilted else 1, 20e-6 + 3.0 * largest * reach)
 
@@ -251,11 +252,11 @@ def figures_to_first_order(study: Study, screen: Screen, errors: Array) -> Array
     Parameters
     ----------
     errors
-        Rows of `screening.error_vector`.
+        Rows of `displacement_vector`.
     """
     loads = len(study.torque)
     solutions = [screen.loaded(k, errors) for k in range(loads)]
-    has_rated = study.pair.pair.rated_torque is not None
+    has_rated = study.pair.rated_torque is not None
     backlash, interference = screen.play(loads + 2 * has_rated, errors)
     free = np.where(np.isnan(backlash), 0.0, backlash)
     found: dict[str, Any] = {
@@ -292,7 +293,7 @@ def _screening_task(wanted: dict[str, str], study: Study, first: int, rows: Arra
     if key not in _screens:
         _screens.clear()
         _screens[key] = screen_of(study)
-    errors = np.array([error_vector(study.pair, surface_of(study, row)) for row in rows])
+    errors = np.array([displacement_vector(study.pair, surface_of(study, row)) for row in rows])
     return first, figures_to_first_order(study, _screens[key], errors)
 
 

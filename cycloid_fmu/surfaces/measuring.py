@@ -13,7 +13,6 @@ circle's, the mean of their radius errors is that of all pins; what remains is e
 from __future__ import annotations
 
 import csv
-import dataclasses
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,7 +34,7 @@ from cycloid_fmu.geometry.profile import (
     flank_points,
     flank_speed,
 )
-from cycloid_fmu.surfaces.surface import LARGEST_ELEMENT, Elements, ErrorSurface, nominal_surface
+from cycloid_fmu.surfaces.surface import LARGEST_ELEMENT, Elements, ErrorSurface
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -206,7 +205,7 @@ def closest_on_tooth(pair: Pair, points: Complex) -> tuple[Array, Array, Complex
     -----
     Newton along the arc: with d the deviation, d/ds of the distance along the tangent is -(1 + d/ρ_c).
     """
-    span = 2.0 * np.pi / pair.pair.gear_teeth
+    span = 2.0 * np.pi / pair.gear_teeth
     starts = np.linspace(0.0, span, 97)
     x, y = flank_points(pair, starts)
     tree = spatial.cKDTree(np.column_stack([x, y]))
@@ -305,7 +304,7 @@ def _length(value: float) -> str:
 
 def _check_units(points: MeasuredPoints, mask: Booleans, pair: Pair, body: str) -> list[str]:
     """Refuse coordinates that can't be those of this pair, by their reach about their middle; note a narrow trace."""
-    g = pair.pair
+    g = pair
     reach = g.pin_circle_radius + (0.0 if body == "gear" else g.pin_radius)
     for name in ("x", "y"):
         values = getattr(points, name)[mask]
@@ -360,8 +359,8 @@ def _fit(
 
     Returns the fitted vector (x, y, turns), and tooth parameter and deviation of each point there.
     """
-    back = np.exp(-2j * np.pi * tooth / pair.pair.gear_teeth)
-    radius = pair.pair.pin_circle_radius
+    back = np.exp(-2j * np.pi * tooth / pair.gear_teeth)
+    radius = pair.pin_circle_radius
 
     def moved(v: Array) -> Complex:
         return np.asarray((points - _MICRON * (v[0] + 1j * v[1])) * np.exp(-1j * _MICRON * v[2:][turning] / radius))
@@ -389,7 +388,7 @@ def _rough_frame(pair: Pair, points: Complex, tooth: Integers) -> tuple[complex,
     The middles of the teeth's points give the turn to about a part of a tooth (they may lie on one side of each), so
     eight starts over one pitch are fitted and the best taken.
     """
-    teeth = pair.pair.gear_teeth
+    teeth = pair.gear_teeth
     count = np.maximum(np.bincount(tooth, minlength=teeth), 1)
     middle = (np.bincount(tooth, points.real, teeth) + 1j * np.bincount(tooth, points.imag, teeth)) / count
     wanted = np.exp(2j * np.pi * (np.arange(teeth) + 0.5) / teeth)
@@ -404,7 +403,7 @@ def _rough_frame(pair: Pair, points: Complex, tooth: Integers) -> tuple[complex,
         misfit = float(np.median(np.abs(deviation)))
         if misfit < best:
             shift = centre + _MICRON * (v[0] + 1j * v[1]) * np.exp(1j * start)
-            best, frame = misfit, (complex(shift), float(start + _MICRON * v[2] / pair.pair.pin_circle_radius), misfit)
+            best, frame = misfit, (complex(shift), float(start + _MICRON * v[2] / pair.pin_circle_radius), misfit)
     return frame
 
 
@@ -415,7 +414,7 @@ def _robust_scale(deviation: Array) -> float:
 
 def _measured_disc(pair: Pair, points: MeasuredPoints, mask: Booleans, disc: int, elements: Elements) -> Any:
     """Cumulative pitch, deviations, empty elements, alignment and outliers of one disc's gear."""
-    g = pair.pair
+    g = pair
     tooth, z, body = points.number[mask], points.z[mask], f"gear, disc {disc}"
     at = _complex(points.x[mask], points.y[mask])
     shift, rotation, off = _rough_frame(pair, at, tooth)
@@ -518,7 +517,7 @@ def fitted_circle(points: Complex, robust: bool) -> tuple[complex, float]:
 
 def _measured_pins(pair: Pair, points: MeasuredPoints, mask: Booleans, elements: Elements) -> Any:
     """Changes of the surface, empty elements, alignment and outliers of the pins."""
-    g = pair.pair
+    g = pair
     number, z = points.number[mask], points.z[mask]
     at = _complex(points.x[mask], points.y[mask])
     rows = [np.flatnonzero(number == pin) for pin in range(g.pins)]
@@ -604,7 +603,7 @@ def measured_surface(
         If the points can't be this pair's (unit, numbering), a tooth or pin has too few, or a deviation exceeds half a
         millimetre.
     """
-    g = pair.pair
+    g = pair
     notes: list[str] = []
     alignments: list[Alignment] = []
     left_out: list[Outlier] = []
@@ -641,22 +640,13 @@ def measured_surface(
         left_out += outliers
     else:
         notes.append(f"{points.source}: there are no points of pins; they are taken as nominal.")
-    for name in ("gear_deviation", "pin_deviation"):
-        if name in changes and (largest := float(np.abs(changes[name]).max())) > LARGEST_ELEMENT:
-            raise edge.InputError(
-                f"{points.source}: {name} reaches {largest * 1e3:.4g} mm; deviations must lie within half a millimetre."
-            )
     notes += [_empty_note(points.source, "flanks", "tooth", "profile", gear_empty)] if gear_empty is not None else []
     notes += [_empty_note(points.source, "pins", "pin", "angle", pin_empty)] if pin_empty is not None else []
-    surface = dataclasses.replace(
-        nominal_surface(pair),
-        origin="measured",
-        attributes={
-            "points": Path(points.source).name,
-            "outlier_lines": " ".join(str(o.line) for o in left_out),
-        },
-        **changes,
-    )
+    attributes = {"points": Path(points.source).name, "outlier_lines": " ".join(str(o.line) for o in left_out)}
+    try:
+        surface = ErrorSurface(pair, origin="measured", attributes=attributes, **changes)
+    except edge.InputError as problem:
+        raise edge.InputError(f"{points.source}: {problem}") from None
     report = MeasurementReport(tuple(alignments), tuple(left_out), gear_empty, pin_empty, tuple(n for n in notes if n))
     return surface, report
 

@@ -10,11 +10,13 @@ tooth's or pin's surface, the total cumulative pitch deviation the largest less 
 
 from __future__ import annotations
 
-import dataclasses
+import functools
+import json
+import math
 import os
 import zlib
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, Literal, TypeVar, cast
+from typing import Annotated, Any, Literal, Self, TypeVar, cast
 
 import numpy as np
 import pydantic
@@ -23,16 +25,21 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact import SCALAR_ERRORS
 from cycloid_fmu.edge import Angle, Config, Length
-from cycloid_fmu.geometry.pair import LARGEST_DEVIATION, LARGEST_MISALIGNMENT, Pair
-from cycloid_fmu.surfaces.surface import LARGEST_ELEMENT, Elements, ErrorSurface, nominal_surface
+from cycloid_fmu.errors.kinds import KINDS, LARGEST_DEVIATION, LARGEST_MISALIGNMENT, ErrorKind
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.surface import LARGEST_ELEMENT, Elements, ErrorSurface
 
 Array = NDArray[np.float64]
 Distribution = Literal["normal", "uniform"]
 FORMAT = "cycloid-tolerances/1"
 LARGEST_SEED = 2**63 - 1
-_SINGLE = (*SCALAR_ERRORS, "pin_circle_diameter")  # errors that are one number
+# The axes of a study's points that the first version had: a seed's drives stay the same, other kinds follow.
+_FIRST_AXES = (
+    "gear_profile", "pin_profile", "gear_pitch", "pin_pitch", "pin_circle_diameter", "pin_radius", "pin_radius_each",
+    "eccentricity", "centre_distance_x", "centre_distance_y", "misalignment_xz", "misalignment_yz", "isometric",
+    "offset",
+)  # fmt: skip
 # How far a pitch may go of what is allowed: rounding in the sums that make positions from it must not exceed the limit.
 _WITHIN = 1.0 - 1e-9
 # Times that each pitch is met: with ten no figure of 3000 circles differs from four hundred's by more than chance.
@@ -160,41 +167,80 @@ class Limits(Config):
 class Tolerances(Config):
     """The tolerances of a drive; what is not named has none and is sampled as nominal.
 
-    `pin_circle_diameter` is the circle's diameter, `pin_radius` common to all pins, `pin_radius_each` each pin's own;
-    the other names are those of the pair file's `[errors]`. `limits` are what a good drive keeps, `costs` what each
-    tolerance costs at its stated width, relative to the others (1 where not stated).
+    The kinds of error are named by their tolerances' keys (`pin_circle_diameter` is the circle's diameter, `pin_radius`
+    common to all pins, `pin_radius_each` each pin's own; `gear_pitch` and `pin_pitch` are positions round the circle),
+    each a `LengthError`, `AngleError` or `PitchErrors`, or a table of its values. `limits` are what a good drive keeps,
+    `costs` what each tolerance costs at its stated width, relative to the others (1 where not stated).
+
+    Raises
+    ------
+    edge.InputError
+        One sentence for each key that is unknown and each value out of range.
     """
+
+    model_config = pydantic.ConfigDict(extra="allow")
 
     gear_profile: ProfileErrors | None = None
     pin_profile: ProfileErrors | None = None
-    gear_pitch: PitchErrors | None = None
-    pin_pitch: PitchErrors | None = None
-    pin_circle_diameter: LengthError | None = None
-    pin_radius: LengthError | None = None
-    pin_radius_each: LengthError | None = None
-    eccentricity: LengthError | None = None
-    centre_distance_x: LengthError | None = None
-    centre_distance_y: LengthError | None = None
-    misalignment_xz: AngleError | None = None
-    misalignment_yz: AngleError | None = None
-    isometric: LengthError | None = None
-    offset: LengthError | None = None
     limits: Limits = Limits()
     costs: dict[str, Annotated[float, pydantic.Field(gt=0.0)]] = pydantic.Field(default_factory=dict)
-    text: str = ""
 
-    @pydantic.model_validator(mode="after")
-    def _costs_belong_to_tolerances(self) -> Tolerances:
+    def __init__(self, /, **values: Any) -> None:
+        checked = file_model()(**values)
+        super().__init__(**{n: v for n in type(checked).model_fields if (v := getattr(checked, n)) is not None})
         for name in self.costs:
             if name not in self.factors:
-                raise ValueError(f"[costs] {name}: there is no tolerance of this name; give it one or remove its cost")
-        return self
+                raise edge.InputError(
+                    f"[costs] {name}: there is no tolerance of this name; give it one or remove its cost."
+                )
+
+    def replace(self, **changes: Any) -> Self:
+        """Return the tolerances with others changed; None takes one away, and its cost with it."""
+        values = {n: getattr(self, n) for n in (*self.factors, "limits")} | changes
+        costs = {n: cost for n, cost in self.costs.items() if values.get(n) is not None}
+        return type(self)(**{"costs": costs, **values})
+
+    def of(self, factor: str) -> LengthError | AngleError | PitchErrors | ProfileErrors | None:
+        """Return the tolerance of this name, None where there is none."""
+        found: LengthError | AngleError | PitchErrors | ProfileErrors | None = getattr(self, factor, None)
+        return found
 
     @property
     def factors(self) -> tuple[str, ...]:
         """Names of the errors that have a tolerance."""
-        others = ("limits", "costs", "text")
-        return tuple(n for n in type(self).model_fields if n not in others and getattr(self, n) is not None)
+        return tuple(n for n in _keys() if self.of(n) is not None)
+
+    @property
+    def text(self) -> str:
+        """The tolerances as JSON, made from their values alone (SI)."""
+        return json.dumps({n: v.model_dump() for n in (*self.factors, "limits") if (v := getattr(self, n))})
+
+
+def _keys() -> dict[str, ErrorKind | None]:
+    """Every tolerance's key with its kind of error, None for form."""
+    found = {kind.tolerance.key: kind for kind in KINDS.values() if kind.tolerance is not None}
+    return {**{name: found.get(name) for name in _FIRST_AXES}, **found}
+
+
+def file_model() -> type[Config]:
+    """Return the model of a tolerance file: a table for each kind that has a tolerance, for form, limits and costs."""
+    return _file_model(tuple(_keys()))
+
+
+@functools.cache
+def _file_model(keys: tuple[str, ...]) -> type[Config]:
+    def model(kind: ErrorKind | None) -> type[Config]:
+        if kind is None:
+            return ProfileErrors
+        assert kind.tolerance is not None
+        if kind.tolerance.form == "pitch":
+            return PitchErrors
+        return AngleError if kind.unit == "rad" else LengthError
+
+    tables = {key: (model(kind) | None, None) for key, kind in _keys().items()}
+    others = {n: (Tolerances.__annotations__[n], Tolerances.model_fields[n]) for n in ("limits", "costs")}
+    made: type[Config] = pydantic.create_model("Tolerances", __base__=Config, **tables, **others)
+    return made
 
 
 def parse_tolerances(text: str, source: str) -> Tolerances:
@@ -205,10 +251,11 @@ def parse_tolerances(text: str, source: str) -> Tolerances:
     edge.InputError
         If it is not a valid table of tolerances; one sentence a problem, naming field, value and `source`.
     """
-    table = edge.toml_table(text, FORMAT, source)
-    if "text" in table:
-        raise edge.InputError(f"{source}: text is not a key known here; check its spelling or remove it.")
-    return edge.validated(Tolerances, {**table, "text": text}, source)
+    read = edge.validated(file_model(), edge.toml_table(text, FORMAT, source), source)
+    try:
+        return Tolerances(**{name: value for name, value in read if value is not None})
+    except edge.InputError as problem:
+        raise edge.InputError(f"{source}: {problem}") from None
 
 
 def read_tolerances(path: str | os.PathLike[str]) -> Tolerances:
@@ -372,10 +419,8 @@ def sample_surface(pair: Pair, tolerances: Tolerances, seed: int, elements: Elem
     if not 0 <= seed <= LARGEST_SEED:
         raise edge.InputError(f"seed = {seed}: it must lie between 0 and {LARGEST_SEED}.")
     streams = {name: error_stream(seed, name) for name in tolerances.factors}
-    return dataclasses.replace(
-        _drawn(pair, tolerances, streams, {}, elements or Elements()),
-        attributes={"seed": seed, "tolerances": tolerances.text},
-    )
+    drawn = _drawn(pair, tolerances, streams, {}, elements or Elements())
+    return drawn.replace(attributes={"seed": seed, "tolerances": tolerances.text})
 
 
 def surface_at(
@@ -387,7 +432,7 @@ def surface_at(
     from a stream that the coordinate seeds: any even spread of points spreads the single errors as evenly, and the many
     are as random as before.
     """
-    many = (name for name in tolerances.factors if name not in _SINGLE)
+    many = (name for name in tolerances.factors if (kind := _keys()[name]) is None or kind.of != "drive")
     streams = {name: error_stream(int(point[name] * 2.0**53), name) for name in many}
     return _drawn(pair, tolerances, streams, point, elements or Elements())
 
@@ -400,30 +445,24 @@ def _drawn(
     size: Elements,
 ) -> ErrorSurface:
     """Draw each error from its stream, single ones at the probability that `point` says where it says one."""
-    g = pair.pair
     changes: dict[str, Any] = {}
-    for name in (*_SINGLE, "pin_radius_each"):
-        # The circle's radius is toleranced by its diameter.
-        error = getattr(tolerances, name, None)
-        if error is None:
+    for name in tolerances.factors:
+        kind, error = _keys()[name], tolerances.of(name)
+        if isinstance(error, ProfileErrors):
+            if name == "gear_profile":
+                flanks = sample_profile(streams[name], pair.discs * pair.gear_teeth, size.profile, size.width, error)
+                changes["gear_deviation"] = flanks.reshape(pair.discs, pair.gear_teeth, size.profile, size.width)
+            else:
+                changes["pin_deviation"] = sample_profile(streams[name], pair.pins, size.angle, size.width, error)
             continue
-        single = name in _SINGLE
-        chance = np.array([point[name]]) if single and name in point else streams[name].random(1 if single else g.pins)
-        values = within_tolerance(chance, error.tolerance, error.distribution)
-        if name == "pin_radius_each":
-            changes["pin_radius_deviation"] = values
-        elif name == "pin_circle_diameter":
-            changes["pin_circle_radius"] = 0.5 * float(values[0])
-        else:
-            changes[name] = float(values[0])
-    if tolerances.gear_pitch is not None:
-        rows = [sample_pitch(streams["gear_pitch"], g.gear_teeth, tolerances.gear_pitch) for _ in range(g.discs)]
-        changes["tooth_cumulative_pitch"] = np.array(rows)
-    if tolerances.pin_pitch is not None:
-        changes["pin_tangential"] = sample_pitch(streams["pin_pitch"], g.pins, tolerances.pin_pitch)
-    if (form := tolerances.gear_profile) is not None:
-        flanks = sample_profile(streams["gear_profile"], g.discs * g.gear_teeth, size.profile, size.width, form)
-        changes["gear_deviation"] = flanks.reshape(g.discs, g.gear_teeth, size.profile, size.width)
-    if (form := tolerances.pin_profile) is not None:
-        changes["pin_deviation"] = sample_profile(streams["pin_profile"], g.pins, size.angle, size.width, form)
-    return dataclasses.replace(nominal_surface(pair), origin="sampled", **changes)
+        assert kind is not None
+        assert kind.tolerance is not None
+        assert error is not None
+        shape = kind.shape(pair)
+        if isinstance(error, PitchErrors):
+            circles = [sample_pitch(streams[name], shape[-1], error) for _ in range(math.prod(shape[:-1]))]
+            changes[kind.name] = np.reshape(circles, shape)
+            continue
+        chance = np.array(point[name]) if name in point and not shape else streams[name].random(shape)
+        changes[kind.name] = kind.tolerance.share * within_tolerance(chance, error.tolerance, error.distribution)
+    return ErrorSurface(pair, origin="sampled").replace(**changes)

@@ -1,56 +1,40 @@
 """The error surface: what really was made and assembled, beyond the nominal pair.
 
-Signs and names are those of docs/theory/errors.md; the file is netCDF, format `cycloid-surface/1`.
+Its errors are of the kinds of `cycloid_fmu.errors.kinds`; signs are those of docs/theory/errors.md.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import functools
-import os
-import re
-from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, field
-from typing import Any
+import hashlib
+import math
+import types
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact import SCALAR_ERRORS
-from cycloid_fmu.geometry.pair import Pair, parse_pair
+from cycloid_fmu.errors.kinds import KINDS, ErrorKind
+from cycloid_fmu.errors.stated import Errors, values_of
+from cycloid_fmu.geometry.pair import Pair
 
 Array = NDArray[np.float64]
-FORMAT = "cycloid-surface/1"
 ORIGINS = ("nominal", "sampled", "measured", "identified", "worn")
-PATTERNS = ("pin_radial", "pin_tangential", "tooth_cumulative_pitch")
-ANGLES = ("misalignment_xz", "misalignment_yz")
 _FLANKS, _PINS = ("disc", "tooth", "profile", "width"), ("pin", "angle", "width")
 DEVIATIONS = {
     "gear_deviation": _FLANKS, "pin_deviation": _PINS, "gear_curvature": _FLANKS, "pin_curvature": _PINS,
 }  # fmt: skip
-_DEVIATION_TEXTS = {
+DEVIATION_TEXTS = {
     "gear_deviation": "normal deviation of each element of the flanks, > 0 material added",
     "pin_deviation": "normal deviation of each element of the pins, > 0 material added",
     "gear_curvature": "curvature that wear adds to each element of the flanks, > 0 convex",
     "pin_curvature": "curvature that wear adds to each element of the pins, > 0 convex",
 }
 LARGEST_ELEMENT = 5e-4
-DESCRIPTIONS = {
-    "centre_distance_x": "offset of the gear's centre along +x",
-    "centre_distance_y": "offset of the gear's centre along +y",
-    "misalignment_xz": "tilt of the gear's axis about mid-width, its +z end towards +x",
-    "misalignment_yz": "tilt of the gear's axis about mid-width, its +z end towards +y",
-    "eccentricity": "error of the crank's eccentricity, > 0 longer",
-    "pin_circle_radius": "error of the pin circle's radius, > 0 larger",
-    "pin_radius": "error of all pins' radius, > 0 thicker",
-    "isometric": "isometric modification really made beyond the nominal, > 0 material removed",
-    "offset": "offset modification really made beyond the nominal, > 0 material added",
-    "pin_radial": "radial position error of each pin, > 0 outwards",
-    "pin_tangential": "tangential position error of each pin, > 0 counter-clockwise, as arc length",
-    "pin_radius_deviation": "radius error of each pin, > 0 thicker",
-    "tooth_cumulative_pitch": "cumulative pitch error of each tooth, > 0 counter-clockwise, at the pin circle radius",
-}
 
 
 @dataclass(frozen=True)
@@ -81,16 +65,20 @@ class Life:
     pin_curvature: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, init=False)
 class ErrorSurface:
-    """Errors of one pair, SI; the scalars' names and signs are those of the pair file's `[errors]`.
+    """What really was made of one pair, SI, validated against it.
+
+    Each kind of error is an attribute too: `surface.pin_radius` is a float, `surface.pin_radial` an array (pins,),
+    `surface.tooth_cumulative_pitch` one (discs, teeth). Surfaces are equal where their pairs, errors, deviations and
+    lives are, wherever they came from; arrays can't be written to.
 
     Attributes
     ----------
-    pin_radial, pin_tangential, pin_radius_deviation
-        Shape (pins,), m.
-    tooth_cumulative_pitch
-        Shape (discs, teeth), m at the pin circle radius.
+    pair
+        The nominal pair that it belongs to.
+    errors
+        Values of every kind by its name, m or rad; those not given are zero.
     gear_deviation
         Normal deviation of each element of the flanks, > 0 material added, shape (discs, teeth, profile, width), m; or
         None where the flanks are nominal. Elements are of equal arc length from a tooth's first root to its second
@@ -106,188 +94,245 @@ class ErrorSurface:
         Of a worn surface: its states from new to the one that the deviations hold; else None.
     origin
         One of `ORIGINS`.
-    pair_text
-        The pair file's text that this surface belongs to.
     covariance_of, covariance
         Names of fitted parameters, shape (parameters,), and their covariance, shape (parameters, parameters).
     attributes
         Further provenance (seed, turns, data checksum), written as attributes of the file.
+
+    Raises
+    ------
+    edge.InputError
+        If a kind is unknown, an array has not the pair's shape, or a value is not finite or beyond its kind's limit.
+
+    Examples
+    --------
+    >>> import cycloid_fmu as cy
+    >>> pair = cy.Pair(
+    ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm"
+    ... )
+    >>> surface = cy.ErrorSurface(pair, pin_radius="-1 um")
+    >>> surface.pin_radius, surface.pin_radial.shape
+    (-1e-06, (40,))
+    >>> surface.replace(pin_radial=[1e-6, 2e-6, 3e-6])
+    Traceback (most recent call last):
+    ...
+    cycloid_fmu.edge...InputError: pin_radial has the shape (3,); the pair needs (40,).
     """
 
-    pin_radial: Array
-    pin_tangential: Array
-    pin_radius_deviation: Array
-    tooth_cumulative_pitch: Array
-    centre_distance_x: float = 0.0
-    centre_distance_y: float = 0.0
-    misalignment_xz: float = 0.0
-    misalignment_yz: float = 0.0
-    eccentricity: float = 0.0
-    pin_circle_radius: float = 0.0
-    pin_radius: float = 0.0
-    isometric: float = 0.0
-    offset: float = 0.0
-    gear_deviation: Array | None = None
-    pin_deviation: Array | None = None
-    gear_curvature: Array | None = None
-    pin_curvature: Array | None = None
-    life: Life | None = None
-    origin: str = "nominal"
-    pair_text: str = ""
-    covariance_of: tuple[str, ...] = ()
-    covariance: Array | None = None
-    attributes: Mapping[str, Any] = field(default_factory=dict)
+    pair: Pair
+    errors: Mapping[str, Any]
+    gear_deviation: Array | None
+    pin_deviation: Array | None
+    gear_curvature: Array | None
+    pin_curvature: Array | None
+    life: Life | None
+    origin: str
+    covariance_of: tuple[str, ...]
+    covariance: Array | None
+    attributes: Mapping[str, Any]
+
+    def __init__(
+        self,
+        pair: Pair,
+        errors: Mapping[str, Any] | None = None,
+        *,
+        gear_deviation: ArrayLike | None = None,
+        pin_deviation: ArrayLike | None = None,
+        gear_curvature: ArrayLike | None = None,
+        pin_curvature: ArrayLike | None = None,
+        life: Life | None = None,
+        origin: str = "nominal",
+        covariance_of: tuple[str, ...] = (),
+        covariance: Array | None = None,
+        attributes: Mapping[str, Any] | None = None,
+        **kinds: Any,
+    ) -> None:
+        given = {**(errors or {}), **kinds}
+        for name in given:
+            if name not in KINDS:
+                raise edge.InputError(_unknown(name))
+        self._set("pair", pair.nominal)
+        values = {n: _checked(k, given[n], pair) if n in given else _zero(k, pair) for n, k in KINDS.items()}
+        self._set("errors", types.MappingProxyType(values))
+        for name, array in zip(DEVIATIONS, (gear_deviation, pin_deviation, gear_curvature, pin_curvature), strict=True):
+            self._set(name, _checked_deviation(name, array, pair))
+        for name, value in (("life", life), ("origin", origin), ("covariance_of", covariance_of),
+                            ("covariance", covariance), ("attributes", dict(attributes or {}))):  # fmt: skip
+            self._set(name, value)
+        self._check_together()
+
+    def _set(self, name: str, value: object) -> None:
+        object.__setattr__(self, name, value)
+
+    def _check_together(self) -> None:
+        """Check what deviations, curvatures and life need of each other."""
+        _check_curvatures(self)
+        if self.life is not None:
+            _check_life(self)
+        if self.origin not in ORIGINS:
+            raise edge.InputError(f'origin = "{self.origin}": it must be one of {", ".join(ORIGINS)}.')
+
+    def __getattr__(self, name: str) -> Any:
+        errors = self.__dict__.get("errors")
+        if errors is None or name not in errors:
+            raise AttributeError(f"an error surface has no {name}")
+        return errors[name]
+
+    def replace(self, **changes: Any) -> Self:
+        """Return the surface with other values, of kinds of error (by name) or of attributes; the rest is kept.
+
+        Raises
+        ------
+        edge.InputError
+            As constructing it does.
+        """
+        errors = {name: changes.pop(name) for name in list(changes) if name in KINDS}
+        if "pair" in changes or "errors" in changes:
+            values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)} | changes
+            return type(self)(**{**values, "errors": {**values["errors"], **errors}})
+        new = object.__new__(type(self))
+        new.__dict__.update({n: v for n, v in self.__dict__.items() if n in self.__dataclass_fields__})
+        checked = {name: _checked(KINDS[name], value, self.pair) for name, value in errors.items()}
+        new._set("errors", types.MappingProxyType({**self.errors, **checked}))
+        for name, value in changes.items():
+            if name not in self.__dataclass_fields__:
+                raise edge.InputError(_unknown(name))
+            new._set(name, _checked_deviation(name, value, self.pair) if name in DEVIATIONS else value)
+        new._check_together()
+        return new
+
+    def __reduce__(self) -> Any:
+        values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        return (_unpickled, (type(self), {**values, "errors": dict(self.errors)}))
+
+    @functools.cached_property
+    def hash(self) -> str:
+        """Fingerprint of the values: the first 16 hexadecimal digits of SHA-256 over pair, errors and deviations."""
+        digest = hashlib.sha256(self.pair.replace(rated_torque=None, contact_law="capped").text.encode())
+        for name, value in self._values().items():
+            # An error that is zero everywhere is the same drive as one that no one spoke of.
+            if value is not None and (name in DEVIATIONS or np.any(value)):
+                array = np.asarray(value, dtype="<f8") + 0.0
+                digest.update(f"{name}{array.shape}".encode() + array.tobytes())
+        return digest.hexdigest()[:16]
+
+    def _values(self) -> dict[str, Any]:
+        life = {} if self.life is None else {f"life_{n}": v for n, v in vars(self.life).items()}
+        return {**self.errors, **{n: getattr(self, n) for n in DEVIATIONS}, **life}
+
+    def __eq__(self, other: object) -> bool:
+        return self.hash == other.hash if isinstance(other, ErrorSurface) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self.hash)
+
+
+def _unpickled(cls: type[ErrorSurface], values: dict[str, Any]) -> ErrorSurface:
+    return cls(**values)
+
+
+def _unknown(name: str) -> str:
+    return f"{name}: an error surface has no error of this kind; {edge.did_you_mean(name, KINDS) or 'check its name.'}"
+
+
+def _frozen(values: ArrayLike) -> Array:
+    array = np.array(values, dtype=float)
+    array.flags.writeable = False
+    return array
+
+
+def _zero(kind: ErrorKind, pair: Pair) -> Array | float:
+    shape = kind.shape(pair)
+    return _frozen(np.zeros(shape)) if shape else 0.0
+
+
+def _checked(kind: ErrorKind, given: Any, pair: Pair) -> Array | float:
+    """Check the values of one kind against its shape and limit."""
+    shape = kind.shape(pair)
+    if isinstance(given, str):
+        given = edge.parse_quantity(given, kind.unit)
+    array = _frozen(given)
+    if array.shape != shape:
+        raise edge.InputError(f"{kind.name} has the shape {array.shape}; the pair needs {shape}.")
+    # Not a number is not below the limit either.
+    if not (np.abs(array) <= kind.limit).all():
+        if not np.isfinite(array).all():
+            raise edge.InputError(f"{kind.name} holds a value that is not finite.")
+        unit = "mrad" if kind.unit == "rad" else "mm"
+        raise edge.InputError(
+            f"{kind.name} reaches {np.abs(array).max() * 1e3:.4g} {unit}; "
+            f"it must lie within ± {kind.limit * 1e3:g} {unit}."
+        )
+    return array if shape else float(array)
+
+
+def _checked_deviation(name: str, given: Any, pair: Pair) -> Array | None:
+    """Check one array of deviations; profile, angle and width may have any number of elements."""
+    if given is None:
+        return None
+    values = _frozen(given)
+    dimensions = DEVIATIONS[name]
+    if values.ndim != len(dimensions):
+        raise edge.InputError(
+            f"{name} has the shape {values.shape}; it needs one axis each for {', '.join(dimensions)}."
+        )
+    sizes = {"disc": pair.discs, "tooth": pair.gear_teeth, "pin": pair.pins}
+    for dimension, size in zip(dimensions, values.shape, strict=True):
+        if size == 0 or size != sizes.get(dimension, size):
+            raise edge.InputError(
+                f"{name} has {size} of {dimension}; the pair needs {sizes.get(dimension, 'at least 1')}."
+            )
+    if not np.isfinite(values).all():
+        raise edge.InputError(f"{name} holds a value that is not finite.")
+    if name.endswith("_deviation") and (largest := np.abs(values).max()) > LARGEST_ELEMENT:
+        raise edge.InputError(f"{name} reaches {largest * 1e3:.4g} mm; deviations must lie within half a millimetre.")
+    return values
+
+
+def _check_curvatures(surface: ErrorSurface) -> None:
+    """Refuse curvatures that do not come for both bodies, each with deviations of the same elements."""
+    if surface.gear_curvature is None and surface.pin_curvature is None:
+        return
+    for name in DEVIATIONS:
+        if getattr(surface, name) is None:
+            raise edge.InputError(f"the variable {name} is missing; curvatures need all of {', '.join(DEVIATIONS)}.")
+    for body in ("gear", "pin"):
+        mine, theirs = (getattr(surface, f"{body}_{kind}").shape for kind in ("curvature", "deviation"))
+        if mine != theirs:
+            raise edge.InputError(
+                f"{body}_curvature has the shape {mine}; it must have that of {body}_deviation, {theirs}."
+            )
+
+
+def _check_life(surface: ErrorSurface) -> None:
+    """Refuse a life whose states are not those of the surface's deviations."""
+    life = surface.life
+    assert life is not None
+    turns = life.crank_turns
+    if turns.ndim != 1 or turns.size == 0 or turns[0] != 0.0 or not (np.diff(turns) > 0.0).all():
+        raise edge.InputError("life_crank_turns must grow from 0, one value a state.")
+    for name in DEVIATIONS:
+        own, given = getattr(surface, name), getattr(life, name)
+        if own is None or given.shape != (turns.size, *own.shape):
+            raise edge.InputError(f"life_{name} is missing or its shape is not that of {name} for each state.")
+        if not np.isfinite(given).all():
+            raise edge.InputError(f"life_{name} holds a value that is not finite.")
 
 
 def nominal_surface(pair: Pair) -> ErrorSurface:
     """Return the surface without errors of a pair."""
-    g = pair.pair
-    return ErrorSurface(
-        pin_radial=np.zeros(g.pins),
-        pin_tangential=np.zeros(g.pins),
-        pin_radius_deviation=np.zeros(g.pins),
-        tooth_cumulative_pitch=np.zeros((g.discs, g.gear_teeth)),
-        pair_text=pair.text,
-    )
-
-
-def _pattern(value: Any, count: int) -> Array:
-    """Values of a pattern error: from {order: (amplitude, phase)}, or one each."""
-    if isinstance(value, dict):
-        index = np.arange(count)
-        waves = [a * np.cos(2.0 * np.pi * k * index / count - phase) for k, (a, phase) in value.items()]
-        return np.sum(waves, axis=0) if waves else np.zeros(count)
-    return np.array(value, dtype=float) if len(value) else np.zeros(count)
+    return ErrorSurface(pair)
 
 
 def surface_of_pair(pair: Pair) -> ErrorSurface:
-    """Return the surface with the errors that the pair file itself states."""
-    g, stated = pair.pair, pair.errors
-    pitch = stated.tooth_cumulative_pitch
-    rows = pitch if isinstance(pitch, tuple) and pitch and isinstance(pitch[0], tuple) else (pitch,) * g.discs
-    return dataclasses.replace(
-        nominal_surface(pair),
-        pin_radial=_pattern(stated.pin_radial, g.pins),
-        pin_tangential=_pattern(stated.pin_tangential, g.pins),
-        pin_radius_deviation=_pattern(stated.pin_radius_each, g.pins),
-        tooth_cumulative_pitch=np.array([_pattern(row, g.gear_teeth) for row in rows]),
-        **{name: getattr(stated, name) for name in SCALAR_ERRORS},
-    )
+    """Return the surface with the errors that the pair itself states."""
+    return ErrorSurface(pair, stated_values(pair, pair.errors))
 
 
-PROFILE_POINTS = 100  # elements of a profile that has none: its low orders are smooth
-_PROFILE = re.compile(r"profile_deviation_([1-9])")
-_STRUCTURED = re.compile(rf"({'|'.join(PATTERNS)})_([1-9]\d*)_(cos|sin)")
-
-
-def structured_names(orders: Collection[int]) -> list[str]:
-    """Names of the structured errors: the scalars, then cosine and sine part of each pattern at the given orders."""
-    waves = [f"{pattern}_{order}_{part}" for pattern in PATTERNS for order in orders for part in ("cos", "sin")]
-    return [*SCALAR_ERRORS, *waves]
-
-
-def unit_of(name: str) -> str:
-    """SI unit of an error: "rad" for the misalignments, "1/m" for curvatures, "m" for the others."""
-    if name in ANGLES:
-        return "rad"
-    return "1/m" if name.endswith("_curvature") else "m"
-
-
-def profile_names(orders: Collection[int]) -> list[str]:
-    """Names of the profile deviation's orders: cosines of order/2 waves along the arc of every tooth, root to root."""
-    return [f"profile_deviation_{order}" for order in orders]
-
-
-def profile_wave(name: str, elements: int) -> Array | None:
-    """Values of an order of the profile deviation at the elements' middles, shape (elements,), or None for others."""
-    match = _PROFILE.fullmatch(name)
-    return None if match is None else np.cos(np.pi * int(match[1]) * (np.arange(elements) + 0.5) / elements)
-
-
-def _wave(pair: Pair, name: str) -> tuple[str, Array]:
-    return _wave_of(pair.pair.pins, pair.pair.gear_teeth, name)
-
-
-@functools.lru_cache(maxsize=1024)
-def _wave_of(pins: int, gear_teeth: int, name: str) -> tuple[str, Array]:
-    match = _STRUCTURED.fullmatch(name)
-    if match is None:
-        raise ValueError(f'"{name}" is not a structured error')
-    pattern, order, part = match[1], int(match[2]), match[3]
-    count = gear_teeth if pattern == "tooth_cumulative_pitch" else pins
-    if 2 * order > count:
-        raise ValueError(f'"{name}": the order must be at most half of {count}')
-    argument = 2.0 * np.pi * order * np.arange(count) / count
-    wave = np.cos(argument) if part == "cos" else np.sin(argument)
-    wave.flags.writeable = False
-    return pattern, wave
-
-
-def structured_value(pair: Pair, surface: ErrorSurface, name: str) -> float:
-    """Value of a structured error in a surface (m or rad); those of teeth are averaged over teeth and discs."""
-    if name in SCALAR_ERRORS:
-        return float(getattr(surface, name))
-    flanks = surface.gear_deviation
-    profile = profile_wave(name, PROFILE_POINTS if flanks is None else flanks.shape[2])
-    if profile is not None:
-        return 0.0 if flanks is None else float(2.0 * (flanks * profile[:, None]).mean())
-    pattern, wave = _wave(pair, name)
-    return float((getattr(surface, pattern) * wave).mean() / np.mean(wave**2)) if wave.any() else 0.0
-
-
-def with_structured(pair: Pair, surface: ErrorSurface, values: Mapping[str, float]) -> ErrorSurface:
-    """Return a surface in which the named structured errors have the given values (m or rad) and all else is kept.
-
-    Raises
-    ------
-    ValueError
-        If a name is not a structured error of this pair.
-    """
-    changes: dict[str, Any] = {}
-    for name, value in values.items():
-        if name in SCALAR_ERRORS:
-            changes[name] = float(value)
-            continue
-        profile = profile_wave(
-            name, PROFILE_POINTS if surface.gear_deviation is None else surface.gear_deviation.shape[2]
-        )
-        if profile is not None:
-            g, before = pair.pair, structured_value(pair, surface, name)
-            blank = np.zeros((g.discs, g.gear_teeth, profile.size, 1)) if value != before else None
-            flanks = changes.get("gear_deviation", surface.gear_deviation)
-            flanks = blank if flanks is None else flanks
-            changes["gear_deviation"] = None if flanks is None else flanks + (value - before) * profile[:, None]
-            continue
-        pattern, wave = _wave(pair, name)
-        held = changes.get(pattern, getattr(surface, pattern))
-        changes[pattern] = held + (value - structured_value(pair, surface, name)) * wave
-    return dataclasses.replace(surface, **changes)
-
-
-def structured_columns(pair: Pair, names: Iterable[str]) -> Array:
-    """Linear map from structured errors to the columns of `contact.sensitivities`, shape (columns, names).
-
-    Orders of the profile deviation have no part in them.
-    """
-    g = pair.pair
-    return _columns_of(g.pins, g.gear_teeth, g.discs, g.pin_circle_radius, tuple(names))
-
-
-@functools.lru_cache(maxsize=16)
-def _columns_of(pins: int, gear_teeth: int, discs: int, pin_circle_radius: float, names: tuple[str, ...]) -> Array:
-    scalars = len(SCALAR_ERRORS)
-    starts = {"pin_radial": scalars, "pin_tangential": scalars + pins, "tooth_cumulative_pitch": scalars + 3 * pins}
-    columns = np.zeros((scalars + 3 * pins + discs * gear_teeth, len(names)))
-    for column, name in zip(columns.T, names, strict=True):
-        if name in SCALAR_ERRORS:
-            column[SCALAR_ERRORS.index(name)] = 1.0
-        elif profile_wave(name, 1) is None:
-            pattern, wave = _wave_of(pins, gear_teeth, name)
-            if pattern == "tooth_cumulative_pitch":
-                wave = np.tile(wave, discs) / pin_circle_radius
-            column[starts[pattern] : starts[pattern] + wave.size] = wave
-    columns.flags.writeable = False
-    return columns
+def stated_values(pair: Pair, errors: Errors) -> dict[str, Any]:
+    """Return the values of the stated errors by their kinds' names, m or rad, in the shapes of the pair."""
+    kinds = {kind.file_key: kind for kind in KINDS.values()}
+    return {kinds[key].name: values_of(kinds[key], stated, kinds[key].shape(pair)) for key, stated in errors.items()}
 
 
 def surface_after(surface: ErrorSurface, crank_turns: float) -> ErrorSurface:
@@ -311,155 +356,47 @@ def surface_after(surface: ErrorSurface, crank_turns: float) -> ErrorSurface:
     span = turns[after] - turns[before]
     share = (crank_turns - turns[before]) / span if span > 0.0 else 0.0
     mixed = {n: (1.0 - share) * getattr(life, n)[before] + share * getattr(life, n)[after] for n in DEVIATIONS}
-    return dataclasses.replace(surface, **mixed)
+    return surface.replace(**mixed)
 
 
-def write_surface(surface: ErrorSurface, path: str | os.PathLike[str]) -> None:
-    """Write a surface file (netCDF, `cycloid-surface/1`), whole or not at all."""
-    import xarray as xr
+def alike(surface: ErrorSurface) -> tuple[bool, bool]:
+    """Return whether all teeth of each disc are alike and whether all pins are, seen from what drives them.
 
-    pin, tooth = ("pin",), ("disc", "tooth")
-    data: dict[str, Any] = {name: ((), float(getattr(surface, name))) for name in SCALAR_ERRORS}
-    for name in ("pin_radial", "pin_tangential", "pin_radius_deviation"):
-        data[name] = (pin, getattr(surface, name))
-    data["tooth_cumulative_pitch"] = (tooth, surface.tooth_cumulative_pitch)
-    for name, dimensions in DEVIATIONS.items():
-        if (elements := getattr(surface, name)) is not None:
-            data[name] = (dimensions, elements)
-    if surface.life is not None:
-        for name, values in vars(surface.life).items():
-            data[f"life_{name}"] = (("state", *DEVIATIONS.get(name, ())), values)
-    coordinates: dict[str, Any] = {}
-    if surface.covariance is not None:
-        data["covariance"] = (("parameter", "parameter_"), surface.covariance)
-        coordinates["parameter"] = np.array(surface.covariance_of, dtype=object)
-    dataset = xr.Dataset(data, coordinates)
-    for name, text in {**DESCRIPTIONS, **_DEVIATION_TEXTS}.items():
-        if name not in dataset:
-            continue
-        dataset[name].attrs.update(units=unit_of(name), long_name=text)
-        if f"life_{name}" in dataset:
-            dataset[f"life_{name}"].attrs.update(units=unit_of(name), long_name=f"{text}; over life")
-    if surface.life is not None:
-        dataset["life_crank_turns"].attrs.update(units="1", long_name="crank turns since new")
-    dataset.attrs.update(surface.attributes, format=FORMAT, origin=surface.origin, pair=surface.pair_text)
-    with edge.written_whole(path) as temporary:
-        packed = {n: {"zlib": True} for n in dataset.data_vars if str(n).startswith("life_")}
-        dataset.to_netcdf(temporary, engine="h5netcdf", encoding=packed)
-
-
-def read_surface(path: str | os.PathLike[str]) -> ErrorSurface:
-    """Read a surface file.
-
-    Raises
-    ------
-    edge.InputError
-        If it can't be read, is of another format, lacks a variable, holds a wrong unit, size or a value not finite.
+    What stands still in the frame makes the parts unlike that stand still too: the pins with the gear as output, the
+    teeth with the ring. Where both are alike everything repeats from pin to pin.
     """
-    data = edge.netcdf(path, FORMAT)
-    pair = parse_pair(data.attrs.get("pair", ""), f"{path} (its pair)")
-    origin = data.attrs.get("origin")
-    if origin not in ORIGINS:
-        raise edge.InputError(f'{path}: origin = "{origin}": it must be one of {", ".join(ORIGINS)}.')
-    blank = nominal_surface(pair)
-    values: dict[str, Any] = {}
-    for name in DESCRIPTIONS:
-        if name not in data:
-            raise edge.InputError(f"{path}: the variable {name} is missing.")
-        given, unit = data[name], data[name].attrs.get("units")
-        if unit != unit_of(name):
-            raise edge.InputError(f'{path}: {name} has the unit "{unit}"; it must be "{unit_of(name)}".')
-        shape = np.shape(getattr(blank, name))
-        if given.shape != shape:
-            raise edge.InputError(f"{path}: {name} has the shape {given.shape}; its pair needs {shape}.")
-        if not np.isfinite(given.values).all():
-            raise edge.InputError(f"{path}: {name} holds a value that is not finite.")
-        values[name] = given.values.astype(float) if shape else float(given)
-    for name, dimensions in DEVIATIONS.items():
-        if name in data:
-            values[name] = _checked_deviation(data[name], name, dimensions, blank, str(path))
-    _check_curvatures(values, str(path))
-    if "life_crank_turns" in data:
-        values["life"] = _checked_life(data, values, str(path))
-    kept = {k: v for k, v in data.attrs.items() if k not in ("format", "origin", "pair")}
-    covariance = data["covariance"].values.astype(float) if "covariance" in data else None
-    names = tuple(str(n) for n in data["parameter"].values) if covariance is not None else ()
-    if covariance is not None and not (
-        covariance.shape == (len(names),) * 2 and np.isfinite(covariance).all() and (covariance == covariance.T).all()
-    ):
-        raise edge.InputError(f"{path}: covariance must be symmetric and finite, {len(names)} by {len(names)}.")
-    return ErrorSurface(
-        **values,
-        origin=origin,
-        pair_text=pair.text,
-        covariance=covariance,
-        covariance_of=names,
-        attributes=kept,
-    )
+    parts = {"pins": True, "teeth": True, "frame": True}
+    for name, kind in KINDS.items():
+        values = surface.errors[name]
+        if kind.breaks:
+            # One number makes parts unlike wherever it is not zero, many where they are not the same.
+            parts[kind.breaks] &= not np.any(values if kind.of == "drive" else np.ptp(values, axis=-1))
+    for name, axis, part in (("gear", 1, "teeth"), ("pin", 0, "pins")):
+        for what in ("deviation", "curvature"):
+            values = getattr(surface, f"{name}_{what}")
+            parts[part] &= values is None or not np.ptp(values, axis=axis).any()
+    still = "pins" if surface.pair.output == "gear" else "teeth"
+    parts[still] &= parts["frame"]
+    return parts["teeth"], parts["pins"]
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
+    """Return a value of a pair's field as a sentence shows it."""
     return f"{value:.9g}" if isinstance(value, float) else str(value)
 
 
-def _checked_deviation(given: Any, name: str, dimensions: tuple[str, ...], blank: ErrorSurface, source: str) -> Array:
-    """Check one array of deviations as it was read; the profile, angle and width may have any number of elements."""
-    if given.dims != dimensions:
-        raise edge.InputError(f"{source}: {name} has the dimensions {given.dims}; it must have {dimensions}.")
-    if given.attrs.get("units") != unit_of(name):
-        raise edge.InputError(
-            f'{source}: {name} has the unit "{given.attrs.get("units")}"; it must be "{unit_of(name)}".'
+def _difference(field: str, one: Any, other: Any) -> tuple[str, Any, Any] | None:
+    """Return the first field in which two values differ by more than rounding, with both values, None without one."""
+    if isinstance(one, edge.Config):
+        parts = (
+            _difference(f"[{field.split()[-1]}] {name}", getattr(one, name), getattr(other, name))
+            for name in type(one).model_fields
         )
-    sizes = {"disc": blank.tooth_cumulative_pitch.shape[0], "tooth": blank.tooth_cumulative_pitch.shape[1],
-             "pin": blank.pin_radial.size}  # fmt: skip
-    for dimension, size in zip(dimensions, given.shape, strict=True):
-        if size == 0 or size != sizes.get(dimension, size):
-            raise edge.InputError(f"{source}: {name} has {size} of {dimension}; its pair needs {sizes[dimension]}.")
-    values: Array = given.values.astype(float)
-    if not np.isfinite(values).all():
-        raise edge.InputError(f"{source}: {name} holds a value that is not finite.")
-    largest = np.abs(values).max()
-    if unit_of(name) == "m" and largest > LARGEST_ELEMENT:
-        raise edge.InputError(
-            f"{source}: {name} reaches {largest * 1e3:.4g} mm; deviations must lie within half a millimetre."
-        )
-    return values
-
-
-def _checked_life(data: Any, values: Mapping[str, Any], source: str) -> Life:
-    """Check the states of a life as they were read."""
-    turns = data["life_crank_turns"].values.astype(float)
-    if turns.ndim != 1 or turns.size == 0 or turns[0] != 0.0 or not (np.diff(turns) > 0.0).all():
-        raise edge.InputError(f"{source}: life_crank_turns must grow from 0, one value a state.")
-    states = {}
-    for name in DEVIATIONS:
-        given = data.get(f"life_{name}")
-        if given is None or name not in values or given.shape != (turns.size, *values[name].shape):
-            raise edge.InputError(
-                f"{source}: life_{name} is missing or its shape is not that of {name} for each state."
-            )
-        if not np.isfinite(given.values).all():
-            raise edge.InputError(f"{source}: life_{name} holds a value that is not finite.")
-        states[name] = given.values.astype(float)
-    return Life(turns, **states)
-
-
-def _check_curvatures(values: Mapping[str, Any], source: str) -> None:
-    """Refuse curvatures that do not come for both bodies, each with deviations of the same elements."""
-    present = [n for n in DEVIATIONS if n in values]
-    if not any(n.endswith("_curvature") for n in present):
-        return
-    for name in DEVIATIONS:
-        if name not in present:
-            raise edge.InputError(
-                f"{source}: the variable {name} is missing; curvatures need all of {', '.join(DEVIATIONS)}."
-            )
-    for body in ("gear", "pin"):
-        mine, theirs = (values[f"{body}_{kind}"].shape for kind in ("curvature", "deviation"))
-        if mine != theirs:
-            raise edge.InputError(
-                f"{source}: {body}_curvature has the shape {mine}; it must have that of {body}_deviation, {theirs}."
-            )
+        return next((found for found in parts if found is not None), None)
+    same = (
+        math.isclose(one, other, rel_tol=1e-12) if isinstance(one, float) and isinstance(other, float) else one == other
+    )
+    return None if same else (field, one, other)
 
 
 def check_surface(pair: Pair, surface: ErrorSurface, pair_source: str, surface_source: str) -> None:
@@ -470,14 +407,11 @@ def check_surface(pair: Pair, surface: ErrorSurface, pair_source: str, surface_s
     edge.InputError
         Naming the first field that differs, both values and both files.
     """
-    other = parse_pair(surface.pair_text, f"{surface_source} (its pair)")
-    for table in ("pair", "modification", "material"):
-        mine, theirs = getattr(pair, table), getattr(other, table)
-        for name in type(mine).model_fields:
-            if name in ("rated_torque", "contact_law"):
-                continue
-            if getattr(mine, name) != getattr(theirs, name):
-                raise edge.InputError(
-                    f"{surface_source}: this surface belongs to another pair: [{table}] {name} is "
-                    f"{_shown(getattr(theirs, name))} there and {_shown(getattr(mine, name))} in {pair_source}."
-                )
+    mine, theirs = pair.nominal, surface.pair
+    for name in type(pair).model_fields:
+        field, one, other = _difference(f"[pair] {name}", getattr(mine, name), getattr(theirs, name)) or ("", 0, 0)
+        if field and name not in ("rated_torque", "contact_law"):
+            raise edge.InputError(
+                f"{surface_source}: this surface belongs to another pair: {field} is {shown(other)} there and "
+                f"{shown(one)} in {pair_source}."
+            )

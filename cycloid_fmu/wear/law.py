@@ -116,7 +116,7 @@ def duty_cycle(
     if torque is not None:
         if crank_turns is None:
             raise edge.InputError("--crank-turns is missing; one torque alone does not say for how long.")
-        return (Load.model_construct(torque=torque, crank_turns=1.0),), crank_turns
+        return (Load(torque=torque, crank_turns=1.0),), crank_turns
     loads = law.duty if duty_file is None else read_duty_cycle(duty_file)
     total = sum(load.crank_turns for load in loads)
     if not total > 0.0:
@@ -140,7 +140,7 @@ def read_duty_cycle(path: str | os.PathLike[str]) -> tuple[Load, ...]:
             raise edge.InputError(
                 f"{path}: line {number}: crank_turns = {values['crank_turns']:g}: it must not be below zero."
             )
-        loads.append(Load.model_construct(torque=values["torque"], crank_turns=values["crank_turns"]))
+        loads.append(Load(torque=values["torque"], crank_turns=values["crank_turns"]))
     if not sum(load.crank_turns for load in loads) > 0.0:
         raise edge.InputError(f"{path}: crank_turns add up to zero; a duty cycle must turn the crank.")
     return tuple(loads)

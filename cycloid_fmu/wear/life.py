@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import json
 import os
@@ -14,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
+from cycloid_fmu.contact.tooth_contact import contact_ratio
 from cycloid_fmu.surfaces.surface import DEVIATIONS, ErrorSurface, Life
-from cycloid_fmu.tooth_contact import contact_ratio
 from cycloid_fmu.wear.progress import (
     SENSIBLE_COEFFICIENTS,
     Depth,
@@ -149,12 +148,12 @@ def surface_of_run(model: WearModel, states: list[WearState], half_width: float)
     life = Life(turns, **{name: np.stack([getattr(s, name) for s in surfaces]) for name in DEVIATIONS})
     loads = ", ".join(f"{load.torque:g} N*m x {load.crank_turns:g}" for load in model.loads)
     notes = {"crank_turns": float(turns[-1]), "pins": model.law.pins, "loads": loads}
-    return dataclasses.replace(surfaces[-1], life=life, attributes={**model.surface.attributes, **notes})
+    return surfaces[-1].replace(life=life, attributes={**model.surface.attributes, **notes})
 
 
 def _figures_of(model: WearModel, depth: Depth) -> dict[str, float]:
     """Largest and mean depth (over what is worn at all, m) and the worn volume (m³) of gear and pins."""
-    width = model.pair.pair.face_width
+    width = model.pair.face_width
     found = {}
     for body, values, element in (("gear", depth.gear, model.gear_element), ("pin", depth.pin, model.pin_element)):
         worn = values[values > 1e-3 * values.max()] if values.any() else np.zeros(1)

@@ -20,11 +20,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import correlate1d
 
 from cycloid_fmu import contact
+from cycloid_fmu.contact.tooth_contact import LoadedContacts, loaded_contacts
+from cycloid_fmu.contact.transmission import ANGLE_ELEMENTS, PART, PROFILE_ELEMENTS, drive_of, slices_needed, solve
 from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD, Pair
 from cycloid_fmu.geometry.profile import flank_points, flank_speed
-from cycloid_fmu.surfaces.surface import ErrorSurface
-from cycloid_fmu.tooth_contact import LoadedContacts, loaded_contacts
-from cycloid_fmu.transmission import ANGLE_ELEMENTS, PART, PROFILE_ELEMENTS, drive_of, slices_needed, solve
+from cycloid_fmu.surfaces.surface import ErrorSurface, alike
 from cycloid_fmu.wear.law import Load, Regression, WearLaw
 from cycloid_fmu.wear.sliding import velocities
 
@@ -67,7 +67,7 @@ def regression_coefficient(regression: Regression, line_load: ArrayLike, radius:
     return np.asarray(3.981e29 / modulus * load**1.219 * viscosity**-7.377 * roughness**1.589)
 
 
-def contact_coefficients(law: WearLaw, drive: contact.Drive, contacts: LoadedContacts) -> Array:
+def contact_coefficients(law: WearLaw, drive: contact.Problem, contacts: LoadedContacts) -> Array:
     """k_0 at each contact by the law that the wear file states, shape (contacts,), m²/N."""
     if law.regression is None:
         assert law.coefficient is not None
@@ -87,25 +87,15 @@ class Sweep:
 
 def sweep_of(pair: Pair, surface: ErrorSurface) -> Sweep:
     """Return the shortest sweep of a pair with its errors: one pin pitch, one turn, or a whole turn of the output."""
-    g = pair.pair
-    devs = (surface.gear_deviation, surface.tooth_cumulative_pitch)
-    teeth = all(d is None or bool((d == d[:1, :1]).all()) for d in devs)
-    pins = all(
-        d is None or bool((d == d[:1]).all())
-        for d in (surface.pin_radial, surface.pin_tangential, surface.pin_radius_deviation, surface.pin_deviation)
-    )
-    frame = not any(
-        (surface.centre_distance_x, surface.centre_distance_y, surface.misalignment_xz, surface.misalignment_yz)
-    )
+    g = pair
+    teeth, pins = alike(surface)
     fixed, moving = (g.pins, g.gear_teeth) if g.output == "gear" else (g.gear_teeth, g.pins)
     fixed_alike, moving_alike = (pins, teeth) if g.output == "gear" else (teeth, pins)
-    fixed_alike = fixed_alike and frame
     meshes = (1 if fixed_alike else fixed) * (1 if moving_alike else moving)
-    alike = fixed_alike + moving_alike
-    count = (alike == 0) + meshes * math.ceil(ANGLES[2 - alike] / fixed)
+    both = fixed_alike + moving_alike
+    count = (both == 0) + meshes * math.ceil(ANGLES[2 - both] / fixed)
     angle = np.linspace(0.0, 2.0 * np.pi * meshes / fixed, count, endpoint=False)
-    ring = g.output == "ring"
-    return Sweep(angle, moving_alike if not ring else fixed_alike, fixed_alike if not ring else moving_alike)
+    return Sweep(angle, teeth, pins)
 
 
 @dataclass(frozen=True)
@@ -206,7 +196,7 @@ class WearModel:
     def pin_element(self) -> float:
         """Arc length of an element of the pins, m."""
         assert self.surface.pin_deviation is not None
-        return math.pi * self.pair.pair.pin_radius / float(self.surface.pin_deviation.shape[1])
+        return math.pi * self.pair.pin_radius / float(self.surface.pin_deviation.shape[1])
 
 
 def wear_model(
@@ -228,7 +218,7 @@ def wear_model(
     profile, angle
         Elements along a tooth and round the half of a pin, where the surface has fewer.
     """
-    g = pair.pair
+    g = pair
     width = slices_needed(surface)
     gear = np.zeros((g.discs, g.gear_teeth, 1, 1)) if surface.gear_deviation is None else surface.gear_deviation
     pin = np.zeros((g.pins, 1, 1)) if surface.pin_deviation is None else surface.pin_deviation
@@ -240,11 +230,7 @@ def wear_model(
     alpha = np.linspace(0.0, 2.0 * np.pi / g.gear_teeth, 4001)
     arc = float(np.trapezoid(flank_speed(pair, alpha), alpha))
     total = sum(load.crank_turns for load in loads)
-    shares = (
-        tuple(load.model_copy(update={"crank_turns": load.crank_turns / total}) for load in loads)
-        if total > 0.0
-        else ()
-    )
+    shares = tuple(load.replace(crank_turns=load.crank_turns / total) for load in loads) if total > 0.0 else ()
     return WearModel(pair, refined, law, shares, total, sweep_of(pair, surface), arc)
 
 
@@ -351,7 +337,7 @@ def wear_rate(model: WearModel, surface: ErrorSurface, workers: int = 1) -> Wear
     )
 
 
-def _part_of_rate(model: WearModel, drive: contact.Drive, load: Load, crank_angle: Array) -> WearRate:
+def _part_of_rate(model: WearModel, drive: contact.Problem, load: Load, crank_angle: Array) -> WearRate:
     contacts = loaded_contacts(drive, crank_angle, load.torque)
     depth = model.unworn
     per_turn = load.crank_turns * 2.0 * np.pi / model.sweep.crank_angle.size
@@ -363,7 +349,8 @@ def _part_of_rate(model: WearModel, drive: contact.Drive, load: Load, crank_angl
     area = coefficient * work / drive.slice_width
     cells = depth.gear.shape[2]
     ends = np.concatenate([[0.0], np.arange(cells) + 0.5, [cells]])
-    place = np.interp(contacts.place, drive.flank_alpha, ends)
+    assert drive.deviations is not None  # what wears has elements
+    place = np.interp(contacts.place, drive.deviations.flank_alpha, ends)
     # Elements of a disc's teeth in a row for each slice: a contact at a root lies on both its teeth.
     rows = np.zeros((depth.gear.shape[0] * depth.gear.shape[3], drive.teeth * cells))
     _deposit(
@@ -498,7 +485,7 @@ def _periods(model: WearModel, new: WearRate) -> list[tuple[float, WearModel]]:
     return [
         (
             load.crank_turns * model.cycle,
-            dataclasses.replace(model, loads=(load.model_copy(update={"crank_turns": 1.0}),)),
+            dataclasses.replace(model, loads=(load.replace(crank_turns=1.0),)),
         )
         for load in model.loads
     ]
@@ -518,7 +505,7 @@ def _period_at(periods: list[tuple[float, WearModel]], crank_turns: float) -> tu
 
 def tooth_thickness(pair: Pair) -> float:
     """Chord between both flanks of a tooth halfway between root and tip, m."""
-    half = np.pi / pair.pair.gear_teeth
+    half = np.pi / pair.gear_teeth
     alpha = np.linspace(0.0, half, 2001)
     point = np.array([1.0, 1.0j]) @ np.stack(flank_points(pair, alpha))
     at = np.interp(0.5 * (abs(point[0]) + abs(point[-1])), np.abs(point), np.angle(point))
@@ -570,7 +557,7 @@ class Accuracy:
 def accuracy(model: WearModel, depths: Sequence[Depth], half_width: float, workers: int = 1) -> Accuracy:
     """Return the accuracy of worn states."""
     angle = model.sweep.crank_angle[: 3 * PART]
-    rated = model.pair.pair.rated_torque or abs(model.heaviest_torque)
+    rated = model.pair.rated_torque or abs(model.heaviest_torque)
     torques = [model.heaviest_torque, LOST_MOTION_LOAD * rated, -LOST_MOTION_LOAD * rated]
     rows = []
     for depth in depths:

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import contact
+from cycloid_fmu.contact.tooth_contact import LoadedContacts
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.tooth_contact import LoadedContacts
 
 Array = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ def ideal_velocities(pair: Pair, phase: ArrayLike) -> Velocities:
     loaded-contact-wear section 3.3 written out: v_1r = R_rp K (cos φ - K)/S², v_12 = (R_p S - R_rp)/z_c, with
     K = e z_p/R_p and S = sqrt(1 + K² - 2K cos φ) (docs/theory/wear.md).
     """
-    g, cosine = pair.pair, np.cos(np.asarray(phase, dtype=float))
+    g, cosine = pair, np.cos(np.asarray(phase, dtype=float))
     k = g.eccentricity * g.pins / g.pin_circle_radius
     stretch = 1.0 + k * k - 2.0 * k * cosine
     along_pin = g.pin_radius * k * (cosine - k) / stretch
@@ -70,11 +70,11 @@ def slip_pole(pair: Pair) -> float:
 
     There the pin's slip coefficient is infinite and the gear's is 1; it is where the moment arm is largest.
     """
-    g = pair.pair
+    g = pair
     return float(np.arccos(g.eccentricity * g.pins / g.pin_circle_radius))
 
 
-def velocities(drive: contact.Drive, contacts: LoadedContacts) -> Velocities:
+def velocities(drive: contact.Problem, contacts: LoadedContacts) -> Velocities:
     """Velocities at solved contacts, of modified flanks and with the transmission error's own rate.
 
     Notes

@@ -23,7 +23,7 @@ def measure(pair, surface, noise, seed, frame=(0.0, 0.0), along=60, across=5, re
     frame: shift (x + iy, m) and rotation (rad) of every body in the machine's frame; reach: degrees of a pin, each way.
     """
     generator = np.random.default_rng(seed)
-    g, (shift, turn), rows = pair.pair, frame, []
+    g, (shift, turn), rows = pair, frame, []
     part, width = spread(along, across)
     fine = equal_arc_parameters(pair, 4000)
     alpha = np.interp(part, arc_parts(pair, fine), fine)

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cycloid_fmu import edge
+from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.fmu import tables
 from cycloid_fmu.fmu.build import read_losses
 from cycloid_fmu.fmu.compliant_model import FARTHEST, CompliantModel
@@ -20,7 +21,6 @@ from cycloid_fmu.fmu.model import DriveModel, StepError
 from cycloid_fmu.fmu.variables import FRICTION_DISPLACEMENT
 from cycloid_fmu.geometry.pair import parse_pair
 from cycloid_fmu.surfaces.surface import nominal_surface
-from cycloid_fmu.transmission import solve
 
 PLAY = parse_pair(
     PAIR + '[modification]\noffset = "-40 um"\nisometric = "-15 um"\n[errors]\ncentre_distance_x = "4 um"\n', "p"
