@@ -223,7 +223,7 @@ def parse_reducer(text: str, source: str) -> Reducer:
         If it is not a valid reducer; one sentence a problem, naming field, value and `source`.
     """
     table = edge.toml_table(text, FORMAT, source)
-    stage = {k: table.pop(k) for k in ("pair", "modification", "material") if k in table}
+    stage: dict[str, Any] = {k: table.pop(k) for k in ("pair", "modification", "material") if k in table}
     for key in ("stage", "text"):
         if key in table:
             raise edge.InputError(f"{source}: {key} is not a key known here; check its spelling or remove it.")
