@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cycloid_fmu.fmu.description import Version
-    from cycloid_fmu.fmu.reducer_model import FirstStage
     from cycloid_fmu.fmu.variables import Interface
     from cycloid_fmu.pair import Pair
     from cycloid_fmu.surface import ErrorSurface
@@ -293,12 +292,8 @@ def build(
         ),
     ] = None,
     fmi: Annotated[str, typer.Option(help="FMI version, 2.0 or 3.0.")] = "2.0",
-    tables: Annotated[
-        bool,
-        typer.Option("--tables", help="Interpolate tables of the contact model: faster, but errors are not tunable."),
-    ] = False,
     native: Annotated[
-        bool, typer.Option("--native", help="An FMU that needs no Python: C around the same tables.")
+        bool, typer.Option("--native", help="An FMU that needs no Python: C around tables of the contact model.")
     ] = False,
     platforms: Annotated[
         list[str] | None,
@@ -311,7 +306,7 @@ def build(
 
     Example: [cyan]cycloid-fmu build pair.toml --surface identified.nc -o drive.fmu[/]
     """
-    from cycloid_fmu import reducer as rv
+    from cycloid_fmu.reducer import budget as rv
     from cycloid_fmu.fmu import build as builder
     from cycloid_fmu.fmu.variables import INTERFACES, LOSSLESS, Interface
     from cycloid_fmu.surface import check_surface, read_surface
@@ -324,76 +319,61 @@ def build(
     inertia = 0.0 if output_inertia is None else edge.quantity_option(output_inertia, "kg*m^2", "--output-inertia")
     rows = LOSSLESS if losses is None else builder.read_losses(losses)
     offered = Interface(interface, inertia, rows)  # type: ignore[arg-type]
-    if native and tables:
-        raise edge.InputError("--native, --tables: give one; a native FMU interpolates the same tables without Python.")
     if platforms and not native:
         raise edge.InputError("--platform: only a --native FMU has platforms; one in Python runs where Python does.")
-    stage = None
+    drive: Pair | rv.Reducer
     if edge.format_of(pair_file) == rv.FORMAT:
-        reducer = rv.read_reducer(pair_file)
-        for warning in rv.contradictions(reducer, str(pair_file)):
+        drive = rv.read_reducer(pair_file)
+        for warning in rv.contradictions(drive, str(pair_file)):
             typer.echo(warning, err=True)
-        surface = rv.surface_of_reducer(reducer)
-        if surface_file is not None:
-            surface = read_surface(surface_file)
-            check_surface(reducer.stage, surface, str(pair_file), str(surface_file))
-        pair, stage = reducer.stage, rv.first_stage_of(reducer)
+        surface = None if surface_file is None else read_surface(surface_file)
+        if surface is not None:
+            check_surface(drive.stage, surface, str(pair_file), str(surface_file))
     else:
-        pair, surface = _load(pair_file, surface_file)
-    offered = builder.checked_interface(offered, stage)
-    if native or tables:
-        names = None if not native else platforms or []
-        _build_from_tables(pair_file, pair, surface, output, stage, offered, fmi, names)  # type: ignore[arg-type]
+        drive, surface = _load(pair_file, surface_file)
+    if native:
+        _build_native(pair_file, drive, surface, output, offered, fmi, platforms or [])  # type: ignore[arg-type]
         return
-    builder.build_fmu(pair, surface, output, stage, interface=offered, fmi_version=fmi)  # type: ignore[arg-type]
+    builder.build_fmu(drive, output, surface, interface=offered, fmi_version=fmi)  # type: ignore[arg-type]
 
 
-def _build_from_tables(
+def _build_native(
     pair_file: Path,
-    pair: Pair,
-    surface: ErrorSurface,
+    drive: Pair | Reducer,
+    surface: ErrorSurface | None,
     output: Path,
-    stage: FirstStage | None,
     interface: Interface,
     fmi: Version,
-    platforms: list[str] | None,
+    platforms: list[str],
 ) -> None:
-    """Build an FMU from tables, native where platforms are given (all, if none is named), and say how good it is."""
+    """Build a native FMU for the given platforms (all, if none is named), and say how good its tables are."""
     from rich.progress import Progress
 
-    from cycloid_fmu.fmu.build import build_fmu
-    from cycloid_fmu.fmu.native_build import build_native, platforms_of
-    from cycloid_fmu.fmu.tables import LARGEST_LOAD, PROBES, compute
+    from cycloid_fmu.fmu.build import whole_drive
+    from cycloid_fmu.native.build import build_native, platforms_of
+    from cycloid_fmu.native.tables import LARGEST_LOAD, PROBES
 
-    if pair.pair.rated_torque is None:
+    if whole_drive(drive, surface)[0].pair.rated_torque is None:
         raise edge.InputError(
             f"{pair_file}: [pair] rated_torque is missing; state it: the tables reach {LARGEST_LOAD:g} times as far."
         )
     with Progress(transient=True) as bar:
-        if platforms is not None:
-            names = platforms or list(platforms_of(fmi))
-            libraries = bar.add_task(f"compiling for {names[0]}", total=len(names))
+        names = platforms or list(platforms_of(fmi))
+        libraries = bar.add_task(f"compiling for {names[0]}", total=len(names))
         angles = bar.add_task("crank angles", total=None)
 
         def compiled(name: str) -> None:
             following = names[names.index(name) + 1 :]
             bar.update(libraries, advance=1, description=f"compiling for {following[0]}" if following else "compiled")
 
-        told: Any = {
-            "workers": os.cpu_count() or 1,
-            "total": lambda count: bar.update(angles, total=count, completed=0),
-            "progress": lambda done: bar.advance(angles, done),
-        }
-        if platforms is None:
-            made = compute(pair, surface, **told)
-            build_fmu(pair, surface, output, stage, interface=interface, fmi_version=fmi, tables=made)
-        else:
-            made = build_native(
-                pair, surface, output, interface, fmi, stage, platforms=names, compiled=compiled, **told
-            )
+        made = build_native(
+            drive, output, surface, interface=interface, fmi_version=fmi, platforms=names, compiled=compiled,
+            workers=os.cpu_count() or 1, total=lambda count: bar.update(angles, total=count, completed=0),
+            progress=lambda done: bar.advance(angles, done),
+        )  # fmt: skip
     typer.echo(
         f"{output}: {output.stat().st_size / 1e6:.2f} MB, up to {made.positive.load[-1]:.5g} N*m; transmission error "
-        f"within {made.error['deviation_largest'] * edge.ARCSEC:.3f} arcsec of the exact model "
+        f"within {made.largest_error * edge.ARCSEC:.3f} arcsec of the exact model "
         f"({PROBES} random crank angles and torques, and more around the worst)."
     )
 
@@ -655,7 +635,7 @@ def budget(
     from rich.progress import Progress
 
     from cycloid_fmu import plots
-    from cycloid_fmu import reducer as rv
+    from cycloid_fmu.reducer import budget as rv
 
     if plot is not None:
         plots.check_path(plot)

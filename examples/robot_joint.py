@@ -79,7 +79,7 @@ def joint(pair: Pair, surface: ErrorSurface, path: Path) -> Path:
     """Build the joint's three FMUs and package them."""
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
-        build_fmu(pair, surface, place / "drive.fmu", interface=ARM)
+        build_fmu(pair, place / "drive.fmu", surface, interface=ARM)
         for name in ("Motor", "Arm"):
             script = place / f"{name.lower()}_part.py"
             script.write_text(f"from joint_parts import {name} as Part\n\n\nclass {name}(Part):\n    pass\n")

@@ -31,7 +31,7 @@ def resources(tmp_path_factory):
     def unpacked(kind):
         if kind not in made:
             folder = tmp_path_factory.mktemp(kind)
-            build_fmu(ERRORS, surface_of_pair(ERRORS), folder / "d.fmu", interface=KINDS[kind])
+            build_fmu(ERRORS, folder / "d.fmu", interface=KINDS[kind])
             with zipfile.ZipFile(folder / "d.fmu") as archive:
                 archive.extractall(folder)
             made[kind] = folder / "resources"

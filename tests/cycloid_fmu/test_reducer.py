@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from cycloid_fmu import edge, reducer
 from cycloid_fmu.edge import ARCMIN
-from cycloid_fmu.reducer import (
+from cycloid_fmu.reducer.budget import (
     TERMS,
     budget,
     contact_play,

@@ -13,7 +13,7 @@ import pytest
 from c_host import HERE, WINE, compiled, needs_wine, zig
 from front import LIBRARIES, SHIPPED, compile_front, source_hash
 
-from cycloid_fmu.fmu import native_build
+from cycloid_fmu.native import build as native_build
 
 LOGGER = ctypes.CFUNCTYPE(
     None, ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p

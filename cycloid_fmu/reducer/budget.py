@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import contact, edge
 from cycloid_fmu.edge import ARCMIN, Angle, Config
-from cycloid_fmu.fmu.reducer_model import FirstStage
 from cycloid_fmu.pair import LARGEST_DEVIATION, Pair, PositiveLength
+from cycloid_fmu.reducer.first_stage import FirstStage, sun_locked_share
 from cycloid_fmu.sampling import Distribution, error_stream, within_tolerance
 from cycloid_fmu.surface import ErrorSurface, nominal_surface
 from cycloid_fmu.transmission import drive_of
@@ -200,11 +200,8 @@ class Reducer(Config):
 
     @property
     def sun_locked(self) -> float:
-        """Share of a play with the crank locked that is left with the sun locked: 1/(1 + (1 + z_1/z_2)/z_c).
-
-        The planets roll on the locked sun and turn the cranks by 1 + z_1/z_2 of the output.
-        """
-        return 1.0 / (1.0 + self.crank_share / self.stage.pair.gear_teeth)
+        """Share of a play with the crank locked that is left with the sun locked (`first_stage.sun_locked_share`)."""
+        return sun_locked_share(self.crank_share, self.stage.pair.gear_teeth)
 
     @property
     def crank_share(self) -> float:

@@ -1,0 +1,1 @@
+"""Manufacturing and assembly errors of a drive."""
