@@ -8,7 +8,7 @@ import math
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from cycloid_fmu.fmu.description import Version
     from cycloid_fmu.fmu.variables import Interface
     from cycloid_fmu.pair import Pair
+    from cycloid_fmu.reducer.budget import Reducer
     from cycloid_fmu.surface import ErrorSurface
 
 app = typer.Typer(
@@ -306,9 +307,9 @@ def build(
 
     Example: [cyan]cycloid-fmu build pair.toml --surface identified.nc -o drive.fmu[/]
     """
-    from cycloid_fmu.reducer import budget as rv
     from cycloid_fmu.fmu import build as builder
     from cycloid_fmu.fmu.variables import INTERFACES, LOSSLESS, Interface
+    from cycloid_fmu.reducer import budget as rv
     from cycloid_fmu.surface import check_surface, read_surface
 
     edge.output_path(output, "--output", (".fmu",))
@@ -321,7 +322,7 @@ def build(
     offered = Interface(interface, inertia, rows)  # type: ignore[arg-type]
     if platforms and not native:
         raise edge.InputError("--platform: only a --native FMU has platforms; one in Python runs where Python does.")
-    drive: Pair | rv.Reducer
+    drive: Pair | Reducer
     if edge.format_of(pair_file) == rv.FORMAT:
         drive = rv.read_reducer(pair_file)
         for warning in rv.contradictions(drive, str(pair_file)):

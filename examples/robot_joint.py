@@ -149,8 +149,8 @@ def main() -> None:
     }
     print("1. The joint as an SSP package, with each drive")
     packages = {name: joint(*drive, OUT / f"joint-{name.replace(' ', '-')}.ssp") for name, drive in drives.items()}
-    build_fmu(*drives["as identified"], OUT / "identified.fmu")
-    build_fmu(*drives["as made"], OUT / "as-made.fmu")
+    for name, (pair, surface) in (("identified", drives["as identified"]), ("as-made", drives["as made"])):
+        build_fmu(pair, OUT / f"{name}.fmu", surface)
     known = compensation(OUT / "identified.fmu", -30.0)
 
     print("2. It moves by 90°")

@@ -33,8 +33,8 @@ class Alike:
 def alike_parts(pair: Pair, surface: ErrorSurface) -> Alike:
     """Return which parts of a drive are alike.
 
-    An offset or tilt of the gear's centre is fixed to the frame: with one the parts of the body that does not turn, pins
-    or teeth, meet the others unlike each other.
+    An offset or tilt of the gear's centre is fixed to the frame: with one, the parts of the body that does not turn,
+    pins or teeth, meet the others unlike each other.
     """
 
     def same(names: tuple[str, ...], axis: int) -> bool:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from cycloid_fmu.fmu.constants import (
     CRANK_STEP,
@@ -29,7 +28,7 @@ from cycloid_fmu.fmu.constants import (
 )
 from cycloid_fmu.fmu.losses import loss_torque
 from cycloid_fmu.fmu.model import DriveModel
-from cycloid_fmu.fmu.stepped_model import State, SteppedModel
+from cycloid_fmu.fmu.stepped_model import State, SteppedModel, state_fields
 from cycloid_fmu.fmu.teeth import StepError
 from cycloid_fmu.fmu.variables import LARGEST_STEP, LOSSLESS
 from cycloid_fmu.pair import Pair
@@ -37,10 +36,12 @@ from cycloid_fmu.surface import ErrorSurface
 
 _NO_LOSSES = [list(row) for row in LOSSLESS]  # a longer table that takes nothing is walked through in vain
 # What a quasi-static drive at the same place has of the state.
-_SHARED = ("errors", "pin_arrays", "_crank_turns_worn", "crank_angle", "crank_speed", "series_compliance", "backlash_on")
+_SHARED = (
+    "errors", "pin_arrays", "_crank_turns_worn", "crank_angle", "crank_speed", "series_compliance", "backlash_on",
+)  # fmt: skip
 
 
-@dataclass(eq=False)
+@state_fields
 class CompliantState(State):
     """State of a drive between two flanges.
 
@@ -105,7 +106,8 @@ class CompliantModel(SteppedModel, CompliantState):
         flange, rate = deviation, 0.0
         if not -LARGEST_TRANSMISSION_ERROR < deviation < LARGEST_TRANSMISSION_ERROR:
             raise StepError(
-                f"flange_b.phi is {deviation:g} rad from flange_a.phi/ratio: it must stay within {LARGEST_TRANSMISSION_ERROR:g} rad"
+                f"flange_b.phi is {deviation:g} rad from flange_a.phi/ratio: it must stay within "
+                f"{LARGEST_TRANSMISSION_ERROR:g} rad"
             )
         self._play = self._crank = self._sharing = None
         self._theta = theta

@@ -5,7 +5,7 @@ from __future__ import annotations
 FRICTION_DISPLACEMENT = 2e-5  # rad of the output over which the compliant interface's dry friction builds up
 LOSS_SPEED = 1e-2  # rad/s of flange_a below which the losses' torque goes to zero with the speed
 LOSS_COLUMNS = 5  # of the loss table
-LARGEST_TRANSMISSION_ERROR = 0.01  # rad: flanges further from the ideal ratio are a mistake of the model around the drive
+LARGEST_TRANSMISSION_ERROR = 0.01  # rad: flanges beyond it are a mistake of the model around the drive
 SUB_STEP = 0.2  # rad of the output inertia's own oscillation in one sub-step
 MOST_SUB_STEPS = 20000  # of the output inertia in a communication step
 CRANK_STEP = 0.02  # rad of the crank in one sub-step of what is dissipated

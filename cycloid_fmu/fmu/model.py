@@ -8,14 +8,17 @@ is carried along by the nearer end. At zero torque without friction these ends a
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 from cycloid_fmu.fmu.losses import loss_torque
-from cycloid_fmu.fmu.stepped_model import State, SteppedModel
+from cycloid_fmu.fmu.stepped_model import State, SteppedModel, state_fields
 from cycloid_fmu.fmu.teeth import ContactTeeth, StepError
+from cycloid_fmu.fmu.variables import LOSSLESS
+from cycloid_fmu.pair import Pair
+from cycloid_fmu.surface import ErrorSurface
 
 
-@dataclass(eq=False)
+@state_fields
 class DriveState(State):
     """State of a quasi-static drive.
 
@@ -34,7 +37,9 @@ class DriveState(State):
 class DriveModel(SteppedModel, DriveState):
     """A quasi-static cycloid-pin drive with history, stepped by `advance`."""
 
-    _lever = 1.0  # of the driven shaft on the crank's torque
+    def __init__(self, pair: Pair, surface: ErrorSurface, losses: Sequence[Sequence[float]] = LOSSLESS) -> None:
+        super().__init__(pair, surface, losses)
+        self._lever = 1.0  # of the driven shaft on the crank's torque
 
     def _rebuild(self) -> None:
         super()._rebuild()

@@ -11,17 +11,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from cycloid_fmu.fmu.constants import STAGE_DIFFERENCE, STAGE_ITERATIONS, STAGE_SHARE, STAGE_STEP
 from cycloid_fmu.fmu.model import DriveModel, DriveState
+from cycloid_fmu.fmu.stepped_model import state_fields
 from cycloid_fmu.fmu.variables import LOSSLESS
 from cycloid_fmu.pair import Pair
 from cycloid_fmu.reducer.first_stage import FirstStage, sun_locked_share
 from cycloid_fmu.surface import ErrorSurface
 
 
-@dataclass(eq=False)
+@state_fields
 class ReducerState(DriveState):
     """State of a whole reducer; `crank_angle` and `crank_speed` are the sun's."""
 

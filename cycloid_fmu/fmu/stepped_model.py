@@ -1,12 +1,13 @@
-"""What all drives with history share: errors, contacts, losses and outputs, and steps that are made or refused whole."""
+"""What all drives with history share: errors, contacts and outputs, and steps that are made or refused whole."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar, dataclass_transform
 
 import numpy as np
 
@@ -17,8 +18,20 @@ from cycloid_fmu.pair import Pair
 from cycloid_fmu.surface import ErrorSurface, structured_names, structured_value, surface_after, with_structured
 from cycloid_fmu.transmission import drive_of, slices_needed
 
+_Kind = TypeVar("_Kind")
 
-@dataclass(eq=False)
+
+@dataclass_transform()
+def state_fields(kind: type[_Kind]) -> type[_Kind]:
+    """Make a dataclass of a class; its defaults leave the class, where they would slow each look at a field down."""
+    made = dataclass(eq=False)(kind)
+    for name in kind.__annotations__:
+        if name in kind.__dict__:
+            delattr(kind, name)
+    return made
+
+
+@state_fields
 class State:
     """All that later steps and outputs depend on: a field that is added here takes part in rollback.
 
@@ -66,7 +79,9 @@ class State:
 
     def assign(self, state: Mapping[str, Any]) -> None:
         """Return to a state given by `state`, of the same errors."""
-        self.__dict__.update({name: value for name, value in state.items() if name != "_teeth"})
+        for one in dataclasses.fields(self):
+            if one.name != "_teeth":
+                setattr(self, one.name, state[one.name])
         self._teeth.restore(state["_teeth"])
 
 
@@ -83,6 +98,8 @@ class SteppedModel(State):
 
     def __init__(self, pair: Pair, surface: ErrorSurface, losses: Sequence[Sequence[float]] = LOSSLESS) -> None:
         super().__init__()
+        self._fields = tuple(one.name for one in dataclasses.fields(self))
+        self._values = operator.attrgetter(*self._fields)
         self.pair, self.surface = pair, surface
         self.loss_table = [list(row) for row in losses]
         self._as_built = surface
@@ -212,13 +229,14 @@ class SteppedModel(State):
         """
         if not 0.0 <= step < math.inf:
             raise StepError(f"a step of {step:g} s: it must be finite and not below 0")
-        kept = self.__dict__.copy()
+        kept = self._values(self)
         self._teeth.begin()
         try:
             self._move(step)
         except StepError:
             self._teeth.undo()
-            self.__dict__.update(kept)
+            for name, value in zip(self._fields, kept, strict=True):
+                setattr(self, name, value)
             raise
 
     @property
@@ -272,7 +290,8 @@ class SteppedModel(State):
             self._put_pin_errors(state["pin_arrays"])
         errors = ("errors", "pin_arrays", "_crank_turns_worn")
         remade = any(state[name] != getattr(self, name) for name in errors)
-        self.__dict__.update({name: state[name] for name in errors})
         if remade:
+            for name in errors:
+                setattr(self, name, state[name])
             self._rebuild()
         self.assign(state)

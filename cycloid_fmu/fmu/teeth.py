@@ -82,8 +82,8 @@ class ContactTeeth:
     """Gear and pins at a crank angle θ (rad), the output off its ideal place by x (rad) and under a torque (N·m).
 
     Each solution is the start of the next; where a method takes `x`, the search starts there. `crank_side`, `torque`,
-    `sharing`, `pin_force` and `pin_pressure` are of what `equilibrium`, `behind` or `press` solved last. A torque or place
-    at which nothing can be found is a `StepError`.
+    `sharing`, `pin_force` and `pin_pressure` are of what `equilibrium`, `behind` or `press` solved last. A torque or
+    place at which nothing can be found is a `StepError`.
 
     Parameters
     ----------

@@ -129,8 +129,8 @@ def windows_runtime(*more: str) -> list[str]:
 
 def _source_files() -> dict[str, bytes]:
     """Return what is compiled, by name: our sources and FMI's headers."""
-    own = {p.name: p.read_bytes() for p in sorted(_SOURCES.glob("*.[ch]"))}
-    return {**own, "constants.h": constants_header(), **{p.name: p.read_bytes() for p in sorted(headers().glob("fmi[23]*.h"))}}
+    files = (*sorted(_SOURCES.glob("*.[ch]")), *sorted(headers().glob("fmi[23]*.h")))
+    return {**{path.name: path.read_bytes() for path in files}, "constants.h": constants_header()}
 
 
 def binary(name: str) -> bytes:

@@ -23,7 +23,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cycloid_fmu import edge
-from cycloid_fmu.reducer import budget as rv
 from cycloid_fmu.errors.alike import mesh_pitches
 from cycloid_fmu.fmu import constants
 from cycloid_fmu.fmu.compliant_model import CompliantModel
@@ -35,6 +34,7 @@ from cycloid_fmu.native import build as native_build
 from cycloid_fmu.native import tables
 from cycloid_fmu.native.table_file import HEAD, TABLE, constants_header, write
 from cycloid_fmu.pair import parse_pair, read_pair
+from cycloid_fmu.reducer import budget as rv
 from cycloid_fmu.surface import nominal_surface, surface_of_pair
 from cycloid_fmu.transmission import solve
 
@@ -334,7 +334,8 @@ def reducer(tmp_path_factory):
 def coarse(folder, pair, surface, whole=None):
     made = tables.compute(pair, surface, accuracy=0.3 * ARCSEC)
     path = native_of(folder, whole or pair, surface, made, INTERFACES["kinematic"])
-    return SimpleNamespace(path=path, tables=made, drive=(pair, surface, *([rv.first_stage_of(whole)] if whole else [])))
+    stage = [rv.first_stage_of(whole)] if whole else []
+    return SimpleNamespace(path=path, tables=made, drive=(pair, surface, *stage))
 
 
 @pytest.mark.parametrize(
