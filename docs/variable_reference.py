@@ -42,8 +42,8 @@ INTRODUCTION = f"""# FMU variables
 
 What an FMU of `cycloid-fmu build` has, in each [interface](../fmu.md): the causality of each variable, – where the
 interface lacks it. *Inertia inside* is the compliant interface with `--output-inertia`. FMI 2.0 and 3.0 have the same
-names and value references. In the FMU of an RV reducer `flange_a` is the sun. What an
-[FMU from tables](../native.md), native or in Python, has in them is a *constant* there: it can be read but not set.
+names and value references. In the FMU of an RV reducer `flange_a` is the sun. What a
+[native FMU](../native.md) has in its tables is a *constant* there: it can be read but not set.
 
 Values are in the first unit, those in brackets are display units. Ranges and starts are those of `examples/{EXAMPLE}`,
 and of a drive worn for 10⁶ crank turns; the model description in every FMU has its own.
@@ -63,8 +63,9 @@ def tables() -> Iterator[tuple[str, tuple[Variable, ...]]]:
 
 def in_native(variable: Variable) -> str:
     """What a native FMU has of a variable."""
-    (kept,) = from_tables([variable]).values()
-    return "the same" if kept == variable else kept.variability
+    for kept in from_tables([variable]).values():
+        return "the same" if kept == variable else kept.variability
+    return "–"
 
 
 def span(variable: Variable) -> str:
