@@ -10,8 +10,8 @@ from common import EXAMPLES
 from fmpy.fmi2 import FMU2Slave
 from native.c_host import HERE, compiled, run_host
 
+from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.native import build as native_build
-from cycloid_fmu.pair import read_pair
 
 STEPS = 20_000
 

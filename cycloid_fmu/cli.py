@@ -14,6 +14,8 @@ import typer
 from rich.console import Console
 
 from cycloid_fmu import edge
+from cycloid_fmu.edge import commands
+from cycloid_fmu.edge.commands import print_table
 
 if TYPE_CHECKING:
     import numpy
@@ -21,14 +23,13 @@ if TYPE_CHECKING:
 
     from cycloid_fmu.fmu.description import Version
     from cycloid_fmu.fmu.variables import Interface
-    from cycloid_fmu.pair import Pair
+    from cycloid_fmu.geometry.pair import Pair
     from cycloid_fmu.reducer.budget import Reducer
-    from cycloid_fmu.surface import ErrorSurface
+    from cycloid_fmu.surfaces.surface import ErrorSurface
 
-app = typer.Typer(
-    no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich",
-    help="Cycloid-pin gear drives: transmission error, backlash, load sharing, and FMUs made from them.",
-)  # fmt: skip
+app = commands.command_line(
+    "cycloid-fmu", "Cycloid-pin gear drives: transmission error, backlash, load sharing, and FMUs made from them."
+)
 
 PairFile = Annotated[Path, typer.Argument(metavar="PAIR.toml", help="The gear pair (format cycloid-pair/1).")]
 SurfaceFile = Annotated[
@@ -40,8 +41,9 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print the result for scrip
 
 
 def _load(pair_file: Path, surface_file: Path | None) -> tuple[Pair, ErrorSurface]:
-    from cycloid_fmu.pair import read_pair
-    from cycloid_fmu.surface import check_surface, read_surface, surface_of_pair
+    from cycloid_fmu.geometry.pair import read_pair
+    from cycloid_fmu.surfaces.files import read_surface
+    from cycloid_fmu.surfaces.surface import check_surface, surface_of_pair
 
     pair = read_pair(pair_file)
     if surface_file is None:
@@ -49,18 +51,6 @@ def _load(pair_file: Path, surface_file: Path | None) -> tuple[Pair, ErrorSurfac
     surface = read_surface(surface_file)
     check_surface(pair, surface, str(pair_file), str(surface_file))
     return pair, surface
-
-
-def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
-    """Print a table for people; numbers are set to the right."""
-    from rich.table import Table
-
-    table = Table(title=title, title_justify="left")
-    for number, column in enumerate(columns):
-        table.add_column(column, justify="left" if number == 0 else "right")
-    for row in rows:
-        table.add_row(*row)
-    Console().print(table)
 
 
 @contextlib.contextmanager
@@ -98,9 +88,9 @@ def analyze(
     import numpy as np
     from rich.progress import Progress
 
-    from cycloid_fmu import plots
-    from cycloid_fmu.transmission import analyze as analyze_pair
-    from cycloid_fmu.transmission import slices_needed, statistics
+    from cycloid_fmu.contact.transmission import analyze as analyze_pair
+    from cycloid_fmu.contact.transmission import slices_needed, statistics
+    from cycloid_fmu.draw import plots
 
     loads = [edge.quantity_option(t, "N*m", "--torque") for t in torque]
     if plot is not None:
@@ -152,7 +142,7 @@ def analyze(
         raise typer.Exit(edge.INTERRUPTED)
 
 
-surface_app = typer.Typer(no_args_is_help=True, help="Make error surfaces.")
+surface_app = commands.subcommands("Make error surfaces.")
 app.add_typer(surface_app, name="surface")
 
 
@@ -169,8 +159,8 @@ def nominal(
 
     Example: [cyan]cycloid-fmu surface nominal pair.toml -o surface.nc[/]
     """
-    from cycloid_fmu import plots
-    from cycloid_fmu.surface import write_surface
+    from cycloid_fmu.draw import plots
+    from cycloid_fmu.surfaces.files import write_surface
 
     if plot is not None:
         plots.check_path(plot)
@@ -197,10 +187,11 @@ def sampled(
 
     Example: [cyan]cycloid-fmu surface sampled pair.toml --tolerances tolerances.toml --seed 1 -o surface.nc[/]
     """
-    from cycloid_fmu import plots
-    from cycloid_fmu.pair import read_pair
-    from cycloid_fmu.sampling import read_tolerances, sample_surface
-    from cycloid_fmu.surface import Elements, write_surface
+    from cycloid_fmu.draw import plots
+    from cycloid_fmu.geometry.pair import read_pair
+    from cycloid_fmu.surfaces.files import write_surface
+    from cycloid_fmu.surfaces.sampling import read_tolerances, sample_surface
+    from cycloid_fmu.surfaces.surface import Elements
 
     if plot is not None:
         plots.check_path(plot)
@@ -234,10 +225,11 @@ def measured(
     """
     import numpy as np
 
-    from cycloid_fmu import plots
-    from cycloid_fmu.measuring import measured_surface, read_points
-    from cycloid_fmu.pair import read_pair
-    from cycloid_fmu.surface import Elements, write_surface
+    from cycloid_fmu.draw import plots
+    from cycloid_fmu.geometry.pair import read_pair
+    from cycloid_fmu.surfaces.files import write_surface
+    from cycloid_fmu.surfaces.measuring import measured_surface, read_points
+    from cycloid_fmu.surfaces.surface import Elements
 
     if plot is not None:
         plots.check_path(plot)
@@ -310,7 +302,8 @@ def build(
     from cycloid_fmu.fmu import build as builder
     from cycloid_fmu.fmu.variables import INTERFACES, LOSSLESS, Interface
     from cycloid_fmu.reducer import budget as rv
-    from cycloid_fmu.surface import check_surface, read_surface
+    from cycloid_fmu.surfaces.files import read_surface
+    from cycloid_fmu.surfaces.surface import check_surface
 
     edge.output_path(output, "--output", (".fmu",))
     if interface not in INTERFACES:
@@ -354,7 +347,7 @@ def _build_native(
     from cycloid_fmu.native.build import build_native, platforms_of
     from cycloid_fmu.native.tables import LARGEST_LOAD, PROBES
 
-    if whole_drive(drive, surface)[0].pair.rated_torque is None:
+    if whole_drive(drive, surface)[0].rated_torque is None:
         raise edge.InputError(
             f"{pair_file}: [pair] rated_torque is missing; state it: the tables reach {LARGEST_LOAD:g} times as far."
         )
@@ -443,7 +436,7 @@ def simulate(
     """
     import numpy as np
 
-    from cycloid_fmu import plots
+    from cycloid_fmu.draw import plots
     from cycloid_fmu.fmu import run
 
     if (torque is None) == (motion is None):
@@ -489,7 +482,7 @@ def compare(
     """
     import numpy as np
 
-    from cycloid_fmu import plots
+    from cycloid_fmu.draw import plots
     from cycloid_fmu.fmu import run
 
     if plot is not None:
@@ -547,10 +540,11 @@ def wear(
 
     from rich.progress import Progress
 
-    from cycloid_fmu import plots, wear_run
-    from cycloid_fmu.surface import write_surface
-    from cycloid_fmu.wear import tooth_thickness, wear_model, wear_rate
-    from cycloid_fmu.wear_law import duty_cycle, read_wear_law
+    from cycloid_fmu.draw import plots
+    from cycloid_fmu.surfaces.files import write_surface
+    from cycloid_fmu.wear import life as wear_run
+    from cycloid_fmu.wear.law import duty_cycle, read_wear_law
+    from cycloid_fmu.wear.progress import tooth_thickness, wear_model, wear_rate
 
     if plot is not None:
         plots.check_path(plot)
@@ -635,7 +629,7 @@ def budget(
     """
     from rich.progress import Progress
 
-    from cycloid_fmu import plots
+    from cycloid_fmu.draw import plots
     from cycloid_fmu.reducer import budget as rv
 
     if plot is not None:
@@ -663,12 +657,12 @@ def budget(
         [n, f"{values[n] * 1e6:+.2f} µm", *(f"{found[v][n] * edge.ARCMIN:+.5f}" for v in rv.VARIANTS)] for n in terms
     ]
     for name in ("interaction", *rv.STAGES, "total"):
-        rows.append([f"[bold]{name}[/]", "", *(
+        rows.append([name, "", *(
             f"{found[v][name] * edge.ARCMIN:+.5f}" if name in found[v] else "" for v in rv.VARIANTS
         )])  # fmt: skip
     print_table(
-        f"{reducer_file.name}: play at the output \\[arcmin], ratio {reducer.ratio:g}",
-        ["term", "amount", *(v.replace("_", " ", 1).replace("_", "\n") for v in rv.VARIANTS)], rows,
+        f"{reducer_file.name}: play at the output [arcmin], ratio {reducer.ratio:g}",
+        ["term", "amount", *(v.replace("_", " ") for v in rv.VARIANTS)], rows,
     )  # fmt: skip
     exact = found["geometric"]
     if exact["interference"] > 0.0:
@@ -692,7 +686,7 @@ def budget(
                 [f"Monte Carlo, {name}", *(f"{v * edge.ARCMIN:.4f}" for v in (*one["central"], one["mean"])),
                  f"{one['interfering']:.1%} ({low:.1%} … {high:.1%})"]
             )  # fmt: skip
-        print_table("Total play within the tolerances \\[arcmin]",
+        print_table("Total play within the tolerances [arcmin]",
                     ["stack", "from", "to", "mean", "interference (95 %)"], rows)  # fmt: skip
         typer.echo(f"Monte Carlo: {samples} reducers, the central 99.73 %; geometric with the sun locked.")
     for warning in warnings:
@@ -749,17 +743,17 @@ def tolerance(
     import numpy as np
     from rich.progress import Progress
 
-    from cycloid_fmu import plots
-    from cycloid_fmu import tolerance as study_of
-    from cycloid_fmu.pair import read_pair
-    from cycloid_fmu.sampling import read_tolerances
+    from cycloid_fmu.draw import plots
+    from cycloid_fmu.geometry.pair import read_pair
+    from cycloid_fmu.studies import tolerance as study_of
+    from cycloid_fmu.surfaces.sampling import read_tolerances
 
     if plot is not None:
         plots.check_path(plot)
     if design not in study_of.DESIGNS:
         raise edge.InputError(f"--design = {design}: it must be one of {', '.join(study_of.DESIGNS)}.")
     pair, tolerances = read_pair(pair_file), read_tolerances(tolerances_file)
-    rated = pair.pair.rated_torque
+    rated = pair.rated_torque
     if torque is None and rated is None:
         raise edge.InputError(f"{pair_file}: [pair] rated_torque is missing; state it, or give --torque.")
     loads = [edge.quantity_option(t, "N*m", "--torque") for t in torque] if torque else [rated or 0.0, -(rated or 0.0)]
@@ -798,7 +792,7 @@ def tolerance(
             kept.path.unlink()
     allocation = None
     if allocate is not None:
-        from cycloid_fmu import allocation as allocation_of
+        from cycloid_fmu.studies import allocation as allocation_of
 
         with Progress(console=Console(stderr=True), transient=True) as bar:
             task = bar.add_task("allocation", total=allocation_of.steps())
@@ -833,7 +827,7 @@ def tolerance(
     rows = []
     for name, found in statistics.items():
         unit, factor = plots.SHOWN[study_of.FIGURES[name][0]]
-        shown = f"{name.replace('_', ' ')} \\[{unit}]"
+        shown = f"{name.replace('_', ' ')} [{unit}]"
         for k in range(len(loads) if name in study_of.PER_TORQUE else 1):
             figures = [found["mean"], found["standard_deviation"], *found["quantiles"].values()]
             load = f"{loads[k]:g} N·m" if name in study_of.PER_TORQUE else ""
@@ -848,7 +842,7 @@ def tolerance(
         rows.append([name.replace("_", " "), f"{limit * factor:g} {unit}", f"{kept_shares[name]['share']:.2%}"])
     if limits:
         whole = kept_shares["all"]
-        rows.append(["[bold]all[/]", "", f"{whole['share']:.2%} ({whole['low']:.2%} … {whole['high']:.2%})"])
+        rows.append(["all", "", f"{whole['share']:.2%} ({whole['low']:.2%} … {whole['high']:.2%})"])
         print_table("Yield", ["limit", "largest allowed", "keep it (95 % interval)"], rows)
     for label, one in indices.items():
         order = np.argsort(-one["total"])
@@ -884,4 +878,4 @@ def tolerance(
 
 def main() -> None:
     """Run the command line."""
-    edge.run(lambda: app)
+    commands.run(app)

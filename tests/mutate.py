@@ -52,16 +52,18 @@ class Target:
 
 TARGETS = {
     "metrics": Target(
-        ("fitting/figure.py", "fitting/hysteresis.py", "fitting/metrics.py", "fitting/spectrum.py", "fitting/starts.py",
-         "fitting/survey.py"),
+        ("fitting/figures/figure.py", "fitting/figures/hysteresis.py", "fitting/figures/metrics.py",
+         "fitting/figures/spectrum.py", "fitting/figures/starts.py", "fitting/figures/survey.py"),
         ("tests/fitting/test_metrics.py", "tests/fitting/test_comparison.py"),
     ),
     "recorder": Target(
-        ("drivers/recorder.py",),
+        ("drivers/recorder/session.py",),
         ("tests/drivers/test_recorder.py",),
     ),
     "contact": Target(
-        ("cycloid_fmu/contact.py",),
+        tuple(f"cycloid_fmu/contact/{name}.py" for name in (
+            "deviations", "energy", "equilibrium", "foot", "gap", "hertz", "load_sharing", "local_frame", "placement",
+            "play", "problem", "rows", "sensitivity", "sweeps")),
         ("tests/cycloid_fmu/test_contact.py", "tests/cycloid_fmu/test_reference_cases.py",
          "tests/cycloid_fmu/test_element_pairs.py", "tests/cycloid_fmu/test_tooth_contact.py",
          "tests/cycloid_fmu/test_wear.py", "tests/cycloid_fmu/test_elements.py"),

@@ -13,9 +13,10 @@ import pytest
 from common import PAIR, make_pair
 
 from cycloid_fmu import contact
-from cycloid_fmu.surface import nominal_surface, with_structured
-from cycloid_fmu.transmission import drive_of, solve
-from fitting.figure import DEFINITIONS
+from cycloid_fmu.contact.transmission import drive_of, solve
+from cycloid_fmu.surfaces.structured import with_structured
+from cycloid_fmu.surfaces.surface import nominal_surface
+from fitting.figures.figure import DEFINITIONS
 
 ROOT = Path(__file__).parent.parent
 PAGES = {page.stem: page.read_text(encoding="utf-8") for page in sorted((ROOT / "docs" / "theory").glob("*.md"))}
@@ -69,11 +70,11 @@ def test_tests_and_examples_that_pages_name_exist():
 
 
 def public_functions(module):
-    """Functions that a module defines, compiled ones too."""
+    """Functions that a module or package defines."""
     for name, value in vars(module).items():
-        plain = getattr(value, "py_func", value)
-        if isinstance(plain, types.FunctionType) and plain.__module__ == module.__name__ and not name.startswith("_"):
-            yield name, plain
+        of = getattr(value, "__module__", "")
+        if isinstance(value, types.FunctionType) and f"{of}.".startswith(f"{module.__name__}.") and name[0] != "_":
+            yield name, value
 
 
 @pytest.mark.parametrize("name", SOURCED)
@@ -106,7 +107,7 @@ def gaps(surface):
     drive = drive_of(make_pair(), surface)
     rows = contact.contact_rows(drive)
     contact.place(drive, 0.3, 0.0, rows, True, np.inf, np.inf)
-    return rows[::2, contact.GAP]
+    return rows["gap"][::2]
 
 
 def test_first_order_effects_on_the_gap():

@@ -14,16 +14,18 @@ from typing import Protocol
 import numpy as np
 
 from cycloid_fmu import __version__, edge
+from cycloid_fmu.errors.kinds import KINDS
 from cycloid_fmu.fmu.core import NUMBERS, SURFACE
 from cycloid_fmu.fmu.description import Version
 from cycloid_fmu.fmu.losses import check_losses
 from cycloid_fmu.fmu.parts import parts, write_archive
 from cycloid_fmu.fmu.pythonfmu_builder import build_archive
-from cycloid_fmu.fmu.variables import INTERFACES, Interface, LossRow, variables
-from cycloid_fmu.pair import Pair
+from cycloid_fmu.fmu.variables import INTERFACES, Interface, InterfaceKind, LossRow, variables
+from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.reducer.budget import Reducer, first_stage_of, surface_of_reducer
 from cycloid_fmu.reducer.first_stage import FirstStage
-from cycloid_fmu.surface import DESCRIPTIONS, DEVIATIONS, ErrorSurface, surface_of_pair, write_surface
+from cycloid_fmu.surfaces.files import write_surface
+from cycloid_fmu.surfaces.surface import DEVIATIONS, ErrorSurface, surface_of_pair
 
 _LIBRARIES = {"2.0": "pythonfmu", "3.0": "pythonfmu3"}
 _SCRIPTS = {"2.0": "cycloid_drive.py", "3.0": "cycloid_drive3.py"}
@@ -64,7 +66,7 @@ def build_fmu(
     path: str | os.PathLike[str],
     surface: ErrorSurface | None = None,
     *,
-    interface: Interface | None = None,
+    interface: InterfaceKind | Interface = "kinematic",
     fmi_version: Version = "2.0",
 ) -> None:
     """Write a Co-Simulation FMU of the drive that runs in a Python host, whole or not at all.
@@ -78,7 +80,7 @@ def build_fmu(
     surface
         Errors of the pair, of a reducer's cycloid stage; those that the drive states by default.
     interface
-        What the FMU offers; the kinematic interface by default.
+        What the FMU offers: "kinematic", "compliant", or an `Interface`.
     fmi_version
         "2.0" or "3.0".
 
@@ -88,20 +90,20 @@ def build_fmu(
         If the folder does not exist, the loss table is none, or the interface is none of this drive.
     """
     pair, surface, first_stage = whole_drive(drive, surface)
-    interface = checked_interface(interface or Interface(), first_stage)
+    interface = checked_interface(interface, first_stage)
     if fmi_version not in _LIBRARIES:
         raise edge.InputError(f"fmi_version = {fmi_version}: it must be 2.0 or 3.0.")
     library = _LIBRARIES[fmi_version]
     with tempfile.TemporaryDirectory(prefix="cycloid-fmu-") as folder, edge.written_whole(path) as temporary:
         place = Path(folder)
         numbers: dict[str, object] = {
-            "package_version": __version__, "pair": pair.numbers(), "interface": dataclasses.asdict(interface),
+            "package_version": __version__, "pair": pair.nominal.text, "interface": dataclasses.asdict(interface),
         }  # fmt: skip
         if first_stage is not None:
             numbers["first_stage"] = dataclasses.asdict(first_stage)
         (place / NUMBERS).write_text(json.dumps(numbers, indent=1), encoding="utf-8")
         with (place / SURFACE).open("wb") as file:
-            arrays = {name: getattr(surface, name) for name in (*DESCRIPTIONS, *DEVIATIONS)}
+            arrays = {name: getattr(surface, name) for name in (*KINDS, *DEVIATIONS)}
             if surface.life is not None:
                 arrays.update({f"life_{n}": a for n, a in vars(surface.life).items()})
             np.savez(file, allow_pickle=False, **{n: a for n, a in arrays.items() if a is not None})
@@ -118,8 +120,9 @@ def build_fmu(
         write_archive(temporary, {**contents, **parts(pair, interface, table, fmi_version, [library])})
 
 
-def checked_interface(interface: Interface, first_stage: FirstStage | None) -> Interface:
+def checked_interface(interface: InterfaceKind | Interface, first_stage: FirstStage | None) -> Interface:
     """Return the interface as an FMU of this drive has it; an `InputError` says what does not go together."""
+    interface = Interface(interface) if isinstance(interface, str) else interface
     if interface.kind not in INTERFACES:
         raise edge.InputError(f"interface = {interface.kind}: it must be one of {', '.join(INTERFACES)}.")
     if first_stage is not None and interface.kind == "compliant":

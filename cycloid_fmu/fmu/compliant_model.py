@@ -31,8 +31,8 @@ from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.stepped_model import State, SteppedModel, state_fields
 from cycloid_fmu.fmu.teeth import StepError
 from cycloid_fmu.fmu.variables import LARGEST_STEP, LOSSLESS
-from cycloid_fmu.pair import Pair
-from cycloid_fmu.surface import ErrorSurface
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.surface import ErrorSurface
 
 _NO_LOSSES = [list(row) for row in LOSSLESS]  # a longer table that takes nothing is walked through in vain
 # What a quasi-static drive at the same place has of the state.
@@ -223,7 +223,7 @@ class CompliantModel(SteppedModel, CompliantState):
 
     def _sub_steps(self, step: float) -> int:
         if self._stiffest == 0.0:
-            rated = self.pair.pair.rated_torque or 100.0
+            rated = self.pair.rated_torque or 100.0
             _, self._stiffest = self._made_teeth().equilibrium(0.0, rated, 0.0)
         stiffness = 1.0 / (1.0 / self._stiffest + self.series_compliance)
         stiffness += self.friction_torque / FRICTION_DISPLACEMENT

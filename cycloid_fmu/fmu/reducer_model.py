@@ -16,9 +16,9 @@ from cycloid_fmu.fmu.constants import STAGE_DIFFERENCE, STAGE_ITERATIONS, STAGE_
 from cycloid_fmu.fmu.model import DriveModel, DriveState
 from cycloid_fmu.fmu.stepped_model import state_fields
 from cycloid_fmu.fmu.variables import LOSSLESS
-from cycloid_fmu.pair import Pair
+from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.reducer.first_stage import FirstStage, sun_locked_share
-from cycloid_fmu.surface import ErrorSurface
+from cycloid_fmu.surfaces.surface import ErrorSurface
 
 
 @state_fields
@@ -50,8 +50,8 @@ class ReducerModel(DriveModel, ReducerState):
     ) -> None:
         super().__init__(pair, surface, losses)
         self._a, self._b = first_stage.crank_share, first_stage.sun_share
-        self._s = sun_locked_share(self._a, pair.pair.gear_teeth)
-        self._ratio = pair.pair.gear_teeth / (self._b * self._s)
+        self._s = sun_locked_share(self._a, pair.gear_teeth)
+        self._ratio = pair.gear_teeth / (self._b * self._s)
         self._lever = -self._b
         self._stage = first_stage
 
@@ -69,9 +69,7 @@ class ReducerModel(DriveModel, ReducerState):
         turns = self.crank_angle / (2.0 * math.pi * self._ratio)
         reduced = 2.0 * math.pi * self._ratio * (turns - math.floor(turns))
         self._theta = (
-            -reduced * self.pair.pair.gear_teeth / self._ratio
-            + self._a * deviation
-            - 0.5 * self._b * side * self._sun_play
+            -reduced * self.pair.gear_teeth / self._ratio + self._a * deviation - 0.5 * self._b * side * self._sun_play
         )
         self._forget()
 

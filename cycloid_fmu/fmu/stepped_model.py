@@ -11,12 +11,14 @@ from typing import Any, TypeVar, dataclass_transform
 
 import numpy as np
 
+from cycloid_fmu.contact.transmission import drive_of, slices_needed
+from cycloid_fmu.errors.kinds import structured_names
 from cycloid_fmu.fmu.losses import check_losses
 from cycloid_fmu.fmu.teeth import ContactTeeth, StepError
 from cycloid_fmu.fmu.variables import LOSSLESS, ORDERS
-from cycloid_fmu.pair import Pair
-from cycloid_fmu.surface import ErrorSurface, structured_names, structured_value, surface_after, with_structured
-from cycloid_fmu.transmission import drive_of, slices_needed
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.structured import structured_value, with_structured
+from cycloid_fmu.surfaces.surface import ErrorSurface, surface_after
 
 _Kind = TypeVar("_Kind")
 
@@ -108,7 +110,7 @@ class SteppedModel(State):
         self._crank_turns_worn = 0.0 if surface.life is None else float(surface.life.crank_turns[-1])
         self._ratio = pair.ratio
         # Everything repeats after one turn of the gear in the ring; a reduced angle keeps its digits.
-        self._period = 2.0 * math.pi * (pair.pair.gear_teeth if pair.pair.output == "gear" else pair.pair.pins)
+        self._period = 2.0 * math.pi * (pair.gear_teeth if pair.output == "gear" else pair.pins)
         self._rebuild()
 
     def _structured(self) -> dict[str, float]:
@@ -131,7 +133,7 @@ class SteppedModel(State):
         worn = self.surface if self.surface.life is None else surface_after(self.surface, self._crank_turns_worn)
         surface = with_structured(self.pair, worn, self._changed())
         drive = drive_of(self.pair, surface, slices_needed(surface))
-        return ContactTeeth(drive, (self.pair.pair.discs, self.pair.pair.pins))
+        return ContactTeeth(drive, (self.pair.discs, self.pair.pins))
 
     def _forget(self) -> None:
         self._play = self._crank = self._sharing = None
@@ -157,7 +159,7 @@ class SteppedModel(State):
     def _put_pin_errors(self, arrays: Mapping[str, Sequence[float]]) -> None:
         self.pin_arrays = {name: list(values) for name, values in arrays.items()}
         given: dict[str, Any] = {name: np.array(values) for name, values in self.pin_arrays.items()}
-        self.surface = dataclasses.replace(self._as_built, **given)
+        self.surface = self._as_built.replace(**given)
         self._stated = self._structured()
 
     def set_loss(self, row: int, column: int, value: float) -> None:
@@ -272,7 +274,7 @@ class SteppedModel(State):
 
     def _pin_loads(self, found: Callable[[], list[float]]) -> list[float]:
         self._load_sharing()
-        return found() if self._stiffness > 0.0 else [0.0] * (self.pair.pair.discs * self.pair.pair.pins)
+        return found() if self._stiffness > 0.0 else [0.0] * (self.pair.discs * self.pair.pins)
 
     @property
     def contact_count(self) -> int:

@@ -12,8 +12,8 @@ from numba import types
 from numba.experimental import structref
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact import Array, Drive, compiled
-from cycloid_fmu.transmission import balances, carried
+from cycloid_fmu.contact import Array, Problem, Rows, compiled
+from cycloid_fmu.contact.transmission import balances, carried
 
 
 class StepError(ValueError):
@@ -34,47 +34,47 @@ structref.define_proxy(_Box, _BoxType, ["drive"])
 
 
 @compiled
-def _boxed(drive: Drive) -> _Box:
+def _boxed(drive: Problem) -> _Box:
     return _Box(drive)
 
 
 @compiled
-def _play(box: _Box, theta: float, x: float, rows: Array, cold: bool) -> tuple[float, float, float]:
+def _play(box: _Box, theta: float, x: float, rows: Rows, cold: bool) -> tuple[float, float, float]:
     return contact.play(box.drive, theta, x, rows, cold)
 
 
 @compiled
-def _touch_rate(box: _Box, theta: float, x: float, rows: Array, cold: bool, side: float) -> float:
+def _touch_rate(box: _Box, theta: float, x: float, rows: Rows, cold: bool, side: float) -> float:
     contact.place(box.drive, theta, x, rows, cold, math.inf, math.inf)
     return contact.touch_rate(box.drive, theta, x, rows, side)
 
 
 @compiled
-def _equilibrium(box: _Box, theta: float, torque: float, x: float, rows: Array, cold: bool) -> tuple[float, float]:
+def _equilibrium(box: _Box, theta: float, torque: float, x: float, rows: Rows, cold: bool) -> tuple[float, float]:
     return contact.equilibrium(box.drive, theta, torque, x, rows, cold)
 
 
 @compiled
 def _behind(
-    box: _Box, theta: float, flange: float, compliance: float, x: float, rows: Array, cold: bool
+    box: _Box, theta: float, flange: float, compliance: float, x: float, rows: Rows, cold: bool
 ) -> tuple[float, float]:
     return contact.behind_compliance(box.drive, theta, flange, compliance, x, rows, cold)
 
 
 @compiled
 def _press(
-    box: _Box, theta: float, flange: float, compliance: float, x: float, rows: Array, cold: bool
+    box: _Box, theta: float, flange: float, compliance: float, x: float, rows: Rows, cold: bool
 ) -> tuple[float, float, float, float, float]:
     return contact.press(box.drive, theta, flange, compliance, x, rows, cold)
 
 
 @compiled
-def _crank_side(box: _Box, theta: float, x: float, rows: Array) -> tuple[float, float]:
+def _crank_side(box: _Box, theta: float, x: float, rows: Rows) -> tuple[float, float]:
     return contact.crank_side(box.drive, theta, x, rows)
 
 
 @compiled
-def _load_sharing(box: _Box, rows: Array, pin_force: Array, pin_pressure: Array) -> tuple[int, float]:
+def _load_sharing(box: _Box, rows: Rows, pin_force: Array, pin_pressure: Array) -> tuple[int, float]:
     return contact.load_sharing(box.drive, rows, pin_force, pin_pressure)
 
 
@@ -93,7 +93,7 @@ class ContactTeeth:
         Discs, and pins of each.
     """
 
-    def __init__(self, drive: Drive, pins: tuple[int, int]) -> None:
+    def __init__(self, drive: Problem, pins: tuple[int, int]) -> None:
         self._drive = _boxed(drive)
         self._rows, self._play_rows = contact.contact_rows(drive), contact.contact_rows(drive)
         self._cold = self._play_cold = True

@@ -23,10 +23,10 @@ from cycloid_fmu.fmu.build import AnyDrive, checked_interface, whole_drive
 from cycloid_fmu.fmu.constants import MOST_LOSS_ROWS
 from cycloid_fmu.fmu.description import Version, model_structure, model_variables, unit_definitions
 from cycloid_fmu.fmu.parts import parts, write_archive
-from cycloid_fmu.fmu.variables import Interface, Variable, from_tables, variables
+from cycloid_fmu.fmu.variables import Interface, InterfaceKind, Variable, from_tables, variables
 from cycloid_fmu.native import tables
 from cycloid_fmu.native.table_file import TABLE, constants_header, named, write
-from cycloid_fmu.surface import ErrorSurface
+from cycloid_fmu.surfaces.surface import ErrorSurface
 
 IDENTIFIER = "CycloidDrive"
 SOURCES = (
@@ -254,7 +254,7 @@ def build_native(
     path: str | os.PathLike[str],
     surface: ErrorSurface | None = None,
     *,
-    interface: Interface | None = None,
+    interface: InterfaceKind | Interface = "kinematic",
     fmi_version: Version = "2.0",
     platforms: Sequence[str] = (),
     made: tables.Tables | None = None,
@@ -284,7 +284,7 @@ def build_native(
         If the folder does not exist, a platform can't be built for, or the interface is none of this drive.
     """
     pair, surface, first_stage = whole_drive(drive, surface)
-    interface = checked_interface(interface or Interface(), first_stage)
+    interface = checked_interface(interface, first_stage)
     if len(interface.losses) > MOST_LOSS_ROWS:
         raise edge.InputError(f"losses: {len(interface.losses)} rows; a native FMU has {MOST_LOSS_ROWS} at most.")
     names = tuple(dict.fromkeys(platforms)) or platforms_of(fmi_version)

@@ -25,11 +25,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from cycloid_fmu import contact
-from cycloid_fmu.errors.alike import mesh_pitches
+from cycloid_fmu.contact.transmission import drive_of, slices_needed, solve
 from cycloid_fmu.fmu.constants import MOST_LOADS
-from cycloid_fmu.pair import Pair
-from cycloid_fmu.surface import ErrorSurface
-from cycloid_fmu.transmission import drive_of, slices_needed, solve
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.surface import ErrorSurface, alike
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -118,6 +117,12 @@ class Tables:
         """What an FMU's description says of its tables."""
         largest = self.largest_error * 648000 / math.pi
         return f"from tables up to {self.positive.load[-1]:.4g} N.m that err by at most {largest:.3f} arcsec"
+
+
+def mesh_pitches(pair: Pair, surface: ErrorSurface) -> int:
+    """Return after how many mesh pitches all repeats: 1 where all parts are alike, up to z_c z_p of unequal ones."""
+    teeth_alike, pins_alike = alike(surface)
+    return (1 if pins_alike else pair.pins) * (1 if teeth_alike else pair.gear_teeth)
 
 
 class _Solved(NamedTuple):
@@ -306,10 +311,10 @@ def compute(
         If the pair states no rated torque and no largest load is given.
     """
     if largest_load is None:
-        if pair.pair.rated_torque is None:
+        if pair.rated_torque is None:
             raise ValueError("the pair has no rated_torque, which says how far the tables reach")
-        largest_load = LARGEST_LOAD * pair.pair.rated_torque
-    g = pair.pair
+        largest_load = LARGEST_LOAD * pair.rated_torque
+    g = pair
     pitches = mesh_pitches(pair, surface)
     pitch = 2.0 * math.pi / (g.pins if g.output == "gear" else g.gear_teeth)
     period = pitches * pitch

@@ -9,15 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cycloid_fmu import contact
-from cycloid_fmu.pair import parse_pair, read_pair
-from cycloid_fmu.surface import (
-    nominal_surface,
-    structured_names,
-    structured_value,
-    surface_of_pair,
-    with_structured,
-)
-from cycloid_fmu.transmission import drive_of, error_sensitivity, solve
+from cycloid_fmu.contact.deviations import Facing, added_curvature
+from cycloid_fmu.contact.transmission import drive_of, error_sensitivity, solve
+from cycloid_fmu.errors.kinds import structured_names
+from cycloid_fmu.geometry.pair import parse_pair, read_pair
+from cycloid_fmu.surfaces.structured import structured_value, with_structured
+from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
 
 STEEL = (1 - 0.3**2) / 206e9
 
@@ -63,7 +60,7 @@ def test_moment_arm_of_the_ideal_pair():
     phi = 2 * np.pi * np.arange(40) / 40 - theta
     k = 1.3 * 40 / 64
     arm = 1.3e-3 * 39 * np.sin(phi) / np.sqrt(1 + k * k - 2 * k * np.cos(phi))
-    assert contacts[::2, contact.ARM] == pytest.approx(arm, abs=1e-12)
+    assert contacts["arm"][::2] == pytest.approx(arm, abs=1e-12)
 
 
 def test_linear_check_of_the_load_sharing():
@@ -76,7 +73,7 @@ def test_linear_check_of_the_load_sharing():
         drive = drive_of(pair, nominal_surface(pair))
         contacts = contact.contact_rows(drive)
         contact.place(drive, 0.3, 0.0, contacts, True, np.inf, np.inf)
-        arm = contacts[::2, contact.ARM]
+        arm = contacts["arm"][::2]
         arm = arm[arm > 0]
         assert arm.size == 20
         assert (arm / (arm**2).sum()).max() == pytest.approx(peak, abs=5e-4)
@@ -129,7 +126,7 @@ def test_forces_balance_the_torque_and_the_crank_gets_the_power(case, output):
     for theta in angles:
         x, _ = contact.equilibrium(drive, theta, 120.0, x, contacts, cold)
         cold = False
-        balance = contacts[:, contact.FORCE] @ contacts[:, contact.ARM]
+        balance = contacts["force"] @ contacts["arm"]
         assert balance == pytest.approx(120.0, rel=1e-6)
         work += contact.crank_side(drive, theta, x, contacts)[0] * (angles[1] - angles[0])
     assert work == pytest.approx(-120.0 * 2 * np.pi * np.sign(pair.ratio), rel=5e-4)
@@ -204,11 +201,11 @@ def test_a_pin_left_as_it_was_stands_clear(seed, teeth, k, size, step, sign, out
             x += rng.normal(0.0, size)
         contact.place(drive, theta, x, kept, False, clear, math.inf)
         contact.place(drive, theta, x, anew, True, math.inf, math.inf)
-        smallest = np.minimum(anew[::2, contact.GAP], anew[1::2, contact.GAP])
-        left = (kept[::2, contact.ANGLE] != theta) | (kept[::2, contact.AT] != x)
+        smallest = np.minimum(anew["gap"][::2], anew["gap"][1::2])
+        left = (kept["crank_angle"][::2] != theta) | (kept["deviation"][::2] != x)
         assert (smallest[left] > 0.8 * clear).all()  # by rotation a gap is foretold to second order
         solved = ~left & (smallest < clear)
-        again = np.minimum(kept[::2, contact.GAP], kept[1::2, contact.GAP])[solved]
+        again = np.minimum(kept["gap"][::2], kept["gap"][1::2])[solved]
         assert again == pytest.approx(smallest[solved], abs=1e-12)
 
 
@@ -236,10 +233,10 @@ def test_curvature_between_two_elements_is_linear():
         nominal_surface(pair), gear_deviation=flat, gear_curvature=curvature, pin_deviation=round_pins,
         pin_curvature=round_pins,
     )  # fmt: skip
-    drive = drive_of(pair, surface)
+    deviations = drive_of(pair, surface).deviations
     for i in range(1, 8):
-        alpha = 0.3 * drive.flank_alpha[i] + 0.7 * drive.flank_alpha[i + 1]
-        found = contact._added_curvature(drive, 0, 0, 5, 0, alpha, 0.0)
+        alpha = 0.3 * deviations.flank_alpha[i] + 0.7 * deviations.flank_alpha[i + 1]
+        found = added_curvature(deviations, Facing(0, 0, 5, 0, 0.0, 0.0, 1.0, 0.0), alpha, 0.0)
         assert found == pytest.approx(0.3 * curvature[0, 5, i - 1, 0] + 0.7 * curvature[0, 5, i, 0], abs=1e-9)
 
 
@@ -283,10 +280,10 @@ def test_torques_of_both_flanges_are_derivatives_of_the_stored_energy(case, outp
         assert energy > 0.0
         assert energy == pytest.approx(0.5 * by_flange * flange, rel=0.9)
         # The torque of the forces leaves out that a flank's curvature changes under the pin (docs/theory/fmu.md).
-        balance = rows[:, contact.FORCE] @ rows[:, contact.ARM]
+        balance = rows["force"] @ rows["arm"]
         assert balance == pytest.approx(by_flange, rel=0.02)
         held, stiffness_held = contact.behind_compliance(drive, theta, flange, compliance, 0.0, rows, True)
-        forces = rows[:, contact.FORCE] @ rows[:, contact.ARM]
+        forces = rows["force"] @ rows["arm"]
         assert held + compliance * forces == pytest.approx(flange, abs=1e-11)
         there, stiffness_there = contact.equilibrium(drive, theta, forces, 0.0, rows, True)
         assert (there, stiffness_there) == (pytest.approx(held, abs=1e-11), pytest.approx(stiffness_held, rel=1e-4))
@@ -321,7 +318,7 @@ def test_the_play_ends_where_flanks_touch(case, output):
 
     def smallest(theta, x):
         contact.place(drive, theta, x, rows, True, math.inf, math.inf)
-        return rows[:, contact.GAP].min()
+        return rows["gap"].min()
 
     for theta in (0.7, 41.3):
         low, high, interference = contact.play(drive, theta, 0.0, rows, True)
@@ -340,7 +337,7 @@ def test_the_play_ends_where_flanks_touch(case, output):
             rate = contact.touch_rate(drive, theta, end, rows, side)
             assert rate - 1.0 / pair.ratio == pytest.approx((second - first) / (2 * turn), abs=1e-4 / abs(pair.ratio))
     # A free flank is pushed by nothing.
-    rows[:, contact.GAP] = math.inf
+    rows["gap"] = math.inf
     assert math.isnan(contact.touch_rate(drive, 0.7, 0.0, rows, 1.0))
 
 
@@ -353,7 +350,7 @@ def test_interference_is_told_by_its_depth():
 
     def smallest(x):
         contact.place(drive, 0.7, x, rows, True, math.inf, math.inf)
-        return rows[:, contact.GAP].min()
+        return rows["gap"].min()
 
     assert interference == pytest.approx(-max(smallest(x) for x in np.linspace(-3e-4, 3e-4, 121)), rel=0.05)
 
@@ -363,15 +360,15 @@ def test_load_sharing_adds_up(case):
     """Forces of the pins are the rows'; pressures are Hertz's for them, 2F/(π a b); hardly loaded ones don't count."""
     pair, drive, rows = drive_and_rows(case, "gear")
     contact.equilibrium(drive, 0.7, 200.0, 0.0, rows, True)
-    force, pressure = np.zeros((pair.pair.discs, 40)), np.zeros((pair.pair.discs, 40))
+    force, pressure = np.zeros((pair.discs, 40)), np.zeros((pair.discs, 40))
     count, largest = contact.load_sharing(drive, rows, force, pressure)
-    by_row = rows[:, contact.FORCE].reshape(pair.pair.discs, -1, 40, 2)
+    by_row = rows["force"].reshape(pair.discs, -1, 40, 2)
     assert force == pytest.approx(by_row.sum(axis=(1, 3)))
     assert largest == pressure.max()
     assert count == (force > 0.01 * force.max()).sum()
     disc, pin = np.unravel_index(np.argmax(force), force.shape)
     row = (disc * by_row.shape[1] * 40 + pin) * 2 + int(np.argmax(by_row[disc, 0, pin]))
-    curvature, radius = rows[row, contact.CURVATURE], drive.pin_radius[pin]
+    curvature, radius = rows[row]["curvature"], drive.pin_radius[pin]
     compliance = drive.compliance_gear + drive.compliance_pin
     half = math.sqrt(4 * force[disc, pin] * compliance / (math.pi * drive.slice_width * abs(1 / radius + curvature)))
     assert pressure[disc, pin] == pytest.approx(2 * force[disc, pin] / (math.pi * half * drive.slice_width), rel=1e-9)
@@ -384,7 +381,7 @@ def test_slices_between_five_are_as_they_are_alone(slices):
     drive = drive_of(pair, dataclasses.replace(surface_of_pair(pair), misalignment_xz=3e-4), slices)
     together = contact.contact_rows(drive)
     contact.place(drive, 0.3, 0.0, together, True, np.inf, np.inf)
-    together = together.reshape(slices, -1, contact.COLUMNS)
+    together = together.reshape(slices, -1)
     between = np.arange(slices) * 4 % (slices - 1) > 0
     interpolated = 0
     for i in np.flatnonzero(between):
@@ -393,9 +390,9 @@ def test_slices_between_five_are_as_they_are_alone(slices):
         )
         rows = contact.contact_rows(alone)
         contact.place(alone, 0.3, 0.0, rows, True, np.inf, np.inf)
-        assert together[i, :, contact.GAP] == pytest.approx(rows[:, contact.GAP], abs=1e-9)
-        assert together[i, ::2, contact.ARM] == pytest.approx(rows[::2, contact.ARM], abs=1e-6)
-        interpolated += np.count_nonzero(together[i, ::2, contact.GAP] != rows[::2, contact.GAP])
+        assert together[i]["gap"] == pytest.approx(rows["gap"], abs=1e-9)
+        assert together[i]["arm"][::2] == pytest.approx(rows["arm"][::2], abs=1e-6)
+        interpolated += np.count_nonzero(together[i]["gap"][::2] != rows["gap"][::2])
     assert interpolated > 0.5 * drive.pin_x.size * between.sum()
 
 
@@ -451,8 +448,8 @@ def test_views_of_angles_and_torques_do_not_compile_the_kernels_again():
     def compiled(angles, torques, torque):
         solve(pair, surface, torques, angles)
         error_sensitivity(pair, surface, torque, angles, ["offset"])
-        kernels = (contact.sweep_play, contact.sweep_load, contact.sweep_sensitivities)
-        return [list(kernel.signatures) for kernel in kernels]
+        kernels = (contact.sweep, contact.sweep_sensitivities)
+        return [list(kernel.dispatcher.signatures) for kernel in kernels]
 
     before = compiled(angles, torques, 50.0)
     fixed = np.full(2, 50.0)

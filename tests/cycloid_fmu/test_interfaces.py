@@ -22,8 +22,8 @@ from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.core import MAGIC, state_from_bytes, state_to_bytes
 from cycloid_fmu.fmu.run import lead, opened
 from cycloid_fmu.fmu.variables import Interface, variables
-from cycloid_fmu.pair import parse_pair, read_pair
-from cycloid_fmu.surface import surface_of_pair
+from cycloid_fmu.geometry.pair import parse_pair, read_pair
+from cycloid_fmu.surfaces.surface import surface_of_pair
 
 ERRORS = read_pair(CASES / "errors-39-40.toml")
 SURFACE = surface_of_pair(ERRORS)

@@ -3,10 +3,10 @@ import pytest
 from common import PAIR, make_pair
 
 from cycloid_fmu import contact
-from cycloid_fmu.pair import parse_pair, smallest_convex_radius
-from cycloid_fmu.profile import equal_arc_parameters, flank_curvature, flank_normals, flank_points
-from cycloid_fmu.surface import nominal_surface
-from cycloid_fmu.transmission import drive_of
+from cycloid_fmu.contact.transmission import drive_of
+from cycloid_fmu.geometry.pair import parse_pair, smallest_convex_radius
+from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_curvature, flank_normals, flank_points
+from cycloid_fmu.surfaces.surface import nominal_surface
 
 MODIFIED = parse_pair(PAIR + '[modification]\noffset = "-50 um"\nisometric = "-30 um"\n', "modified.toml")
 
@@ -22,7 +22,7 @@ def test_unmodified_every_gap_is_zero_at_every_crank_angle(teeth, output):
     contacts = contact.contact_rows(drive)
     for theta in np.random.default_rng(teeth).uniform(-500.0, 500.0, 200 if teeth != 39 else 1000):
         contact.place(drive, theta, 0.0, contacts, True, np.inf, np.inf)
-        gaps = contacts[::2, contact.GAP]
+        gaps = contacts["gap"][::2]
         assert np.abs(gaps).max() < 1e-12  # 1 nm is asked for
 
 

@@ -16,11 +16,12 @@ import xarray as xr
 from common import EXAMPLES, make_pair
 from scipy import stats
 
-from cycloid_fmu import edge, tolerance
-from cycloid_fmu.pair import read_pair
-from cycloid_fmu.sampling import parse_tolerances, read_tolerances, surface_at, within_tolerance
-from cycloid_fmu.tolerance import Checkpoint, Study, check_study, figures_of, points, run, screened, surface_of
-from cycloid_fmu.transmission import solve
+from cycloid_fmu import edge
+from cycloid_fmu.contact.transmission import solve
+from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.studies import tolerance
+from cycloid_fmu.studies.tolerance import Checkpoint, Study, check_study, figures_of, points, run, screened, surface_of
+from cycloid_fmu.surfaces.sampling import parse_tolerances, read_tolerances, surface_at, within_tolerance
 
 PAIR = read_pair(EXAMPLES / "drive-39-40.toml")
 SINGLE = """[pin_radius]

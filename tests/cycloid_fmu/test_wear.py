@@ -13,15 +13,17 @@ import xarray as xr
 from common import ARCSEC, WEAR_PAIR, make_pair
 from typer.testing import CliRunner
 
-from cycloid_fmu import cli, edge, plots, wear
+from cycloid_fmu import cli, edge
+from cycloid_fmu.contact.transmission import drive_of, solve
+from cycloid_fmu.draw import plots
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.model import DriveModel
-from cycloid_fmu.profile import flank_normals, flank_points
-from cycloid_fmu.surface import nominal_surface, read_surface, surface_after, surface_of_pair, write_surface
-from cycloid_fmu.transmission import drive_of, solve
-from cycloid_fmu.wear import Sweep, accuracy, wear_model, wear_rate, wear_states, worn_surface
-from cycloid_fmu.wear_law import Load, Regression, duty_cycle, parse_wear_law, read_duty_cycle
-from cycloid_fmu.wear_run import (
+from cycloid_fmu.geometry.profile import flank_normals, flank_points
+from cycloid_fmu.surfaces.files import read_surface, write_surface
+from cycloid_fmu.surfaces.surface import nominal_surface, surface_after, surface_of_pair
+from cycloid_fmu.wear import progress as wear
+from cycloid_fmu.wear.law import Load, Regression, duty_cycle, parse_wear_law, read_duty_cycle
+from cycloid_fmu.wear.life import (
     Interrupted,
     coefficient_warning,
     run_wear,
@@ -29,6 +31,7 @@ from cycloid_fmu.wear_run import (
     unfinished_path,
     wear_figures,
 )
+from cycloid_fmu.wear.progress import Sweep, accuracy, wear_model, wear_rate, wear_states, worn_surface
 
 PAIR = WEAR_PAIR.replace("[modification]", 'contact_law = "as_printed"\n[modification]')
 LAW = """format = "cycloid-wear/1"
@@ -44,11 +47,11 @@ TURNS = 3e6
 
 
 def law(text=LAW, **changes):
-    return parse_wear_law(text, "wear.toml").model_copy(update=changes)
+    return parse_wear_law(text, "wear.toml").replace(**changes)
 
 
 def load(torque=-400.0, turns=1.0):
-    return Load.model_construct(torque=torque, crank_turns=turns)
+    return Load(torque=torque, crank_turns=turns)
 
 
 def model(pair=None, text=LAW, loads=(load(),), elements=(800, 400), surface=None, **changes):
@@ -83,7 +86,7 @@ def test_the_paper_s_own_depths():
     assert as_printed["gear_depth_mean"] == pytest.approx(17.0e-6, rel=0.01)
     assert as_printed["pin_depth_mean_off_pole"] == pytest.approx(22e-6, rel=0.02)
     assert as_printed["gear_depth_max"] == pytest.approx(60e-6, rel=0.06)
-    milder = law().regression.model_copy(update={"pressure_viscosity": 2.22e-8})
+    milder = law().regression.replace(pressure_viscosity=2.22e-8)
     half = model(loads=(load(-200.0),), regression=milder)
     _, gear, _ = wear.depth_as_printed(half, TURNS)
     assert gear.max() == pytest.approx(60e-6, rel=0.06)
@@ -164,7 +167,7 @@ def test_depth_is_proportional_to_the_coefficient_and_the_work():
 
 
 def test_regression_scales_as_printed():
-    base = Regression.model_construct(pressure_viscosity=2e-8, roughness_gear=4e-7, roughness_pin=3e-7)
+    base = Regression(pressure_viscosity=2e-8, roughness_gear=4e-7, roughness_pin=3e-7)
     modulus = 206e9 / 2 / (1 - 0.09)
     k = wear.regression_coefficient(base, 1e5, 3e-3, modulus)
     printed = 3.981e29 / modulus * (1e5 / modulus / 3e-3) ** 1.219 * (2e-8 * modulus) ** -7.377 * (5e-7 / 3e-3) ** 1.589
@@ -498,7 +501,7 @@ def test_absurd_coefficients_are_named():
     """m²/N mistaken for mm²/N, and a viscosity coefficient per MPa."""
     wild = model(text=CONSTANT, coefficient=1e-12)
     assert "[wear] coefficient = 1e-12 m²/N" in coefficient_warning(1e-12, wild, "w.toml")
-    regression = law().regression.model_copy(update={"pressure_viscosity": 2.73e-9})
+    regression = law().regression.replace(pressure_viscosity=2.73e-9)
     odd = model(regression=regression)
     assert "pressure_viscosity = 2.73e-09" in coefficient_warning(
         wear_rate(odd, odd.surface).coefficient, odd, "w.toml"

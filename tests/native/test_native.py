@@ -1,6 +1,5 @@
 """The native FMU: against the model in Python, in hosts that share no code, and with what no host should hand it."""
 
-import dataclasses
 import math
 import os
 import re
@@ -23,20 +22,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cycloid_fmu import edge
-from cycloid_fmu.errors.alike import mesh_pitches
+from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.fmu import constants
 from cycloid_fmu.fmu.compliant_model import CompliantModel
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.reducer_model import ReducerModel
 from cycloid_fmu.fmu.run import opened
 from cycloid_fmu.fmu.variables import Interface, from_tables, variables
+from cycloid_fmu.geometry.pair import parse_pair, read_pair
 from cycloid_fmu.native import build as native_build
 from cycloid_fmu.native import tables
 from cycloid_fmu.native.table_file import HEAD, TABLE, constants_header, write
-from cycloid_fmu.pair import parse_pair, read_pair
 from cycloid_fmu.reducer import budget as rv
-from cycloid_fmu.surface import nominal_surface, surface_of_pair
-from cycloid_fmu.transmission import solve
+from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
 
 ARM = Path("/usr/aarch64-linux-gnu")  # Debian's libc6-arm64-cross
 MOTION = {"kinematic": 3, "compliant": 4, "inertia": 3}  # inputs, which the C host prints first, after the time
@@ -191,7 +189,7 @@ def test_tables_of_a_drive_with_all_errors_keep_their_accuracy_over_the_whole_pe
     pair = read_pair(EXAMPLES / "drive-39-40-as-made.toml")
     surface = surface_of_pair(pair)
     if STUDIES < 1e6:  # without pitch errors the period is one crank turn instead of 39
-        surface = dataclasses.replace(surface, tooth_cumulative_pitch=np.zeros_like(surface.tooth_cumulative_pitch))
+        surface = surface.replace(tooth_cumulative_pitch=np.zeros_like(surface.tooth_cumulative_pitch))
     made = tables.compute(pair, surface, workers=2)
     path = native_of(tmp_path, pair, surface, made, Interface())
     native = slave(path=path)
@@ -225,18 +223,16 @@ def test_tables_of_a_drive_with_all_errors_keep_their_accuracy_over_the_whole_pe
     ],
 )
 def test_transmission_error_repeats_after_the_tables_period(keys, errors, pitches):
-    pair = make_pair(**keys).model_copy(
-        update={"modification": read_pair(EXAMPLES / "drive-39-40.toml").modification}
-    )  # fmt: skip
+    pair = make_pair(**keys).replace(modification=read_pair(EXAMPLES / "drive-39-40.toml").modification)
     surface = nominal_surface(pair)
     random = np.random.default_rng(2)
     changes = {
         name: 2e-6 * random.normal(size=getattr(surface, name).shape) if value is True else value
         for name, value in errors.items()
     }
-    surface = type(surface)(**{**vars(surface), **changes})
-    assert mesh_pitches(pair, surface) == pitches
-    period = pitches * 2.0 * np.pi / (39 if pair.pair.output == "ring" else 40)
+    surface = surface.replace(**changes)
+    assert tables.mesh_pitches(pair, surface) == pitches
+    period = pitches * 2.0 * np.pi / (39 if pair.output == "ring" else 40)
     angles = random.uniform(0.0, 50.0, 12)
     first, second = (solve(pair, surface, [150.0, -40.0], a).transmission_error for a in (angles, angles + period))
     np.testing.assert_allclose(first, second, atol=1e-11)

@@ -1,0 +1,49 @@
+"""How the kernels are compiled: once for Python's calls, kept on disk, and without further ado inside other kernels."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from numba import njit
+from numba.extending import overload, register_jitable
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+_SOURCES = tuple(sorted((s.stat().st_mtime_ns, s.name) for s in Path(__file__).parent.glob("*.py")))
+
+
+def compiled(function: _Function) -> _Function:
+    """Compile a kernel that Python calls, its type kept; other kernels may call it as well.
+
+    Inside another kernel it is a part of that one: it gets no entry from Python and no file in the cache. What numba
+    compiled for Python's calls is its `dispatcher`.
+    """
+    entry = njit(cache=True, error_model="numpy", nogil=True)(function)
+    cache = getattr(entry, "_cache", None)  # none where numba only interprets
+    if cache is not None:
+        # numba looks at the file of the kernel alone; what it calls lies in others.
+        cache._cache_file._source_stamp = (*cache._cache_file._source_stamp, _SOURCES)
+
+    @functools.wraps(function)
+    def called(*arguments: Any) -> Any:
+        return entry(*arguments)
+
+    called.dispatcher = entry  # type: ignore[attr-defined]
+    overload(called, jit_options={"error_model": "numpy"}, strict=False)(lambda *arguments: function)
+    return cast(_Function, called)
+
+
+def part(function: _Function) -> _Function:
+    """Make a function that kernels call; Python's own calls are interpreted."""
+    return cast(_Function, register_jitable(error_model="numpy")(function))
+
+
+def inlined(function: _Function) -> _Function:
+    """Make a `part` that the compiler puts where it is called."""
+    return cast(_Function, register_jitable(error_model="numpy", forceinline=True)(function))

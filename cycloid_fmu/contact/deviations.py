@@ -1,0 +1,235 @@
+"""Flanks and pins that deviate from their nominal form: where they come closest, and the curvature that they add."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from cycloid_fmu.contact.compiling import Array, inlined, part
+from cycloid_fmu.contact.foot import Tangency, on_tooth, path_curvature, tangency
+from cycloid_fmu.contact.gap import Flank, Offset, write_contact
+from cycloid_fmu.contact.problem import Deviations, Problem, poses
+from cycloid_fmu.contact.rows import Rows, disc_slice_pin, is_solved_at
+
+# Deviations can't make a contact more conformal than this share of its nominal 1/ρ*: where wear leaves no curvature
+# between flank and pin Hertz's half width has no end, while the scar's own width is one. From 0.03 to 0.3 the wear
+# paper's pair wears equally within 1 % (docs/wear.md).
+_CONFORMAL = 0.1
+
+
+class Facing(NamedTuple):
+    """A pin and the tooth that it faces, turned to tooth 0."""
+
+    disc: int
+    slice_: int
+    tooth: int
+    pin: int
+    x: float  # the pin's axis, m
+    y: float
+    inwards_x: float  # direction from it to the pin circle's centre
+    inwards_y: float
+
+
+@part
+def move_to_deviations(
+    problem: Problem, deviations: Deviations | None, theta: float, x: float, contacts: Rows, bounded: float
+) -> None:
+    """Move the contacts just solved on nominal surfaces to where the surfaces with deviations come closest.
+
+    The pieces between neighbouring elements, on which deviations are linear, are searched outwards from the nominal
+    foot until the nominal surfaces stand farther apart than any deviation can make up for.
+    """
+    if deviations is None:
+        return
+    teeth = problem.teeth
+    pins = teeth + 1
+    pitch = 2.0 * math.pi / teeth
+    for row in range(contacts.shape[0]):
+        contact = contacts[row]
+        if not is_solved_at(contact, theta, x) or not contact.gap < math.inf:
+            continue
+        if contact.gap - deviations.largest > bounded:
+            contact.gap -= deviations.largest
+            continue
+        disc, slice_, pin = disc_slice_pin(problem, row)
+        crank, ring, gear = poses(problem, theta, x, disc)
+        conjugate = pin * 2.0 * math.pi / pins + (crank - ring) / teeth
+        alpha = conjugate + contact.foot
+        tooth = math.floor(alpha / pitch)
+        if row % 2 == 0:
+            # The conjugate tooth's own end belongs to it.
+            tooth = math.floor(conjugate / pitch)
+        number = int(tooth) % teeth
+        base = tooth * pitch
+        # The pin's axis, and the direction from it to the pin circle's centre, on tooth 0.
+        ux = problem.eccentricity * math.cos(crank) + problem.centre_x[slice_]
+        uy = problem.eccentricity * math.sin(crank) + problem.centre_y[slice_]
+        cg, sg = math.cos(gear), math.sin(gear)
+        ox, oy = ux * cg + uy * sg, uy * cg - ux * sg
+        turned = ring - gear
+        ct, st = math.cos(turned), math.sin(turned)
+        px = problem.pin_x[pin] * ct - problem.pin_y[pin] * st - ox
+        py = problem.pin_x[pin] * st + problem.pin_y[pin] * ct - oy
+        px, py = on_tooth(px, py, problem.tooth_turn[disc, number])
+        cb, sb = math.cos(base), math.sin(base)
+        gx, gy = px * cb + py * sb, py * cb - px * sb
+        towards = pin * 2.0 * math.pi / pins + turned - problem.tooth_turn[disc, number] - base
+        facing = Facing(disc, slice_, number, pin, gx, gy, -math.cos(towards), -math.sin(towards))
+        pin_radius = problem.pin_radius[pin]
+        points = deviations.flank_alpha.size
+        middle = min(max(int(np.searchsorted(deviations.flank_alpha, alpha - base)), 1), points - 2)
+        flank_x, flank_y = deviations.flank_x, deviations.flank_y
+        arc = math.hypot(flank_x[middle + 1] - flank_x[middle], flank_y[middle + 1] - flank_y[middle])
+        # Twice what a piece's middle may come closer than its ends.
+        sag = 0.25 * arc * arc * abs(1.0 / pin_radius + contact.curvature)
+        best = (math.inf, 0.0, 0.0, 0.0)
+        for direction in (-1, 1):
+            point = middle
+            nominal, raised, seen = _raised(problem, deviations, facing, point)
+            while 0 <= point + direction < points:
+                if point != middle and nominal - deviations.largest > best[0]:
+                    break
+                last_raised, last_seen = raised, seen
+                point += direction
+                nominal, raised, seen = _raised(problem, deviations, facing, point)
+                if min(raised, last_raised) - sag < best[0]:
+                    seen_ends = (last_seen, seen) if direction > 0 else (seen, last_seen)
+                    piece = min(point, point - direction)
+                    closest = _closest_on_piece(problem, deviations, facing, piece, seen_ends)
+                    if closest[0] < best[0]:
+                        best = closest
+        _, at, gear_height, pin_height = best
+        place = base + at
+        state = tangency(px, py, place, problem.circle_radius, problem.generating_eccentricity, teeth)
+        flank = Flank(
+            problem.circle_radius, problem.generating_eccentricity, problem.generating_radius - gear_height, teeth,
+            problem.ring,
+        )  # fmt: skip
+        offset = Offset(ox, oy, 0.0, 0.0)
+        write_contact(contact, flank, offset, pin_radius + pin_height, contact.foot, place, state, theta, x)
+        # What a raised flank predicts reaches no farther than its next element.
+        contact.gap_by_crank = math.nan
+        if deviations.gear_curvature.size > 0:
+            seen = _facing_place(problem, deviations, facing, at, state, gear_height)
+            added = added_curvature(deviations, facing, at, seen)
+            hertz_curvature = 1.0 / pin_radius + contact.curvature
+            contact.curvature += max(added, (_CONFORMAL - 1.0) * hertz_curvature)
+
+
+@inlined
+def _facing_place(
+    problem: Problem, deviations: Deviations, facing: Facing, alpha: float, state: Tangency, height: float
+) -> float:
+    """Place on the pin that faces a raised point of the flank, at tooth 0's α."""
+    bx, by, dx, dy = state.path_x, state.path_y, state.apart_x, state.apart_y
+    speed = math.sqrt(bx * bx + by * by)
+    radius = problem.generating_radius - height
+    # From the pin's axis to the flank, in the foot's frame and on tooth 0.
+    wx, wy = -dx - radius * bx / speed, -dy - radius * by / speed
+    ca, sa = math.cos(alpha), math.sin(alpha)
+    vx, vy = wx * ca - wy * sa, wx * sa + wy * ca
+    return _pin_place(deviations, facing, vx, vy)
+
+
+@inlined
+def added_curvature(deviations: Deviations, facing: Facing, alpha: float, seen: float) -> float:
+    """Curvature that the deviations of flank and pin add where they touch, at tooth 0's α and a place on the pin."""
+    points = deviations.flank_alpha
+    after = min(max(int(np.searchsorted(points, alpha)), 1), points.size - 1)
+    share = (alpha - points[after - 1]) / (points[after] - points[after - 1])
+    curvature = deviations.gear_curvature[facing.disc, facing.slice_, facing.tooth]
+    flank = (1.0 - share) * curvature[after - 1]
+    flank += share * curvature[after]
+    return flank + _on_pin(deviations.pin_curvature, facing, seen)
+
+
+@inlined
+def _raised(problem: Problem, deviations: Deviations, facing: Facing, point: int) -> tuple[float, float, float]:
+    """Gap at one of the flank's points, nominal and with the deviations, and the place on the pin that faces it."""
+    pin_radius = problem.pin_radius[facing.pin]
+    vx, vy = deviations.flank_x[point] - facing.x, deviations.flank_y[point] - facing.y
+    nominal = math.sqrt(vx * vx + vy * vy) - pin_radius
+    height = deviations.gear[facing.disc, facing.slice_, facing.tooth, point]
+    vx, vy = vx + height * deviations.flank_normal_x[point], vy + height * deviations.flank_normal_y[point]
+    seen = _pin_place(deviations, facing, vx, vy)
+    raised = math.sqrt(vx * vx + vy * vy) - pin_radius - _on_pin(deviations.pin, facing, seen)
+    return nominal, raised, seen
+
+
+@part
+def _closest_on_piece(
+    problem: Problem, deviations: Deviations, facing: Facing, piece: int, seen: tuple[float, float]
+) -> tuple[float, float, float, float]:
+    """Smallest gap between two neighbouring points of the flank, its α, and the deviations of gear and pin there.
+
+    `seen` are the places on the pin that face the two points; between them the pin's deviation bends at the middle of
+    each of its elements, so the piece is divided there; the place is nearly, not quite, linear in α.
+    """
+    R, e, teeth = problem.circle_radius, problem.generating_eccentricity, problem.teeth
+    heights = deviations.gear[facing.disc, facing.slice_, facing.tooth]
+    a, b = deviations.flank_alpha[piece], deviations.flank_alpha[piece + 1]
+    start, end = heights[piece], heights[piece + 1]
+    rise = (end - start) / (b - a)
+    best = (math.inf, a, start, 0.0)
+    high, right = a, seen[0]
+    while high < b:
+        low, left = high, right
+        right = math.floor(left) + 1.0 if seen[1] > left else math.ceil(left) - 1.0
+        if (right - seen[1]) * (seen[1] - seen[0]) >= 0.0:
+            high, right = b, seen[1]
+        else:
+            each = (b - a) / (seen[1] - seen[0])
+            high = a + (right - seen[0]) * each
+            state = tangency(facing.x, facing.y, high, R, e, teeth)
+            high += (right - _facing_place(problem, deviations, facing, high, state, start + rise * (high - a))) * each
+            high = min(max(high, low), b)
+        pin_start, pin_end = _on_pin(deviations.pin, facing, left), _on_pin(deviations.pin, facing, right)
+        pin_rise = (pin_end - pin_start) / max(high - low, 1e-3 * (b - a))
+        at = 0.5 * (low + high)
+        for _ in range(8):
+            state, height = tangency(facing.x, facing.y, at, R, e, teeth), start + rise * (at - a)
+            pin_height = _on_pin(deviations.pin, facing, _facing_place(problem, deviations, facing, at, state, height))
+            distance, fall, bend = _flank_distance(problem, state, height, rise)
+            gap = distance - problem.pin_radius[facing.pin] - pin_height
+            if gap < best[0]:
+                best = (gap, at, height, pin_height)
+            step = -(fall - pin_rise) / bend if bend > 0.0 else math.copysign(b - a, pin_rise - fall)
+            following = min(max(at + step, low), high)
+            if abs(following - at) < 1e-9 * (b - a):
+                break
+            at = following
+    return best
+
+
+@inlined
+def _flank_distance(problem: Problem, state: Tangency, height: float, rise: float) -> tuple[float, float, float]:
+    """Distance of a pin's axis from a raised point of the flank, and its first and second derivative by α.
+
+    The point lies `height` out along the nominal normal; `rise` is the height's derivative by α. The second derivative
+    is that near the foot.
+    """
+    f, slope, bx, by, dx, dy = state.value, state.slope, state.path_x, state.path_y, state.apart_x, state.apart_y
+    speed = math.sqrt(bx * bx + by * by)
+    radius = problem.generating_radius - height
+    wx, wy = dx + radius * bx / speed, dy + radius * by / speed
+    distance = math.sqrt(wx * wx + wy * wy)
+    kappa = path_curvature(problem.circle_radius, problem.generating_eccentricity, problem.teeth, bx, speed)
+    shrink = (1.0 - radius * kappa) / distance
+    return distance, -f * shrink - rise * (wx * bx + wy * by) / (speed * distance), -slope * shrink
+
+
+@inlined
+def _pin_place(deviations: Deviations, facing: Facing, vx: float, vy: float) -> float:
+    """Place on the pin's surface in the direction v from its axis, in elements from the first one's middle."""
+    across, ahead = facing.inwards_x * vy - facing.inwards_y * vx, facing.inwards_x * vx + facing.inwards_y * vy
+    return (math.atan2(across, ahead) / math.pi + 0.5) * deviations.pin.shape[2] - 0.5
+
+
+@inlined
+def _on_pin(values: Array, facing: Facing, place: float) -> float:
+    """Value between the middles of a pin's elements, at a place of `_pin_place`."""
+    low = min(max(math.floor(place), 0), values.shape[2] - 2)
+    share = min(max(place - low, 0.0), 1.0)
+    return (1.0 - share) * values[facing.slice_, facing.pin, low] + share * values[facing.slice_, facing.pin, low + 1]

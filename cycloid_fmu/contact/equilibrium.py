@@ -1,0 +1,155 @@
+"""Equilibrium of the contacts with a torque, alone or behind a compliance in series."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from cycloid_fmu.contact.compiling import compiled, inlined, part
+from cycloid_fmu.contact.hertz import hertz
+from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
+from cycloid_fmu.contact.problem import Problem
+from cycloid_fmu.contact.rows import Rows, disc_slice_pin, is_solved_at
+
+_LINEAR_STEP = 1e-9  # rad: below this Newton's last step of an equilibrium is made with the stiffnesses at hand
+
+
+@inlined
+def rotational_stiffness(contact: np.record) -> float:
+    """Change of one contact's torque F L for each radian: of its approach, its arm and its flank's curvature."""
+    arm = contact.arm
+    curved = contact.force_by_curvature * contact.curvature_rate * contact.foot_rate
+    return float(contact.stiffness * arm * arm + contact.force * contact.arm_rate + curved * arm)
+
+
+@part
+def load(problem: Problem, theta: float, x: float, contacts: Rows) -> tuple[float, float]:
+    """Forces of all rows at deviation x; returns the torque that balances them (N·m) and its derivative by x."""
+    torque = stiffness = 0.0
+    for row in range(contacts.shape[0]):
+        contact = contacts[row]
+        gap, last = contact.gap, contact.force
+        contact.force = contact.stiffness = 0.0
+        if gap >= 0.0 or not is_solved_at(contact, theta, x):
+            continue
+        _, _, pin = disc_slice_pin(problem, row)
+        force, k, by_curvature = hertz(
+            -gap, contact.curvature, problem.pin_radius[pin], problem.slice_width,
+            problem.compliance_gear, problem.compliance_pin, problem.largest_log_radius, last,
+        )  # fmt: skip
+        contact.force, contact.stiffness, contact.force_by_curvature = force, k, by_curvature
+        torque += force * contact.arm
+        stiffness += rotational_stiffness(contact)
+    return torque, stiffness
+
+
+@part
+def to_touch(contacts: Rows, theta: float, x: float, direction: float) -> float:
+    """Rotation from x, in `direction` (±1), at which the first flank touches, to second order.
+
+    Rows solved elsewhere than at x count with what they predict of it.
+    """
+    best = math.inf
+    for row in range(contacts.shape[0]):
+        contact = contacts[row]
+        gap, arm, rate = contact.gap, contact.arm, contact.arm_rate
+        if not gap < math.inf:
+            continue
+        since = x - contact.deviation
+        gap -= since * (arm + 0.5 * since * rate)
+        if contact.crank_angle != theta:
+            gap += (theta - contact.crank_angle) * contact.gap_by_crank
+        arm = direction * (arm + since * rate)
+        if arm <= 0.0 and not (gap > 1e-9 and rate > 0.0):
+            continue
+        inside = arm * arm + 2.0 * rate * gap
+        if inside < 0.0:
+            if gap > 0.0:
+                continue
+            inside = 0.0
+        best = min(best, 2.0 * gap / (arm + math.sqrt(inside)))
+    return best
+
+
+@compiled
+def equilibrium(
+    problem: Problem, theta: float, torque: float, x: float, contacts: Rows, cold: bool
+) -> tuple[float, float]:
+    """Deviation at which the contacts balance a torque (other than zero, where there is play).
+
+    Parameters
+    ----------
+    problem
+        The contact problem.
+    theta
+        Crank angle, rad.
+    torque
+        Torque of the environment on the output, N·m.
+    x
+        Starting deviation, rad.
+    contacts
+        Contact rows, overwritten with the solution.
+    cold
+        Whether `contacts` holds nothing of a neighbouring state.
+
+    Returns
+    -------
+    x, stiffness
+        Deviation (rad) and its torsional stiffness (N·m/rad).
+    """
+    return _balance(problem, theta, torque, 1.0, 0.0, 0.0, x, contacts, cold)
+
+
+@compiled
+def behind_compliance(
+    problem: Problem, theta: float, flange: float, compliance: float, x: float, contacts: Rows, cold: bool
+) -> tuple[float, float]:
+    """Deviation ξ of the contacts when the flange stands at ξ + c M(ξ); returns ξ and the contacts' stiffness."""
+    return _balance(problem, theta, 0.0, compliance, flange, 1.0, x, contacts, cold)
+
+
+@part
+def _balance(
+    problem: Problem,
+    theta: float,
+    torque: float,
+    share: float,
+    flange: float,
+    hold: float,
+    x: float,
+    contacts: Rows,
+    cold: bool,
+) -> tuple[float, float]:
+    """Solve share (torque - M(x)) + hold (flange - x) = 0 by Newton's method inside a bracket."""
+    low, high = -math.inf, math.inf
+    stiffness = 0.0
+    for _ in range(100):
+        place(problem, theta, x, contacts, cold, CLEAR, BOUNDED)
+        # Not a literal False in a second call, for which everything would be compiled again; so everywhere here.
+        cold = False
+        balance, stiffness = load(problem, theta, x, contacts)
+        short = share * (torque - balance) + hold * (flange - x)
+        slope = share * stiffness + hold
+        if short > 0.0:
+            low = x
+        else:
+            high = x
+        if slope > 0.0:
+            step = short / slope
+        else:
+            direction = math.copysign(1.0, short)
+            step = direction * (max(to_touch(contacts, theta, x, direction), 0.0) + 1e-6)
+        step = min(max(step, -1e-3), 1e-3)
+        if abs(step) < _LINEAR_STEP:
+            x += step
+            for row in range(contacts.shape[0]):
+                contact = contacts[row]
+                if contact.force > 0.0:
+                    contact.force += contact.stiffness * contact.arm * step
+                    contact.gap -= contact.arm * step
+            break
+        if not low < x + step < high:
+            step = 0.5 * (low + high) - x
+        x += step
+    return x, stiffness

@@ -1,0 +1,86 @@
+"""What a foot gives: gap, moment arm, the flank's curvature and their rates, written into a contact row."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from cycloid_fmu.contact.compiling import inlined
+from cycloid_fmu.contact.foot import Tangency, path_curvature
+
+
+class Flank(NamedTuple):
+    """What a flank is made by, and whether the pin ring is the output."""
+
+    circle_radius: float
+    eccentricity: float
+    radius: float
+    teeth: int
+    ring: bool
+
+
+class Offset(NamedTuple):
+    """The gear's centre from the pin circle's, and the crank's eccentricity alone, in the gear's frame, m."""
+
+    x: float
+    y: float
+    crank_x: float
+    crank_y: float
+
+
+@inlined
+def write_contact(
+    contact: np.record,
+    flank: Flank,
+    offset: Offset,
+    pin_radius: float,
+    foot: float,
+    alpha: float,
+    state: Tangency,
+    theta: float,
+    x: float,
+) -> None:
+    """Write gap, moment arm and their rates where the pin is nearest the flank's point α.
+
+    The foot is that of the pin on the nominal flank, as an offset from the conjugate point; α is the same place unless
+    deviations move the contact along the flank.
+    """
+    circle_radius, eccentricity, radius, teeth, ring = flank
+    _, slope, qx, qy, bx, by, dx, dy, ca, sa = state
+    ox, oy, crank_x, crank_y = offset
+    speed2 = bx * bx + by * by
+    speed = math.sqrt(speed2)
+    # The common normal runs from the flank's point, r inside T, to the pin's axis.
+    wx, wy = dx + radius * bx / speed, dy + radius * by / speed
+    distance = math.sqrt(wx * wx + wy * wy)
+    nx, ny = wx / distance, wy / distance
+    sign, turning = -1.0, 1.0 / teeth
+    if ring:
+        qx, qy = qx + ox * ca + oy * sa, qy + oy * ca - ox * sa
+        sign, turning = 1.0, -1.0 / (teeth + 1)
+    # With Q the lever of the rotation in the foot's frame, the gap falls by the arm for each radian.
+    lever = qx * nx + qy * ny
+    # 1 + κ s, because (P - T)·T'' = -κ s |T'|²
+    stretch = -slope / speed2
+    kappa = path_curvature(circle_radius, eccentricity, teeth, bx, speed)
+    contact.foot = foot
+    contact.place = alpha
+    contact.foot_rate = sign * lever / (speed * stretch)
+    contact.gap = distance - pin_radius
+    arm = sign * (qy * nx - qx * ny)
+    contact.arm = arm
+    # The gear's centre moves by i times the eccentricity, so the pin's axis by the opposite of it.
+    vx, vy = crank_y * ca - crank_x * sa, -crank_x * ca - crank_y * sa
+    contact.crank_angle = theta
+    contact.gap_by_crank = vx * nx + vy * ny + turning * arm
+    along = (vy * bx - vx * by) / (speed2 * stretch)
+    contact.foot_by_crank = along - turning * contact.foot_rate - abs(turning)
+    contact.arm_rate = lever - lever * lever * kappa / stretch
+    inside = 1.0 / (1.0 - radius * kappa)
+    contact.curvature = kappa * inside
+    contact.curvature_rate = (
+        -circle_radius * teeth * by * ((teeth + 2) / speed - 3.0 * kappa) / speed2 * inside * inside
+    )
+    contact.deviation = x

@@ -1,0 +1,130 @@
+"""What each pin carries, and the contact lines with the pressure that each element has seen."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu.contact.compiling import Array, compiled, inlined, part
+from cycloid_fmu.contact.hertz import half_width
+from cycloid_fmu.contact.local_frame import local_frame
+from cycloid_fmu.contact.problem import Problem, poses
+from cycloid_fmu.contact.rows import Rows, disc_slice_pin
+
+_COUNTED = 0.01  # a pin counts as in contact above this share of the most loaded pin's force
+
+
+class ContactLines(NamedTuple):
+    """Contact lines of a sweep and the largest pressure that each element has seen.
+
+    Attributes
+    ----------
+    slice_force, slice_direction
+        Shape (torques, angles, discs, pins, slices): force in each slice (N) and direction of the contact about the
+        pin's axis from that to the pin circle's centre (rad).
+    gear_pressure, pin_pressure
+        Shapes (torques, discs, teeth, profile, slices) and (torques, pins, angle, slices), Pa.
+    flank_alpha, flank_x, flank_y
+        The flank's points as in `Deviations`: the ends of tooth 0 and the middles of its elements.
+    """
+
+    slice_force: NDArray[np.float32]
+    slice_direction: NDArray[np.float32]
+    gear_pressure: Array
+    pin_pressure: Array
+    flank_alpha: Array
+    flank_x: Array
+    flank_y: Array
+
+
+@compiled
+def load_sharing(problem: Problem, contacts: Rows, pin_force: Array, pin_pressure: Array) -> tuple[int, float]:
+    """Force and largest pressure of each pin, from solved contact rows.
+
+    Parameters
+    ----------
+    problem, contacts
+        The contact problem and its solution.
+    pin_force, pin_pressure
+        Overwritten, shape (discs, pins): force summed over slices (N), largest p = 2F/(πab) (Pa).
+
+    Returns
+    -------
+    contact_count, max_contact_pressure
+        Pins that carry more than 1 % of the most loaded pin's force; Pa.
+    """
+    pin_force[:] = 0.0
+    pin_pressure[:] = 0.0
+    for row in range(contacts.shape[0]):
+        force = contacts[row].force
+        if force <= 0.0:
+            continue
+        disc, _, pin = disc_slice_pin(problem, row)
+        pressure = 2.0 * force / (math.pi * _half_width(problem, contacts[row], pin) * problem.slice_width)
+        pin_force[disc, pin] += force
+        pin_pressure[disc, pin] = max(pin_pressure[disc, pin], pressure)
+    threshold = _COUNTED * pin_force.max()
+    count = 0
+    for force in pin_force.flat:
+        if force > threshold:
+            count += 1
+    return count, pin_pressure.max()
+
+
+@inlined
+def _half_width(problem: Problem, contact: np.record, pin: int) -> float:
+    return half_width(
+        contact.force, contact.curvature, problem.pin_radius[pin], problem.slice_width, problem.compliance_gear,
+        problem.compliance_pin,
+    )  # fmt: skip
+
+
+@part
+def write_contact_lines(
+    problem: Problem, lines: ContactLines | None, load: int, angle: int, theta: float, x: float, contacts: Rows
+) -> None:
+    """Write the contact lines of one solved position and raise the elements' largest pressures."""
+    if lines is None:
+        return
+    teeth = problem.teeth
+    pins = teeth + 1
+    pitch = 2.0 * math.pi / teeth
+    points, gear_map, pin_map = lines.flank_alpha, lines.gear_pressure[load], lines.pin_pressure[load]
+    slice_force, slice_direction = lines.slice_force[load, angle], lines.slice_direction[load, angle]
+    elements, angles = gear_map.shape[2], pin_map.shape[1]
+    slice_force[:] = 0.0
+    slice_direction[:] = 0.0
+    arc = math.hypot(lines.flank_x[2] - lines.flank_x[1], lines.flank_y[2] - lines.flank_y[1])
+    for row in range(contacts.shape[0]):
+        contact = contacts[row]
+        if contact.force <= 0.0:
+            continue
+        disc, slice_, pin = disc_slice_pin(problem, row)
+        local = local_frame(problem, theta, x, contacts, row)
+        crank, ring, _ = poses(problem, theta, x, disc)
+        inwards = pin * 2.0 * math.pi / pins + ring + math.pi
+        c, s = math.cos(inwards), math.sin(inwards)
+        # The contact lies from the pin's axis against the flank's normal.
+        direction = math.atan2(s * local.normal_x - c * local.normal_y, -c * local.normal_x - s * local.normal_y)
+        slice_force[disc, pin, slice_] += contact.force
+        slice_direction[disc, pin, slice_] = direction
+        half = _half_width(problem, contact, pin)
+        pressure = 2.0 * contact.force / (math.pi * half * problem.slice_width)
+        alpha = pin * 2.0 * math.pi / pins + (crank - ring) / teeth + contact.foot
+        tooth = math.floor(alpha / pitch)
+        point = min(max(int(np.searchsorted(points, alpha - tooth * pitch)), 1), points.size - 1)
+        share = (alpha - tooth * pitch - points[point - 1]) / (points[point] - points[point - 1])
+        middle = point - 2.0 + share
+        reach = half / arc
+        number = int(tooth) % teeth
+        for element in range(max(0, math.ceil(middle - reach)), min(elements, math.floor(middle + reach) + 1)):
+            seen = pressure * math.sqrt(max(1.0 - ((element - middle) / reach) ** 2, 0.0))
+            gear_map[disc, number, element, slice_] = max(gear_map[disc, number, element, slice_], seen)
+        middle = (direction / math.pi + 0.5) * angles - 0.5
+        reach = half / problem.pin_radius[pin] / math.pi * angles
+        for element in range(max(0, math.ceil(middle - reach)), min(angles, math.floor(middle + reach) + 1)):
+            seen = pressure * math.sqrt(max(1.0 - ((element - middle) / reach) ** 2, 0.0))
+            pin_map[pin, element, slice_] = max(pin_map[pin, element, slice_], seen)

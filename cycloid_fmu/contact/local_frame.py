@@ -1,0 +1,79 @@
+"""A contact seen from the housing: how its torque changes where the pin's axis is displaced."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from cycloid_fmu.contact.compiling import inlined, part
+from cycloid_fmu.contact.foot import path_curvature
+from cycloid_fmu.contact.problem import Problem, poses
+from cycloid_fmu.contact.rows import Rows, disc_slice_pin
+
+
+class LocalFrame(NamedTuple):
+    """One contact seen from the housing: what turns a displacement of the pin's axis into changes of gap and arm."""
+
+    normal_x: float
+    normal_y: float
+    lever_x: float  # the pin's axis seen from the centre that the output turns about
+    lever_y: float
+    gear_x: float  # the pin's axis seen from the gear's centre
+    gear_y: float
+    slide: float  # tangential speed of the axis over the flank for each radian of the output
+    bend: float  # curvature of the gap along the tangent
+    speed: float  # |T'| at the foot
+    foot: float  # rotation of the foot for each metre of slide
+    facing: float  # cosine and sine of the normal's angle from the foot's radius
+    leaning: float
+    turning: float  # rotation of the normal against the foot's radius for each metre of slide
+
+
+@part
+def local_frame(problem: Problem, theta: float, x: float, contacts: Rows, row: int) -> LocalFrame:
+    """Local frame of a row that was solved at crank angle θ and deviation x."""
+    pins = problem.teeth + 1
+    disc, slice_, pin = disc_slice_pin(problem, row)
+    crank, ring, gear = poses(problem, theta, x, disc)
+    alpha = pin * 2.0 * math.pi / pins + (crank - ring) / problem.teeth + contacts[row].foot
+    tooth = math.floor(alpha * problem.teeth / (2.0 * math.pi)) % problem.teeth
+    c, s = math.cos(problem.teeth * alpha), math.sin(problem.teeth * alpha)
+    ez = problem.generating_eccentricity * pins
+    bx, by = problem.circle_radius - ez * c, -ez * s
+    speed = math.sqrt(bx * bx + by * by)
+    facing, leaning = bx / speed, by / speed
+    angle = alpha + gear + problem.tooth_turn[disc, tooth]
+    ca, sa = math.cos(angle), math.sin(angle)
+    nx, ny = ca * facing - sa * leaning, sa * facing + ca * leaning
+    cr, sr = math.cos(ring), math.sin(ring)
+    lx = problem.pin_x[pin] * cr - problem.pin_y[pin] * sr
+    ly = problem.pin_x[pin] * sr + problem.pin_y[pin] * cr
+    gx = lx - problem.eccentricity * math.cos(crank) - problem.centre_x[slice_]
+    gy = ly - problem.eccentricity * math.sin(crank) - problem.centre_y[slice_]
+    sign = 1.0
+    if not problem.ring:
+        lx, ly, sign = gx, gy, -1.0
+    kappa = path_curvature(problem.circle_radius, problem.generating_eccentricity, problem.teeth, bx, speed)
+    stretch = 1.0 + kappa * (contacts[row].gap + problem.pin_radius[pin] - problem.generating_radius)
+    slide = sign * (lx * nx + ly * ny)
+    return LocalFrame(
+        nx, ny, lx, ly, gx, gy, slide, kappa / stretch, speed, 1.0 / (speed * stretch), facing, leaning,
+        (kappa - 1.0 / speed) / stretch,
+    )  # fmt: skip
+
+
+@inlined
+def displaced(contact: np.record, local: LocalFrame, vx: float, vy: float, wx: float, wy: float) -> float:
+    """Change of the contact's torque when its pin's axis moves by v relative to the gear.
+
+    w is v's own change with the output's rotation. The torque is F L, so its change is dF L + F dL, with
+    dL = -(n·w + (t·P_x)(t·v) κ/(1 + κ s)).
+    """
+    normal = vx * local.normal_x + vy * local.normal_y
+    tangent = vy * local.normal_x - vx * local.normal_y
+    turned = wx * local.normal_x + wy * local.normal_y
+    mixed = turned + local.slide * tangent * local.bend
+    curved = contact.force_by_curvature * contact.curvature_rate * tangent * local.foot
+    return float((curved - contact.stiffness * normal) * contact.arm - contact.force * mixed)

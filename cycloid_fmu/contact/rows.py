@@ -1,0 +1,65 @@
+"""Contact rows: what is known of each contact, two rows for each disc, slice and pin.
+
+The first row is the conjugate tooth, the second the tooth across the nearest root, which a pin may touch as well. Rows
+are ordered by disc, slice and pin (`disc_slice_pin`). A kernel takes `contacts[i].gap`, Python `contacts["gap"]`.
+
+================== ===== ==========================================================================================
+Field              Unit  Meaning
+================== ===== ==========================================================================================
+foot               rad   foot of the pin's axis on the nominal flank, from the conjugate point; NaN without contact
+foot_rate          1     its derivative by the deviation x
+gap                m     distance of pin and flank, < 0 where they are pressed together; infinite without contact
+arm                m     -∂gap/∂x; force times arm is torque on the output
+arm_rate           m/rad the arm's derivative by x
+curvature          1/m   1/ρ_c of the flank, > 0 convex
+curvature_rate     1/m   its derivative by the profile parameter, for each radian
+force              N     Hertz's force; 0 where the row carries none
+stiffness          N/m   its derivative by the approach
+force_by_curvature N·m   its derivative by the flank's curvature
+deviation          rad   x at which the row was solved
+place              rad   profile parameter of the contact; other than the foot's where deviations move the contact
+crank_angle        rad   θ at which the row was solved
+gap_by_crank       m/rad the gap's derivative by θ; NaN with deviations, where it reaches no farther than an element
+foot_by_crank      1     the foot's derivative by θ
+================== ===== ==========================================================================================
+"""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu.contact.compiling import inlined, part
+from cycloid_fmu.contact.problem import Problem
+
+_FIELDS = (
+    "foot", "foot_rate", "gap", "arm", "arm_rate", "curvature", "curvature_rate", "force", "stiffness",
+    "force_by_curvature", "deviation", "place", "crank_angle", "gap_by_crank", "foot_by_crank",
+)  # fmt: skip
+ROW = np.dtype((np.record, [(name, np.float64) for name in _FIELDS]))  # a record, so that `.gap` works in Python too
+Rows = NDArray[np.void]
+_Index = TypeVar("_Index", int, NDArray[np.int64])
+
+
+@part
+def contact_rows(problem: Problem) -> Rows:
+    """Return the empty contact rows of a problem, shape (discs x slices x pins x 2,)."""
+    contacts = np.zeros(problem.crank_phase.size * problem.centre_x.size * problem.pin_x.size * 2, ROW)
+    contacts["gap"][:] = np.inf
+    contacts["foot"][:] = np.nan
+    return contacts
+
+
+@inlined
+def disc_slice_pin(problem: Problem, row: _Index) -> tuple[_Index, _Index, _Index]:
+    """Disc, slice and pin of a row."""
+    pins, slices = problem.pin_x.size, problem.centre_x.size
+    return row // (2 * pins * slices), row // (2 * pins) % slices, row // 2 % pins
+
+
+@inlined
+def is_solved_at(contact: np.record, theta: float, x: float) -> bool:
+    """Whether a row was solved at this very crank angle and deviation, not left from elsewhere."""
+    return bool(contact.deviation == x and contact.crank_angle == theta)

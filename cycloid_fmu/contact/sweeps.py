@@ -1,0 +1,218 @@
+"""Sweeps over crank angles, each solved from its neighbour."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu.contact.compiling import Array, compiled, part
+from cycloid_fmu.contact.energy import crank_side
+from cycloid_fmu.contact.equilibrium import equilibrium, load, rotational_stiffness
+from cycloid_fmu.contact.load_sharing import ContactLines, load_sharing, write_contact_lines
+from cycloid_fmu.contact.local_frame import local_frame
+from cycloid_fmu.contact.placement import BOUNDED, place
+from cycloid_fmu.contact.play import play
+from cycloid_fmu.contact.problem import Problem
+from cycloid_fmu.contact.rows import Rows, contact_rows, disc_slice_pin
+from cycloid_fmu.contact.sensitivity import sensitivities
+
+
+class LoadedSweep(NamedTuple):
+    """Results of a sweep under load.
+
+    Attributes
+    ----------
+    deviation, stiffness, contact_count, max_contact_pressure
+        Shape (torques, angles): x (rad), N·m/rad, pins in contact, Pa.
+    pin_force, pin_pressure
+        Shape (torques, angles, discs, pins): N, Pa.
+    """
+
+    deviation: Array
+    stiffness: Array
+    contact_count: NDArray[np.int64]
+    max_contact_pressure: Array
+    pin_force: Array
+    pin_pressure: Array
+
+
+@compiled
+def sweep(
+    problem: Problem,
+    thetas: Array,
+    torques: Array,
+    first: int,
+    last: int,
+    with_play: bool,
+    low: Array,
+    high: Array,
+    gap: Array,
+    found: LoadedSweep,
+    lines: ContactLines | None,
+) -> None:
+    """Solve crank angles `first` to `last`; each angle starts from its neighbours' solutions.
+
+    Parameters
+    ----------
+    thetas, torques
+        Crank angles (rad), shape (angles,); torques (N·m), shape (torques,), at 0 the deviation is the middle of the
+        play.
+    with_play, low, high, gap
+        Whether to solve the play, and what it is written to, as in `sweep_play`.
+    found, lines
+        Zeros, overwritten from `first` to `last`; the elements' pressures are raised. Without lines the kernels
+        know of none.
+    """
+    if with_play:
+        sweep_play(problem, thetas, first, last, low, high, gap)
+    for k in range(torques.size):
+        _sweep_load(problem, thetas, torques[k], first, last, found, lines, k)
+
+
+@compiled
+def sweep_play(problem: Problem, thetas: Array, first: int, last: int, low: Array, high: Array, gap: Array) -> None:
+    """Solve the play at crank angles `first` to `last`; each angle starts from its neighbour's solution.
+
+    Parameters
+    ----------
+    thetas
+        Crank angles, shape (angles,), rad.
+    low, high, gap
+        Overwritten from `first` to `last`, shape (angles,): ends of the play (rad) and interference (m), as `play`.
+    """
+    contacts = contact_rows(problem)
+    cold, x = True, 0.0
+    for i in range(first, last):
+        low[i], high[i], gap[i] = play(problem, thetas[i], x, contacts, cold)
+        cold = math.isnan(low[i])
+        x = 0.0 if cold else 0.5 * (low[i] + high[i])
+
+
+@part
+def _sweep_load(
+    problem: Problem,
+    thetas: Array,
+    torque: float,
+    first: int,
+    last: int,
+    found: LoadedSweep,
+    lines: ContactLines | None,
+    k: int,
+) -> None:
+    contacts = contact_rows(problem)
+    deviation, stiffness = found.deviation[k], found.stiffness[k]
+    cold, x = True, 0.0
+    for i in range(first, last):
+        if torque == 0.0:
+            start, end, _ = play(problem, thetas[i], x, contacts, cold)
+            cold = False
+            if not math.isnan(start):
+                x = 0.5 * (start + end)
+                # What nothing presses stays as it was handed over: 0.
+                deviation[i], stiffness[i], found.max_contact_pressure[k, i] = x, 0.0, 0.0
+                continue
+        elif i > first + 1 and abs(thetas[i] - thetas[i - 1]) < 1.5 * abs(thetas[i - 1] - thetas[i - 2]):
+            x += (x - deviation[i - 2]) * (thetas[i] - thetas[i - 1]) / (thetas[i - 1] - thetas[i - 2])
+        x, stiffness[i] = equilibrium(problem, thetas[i], torque, x, contacts, cold)
+        cold = False
+        deviation[i] = x
+        count, pressure = load_sharing(problem, contacts, found.pin_force[k, i], found.pin_pressure[k, i])
+        found.contact_count[k, i], found.max_contact_pressure[k, i] = count, pressure
+        write_contact_lines(problem, lines, k, i, thetas[i], x, contacts)
+
+
+@compiled
+def sweep_contacts(problem: Problem, thetas: Array, torque: float, deviation: Array, table: Rows) -> None:
+    """Solve crank angles at one torque and keep every contact row.
+
+    Parameters
+    ----------
+    thetas, torque
+        Crank angles (rad), shape (angles,); torque (N·m), not 0.
+    deviation, table
+        Overwritten: x (rad), shape (angles,); `contact_rows` of each angle, shape (angles, rows).
+    """
+    contacts = contact_rows(problem)
+    x = 0.0
+    for i in range(thetas.size):
+        x, _ = equilibrium(problem, thetas[i], torque, x, contacts, i == 0)
+        deviation[i] = x
+        table[i] = contacts
+
+
+@compiled
+def sweep_sensitivities(
+    problem: Problem, thetas: Array, torque: Array, deviation: Array, errors: Array, by_angle: Array, by_torque: Array
+) -> None:
+    """Solve every crank angle at its torque, with the derivatives of the deviation.
+
+    Parameters
+    ----------
+    thetas, torque
+        Crank angles (rad) and the torque at each (N·m, not 0), shape (angles,).
+    deviation, errors, by_angle, by_torque
+        Overwritten: x (rad), shape (angles,); rows of `sensitivities`, shape (angles, columns); the output angle's
+        derivatives by crank angle (1) and torque (rad/(N·m)), shape (angles,).
+    """
+    contacts = contact_rows(problem)
+    x = 0.0
+    for i in range(thetas.size):
+        x, _ = equilibrium(problem, thetas[i], torque[i], x, contacts, i == 0)
+        deviation[i] = x
+        by_torque[i] = 1.0 / sensitivities(problem, thetas[i], x, contacts, errors[i])
+        _, by_angle[i] = crank_side(problem, thetas[i], x, contacts)
+
+
+@compiled
+def sweep_flank_sensitivities(
+    problem: Problem, thetas: Array, deviation: Array, places: Array, waves: Array, out: Array
+) -> None:
+    """Derivatives of solved deviations at constant torque by normal deviations that all teeth share.
+
+    A flank that is higher by f at the contact takes f from the gap. Where f rises along the flank the arm grows by f'
+    times the foot's rate, and the contact lies up the rise, where the curvature is another
+    (docs/theory/identification.md).
+
+    Parameters
+    ----------
+    thetas, deviation
+        Crank angles and the solved deviations there, shape (angles,), rad.
+    places, waves
+        Profile parameters from one root to the next, shape (points,), rad, and deviations there, > 0 material added,
+        linear between them, shape (waves, points), m for each unit.
+    out
+        Overwritten, shape (angles, waves): rad for each unit.
+    """
+    contacts = contact_rows(problem)
+    pitch = 2.0 * math.pi / problem.teeth
+    out[:] = 0.0
+    for i in range(thetas.size):
+        place(problem, thetas[i], deviation[i], contacts, i == 0, math.inf, BOUNDED)
+        load(problem, thetas[i], deviation[i], contacts)
+        stiffness = 0.0
+        for row in range(contacts.shape[0]):
+            contact = contacts[row]
+            if contact.force <= 0.0:
+                continue
+            stiffness += rotational_stiffness(contact)
+            along = contact.place - math.floor(contact.place / pitch) * pitch
+            after = min(max(int(np.searchsorted(places, along)), 1), places.size - 1)
+            width = places[after] - places[after - 1]
+            share = (along - places[after - 1]) / width
+            local = local_frame(problem, thetas[i], deviation[i], contacts, row)
+            stretch = 1.0 / (local.speed * local.foot)
+            # Second derivative of the axis' distance from the flank along it.
+            bend = local.speed / local.foot * (1.0 - problem.generating_radius * local.bend * stretch)
+            _, _, pin = disc_slice_pin(problem, row)
+            upwards = problem.pin_radius[pin] / bend
+            by_rise = contact.force_by_curvature * contact.curvature_rate * contact.arm * upwards
+            by_rise += contact.force * contact.foot_rate
+            for wave in range(waves.shape[0]):
+                low, high = waves[wave, after - 1], waves[wave, after]
+                height, rise = (1.0 - share) * low + share * high, (high - low) / width
+                out[i, wave] -= contact.stiffness * contact.arm * height + by_rise * rise
+        for wave in range(waves.shape[0]):
+            out[i, wave] /= stiffness
