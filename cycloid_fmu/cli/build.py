@@ -92,6 +92,6 @@ def _build_native(
         )  # fmt: skip
     typer.echo(
         f"{output}: {output.stat().st_size / 1e6:.2f} MB, up to {made.positive.load[-1]:.5g} N*m; transmission error "
-        f"within {made.error['deviation_largest'] * edge.ARCSEC:.3f} arcsec of the exact model "
+        f"within {made.largest_error * edge.ARCSEC:.3f} arcsec of the exact model "
         f"({PROBES} random crank angles and torques, and more around the worst)."
     )
