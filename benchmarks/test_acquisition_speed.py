@@ -12,9 +12,11 @@ import pytest
 import serial
 from soak import peak, soak
 
-from drivers.can_hub import BLOCK_FRAMES, CanHub, FrameReader, open_bus
+from drivers.can.bus import open_bus
+from drivers.can.frames import FrameReader
+from drivers.can.hub import BLOCK_FRAMES, CanHub
 from drivers.encoder import BusConfig
-from drivers.recorder import open_encoders
+from drivers.recorder.bench import open_encoders
 
 PAIRS = int(os.environ.get("CYCLOID_PAIRS", "41"))
 # Whole blocks: a last one that is not full waits for `can_hub.BLOCK_SECONDS` to end, which says nothing of the rate.
@@ -26,7 +28,7 @@ GROUP = "239.74.163.55"
 
 
 def bus_config(interface):
-    channel = GROUP if interface == "udp_multicast" else f"speed-{time.monotonic_ns()}"
+    channel = GROUP if interface == "loopback" else f"speed-{time.monotonic_ns()}"
     return BusConfig(interface=interface, channel=channel)
 
 
@@ -107,7 +109,7 @@ def state(benchmark, pairs, unit):
     print(benchmark.extra_info)
 
 
-@pytest.mark.parametrize("interface", ["virtual", "udp_multicast"])
+@pytest.mark.parametrize("interface", ["virtual", "loopback"])
 def test_frames_a_second_against_a_bare_receive_loop(benchmark, interface):
     pairs = []
 
@@ -122,10 +124,10 @@ def test_frames_a_second_against_a_bare_receive_loop(benchmark, interface):
 
 DEVICE = """
 import math, sys
-from drivers.bench import BenchRun, simulate_motion
-from drivers.serial_bench import Amt21Bench
-motion = simulate_motion(lambda a, t: -a / 39, BenchRun(torque=0.0, turns=100, speed=0.01 * math.pi))
-with Amt21Bench(motion) as bench:
+from drivers.simulated.motion import SimulatedRun, simulate_motion
+from drivers.simulated.serial_bench import SimulatedAmt21Bench
+motion = simulate_motion(lambda a, t: -a / 39, SimulatedRun(torque=0.0, turns=100, speed=0.01 * math.pi))
+with SimulatedAmt21Bench(motion) as bench:
     bench.write_wiring(sys.argv[1])
     print(bench.url, flush=True)
     sys.stdin.read()

@@ -12,9 +12,9 @@ import pytest
 from common import ARCSEC, CASES
 from element_pairs import solve_elements
 
-from cycloid_fmu.pair import parse_pair, read_pair
-from cycloid_fmu.surface import surface_of_pair
-from cycloid_fmu.transmission import error_sensitivity, solve
+from cycloid_fmu.contact.transmission import error_sensitivity, solve
+from cycloid_fmu.geometry.pair import parse_pair, read_pair
+from cycloid_fmu.surfaces.surface import surface_of_pair
 
 ANGLES = np.linspace(0.0, 2 * np.pi, 3600, endpoint=False)
 

@@ -13,8 +13,8 @@ from fmpy.fmi2 import FMU2Slave
 from cycloid_fmu.fmu import tables
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.variables import Interface
-from cycloid_fmu.pair import read_pair
-from cycloid_fmu.surface import surface_of_pair
+from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.surfaces.surface import surface_of_pair
 
 ROUNDS, STEPS = 1500, 20
 # What modellers exchange in a step; a slave that does nothing has as many variables under the same references.

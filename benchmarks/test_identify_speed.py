@@ -10,14 +10,15 @@ import time
 import numpy as np
 from scipy.optimize import least_squares
 
-import fitting.observation
-from cycloid_fmu.pair import read_pair
-from cycloid_fmu.surface import surface_of_pair, with_structured
-from cycloid_fmu.transmission import solve
-from fitting.curve import Curve
-from fitting.identify import identify
-from fitting.observation import errors_of, observations
-from fitting.prior import tolerances_of
+import fitting.model.observations
+from cycloid_fmu.contact.transmission import solve
+from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.surfaces.structured import with_structured
+from cycloid_fmu.surfaces.surface import surface_of_pair
+from fitting.estimation.identify import identify
+from fitting.model.observations import errors_of, observations
+from fitting.model.prior import tolerances_of
+from fitting.transmission_error.curve import Curve
 
 ARCSEC = np.pi / 648000
 LOADS = (20.0, -20.0, 60.0, -60.0, 200.0, -200.0)
@@ -31,7 +32,7 @@ def drive(pair, seed):
     values = dict(zip(names, generator.normal(0.0, 0.3, len(names)) * tolerances_of(names), strict=True))
     surface = with_structured(pair, surface_of_pair(pair), values)
     for scattered in (surface.pin_radial, surface.pin_tangential):
-        scattered += generator.normal(0.0, 2e-6, pair.pair.pins)
+        scattered += generator.normal(0.0, 2e-6, pair.pins)
     angle = np.arange(720) * 2.0 * np.pi * 39 / 720
     curves = []
     for load in LOADS:
@@ -70,14 +71,14 @@ def plain_fit(pair, curves):
 def test_identification_against_the_plain_way(benchmark, monkeypatch):
     pair = read_pair(PAIR)
     solved = 0
-    kernel = fitting.observation.error_sensitivity
+    kernel = fitting.model.observations.error_sensitivity
 
     def counted(pair, surface, torque, angles, names):
         nonlocal solved
         solved += np.size(angles)
         return kernel(pair, surface, torque, angles, names)
 
-    monkeypatch.setattr(fitting.observation, "error_sensitivity", counted)
+    monkeypatch.setattr(fitting.model.observations, "error_sensitivity", counted)
     identify([c.points(slice(None, 100)) for c in drive(pair, 0)[0]], pair, held_out=False)
     rows = {"identify": [], "plain": []}
 

@@ -14,8 +14,8 @@ from fmpy.fmi3 import FMU3Slave
 from native.c_host import HERE, compiled, run_host
 
 from cycloid_fmu.fmu import native_build, tables
-from cycloid_fmu.pair import read_pair
-from cycloid_fmu.surface import nominal_surface, surface_of_pair
+from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
 
 STEPS = 20_000
 

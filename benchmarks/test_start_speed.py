@@ -17,8 +17,8 @@ from common import EXAMPLES
 BARE = ("numba", "scipy", "matplotlib")
 COMMANDS = ("cycloid-fmu", "cycloid-fit", "cycloid-bench")
 IMPORTED = (
-    "cycloid_fmu", "fitting", "drivers", "cycloid_fmu.pair", "cycloid_fmu.transmission", "fitting.recording",
-    "fitting.identify", "drivers.recorder",
+    "cycloid_fmu", "fitting", "drivers", "cycloid_fmu.geometry.pair", "cycloid_fmu.contact.transmission",
+    "fitting.recordings.recording", "fitting.estimation.identify", "drivers.recorder.session",
 )  # fmt: skip
 
 

@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 from common import EXAMPLES
 
-from cycloid_fmu.pair import read_pair
-from cycloid_fmu.sampling import read_tolerances
-from cycloid_fmu.tolerance import Study, points, run, screened, surface_of
-from cycloid_fmu.transmission import solve
+from cycloid_fmu.contact.transmission import solve
+from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.studies.tolerance import Study, points, run, screened, surface_of
+from cycloid_fmu.surfaces.sampling import read_tolerances
 
 PAIR = read_pair(EXAMPLES / "drive-39-40.toml")
 # Form deviations and slices cost by themselves; the rest of the example's tolerances is sampled.
 WITHOUT = ("gear_profile", "pin_profile", "misalignment_xz", "misalignment_yz")
-TOLERANCES = read_tolerances(EXAMPLES / "tolerances.toml").model_copy(update=dict.fromkeys(WITHOUT))
+TOLERANCES = read_tolerances(EXAMPLES / "tolerances.toml").replace(**dict.fromkeys(WITHOUT))
 STUDY = Study(PAIR, TOLERANCES, 640, 1, (181.0, -181.0))
 
 

@@ -12,12 +12,12 @@ import brute_force
 import numpy as np
 import pytest
 
-from cycloid_fmu.pair import read_pair
-from cycloid_fmu.profile import flank_points
-from cycloid_fmu.sliding import ideal_velocities
-from cycloid_fmu.surface import nominal_surface
-from cycloid_fmu.wear import regression_coefficient, wear_model, wear_rate, wear_states
-from cycloid_fmu.wear_law import Load, read_wear_law
+from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.geometry.profile import flank_points
+from cycloid_fmu.surfaces.surface import nominal_surface
+from cycloid_fmu.wear.law import Load, read_wear_law
+from cycloid_fmu.wear.progress import regression_coefficient, wear_model, wear_rate, wear_states
+from cycloid_fmu.wear.sliding import ideal_velocities
 
 from common import EXAMPLES  # isort: skip
 
@@ -27,7 +27,7 @@ TORQUE = -400.0
 
 def wear_of_the_example(surface=None):
     pair = read_pair(PAIR)
-    loads = [Load.model_construct(torque=TORQUE, crank_turns=1.0)]
+    loads = [Load(torque=TORQUE, crank_turns=1.0)]
     return wear_model(pair, surface or nominal_surface(pair), read_wear_law(LAW), loads)
 
 
@@ -47,8 +47,8 @@ def plain_loop(model, crank_angles):
         for k in np.flatnonzero(force > 0.0):
             phase = 2.0 * np.pi * contacts.pin[k] / 40 - angle
             slid = abs(ideal_velocities(pair, phase).sliding) * 2.0 * np.pi / model.sweep.crank_angle.size
-            radius = 1.0 / abs(1.0 / pair.pair.pin_radius + contacts.curvature[k])
-            half = 2.0 * force[k] / (np.pi * pressure[k] * pair.pair.face_width)
+            radius = 1.0 / abs(1.0 / pair.pin_radius + contacts.curvature[k])
+            half = 2.0 * force[k] / (np.pi * pressure[k] * pair.face_width)
             coefficient = regression_coefficient(model.law.regression, force[k] / 10e-3, radius, 1.0 / both)
             polar = complex(*at.pin_axis[contacts.pin[k]]) - complex(*at.centre[0])
             polar *= np.exp(-1j * (at.ideal[0] + error))
@@ -60,7 +60,7 @@ def plain_loop(model, crank_angles):
                 gear[i] += coefficient * pressure[k] * np.sqrt(max(1.0 - u * u, 0.0)) * slid
             on_pin = np.angle(away[nearest] / polar)
             for i in range(pin.size):
-                u = (direction[i] - on_pin) * pair.pair.pin_radius / half
+                u = (direction[i] - on_pin) * pair.pin_radius / half
                 pin[i] += coefficient * pressure[k] * np.sqrt(max(1.0 - u * u, 0.0)) * slid
     return gear, pin
 

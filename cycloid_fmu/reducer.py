@@ -18,12 +18,14 @@ import pydantic
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import contact, edge
+from cycloid_fmu.contact.transmission import drive_of
 from cycloid_fmu.edge import ARCMIN, Angle, Config
+from cycloid_fmu.errors.kinds import LARGEST_DEVIATION
 from cycloid_fmu.fmu.reducer_model import FirstStage
-from cycloid_fmu.pair import LARGEST_DEVIATION, Pair, PositiveLength
-from cycloid_fmu.sampling import Distribution, error_stream, within_tolerance
-from cycloid_fmu.surface import ErrorSurface, nominal_surface
-from cycloid_fmu.transmission import drive_of
+from cycloid_fmu.geometry.pair import Pair, PositiveLength, pair_of_tables, read_pair
+from cycloid_fmu.surfaces.files import read_surface
+from cycloid_fmu.surfaces.sampling import Distribution, error_stream, within_tolerance
+from cycloid_fmu.surfaces.surface import ErrorSurface, check_surface, surface_of_pair
 
 Array = NDArray[np.float64]
 Variant = Literal["standard", "as_printed", "geometric", "geometric_sun_locked"]
@@ -195,7 +197,7 @@ class Reducer(Config):
     @property
     def ratio(self) -> float:
         """Total ratio 1 + z_2 z_p/(z_1 (z_p - z_c)) (RV paper, equation 4); > 0, the output turns as the sun does."""
-        g = self.stage.pair
+        g = self.stage
         return 1.0 + self.involute.planet_teeth * g.pins / (self.involute.sun_teeth * (g.pins - g.gear_teeth))
 
     @property
@@ -204,7 +206,7 @@ class Reducer(Config):
 
         The planets roll on the locked sun and turn the cranks by 1 + z_1/z_2 of the output.
         """
-        return 1.0 / (1.0 + self.crank_share / self.stage.pair.gear_teeth)
+        return 1.0 / (1.0 + self.crank_share / self.stage.gear_teeth)
 
     @property
     def crank_share(self) -> float:
@@ -221,26 +223,14 @@ def parse_reducer(text: str, source: str) -> Reducer:
         If it is not a valid reducer; one sentence a problem, naming field, value and `source`.
     """
     table = edge.toml_table(text, FORMAT, source)
-    stage: dict[str, Any] = {k: table.pop(k) for k in ("pair", "modification", "material") if k in table}
+    stage = {k: table.pop(k) for k in ("pair", "modification", "material") if k in table}
     for key in ("stage", "text"):
         if key in table:
             raise edge.InputError(f"{source}: {key} is not a key known here; check its spelling or remove it.")
-    pair = edge.validated(Pair, {**stage, "text": _pair_text(text, table)}, source)
-    if pair.pair.output != "gear":
+    pair = pair_of_tables(stage, source)
+    if pair.output != "gear":
         raise edge.InputError(f'{source}: [pair] output = "ring": an RV reducer\'s pin ring is fixed; write "gear".')
     return edge.validated(Reducer, {**table, "stage": pair, "text": text}, source)
-
-
-def _pair_text(text: str, others: Mapping[str, Any]) -> str:
-    """Return the pair file inside a reducer's: its tables without the others, for what knows pairs alone."""
-    kept, keep = ['format = "cycloid-pair/1"'], False
-    for line in text.splitlines():
-        if line.lstrip().startswith("["):
-            name = line.strip().lstrip("[").split("]")[0].strip()
-            keep = name.split(".")[0] not in others
-        if keep:
-            kept.append(line)
-    return "\n".join(kept) + "\n"
 
 
 def read_reducer(path: str | os.PathLike[str]) -> Reducer:
@@ -250,7 +240,7 @@ def read_reducer(path: str | os.PathLike[str]) -> Reducer:
 
 def contradictions(reducer: Reducer, source: str) -> list[str]:
     """Return one sentence for each stated number that another contradicts; it names both and says which is used."""
-    g, involute, stated = reducer.stage.pair, reducer.involute, reducer.stated
+    g, involute, stated = reducer.stage, reducer.involute, reducer.stated
     found = []
     follows = g.eccentricity * g.pins / g.pin_circle_radius
     if stated.shortening is not None and abs(stated.shortening / follows - 1.0) > 1e-3:
@@ -299,7 +289,7 @@ def values_of(reducer: Reducer) -> dict[str, float]:
 
 
 def _shortening(reducer: Reducer) -> float:
-    g = reducer.stage.pair
+    g = reducer.stage
     return reducer.stated.shortening or g.eccentricity * g.pins / g.pin_circle_radius
 
 
@@ -340,7 +330,7 @@ def standard(reducer: Reducer, values: Mapping[str, ArrayLike]) -> dict[str, Arr
     terms
         {name: rad}, of the values' shape.
     """
-    g, k = reducer.stage.pair, _shortening(reducer)
+    g, k = reducer.stage, _shortening(reducer)
     s, d = math.sqrt(1.0 - k * k), g.eccentricity * g.gear_teeth
     v = {name: np.asarray(value, dtype=float) for name, value in values.items()}
     moving = v["isometric_modification"] / (g.eccentricity * d)
@@ -378,7 +368,7 @@ def as_printed(reducer: Reducer, values: Mapping[str, ArrayLike]) -> dict[str, A
     bare radians added to arcminutes, and K_n is the printed one. The pressure angle is the nominal one, because the
     forces that the paper takes it from are not published, and the bearings' term, printed twice, counts once.
     """
-    g, k = reducer.stage.pair, _shortening(reducer)
+    g, k = reducer.stage, _shortening(reducer)
     s = math.sqrt(1.0 - k * k)
     mm = {name: 1e3 * np.asarray(value, dtype=float) for name, value in values.items()}
     e, circle = 1e3 * g.eccentricity, 1e3 * g.pin_circle_radius
@@ -406,11 +396,11 @@ def surface_of_reducer(reducer: Reducer, values: Mapping[str, float] | None = No
         Amount behind each of `TERMS`, m; the reducer's own where not given.
     """
     v = values_of(reducer) if values is None else values
-    g, m = reducer.stage.pair, reducer.stage.modification
+    g, m = reducer.stage, reducer.stage.modification
     pin, tooth = np.arange(g.pins), np.arange(g.gear_teeth)
     wave = 0.5 * v["tooth_cumulative_pitch"] * np.cos(2.0 * np.pi * tooth / g.gear_teeth)
-    return dataclasses.replace(
-        nominal_surface(reducer.stage),
+    return ErrorSurface(
+        reducer.stage,
         pin_circle_radius=v["pin_circle_radius"],
         pin_radius=v["pin_radius"] - 0.5 * v["pin_hole_clearance"],
         eccentricity=v["eccentricity"],
@@ -444,7 +434,7 @@ def contact_play(reducer: Reducer, surface: ErrorSurface, angles: int) -> Play:
 
     Angles that share no factor with the teeth meet every tooth in another phase of the mesh.
     """
-    teeth = reducer.stage.pair.gear_teeth
+    teeth = reducer.stage.gear_teeth
     low, high, gap = np.empty(angles), np.empty(angles), np.empty(angles)
     crank = 2.0 * np.pi * teeth * np.arange(angles) / angles
     contact.sweep_play(drive_of(reducer.stage, surface), crank, 0, angles, low, high, gap)
@@ -467,14 +457,14 @@ def geometric(reducer: Reducer) -> dict[str, float]:
         "interference": m, the largest; "interfering": share of crank angles}.
     """
     values = values_of(reducer)
-    angles = 10 * reducer.stage.pair.gear_teeth + 1
+    angles = 10 * reducer.stage.gear_teeth + 1
     whole = contact_play(reducer, surface_of_reducer(reducer, values), angles)
     names = [n for n in TERMS if n not in _STAGE_OF]
     without = {n: surface_of_reducer(reducer, {**values, n: 0.0}) for n in names if values[n] != 0.0}
     surfaces = [surface_of_reducer(reducer, values), *without.values()]
     thinner = 0.0
     while True:
-        thinned = [dataclasses.replace(s, pin_radius=s.pin_radius - thinner) for s in surfaces]
+        thinned = [s.replace(pin_radius=s.pin_radius - thinner) for s in surfaces]
         plays = [contact_play(reducer, s, angles) for s in thinned]
         if all(p.interference.max() == 0.0 for p in plays):
             break
@@ -525,6 +515,42 @@ def first_stage_of(reducer: Reducer) -> FirstStage:
     )
 
 
+def drive_of_file(
+    path: str | os.PathLike[str], surface_file: str | os.PathLike[str] | None = None
+) -> tuple[Pair, ErrorSurface, FirstStage | None, list[str]]:
+    """Return what an FMU is built from, of a pair file or a reducer file.
+
+    Parameters
+    ----------
+    path
+        A file of the format cycloid-pair/1 or cycloid-reducer/1.
+    surface_file
+        The errors; without it those that the file states.
+
+    Returns
+    -------
+    pair, surface, first_stage, warnings
+        No first stage with a pair; sentences where a reducer file contradicts itself.
+
+    Raises
+    ------
+    edge.InputError
+        If a file can't be read, or the surface belongs to another pair.
+    """
+    stage, warnings = None, list[str]()
+    if edge.format_of(path) == FORMAT:
+        reducer = read_reducer(path)
+        pair, surface, stage = reducer.stage, surface_of_reducer(reducer), first_stage_of(reducer)
+        warnings = contradictions(reducer, str(path))
+    else:
+        pair = read_pair(path)
+        surface = surface_of_pair(pair)
+    if surface_file is not None:
+        surface = read_surface(surface_file)
+        check_surface(pair, surface, str(path), str(surface_file))
+    return pair, surface, stage, warnings
+
+
 def summed(terms: Mapping[str, Array]) -> dict[str, Array]:
     """Return the plays of the three stages and their total from the terms, rad."""
     stages = {stage: np.asarray(sum(v for n, v in terms.items() if _STAGE_OF.get(n, "cycloid") == stage))
@@ -548,7 +574,7 @@ def remarks(reducer: Reducer, found: Mapping[str, Mapping[str, float]]) -> dict[
     """Return a sentence for each term of the closed form that the contact model contradicts, {term: sentence}."""
     closed, exact = found["standard"], found["geometric"]
     values = values_of(reducer)
-    unstated = standard(reducer.model_copy(update={"stated": Stated()}), values)
+    unstated = standard(reducer.replace(stated=Stated()), values)
     said = {}
     for name in (n for n in TERMS if n not in _STAGE_OF):
         a, b = closed[name], exact[name]
@@ -579,12 +605,12 @@ def play_alone(reducer: Reducer, name: str, amount: float) -> float:
     Pins 20 µm thinner, or thinner by twice the amount, make room for it.
     """
     room = max(20e-6, 2.0 * abs(amount))
-    angles = 10 * reducer.stage.pair.gear_teeth + 1
+    angles = 10 * reducer.stage.gear_teeth + 1
     plays = []
     for value in (amount, 0.0):
         amounts = dict.fromkeys(TERMS, 0.0) | {name: value}
         surface = surface_of_reducer(reducer, amounts)
-        surface = dataclasses.replace(surface, pin_radius=surface.pin_radius - room)
+        surface = surface.replace(pin_radius=surface.pin_radius - room)
         plays.append(float(contact_play(reducer, surface, angles).backlash.mean()))
     return plays[0] - plays[1]
 
@@ -594,8 +620,8 @@ def runout_error(reducer: Reducer, runout: float) -> float:
 
     Nothing else is off; the pins are 20 µm thinner, so that the gear runs free.
     """
-    one = reducer.stage.pair.model_copy(update={"discs": 1})
-    alone = reducer.model_copy(update={"stage": reducer.stage.model_copy(update={"pair": one})})
+    one = reducer.stage.replace(discs=1)
+    alone = reducer.replace(stage=one)
     amounts = dict.fromkeys(TERMS, 0.0) | {"gear_runout": runout, "pin_radius": -20e-6}
     play = contact_play(alone, surface_of_reducer(alone, amounts), 10 * one.gear_teeth + 1)
     return float(np.ptp(play.transmission_error))
@@ -654,7 +680,7 @@ def stack(
     }
     closed = summed(standard(reducer, {**{n: np.full(samples, v) for n, v in values.items()}, **drawn}))
     exact, pressed = np.empty(samples), np.empty(samples, dtype=bool)
-    angles = reducer.stage.pair.gear_teeth + 2
+    angles = reducer.stage.gear_teeth + 2
     for i in range(samples):
         one = values | {n: float(v[i]) for n, v in drawn.items()}
         play = contact_play(reducer, surface_of_reducer(reducer, one), angles)

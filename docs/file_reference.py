@@ -7,10 +7,14 @@ from pathlib import Path
 import pydantic
 from numpydoc.docscrape import NumpyDocString
 
-from cycloid_fmu import edge, pair, reducer, sampling, wear_law
+from cycloid_fmu import edge, reducer
+from cycloid_fmu.geometry import pair
+from cycloid_fmu.surfaces import sampling
+from cycloid_fmu.wear import law as wear_law
 from drivers import faults, recorder, sequence
 from drivers.encoder import protocols
-from fitting import coaxiality, mapping
+from fitting.recordings import mapping
+from fitting.recordings import read_head as coaxiality
 
 # title, format, class that reads it, top table (""), example
 FILES = (

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from cycloid_fmu.fmu.variables import UNITS, Interface, Variable, from_tables, variables
-from cycloid_fmu.pair import read_pair
-from cycloid_fmu.surface import Life, nominal_surface
+from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.surfaces.surface import Life, nominal_surface
 
 EXAMPLE = "drive-39-40.toml"
 INTERFACES = {
@@ -54,7 +54,7 @@ and of a drive worn for 10⁶ crank turns; the model description in every FMU ha
 def tables() -> Iterator[tuple[str, tuple[Variable, ...]]]:
     """(interface, its FMI 3.0 variables) of the example, worn so that nothing lacks."""
     pair = read_pair(Path(__file__).parent.parent / "examples" / EXAMPLE)
-    flanks, pins = (2, pair.pair.discs, pair.pair.gear_teeth, 1, 1), (2, pair.pair.pins, 1, 1)
+    flanks, pins = (2, pair.discs, pair.gear_teeth, 1, 1), (2, pair.pins, 1, 1)
     life = Life(np.array([0.0, 1e6]), np.zeros(flanks), np.zeros(pins), np.zeros(flanks), np.zeros(pins))
     surface = dataclasses.replace(nominal_surface(pair), life=life)
     for name, interface in INTERFACES.items():

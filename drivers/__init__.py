@@ -1,1 +1,71 @@
-"""Encoders over serial and CAN, the recorder and the simulated test bench."""
+"""Record encoders and torque of a gear test bench, real or simulated.
+
+The names below are what a notebook needs; each is loaded when it is used. A new encoder is a subclass of
+`drivers.encoder.Encoder`, see docs/encoder.md.
+
+>>> import drivers
+>>> with drivers.simulate_bench(ratio=-39, torque="20 N*m", turns=1, interface="virtual") as bench:
+...     done = bench.record("run.arrows")
+>>> recording = drivers.read_recording("run.arrows")
+>>> recording.samples["input_angle"].value.shape
+(96,)
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from drivers.connections import list_connections
+    from drivers.encoder import Encoder, EncoderError
+    from drivers.live_page.server import watch
+    from drivers.recorder.bench import Bench, read_bench
+    from drivers.recorder.sequence import run_sequence
+    from drivers.recorder.session import record
+    from drivers.recording_format import Recording, read_recording
+    from drivers.recording_format.export import export
+    from drivers.recording_format.repair import repair
+    from drivers.simulated.simulate import simulate_bench
+
+_HOMES = {
+    "connections": ("list_connections",),
+    "encoder": ("Encoder", "EncoderError"),
+    "live_page.server": ("watch",),
+    "recorder.bench": ("Bench", "read_bench"),
+    "recorder.sequence": ("run_sequence",),
+    "recorder.session": ("record",),
+    "recording_format": ("Recording", "read_recording"),
+    "recording_format.export": ("export",),
+    "recording_format.repair": ("repair",),
+    "simulated.simulate": ("simulate_bench",),
+}
+
+__all__ = [
+    "Bench",
+    "Encoder",
+    "EncoderError",
+    "Recording",
+    "export",
+    "list_connections",
+    "read_bench",
+    "read_recording",
+    "record",
+    "repair",
+    "run_sequence",
+    "simulate_bench",
+    "watch",
+]
+
+
+def __getattr__(name: str) -> Any:
+    for home, names in _HOMES.items():
+        if name in names:
+            value = getattr(importlib.import_module(f"drivers.{home}"), name)
+            globals()[name] = value
+            return value
+    raise AttributeError(f"module 'drivers' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

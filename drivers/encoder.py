@@ -1,21 +1,16 @@
-"""What every encoder is: an interface, its errors, the arithmetic of counts and the registry of protocols."""
+"""What every encoder is: an interface, its errors and the registry of protocols."""
 
 from __future__ import annotations
 
 import abc
-import collections
-import contextlib
+import dataclasses
 import importlib.metadata
-import math
-import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Annotated, Any, ClassVar, Generic, Literal, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
-import numpy as np
-import numpy.typing as npt
 import pydantic
 
 from cycloid_fmu import edge
@@ -23,13 +18,22 @@ from drivers import recording_format as rf
 from drivers.recording_format import Channel, Event, Samples
 
 ENTRY_POINTS = "cycloid.encoders"
-WAITING_LIMIT = 1 << 20  # readings that wait for the recorder; more are lost, counted and marked
 
+
+Line = TypeVar("Line")
 _EPOCH = time.time() - time.monotonic()
 
 
 class EncoderError(Exception):
-    """An encoder or its bus does not do what it should; the text is one sentence that names channel and place."""
+    """An encoder or its bus does not do what it should; the text is one sentence that names channel and place.
+
+    Examples
+    --------
+    >>> import drivers
+    >>> from drivers.encoder import EncoderTimeout
+    >>> issubclass(EncoderTimeout, drivers.EncoderError)
+    True
+    """
 
 
 class EncoderTimeout(EncoderError):  # noqa: N818
@@ -54,14 +58,12 @@ class BusConfig(edge.Config):
     Attributes
     ----------
     interface, channel, bitrate
-        As python-can names them: "socketcan", "slcan", "pcan", "kvaser", "vector", "gs_usb", "virtual",
-        "udp_multicast" and others.
+        As python-can names them: "socketcan", "slcan", "pcan", "kvaser", "vector", "gs_usb", "virtual", "udp_multicast"
+        and others; "loopback" is that of the simulated bench.
     fd, data_bitrate
         CAN FD, and the bit rate of its data phase.
     sync_period
         Seconds between the SYNC that the recorder itself produces; None: another device does, or none.
-    network
-        "udp_multicast" only: leave this machine. Without it the frames stay on the loopback interface.
     """
 
     interface: str
@@ -70,7 +72,11 @@ class BusConfig(edge.Config):
     fd: bool = False
     data_bitrate: Annotated[int, pydantic.Field(gt=0)] | None = None
     sync_period: Annotated[edge.Seconds, pydantic.Field(gt=0)] | None = None
-    network: bool = False
+
+    @property
+    def place(self) -> str:
+        """Interface and channel, for messages: the bus is one by them."""
+        return f'{self.interface} "{self.channel}"'
 
 
 class PortConfig(edge.Config):
@@ -80,6 +86,11 @@ class PortConfig(edge.Config):
     baud_rate: Annotated[int, pydantic.Field(gt=0)] = 2_000_000
     parity: Literal["N", "E", "O"] = "N"
     stop_bits: Literal[1, 2] = 1
+
+    @property
+    def place(self) -> str:
+        """The URL in quotes, for messages: the port is one by it."""
+        return f'"{self.url}"'
 
 
 class ChannelConfig(edge.Config):
@@ -97,38 +108,45 @@ class AngleConfig(ChannelConfig):
     zero: edge.Angle = 0.0
 
 
+@dataclasses.dataclass(frozen=True)
 class Wiring:
     """Buses and ports of a `BENCH.toml` by name, the folder that its file names are relative to, and its name."""
 
-    def __init__(
-        self, buses: Mapping[str, BusConfig], ports: Mapping[str, PortConfig], folder: Path, source: str
-    ) -> None:
-        self.buses, self.ports, self.folder, self.source = buses, ports, folder, source
+    buses: Mapping[str, BusConfig]
+    ports: Mapping[str, PortConfig]
+    folder: Path
+    source: str
 
     def bus(self, name: str, channel: str) -> BusConfig:
         """Return the bus of this name; an `edge.InputError` names the channel that wants it where there is none."""
-        found: BusConfig = _named(self.buses, name, "bus", channel, self.source)
-        return found
+        return self._named(self.buses, name, "bus", channel)
 
     def port(self, name: str, channel: str) -> PortConfig:
         """Return the port of this name; an `edge.InputError` names the channel that wants it where there is none."""
-        found: PortConfig = _named(self.ports, name, "port", channel, self.source)
-        return found
+        return self._named(self.ports, name, "port", channel)
 
-
-def _named(table: Mapping[str, Any], name: str, kind: str, channel: str, source: str) -> Any:
-    if name not in table:
-        there = ", ".join(f'"{k}"' for k in table) or "none"
-        raise edge.InputError(
-            f'{source}: [channel.{channel}] {kind} = "{name}": there is no [{kind}.{name}]; the file has {there}.'
-        )
-    return table[name]
+    def _named(self, table: Mapping[str, Line], name: str, kind: str, channel: str) -> Line:
+        if name not in table:
+            there = ", ".join(f'"{k}"' for k in table) or "none"
+            raise edge.InputError(
+                f'{self.source}: [channel.{channel}] {kind} = "{name}": there is no [{kind}.{name}]; '
+                f"the file has {there}."
+            )
+        return table[name]
 
 
 class Encoder(abc.ABC):
     """A sensor that yields time-stamped samples in blocks; a context manager that opens and closes it.
 
     `start` is called once all channels of a bench are open, so that none misses what the first one sets going.
+
+    Examples
+    --------
+    What a protocol of your own has to write:
+
+    >>> import drivers
+    >>> sorted(drivers.Encoder.__abstractmethods__)
+    ['__enter__', 'close', 'events', 'from_config', 'read']
     """
 
     configuration: ClassVar[type[ChannelConfig]]
@@ -251,165 +269,9 @@ def channel_of(
     )
 
 
-def unwrap(
-    raw: npt.NDArray[np.int64], modulus: int, previous: int | None = None, *, signed: bool = False
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
-    """Make counts that roll over continuous, each step taken the short way round.
-
-    Parameters
-    ----------
-    raw
-        Counts as sent, shape (n,), any representative modulo `modulus`.
-    modulus
-        Counts at which the device starts again from 0.
-    previous
-        Continuous count of the sample before, None at the beginning.
-    signed
-        Whether the first count is taken in [-modulus/2, modulus/2) instead of [0, modulus): an encoder that stands a
-        little below zero then begins at -1 and not a whole range above it.
-
-    Returns
-    -------
-    counts, rolled
-        Continuous counts, and which samples lie beyond a rollover of the raw counts, both of shape (n,).
-    """
-    residue = raw % modulus
-    if previous is None:
-        first = int(residue[0]) if len(residue) else 0
-        previous = first - modulus if signed and first >= modulus - modulus // 2 else first
-    before = np.concatenate([[previous % modulus], residue[:-1]]) if len(residue) else residue
-    step = residue - before
-    half = modulus // 2
-    short = (step + half) % modulus - half
-    return previous + np.cumsum(short), short != step
-
-
-def counts_to_value(
-    counts: npt.NDArray[np.int64], counts_per_turn: int, direction: int, zero: float
-) -> npt.NDArray[np.float64]:
-    """Return the angle in rad, counter-clockwise positive: direction * 2 pi counts / counts per turn - zero."""
-    return np.asarray(direction * (2 * math.pi / counts_per_turn) * counts - zero, np.float64)
-
-
-def extract_bits(
-    payloads: npt.NDArray[np.uint8], start: int, length: int, *, signed: bool, little_endian: bool = True
-) -> npt.NDArray[np.int64]:
-    """Return an integer field of frames.
-
-    Parameters
-    ----------
-    payloads
-        Frames, shape (n, bytes).
-    start
-        Little-endian (CiA 301 mappings, DBC "@1"): lowest bit of the field, counted from byte 0's lowest. Big-endian:
-        highest bit of the field, counted from byte 0's highest.
-    length
-        Bits, 1 to 64 (a 64-bit unsigned field wraps at 2^63).
-    signed
-        Whether the field is in two's complement.
-    little_endian
-        Order of the bytes.
-    """
-    first, shift = divmod(start, 8)
-    field = np.zeros((len(payloads), 16), np.uint8)  # the field begins in byte 0 and ends, at the latest, in byte 8
-    held = payloads[:, first : first + 9]
-    field[:, : held.shape[1]] = held
-    low, high = (field.view("<u8" if little_endian else ">u8").astype(np.uint64)[:, i] for i in (0, 1))
-    # Shifted so that the field's highest bit is the word's highest; shifting back then extends the sign, or not.
-    if little_endian:
-        words = low >> np.uint64(shift)
-        if shift:
-            words |= high << np.uint64(64 - shift)
-        words = words << np.uint64(64 - length)
-    else:
-        words = low << np.uint64(shift)
-        if shift:
-            words |= high >> np.uint64(64 - shift)
-    if signed:
-        return words.view(np.int64) >> np.int64(64 - length)
-    return (words >> np.uint64(64 - length)).view(np.int64)
-
-
-def judge_sequence(
-    numbers: npt.NDArray[np.int64], modulus: int, newest: int | None
-) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64], int]:
-    """Tell from their running numbers which samples are missing, duplicate or out of order.
-
-    Parameters
-    ----------
-    numbers
-        Running numbers as sent, shape (n,), n > 0.
-    modulus
-        Numbers after which they start again from 0.
-    newest
-        Highest continuous number so far, None at the beginning.
-
-    Returns
-    -------
-    status, missing, newest
-        Bits "gap before", "duplicate" (the number is the newest before) and "out of order" (it is an older one); the
-        count of numbers left out before each, shape (n,) both; and the highest continuous number now.
-    """
-    continuous, _ = unwrap(numbers, modulus, newest)
-    before = np.concatenate([[continuous[0] - 1 if newest is None else newest], continuous[:-1]])
-    before = np.maximum.accumulate(before)
-    missing = np.maximum(continuous - before - 1, 0)
-    status = (missing > 0) * rf.GAP + (continuous == before) * rf.DUPLICATE + (continuous < before) * rf.OUT_OF_ORDER
-    return status.astype(np.uint8), missing, int(max(before[-1], continuous[-1]))
-
-
 def steady_time() -> float:
     """Return the host's time in seconds since 1970 that runs on evenly when the calendar clock is set."""
     return _EPOCH + time.monotonic()
-
-
-Block = TypeVar("Block")
-
-
-class BlockQueue(Generic[Block]):
-    """Blocks on their way from a reader thread to a channel, bounded: a consumer too slow loses some, counted."""
-
-    def __init__(self) -> None:
-        self._blocks: collections.deque[tuple[int, Block, int]] = collections.deque()
-        self._filled = threading.Condition()
-        self._lost = 0
-        self._failure: EncoderError | None = None
-        self.waiting = 0
-
-    def put(self, block: Block, readings: int) -> None:
-        """Append a block of so many readings, or count them as lost where `WAITING_LIMIT` are waiting."""
-        with self._filled:
-            if self.waiting + readings > WAITING_LIMIT:
-                self._lost += readings
-                return
-            self._blocks.append((self._lost, block, readings))
-            self._lost = 0
-            self.waiting += readings
-            self._filled.notify()
-
-    def fail(self, problem: EncoderError) -> None:
-        """Say that nothing more will come."""
-        with self._filled:
-            self._failure = problem
-            self._filled.notify()
-
-    def take(self, timeout: float) -> list[tuple[int, Block]]:
-        """Return all blocks, each with the readings lost before it, waiting for the first one.
-
-        Raises
-        ------
-        EncoderError
-            What `fail` was told, once the blocks before are taken.
-        """
-        with self._filled:
-            if not self._blocks and self._failure is None and timeout > 0:
-                self._filled.wait(timeout)
-            if not self._blocks and self._failure is not None:
-                raise self._failure
-            taken = [(lost, block) for lost, block, _ in self._blocks]
-            self._blocks.clear()
-            self.waiting = 0
-            return taken
 
 
 def protocols() -> dict[str, importlib.metadata.EntryPoint]:
@@ -431,14 +293,3 @@ def encoder_class(protocol: object, channel: str, source: str) -> type[Encoder]:
         )
     loaded: type[Encoder] = known[protocol].load()
     return loaded
-
-
-@contextlib.contextmanager
-def opened(encoders: list[Encoder]) -> Iterator[list[Encoder]]:
-    """Open all encoders, then start all; close all at the end, whatever happens."""
-    with contextlib.ExitStack() as stack:
-        for encoder in encoders:
-            stack.enter_context(encoder)
-        for encoder in encoders:
-            encoder.start()
-        yield encoders

@@ -10,19 +10,20 @@ from pathlib import Path
 
 import numpy as np
 
+import drivers
+from cycloid_fmu.draw.plots import save
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.run import follow
-from cycloid_fmu.pair import read_pair
-from cycloid_fmu.plots import save
-from cycloid_fmu.surface import read_surface, structured_value, surface_of_pair, write_surface
-from drivers.bench import BenchRun, CanBench, fmu_output_angle, simulate_motion
-from drivers.recorder import record_bench
+from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.surfaces.files import read_surface, write_surface
+from cycloid_fmu.surfaces.structured import structured_value
+from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.cli import print_identification
-from fitting.curve import transmission_error_curve
-from fitting.identification import write_identification
-from fitting.identify import identify
-from fitting.plots import plot_comparison
-from fitting.recording import read_bench_recording
+from fitting.estimation.identify import identify
+from fitting.estimation.result import write_identification
+from fitting.recordings.recording import open_recording
+from fitting.reports.plots import plot_comparison
+from fitting.transmission_error.folding import transmission_error_curves
 
 HERE, OUT = Path(__file__).parent, Path("bench_to_fmu_out")
 ARCSEC = np.pi / 648000
@@ -34,27 +35,25 @@ def main() -> None:
     print("1. The drive on the bench: an FMU of the drive as it was really made")
     as_made = read_pair(HERE / "drive-39-40-as-made.toml")
     build_fmu(as_made, surface_of_pair(as_made), OUT / "as-made.fmu")
-    drive = fmu_output_angle(OUT / "as-made.fmu")
 
     print("2. The bench runs at two loads in both directions, and the recorder writes what its encoders send")
     recordings = []
     for load in (20.0, 200.0):
         for direction, sign in (("forward", 1.0), ("backward", -1.0)):  # a brake: the torque opposes the motion
-            run = BenchRun(
-                torque=sign * load, turns=39, samples_per_turn=48, direction=direction, noise=0.5 * ARCSEC,
-                torque_noise=0.2, seed=len(recordings),
-            )  # fmt: skip
             path = OUT / f"{load:g}Nm-{direction}.arrows"
             path.unlink(missing_ok=True)
-            with CanBench(simulate_motion(drive, run)) as bench:
-                wiring = bench.write_wiring(OUT / "bench.toml", ratio=as_made.ratio, pair="drive-39-40")
-                done = record_bench(wiring, path, samples=run.samples, idle=5.0)
+            bench = drivers.simulate_bench(
+                OUT / "as-made.fmu", ratio=as_made.ratio, torque=sign * load, direction=direction, turns=39,
+                samples_per_turn=48, noise="0.5 arcsec", torque_noise=0.2, seed=len(recordings), interface="virtual",
+            )  # fmt: skip
+            with bench:
+                done = bench.record(path, wiring=OUT / "bench.toml")
             print(f"   {path}: {min(done.samples.values())} samples a channel")
             recordings.append(path)
 
     print("3. Transmission error curves, and the errors behind them")
     nominal = read_pair(HERE / "drive-39-40.toml")
-    curves = [transmission_error_curve(read_bench_recording(path), nominal.ratio) for path in recordings]
+    curves = [transmission_error_curves(open_recording(path).read(), nominal.ratio)[0] for path in recordings]
     found = identify(curves, nominal, lambda step: print(f"   {step}"))
     write_identification(found, OUT / "identification.json")
     write_surface(found.surface, OUT / "identified.nc")

@@ -13,12 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from cycloid_fmu.cli import print_table
+from cycloid_fmu.contact.transmission import analyze, slices_needed, statistics
+from cycloid_fmu.draw.plots import new_figure, save
 from cycloid_fmu.edge import ARCSEC
-from cycloid_fmu.pair import Modification, read_pair
-from cycloid_fmu.plots import new_figure, save
-from cycloid_fmu.surface import nominal_surface, with_structured
-from cycloid_fmu.transmission import analyze, slices_needed, statistics
+from cycloid_fmu.edge.commands import print_table
+from cycloid_fmu.geometry.pair import Modification, read_pair
+from cycloid_fmu.surfaces.structured import with_structured
+from cycloid_fmu.surfaces.surface import nominal_surface
 
 TORQUE = -181.0
 ANGLES = np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
@@ -40,12 +41,12 @@ def figures(pair, surface):
 
 def modified(pair, isometric, offset):
     amounts = Modification.model_construct(isometric=isometric * 1e-6, offset=offset * 1e-6)
-    return pair.model_copy(update={"modification": amounts})
+    return pair.replace(modification=amounts)
 
 
 def errors_of(pair):
     """One error at a time, each of 10 µm or 1 mrad."""
-    blank, g = nominal_surface(pair), pair.pair
+    blank, g = nominal_surface(pair), pair
     profile = np.cos(2.0 * np.pi * 2.0 * (np.arange(200) + 0.5) / 200)[:, None]
     steps = RNG.uniform(-5e-6, 5e-6, g.gear_teeth)
     pitch = np.cumsum(steps - steps.mean())

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from cycloid_fmu.cli import print_table
+from cycloid_fmu.draw.plots import new_figure, save
 from cycloid_fmu.edge import ARCMIN
-from cycloid_fmu.plots import new_figure, save
+from cycloid_fmu.edge.commands import print_table
 from cycloid_fmu.reducer import TERMS, as_printed, budget, read_reducer, shaft_tilt, summed, values_of
 
 HERE = Path(__file__).parent
@@ -39,8 +39,8 @@ found = budget(reducer)
 
 def printed_at(tilt: float) -> tuple[float, float]:
     """Equation 21 with the nominal pressure angle at a tilt of the input shaft (deg), and its first stage, arcmin."""
-    involute = reducer.involute.model_copy(update={"shaft_tilt": np.radians(tilt)})
-    tilted = reducer.model_copy(update={"involute": involute})
+    involute = reducer.involute.replace(shaft_tilt=np.radians(tilt))
+    tilted = reducer.replace(involute=involute)
     plays = summed(as_printed(tilted, values_of(tilted)))
     return float(plays["total"]) * ARCMIN, float(plays["involute"]) * ARCMIN
 

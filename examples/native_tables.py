@@ -16,19 +16,19 @@ from pathlib import Path
 import numpy as np
 from matplotlib.ticker import FixedLocator
 
-from cycloid_fmu.cli import print_table
+from cycloid_fmu.draw.plots import new_figure, save
+from cycloid_fmu.edge.commands import print_table
 from cycloid_fmu.fmu import tables
 from cycloid_fmu.fmu.variables import Interface, variables
-from cycloid_fmu.pair import read_pair
-from cycloid_fmu.plots import new_figure, save
-from cycloid_fmu.surface import nominal_surface
+from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.surfaces.surface import nominal_surface
 
 ARCSEC = math.pi / 648000
 ASKED = (1.0, 0.3, 0.1, 0.05, 0.02)
 
 pair = read_pair(Path(__file__).parent / "drive-39-40.toml")
 nominal = nominal_surface(pair)
-radial = 2e-6 * np.random.default_rng(1).normal(size=pair.pair.pins)
+radial = 2e-6 * np.random.default_rng(1).normal(size=pair.pins)
 drives = {"pins and teeth alike": nominal, "pins as made": dataclasses.replace(nominal, pin_radial=radial)}
 
 figure, (axes,) = new_figure()

@@ -11,24 +11,29 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.bench import BenchRun, CanBench, simulate_motion
-from drivers.recorder import record_bench
-from drivers.recording_format import read_recording
+import drivers
 
 OUT = Path("record_can_out")
+
+
+def drive(angle, torque):
+    """An ideal drive with a compliance of 1e-6 rad/(N m)."""
+    return -angle / 39 + 1e-6 * torque
 
 
 def main() -> None:
     OUT.mkdir(exist_ok=True)
     path = OUT / "run.arrows"
     path.unlink(missing_ok=True)
-    run = BenchRun(torque=-20.0, turns=2, noise=2e-6, torque_noise=0.1)
-    with CanBench(simulate_motion(lambda angle, torque: -angle / 39 + 1e-6 * torque, run)) as bench:
-        wiring = bench.write_wiring(OUT / "bench.toml", ratio=-39.0, pair="drive-39-40")
+    bench = drivers.simulate_bench(
+        drive, torque="-20 N*m", ratio=-39, turns=2, noise="0.4 arcsec", torque_noise="0.1 N*m", interface="virtual"
+    )
+    with bench:
+        wiring = bench.write_wiring(OUT / "bench.toml")
 
-        done = record_bench(wiring, path, samples=run.samples, idle=5.0)
+        done = drivers.record(wiring, path, samples=192, idle="5 s")
 
-    recording = read_recording(path)
+    recording = drivers.read_recording(path)
     for channel in recording.header.channels:
         samples = recording.samples[channel.name]
         print(f"{channel.name}: {len(samples)} samples in {channel.unit}; {channel.time_source}; {channel.identity}")

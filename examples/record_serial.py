@@ -11,10 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.bench import BenchRun, simulate_motion
-from drivers.recorder import record_bench
-from drivers.recording_format import read_recording
-from drivers.serial_bench import AsciiBench
+import drivers
 
 OUT = Path("record_serial_out")
 
@@ -23,13 +20,15 @@ def main() -> None:
     OUT.mkdir(exist_ok=True)
     path = OUT / "run.arrows"
     path.unlink(missing_ok=True)
-    motion = simulate_motion(lambda angle, torque: -angle / 39, BenchRun(torque=0.0, turns=3, samples_per_turn=200))
-    with AsciiBench(motion, clock_drift=50e-6) as bench:
-        wiring = bench.write_wiring(OUT / "bench.toml", ratio=-39.0)
+    counter = drivers.simulate_bench(
+        ratio=-39, torque=0.0, turns=3, samples_per_turn=200, serial="ascii", clock_drift=50e-6
+    )
+    with counter:
+        wiring = counter.write_wiring(OUT / "bench.toml")
 
-        done = record_bench(wiring, path, stop=lambda: bench.wait(0.0))
+        done = drivers.record(wiring, path, idle="0.5 s")
 
-    recording = read_recording(path)
+    recording = drivers.read_recording(path)
     samples, clock = recording.samples["output_angle"], recording.clock("output_angle")
     print(f"{len(samples)} lines; marks {done.marks}; {done.events} events")
     if clock is not None:

@@ -23,13 +23,14 @@ from fmpy import read_model_description
 from joint_parts import END, Motor, moved
 from numpy.typing import NDArray
 
+from cycloid_fmu.draw.plots import new_figure, save
 from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.run import follow
 from cycloid_fmu.fmu.variables import Interface
-from cycloid_fmu.pair import Pair, read_pair
-from cycloid_fmu.plots import new_figure, save
-from cycloid_fmu.surface import ErrorSurface, read_surface, surface_of_pair
+from cycloid_fmu.geometry.pair import Pair, read_pair
+from cycloid_fmu.surfaces.files import read_surface
+from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
 
 HERE, OUT = Path(__file__).parent, Path("robot_joint_out")
 ARM = Interface("compliant", output_inertia=2.0)  # kg·m², the arm's, beside the stiff contacts

@@ -11,17 +11,17 @@ from pathlib import Path
 
 import numpy as np
 
-from cycloid_fmu.cli import print_table
+from cycloid_fmu.contact.tooth_contact import contact_ratio, handovers, loaded_contacts, phase_of_pin, unloaded_contact
+from cycloid_fmu.contact.transmission import drive_of, solve
+from cycloid_fmu.draw.plots import new_figure, save
 from cycloid_fmu.edge import ARCSEC
-from cycloid_fmu.pair import read_pair
-from cycloid_fmu.plots import new_figure, save
-from cycloid_fmu.sliding import velocities
-from cycloid_fmu.surface import nominal_surface
-from cycloid_fmu.tooth_contact import contact_ratio, handovers, loaded_contacts, phase_of_pin, unloaded_contact
-from cycloid_fmu.transmission import drive_of, solve
-from cycloid_fmu.wear import contact_coefficients, depth_as_printed, wear_model, wear_rate, wear_states
-from cycloid_fmu.wear_law import Load, read_wear_law
-from cycloid_fmu.wear_run import wear_figures
+from cycloid_fmu.edge.commands import print_table
+from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.surfaces.surface import nominal_surface
+from cycloid_fmu.wear.law import Load, read_wear_law
+from cycloid_fmu.wear.life import wear_figures
+from cycloid_fmu.wear.progress import contact_coefficients, depth_as_printed, wear_model, wear_rate, wear_states
+from cycloid_fmu.wear.sliding import velocities
 
 HERE = Path(__file__).parent
 TORQUE, TURNS = -400.0, 3e6
@@ -30,7 +30,7 @@ PITCH = 2.0 * np.pi / 40
 pair = read_pair(HERE / "wear-39-40.toml")
 surface = nominal_surface(pair)
 law = read_wear_law(HERE / "wear.toml")
-model = wear_model(pair, surface, law, [Load.model_construct(torque=TORQUE, crank_turns=1.0)])
+model = wear_model(pair, surface, law, [Load(torque=TORQUE, crank_turns=1.0)])
 new = wear_rate(model, model.surface)
 states = list(wear_states(model, TURNS, workers=2))
 found = wear_figures(model, states, new, workers=2)
@@ -93,7 +93,7 @@ save(figure, "wear_study.png")
 
 own = unloaded_contact(pair, surface, theta, -1).transmission_error * ARCSEC
 passing = handovers(pair, surface, np.linspace(0.0, 1.0, 200), -1)
-free = wear_model(pair, surface, law.model_copy(update={"pins": "free"}), model.loads)
+free = wear_model(pair, surface, law.replace(pins="free"), model.loads)
 even = wear_rate(free, free.surface).depth.pin.max() * TURNS
 span = np.ptp(phase_of_pin(pair, theta[loaded.angle], loaded.disc, loaded.pin))
 linear, updated, as_printed = found["linear"], found["updated"], found["as_printed"]

@@ -1,1 +1,61 @@
 """From bench recordings to transmission error curves, the standard figures and the actual errors of a drive."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fitting.estimation.ensemble import ensemble as ensemble
+    from fitting.estimation.identify import identify as identify
+    from fitting.estimation.plan import Plan as Plan
+    from fitting.estimation.plan import plan as plan
+    from fitting.estimation.result import Identification as Identification
+    from fitting.figures.comparison import Comparison as Comparison
+    from fitting.figures.comparison import compare as compare
+    from fitting.figures.figure import Figure as Figure
+    from fitting.figures.metrics import Figures as Figures
+    from fitting.figures.metrics import metrics as metrics
+    from fitting.recordings.inspection import Inspection as Inspection
+    from fitting.recordings.inspection import inspect as inspect
+    from fitting.recordings.mapping import FileMapping as FileMapping
+    from fitting.recordings.mapping import read_mapping as read_mapping
+    from fitting.recordings.sources import Run as Run
+    from fitting.recordings.sources import read_recordings as read_recordings
+    from fitting.reports.plots import plot as plot
+    from fitting.reports.report import report as report
+    from fitting.transmission_error.curve import Curve as Curve
+    from fitting.transmission_error.curve import write_curves as write_curves
+    from fitting.transmission_error.folding import curves as curves
+
+_NAMES = {
+    "estimation.ensemble": "ensemble",
+    "estimation.identify": "identify",
+    "estimation.plan": "Plan plan",
+    "estimation.result": "Identification",
+    "figures.comparison": "Comparison compare",
+    "figures.figure": "Figure",
+    "figures.metrics": "Figures metrics",
+    "recordings.inspection": "Inspection inspect",
+    "recordings.mapping": "FileMapping read_mapping",
+    "recordings.sources": "Run read_recordings",
+    "reports.plots": "plot",
+    "reports.report": "report",
+    "transmission_error.curve": "Curve write_curves",
+    "transmission_error.folding": "curves",
+}
+_MODULE_OF = {name: module for module, names in _NAMES.items() for name in names.split()}
+__all__ = sorted(_MODULE_OF)
+
+
+def __getattr__(name: str) -> Any:
+    """Import what is asked for: NumPy and numba alone take most of a second."""
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    found = getattr(importlib.import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

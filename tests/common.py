@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cycloid_fmu.pair import parse_pair
+from cycloid_fmu.geometry.pair import parse_pair
 
 DATA = Path(__file__).parent / "data"
 CASES = DATA / "reference-cases"

@@ -75,7 +75,7 @@ class Elements:
         self, pair: Any, surface: Any, crank_angle: float, sizes: tuple[int, int, int], reading: str, contact: str,
         pairs: str, arcs: int, each_tooth: bool, sampling: float,
     ) -> None:  # fmt: skip
-        main = pair.pair
+        main = pair
         if main.output != "gear":
             raise ValueError('only output = "gear" is solved here: the pin ring stands still')
         for value, known in ((reading, READINGS), (contact, CONTACTS), (pairs, PAIRS)):
@@ -399,9 +399,9 @@ def solve_elements(
     Parameters
     ----------
     pair
-        As `cycloid_fmu.pair.read_pair` returns it (its nominal tables only: `[errors]` come with the surface).
+        As `cycloid_fmu.geometry.pair.read_pair` returns it (its nominal tables only: `[errors]` come with the surface).
     surface
-        As `cycloid_fmu.surface.ErrorSurface`.
+        As `cycloid_fmu.surfaces.surface.ErrorSurface`.
     crank_angle, torque
         Crank angle, rad; torque of the environment on the output, N*m.
     width_elements, profile_elements, angle_elements

@@ -52,12 +52,12 @@ class Target:
 
 TARGETS = {
     "metrics": Target(
-        ("fitting/figure.py", "fitting/hysteresis.py", "fitting/metrics.py", "fitting/spectrum.py", "fitting/starts.py",
-         "fitting/survey.py"),
+        ("fitting/figures/figure.py", "fitting/figures/hysteresis.py", "fitting/figures/metrics.py",
+         "fitting/figures/spectrum.py", "fitting/figures/starts.py", "fitting/figures/survey.py"),
         ("tests/fitting/test_metrics.py", "tests/fitting/test_comparison.py"),
     ),
     "recorder": Target(
-        ("drivers/recorder.py",),
+        ("drivers/recorder/session.py",),
         ("tests/drivers/test_recorder.py",),
     ),
     "contact": Target(

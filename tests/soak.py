@@ -6,7 +6,7 @@ import time
 import numpy as np
 
 from drivers.encoder import Encoder, steady_time
-from drivers.recorder import record
+from drivers.recorder.session import record_encoders
 from drivers.recording_format import Channel, RecordingReader, Samples
 
 NAMES = ("input_angle", "output_angle", "torque")
@@ -56,7 +56,7 @@ def soak(path, samples):
             table.append((written, time.perf_counter() - begun, peak()))
 
     encoders = [Counter(name) for name in NAMES]
-    written = record(encoders, path, ratio=-39.0, samples=samples // len(NAMES), progress=progress).samples
+    written = record_encoders(encoders, path, ratio=-39.0, samples=samples // len(NAMES), progress=progress).samples
     done, read = time.perf_counter(), dict.fromkeys(NAMES, 0)
     with RecordingReader(path) as reader:
         for block, _ in reader.batches():

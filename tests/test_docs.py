@@ -40,8 +40,8 @@ LOOP = f"""
 cycloid-bench export loop -o loop.csv
 """
 CMM = """
-from pathlib import Path; from cmm import measure, write_csv; from cycloid_fmu.pair import read_pair;
-from cycloid_fmu.surface import surface_of_pair; pair = read_pair('examples/drive-39-40-as-made.toml');
+from pathlib import Path; from cmm import measure, write_csv; from cycloid_fmu.geometry.pair import read_pair;
+from cycloid_fmu.surfaces.surface import surface_of_pair; pair = read_pair('examples/drive-39-40-as-made.toml');
 write_csv(Path('cmm.csv'), measure(pair, surface_of_pair(pair), 2e-7, 1))
 """.strip().replace("\n", " ")
 TDMS = """

@@ -9,8 +9,8 @@ from pyssp_standard.ssp import SSP
 
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.run import follow
-from cycloid_fmu.pair import read_pair
-from cycloid_fmu.surface import surface_of_pair
+from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.surfaces.surface import surface_of_pair
 
 AS_MADE = read_pair(EXAMPLES / "drive-39-40-as-made.toml")
 

@@ -13,9 +13,10 @@ import pytest
 from common import PAIR, make_pair
 
 from cycloid_fmu import contact
-from cycloid_fmu.surface import nominal_surface, with_structured
-from cycloid_fmu.transmission import drive_of, solve
-from fitting.figure import DEFINITIONS
+from cycloid_fmu.contact.transmission import drive_of, solve
+from cycloid_fmu.surfaces.structured import with_structured
+from cycloid_fmu.surfaces.surface import nominal_surface
+from fitting.figures.figure import DEFINITIONS
 
 ROOT = Path(__file__).parent.parent
 PAGES = {page.stem: page.read_text(encoding="utf-8") for page in sorted((ROOT / "docs" / "theory").glob("*.md"))}

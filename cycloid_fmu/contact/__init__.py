@@ -23,7 +23,7 @@ from cycloid_fmu.contact.placement import place
 from cycloid_fmu.contact.play import TOUCHING, play, touch_rate
 from cycloid_fmu.contact.problem import Deviations, Problem, poses
 from cycloid_fmu.contact.rows import ROW, Rows, contact_rows, disc_slice_pin, is_solved_at
-from cycloid_fmu.contact.sensitivity import SCALAR_ERRORS, sensitivities
+from cycloid_fmu.contact.sensitivity import sensitivities
 from cycloid_fmu.contact.sweeps import (
     LoadedSweep,
     sweep,
@@ -34,7 +34,7 @@ from cycloid_fmu.contact.sweeps import (
 )
 
 __all__ = [
-    "ROW", "SCALAR_ERRORS", "TOUCHING", "Array", "ContactLines", "Deviations", "LoadedSweep", "LocalFrame", "Problem",
+    "ROW", "TOUCHING", "Array", "ContactLines", "Deviations", "LoadedSweep", "LocalFrame", "Problem",
     "Rows", "behind_compliance", "compiled", "contact_rows", "crank_side", "disc_slice_pin", "elastic_energy",
     "equilibrium", "half_width", "hertz", "inlined", "is_solved_at", "load_sharing", "local_frame", "part", "place",
     "play", "poses", "press", "sensitivities", "sweep", "sweep_contacts", "sweep_flank_sensitivities", "sweep_play",

@@ -1,4 +1,4 @@
-"""Derivatives of the deviation by every error."""
+"""Derivatives of the deviation by everything that an error can displace."""
 
 from __future__ import annotations
 
@@ -12,11 +12,8 @@ from cycloid_fmu.contact.local_frame import LocalFrame, displaced, local_frame
 from cycloid_fmu.contact.problem import Problem, poses
 from cycloid_fmu.contact.rows import Rows, disc_slice_pin
 
-# The scalar errors, in the order of the sensitivities' first columns.
-SCALAR_ERRORS = (
-    "centre_distance_x", "centre_distance_y", "misalignment_xz", "misalignment_yz", "eccentricity",
-    "pin_circle_radius", "pin_radius", "isometric", "offset",
-)  # fmt: skip
+# The displacements of one number, in the order of `errors.kinds.BODIES`; then those of pins and teeth.
+CENTRE_X, CENTRE_Y, TILT_X, TILT_Y, CRANK_THROW, PIN_GENERATING, CIRCLE_GENERATING, BODY_COUNT = range(8)
 
 
 @inlined
@@ -37,7 +34,7 @@ def _larger_circle(problem: Problem, contact: np.record, pin: int, local: LocalF
 
 @compiled
 def sensitivities(problem: Problem, theta: float, x: float, contacts: Rows, out: Array) -> float:
-    """Derivatives of the deviation at constant torque by every error, by the implicit function of the equilibrium.
+    """Derivatives of the deviation at constant torque by every displacement (implicit function theorem).
 
     dx/dp = -(∂M/∂p)/(∂M/∂x) (docs/theory/errors.md), with the arms' own change included.
 
@@ -46,8 +43,9 @@ def sensitivities(problem: Problem, theta: float, x: float, contacts: Rows, out:
     problem, theta, x, contacts
         A solved equilibrium.
     out
-        Overwritten, shape (9 + 3 pins + discs x teeth,): `SCALAR_ERRORS`; radial, tangential and radius error of each
-        pin; turn of each tooth, disc by disc. rad/m, and rad/rad for the misalignments and turns.
+        Overwritten, shape (7 + 3 pins + discs x teeth,), by what is displaced: the bodies (`errors.kinds.BODIES`);
+        place outwards, along the circle and radius of each pin; turn of each tooth, disc by disc. rad/m, and rad/rad
+        for tilts and turns.
 
     Returns
     -------
@@ -55,9 +53,8 @@ def sensitivities(problem: Problem, theta: float, x: float, contacts: Rows, out:
         ∂M/∂x, N·m/rad.
     """
     pins = problem.teeth + 1
-    scalars = len(SCALAR_ERRORS)
-    radial, tangential, radius = scalars, scalars + pins, scalars + 2 * pins
-    pitch = scalars + 3 * pins
+    radial, tangential, radius = BODY_COUNT, BODY_COUNT + pins, BODY_COUNT + 2 * pins
+    pitch = BODY_COUNT + 3 * pins
     out[:] = 0.0
     stiffness = 0.0
     for row in range(contacts.shape[0]):
@@ -73,24 +70,21 @@ def sensitivities(problem: Problem, theta: float, x: float, contacts: Rows, out:
         turn = 0.0 if problem.ring else 1.0
         along_x = displaced(contact, local, -1.0, 0.0, 0.0, turn)
         along_y = displaced(contact, local, 0.0, -1.0, -turn, 0.0)
-        out[0] += along_x
-        out[1] += along_y
-        out[2] += along_x * z
-        out[3] += along_y * z
-        out[4] += along_x * math.cos(crank) + along_y * math.sin(crank)
+        out[CENTRE_X] += along_x
+        out[CENTRE_Y] += along_y
+        out[TILT_X] += along_x * z
+        out[TILT_Y] += along_y * z
+        out[CRANK_THROW] += along_x * math.cos(crank) + along_y * math.sin(crank)
         # The pin moves with the ring.
         direction = pin * 2.0 * math.pi / pins + ring
         c, s = math.cos(direction), math.sin(direction)
         sign = 1.0 if problem.ring else -1.0
-        outwards = displaced(contact, local, c, s, -sign * s, sign * c)
-        out[5] += outwards
-        out[radial + pin] += outwards
+        out[radial + pin] += displaced(contact, local, c, s, -sign * s, sign * c)
         out[tangential + pin] += displaced(contact, local, -s, c, -sign * c, -sign * s)
         thicker = contact.stiffness * contact.arm
-        out[6] += thicker
         out[radius + pin] += thicker
-        out[7] -= thicker
-        out[8] += _larger_circle(problem, contact, pin, local)
+        out[PIN_GENERATING] -= thicker
+        out[CIRCLE_GENERATING] += _larger_circle(problem, contact, pin, local)
         foot = pin * 2.0 * math.pi / pins + (crank - ring) / problem.teeth + contact.foot
         tooth = math.floor(foot * problem.teeth / (2.0 * math.pi)) % problem.teeth
         wx, wy = (local.lever_x, local.lever_y) if problem.ring else (-local.gear_x, -local.gear_y)

@@ -18,13 +18,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cycloid_fmu import __version__, edge
+from cycloid_fmu.errors.kinds import KINDS
 from cycloid_fmu.fmu.description import Version
 from cycloid_fmu.fmu.losses import check_losses
 from cycloid_fmu.fmu.parts import parts, write_archive
 from cycloid_fmu.fmu.reducer_model import FirstStage
 from cycloid_fmu.fmu.variables import Interface, LossRow, from_tables, variables
-from cycloid_fmu.pair import Pair
-from cycloid_fmu.surface import DESCRIPTIONS, DEVIATIONS, ErrorSurface, write_surface
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.files import write_surface
+from cycloid_fmu.surfaces.surface import DEVIATIONS, ErrorSurface
 
 if TYPE_CHECKING:
     from cycloid_fmu.fmu.tables import Tables
@@ -85,14 +87,14 @@ def build_fmu(
     with tempfile.TemporaryDirectory(prefix="cycloid-fmu-") as folder, edge.written_whole(target) as temporary:
         place = Path(folder)
         numbers: dict[str, object] = {
-            "package_version": __version__, "pair": pair.numbers(), "interface": dataclasses.asdict(interface),
+            "package_version": __version__, "pair": pair.nominal.text, "interface": dataclasses.asdict(interface),
             "tables": "" if tables is None else tables.told,
         }  # fmt: skip
         if first_stage is not None:
             numbers["first_stage"] = dataclasses.asdict(first_stage)
         (place / NUMBERS).write_text(json.dumps(numbers, indent=1), encoding="utf-8")
         with (place / SURFACE).open("wb") as file:
-            arrays = {name: getattr(surface, name) for name in (*DESCRIPTIONS, *DEVIATIONS)}
+            arrays = {name: getattr(surface, name) for name in (*KINDS, *DEVIATIONS)}
             if surface.life is not None:
                 arrays.update({f"life_{n}": a for n, a in vars(surface.life).items()})
             np.savez(file, allow_pickle=False, **{n: a for n, a in arrays.items() if a is not None})

@@ -18,8 +18,8 @@ from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.table_teeth import Interpolation
 from cycloid_fmu.fmu.teeth import StepError
 from cycloid_fmu.fmu.variables import FRICTION_DISPLACEMENT, LARGEST_STEP, LOSSLESS
-from cycloid_fmu.pair import Pair
-from cycloid_fmu.surface import ErrorSurface
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.surface import ErrorSurface
 
 FARTHEST = 0.01  # rad: flanges further than this from the ideal ratio are a mistake of the model around the drive
 _SUB_STEP = 0.2  # rad of the output inertia's own oscillation in one sub-step
@@ -219,7 +219,7 @@ class CompliantModel(DriveModel):
 
     def _sub_steps(self, step: float) -> int:
         if self._stiffest == 0.0:
-            rated = self.pair.pair.rated_torque or 100.0
+            rated = self.pair.rated_torque or 100.0
             _, self._stiffest = self._made_teeth().equilibrium(0.0, rated, 0.0)
         stiffness = 1.0 / (1.0 / self._stiffest + self.series_compliance)
         stiffness += self.friction_torque / FRICTION_DISPLACEMENT

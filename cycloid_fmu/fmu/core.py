@@ -28,8 +28,8 @@ from cycloid_fmu.fmu.reducer_model import FirstStage, ReducerModel
 from cycloid_fmu.fmu.table_teeth import TABLE, Interpolation, read
 from cycloid_fmu.fmu.teeth import StepError
 from cycloid_fmu.fmu.variables import ARRAYS, Interface, Variable, from_tables, variables
-from cycloid_fmu.pair import Pair
-from cycloid_fmu.surface import ErrorSurface, Life
+from cycloid_fmu.geometry.pair import Pair, parse_pair
+from cycloid_fmu.surfaces.surface import ErrorSurface, Life
 
 NUMBERS, SURFACE = "pair.json", "surface.npz"
 MAGIC, STATE_VERSION = b"cycloid state\0\0\0", 3
@@ -94,8 +94,8 @@ class Core:
         with np.load(resources / SURFACE) as arrays:
             values: dict[str, Any] = {n: arrays[n] if arrays[n].shape else float(arrays[n]) for n in arrays.files}
             states = {n.removeprefix("life_"): values.pop(n) for n in arrays.files if n.startswith("life_")}
-        surface = ErrorSurface(**values, life=Life(**states) if states else None)
-        pair, stage = Pair.from_numbers(numbers["pair"]), numbers.get("first_stage")
+        pair, stage = parse_pair(numbers["pair"], "the FMU's drive"), numbers.get("first_stage")
+        surface = ErrorSurface(pair, **values, life=Life(**states) if states else None)
         interface = interface_from(numbers["interface"])
         self.told = str(numbers["tables"])
         tabulated = (resources / TABLE).read_bytes() if self.told else b""

@@ -16,13 +16,15 @@ from typing import Any
 
 import numpy as np
 
+from cycloid_fmu.contact.transmission import drive_of, slices_needed
+from cycloid_fmu.errors.kinds import structured_names
 from cycloid_fmu.fmu.losses import check_losses, loss_torque
 from cycloid_fmu.fmu.table_teeth import Interpolation, TableTeeth
 from cycloid_fmu.fmu.teeth import ContactTeeth, StepError, Teeth
 from cycloid_fmu.fmu.variables import LOSSLESS, ORDERS
-from cycloid_fmu.pair import Pair
-from cycloid_fmu.surface import ErrorSurface, structured_names, structured_value, surface_after, with_structured
-from cycloid_fmu.transmission import drive_of, slices_needed
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.structured import structured_value, with_structured
+from cycloid_fmu.surfaces.surface import ErrorSurface, surface_after
 
 
 class DriveModel:
@@ -67,7 +69,7 @@ class DriveModel:
         self._crank_turns_worn = math.nan if surface.life is None else float(surface.life.crank_turns[-1])
         self._ratio = pair.ratio
         # Everything repeats after one turn of the gear in the ring; a reduced angle keeps its digits.
-        self._period = 2.0 * math.pi * (pair.pair.gear_teeth if pair.pair.output == "gear" else pair.pair.pins)
+        self._period = 2.0 * math.pi * (pair.gear_teeth if pair.output == "gear" else pair.pins)
         self._output_angle: float | None = None
         self._deviation = self._theta = 0.0  # θ: the crank's angle, reduced
         self._moved = operator.attrgetter(*self._MOVED)
@@ -99,7 +101,7 @@ class DriveModel:
         worn = self.surface if self.surface.life is None else surface_after(self.surface, self._crank_turns_worn)
         surface = with_structured(self.pair, worn, self._changed())
         drive = drive_of(self.pair, surface, slices_needed(surface))
-        return ContactTeeth(drive, (self.pair.pair.discs, self.pair.pair.pins))
+        return ContactTeeth(drive, (self.pair.discs, self.pair.pins))
 
     def _forget(self) -> None:
         self._play: tuple[float, float, float] | None = None
@@ -353,7 +355,7 @@ class DriveModel:
 
     def _pin_loads(self, told: Callable[[float], list[float]]) -> list[float]:
         self._load_sharing()
-        return told(self._theta) if self._stiffness > 0.0 else [0.0] * (self.pair.pair.discs * self.pair.pair.pins)
+        return told(self._theta) if self._stiffness > 0.0 else [0.0] * (self.pair.discs * self.pair.pins)
 
     @property
     def contact_count(self) -> int:

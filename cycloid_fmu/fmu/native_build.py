@@ -19,6 +19,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from cycloid_fmu import __version__, edge
+from cycloid_fmu.contact.transmission import drive_of, slices_needed
 from cycloid_fmu.fmu import tables
 from cycloid_fmu.fmu.build import checked_interface
 from cycloid_fmu.fmu.description import Version, model_structure, model_variables, unit_definitions
@@ -26,9 +27,8 @@ from cycloid_fmu.fmu.parts import parts, write_archive
 from cycloid_fmu.fmu.reducer_model import FirstStage
 from cycloid_fmu.fmu.table_teeth import TABLE
 from cycloid_fmu.fmu.variables import Interface, Variable, from_tables, variables
-from cycloid_fmu.pair import Pair
-from cycloid_fmu.surface import ErrorSurface
-from cycloid_fmu.transmission import drive_of, slices_needed
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.surface import ErrorSurface
 
 IDENTIFIER = "CycloidDrive"
 SOURCES = ("fmi2.c", "fmi3.c", "instance.c", "drive.c", "table.c", "pins.c", "uri.c")

@@ -14,8 +14,8 @@ import numpy as np
 from cycloid_fmu import __version__
 from cycloid_fmu.fmu.description import Version
 from cycloid_fmu.fmu.variables import Interface, Variable
-from cycloid_fmu.pair import Pair
-from cycloid_fmu.profile import flank_points
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.geometry.profile import flank_points
 
 _FLANGE = "Modelica.Mechanics.Rotational.Interfaces.Flange_"
 _PAGE = """<!DOCTYPE html>
@@ -52,7 +52,7 @@ def documentation(pair: Pair, interface: Interface, table: Sequence[Variable]) -
     import jinja2
 
     page = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(_PAGE)
-    return page.render(g=pair.pair, ratio=pair.ratio, interface=interface, table=table, version=__version__)
+    return page.render(g=pair, ratio=pair.ratio, interface=interface, table=table, version=__version__)
 
 
 def terminals(interface: Interface) -> bytes:
@@ -81,7 +81,7 @@ def icon(pair: Pair) -> bytes:
     from matplotlib.figure import Figure
     from matplotlib.patches import Circle
 
-    g = pair.pair
+    g = pair
     figure = Figure(figsize=(2.56, 2.56))
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set_axis_off()

@@ -16,8 +16,8 @@ from collections.abc import Sequence
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.table_teeth import Interpolation
 from cycloid_fmu.fmu.variables import LOSSLESS
-from cycloid_fmu.pair import Pair
-from cycloid_fmu.surface import ErrorSurface
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.surface import ErrorSurface
 
 _STEP = 1e-13  # rad of the output: last step of the crank angle's iteration
 _DIFFERENCE = 1e-6  # rad of the crank, for the change of its torque
@@ -68,7 +68,7 @@ class ReducerModel(DriveModel):
         losses: Sequence[Sequence[float]] = LOSSLESS,
         tables: Interpolation | None = None,
     ) -> None:
-        teeth = pair.pair.gear_teeth
+        teeth = pair.gear_teeth
         self._b = first_stage.sun_teeth / first_stage.planet_teeth
         self._a = 1.0 + self._b
         self._s = 1.0 / (1.0 + self._a / teeth)
@@ -92,9 +92,7 @@ class ReducerModel(DriveModel):
         turns = self.crank_angle / (2.0 * math.pi * self._ratio)
         reduced = 2.0 * math.pi * self._ratio * (turns - math.floor(turns))
         self._theta = (
-            -reduced * self.pair.pair.gear_teeth / self._ratio
-            + self._a * deviation
-            - 0.5 * self._b * side * self._sun_play
+            -reduced * self.pair.gear_teeth / self._ratio + self._a * deviation - 0.5 * self._b * side * self._sun_play
         )
         self._forget()
 

@@ -30,6 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from cycloid_fmu import contact
+from cycloid_fmu.contact.transmission import drive_of, slices_needed, solve
 from cycloid_fmu.fmu.reducer_model import FirstStage
 from cycloid_fmu.fmu.table_teeth import (
     HEAD,
@@ -43,9 +44,8 @@ from cycloid_fmu.fmu.table_teeth import (
     sharing,
 )
 from cycloid_fmu.fmu.variables import Interface, Variable
-from cycloid_fmu.pair import Pair
-from cycloid_fmu.surface import ErrorSurface
-from cycloid_fmu.transmission import drive_of, slices_needed, solve
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.surface import ErrorSurface, alike
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -141,23 +141,8 @@ def mesh_pitches(pair: Pair, surface: ErrorSurface) -> int:
 
     Pins stand in the frame, as the offset of the gear's centre does, and teeth with the gear held.
     """
-
-    def alike(values: Array | None, axis: int) -> bool:
-        return values is None or bool(np.all(np.ptp(values, axis=axis) == 0.0))
-
-    g = pair.pair
-    pins = (surface.pin_radial, surface.pin_tangential, surface.pin_radius_deviation)
-    pins_alike = all(alike(v, 0) for v in (*pins, surface.pin_deviation, surface.pin_curvature))
-    teeth = (surface.tooth_cumulative_pitch, surface.gear_deviation, surface.gear_curvature)
-    teeth_alike = all(alike(v, 1) for v in teeth)
-    centred = not np.any([
-        surface.centre_distance_x, surface.centre_distance_y, surface.misalignment_xz, surface.misalignment_yz
-    ])  # fmt: skip
-    if g.output == "gear":
-        pins_alike = pins_alike and centred
-    else:
-        teeth_alike = teeth_alike and centred
-    return (1 if pins_alike else g.pins) * (1 if teeth_alike else g.gear_teeth)
+    teeth_alike, pins_alike = alike(surface)
+    return (1 if pins_alike else pair.pins) * (1 if teeth_alike else pair.gear_teeth)
 
 
 class _Solved(NamedTuple):
@@ -345,10 +330,10 @@ def compute(
         If the pair states no rated torque and no largest load is given.
     """
     if largest_load is None:
-        if pair.pair.rated_torque is None:
+        if pair.rated_torque is None:
             raise ValueError("the pair has no rated_torque, which says how far the tables reach")
-        largest_load = LARGEST_LOAD * pair.pair.rated_torque
-    g = pair.pair
+        largest_load = LARGEST_LOAD * pair.rated_torque
+    g = pair
     pitches = mesh_pitches(pair, surface)
     pitch = 2.0 * math.pi / (g.pins if g.output == "gear" else g.gear_teeth)
     period = pitches * pitch
@@ -643,7 +628,7 @@ def _together(*parts: _Probed) -> _Probed:
 def _probed(pair: Pair, surface: ErrorSurface, theta: Array, torque: Array) -> _Probed:
     drive = drive_of(pair, surface, slices_needed(surface))
     rows = contact.contact_rows(drive)
-    forces, pressures = np.zeros((pair.pair.discs, pair.pair.pins)), np.zeros((pair.pair.discs, pair.pair.pins))
+    forces, pressures = np.zeros((pair.discs, pair.pins)), np.zeros((pair.discs, pair.pins))
     exact = np.empty((4, theta.size))
     for i in range(theta.size):
         x, stiffness = contact.equilibrium(drive, theta[i], torque[i], 0.0, rows, True)

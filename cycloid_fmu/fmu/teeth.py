@@ -15,7 +15,7 @@ from numba.experimental import structref
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled
-from cycloid_fmu.transmission import balances, carried
+from cycloid_fmu.contact.transmission import balances, carried
 
 
 class StepError(ValueError):

@@ -14,8 +14,10 @@ from typing import Literal
 
 import numpy as np
 
-from cycloid_fmu.pair import LARGEST_DEVIATION, LARGEST_MISALIGNMENT, Pair
-from cycloid_fmu.surface import DESCRIPTIONS, PATTERNS, ErrorSurface, structured_names, structured_value, unit_of
+from cycloid_fmu.errors.kinds import KINDS, kind_of, structured_names, wave_of
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.structured import structured_value
+from cycloid_fmu.surfaces.surface import ErrorSurface
 
 INTERFACES = ("kinematic", "compliant")
 ORDERS = (1, 2, 3)
@@ -169,16 +171,14 @@ def _flanges(interface: Interface) -> list[Variable]:
 def _parameters(pair: Pair, surface: ErrorSurface, interface: Interface) -> list[Variable]:
     found = []
     for name in structured_names(ORDERS):
-        unit = unit_of(name)
-        limit = LARGEST_MISALIGNMENT if unit == "rad" else LARGEST_DEVIATION
-        pattern = next((p for p in PATTERNS if name.startswith(p + "_")), name)
-        text = DESCRIPTIONS[pattern]
-        if pattern != name:
-            order, part = name.removeprefix(pattern + "_").split("_")
-            text += f": {'cosine' if part == 'cos' else 'sine'} part of order {order}"
+        kind, wave = kind_of(name), wave_of(name)
+        assert kind is not None
+        text = kind.description
+        if wave is not None:
+            text += f": {'cosine' if wave[2] == 'cos' else 'sine'} part of order {wave[1]}"
         found.append(Variable(
-            name, text, "parameter", "tunable", unit, "arcsec" if unit == "rad" else "um", -limit, limit,
-            1e-4 if unit == "rad" else 1e-6, structured_value(pair, surface, name), baked=True,
+            name, text, "parameter", "tunable", kind.unit, "arcsec" if kind.unit == "rad" else "um", -kind.limit,
+            kind.limit, 1e-4 if kind.unit == "rad" else 1e-6, structured_value(pair, surface, name), baked=True,
         ))  # fmt: skip
     found += [
         Variable("friction_torque", "dry friction at the output", "parameter", "tunable", "N.m", least=0.0, nominal=1.0,
@@ -240,7 +240,7 @@ def _further(interface: Interface) -> list[Variable]:
 
 
 def _arrays(pair: Pair, surface: ErrorSurface, placed: tuple[str, ...]) -> list[Variable]:
-    shape = (pair.pair.discs, pair.pair.pins)
+    shape = (pair.discs, pair.pins)
     found = [Variable("time", "time", "independent", unit="s")]
     for name, text, unit, display, nominal in (
         ("pin_force", "force on each pin", "N", None, 100.0),
@@ -249,9 +249,10 @@ def _arrays(pair: Pair, surface: ErrorSurface, placed: tuple[str, ...]) -> list[
         found.append(Variable(name, f"{text} (discs, pins)", "output", unit=unit, display=display, least=0.0,
                               nominal=nominal, depends=placed, dimensions=shape))  # fmt: skip
     for name in ARRAYS:
+        kind = KINDS[name]
         found.append(Variable(
-            name, DESCRIPTIONS[name], "parameter", "tunable", "m", "um", -LARGEST_DEVIATION, LARGEST_DEVIATION, 1e-6,
-            tuple(map(float, getattr(surface, name))), dimensions=(pair.pair.pins,), baked=True,
+            name, kind.description, "parameter", "tunable", "m", "um", -kind.limit, kind.limit, 1e-6,
+            tuple(map(float, getattr(surface, name))), dimensions=(pair.pins,), baked=True,
         ))  # fmt: skip
     return found
 
@@ -274,7 +275,7 @@ def variables(
     shape = next(v.depends for v in flanges if v.name == "transmission_error")
     count = Variable(
         "contact_count", "pins that carry more than 1 % of the most loaded pin's force", "output", "discrete",
-        kind="integer", least=0.0, most=float(pair.pair.pins * pair.pair.discs), depends=shape,
+        kind="integer", least=0.0, most=float(pair.pins * pair.discs), depends=shape,
     )  # fmt: skip
     found = [*flanges, count, *_parameters(pair, surface, interface), *_further(interface)]
     if fmi_version == "3.0":

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
-from cycloid_fmu.profile import arc_parts, equal_arc_parameters, flank_normals, flank_points
+from cycloid_fmu.geometry.profile import arc_parts, equal_arc_parameters, flank_normals, flank_points
 
 
 def field(values, along, across):
@@ -23,7 +23,7 @@ def measure(pair, surface, noise, seed, frame=(0.0, 0.0), along=60, across=5, re
     frame: shift (x + iy, m) and rotation (rad) of every body in the machine's frame; reach: degrees of a pin, each way.
     """
     generator = np.random.default_rng(seed)
-    g, (shift, turn), rows = pair.pair, frame, []
+    g, (shift, turn), rows = pair, frame, []
     part, width = spread(along, across)
     fine = equal_arc_parameters(pair, 4000)
     alpha = np.interp(part, arc_parts(pair, fine), fine)

@@ -12,15 +12,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cycloid_fmu import edge
+from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.fmu import tables
 from cycloid_fmu.fmu.build import read_losses
 from cycloid_fmu.fmu.compliant_model import FARTHEST, CompliantModel
 from cycloid_fmu.fmu.losses import interpolated, loss_torque
 from cycloid_fmu.fmu.model import DriveModel, StepError
 from cycloid_fmu.fmu.variables import FRICTION_DISPLACEMENT
-from cycloid_fmu.pair import parse_pair
-from cycloid_fmu.surface import nominal_surface
-from cycloid_fmu.transmission import solve
+from cycloid_fmu.geometry.pair import parse_pair
+from cycloid_fmu.surfaces.surface import nominal_surface
 
 PLAY = parse_pair(
     PAIR + '[modification]\noffset = "-40 um"\nisometric = "-15 um"\n[errors]\ncentre_distance_x = "4 um"\n', "p"

@@ -10,15 +10,11 @@ from hypothesis import strategies as st
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact.deviations import Facing, added_curvature
-from cycloid_fmu.pair import parse_pair, read_pair
-from cycloid_fmu.surface import (
-    nominal_surface,
-    structured_names,
-    structured_value,
-    surface_of_pair,
-    with_structured,
-)
-from cycloid_fmu.transmission import drive_of, error_sensitivity, solve
+from cycloid_fmu.contact.transmission import drive_of, error_sensitivity, solve
+from cycloid_fmu.errors.kinds import structured_names
+from cycloid_fmu.geometry.pair import parse_pair, read_pair
+from cycloid_fmu.surfaces.structured import structured_value, with_structured
+from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
 
 STEEL = (1 - 0.3**2) / 206e9
 
@@ -364,9 +360,9 @@ def test_load_sharing_adds_up(case):
     """Forces of the pins are the rows'; pressures are Hertz's for them, 2F/(π a b); hardly loaded ones don't count."""
     pair, drive, rows = drive_and_rows(case, "gear")
     contact.equilibrium(drive, 0.7, 200.0, 0.0, rows, True)
-    force, pressure = np.zeros((pair.pair.discs, 40)), np.zeros((pair.pair.discs, 40))
+    force, pressure = np.zeros((pair.discs, 40)), np.zeros((pair.discs, 40))
     count, largest = contact.load_sharing(drive, rows, force, pressure)
-    by_row = rows["force"].reshape(pair.pair.discs, -1, 40, 2)
+    by_row = rows["force"].reshape(pair.discs, -1, 40, 2)
     assert force == pytest.approx(by_row.sum(axis=(1, 3)))
     assert largest == pressure.max()
     assert count == (force > 0.01 * force.max()).sum()

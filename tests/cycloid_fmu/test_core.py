@@ -12,8 +12,8 @@ from common import CASES
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.core import Core, state_from_bytes, state_to_bytes
 from cycloid_fmu.fmu.variables import Interface
-from cycloid_fmu.pair import read_pair
-from cycloid_fmu.surface import surface_of_pair
+from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.surfaces.surface import surface_of_pair
 
 ERRORS = read_pair(CASES / "errors-39-40.toml")
 KINDS = {

@@ -1,26 +1,37 @@
+import json
 import math
 import sys
-import threading
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from cycloid_fmu import edge
+from cycloid_fmu.edge import quantities
 
 
 @given(
-    st.floats(allow_nan=False, allow_infinity=False, min_value=-1e9, max_value=1e9), st.sampled_from(["mm", "um", "m"])
+    st.floats(allow_nan=False, allow_infinity=False, min_value=-1e9, max_value=1e9),
+    st.sampled_from([(si, unit) for si, usual in quantities.USUAL.items() for unit in usual]),
 )
-def test_a_written_length_reads_back(value, unit):
-    text = edge.format_quantity(value, "m", unit)
-    assert edge.parse_quantity(text, "m") == pytest.approx(value, rel=1e-14, abs=1e-300)
+def test_a_written_quantity_reads_back(value, kind):
+    si, unit = kind
+    text = edge.format_quantity(value, si, unit)
+    assert edge.parse_quantity(text, si) == pytest.approx(value, rel=1e-14, abs=1e-300)
+
+
+def test_the_usual_units_are_what_pint_makes_of_them():
+    for si, usual in quantities.USUAL.items():
+        for unit, scale in usual.items():
+            asked = {"Nm": "N*m", "mNm": "mN*m", "kNm": "kN*m", "Nmm": "N*mm"}.get(unit, unit)
+            assert scale == edge.units().Quantity(1.0, asked).to(si).magnitude, (unit, si)
 
 
 @pytest.mark.parametrize(
     "text",
     ["1,5 mm", "0.3", "nan mm", "inf mm", "2*3 mm", "3 mm 4", "mm", "", "1e400 mm", "3mm", " 3 mm", "3 kg", "3 2*mm",
-     "0x3 mm", "1_0 mm", 3, 3.0, None, True, ["3 mm"]],
+     "0x3 mm", "1_0 mm", "3 Nm", "3 Nmm", 3, 3.0, None, True, ["3 mm"]],
 )  # fmt: skip
 def test_anything_but_one_number_and_a_unit_is_refused_with_an_example(text):
     with pytest.raises(ValueError, match="such as"):
@@ -32,6 +43,14 @@ def test_anything_but_one_number_and_a_unit_is_refused_with_an_example(text):
     [
         ("64 mm", "m", 0.064),
         ("-181 N*m", "N*m", -181.0),
+        ("181 Nm", "N*m", 181.0),
+        ("50 mNm", "N*m", 0.05),
+        ("1.2 kNm", "N*m", 1200.0),
+        ("30 Ncm", "N*m", 0.3),
+        ("181 N m", "N*m", 181.0),
+        ("64 nm", "m", 64e-9),
+        ("49 Nm/arcmin", "N*m/rad", 49 * 10800 / math.pi),
+        ("2 arcsec/Nm", "rad/(N*m)", 2 * math.pi / 648000),
         ("206 GPa", "Pa", 206e9),
         ("0.5 arcmin", "rad", math.pi / 21600),
         ("600 rpm", "rad/s", 20 * math.pi),
@@ -62,40 +81,87 @@ def test_a_missing_folder_is_named(tmp_path):
 
 
 def test_json_has_no_nan():
-    assert edge.json_text({"a": [1.0, math.nan]}).split() == ["{", '"a":', "[", "1.0,", "null", "]", "}"]
+    assert edge.json_text({"a": [1.0, math.nan], "b": [{"c": ()}]}) == (
+        '{\n "a": [1.0, null],\n "b": [\n  {\n   "c": []\n  }\n ]\n}'
+    )
+
+
+@given(
+    st.recursive(
+        st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
+        lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner, max_size=4),
+    )
+)
+def test_json_reads_back(data):
+    assert json.loads(edge.json_text(data)) == data
+
+
+class Part(edge.Config):
+    length: edge.Length = 0.0
+    torque: edge.Torque | None = None
+
+
+class Whole(edge.Config):
+    part: Part = Part()
+    parts: tuple[Part, ...] = ()
+    pins: int = 3
+
+
+@pytest.mark.parametrize("number", [0.064, np.float64(0.064), np.float32(0.5), 3, np.int64(2), "64 mm"])
+def test_python_gives_si_numbers_or_text_with_a_unit(number):
+    expected = 0.064 if isinstance(number, str) else float(number)
+    assert Part(length=number).length == expected
+    assert Whole(part={"length": number}).part.length == expected
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, True, np.bool_(True), [0.064], "0.064", None])
+def test_what_is_no_quantity_is_refused_in_python_in_a_sentence(value):
+    with pytest.raises(edge.InputError, match=r"^Part: length = .*such as \"64 mm\"\.$"):
+        Part(length=value)
+
+
+@pytest.mark.parametrize("value", [0.064, 3, True, math.nan])
+def test_a_file_states_the_unit(value):
+    with pytest.raises(edge.InputError, match=r"^a.toml: \[part\] length = .*a space and a unit, such as"):
+        edge.validated(Whole, {"part": {"length": value}}, "a.toml")
+    assert edge.validated(Whole, {"part": {"length": "3 mm"}}, "a.toml").part.length == 0.003
 
 
 @pytest.mark.parametrize(
-    ("problem", "status"),
-    [(edge.InputError("a.toml: bad."), 2), (KeyboardInterrupt(), 130), (RuntimeError("broke"), 1), (None, 0)],
+    ("data", "sentence"),
+    [
+        ({"pin": 3}, "a.toml: pin is not a key known here; did you mean pins?"),
+        ({"part": {"lenght": "3 mm"}}, "a.toml: [part] lenght is not a key known here; did you mean length?"),
+        (
+            {"parts": [{"torqe": "3 Nm"}]},
+            "a.toml: parts[0].torqe is not a key known here; did you mean torque?",
+        ),
+        ({"colour": 1}, "a.toml: colour is not a key known here; check its spelling or remove it."),
+    ],
 )
-def test_exit_status(problem, status, capsys):
-    def app():
-        if problem is not None:
-            raise problem
+def test_an_unknown_key_is_named_with_the_nearest_known_one(data, sentence):
+    with pytest.raises(edge.InputError) as refused:
+        edge.validated(Whole, data, "a.toml")
+    assert str(refused.value) == sentence
 
-    assert threading.current_thread() is threading.main_thread()
-    with pytest.raises(SystemExit) as stop:
-        edge.run(lambda: app)
-    assert stop.value.code == status
-    assert "Traceback" not in capsys.readouterr().err
+
+def test_an_error_names_the_argument_in_python():
+    assert str(edge.ArgumentError("seed", "it must not be negative", -1)) == "seed = -1: it must not be negative."
+    with pytest.raises(edge.ArgumentError, match=r"^path = x\.csv: the name must end in \.nc\.$"):
+        edge.output_path("x.csv", "path", (".nc",))
+
+
+def test_what_is_no_archive_is_no_fmu(tmp_path):
+    (tmp_path / "d.toml").write_text("")
+    with pytest.raises(edge.InputError, match=r"d\.toml: this is not an FMU"):
+        edge.zip_archive(tmp_path / "d.toml", "FMU")
 
 
 def test_nothing_slow_is_imported_with_the_edge():
     import subprocess
 
-    code = "import sys, cycloid_fmu.edge; print([m for m in ('pint', 'numba', 'xarray') if m in sys.modules])"
+    slow = ("pint", "numba", "xarray", "typer", "rich")
+    code = f"import sys, cycloid_fmu.edge; print([m for m in {slow} if m in sys.modules])"
     assert (
         subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
     )
-
-
-@pytest.mark.parametrize("name", ["cycloid-fmu", "cycloid-fit", "cycloid-bench"])
-def test_the_commands_are_installed_and_say_what_is_wrong(installed_command, name):
-    """The other tests of the command line call its entry points in their own process."""
-    helped, refused = installed_command(name, "--help"), installed_command(name, "no-such-verb")
-    assert helped.returncode == 0
-    assert "Usage" in helped.stdout
-    assert refused.returncode == 2
-    assert "no-such-verb" in refused.stderr
-    assert "Traceback" not in refused.stderr

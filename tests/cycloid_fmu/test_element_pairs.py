@@ -7,9 +7,9 @@ import pytest
 from common import ARCSEC, CASES
 from element_pairs import solve_elements
 
-from cycloid_fmu.pair import read_pair
-from cycloid_fmu.surface import surface_of_pair
-from cycloid_fmu.transmission import solve
+from cycloid_fmu.contact.transmission import solve
+from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.surfaces.surface import surface_of_pair
 
 PAIR = read_pair(CASES / "nearly-conformal-13-14.toml")
 PROFILE, ANGLE = 400, 100

@@ -15,11 +15,12 @@ import xarray as xr
 from common import ARCSEC, CASES, PAIR, make_pair
 
 from cycloid_fmu import edge
+from cycloid_fmu.contact.transmission import Interrupted, analyze, solve, statistics
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.run import follow
-from cycloid_fmu.pair import parse_pair, read_pair
-from cycloid_fmu.surface import nominal_surface, read_surface, surface_of_pair, write_surface
-from cycloid_fmu.transmission import Interrupted, analyze, solve, statistics
+from cycloid_fmu.geometry.pair import parse_pair, read_pair
+from cycloid_fmu.surfaces.files import read_surface, write_surface
+from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
 
 ERRORS = read_pair(CASES / "errors-39-40.toml")
 ANGLES = np.linspace(0.0, 12.0, 40)
@@ -59,7 +60,7 @@ def test_an_even_deviation_of_the_pins_is_their_radius():
 
 def test_one_higher_pin_of_many_elements_is_that_pin_s_radius():
     surface = nominal_surface(make_pair(PAIR + '[modification]\noffset = "-60 um"\nisometric = "-20 um"\n'))
-    pair = parse_pair(surface.pair_text, "p")
+    pair = surface.pair
     deviation, radius = np.zeros((40, 90, 2)), np.zeros(40)
     deviation[11], radius[11] = 3e-6, 3e-6
     wanted = solve(pair, dataclasses.replace(surface, pin_radius_deviation=radius), 0.0, ANGLES)

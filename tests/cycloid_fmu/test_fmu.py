@@ -16,11 +16,12 @@ from common import CASES, PAIR
 from fmpy.fmi2 import FMU2Slave
 from fmpy.validation import validate_fmu
 
+from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.run import follow
-from cycloid_fmu.pair import parse_pair, read_pair
-from cycloid_fmu.surface import nominal_surface, surface_of_pair, write_surface
-from cycloid_fmu.transmission import solve
+from cycloid_fmu.geometry.pair import parse_pair, read_pair
+from cycloid_fmu.surfaces.files import write_surface
+from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
 
 ERRORS = read_pair(CASES / "errors-39-40.toml")
 
@@ -257,8 +258,8 @@ assert pythonfmu.__file__.startswith(str(folder))
 slave.freeInstance()
 shutil.rmtree(folder)
 from cycloid_fmu.fmu.build import build_fmu
-from cycloid_fmu.pair import read_pair
-from cycloid_fmu.surface import nominal_surface
+from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.surfaces.surface import nominal_surface
 pair = read_pair({str(CASES / "errors-39-40.toml")!r})
 build_fmu(pair, nominal_surface(pair), "again.fmu")
 names = zipfile.ZipFile("again.fmu").namelist()

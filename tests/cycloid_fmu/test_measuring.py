@@ -8,10 +8,11 @@ from cmm import measure, write_csv
 from common import PAIR, make_pair
 
 from cycloid_fmu import edge
-from cycloid_fmu.measuring import closest_on_tooth, fitted_circle, measured_surface, read_points
-from cycloid_fmu.profile import arc_parts, equal_arc_parameters, flank_normals, flank_points, flank_speed
-from cycloid_fmu.sampling import parse_tolerances, sample_surface
-from cycloid_fmu.surface import Elements, check_surface, nominal_surface, read_surface, write_surface
+from cycloid_fmu.geometry.profile import arc_parts, equal_arc_parameters, flank_normals, flank_points, flank_speed
+from cycloid_fmu.surfaces.files import read_surface, write_surface
+from cycloid_fmu.surfaces.measuring import closest_on_tooth, fitted_circle, measured_surface, read_points
+from cycloid_fmu.surfaces.sampling import parse_tolerances, sample_surface
+from cycloid_fmu.surfaces.surface import Elements, check_surface, nominal_surface
 
 MODIFIED = '[modification]\noffset = "-40 um"\nisometric = "-15 um"\n'
 # Twelve teeth of two discs: few points, quick fits.
@@ -60,7 +61,7 @@ def without(values, columns):
 
 def known_drive(pair, seed, elements):
     """A sampled drive whose form holds no pitch, shift or radius: those have names of their own."""
-    g = pair.pair
+    g = pair
     s = sample_surface(pair, parse_tolerances(TOLERANCES, "t.toml"), seed, elements)
     generator = np.random.default_rng(seed)
     alpha = equal_arc_parameters(pair, elements.profile)
@@ -96,7 +97,7 @@ def test_closest_point_is_that_of_a_search():
     """Against the smallest distance to a finely drawn tooth."""
     generator = np.random.default_rng(0)
     for pair in (SMALL, BIG):
-        span = 2 * np.pi / pair.pair.gear_teeth
+        span = 2 * np.pi / pair.gear_teeth
         alpha = generator.uniform(0.02, 0.98, 200) * span
         point, normal = ((v[0] + 1j * v[1]) for v in (flank_points(pair, alpha), flank_normals(pair, alpha)))
         away = generator.uniform(-3e-4, 3e-4, 200)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from common import CASES, PAIR, make_pair
 
+from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.fmu.model import DriveModel
-from cycloid_fmu.pair import parse_pair, read_pair
-from cycloid_fmu.surface import nominal_surface, surface_of_pair
-from cycloid_fmu.transmission import solve
+from cycloid_fmu.geometry.pair import parse_pair, read_pair
+from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
 
 PLAY = parse_pair(PAIR + '[modification]\noffset = "-40 um"\nisometric = "-15 um"\n', "play.toml")
 

@@ -3,10 +3,10 @@ import pytest
 from common import PAIR, make_pair
 
 from cycloid_fmu import contact
-from cycloid_fmu.pair import parse_pair, smallest_convex_radius
-from cycloid_fmu.profile import equal_arc_parameters, flank_curvature, flank_normals, flank_points
-from cycloid_fmu.surface import nominal_surface
-from cycloid_fmu.transmission import drive_of
+from cycloid_fmu.contact.transmission import drive_of
+from cycloid_fmu.geometry.pair import parse_pair, smallest_convex_radius
+from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_curvature, flank_normals, flank_points
+from cycloid_fmu.surfaces.surface import nominal_surface
 
 MODIFIED = parse_pair(PAIR + '[modification]\noffset = "-50 um"\nisometric = "-30 um"\n', "modified.toml")
 

@@ -9,11 +9,11 @@ from common import EXAMPLES
 from fmpy.validation import validate_fmu
 
 from cycloid_fmu import reducer as rv
+from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.reducer_model import FirstStage, ReducerModel
 from cycloid_fmu.fmu.run import described, follow
-from cycloid_fmu.surface import nominal_surface
-from cycloid_fmu.transmission import solve
+from cycloid_fmu.surfaces.surface import nominal_surface
 
 RV = rv.read_reducer(EXAMPLES / "rv-20e.toml")
 SURFACE = rv.surface_of_reducer(RV)

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from common import ARCSEC, CASES, PAIR, make_pair
 
-from cycloid_fmu.pair import parse_pair, read_pair
-from cycloid_fmu.surface import nominal_surface, surface_of_pair, with_structured
-from cycloid_fmu.transmission import analyze, solve
+from cycloid_fmu.contact.transmission import analyze, solve
+from cycloid_fmu.geometry.pair import parse_pair, read_pair
+from cycloid_fmu.surfaces.structured import with_structured
+from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
 
 
 @pytest.mark.parametrize("case", sorted(p.stem for p in CASES.glob("*.toml")))

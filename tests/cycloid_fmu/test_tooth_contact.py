@@ -5,11 +5,7 @@ import pytest
 from common import ARCSEC, WEAR_PAIR, make_pair
 
 from cycloid_fmu import contact
-from cycloid_fmu.pair import parse_pair
-from cycloid_fmu.profile import flank_points
-from cycloid_fmu.sliding import ideal_velocities, slip_pole, velocities
-from cycloid_fmu.surface import nominal_surface
-from cycloid_fmu.tooth_contact import (
+from cycloid_fmu.contact.tooth_contact import (
     clearances,
     contact_ratio,
     handovers,
@@ -17,7 +13,11 @@ from cycloid_fmu.tooth_contact import (
     phase_of_pin,
     unloaded_contact,
 )
-from cycloid_fmu.transmission import drive_of, solve
+from cycloid_fmu.contact.transmission import drive_of, solve
+from cycloid_fmu.geometry.pair import parse_pair
+from cycloid_fmu.geometry.profile import flank_points
+from cycloid_fmu.surfaces.surface import nominal_surface
+from cycloid_fmu.wear.sliding import ideal_velocities, slip_pole, velocities
 
 PITCH = 2.0 * np.pi / 40
 
@@ -32,7 +32,7 @@ def unmodified(**keys):
 
 def with_errors(pair, size=1e-7):
     """Errors of every kind that unloaded contact knows, small enough to leave some play."""
-    rng, g = np.random.default_rng(3), pair.pair
+    rng, g = np.random.default_rng(3), pair
     return dataclasses.replace(
         nominal_surface(pair),
         pin_radial=rng.normal(size=g.pins) * size, pin_tangential=rng.normal(size=g.pins) * size,
@@ -128,7 +128,7 @@ def test_deviations_of_nothing_change_nothing(keys):
     pair = wear_pair(**keys)
     smooth, theta = with_errors(pair), np.linspace(0.0, 2 * np.pi, 12)
     flat = dataclasses.replace(
-        smooth, gear_deviation=np.zeros((pair.pair.discs, 39, 400, 1)), pin_deviation=np.zeros((40, 200, 1))
+        smooth, gear_deviation=np.zeros((pair.discs, 39, 400, 1)), pin_deviation=np.zeros((40, 200, 1))
     )
     for side in (-1, 1):
         one, other = (unloaded_contact(pair, s, theta, side) for s in (smooth, flat))
@@ -146,7 +146,7 @@ def test_rough_flanks_and_pins_touch_where_their_play_ends(keys):
     pair = wear_pair(**keys)
     rng, theta = np.random.default_rng(2), np.linspace(0.0, 2 * np.pi, 25)
     rough = dataclasses.replace(
-        with_errors(pair), gear_deviation=rng.normal(size=(pair.pair.discs, 39, 200, 1)) * 2e-7,
+        with_errors(pair), gear_deviation=rng.normal(size=(pair.discs, 39, 200, 1)) * 2e-7,
         pin_deviation=rng.normal(size=(40, 100, 1)) * 2e-7,
     )  # fmt: skip
     play = solve(pair, rough, 0.0, theta)

@@ -9,21 +9,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers import recording_format as rf
-from drivers import serial_hub
-from drivers.amt21_encoder import check_bits, checked_position
-from drivers.bench import BenchRun, simulate_motion
 from drivers.encoder import EncoderSetupError, EncoderTimeout
-from drivers.faults import Fault
-from drivers.recorder import open_encoders, record_bench
+from drivers.encoders.amt21 import check_bits, checked_position
+from drivers.recorder.bench import open_encoders
+from drivers.recorder.session import record
 from drivers.recording_format import read_recording
-from drivers.serial_bench import Amt21Bench
+from drivers.serial import port as serial_port
+from drivers.simulated.faults import Fault
+from drivers.simulated.motion import SimulatedRun, simulate_motion
+from drivers.simulated.serial_bench import SimulatedAmt21Bench
 
 
 @pytest.fixture(autouse=True)
 def _patient(request, monkeypatch):
     """A busy machine may not schedule the simulated encoder for a tenth of a second."""
     if "silent" not in request.node.name:
-        monkeypatch.setattr(serial_hub, "ANSWER_SECONDS", 2.0)
+        monkeypatch.setattr(serial_port, "ANSWER_SECONDS", 2.0)
 
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals")
@@ -48,12 +49,12 @@ def test_check_bits_confirm_every_position_and_catch_every_single_flipped_bit(po
 
 @pytest.mark.parametrize("bits", [12, 14])
 def test_the_recording_is_the_commanded_motion(tmp_path, bits):
-    run = BenchRun(torque=5.0, turns=2, samples_per_turn=200, speed=4 * math.pi)
+    run = SimulatedRun(torque=5.0, turns=2, samples_per_turn=200, speed=4 * math.pi)
     motion = simulate_motion(lambda angle, torque: -angle / 39, run)
     path = tmp_path / "run.arrows"
-    with Amt21Bench(motion, bits=bits) as bench:
+    with SimulatedAmt21Bench(motion, bits=bits) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
-        record_bench(toml, path, stop=lambda: bench.wait(0.0))
+        record(toml, path, stop=lambda: bench.wait(0.0))
     recording = read_recording(path)
     assert recording.problems == recording.events == ()
     half_a_count = math.pi / (1 << bits)
@@ -68,13 +69,13 @@ def test_the_recording_is_the_commanded_motion(tmp_path, bits):
 
 
 def test_a_word_with_wrong_check_bits_is_never_an_angle(tmp_path):
-    run = BenchRun(torque=5.0, turns=1, samples_per_turn=100, speed=2 * math.pi)
+    run = SimulatedRun(torque=5.0, turns=1, samples_per_turn=100, speed=2 * math.pi)
     motion = simulate_motion(lambda angle, torque: angle / 40, run)
     path = tmp_path / "run.arrows"
     faults = [Fault("corrupt", question) for question in (22, 24, 31)]
-    with Amt21Bench(motion, faults=faults) as bench:
+    with SimulatedAmt21Bench(motion, faults=faults) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
-        record_bench(toml, path, stop=lambda: bench.wait(0.0))
+        record(toml, path, stop=lambda: bench.wait(0.0))
     recording = read_recording(path)
     marked = {n: np.flatnonzero(s.status & rf.CHECKSUM) for n, s in recording.samples.items()}
     # Questions 0 and 1 find the encoders; then input and output are asked in turn: 22 and 24 are the input's.
@@ -88,8 +89,8 @@ def test_a_word_with_wrong_check_bits_is_never_an_angle(tmp_path):
 
 
 def test_an_address_without_an_encoder_is_named(tmp_path):
-    motion = simulate_motion(lambda angle, torque: angle / 40, BenchRun(torque=5.0, turns=1))
-    with Amt21Bench(motion) as bench:
+    motion = simulate_motion(lambda angle, torque: angle / 40, SimulatedRun(torque=5.0, turns=1))
+    with SimulatedAmt21Bench(motion) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
         toml.write_text(toml.read_text().replace("address = 88", "address = 92"))
         with pytest.raises(EncoderTimeout, match="output_angle: AMT21 at address 0x5C"), open_encoders(toml):
@@ -97,8 +98,8 @@ def test_an_address_without_an_encoder_is_named(tmp_path):
 
 
 def test_a_port_that_is_not_there_is_named(tmp_path):
-    motion = simulate_motion(lambda angle, torque: angle / 40, BenchRun(torque=5.0, turns=1))
-    with Amt21Bench(motion) as bench:
+    motion = simulate_motion(lambda angle, torque: angle / 40, SimulatedRun(torque=5.0, turns=1))
+    with SimulatedAmt21Bench(motion) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
     toml.write_text(toml.read_text().replace(bench.url, "/dev/pts/987654"))
     with pytest.raises(EncoderSetupError, match="/dev/pts/987654"), open_encoders(toml):
@@ -106,11 +107,11 @@ def test_a_port_that_is_not_there_is_named(tmp_path):
 
 
 def test_an_encoder_that_falls_silent_is_an_event(tmp_path):
-    motion = simulate_motion(lambda angle, torque: angle / 40, BenchRun(torque=5.0, turns=1, speed=2 * math.pi))
+    motion = simulate_motion(lambda angle, torque: angle / 40, SimulatedRun(torque=5.0, turns=1, speed=2 * math.pi))
     path = tmp_path / "run.arrows"
-    with Amt21Bench(motion, faults=[Fault("mute", 50, 10**9, target=0x58)]) as bench:
+    with SimulatedAmt21Bench(motion, faults=[Fault("mute", 50, 10**9, target=0x58)]) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
-        record_bench(toml, path, duration=0.6)
+        record(toml, path, duration=0.6)
     recording = read_recording(path)
     assert any(e.channel == "output_angle" and "no answer" in e.text for e in recording.events)
     assert len(recording.samples["input_angle"]) > len(recording.samples["output_angle"])

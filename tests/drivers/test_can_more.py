@@ -14,16 +14,18 @@ import numpy as np
 import pytest
 
 from cycloid_fmu import edge
-from drivers import can_hub
 from drivers import recording_format as rf
-from drivers.bench import BenchRun, CanBench, simulate_motion
-from drivers.can_hub import open_bus
+from drivers.can.bus import open_bus
+from drivers.can.hub import hubs
 from drivers.encoder import BusConfig, EncoderConnectionError, EncoderSetupError
-from drivers.faults import Fault
-from drivers.recorder import open_encoders, read_bench, record_bench
+from drivers.recorder.bench import open_encoders, read_bench
+from drivers.recorder.session import record
+from drivers.recorder.supervision import Supervised
 from drivers.recording_format import read_recording
-from drivers.supervision import Supervised
-from fitting.recording import read_bench_recording
+from drivers.simulated.can_bench import SimulatedCanBench
+from drivers.simulated.faults import Fault
+from drivers.simulated.motion import SimulatedRun, simulate_motion
+from fitting.recordings.recording import open_recording
 from tests.drivers.test_bench_cli import needs_multicast
 
 
@@ -32,12 +34,12 @@ def ideal(angle, torque):
 
 
 def test_the_recorder_produces_sync_and_each_sample_answers_one(tmp_path, bus_name):
-    motion = simulate_motion(ideal, BenchRun(torque=5.0, turns=1, samples_per_turn=100))
+    motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=1, samples_per_turn=100))
     path = tmp_path / "run.arrows"
-    with CanBench(motion, channel=bus_name, trigger="sync") as bench:
+    with SimulatedCanBench(motion, channel=bus_name, trigger="sync") as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
         assert 'sync_period = "0.01 s"' in toml.read_text()
-        record_bench(toml, path, idle=1.0)
+        record(toml, path, idle=1.0)
     recording = read_recording(path)
     angle, output = recording.samples["input_angle"], recording.samples["output_angle"]
     # The virtual bus may hand over an answer before the SYNC it answers; such a one is left out, never misplaced.
@@ -51,10 +53,10 @@ def test_the_recorder_produces_sync_and_each_sample_answers_one(tmp_path, bus_na
 
 
 def test_event_timer_frames_are_stamped_by_themselves_and_gaps_are_told_by_the_timer(tmp_path, bus_name):
-    motion = simulate_motion(ideal, BenchRun(torque=5.0, turns=1, samples_per_turn=100))
+    motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=1, samples_per_turn=100))
     path = tmp_path / "run.arrows"
-    with CanBench(motion, channel=bus_name, trigger="timer", faults=[Fault("drop", 40, 3, 0x181)]) as bench:
-        record_bench(bench.write_wiring(tmp_path / "BENCH.toml"), path, idle=0.5)
+    with SimulatedCanBench(motion, channel=bus_name, trigger="timer", faults=[Fault("drop", 40, 3, 0x181)]) as bench:
+        record(bench.write_wiring(tmp_path / "BENCH.toml"), path, idle=0.5)
     recording = read_recording(path)
     samples = recording.samples["input_angle"]
     assert np.flatnonzero(samples.status & rf.GAP).tolist() == [40]
@@ -64,11 +66,11 @@ def test_event_timer_frames_are_stamped_by_themselves_and_gaps_are_told_by_the_t
 
 def test_an_interface_s_own_clock_is_put_on_the_host_s(tmp_path, bus_name):
     """Stamps from power-up by a clock 300 ppm fast, through the whole road: what one SYNC latched stays a pair."""
-    motion = simulate_motion(ideal, BenchRun(torque=5.0, turns=3, samples_per_turn=96))
+    motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=3, samples_per_turn=96))
     path = tmp_path / "run.arrows"
     faults = [Fault("emergency", 100, target=0x181)]
-    with CanBench(motion, channel=bus_name, clock_drift=300e-6, faults=faults) as bench:
-        record_bench(bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39), path, idle=0.7)
+    with SimulatedCanBench(motion, channel=bus_name, clock_drift=300e-6, faults=faults) as bench:
+        record(bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39), path, idle=0.7)
     recording = read_recording(path)
     angle, clock = recording.samples["input_angle"], recording.clock("input_angle")
     stamps = angle.time_device - angle.time_device[0]
@@ -79,7 +81,7 @@ def test_an_interface_s_own_clock_is_put_on_the_host_s(tmp_path, bus_name):
     assert late.min() > -clock.uncertainty
     (emergency,) = (e for e in recording.events if e.text.startswith("EMCY"))
     assert 0 < emergency.time < angle.time_host[-1] + 1, "on the host's clock"
-    found = read_bench_recording(path)
+    found = open_recording(path).read()
     assert found.alignment == 0.0
     assert found.time.size >= len(motion.time) - 1
     np.testing.assert_allclose(found.output_angle, ideal(found.input_angle, 5.0), atol=math.pi / (1 << 22))
@@ -302,11 +304,11 @@ def test_frames_of_can_fd_and_signals_across_their_bytes(tmp_path, bus_name):
 
 
 @needs_multicast
-def test_udp_multicast_stays_on_this_machine():
+def test_the_loopback_bus_stays_on_this_machine():
     """Joined on the loopback interface alone, and sent there with time to live 0."""
     group = f"239.77.{os.getpid() // 256 % 256}.{os.getpid() % 256}"
-    with open_bus(BusConfig(interface="udp_multicast", channel=group)) as bus:
-        udp = bus._multicast._sender
+    with open_bus(BusConfig(interface="loopback", channel=group)) as bus:
+        udp = bus._sender
         assert udp.getsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL) == 0
         assert socket.inet_ntoa(udp.getsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, 4)) == "127.0.0.1"
         joined = {}
@@ -325,7 +327,7 @@ def test_udp_multicast_stays_on_this_machine():
     [
         ("socketcan", "can97", r'The CAN bus socketcan "can97" does not open: '),
         ("carrier-pigeon", "x", "carrier-pigeon"),
-        ("udp_multicast", "ff15::1", "IPv4 groups"),
+        ("loopback", "ff15::1", "IPv4 groups"),
     ],
 )
 def test_a_bus_that_does_not_open_is_bad_input(tmp_path, interface, channel, said):
@@ -337,7 +339,7 @@ def test_a_bus_that_does_not_open_is_bad_input(tmp_path, interface, channel, sai
 
 def test_the_hub_is_reopened_for_the_next_user_after_it_broke(bus_name):
     config = BusConfig(interface="virtual", channel=bus_name)
-    first = can_hub.acquire_hub(config)
+    first = hubs.acquire(config)
     broken = threading.Event()
     blocks = first.subscribe(0x181)
 
@@ -353,11 +355,11 @@ def test_the_hub_is_reopened_for_the_next_user_after_it_broke(bus_name):
         assert broken.wait(2)
         with pytest.raises(EncoderConnectionError, match="broke: no"):
             blocks.take(2.0)
-    second = can_hub.acquire_hub(config)
+    second = hubs.acquire(config)
     assert second is not first
-    can_hub.release_hub(first)
-    can_hub.release_hub(second)
-    assert (config.interface, config.channel) not in can_hub._hubs
+    hubs.release(first)
+    hubs.release(second)
+    assert config not in hubs
 
 
 def frame(identifier, data=b"", **what):
@@ -366,7 +368,7 @@ def frame(identifier, data=b"", **what):
 
 def test_bus_off_costs_no_frame_that_came_before_it(bus_name):
     config = BusConfig(interface="virtual", channel=bus_name)
-    hub = can_hub.acquire_hub(config)
+    hub = hubs.acquire(config)
     blocks = hub.subscribe(0x181)
     got = []
     with open_bus(config) as bus:
@@ -380,18 +382,18 @@ def test_bus_off_costs_no_frame_that_came_before_it(bus_name):
 
         with pytest.raises(EncoderConnectionError, match="broke: bus-off"):
             take_all()
-    can_hub.release_hub(hub)
+    hubs.release(hub)
     assert got == [bytes([number]) for number in range(5)]
 
 
 def test_each_frame_keeps_its_arrival_where_echoes_stand_between(bus_name):
     """An interface with a clock of its own: what is left out of a block takes its arrival with it."""
-    hub = can_hub.acquire_hub(BusConfig(interface="virtual", channel=bus_name))
+    hub = hubs.acquire(BusConfig(interface="virtual", channel=bus_name))
     blocks = hub.subscribe(0x181)
     came = [frame(0x181, timestamp=1.0), frame(0x181, timestamp=2.0, is_rx=False), frame(0x80, timestamp=3.0)]
     hub._take([*came, frame(0x181, timestamp=4.0)], [101.0, 102.0, 103.0, 104.0])
     ((lost, frames),) = blocks.take(0.0)
-    can_hub.release_hub(hub)
+    hubs.release(hub)
     assert lost == 0
     assert frames.device.tolist() == [1.0, 4.0]
     assert frames.time.tolist() == [101.0, 104.0]

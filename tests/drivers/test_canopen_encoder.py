@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 
 from drivers import recording_format as rf
-from drivers.bench import BenchRun, CanBench, Motion, quantised, simulate_motion
-from drivers.can_hub import open_bus
+from drivers.can.bus import open_bus
 from drivers.encoder import BusConfig, EncoderConnectionError, EncoderProtocolError, EncoderSetupError, EncoderTimeout
-from drivers.faults import Fault
-from drivers.recorder import open_encoders, read_bench, record, record_bench
+from drivers.recorder.bench import open_encoders, read_bench
+from drivers.recorder.session import record, record_encoders
 from drivers.recording_format import read_recording
+from drivers.simulated.can_bench import SimulatedCanBench
+from drivers.simulated.faults import Fault
+from drivers.simulated.motion import Motion, SimulatedRun, quantised, simulate_motion
 
 SYNC, INPUT, OUTPUT, TORQUE = 0x80, 0x181, 0x182, 0x2A0
 
@@ -27,9 +29,9 @@ def ideal(angle, torque):
 def recorded(tmp_path, bus_name, motion, lossy=False, **options):
     """Record a motion over a virtual bus, to its last sample or, where some are lost, until no more come."""
     path = tmp_path / "run.arrows"
-    with CanBench(motion, channel=bus_name, **options) as bench:
+    with SimulatedCanBench(motion, channel=bus_name, **options) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39, pair="reference")
-        record_bench(toml, path, samples=None if lossy else motion.run.samples, idle=1.0 if lossy else 10.0)
+        record(toml, path, samples=None if lossy else motion.run.samples, idle=1.0 if lossy else 10.0)
         assert bench.wait(10)
     recording = read_recording(path)
     assert recording.problems == ()
@@ -38,7 +40,7 @@ def recorded(tmp_path, bus_name, motion, lossy=False, **options):
 
 @pytest.mark.parametrize("direction", ["forward", "backward"])
 def test_the_recording_is_the_commanded_motion(tmp_path, bus_name, direction):
-    run = BenchRun(torque=-20.0, turns=3, direction=direction, noise=1e-6, torque_noise=0.05, seed=4)
+    run = SimulatedRun(torque=-20.0, turns=3, direction=direction, noise=1e-6, torque_noise=0.05, seed=4)
     motion = simulate_motion(ideal, run)
     recording = recorded(tmp_path, bus_name, motion)
     samples = recording.samples
@@ -54,7 +56,7 @@ def test_the_recording_is_the_commanded_motion(tmp_path, bus_name, direction):
 
 
 def test_the_header_says_what_was_recorded(tmp_path, bus_name):
-    recording = recorded(tmp_path, bus_name, simulate_motion(ideal, BenchRun(torque=-20.0, turns=1, speed=5.0)))
+    recording = recorded(tmp_path, bus_name, simulate_motion(ideal, SimulatedRun(torque=-20.0, turns=1, speed=5.0)))
     header = recording.header
     assert header.ratio == -39
     assert header.pair == "reference"
@@ -68,7 +70,7 @@ def test_the_header_says_what_was_recorded(tmp_path, bus_name):
 
 def test_a_32_bit_position_that_rolls_over_stays_continuous(tmp_path, bus_name):
     # 2^31 counts a turn: the 32-bit position rolls over every second turn.
-    run = BenchRun(torque=0.0, turns=7, samples_per_turn=24)
+    run = SimulatedRun(torque=0.0, turns=7, samples_per_turn=24)
     motion = simulate_motion(ideal, run)
     recording = recorded(tmp_path, bus_name, motion, input_counts_per_turn=1 << 31)
     samples = recording.samples["input_angle"]
@@ -78,13 +80,13 @@ def test_a_32_bit_position_that_rolls_over_stays_continuous(tmp_path, bus_name):
 
 def test_a_coarse_encoder_rolls_over_at_the_turns_it_says(tmp_path, bus_name):
     # 64 counts a turn: 0x6502 can say 32,768 of the 2^26 turns of 32 bits; just below zero the position is 2^21 - 1.
-    motion = simulate_motion(lambda angle, torque: -angle, BenchRun(torque=0.0, turns=1, samples_per_turn=24))
+    motion = simulate_motion(lambda angle, torque: -angle, SimulatedRun(torque=0.0, turns=1, samples_per_turn=24))
     recording = recorded(tmp_path, bus_name, motion, output_counts_per_turn=64)
     np.testing.assert_array_equal(recording.samples["output_angle"].counts, quantised(motion.output_angle, 64))
 
 
 def test_a_missing_pdo_is_a_gap_of_its_channel_alone(tmp_path, bus_name):
-    motion = simulate_motion(ideal, BenchRun(torque=5.0, turns=2))
+    motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=2))
     recording = recorded(
         tmp_path, bus_name, motion, lossy=True, faults=[Fault("drop", 50, 2, OUTPUT), Fault("drop", 100, 1, OUTPUT)]
     )
@@ -100,7 +102,7 @@ def test_a_missing_pdo_is_a_gap_of_its_channel_alone(tmp_path, bus_name):
 
 
 def test_a_missing_sync_costs_its_samples_and_marks_the_next(tmp_path, bus_name):
-    motion = simulate_motion(ideal, BenchRun(torque=5.0, turns=2))
+    motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=2))
     recording = recorded(tmp_path, bus_name, motion, lossy=True, faults=[Fault("drop", 30, 1, SYNC)])
     kept = np.setdiff1d(np.arange(192), [30])
     for name in ("input_angle", "output_angle", "torque"):
@@ -117,7 +119,7 @@ def foreign(bus_name):
 
 
 def test_wrong_frames_and_emergencies_are_events(tmp_path, bus_name):
-    motion = simulate_motion(ideal, BenchRun(torque=5.0, turns=1))
+    motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=1))
     path = tmp_path / "run.arrows"
     done = threading.Event()
 
@@ -129,7 +131,7 @@ def test_wrong_frames_and_emergencies_are_events(tmp_path, bus_name):
             bus.send(can.Message(arbitration_id=0x702, is_extended_id=False, data=b"\0"))
         done.set()
 
-    with CanBench(motion, channel=bus_name, speed_factor=1.0) as bench:
+    with SimulatedCanBench(motion, channel=bus_name, speed_factor=1.0) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
         with open_encoders(toml) as encoders:
             seen = {}
@@ -139,7 +141,7 @@ def test_wrong_frames_and_emergencies_are_events(tmp_path, bus_name):
                     seen["at"] = counts.samples
                     disturb()
 
-            record(encoders, path, samples=motion.run.samples - 1, idle=2.0, progress=progress)
+            record_encoders(encoders, path, samples=motion.run.samples - 1, idle=2.0, progress=progress)
     recording = read_recording(path)
     assert done.is_set()
     texts = [e.text for e in recording.events if e.channel == "output_angle"]
@@ -152,9 +154,9 @@ def test_wrong_frames_and_emergencies_are_events(tmp_path, bus_name):
 
 
 def test_a_channel_that_breaks_leaves_the_others_recording(tmp_path, bus_name):
-    motion = simulate_motion(ideal, BenchRun(torque=5.0, turns=1))
+    motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=1))
     path = tmp_path / "run.arrows"
-    with CanBench(motion, channel=bus_name) as bench:
+    with SimulatedCanBench(motion, channel=bus_name) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
         with open_encoders(toml) as encoders:
             broken = encoders[1]
@@ -163,7 +165,7 @@ def test_a_channel_that_breaks_leaves_the_others_recording(tmp_path, bus_name):
                 raise EncoderConnectionError("output_angle: the cable is out.")
 
             broken.read = fail
-            done = record(encoders, path, idle=0.5)
+            done = record_encoders(encoders, path, idle=0.5)
     assert [str(f) for f in done.failures] == ["output_angle: the cable is out."]
     recording = read_recording(path)
     assert recording.problems == ()
@@ -172,8 +174,8 @@ def test_a_channel_that_breaks_leaves_the_others_recording(tmp_path, bus_name):
 
 
 def test_a_silent_node_is_named(tmp_path, bus_name):
-    motion = simulate_motion(ideal, BenchRun(torque=5.0, turns=1))
-    with CanBench(motion, channel=bus_name) as bench:
+    motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=1))
+    with SimulatedCanBench(motion, channel=bus_name) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
         toml.write_text(toml.read_text().replace("node = 2", "node = 9"))
         with pytest.raises(EncoderTimeout, match="output_angle: node 9 on the CAN bus virtual"), open_encoders(toml):
@@ -181,8 +183,8 @@ def test_a_silent_node_is_named(tmp_path, bus_name):
 
 
 def test_two_channels_cannot_share_a_node(tmp_path, bus_name):
-    motion = simulate_motion(ideal, BenchRun(torque=5.0, turns=1))
-    with CanBench(motion, channel=bus_name) as bench:
+    motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=1))
+    with SimulatedCanBench(motion, channel=bus_name) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
         toml.write_text(toml.read_text().replace("node = 2", "node = 1"))
         with pytest.raises(EncoderSetupError, match="taken by another channel"), open_encoders(toml):
@@ -190,8 +192,8 @@ def test_two_channels_cannot_share_a_node(tmp_path, bus_name):
 
 
 def test_a_node_that_does_not_map_its_position_is_refused(tmp_path, bus_name):
-    motion = simulate_motion(ideal, BenchRun(torque=5.0, turns=1))
-    with CanBench(motion, channel=bus_name) as bench:
+    motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=1))
+    with SimulatedCanBench(motion, channel=bus_name) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
         bench._nodes[2].object_dictionary[0x1A00][1].default = 0x60000010
         with pytest.raises(EncoderProtocolError, match="does not map the position") as problem, open_encoders(toml):
@@ -200,8 +202,8 @@ def test_a_node_that_does_not_map_its_position_is_refused(tmp_path, bus_name):
 
 
 def test_the_nodes_answer_sdo_and_nmt_as_cia_406_says(bus_name):
-    motion = simulate_motion(ideal, BenchRun(torque=5.0, turns=1))
-    with CanBench(motion, channel=bus_name) as bench, canopen.Network() as network:
+    motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=1))
+    with SimulatedCanBench(motion, channel=bus_name) as bench, canopen.Network() as network:
         network.NOTIFIER_CYCLE = 0.02
         network.connect(interface="virtual", channel=bus_name)
         node = network.add_node(1, canopen.ObjectDictionary())
@@ -213,37 +215,37 @@ def test_the_nodes_answer_sdo_and_nmt_as_cia_406_says(bus_name):
 
 
 def test_a_bench_whose_node_is_stopped_ends(tmp_path, bus_name):
-    motion = simulate_motion(ideal, BenchRun(torque=5.0, turns=1000))
-    with CanBench(motion, channel=bus_name) as bench:
+    motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=1000))
+    with SimulatedCanBench(motion, channel=bus_name) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
-        done = record_bench(toml, tmp_path / "run.arrows", samples=1000)
+        done = record(toml, tmp_path / "run.arrows", samples=1000)
         assert bench.wait(10), "closing the encoders sets the nodes pre-operational"
         assert bench.sent < motion.run.samples
     assert min(done.samples.values()) >= 1000
 
 
 def test_bench_counts_are_read_by_unsigned_configuration_too(tmp_path, bus_name):
-    run = BenchRun(torque=5.0, turns=1)
+    run = SimulatedRun(torque=5.0, turns=1)
     motion = simulate_motion(ideal, run)
     path = tmp_path / "run.arrows"
-    with CanBench(motion, channel=bus_name) as bench:
+    with SimulatedCanBench(motion, channel=bus_name) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
         toml.write_text(toml.read_text().replace("signed = true", 'signed = false\ndirection = -1\nzero = "90 deg"'))
-        record_bench(toml, path, samples=run.samples, idle=10.0)
+        record(toml, path, samples=run.samples, idle=10.0)
     value = read_recording(path).samples["input_angle"].value
     np.testing.assert_allclose(value, -motion.input_angle - math.pi / 2, atol=math.pi / (1 << 22))
 
 
 def test_wiring_of_a_bench_is_read_back(tmp_path, bus_name):
-    motion = simulate_motion(ideal, BenchRun(torque=5.0))
-    bench = read_bench(CanBench(motion, channel=bus_name).write_wiring(tmp_path / "BENCH.toml", ratio=-39))
+    motion = simulate_motion(ideal, SimulatedRun(torque=5.0))
+    bench = read_bench(SimulatedCanBench(motion, channel=bus_name).write_wiring(tmp_path / "BENCH.toml", ratio=-39))
     assert list(bench.channels) == ["input_angle", "output_angle", "torque"]
     assert bench.ratio == -39
 
 
 def test_lead_in_precedes_the_same_angles():
-    plain = simulate_motion(ideal, BenchRun(torque=1.0, turns=1, direction="backward"))
-    led = simulate_motion(ideal, BenchRun(torque=1.0, turns=1, direction="backward", lead_in=5))
+    plain = simulate_motion(ideal, SimulatedRun(torque=1.0, turns=1, direction="backward"))
+    led = simulate_motion(ideal, SimulatedRun(torque=1.0, turns=1, direction="backward", lead_in=5))
     np.testing.assert_allclose(led.input_angle[5:], plain.input_angle)
     assert np.all(np.diff(led.input_angle) < 0)
     assert isinstance(led, Motion)

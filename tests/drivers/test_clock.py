@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
-from drivers.clock import ClockEstimate, lower_hull
+from drivers.recorder.clock import ClockEstimate, lower_hull
 from drivers.recording_format import RESET, Alignment, Clock, Samples, clock_restarts
 
 START = 1.7e9  # seconds since 1970: differences must survive them

@@ -8,7 +8,7 @@ import pytest
 from common import EXAMPLES
 
 from drivers import encoder
-from drivers.recorder import record_bench
+from drivers.recorder.session import record
 from drivers.recording_format import read_recording
 
 
@@ -34,7 +34,7 @@ def test_the_encoder_of_the_docs_records(tmp_path, monkeypatch):
         elif live.channels["input_angle"].failure is not None:
             (tmp_path / "angle.txt").write_text("90")
 
-    record_bench(tmp_path / "BENCH.toml", path, samples=60, duration=20.0, progress=progress)
+    record(tmp_path / "BENCH.toml", path, samples=60, duration=20.0, progress=progress)
     samples = read_recording(path).samples["input_angle"]
     assert samples.value[0] == pytest.approx(3.14159265)
     assert samples.value[-1] == pytest.approx(3.14159265 / 2)

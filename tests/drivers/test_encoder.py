@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.encoder import counts_to_value, extract_bits, unwrap
+from drivers.counts import counts_to_value, extract_bits, unwrap
 
 
 @given(

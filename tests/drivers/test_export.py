@@ -10,8 +10,9 @@ import pytest
 import xarray as xr
 
 from cycloid_fmu import edge
-from drivers.export import export, repaired
-from drivers.recording_format import GAP, Event, RecordingReader, RecordingWriter, Samples, read_recording
+from drivers.recording_format import GAP, Event, RecordingWriter, Samples, read_recording
+from drivers.recording_format.export import export
+from drivers.recording_format.repair import repair
 from tests.drivers.test_recording_format import HEADER, NAMES, block, write
 
 ROOT = Path(__file__).parents[2]
@@ -34,9 +35,9 @@ def recording(tmp_path):
 
 
 def exported(recording, path):
-    with RecordingReader(recording) as reader:
-        assert export(reader, path, lambda: None) > 0
-        assert reader.problems == []
+    done = export(recording, path)
+    assert done.rows > 0
+    assert done.problems == ()
     return read_recording(recording)
 
 
@@ -79,7 +80,7 @@ def test_mdf4_holds_every_sample(tmp_path, recording):
 
 
 def test_csv_pairs_the_angles_and_interpolates_the_torque(tmp_path, recording, monkeypatch):
-    from drivers import export as module
+    from drivers.recording_format import export as module
 
     exported(recording, tmp_path / "whole.csv")
     monkeypatch.setattr(module, "_CHUNK", 100)  # in many pieces it must be the same table
@@ -99,20 +100,17 @@ def test_csv_of_angles_that_share_no_instant_is_refused(tmp_path):
     with RecordingWriter(path, HEADER) as writer:
         for i, name in enumerate(NAMES):
             writer.write(Samples.checked(name, np.arange(5) + 0.1 * i, np.arange(5.0)))
-    with RecordingReader(path) as reader, pytest.raises(edge.InputError, match="share no instant"):
-        export(reader, tmp_path / "run.csv", lambda: None)
+    with pytest.raises(edge.InputError, match="share no instant"):
+        export(path, tmp_path / "run.csv")
     assert not (tmp_path / "run.csv").exists()
 
 
 MEMORY = """
 import resource, sys
-from pathlib import Path
 import h5netcdf, pyarrow.parquet, asammdf, numpy
-from drivers.export import export
-from drivers.recording_format import RecordingReader
+from drivers.recording_format.export import export
 for name in sys.argv[2:]:
-    with RecordingReader(sys.argv[1]) as reader:
-        export(reader, Path(name), lambda: None)
+    export(sys.argv[1], name)
     print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
 """
 
@@ -140,9 +138,8 @@ def test_repair_says_what_a_torn_file_holds(tmp_path):
     path = write(tmp_path / "run.arrows", [block(n, 10 * i, 10) for i in range(5) for n in NAMES])
     data = path.read_bytes()
     path.write_bytes(data[: len(data) * 2 // 3])
-    with RecordingReader(path) as reader:
-        held = repaired(reader, tmp_path / "whole.arrows", lambda: None)
-        assert "is cut or damaged after" in reader.problems[0]
+    held = repair(path, tmp_path / "whole.arrows")
+    assert "is cut or damaged after" in held.problems[0]
     before, after = read_recording(path), read_recording(tmp_path / "whole.arrows")
     assert after.problems == ()
     for name in NAMES:
@@ -165,8 +162,7 @@ def test_reading_goes_on_behind_a_damaged_place(tmp_path, where):
     assert samples.counts.tolist() == [*range(20), *range(30, 50)]
     assert np.flatnonzero(samples.status & GAP).tolist() == [20]
     assert recording.problems
-    with RecordingReader(path) as reader:
-        assert repaired(reader, None, lambda: None).channels["torque"].gaps == 1
+    assert repair(path).channels["torque"].gaps == 1
 
 
 def test_the_commands(command, recording):

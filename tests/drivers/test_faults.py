@@ -13,16 +13,20 @@ import can
 import numpy as np
 import pytest
 
-from drivers import encoder as encoder_module
-from drivers import recorder, serial_hub
+from cycloid_fmu import edge
+from drivers import hubs as hubs_module
 from drivers import recording_format as rf
-from drivers.bench import BenchRun, CanBench, simulate_motion
-from drivers.can_hub import BLOCK_SECONDS
-from drivers.encoder import EncoderSetupError
-from drivers.faults import Fault, at_wrong_baud, read_faults
-from drivers.recorder import open_encoders, record, record_bench
+from drivers.can.hub import BLOCK_SECONDS
+from drivers.encoder import EncoderError, EncoderSetupError
+from drivers.recorder import session
+from drivers.recorder.bench import open_encoders
+from drivers.recorder.session import record, record_encoders
 from drivers.recording_format import read_clocks, read_recording
-from drivers.serial_bench import Amt21Bench, AsciiBench
+from drivers.serial import port as serial_port
+from drivers.simulated.can_bench import SimulatedCanBench
+from drivers.simulated.faults import Fault, at_wrong_baud, read_faults
+from drivers.simulated.motion import SimulatedRun, simulate_motion
+from drivers.simulated.serial_bench import SimulatedAmt21Bench, SimulatedAsciiBench
 from tests.drivers.test_bench_cli import needs_multicast
 
 ROOT = Path(__file__).parents[2]
@@ -37,16 +41,16 @@ def ideal(angle, torque):
 
 def slow_motion(turns=1, samples_per_turn=96):
     """A motion that goes on for a second and more."""
-    return simulate_motion(ideal, BenchRun(torque=5.0, turns=turns, samples_per_turn=samples_per_turn))
+    return simulate_motion(ideal, SimulatedRun(torque=5.0, turns=turns, samples_per_turn=samples_per_turn))
 
 
 def can_recording(tmp_path, bus_name, faults, motion=None, edit=lambda text: text, idle=0.7, **options):
     motion = motion or slow_motion(2)
     path = tmp_path / "run.arrows"
-    with CanBench(motion, channel=bus_name, faults=faults, **options) as bench:
+    with SimulatedCanBench(motion, channel=bus_name, faults=faults, **options) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
         toml.write_text(edit(toml.read_text()))
-        done = record_bench(toml, path, idle=idle)
+        done = record(toml, path, idle=idle)
     recording = read_recording(path)
     assert recording.problems == ()
     return recording, done, motion
@@ -57,7 +61,7 @@ def serial_recording(tmp_path, bench, edit=lambda text: text, **stops):
     with bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
         toml.write_text(edit(toml.read_text()))
-        done = record_bench(toml, path, **({"stop": lambda: bench.wait(0.0)} | stops))
+        done = record(toml, path, **({"stop": lambda: bench.wait(0.0)} | stops))
     recording = read_recording(path)
     assert recording.problems == ()
     return recording, done
@@ -80,7 +84,7 @@ def lies_on(samples, time, angle, tolerance):
 
 @needs_pty
 def test_cable_pulled_and_put_back(tmp_path):
-    bench = Amt21Bench(slow_motion(2), faults=[Fault("pull", 200, by=0.2)])
+    bench = SimulatedAmt21Bench(slow_motion(2), faults=[Fault("pull", 200, by=0.2)])
     recording, done = serial_recording(tmp_path, bench)
     assert done.failures == ()
     for name in ("input_angle", "output_angle"):
@@ -99,10 +103,10 @@ def test_cable_pulled_and_put_back(tmp_path):
 @needs_pty
 @pytest.mark.parametrize("kind", ["half", "garbage", "wrong_baud"])
 def test_half_frames_garbage_and_a_wrong_baud_rate_never_become_angles(tmp_path, kind, monkeypatch):
-    monkeypatch.setattr(serial_hub, "ANSWER_SECONDS", 1.0)  # a busy machine schedules the simulated encoder late
+    monkeypatch.setattr(serial_port, "ANSWER_SECONDS", 1.0)  # a busy machine schedules the simulated encoder late
     motion = slow_motion(3)
     # The output hardly moves: at one position of nine the check bits hold in what a wrong baud rate makes of an answer.
-    bench = Amt21Bench(motion, faults=[Fault(kind, 100, 3, target=0x58)], speed_factor=0.001)
+    bench = SimulatedAmt21Bench(motion, faults=[Fault(kind, 100, 3, target=0x58)], speed_factor=0.001)
     recording, done = serial_recording(tmp_path, bench, samples=60)
     output = recording.samples["output_angle"]
     assert done.marks["output_angle"]["gaps"] >= 1
@@ -115,10 +119,10 @@ def test_half_frames_garbage_and_a_wrong_baud_rate_never_become_angles(tmp_path,
 
 def test_a_wrong_baud_rate_is_noticed_at_the_start(tmp_path):
     faults = [Fault("wrong_baud", 0, 10**9)]
-    with Amt21Bench(slow_motion(), faults=faults) as bench:
+    with SimulatedAmt21Bench(slow_motion(), faults=faults) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
         with (
-            pytest.raises(encoder_module.EncoderError, match=r"check bits are wrong|baud rate right"),
+            pytest.raises(EncoderError, match=r"check bits are wrong|baud rate right"),
             open_encoders(toml),
         ):
             pass
@@ -146,7 +150,7 @@ def test_bus_off(tmp_path, bus_name):
 
 def test_rollover(tmp_path, bus_name):
     # 2^31 counts a turn: a 32-bit position rolls over every second turn.
-    motion = simulate_motion(ideal, BenchRun(torque=0.0, turns=5, samples_per_turn=24))
+    motion = simulate_motion(ideal, SimulatedRun(torque=0.0, turns=5, samples_per_turn=24))
     recording, done, _ = can_recording(tmp_path, bus_name, [], motion, input_counts_per_turn=1 << 31)
     assert done.marks["input_angle"] == {"rollovers": 2}
     assert np.max(np.abs(recording.samples["input_angle"].value - motion.input_angle)) < 1e-8
@@ -155,7 +159,7 @@ def test_rollover(tmp_path, bus_name):
 @needs_pty
 def test_counter_reset(tmp_path):
     motion = slow_motion(1)
-    bench = AsciiBench(motion, faults=[Fault("reset", 50)])
+    bench = SimulatedAsciiBench(motion, faults=[Fault("reset", 50)])
     recording, done = serial_recording(tmp_path, bench)
     samples = recording.samples["output_angle"]
     assert done.marks["output_angle"]["resets"] == 1
@@ -200,7 +204,7 @@ def test_clock_jump_of_the_host(tmp_path, bus_name, monkeypatch):
     clock = types.SimpleNamespace(
         time=lambda: time.time() + (7200.0 if next(calls) > 5 else 0.0), monotonic=time.monotonic
     )
-    monkeypatch.setattr(recorder, "time", clock)
+    monkeypatch.setattr(session, "time", clock)
     recording, _, _ = can_recording(tmp_path, bus_name, [], speed_factor=2.0)
     said = [e.text for e in recording.events if "calendar clock was set by +7200" in e.text]
     assert len(said) == 1
@@ -235,7 +239,7 @@ def test_out_of_order(tmp_path, bus_name, trigger):
 def test_lines_missing_duplicate_and_out_of_order_are_told_by_their_number(tmp_path):
     faults = [Fault("drop", 30), Fault("duplicate", 40), Fault("swap", 50)]
     motion = slow_motion(1)
-    _recording, done = serial_recording(tmp_path, AsciiBench(motion, faults=faults), idle=0.5, stop=None)
+    _recording, done = serial_recording(tmp_path, SimulatedAsciiBench(motion, faults=faults), idle=0.5, stop=None)
     # The swapped pair costs a gap where the older line is missing at first.
     assert done.marks["output_angle"]["duplicates"] == 1
     assert done.marks["output_angle"]["out of order"] == 1
@@ -246,7 +250,8 @@ def test_lines_missing_duplicate_and_out_of_order_are_told_by_their_number(tmp_p
 @pytest.mark.parametrize("kind", ["half", "corrupt", "garbage", "wrong_baud"])
 def test_lines_that_are_torn_or_wrong_never_become_angles(tmp_path, kind):
     motion = slow_motion(1)
-    recording, done = serial_recording(tmp_path, AsciiBench(motion, faults=[Fault(kind, 60, 2)]), idle=0.5, stop=None)
+    bench = SimulatedAsciiBench(motion, faults=[Fault(kind, 60, 2)])
+    recording, done = serial_recording(tmp_path, bench, idle=0.5, stop=None)
     samples = recording.samples["output_angle"]
     assert any("line lost" in t for t in texts(recording, "output_angle"))
     assert done.marks["output_angle"]["gaps"] >= 1
@@ -259,14 +264,15 @@ import resource, signal, sys
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, 150_000))
 from tests.drivers.test_recording_format import HEADER, block
-from drivers.bench import BenchRun, CanBench, simulate_motion
-from drivers.recorder import RecordingError, record_bench
-motion = simulate_motion(lambda a, t: -a / 39, BenchRun(torque=5.0, turns=1000, samples_per_turn=480))
+from drivers.simulated.can_bench import SimulatedCanBench
+from drivers.simulated.motion import SimulatedRun, simulate_motion
+from drivers.recorder.session import RecordingError, record
+motion = simulate_motion(lambda a, t: -a / 39, SimulatedRun(torque=5.0, turns=1000, samples_per_turn=480))
 # At the crank's own speed the file is full after some seconds, so that something was acknowledged before.
-with CanBench(motion, channel="full", speed_factor=1.0) as bench:
+with SimulatedCanBench(motion, channel="full", speed_factor=1.0) as bench:
     toml = bench.write_wiring("BENCH.toml")
     try:
-        record_bench(toml, "run.arrows", progress=lambda live: print(*live.samples.values(), flush=True))
+        record(toml, "run.arrows", progress=lambda live: print(*live.samples.values(), flush=True))
     except RecordingError as problem:
         print(problem)
 """
@@ -292,8 +298,8 @@ def test_disk_full(tmp_path):
 RECORDER = """
 import sys
 sys.modules["asammdf"] = None  # python-can would load it, more than a second of each kill
-from drivers.recorder import record_bench
-record_bench("BENCH.toml", sys.argv[1], progress=lambda live: print(*live.samples.values(), flush=True))
+from drivers.recorder.session import record
+record("BENCH.toml", sys.argv[1], progress=lambda live: print(*live.samples.values(), flush=True))
 """
 
 
@@ -321,9 +327,9 @@ def kill_once(folder, number, after, wait):
 def test_kill_9_at_any_moment_loses_nothing_acknowledged(tmp_path, kills, record_property):
     random = np.random.default_rng(5)
     group = f"239.76.{os.getpid() // 256 % 256}.{os.getpid() % 256}"
-    motion = simulate_motion(ideal, BenchRun(torque=5.0, turns=2000))
+    motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=2000))
     for number in range(kills):
-        with CanBench(motion, interface="udp_multicast", channel=group, speed_factor=20) as bench:
+        with SimulatedCanBench(motion, interface="loopback", channel=group, speed_factor=20) as bench:
             bench.write_wiring(tmp_path / "BENCH.toml")
             acknowledged, recording = kill_once(
                 tmp_path, number, int(random.integers(2, 12)), random.uniform(0.0, 2 * BLOCK_SECONDS)
@@ -336,8 +342,8 @@ def test_kill_9_at_any_moment_loses_nothing_acknowledged(tmp_path, kills, record
 
 
 def test_slow_consumer(tmp_path, bus_name, monkeypatch):
-    monkeypatch.setattr(encoder_module, "WAITING_LIMIT", 200)
-    motion = simulate_motion(ideal, BenchRun(torque=5.0, turns=40, samples_per_turn=24))
+    monkeypatch.setattr(hubs_module, "WAITING_LIMIT", 200)
+    motion = simulate_motion(ideal, SimulatedRun(torque=5.0, turns=40, samples_per_turn=24))
     path = tmp_path / "run.arrows"
     slept = threading.Event()
 
@@ -346,9 +352,9 @@ def test_slow_consumer(tmp_path, bus_name, monkeypatch):
             slept.set()
             time.sleep(0.5)  # what a disk that spins up does to the recorder
 
-    with CanBench(motion, channel=bus_name, speed_factor=20) as bench:
+    with SimulatedCanBench(motion, channel=bus_name, speed_factor=20) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
-        done = record_bench(toml, path, idle=1.0, progress=sleepy)
+        done = record(toml, path, idle=1.0, progress=sleepy)
     recording = read_recording(path)
     for name in ("input_angle", "output_angle", "torque"):
         lost = [t for t in texts(recording, name) if "recorder was too slow" in t]
@@ -380,17 +386,17 @@ def test_emergency(tmp_path, bus_name):
     assert any(t.startswith("EMCY 0x5530, register 0x01") for t in texts(recording, "input_angle"))
 
 
-@pytest.mark.parametrize("interface", ["virtual", pytest.param("udp_multicast", marks=needs_multicast)])
+@pytest.mark.parametrize("interface", ["virtual", pytest.param("loopback", marks=needs_multicast)])
 def test_echoes_of_own_frames_are_counted_and_never_samples(tmp_path, bus_name, interface):
     motion = slow_motion(1)
     path = tmp_path / "run.arrows"
     channel = bus_name if interface == "virtual" else f"239.74.164.{os.getpid() % 250}"
-    with CanBench(motion, interface=interface, channel=channel, trigger="sync") as bench:
+    with SimulatedCanBench(motion, interface=interface, channel=channel, trigger="sync") as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
         with open_encoders(toml) as encoders:
-            hub = encoders[0]._hub
+            hub = encoders[0].hub
             hub.bus.send(can.Message(arbitration_id=OUTPUT, is_extended_id=False, data=b"\xff\xff\xff\x7f"))
-            record(encoders, path, idle=1.0)
+            record_encoders(encoders, path, idle=1.0)
     recording = read_recording(path)
     assert any("1 echoes of own frames" in e.text for e in recording.events)
     assert np.max(np.abs(recording.samples["output_angle"].value)) < 1.0
@@ -399,10 +405,10 @@ def test_echoes_of_own_frames_are_counted_and_never_samples(tmp_path, bus_name, 
 def test_a_reader_thread_that_dies_is_an_event(tmp_path, bus_name):
     motion = slow_motion(2)
     path = tmp_path / "run.arrows"
-    with CanBench(motion, channel=bus_name, speed_factor=1.0) as bench:
+    with SimulatedCanBench(motion, channel=bus_name, speed_factor=1.0) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
         with open_encoders(toml) as encoders:
-            hub = encoders[0]._hub
+            hub = encoders[0].hub
 
             def die(block, arrivals):
                 raise RuntimeError("a bug nobody thought of")
@@ -411,7 +417,7 @@ def test_a_reader_thread_that_dies_is_an_event(tmp_path, bus_name):
                 if live.samples["input_angle"] > 20 and hub._take is not die:
                     hub._take = die
 
-            done = record(encoders, path, idle=1.5, progress=progress)
+            done = record_encoders(encoders, path, idle=1.5, progress=progress)
     recording = read_recording(path)
     for name in ("input_angle", "output_angle", "torque"):
         assert any("a bug nobody thought of" in t for t in texts(recording, name))
@@ -420,7 +426,7 @@ def test_a_reader_thread_that_dies_is_an_event(tmp_path, bus_name):
 
 
 def test_counts_per_turn_that_contradict_the_device(tmp_path, bus_name):
-    with CanBench(slow_motion(), channel=bus_name) as bench:
+    with SimulatedCanBench(slow_motion(), channel=bus_name) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
         toml.write_text(toml.read_text().replace("node = 1", "node = 1\ncounts_per_turn = 4096"))
         said = "counts_per_turn = 4096 contradicts the device, which has 4194304"
@@ -433,5 +439,5 @@ def test_a_script_of_faults_is_read(tmp_path):
     path.write_text('format = "cycloid-faults/1"\n[[fault]]\nkind = "pull"\nsample = 3\nby = "200 ms"\n')
     assert read_faults(path) == [Fault("pull", 3, by=0.2)]
     path.write_text('format = "cycloid-faults/1"\n[[fault]]\nkind = "earthquake"\nsample = 3\n')
-    with pytest.raises(encoder_module.edge.InputError, match=r"faults.toml: fault\[0\].kind = "):
+    with pytest.raises(edge.InputError, match=r"faults.toml: fault\[0\].kind = "):
         read_faults(path)

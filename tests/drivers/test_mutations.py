@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from cycloid_fmu import edge
-from drivers.amt21_encoder import Amt21Config, Amt21Encoder, check_bits
-from drivers.ascii_counter import AsciiConfig, AsciiCounter
-from drivers.can_hub import FrameReader, Frames
-from drivers.encoder import BlockQueue, PortConfig
-from drivers.modbus_encoder import ModbusConfig, ModbusEncoder
+from drivers.can.frames import FrameReader
+from drivers.can.hub import Frames
+from drivers.encoder import PortConfig
+from drivers.encoders.amt21 import Amt21Config, Amt21Encoder, check_bits
+from drivers.encoders.ascii import AsciiConfig, AsciiCounter
+from drivers.encoders.modbus import ModbusConfig, ModbusEncoder
+from drivers.hubs import BlockQueue
 from drivers.recording_format import read_recording
 from tests.drivers.test_recording_format import NAMES, block, write
 from tests.drivers.test_serial_encoders import CONFIG, nmea

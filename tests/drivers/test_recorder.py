@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 
 from cycloid_fmu import edge
-from drivers import recorder
 from drivers import recording_format as rf
 from drivers.encoder import AngleConfig, Encoder, EncoderTimeout, channel_of, steady_time
-from drivers.recorder import read_bench, record
+from drivers.recorder import session
+from drivers.recorder.bench import read_bench
+from drivers.recorder.session import record_encoders
 from drivers.recording_format import Event, Samples, read_recording
 
 
@@ -79,7 +80,7 @@ def test_what_came_is_written_and_counted(tmp_path):
         seen.append({n: (s.samples, s.waiting, s.value, s.lowest, s.highest) for n, s in live.channels.items()})
 
     held = []
-    found = record([one, other], tmp_path / "run.arrows", ratio=-39.0, pair="p", conditions={"load": 5.0},
+    found = record_encoders([one, other], tmp_path / "run.arrows", ratio=-39.0, pair="p", conditions={"load": 5.0},
                    stop=exhausted(one, other), progress=lambda live: (held.append(live), progress(live)))  # fmt: skip
     assert found.samples == {"input_angle": 6, "torque": 1}
     assert found.marks == {"input_angle": {"gaps": 2, "checksum": 1, "rollovers": 1}, "torque": {}}
@@ -111,11 +112,11 @@ def test_the_newest_transmission_error_is_that_at_the_newest_common_instant(tmp_
     one, other = Scripted("input_angle", [crank, None, None]), Scripted("output_angle", given)
     other.start_time = one.start_time
     seen = []
-    record([one, other], tmp_path / "a.arrows", ratio=-39.0, stop=exhausted(one, other),
+    record_encoders([one, other], tmp_path / "a.arrows", ratio=-39.0, stop=exhausted(one, other),
            progress=lambda live: seen.append(live.transmission_error))  # fmt: skip
     assert seen == [None, 0.0, pytest.approx(1.5e-3, abs=1e-9)]
     one, other = Scripted("input_angle", [crank]), Scripted("output_angle", given[:2])
-    record([one, other], tmp_path / "b.arrows", stop=exhausted(one, other),
+    record_encoders([one, other], tmp_path / "b.arrows", stop=exhausted(one, other),
            progress=lambda live: seen.append(live.transmission_error))  # fmt: skip
     assert seen[-1] is None, "without a ratio there is none"
 
@@ -123,16 +124,16 @@ def test_the_newest_transmission_error_is_that_at_the_newest_common_instant(tmp_
 def test_each_stop_ends_it(tmp_path):
     blocks = [([0.01 * i], [0.0]) for i in range(40)]
     one, other = Scripted("input_angle", blocks), Scripted("torque", blocks[:20], unit="N*m")
-    found = record([one, other], tmp_path / "a.arrows", samples=20)
+    found = record_encoders([one, other], tmp_path / "a.arrows", samples=20)
     assert found.samples == {"input_angle": 21, "torque": 20}, "every channel has them, and what has come is taken"
     for number, stop in enumerate(({"duration": 0.15}, {"idle": 0.15})):
         one = Scripted("input_angle", blocks[:5])
         begun = time.monotonic()
-        assert record([one], tmp_path / f"{number}.arrows", **stop).samples == {"input_angle": 5}
+        assert record_encoders([one], tmp_path / f"{number}.arrows", **stop).samples == {"input_angle": 5}
         assert time.monotonic() - begun >= 0.15
         assert one.closed == 0, "whoever opened it closes it"
     with pytest.raises(edge.InputError, match="not overwritten"):
-        record([one], tmp_path / "a.arrows", samples=1)
+        record_encoders([one], tmp_path / "a.arrows", samples=1)
 
 
 def test_rates_are_those_of_the_last_second_or_so(tmp_path, monkeypatch):
@@ -150,7 +151,7 @@ def test_rates_are_those_of_the_last_second_or_so(tmp_path, monkeypatch):
         state = live.channels["input_angle"]
         seen.append((shown[-1], state.samples, state.rate))
 
-    record([one], tmp_path / "a.arrows", stop=exhausted(one), progress=progress)
+    record_encoders([one], tmp_path / "a.arrows", stop=exhausted(one), progress=progress)
     refreshed = seen[0]
     for now, samples, rate in seen[1:]:
         if rate == refreshed[2]:
@@ -174,13 +175,13 @@ def test_a_device_s_clock_is_told_each_ten_seconds_and_at_each_start_anew(tmp_pa
     anew = 13.0 + host[:150], (1 - 2e-3) * host[:150] + 1.0
     script = [(t, np.zeros(len(t)), {"time_device": d}) for t, d in (early, late, anew)]
     one = Scripted("input_angle", script)
-    record([one], tmp_path / "a.arrows", stop=exhausted(one))
+    record_encoders([one], tmp_path / "a.arrows", stop=exhausted(one))
     found = clocks(tmp_path / "a.arrows", "input_angle")
     assert [f["restarts"] for f in found] == [0, 0, 1, 1], "after 10 s, at the restart, 10 s after it, at the end"
     for one, drift in zip(found, (-1e-3, -1e-3, 2e-3, 2e-3), strict=True):
         assert one["drift"] == pytest.approx(drift, abs=1e-5)
     short = Scripted("input_angle", script[:1])
-    record([short], tmp_path / "b.arrows", stop=exhausted(short))
+    record_encoders([short], tmp_path / "b.arrows", stop=exhausted(short))
     assert [f["restarts"] for f in clocks(tmp_path / "b.arrows", "input_angle")] == [0], "only at the end"
 
 
@@ -193,7 +194,7 @@ def test_a_calendar_clock_that_is_set_is_an_event(tmp_path, monkeypatch):
     def progress(live):
         ahead[0] = next(steps, 3600.0)
 
-    found = record([one], tmp_path / "a.arrows", progress=progress, stop=exhausted(one))
+    found = record_encoders([one], tmp_path / "a.arrows", progress=progress, stop=exhausted(one))
     (event,) = read_recording(tmp_path / "a.arrows").events
     assert "clock was set by +3599.9" in event.text
     assert found.samples == {"input_angle": 3}
@@ -203,28 +204,28 @@ def test_a_calendar_clock_that_is_set_is_an_event(tmp_path, monkeypatch):
 def test_a_channel_that_is_out_is_named_and_the_others_go_on(tmp_path, monkeypatch):
     lost = EncoderTimeout("output_angle: it does not answer.")
     one, other = Scripted("input_angle", [([0.1], [1.0])]), Scripted("output_angle", [lost])
-    found = record([one, other], tmp_path / "a.arrows", stop=exhausted(one, other))
+    found = record_encoders([one, other], tmp_path / "a.arrows", stop=exhausted(one, other))
     assert found.failures == (lost,)
     assert found.samples == {"input_angle": 1, "output_angle": 0}
     alone = Scripted("output_angle", [lost])
     with pytest.raises(EncoderTimeout, match="does not answer"):
-        record([alone], tmp_path / "b.arrows", stop=exhausted(alone))
+        record_encoders([alone], tmp_path / "b.arrows", stop=exhausted(alone))
     assert not [t for t in threading.enumerate() if t.name.startswith("reopen")], "nothing is tried any more"
     assert any("failed and will be opened anew" in e.text for e in read_recording(tmp_path / "b.arrows").events)
 
 
 def test_a_disk_that_takes_no_more_leaves_what_was_written(tmp_path, monkeypatch):
     blocks = [([0.1 * i, 0.1 * i + 0.05], [0.0, 1.0]) for i in range(9)]
-    one, real = Scripted("input_angle", blocks), recorder.RecordingWriter.write
+    one, real = Scripted("input_angle", blocks), session.RecordingWriter.write
 
     def full(self, samples, events=()):
         if len(samples) and samples.time_host[0] > 0.35:
             raise OSError(errno.ENOSPC, "No space left on device")
         real(self, samples, events)
 
-    monkeypatch.setattr(recorder.RecordingWriter, "write", full)
-    with pytest.raises(recorder.RecordingError, match=r"a\.arrows: the disk takes no more \(No space left on device\)"):
-        record([one], tmp_path / "a.arrows", stop=exhausted(one))
+    monkeypatch.setattr(session.RecordingWriter, "write", full)
+    with pytest.raises(session.RecordingError, match=r"a\.arrows: the disk takes no more \(No space left on device\)"):
+        record_encoders([one], tmp_path / "a.arrows", stop=exhausted(one))
     assert len(read_recording(tmp_path / "a.arrows").samples["input_angle"]) == 8
 
 
@@ -233,7 +234,7 @@ def test_an_interrupted_recording_is_whole_and_the_second_signal_ends_at_once(tm
     before = signal.getsignal(number)
     one = Scripted("input_angle", [([0.1 * i], [float(i)]) for i in range(9)])
     with pytest.raises(KeyboardInterrupt):
-        record([one], tmp_path / "a.arrows", progress=lambda live: os.kill(os.getpid(), number))
+        record_encoders([one], tmp_path / "a.arrows", progress=lambda live: os.kill(os.getpid(), number))
     kept = read_recording(tmp_path / "a.arrows")
     assert kept.problems == ()
     assert kept.samples["input_angle"].value.tolist() == [0.0, 1.0], "what was at hand is taken too"
@@ -245,7 +246,7 @@ def test_an_interrupted_recording_is_whole_and_the_second_signal_ends_at_once(tm
         pytest.fail("the second is obeyed at once")
 
     with pytest.raises(KeyboardInterrupt):
-        record([one], tmp_path / "b.arrows", progress=twice)
+        record_encoders([one], tmp_path / "b.arrows", progress=twice)
 
 
 BENCH = (

@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 
 from cycloid_fmu import edge
 from drivers import recording_format as rf
-from drivers.export import repaired
-from drivers.recording_format import Channel, Event, Header, RecordingWriter, Samples, read_recording
+from drivers.recording_format import Channel, Event, Header, RecordingWriter, Samples, read_recording, schema
+from drivers.recording_format.repair import repair
 
 NAMES = ("input_angle", "output_angle", "torque")
 
@@ -228,14 +228,14 @@ def test_a_damaged_header_is_named_and_an_old_one_without_a_checksum_is_read(tmp
     assert found.header.ratio == -38.0
     assert len(found.samples["torque"]) == 5
     mended = tmp_path / "mended.arrows"
-    with rf.RecordingReader(path) as reader:
-        repaired(reader, mended, lambda: None)
+    repair(path, mended)
     assert "the header is damaged" in read_recording(mended).header.conditions["damaged header"]
     path.write_bytes(whole.replace(b"header_crc32", b"header_crc33"))
     assert "damaged" in read_recording(path).problems[0]
-    monkeypatch.setattr(rf, "recording_schema", lambda header, made=rf.recording_schema: made(header).with_metadata(
-        rf.recording_metadata(header)
-    ))  # fmt: skip
+    made = schema.recording_schema
+    monkeypatch.setattr(
+        rf.writer, "recording_schema", lambda header: made(header).with_metadata(schema.recording_metadata(header))
+    )
     old = write(tmp_path / "old.arrows", [block("torque", 0, 5)])
     assert b"header_crc32" not in old.read_bytes()
     assert read_recording(old).problems == ()

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from cycloid_fmu import edge
-from drivers.bench import BenchRun, CanBench, simulate_hysteresis, simulate_motion
+from drivers.recorder.sequence import read_sequence, shortfalls
 from drivers.recording_format import read_recording
-from drivers.sequence import read_sequence, shortfalls
+from drivers.simulated.can_bench import SimulatedCanBench
+from drivers.simulated.motion import SimulatedRun, simulate_hysteresis, simulate_motion
 from tests.drivers.test_bench_cli import needs_multicast
 
 numbers = itertools.count(10)
@@ -43,8 +44,8 @@ hysteresis = "{cycloid_bench} simulate {common} --torque '{{torque}}' --turns {{
 
 @pytest.fixture
 def wiring(tmp_path, bus_name):
-    motion = simulate_motion(lambda angle, torque: -angle / 39, BenchRun(torque=20.0, turns=1))
-    return CanBench(motion, channel=bus_name).write_wiring(tmp_path / "BENCH.toml", ratio=-39)
+    motion = simulate_motion(lambda angle, torque: -angle / 39, SimulatedRun(torque=20.0, turns=1))
+    return SimulatedCanBench(motion, channel=bus_name).write_wiring(tmp_path / "BENCH.toml", ratio=-39)
 
 
 @needs_multicast
@@ -81,13 +82,13 @@ class Person:
         if isinstance(now, str):
             return now + "\n"
         self.benches.close()  # the bench of the step before is switched off
-        self.benches.enter_context(CanBench(now, channel=self.bus_name, speed_factor=8.0))
+        self.benches.enter_context(SimulatedCanBench(now, channel=self.bus_name, speed_factor=8.0))
         return "\n"
 
 
 def moved(**options):
     made = simulate_hysteresis if options.pop("hysteresis", False) else simulate_motion
-    return made(lambda angle, torque: -angle / 39 + 1e-6 * torque, BenchRun(**{"speed": 10 * math.pi, **options}))
+    return made(lambda angle, torque: -angle / 39 + 1e-6 * torque, SimulatedRun(**{"speed": 10 * math.pi, **options}))
 
 
 def test_a_prompted_sequence_goes_on_after_a_step_that_fell_short_and_hands_over_its_report(
@@ -151,7 +152,7 @@ def step_and_samples(tmp_path, wiring, step_number=0, motion=None, **run_options
     path.write_text(SEQUENCE + '[hysteresis]\ntorque = "100 N*m"\n')
     sequence = read_sequence(path)
     step = sequence.steps[step_number]
-    given = BenchRun(**{"torque": step.torque, "turns": 3, "speed": 10 * math.pi, **run_options})
+    given = SimulatedRun(**{"torque": step.torque, "turns": 3, "speed": 10 * math.pi, **run_options})
     made = motion(lambda a, t: -a / 39, given) if motion else simulate_motion(lambda a, t: -a / 39, given)
     from drivers.recording_format import Samples
 

@@ -23,16 +23,17 @@ from serial.rfc2217 import PortManager
 
 from cycloid_fmu import edge
 from drivers import recording_format as rf
-from drivers import serial_hub
-from drivers.amt21_encoder import Amt21Config, Amt21Encoder
-from drivers.ascii_counter import AsciiConfig, AsciiCounter, line_pattern
-from drivers.bench import BenchRun, simulate_motion
 from drivers.encoder import EncoderProtocolError, EncoderSetupError, EncoderTimeout, PortConfig
-from drivers.faults import Fault
-from drivers.modbus_encoder import ModbusConfig, ModbusEncoder
-from drivers.recorder import open_encoders, read_bench, record_bench
+from drivers.encoders.amt21 import Amt21Config, Amt21Encoder
+from drivers.encoders.ascii import AsciiConfig, AsciiCounter, line_pattern
+from drivers.encoders.modbus import ModbusConfig, ModbusEncoder
+from drivers.recorder.bench import open_encoders, read_bench
+from drivers.recorder.session import record
 from drivers.recording_format import read_recording
-from drivers.serial_bench import Amt21Bench, AsciiBench, ModbusBench
+from drivers.serial import port as serial_port
+from drivers.simulated.faults import Fault
+from drivers.simulated.motion import SimulatedRun, simulate_motion
+from drivers.simulated.serial_bench import SimulatedAmt21Bench, SimulatedAsciiBench, SimulatedModbusBench
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs pseudo-terminals")
 
@@ -119,8 +120,8 @@ def test_modbus_says_what_is_wrong_at_the_start(modbus_line):
 
 
 def test_the_simulated_modbus_bench_is_what_pymodbus_s_own_client_reads():
-    motion = simulate_motion(lambda a, t: -a / 39 + 0.5, BenchRun(torque=0.0, turns=1, speed=1e-6))
-    with ModbusBench(motion) as bench, ModbusSerialClient(bench.url, baudrate=115200, timeout=1) as client:
+    motion = simulate_motion(lambda a, t: -a / 39 + 0.5, SimulatedRun(torque=0.0, turns=1, speed=1e-6))
+    with SimulatedModbusBench(motion) as bench, ModbusSerialClient(bench.url, baudrate=115200, timeout=1) as client:
         found = [client.read_holding_registers(0, count=2, device_id=d).registers for d in (1, 2)]
         refused = client.read_holding_registers(7, count=2, device_id=2)
     position = round(0.5 / (2 * math.pi) * (1 << 18))
@@ -130,13 +131,13 @@ def test_the_simulated_modbus_bench_is_what_pymodbus_s_own_client_reads():
 
 @pytest.mark.parametrize("kind", [None, "mute", "half", "corrupt", "garbage", "wrong_baud"])
 def test_a_modbus_line_is_recorded_and_never_a_wrong_angle(tmp_path, kind, monkeypatch):
-    monkeypatch.setattr(serial_hub, "ANSWER_SECONDS", 0.3)  # a busy machine schedules the simulated encoder late
-    motion = simulate_motion(lambda a, t: -a / 39, BenchRun(torque=0.0, turns=1, samples_per_turn=200))
+    monkeypatch.setattr(serial_port, "ANSWER_SECONDS", 0.3)  # a busy machine schedules the simulated encoder late
+    motion = simulate_motion(lambda a, t: -a / 39, SimulatedRun(torque=0.0, turns=1, samples_per_turn=200))
     path = tmp_path / "run.arrows"
     faults = [] if kind is None else [Fault(kind, 20, 2, target=2)]
-    with ModbusBench(motion, faults=faults) as bench:
+    with SimulatedModbusBench(motion, faults=faults) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
-        done = record_bench(toml, path, stop=lambda: bench.wait(0.0))
+        done = record(toml, path, stop=lambda: bench.wait(0.0))
     recording = read_recording(path)
     for name, angle in (("input_angle", motion.input_angle), ("output_angle", motion.output_angle)):
         samples = recording.samples[name]
@@ -167,11 +168,11 @@ def test_no_answer_with_a_wrong_crc_is_a_position(answer):
 
 
 def test_lines_are_the_commanded_motion_and_their_clock_is_known(tmp_path):
-    motion = simulate_motion(lambda a, t: -a / 39, BenchRun(torque=0.0, turns=2, samples_per_turn=200))
+    motion = simulate_motion(lambda a, t: -a / 39, SimulatedRun(torque=0.0, turns=2, samples_per_turn=200))
     path = tmp_path / "run.arrows"
     drift = 0.01  # a counter without a crystal; what a busy machine delays all lines by is far less
-    with AsciiBench(motion, clock_drift=drift) as bench:
-        record_bench(bench.write_wiring(tmp_path / "BENCH.toml"), path, stop=lambda: bench.wait(0.0))
+    with SimulatedAsciiBench(motion, clock_drift=drift) as bench:
+        record(bench.write_wiring(tmp_path / "BENCH.toml"), path, stop=lambda: bench.wait(0.0))
     recording = read_recording(path)
     samples = recording.samples["output_angle"]
     assert len(samples) > 300
@@ -240,11 +241,11 @@ def test_a_bad_description_is_refused(keys, said):
 def test_a_multi_turn_encoder_counts_what_the_readings_missed(tmp_path):
     # 20 crank turns a second, read a few hundred times a second, with a pause of a tenth of a second in between.
     motion = simulate_motion(
-        lambda a, t: -a / 39, BenchRun(torque=0.0, turns=40, samples_per_turn=500, speed=40 * math.pi)
+        lambda a, t: -a / 39, SimulatedRun(torque=0.0, turns=40, samples_per_turn=500, speed=40 * math.pi)
     )
     path = tmp_path / "run.arrows"
-    with Amt21Bench(motion, multi_turn=True, faults=[Fault("mute", 400, 1, 0x54)]) as bench:
-        done = record_bench(bench.write_wiring(tmp_path / "BENCH.toml"), path, stop=lambda: bench.wait(0.0))
+    with SimulatedAmt21Bench(motion, multi_turn=True, faults=[Fault("mute", 400, 1, 0x54)]) as bench:
+        done = record(bench.write_wiring(tmp_path / "BENCH.toml"), path, stop=lambda: bench.wait(0.0))
     samples = read_recording(path).samples["input_angle"]
     assert done.marks["input_angle"]["resets"] >= 1, "it turned by more than half a turn unseen"
     turned = (samples.value[-1] - samples.value[0]) / (2 * math.pi)
@@ -268,7 +269,7 @@ def test_turns_and_position_of_two_questions_make_one_angle(steps, start):
 
 
 def _counted(raw):
-    from drivers.encoder import unwrap
+    from drivers.counts import unwrap
 
     return unwrap(raw, 4096, None, signed=True)[0]
 
@@ -296,7 +297,7 @@ def test_a_port_may_be_a_socket(tmp_path):
         '[channel.output_angle]\nprotocol = "ascii"\nport = "a"\n'
         'line = "${sequence},{counts}*{checksum}"\nchecksum = "xor"\ncounts_per_turn = 1000\n'
     )
-    record_bench(bench, tmp_path / "run.arrows", samples=50)
+    record(bench, tmp_path / "run.arrows", samples=50)
     stop.set()
     thread.join()
     server.close()
@@ -335,7 +336,7 @@ class _Line(serial.Serial):
 
 def test_a_port_may_be_a_serial_device_server_by_rfc_2217(tmp_path):
     """pyserial's own server end between a TCP connection and the simulated line: baud rate and bytes go through it."""
-    motion = simulate_motion(lambda a, t: -a / 39, BenchRun(torque=0.0, turns=1, samples_per_turn=100))
+    motion = simulate_motion(lambda a, t: -a / 39, SimulatedRun(torque=0.0, turns=1, samples_per_turn=100))
     path, stopping, rates = tmp_path / "run.arrows", threading.Event(), []
     server = socket.create_server(("127.0.0.1", 0))
 
@@ -359,12 +360,12 @@ def test_a_port_may_be_a_serial_device_server_by_rfc_2217(tmp_path):
                     connection.sendall(b"".join(manager.escape(line.read(1024))))
                 rates.append(line.baudrate)
 
-    with Amt21Bench(motion, bits=14) as bench:
+    with SimulatedAmt21Bench(motion, bits=14) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
         toml.write_text(toml.read_text().replace(bench.url, f"rfc2217://127.0.0.1:{server.getsockname()[1]}"))
         thread = threading.Thread(target=serve, args=(bench.url,), daemon=True)
         thread.start()
-        done = record_bench(toml, path, samples=40)
+        done = record(toml, path, samples=40)
         stopping.set()
         thread.join()
         server.close()
@@ -376,14 +377,14 @@ def test_a_port_may_be_a_serial_device_server_by_rfc_2217(tmp_path):
 
 
 def test_nothing_and_nonsense_are_told_apart(tmp_path, monkeypatch):
-    from drivers import ascii_counter
+    from drivers.encoders import ascii as ascii_counter
 
     monkeypatch.setattr(ascii_counter, "FIRST_LINE_SECONDS", 0.3)
-    motion = simulate_motion(lambda a, t: -a / 39, BenchRun(torque=0.0, turns=2))
+    motion = simulate_motion(lambda a, t: -a / 39, SimulatedRun(torque=0.0, turns=2))
     for kind, kind_of_error in (("mute", EncoderTimeout), ("wrong_baud", EncoderProtocolError)):
         folder = tmp_path / kind
         folder.mkdir()
-        with AsciiBench(motion, faults=[Fault(kind, 0, 10**9)]) as bench:
+        with SimulatedAsciiBench(motion, faults=[Fault(kind, 0, 10**9)]) as bench:
             toml = bench.write_wiring(folder / "BENCH.toml")
             with pytest.raises(kind_of_error, match="is the baud rate right"), open_encoders(toml):
                 pass

@@ -3,15 +3,14 @@
 import json
 import math
 import shutil
-import threading
 import urllib.error
 import urllib.request
 
 import numpy as np
 import pytest
 
+from drivers.live_page.server import Watcher, WatchServer, order_spectrum
 from drivers.recording_format import Channel, Event, Header, RecordingWriter, Samples
-from drivers.watch import Watcher, WatchServer, order_spectrum
 
 ARCSEC = math.pi / 648000
 CHROMIUM = shutil.which("chromium")
@@ -66,13 +65,11 @@ def serve():
 
     def start(watcher, token=None):
         server = WatchServer(watcher, "127.0.0.1", 0, token)
-        threading.Thread(target=server.serve_forever, daemon=True).start()
         servers.append(server)
         return server
 
     yield start
     for server in servers:
-        server.shutdown()
         server.server_close()
 
 

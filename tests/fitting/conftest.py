@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 from common import EXAMPLES
 
-from cycloid_fmu.pair import read_pair
-from cycloid_fmu.surface import surface_of_pair
-from cycloid_fmu.transmission import solve
-from fitting.curve import Curve
+from cycloid_fmu.contact.transmission import solve
+from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.surfaces.surface import surface_of_pair
+from fitting.transmission_error.curve import Curve
 
 ARCSEC = np.pi / 648000
 LOADS = (20.0, -20.0, 200.0, -200.0)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from common import BENCH
 
-from fitting.survey import survey
+from fitting.figures.survey import survey
 
 
 def test_identify_from_the_command_line(command, tmp_path):
@@ -70,7 +70,7 @@ def test_an_interrupt_keeps_the_figures_of_the_files_that_were_taken(command, tm
 
         return survey(stream, *rest[:2], progress)
 
-    monkeypatch.setattr("fitting.survey.survey", interrupted)
+    monkeypatch.setattr("fitting.figures.metrics.survey", interrupted)
     output = "figures.json" if verb == "metrics" else "report.html"
     run = command("cycloid-fit", verb, *FILES, "--ratio", "-39", "-o", output, "--json")
     assert run.returncode == 130, run.stderr

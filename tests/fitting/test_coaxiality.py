@@ -5,7 +5,7 @@ import pytest
 from common import EXAMPLES
 
 from cycloid_fmu import edge
-from fitting.coaxiality import (
+from fitting.recordings.read_head import (
     Displacement,
     ReadHead,
     angle_error,
@@ -13,14 +13,14 @@ from fitting.coaxiality import (
     read_read_head,
     without_coaxiality_error,
 )
-from fitting.recording import BenchRecording
+from fitting.recordings.recording import Recording
 
 HEAD = read_read_head(EXAMPLES / "rv-20e-read-head.toml")
 
 
 def recording(torque, angle):
     time = np.arange(torque.size) * 0.01
-    return BenchRecording(
+    return Recording(
         time=time, input_angle=0.0 * time, output_angle=angle, torque=torque, status=np.zeros(time.size, np.uint8),
         common_zero=True, known_index=True, ratio=None, source="r.csv", checksum="",
     )  # fmt: skip

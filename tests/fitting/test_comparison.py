@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from test_metrics import ARCMIN, ARCSEC, figures_from, loop
 
-from fitting.comparison import compare
+from fitting.figures.comparison import changes_between
 
 
 def noisy(seed, *, stiffness=49.0, play=0.6):
@@ -15,7 +15,7 @@ def noisy(seed, *, stiffness=49.0, play=0.6):
 def test_only_what_was_changed_moves():
     """More play moves hysteresis loss, backlash and lost motion by as much, and leaves the stiffness where it was."""
     before, after = figures_from(*noisy(1)).figures, figures_from(*noisy(2, play=0.7)).figures
-    changes = {c.name: c for c in compare(before, after)[0]}
+    changes = {c.name: c for c in changes_between(before, after)[0]}
     for name in ("hysteresis_loss", "backlash", "lost_motion"):
         assert changes[name].moved
         assert changes[name].difference == pytest.approx(0.1 * ARCMIN, abs=2 * changes[name].uncertainty)
@@ -25,18 +25,18 @@ def test_only_what_was_changed_moves():
 
 def test_the_same_drive_measured_again_seldom_moves():
     figures = [figures_from(*noisy(seed)).figures for seed in range(40)]
-    moved = [c.moved for a, b in zip(figures[::2], figures[1::2], strict=True) for c in compare(a, b)[0]]
+    moved = [c.moved for a, b in zip(figures[::2], figures[1::2], strict=True) for c in changes_between(a, b)[0]]
     assert np.mean(moved) < 0.1
 
 
 def test_what_can_not_be_compared_is_said():
     torque, angle = noisy(1)
     whole, half = figures_from(torque, angle).figures, figures_from(torque[torque > 0], angle[torque > 0]).figures
-    changes, notes = compare(whole, half)
+    changes, notes = changes_between(whole, half)
     assert {c.name for c in changes} == {"torsional_stiffness", "torsional_stiffness.positive"}
     assert "lost_motion: only the first has it." in notes
     other = figures_from(torque, angle, rated=150.0).figures
-    changes, notes = compare(whole, other)
+    changes, notes = changes_between(whole, other)
     assert changes == []
     assert "give both the same rated torque" in notes[0]
 

@@ -9,20 +9,23 @@ import pytest
 from common import EXAMPLES
 from scipy.optimize import least_squares
 
-import fitting.estimation
-import fitting.observation
+import fitting.estimation.fit
+import fitting.model.observations
 from cycloid_fmu import edge
-from cycloid_fmu.sampling import parse_tolerances
-from cycloid_fmu.surface import structured_value, surface_of_pair, with_structured
-from cycloid_fmu.transmission import solve
-from fitting.curve import Curve, transmission_error_curves
-from fitting.estimation import confirmed, fit, possible, profile_interval, turn_bootstrap
-from fitting.fit_report import write_fit_report
-from fitting.identifiability import chosen_errors, posterior_covariance
-from fitting.identify import identify
-from fitting.observation import State, errors_of, linearise, observations, spread_of, with_scatter
-from fitting.prior import scatter_of
-from fitting.recording import BenchRecording
+from cycloid_fmu.contact.transmission import solve
+from cycloid_fmu.drive import Drive
+from cycloid_fmu.surfaces.sampling import parse_tolerances
+from cycloid_fmu.surfaces.structured import structured_value, with_structured
+from cycloid_fmu.surfaces.surface import surface_of_pair
+from fitting.estimation.fit import confirmed, fit, possible, profile_interval, turn_bootstrap
+from fitting.estimation.identify import identify
+from fitting.model.identifiability import chosen_errors, posterior_covariance
+from fitting.model.observations import State, errors_of, linearise, observations, spread_of, with_scatter
+from fitting.model.prior import Prior, scatter_of
+from fitting.recordings.recording import Recording
+from fitting.reports.report import report
+from fitting.transmission_error.curve import Curve
+from fitting.transmission_error.folding import transmission_error_curves
 
 ARCSEC = np.pi / 648000
 ERRORS = ["centre_distance_x", "centre_distance_y", "eccentricity", "pin_radius", "pin_radial_2_cos",
@@ -69,13 +72,13 @@ def test_the_optimum_is_that_of_finite_differences_for_a_twentieth_of_the_evalua
                            np.zeros(spread_of(nominal, {}).size))  # fmt: skip
     assert len(errors) > 15
     solved = {"fit": 0, "differences": 0}
-    kernel = fitting.observation.error_sensitivity
+    kernel = fitting.model.observations.error_sensitivity
 
     def counted(pair, surface, torque, angles, names):
         solved["fit"] += angles.size
         return kernel(pair, surface, torque, angles, names)
 
-    monkeypatch.setattr(fitting.observation, "error_sensitivity", counted)
+    monkeypatch.setattr(fitting.model.observations, "error_sensitivity", counted)
     found = fit(nominal, observed, errors, at_nominal(nominal, observed), {}, gain=0.01, estimated=False)
     known = np.isfinite(observed.bench_prior)
     scale = np.concatenate([np.full(len(errors), 5e-6), np.where(known, observed.bench_prior, 1e-4),
@@ -106,14 +109,14 @@ def test_lmfit_confirms_the_optimum_and_its_covariance(simple, nominal, monkeypa
     found = fit(nominal, observed, ERRORS, at_nominal(nominal, observed), {"pin_radial": 1e-6}, gain=1e-3,
                 estimated=False)  # fmt: skip
     solved = 0
-    kernel = fitting.observation.error_sensitivity
+    kernel = fitting.model.observations.error_sensitivity
 
     def counted(pair, surface, torque, angles, names):
         nonlocal solved
         solved += angles.size
         return kernel(pair, surface, torque, angles, names)
 
-    monkeypatch.setattr(fitting.observation, "error_sensitivity", counted)
+    monkeypatch.setattr(fitting.model.observations, "error_sensitivity", counted)
     again, parameters, covariance = confirmed(nominal, found, gain=1e-6)
     assert solved <= 2 * observed.measured.size
     assert again.misfit <= found.misfit * (1.0 + 1e-12)
@@ -152,10 +155,10 @@ def test_bounds_are_where_the_pair_ceases_to_be_one(nominal):
     for name in ("pin_radius", "eccentricity"):
         low, high = possible(nominal, name)
         assert -1e-3 <= low < 0.0 < high <= 1e-3
-    thin = nominal.model_copy(update={"pair": nominal.pair.model_copy(update={"eccentricity": 0.4e-3})})
+    thin = nominal.replace(eccentricity=0.4e-3)
     assert possible(thin, "eccentricity")[0] == -0.4e-3
     assert possible(nominal, "misalignment_xz") == (-0.02, 0.02)
-    g = nominal.pair
+    g = nominal
     wide = nominal.model_copy(update={"pair": g.model_copy(update={
         "pin_radius": g.pin_circle_radius * np.sin(np.pi / g.pins) - 1e-4})})  # fmt: skip
     assert possible(wide, "pin_radius")[1] == pytest.approx(1e-4)
@@ -164,9 +167,10 @@ def test_bounds_are_where_the_pair_ceases_to_be_one(nominal):
 def test_a_fit_that_leaves_what_is_possible_ends_at_its_bound_and_says_so(simple, nominal, monkeypatch):
     _, observed = simple
     monkeypatch.setattr(
-        fitting.estimation, "possible", lambda pair, name: (-0.5e-6, 0.5e-6) if name == "pin_radius" else (-1e-3, 1e-3)
+        "fitting.estimation.fit.possible",
+        lambda pair, name: (-0.5e-6, 0.5e-6) if name == "pin_radius" else (-1e-3, 1e-3),
     )
-    found = identify(observed.curves, nominal, held_out=False)
+    found = identify(observed.curves, Drive(nominal), held_out=False)
     one = found.lmfit_parameters["pin_radius"]
     assert one.value == pytest.approx(0.5e-6, rel=1e-3)  # 1 µm was made
     assert one.value <= one.max
@@ -217,7 +221,7 @@ def test_turns_drawn_again_show_what_is_not_white(simple, nominal):
 def test_a_curve_keeps_its_turns_where_asked_to(nominal):
     angle = np.arange(5 * 39 * 20) * 2.0 * np.pi / 20
     number = np.floor(angle / (2.0 * np.pi * 39) + 1e-9)
-    recording = BenchRecording(
+    recording = Recording(
         time=np.arange(angle.size) * 1e-3, input_angle=angle, output_angle=angle / -39.0 + 1e-5 * number,
         torque=20.0 + 5.0 * np.cos(angle), status=np.zeros(angle.size, np.uint8), source="run", checksum="0",
         common_zero=True, known_index=True, ratio=-39.0,
@@ -235,7 +239,7 @@ def test_a_torque_that_swings_and_a_zero_that_creeps_do_not_bend_the_errors(simp
     generator = np.random.default_rng(5)
     loads = (20.0, -20.0, 200.0, -200.0)
     curves = [curve(nominal, made, t, generator, wave=0.3, drift=k * 2.0 * ARCSEC) for k, t in enumerate(loads)]
-    found = identify(curves, nominal, held_out=False)
+    found = identify(curves, Drive(nominal), held_out=False)
     far = distances(found, nominal, made)
     assert len(far) > 15
     assert max(abs(z) for z in far.values()) < 4.0
@@ -243,7 +247,7 @@ def test_a_torque_that_swings_and_a_zero_that_creeps_do_not_bend_the_errors(simp
     drifts = [found.bench[f"output_angle_drift_{k}"] for k in range(4)]
     assert np.diff(drifts) == pytest.approx(np.full(3, 2.0 * ARCSEC), abs=0.5 * ARCSEC)
     blind = [dataclasses.replace(c, torque_each=None) for c in curves]
-    far = distances(identify(blind, nominal, held_out=False), nominal, made)
+    far = distances(identify(blind, Drive(nominal), held_out=False), nominal, made)
     assert max(abs(z) for z in far.values()) > 4.0
 
 
@@ -252,7 +256,7 @@ def test_errors_of_pins_and_teeth_are_never_swapped(nominal, pattern):
     made = with_structured(nominal, surface_of_pair(nominal), {f"{pattern}_2_cos": 3e-6, f"{pattern}_3_sin": -2e-6})
     generator = np.random.default_rng(7)
     curves = [curve(nominal, made, t, generator) for t in (20.0, -20.0, 200.0, -200.0)]
-    found = identify(curves, nominal, held_out=False)
+    found = identify(curves, Drive(nominal), held_out=False)
     far = distances(found, nominal, made)
     assert max(abs(z) for z in far.values()) < 4.0
     other = {"pin_tangential": "tooth_cumulative_pitch", "tooth_cumulative_pitch": "pin_tangential"}[pattern]
@@ -275,7 +279,7 @@ def test_every_pin_and_tooth_by_itself(nominal, tmp_path):
     known = scatter_of(nominal, tolerances)
     assert set(known) == {"pin_tangential", "tooth_cumulative_pitch"}
     assert 0.2e-6 < known["pin_tangential"] < 3e-6  # within a single pitch of ± 3 µm
-    found = identify(curves, nominal, held_out=False, scatter=known, profiled=["isometric"])
+    found = identify(curves, Drive(nominal), held_out=False, tolerances=Prior(known), profiled=["isometric"])
     assert any(n.startswith("isometric is held, so it has no profile") for n in found.notes)
     places = {p.name: p for p in found.singles if p.name.startswith("pin_tangential_at_")}
     assert len(found.singles) == 40 + 40 + 39
@@ -284,7 +288,7 @@ def test_every_pin_and_tooth_by_itself(nominal, tmp_path):
     errors = np.array([places[f"pin_tangential_at_{i}"].standard_error for i in range(40)])
     # All pins turned alike are the output's zero; that they share.
     assert np.mean(np.abs(values - values.mean() - truth) < 1.96 * errors) > 0.85
-    write_fit_report(curves, found, nominal, tmp_path / "fit.html")
+    report(found, tmp_path / "fit.html")
     text = (tmp_path / "fit.html").read_text()
     assert "pin_tangential_at_39" in text
     assert 'id="correlation"' in text
@@ -293,26 +297,28 @@ def test_every_pin_and_tooth_by_itself(nominal, tmp_path):
     assert "<link" not in text
     assert 'src="http' not in text
     with pytest.raises(edge.InputError, match=r"must end in \.html"):
-        write_fit_report(curves, found, nominal, tmp_path / "fit.pdf")
+        report(found, tmp_path / "fit.pdf")
 
 
 def test_what_bench_runs_lack_is_said(simple, nominal):
     made, _ = simple
     generator = np.random.default_rng(13)
     curves = [curve(nominal, made, t, generator, turns=0.4) for t in (20.0, 200.0)]
-    found = identify(curves, nominal)
+    found = identify(curves, Drive(nominal))
     assert any("covers 0.40 of an output turn" in n for n in found.notes)
     assert any("one way only" in n for n in found.notes)
     assert any("one sign" in n for n in found.notes)
     whole = [curve(nominal, made, t, generator) for t in (20.0, -20.0, 200.0)]
     added = 300 * ARCSEC * np.cos(whole[0].input_angle / 39)
     strong = [dataclasses.replace(c, transmission_error=c.transmission_error + added) for c in whole]
-    found = identify(strong, nominal, held_out=False)
+    found = identify(strong, Drive(nominal), held_out=False)
     assert any("Once an output turn the angle errs by 300" in n for n in found.notes)
     assert max(abs(z) for z in distances(found, nominal, made).values()) < 4.5
     with pytest.raises(edge.InputError, match="of another drive"):
-        identify([dataclasses.replace(curves[0], ratio=-29.0)], nominal)
+        identify([dataclasses.replace(curves[0], ratio=-29.0)], Drive(nominal))
     with pytest.raises(edge.InputError, match="turns again"):
-        identify(curves, nominal, bootstrap=5)
-    with pytest.raises(edge.InputError, match='"eccentric" is no error of this pair'):
-        identify(curves, nominal, profiled=["eccentric"])
+        identify(curves, Drive(nominal), bootstrap=5)
+    with pytest.raises(
+        edge.InputError, match='profiled = "eccentric": it is no error of this drive; did you mean eccentricity'
+    ):
+        identify(curves, Drive(nominal), profiled=["eccentric"])

@@ -6,24 +6,27 @@ import numpy as np
 import pytest
 from common import BENCH, EXAMPLES
 
-import fitting.identify
-from cycloid_fmu.pair import read_pair
-from cycloid_fmu.surface import read_surface, structured_value, surface_of_pair, write_surface
-from cycloid_fmu.transmission import error_sensitivity, solve
-from fitting.ensemble import drawn_surfaces
-from fitting.identify import identify, kept_back
-from fitting.plan import bench_plans, planned_curve
+import fitting.estimation.identify
+from cycloid_fmu.contact.transmission import error_sensitivity, solve
+from cycloid_fmu.drive import Drive
+from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.surfaces.files import read_surface, write_surface
+from cycloid_fmu.surfaces.structured import structured_value
+from cycloid_fmu.surfaces.surface import surface_of_pair
+from fitting.estimation.ensemble import ensemble
+from fitting.estimation.identify import identify, kept_back
+from fitting.estimation.plan import plan, planned_curve
 
 ARCSEC = np.pi / 648000
 
 
 @pytest.fixture(scope="module")
 def found(measured, nominal):
-    return identify(measured(1, loads=(20.0, -20.0, 100.0, -100.0, 200.0, -200.0), zeros=(0.0,) * 6), nominal)
+    return identify(measured(1, loads=(20.0, -20.0, 100.0, -100.0, 200.0, -200.0), zeros=(0.0,) * 6), Drive(nominal))
 
 
 def test_a_load_is_kept_back_and_predicted_at_the_noise_level(found):
-    assert found.held_out.said == "+100 N·m, -100 N·m"
+    assert found.held_out.loads == "+100 N·m, -100 N·m"
     assert found.held_out.residual < 1.2 * found.held_out.noise
 
 
@@ -41,7 +44,7 @@ def test_encoder_eccentricity_is_the_bench_s(measured, nominal, made):
         angle = c.input_angle
         added = 20 * ARCSEC * np.cos(angle / 39 - 0.4) + 15 * ARCSEC / 39 * np.sin(angle)
         curves[i] = dataclasses.replace(c, transmission_error=c.transmission_error + added)
-    found = identify(curves, nominal)
+    found = identify(curves, Drive(nominal))
     assert found.bench["output_encoder_eccentricity_cos"] == pytest.approx(20 * ARCSEC * np.cos(0.4), abs=0.1 * ARCSEC)
     assert found.bench["output_encoder_eccentricity_sin"] == pytest.approx(20 * ARCSEC * np.sin(0.4), abs=0.1 * ARCSEC)
     truth = surface_of_pair(made)
@@ -72,7 +75,7 @@ def test_outliers_are_left_out_and_missing_arcs_do_not_matter(measured, nominal,
     keep = np.r_[0:300, 420:936]
     names = ("input_angle", "transmission_error", "standard_error", "sample_count")
     curves[2] = dataclasses.replace(curves[2], **{n: getattr(curves[2], n)[keep] for n in names})
-    found = identify(curves, nominal)
+    found = identify(curves, Drive(nominal))
     assert [*found.outliers.values()] == [3, 0, 0, 0]
     assert any("3 of 936 points" in n for n in found.notes)
     truth = surface_of_pair(made)
@@ -82,7 +85,7 @@ def test_outliers_are_left_out_and_missing_arcs_do_not_matter(measured, nominal,
 
 
 def test_notes_say_what_the_curves_lack(measured, nominal):
-    one = identify(measured(7, loads=(200.0,)), nominal)
+    one = identify(measured(7, loads=(200.0,)), Drive(nominal))
     assert any("one load" in n for n in one.notes)
     assert any("one sign" in n for n in one.notes)
     assert one.held_out is None
@@ -92,7 +95,7 @@ def test_notes_say_what_the_curves_lack(measured, nominal):
 def test_too_few_crank_angles_for_the_pins_scatter_are_said(nominal, each, said):
     """Four curves in step with the crank see four times as many angles as a turn has samples, for 40 displacements."""
     changed = {"gear_teeth": 19, "pins": 20, "pin_circle_radius": 55e-3, "pin_radius": 4e-3, "eccentricity": 1.8e-3}
-    pair = nominal.model_copy(update={"pair": nominal.pair.model_copy(update=changed)})
+    pair = nominal.replace(**changed)
     generator, surface = np.random.default_rng(0), surface_of_pair(pair)
     scattered = dataclasses.replace(
         surface, pin_radial=generator.normal(0.0, 2e-6, 20), pin_tangential=generator.normal(0.0, 2e-6, 20)
@@ -103,7 +106,7 @@ def test_too_few_crank_angles_for_the_pins_scatter_are_said(nominal, each, said)
         error = solve(pair, scattered, load, one.input_angle, with_play=False).transmission_error[0]
         noisy = error + generator.normal(0.0, 0.5 * ARCSEC, error.size)
         curves.append(dataclasses.replace(one, transmission_error=noisy, source=f"{load:g}"))
-    found = identify(curves, pair, held_out=False)
+    found = identify(curves, Drive(pair), held_out=False)
     few = f"The curves see {4 * each} angles of the crank in all, too few to tell the 40 displacements"
     assert any(n.startswith(few) and "at least 15 samples a crank turn" in n for n in found.notes) == said
     assert said or not any("angles of the crank" in n for n in found.notes)
@@ -113,23 +116,23 @@ def test_a_curve_with_more_noise_than_the_others_is_named(measured, nominal):
     curves = measured(3, each=12)
     louder = np.random.default_rng(0).normal(0.0, 1.0 * ARCSEC, curves[1].input_angle.size)
     curves[1] = dataclasses.replace(curves[1], transmission_error=curves[1].transmission_error + louder)
-    found = identify(curves, nominal, held_out=False)
+    found = identify(curves, Drive(nominal), held_out=False)
     assert [n.split(":")[0] for n in found.notes if "its noise comes out" in n] == ["-20 N·m"]
 
 
 def test_curves_of_another_gear_are_not_explained(measured):
     """The same ratio, another eccentricity and pin: the fit says so and still ends."""
     other = read_pair(BENCH / "pair.toml")
-    other = other.model_copy(update={"pair": other.pair.model_copy(update={"eccentricity": 0.7e-3})})
-    found = identify(measured(8, each=12), other, held_out=False)
+    other = other.replace(eccentricity=0.7e-3)
+    found = identify(measured(8, each=12), Drive(other), held_out=False)
     assert any("No error of this pair explains" in n for n in found.notes)
 
 
 def test_starts_that_end_apart_are_said(measured, nominal, monkeypatch):
     """Where no two starts agree all five are tried, the best is taken, and the fit says what that may mean."""
-    monkeypatch.setattr(fitting.identify, "_AGREE", -np.inf)
+    monkeypatch.setattr(fitting.estimation.identify, "_AGREE", -np.inf)
     said = []
-    found = identify(measured(8, each=12), nominal, said.append, held_out=False)
+    found = identify(measured(8, each=12), Drive(nominal), progress=said.append, held_out=False)
     assert "finding a start (5)" in said
     assert any("No two of 5 starts ended in the same optimum" in n for n in found.notes)
     assert found.residual < 0.6 * ARCSEC
@@ -137,8 +140,8 @@ def test_starts_that_end_apart_are_said(measured, nominal, monkeypatch):
 
 def test_more_runs_tell_no_less():
     pair = read_pair(EXAMPLES / "drive-39-40.toml")
-    plans = bench_plans(pair, [20.0, 200.0], turns=1.0, samples=12, noise=0.5 * ARCSEC, scatter=0.3e-6)
-    assert [p.said for p in plans] == ["200 N·m forward", "200 N·m both ways", "200 and 20 N·m both ways"]
+    plans = plan(Drive(pair), [20.0, 200.0], turns=1.0, samples=12, noise=0.5 * ARCSEC, scatter=0.3e-6)
+    assert [p.runs for p in plans] == ["200 N·m forward", "200 N·m both ways", "200 and 20 N·m both ways"]
     assert len(plans[0].standard_error) < len(plans[1].standard_error) <= len(plans[2].standard_error)
     for name, error in plans[1].standard_error.items():
         assert plans[2].standard_error.get(name, 0.0) < 1.01 * error
@@ -147,19 +150,18 @@ def test_more_runs_tell_no_less():
 
 def test_a_plan_foretells_the_fit(measured, nominal):
     """The standard errors that a plan states are those that the fit of such runs then has (no scatter in either)."""
-    found = identify(measured(9), nominal, held_out=False)
-    planned = bench_plans(nominal, [20.0, 200.0], turns=1.0, samples=24, noise=0.5 * ARCSEC, scatter=1e-9)[-1]
+    found = identify(measured(9), Drive(nominal), held_out=False)
+    planned = plan(Drive(nominal), [20.0, 200.0], turns=1.0, samples=24, noise=0.5 * ARCSEC, scatter=1e-9)[-1]
     ratios = [p.standard_error / planned.standard_error[p.name] for p in found.parameters
               if p.held is None and p.name in planned.standard_error]  # fmt: skip
     assert len(ratios) > 15
     assert np.median(ratios) == pytest.approx(1.0, abs=0.25)
 
 
-def test_drawn_surfaces_have_the_fit_s_covariance(found, nominal, tmp_path):
+def test_ensemble_have_the_fit_s_covariance(found, nominal, tmp_path):
     write_surface(found.surface, tmp_path / "s.nc")
     surface = read_surface(tmp_path / "s.nc")
-    drawn = drawn_surfaces(nominal, surface, 400, seed=1)
-    again = drawn_surfaces(nominal, surface, 2, seed=1)
+    drawn, again = ([d.surface for d in ensemble(Drive(nominal, surface), count, seed=1)] for count in (400, 2))
     assert again[1].centre_distance_x == drawn[1].centre_distance_x
     at = surface.covariance_of.index("centre_distance_x")
     spread = np.std([s.centre_distance_x for s in drawn])
@@ -172,7 +174,7 @@ def test_the_ensemble_s_band_is_as_wide_as_the_fit_is_uncertain(found, nominal, 
     """At a load that was not measured the truth lies within a few widths of the drawn band."""
     angles = np.linspace(0.0, 200.0, 40)
     drawn = [solve(nominal, s, 60.0, angles, with_play=False).transmission_error[0]
-             for s in drawn_surfaces(nominal, found.surface, 60, seed=0)]  # fmt: skip
+             for s in (d.surface for d in ensemble(found.drive, 60, seed=0))]  # fmt: skip
     truth = solve(made, surface_of_pair(made), 60.0, angles, with_play=False).transmission_error[0]
     centre, width = np.mean(drawn, axis=0), np.std(drawn, axis=0)
     assert np.abs((truth - centre) / width).max() < 5.0
@@ -190,10 +192,10 @@ def test_plan_and_ensemble_from_the_command_line(command, found, nominal, tmp_pa
     assert run.returncode == 0, run.stderr
     assert len(list((tmp_path / "drawn").iterdir())) == 3
     for words, said in (
-        (("plan", "pair.toml", "--torque", "-20 N*m"), "--torque = -20 N*m: it must be above zero"),
+        (("plan", "pair.toml", "--torque", "-20 N*m"), "--torque = -20.0: it must be above zero"),
         (
             ("ensemble", "drawn/s-0000.nc", "--pair", "pair.toml", "-o", "again"),
-            "drawn/s-0000.nc: there is no covariance",
+            "--pair has no covariance of a fit",
         ),
         (("ensemble", "s.nc", "--pair", "pair.toml", "-o", "again", "--plot", "b.png"), "--plot and --torque belong"),
     ):

@@ -8,16 +8,20 @@ from common import BENCH
 from scipy.special import stdtrit
 
 from cycloid_fmu import edge
-from cycloid_fmu.pair import read_pair
-from cycloid_fmu.surface import read_surface, structured_value, surface_of_pair, with_structured, write_surface
-from cycloid_fmu.transmission import solve
-from fitting.curve import Curve, transmission_error_curve
-from fitting.identifiability import choose, posterior_covariance
-from fitting.identification import as_json, read_lmfit_parameters, write_identification
-from fitting.identify import identify
-from fitting.observation import State, errors_of, linearise, observations, spread_of
-from fitting.prior import tolerances_of
-from fitting.recording import read_bench_recording
+from cycloid_fmu.contact.transmission import solve
+from cycloid_fmu.drive import Drive
+from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.surfaces.files import read_surface, write_surface
+from cycloid_fmu.surfaces.structured import structured_value, with_structured
+from cycloid_fmu.surfaces.surface import surface_of_pair
+from fitting.estimation.identify import identify
+from fitting.estimation.result import as_json, read_lmfit_parameters
+from fitting.model.identifiability import choose, posterior_covariance
+from fitting.model.observations import State, errors_of, linearise, observations, spread_of
+from fitting.model.prior import tolerances_of
+from fitting.recordings.recording import open_recording
+from fitting.transmission_error.curve import Curve
+from fitting.transmission_error.folding import transmission_error_curves
 
 ARCSEC = np.pi / 648000
 
@@ -34,7 +38,7 @@ def standardised(found, made):
 
 @pytest.fixture(scope="module")
 def found(measured, nominal):
-    return identify(measured(1), nominal)
+    return identify(measured(1), Drive(nominal))
 
 
 def test_known_errors_are_found_within_what_is_claimed(found, made):
@@ -92,7 +96,7 @@ def test_json_says_value_interval_and_what_is_held(found):
 
 
 def test_lmfit_reads_its_parameters_back(found, tmp_path):
-    write_identification(found, tmp_path / "fit.json")
+    found.write(tmp_path / "fit.json")
     again = read_lmfit_parameters(tmp_path / "fit.json")
     assert [*again] == [*found.lmfit_parameters]
     for name, one in found.lmfit_parameters.items():
@@ -130,7 +134,7 @@ def test_parameters_that_are_not_lmfit_s_are_refused(found, tmp_path, change, sa
 def test_each_recording_s_own_zero_and_a_bench_without_index(measured, nominal, made):
     zeros = (3e-4, -2e-4, 1e-4, 5e-5)
     curves = measured(2, zeros=zeros, crank=0.02, common_zero=False, known_index=False)
-    found = identify(curves, nominal)
+    found = identify(curves, Drive(nominal))
     assert found.bench["crank_angle_offset"] == pytest.approx(0.02, abs=2e-3)
     offsets = [found.bench[f"output_angle_offset_{i}"] for i in range(4)]
     assert np.diff(offsets) == pytest.approx(np.diff(zeros), abs=3 * ARCSEC)
@@ -139,7 +143,7 @@ def test_each_recording_s_own_zero_and_a_bench_without_index(measured, nominal, 
 
 
 def test_one_load_tells_less_and_says_so(measured, nominal, found):
-    alone = identify(measured(3, loads=(200.0,)), nominal)
+    alone = identify(measured(3, loads=(200.0,)), Drive(nominal))
     assert len(alone.fitted) < len(found.fitted)
 
 
@@ -147,8 +151,8 @@ def test_scatter_of_single_pins_does_not_bend_the_structured_errors():
     """A drive with 0.3 µm of scatter a pin that no structured error holds, and a load kept back."""
     truth = json.loads((BENCH / "truth.json").read_text())
     pair = read_pair(BENCH / "pair.toml")
-    curves = [transmission_error_curve(read_bench_recording(f), pair.ratio) for f in sorted(BENCH.glob("*.csv"))]
-    found = identify(curves, pair)
+    curves = [transmission_error_curves(open_recording(f).read(), pair.ratio)[0] for f in sorted(BENCH.glob("*.csv"))]
+    found = identify(curves, Drive(pair))
     parameters = {p.name: p for p in found.parameters}
     inside = [
         parameters[n].interval[0] <= v <= parameters[n].interval[1] for n, v in truth["truth"].items()
@@ -172,7 +176,7 @@ def test_unloaded_curves_are_refused(measured, nominal):
     curves = measured(4)
     curves[1] = dataclasses.replace(curves[1], torque=0.0)
     with pytest.raises(edge.InputError, match="loaded"):
-        identify(curves, nominal)
+        identify(curves, Drive(nominal))
 
 
 def test_choose_never_takes_what_is_not_known():
@@ -187,7 +191,8 @@ def test_coverage_where_noise_is_all_that_blurs(measured, nominal, made, record_
     """Pooled over the fitted errors the 95 % intervals hold the truth; CYCLOID_SEEDS seeds of noise, else 200."""
     seeds = int(os.environ.get("CYCLOID_SEEDS", "200"))
     distances = [
-        list(standardised(identify(measured(1000 + s), nominal, held_out=False), made).values()) for s in range(seeds)
+        list(standardised(identify(measured(1000 + s), Drive(nominal), held_out=False), made).values())
+        for s in range(seeds)
     ]
     pooled = np.abs(np.concatenate(distances)) < 1.959964
     said = f"{pooled.mean():.3f} of {pooled.size}, {seeds} seeds of noise"
@@ -208,8 +213,8 @@ def random_drive(pair, generator):
     surface = with_structured(pair, surface_of_pair(pair), values)
     surface = dataclasses.replace(
         surface,
-        pin_radial=surface.pin_radial + generator.normal(0.0, 2e-6, pair.pair.pins),
-        pin_tangential=surface.pin_tangential + generator.normal(0.0, 2e-6, pair.pair.pins),
+        pin_radial=surface.pin_radial + generator.normal(0.0, 2e-6, pair.pins),
+        pin_tangential=surface.pin_tangential + generator.normal(0.0, 2e-6, pair.pins),
     )
     return surface, values
 
@@ -228,7 +233,7 @@ def test_coverage_of_the_intervals(nominal, teeth, record_property):
         drives = max(1, drives // 5)
         changed = {"gear_teeth": teeth, "pins": teeth + 1, "pin_circle_radius": circle, "pin_radius": pin,
                    "eccentricity": crank}  # fmt: skip
-        pair = nominal.model_copy(update={"pair": nominal.pair.model_copy(update=changed)})
+        pair = nominal.replace(**changed)
     angle = np.arange(teeth * 24) * 2 * np.pi / 24
     rows, held_out, widths = {}, [], []
     for seed in range(drives):
@@ -240,7 +245,7 @@ def test_coverage_of_the_intervals(nominal, teeth, record_property):
             for load in loads
             for error in [solve(pair, surface, load, angle, with_play=False).transmission_error[0]]
         ]  # fmt: skip
-        found = identify(curves, pair)
+        found = identify(curves, Drive(pair))
         assert found.residual < 1.2 * 0.5 * ARCSEC, seed
         for p in found.parameters:
             if p.held is None:

@@ -7,15 +7,17 @@ import numpy as np
 import pytest
 
 from cycloid_fmu import edge
+from cycloid_fmu.contact.transmission import solve
+from cycloid_fmu.drive import Drive
 from cycloid_fmu.fmu.model import DriveModel
-from cycloid_fmu.surface import structured_value, surface_of_pair, with_structured
-from cycloid_fmu.transmission import solve
-from fitting.identify import identify
-from fitting.loop_branches import branches_of, is_locked, on_the_curves_zero, play_of
-from fitting.observation import State, left_of, linearise, observations, spread_of
-from fitting.plan import bench_plans
-from fitting.recording import BenchRecording
-from fitting.survey import survey
+from cycloid_fmu.surfaces.structured import structured_value, with_structured
+from cycloid_fmu.surfaces.surface import surface_of_pair
+from fitting.estimation.identify import identify
+from fitting.estimation.plan import plan
+from fitting.figures.survey import survey
+from fitting.model.loops import branches_of, is_locked, on_the_curves_zero, play_of
+from fitting.model.observations import State, left_of, linearise, observations, spread_of
+from fitting.recordings.recording import Recording
 
 ARCSEC = np.pi / 648000
 RATED, CRANK = 181.0, 7.3
@@ -33,9 +35,10 @@ def wound_up(pair, *, friction, crank=CRANK, sides=(1, -1), samples=800, noise=0
         drive.advance()
         output.append(crank / pair.ratio + drive.transmission_error)
     output += 3e-4 + np.random.default_rng(0).normal(0.0, noise, torque.size)
-    return BenchRecording(
+    return Recording(
         np.arange(torque.size) * 0.01, np.full(torque.size, crank), np.array(output), torque,
-        np.zeros(torque.size, np.uint8), common_zero, True, pair.ratio, "loop.csv", "0",
+        np.zeros(torque.size, np.uint8), common_zero=common_zero, known_index=True,
+        ratio=pair.ratio, source="loop.csv", checksum="0",
     )  # fmt: skip
 
 
@@ -78,8 +81,8 @@ def test_the_play_and_its_derivatives_are_those_of_the_contact_model(made):
 def test_a_loop_tells_what_transmission_errors_alone_do_not(measured, nominal, made, loop):
     """Without a common zero nothing says how the two sides of the teeth stand to each other, but the play does."""
     curves = measured(1, each=12, zeros=(3e-4, -2e-4, 1e-4, 5e-5), common_zero=False)
-    alone = {p.name: p for p in identify(curves, nominal, held_out=False).parameters}
-    found = identify(curves, nominal, loops=loop)
+    alone = {p.name: p for p in identify(curves, Drive(nominal), held_out=False).parameters}
+    found = identify([*curves, *loop], Drive(nominal))
     with_loop = {p.name: p for p in found.parameters}
     assert alone["pin_circle_radius"].held is not None
     assert with_loop["pin_circle_radius"].held is None
@@ -97,8 +100,8 @@ def test_a_loop_tells_what_transmission_errors_alone_do_not(measured, nominal, m
 
 def test_a_plan_with_a_loop_foretells_what_it_adds(nominal):
     runs = {"turns": 1.0, "samples": 12, "noise": 0.5 * ARCSEC, "scatter": 0.3e-6}
-    one_way, wound, both, all_of_it = bench_plans(nominal, [200.0], loop=RATED, **runs)
-    assert wound.said == "200 N·m forward and a loop to 181 N·m"
+    one_way, wound, both, all_of_it = plan(Drive(nominal), [200.0], loop=RATED, **runs)
+    assert wound.runs == "200 N·m forward and a loop to 181 N·m"
     assert "pin_radius" not in one_way.standard_error
     assert "pin_radius" in wound.standard_error
     for name, error in both.standard_error.items():
@@ -128,7 +131,7 @@ def test_a_loop_that_tells_no_play_is_refused(made, how, said):
 
 def test_loops_alone_are_refused(nominal, loop):
     with pytest.raises(edge.InputError, match="one crank angle only"):
-        identify([], nominal, loops=loop)
+        identify(loop, Drive(nominal))
 
 
 def test_loops_among_recordings_on_the_command_line(command, made, measured, tmp_path, nominal):

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from cycloid_fmu.fmu.model import DriveModel
-from cycloid_fmu.surface import surface_of_pair
-from fitting.observation import State, linearise, observations, spread_of
-from fitting.plan import planned_curve
+from cycloid_fmu.surfaces.surface import surface_of_pair
+from fitting.estimation.plan import planned_curve
+from fitting.model.observations import State, linearise, observations, spread_of
 
 
 @pytest.mark.parametrize("output", ["gear", "ring"])
 @pytest.mark.parametrize(("direction", "torque"), [(1, 60.0), (1, -60.0), (-1, 60.0)])
 def test_friction_acts_against_the_motion(nominal, output, direction, torque):
     """What a drive with dry friction does is what the fit calls the same friction torque."""
-    pair = nominal.model_copy(update={"pair": nominal.pair.model_copy(update={"output": output})})
+    pair = nominal.replace(output=output)
     drive = DriveModel(pair, surface_of_pair(pair))
     drive.friction_torque, drive.torque = 5.0, torque
     errors, angles = [], 10.0 + direction * np.arange(6) * 0.3

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from common import EXAMPLES
 
-from cycloid_fmu.sampling import read_tolerances
-from cycloid_fmu.surface import (
+from cycloid_fmu.contact.transmission import error_sensitivity, solve
+from cycloid_fmu.drive import Drive
+from cycloid_fmu.surfaces.sampling import read_tolerances
+from cycloid_fmu.surfaces.surface import (
     profile_names,
     read_surface,
     structured_value,
@@ -13,10 +15,9 @@ from cycloid_fmu.surface import (
     with_structured,
     write_surface,
 )  # fmt: skip
-from cycloid_fmu.transmission import error_sensitivity, solve
-from fitting.curve import Curve
-from fitting.identify import identify
-from fitting.prior import profile_of
+from fitting.estimation.identify import identify
+from fitting.model.prior import Prior, profile_of
+from fitting.transmission_error.curve import Curve
 
 ARCSEC = np.pi / 648000
 FORM = {"profile_deviation_1": -0.4e-6, "profile_deviation_2": 0.5e-6, "profile_deviation_3": 0.6e-6,
@@ -27,7 +28,7 @@ FORM = {"profile_deviation_1": -0.4e-6, "profile_deviation_2": 0.5e-6, "profile_
 @pytest.mark.parametrize("form", [{}, FORM])
 def test_derivatives_are_those_of_finite_differences(made, output, form):
     """Between the elements deviations are linear, so a few angles have a contact at a corner: there both err."""
-    pair = made.model_copy(update={"pair": made.pair.model_copy(update={"output": output})})
+    pair = made.replace(output=output)
     surface = with_structured(pair, surface_of_pair(pair), form)
     names, angles, step = profile_names(range(1, 6)), np.linspace(0.0, 5.0, 40), 2e-8
     jacobian = error_sensitivity(pair, surface, 150.0, angles, ["pin_radius", *names])[1][:, 1:]
@@ -69,8 +70,8 @@ def test_form_within_its_tolerance_no_longer_bends_the_other_errors(made, nomina
         for load in (20.0, -20.0, 200.0, -200.0)
         for error in [solve(made, surface, load, angle, with_play=False).transmission_error[0]]
     ]  # fmt: skip
-    without = identify(curves, nominal, held_out=False)
-    found = identify(curves, nominal, profile=tolerated, held_out=False)
+    without = identify(curves, Drive(nominal), held_out=False)
+    found = identify(curves, Drive(nominal), tolerances=Prior(profile=tolerated), held_out=False)
 
     def distances(result):
         return {p.name: abs(p.value - structured_value(made, surface, p.name)) / p.standard_error

@@ -1,5 +1,6 @@
 """The report, looked at in a real browser, and its PDF in a real reader, where the machine has them."""
 
+import dataclasses
 import shutil
 import subprocess
 
@@ -7,11 +8,11 @@ import numpy as np
 import pytest
 from test_metrics import ARCMIN, ARCSEC, KNOWN, loop, recording, run_with
 
-from cycloid_fmu.pair import read_pair
-from fitting.metrics import figures_of
-from fitting.panels import order_name, panels_of
-from fitting.report import write_report
-from fitting.survey import survey
+from cycloid_fmu.geometry.pair import read_pair
+from fitting.figures.metrics import figures_of
+from fitting.figures.survey import survey
+from fitting.reports.panels import order_name, panels_of
+from fitting.reports.report import report
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 
@@ -27,7 +28,7 @@ def found():
 
 
 def test_the_orders_are_named_by_what_makes_them(nominal):
-    ring = nominal.model_copy(update={"pair": nominal.pair.model_copy(update={"output": "ring"})})
+    ring = nominal.replace(output="ring")
     for pair in (nominal, ring):
         names = {k: order_name(k, pair.ratio, pair) for k in (1, 39, 40, 41, 78, 120, 1560)}
         assert names == {1: "rig", 39: "pin", 40: "tooth", 41: "", 78: "pin", 120: "tooth", 1560: "mesh"}
@@ -43,7 +44,7 @@ def page(found, tmp_path_factory):
     from common import EXAMPLES
 
     path = tmp_path_factory.mktemp("report") / "a report.html"
-    write_report(found, path, read_pair(EXAMPLES / "drive-39-40.toml"))
+    report(dataclasses.replace(found, pair=read_pair(EXAMPLES / "drive-39-40.toml")), path)
     with playwright.sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
         opened = browser.new_page(viewport={"width": 1000, "height": 900})
@@ -102,7 +103,7 @@ def test_on_a_narrow_screen_nothing_is_cut_off(page):
 def test_the_pdf_holds_the_same(found, tmp_path):
     if shutil.which("pdftotext") is None:
         pytest.skip("no pdftotext on this machine")
-    write_report(found, tmp_path / "r.pdf")
+    report(found, tmp_path / "r.pdf")
     text = subprocess.run(["pdftotext", "-layout", tmp_path / "r.pdf", "-"], capture_output=True, text=True).stdout
     for word in ("Lost motion", "Backlash", "GB/T 40731", "never crosses zero", "Orders of the output", "SHA-256"):
         assert word in text, word

@@ -7,8 +7,8 @@ from c_host import COMPILER, HERE, INTERFACES, compiled, run_host
 from common import EXAMPLES
 
 from cycloid_fmu.fmu import native_build, tables
-from cycloid_fmu.pair import read_pair
-from cycloid_fmu.surface import surface_of_pair
+from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.surfaces.surface import surface_of_pair
 
 
 @pytest.fixture(scope="session")

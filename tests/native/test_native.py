@@ -24,6 +24,7 @@ from hypothesis import strategies as st
 
 from cycloid_fmu import edge
 from cycloid_fmu import reducer as rv
+from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.fmu import native_build, tables
 from cycloid_fmu.fmu.compliant_model import CompliantModel
 from cycloid_fmu.fmu.model import DriveModel
@@ -31,9 +32,8 @@ from cycloid_fmu.fmu.reducer_model import ReducerModel
 from cycloid_fmu.fmu.run import opened
 from cycloid_fmu.fmu.table_teeth import TABLE
 from cycloid_fmu.fmu.variables import variables
-from cycloid_fmu.pair import parse_pair, read_pair
-from cycloid_fmu.surface import nominal_surface, surface_of_pair
-from cycloid_fmu.transmission import solve
+from cycloid_fmu.geometry.pair import parse_pair, read_pair
+from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
 
 ARM = Path("/usr/aarch64-linux-gnu")  # Debian's libc6-arm64-cross
 MOTION = {"kinematic": 3, "compliant": 4, "inertia": 3}  # inputs, which the C host prints first, after the time
@@ -173,7 +173,7 @@ def test_transmission_error_repeats_after_the_tables_period(keys, errors, pitche
     }
     surface = type(surface)(**{**vars(surface), **changes})
     assert tables.mesh_pitches(pair, surface) == pitches
-    period = pitches * 2.0 * np.pi / (39 if pair.pair.output == "ring" else 40)
+    period = pitches * 2.0 * np.pi / (39 if pair.output == "ring" else 40)
     angles = random.uniform(0.0, 50.0, 12)
     first, second = (solve(pair, surface, [150.0, -40.0], a).transmission_error for a in (angles, angles + period))
     np.testing.assert_allclose(first, second, atol=1e-11)

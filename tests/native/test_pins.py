@@ -23,8 +23,8 @@ from cycloid_fmu.fmu.compliant_model import CompliantModel
 from cycloid_fmu.fmu.core import Core
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.reducer_model import ReducerModel
-from cycloid_fmu.pair import parse_pair, read_pair
-from cycloid_fmu.surface import nominal_surface, surface_of_pair
+from cycloid_fmu.geometry.pair import parse_pair, read_pair
+from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
 
 MODIFIED = "[modification]\n" + 'isometric = "-15 um"\noffset = "-40 um"\n'
 TEXT = PAIR + 'rated_torque = "181 N*m"\n' + MODIFIED
@@ -97,7 +97,7 @@ def opened(tmp_path):
 
 
 def pins_of_model(model):
-    return np.reshape([model.pin_force, model.pin_pressure], (2, model.pair.pair.discs, model.pair.pair.pins))
+    return np.reshape([model.pin_force, model.pin_pressure], (2, model.pair.discs, model.pair.pins))
 
 
 def moved(model, angle, torque):
@@ -123,7 +123,7 @@ def scattered(pair, **more):
 
 def rough(pair, width, **more):
     """The same with a deviation of 1 µm of every element of flanks and pins."""
-    random, g = np.random.default_rng(6), pair.pair
+    random, g = np.random.default_rng(6), pair
     return scattered(
         pair, gear_deviation=random.normal(0.0, 1e-6, (g.discs, g.gear_teeth, 60, width)),
         pin_deviation=random.normal(0.0, 1e-6, (g.pins, 50, width)), **more,

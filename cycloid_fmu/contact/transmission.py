@@ -1,0 +1,535 @@
+"""Transmission error, backlash, torsional stiffness, load sharing and contact pressure over a crank sweep."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import threading
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cycloid_fmu import contact, edge
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_normals, flank_points
+from cycloid_fmu.surfaces.provenance import provenance
+from cycloid_fmu.surfaces.structured import PROFILE_POINTS, displacement_columns, displacements, profile_wave
+from cycloid_fmu.surfaces.surface import ErrorSurface
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+Array = NDArray[np.float64]
+FORMAT = "cycloid-analysis/1"
+PROFILE_ELEMENTS = 800  # of a tooth, as in the error-surface paper, where a surface does not say
+ANGLE_ELEMENTS = 400  # of half a pin
+SLICES_MISALIGNED = 20  # transmission error within 0.1 % to 0.5 mrad, by midpoints (docs/theory/contact.md)
+_UNBALANCED = 0.2  # of the torque: where a worn flank's curvature jumps, so do forces, and 5 % were seen to stay
+PART = 360  # crank angles that are solved in a row, each from its neighbour
+
+
+@dataclass(frozen=True)
+class Transmission:
+    """Results of a crank sweep, SI.
+
+    Attributes
+    ----------
+    torque, crank_angle
+        Shapes (torques,) and (angles,): N·m on the output, rad.
+    transmission_error, torsional_stiffness, contact_count, max_contact_pressure
+        Shape (torques, angles): rad at the output, N·m/rad, pins, Pa.
+    pin_force, pin_pressure
+        Shape (torques, angles, discs, pins): N, Pa.
+    play_low, play_high, backlash, interference
+        Shape (angles,): deviations between which the output is free (rad), their difference (rad; NaN without a free
+        position), and by how much there is none (m).
+    slice_force, slice_direction
+        Shape (torques, angles, discs, pins, slices), or size 0: the instantaneous contact lines as force in each slice
+        (N) and direction of the contact about the pin's axis from that to the pin circle's centre (rad).
+    gear_element_pressure, pin_element_pressure
+        Shapes (torques, discs, teeth, profile, slices) and (torques, pins, angle, slices), or size 0: the largest
+        pressure that each element has seen, Pa.
+    """
+
+    torque: Array
+    crank_angle: Array
+    transmission_error: Array
+    torsional_stiffness: Array
+    contact_count: NDArray[np.int64]
+    max_contact_pressure: Array
+    pin_force: Array
+    pin_pressure: Array
+    play_low: Array
+    play_high: Array
+    interference: Array
+    slice_force: NDArray[np.float32]
+    slice_direction: NDArray[np.float32]
+    gear_element_pressure: Array
+    pin_element_pressure: Array
+
+    @property
+    def backlash(self) -> Array:
+        """Free rotation of the output with the crank locked, shape (angles,), rad; NaN without a free position."""
+        return self.play_high - self.play_low
+
+
+def slices_needed(surface: ErrorSurface) -> int:
+    """Return the slices that a surface needs: its elements across the width, 20 where the gear's axis is tilted."""
+    made = displacements(surface.pair, surface, {})
+    tilted = made["tilt_x"] != 0.0 or made["tilt_y"] != 0.0
+    elements = [int(d.shape[-1]) for d in (surface.gear_deviation, surface.pin_deviation) if d is not None]
+    return max([SLICES_MISALIGNED if tilted else 1, *elements])
+
+
+def drive_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> contact.Problem:
+    """Return the contact problem of a pair with an error surface.
+
+    Parameters
+    ----------
+    pair, surface
+        The nominal pair and its errors.
+    slices
+        Slices across the face width, each independent and taken at its middle; 1 where nothing varies across it.
+    """
+    direction = 2.0 * np.pi * np.arange(pair.pins) / pair.pins
+    made = displacements(pair, surface, {
+        "crank_throw": pair.eccentricity, "generating_pin_radius": pair.generating_pin_radius,
+        "generating_circle_radius": pair.generating_circle_radius, "pin_radial": pair.pin_circle_radius,
+        "pin_radius": pair.pin_radius,
+    })  # fmt: skip
+    angle = direction + made["pin_tangential"] / pair.pin_circle_radius
+    z = pair.face_width * ((np.arange(slices) + 0.5) / slices - 0.5)
+    stray = _stray(pair, surface)
+    return contact.Problem(
+        circle_radius=float(made["generating_circle_radius"]),
+        generating_radius=float(made["generating_pin_radius"]),
+        generating_eccentricity=pair.eccentricity,
+        eccentricity=float(made["crank_throw"]),
+        teeth=pair.gear_teeth,
+        ring=pair.output == "ring",
+        pin_x=made["pin_radial"] * np.cos(angle),
+        pin_y=made["pin_radial"] * np.sin(angle),
+        pin_radius=made["pin_radius"],
+        tooth_turn=np.ascontiguousarray(made["tooth_turn"]),
+        crank_phase=2.0 * np.pi * np.arange(pair.discs) / pair.discs,
+        centre_x=made["centre_x"] + made["tilt_x"] * z,
+        centre_y=made["centre_y"] + made["tilt_y"] * z,
+        slice_z=z,
+        slice_width=pair.face_width / slices,
+        compliance_gear=pair.material.gear.compliance,
+        compliance_pin=pair.material.pin.compliance,
+        largest_log_radius=pair.pin_circle_radius if pair.contact_law == "capped" else math.inf,
+        stray=stray,
+        root_phase=_root_phase(pair, stray, float(made["generating_circle_radius"])),
+        root_margin=1e-6 + 1.5 * pair.pin_circle_radius * float(np.ptp(made["tooth_turn"], axis=1).max()),
+        deviations=_deviations(pair, surface, z),
+    )
+
+
+def _deviations(pair: Pair, surface: ErrorSurface, z: Array) -> contact.Deviations | None:
+    """Deviations of flanks and pins at the slices' middles; None where all is nominal."""
+    gear, pin = surface.gear_deviation, surface.pin_deviation
+    g = pair
+    if gear is None and pin is None:
+        return None
+    if gear is None:
+        gear = np.zeros((g.discs, g.gear_teeth, PROFILE_ELEMENTS, 1))
+    if pin is None:
+        pin = np.zeros((g.pins, 2, 1))
+    gear_bend, pin_bend = surface.gear_curvature, surface.pin_curvature
+    return contact.Deviations(
+        *_flank_points(pair, surface, gear.shape[2]),
+        gear=_flanks_of(gear, z, g.face_width),
+        pin=_pins_of(pin, z, g.face_width),
+        largest=float(gear.max() + pin.max()),
+        gear_curvature=np.empty((0, 0, 0, 0)) if gear_bend is None else _flanks_of(gear_bend, z, g.face_width),
+        pin_curvature=np.empty((0, 0, 0)) if pin_bend is None else _pins_of(pin_bend, z, g.face_width),
+    )
+
+
+def _flanks_of(values: Array, z: Array, face_width: float) -> Array:
+    """Values of the flanks' elements for `contact.Deviations`; an end has the value of the element it is in."""
+    flanks = np.moveaxis(_across_width(values, z, face_width), 3, 1)
+    return np.ascontiguousarray(np.concatenate([flanks[..., :1], flanks, flanks[..., -1:]], axis=3))
+
+
+def _pins_of(values: Array, z: Array, face_width: float) -> Array:
+    """Values of the pins' elements as `contact.Deviations` takes them."""
+    return np.ascontiguousarray(np.moveaxis(_across_width(values, z, face_width), 2, 0))
+
+
+def _flank_points(pair: Pair, surface: ErrorSurface, elements: int) -> tuple[Array, Array, Array, Array, Array]:
+    """Parameters, points and normals of tooth 0's ends and its elements' middles on the flank that was made."""
+    alpha = np.concatenate([[0.0], equal_arc_parameters(pair, elements), [2.0 * np.pi / pair.gear_teeth]])
+    errors, drawn = displacements(pair, surface, {}), pair.modification
+    made = pair.replace(
+        isometric=drawn.isometric + errors["generating_pin_radius"],
+        offset=drawn.offset + errors["generating_circle_radius"],
+    )
+    (x, y), (nx, ny) = flank_points(made, alpha), flank_normals(made, alpha)
+    return alpha, x, y, nx, ny
+
+
+def _across_width(deviation: Array, z: Array, face_width: float) -> Array:
+    """Values at heights z of elements along the last axis, linear between the elements' middles."""
+    count = deviation.shape[-1]
+    place = np.clip((z / face_width + 0.5) * count - 0.5, 0.0, count - 1.0)
+    low = np.minimum(place.astype(int), max(count - 2, 0))
+    high = np.minimum(low + 1, count - 1)
+    share = place - low
+    return np.asarray((1.0 - share) * deviation[..., low] + share * deviation[..., high])
+
+
+def _stray(pair: Pair, surface: ErrorSurface) -> float:
+    """How far modifications and errors can take a pin's axis from the flank's generating path, m."""
+    scale = {"tilt_x": pair.face_width, "tilt_y": pair.face_width, "tooth_turn": pair.pin_circle_radius}
+    modification = {
+        "generating_pin_radius": pair.modification.isometric, "generating_circle_radius": pair.modification.offset,
+    }  # fmt: skip
+    largest = {
+        name: float(np.abs(values).max()) * scale.get(name, 1.0)
+        for name, values in displacements(pair, surface, modification).items()
+    }
+    elements = sum(np.abs(d).max() for d in (surface.gear_deviation, surface.pin_deviation) if d is not None)
+    return float(sum(largest.values()) + elements)
+
+
+def _root_phase(pair: Pair, stray: float, circle: float) -> float:
+    """Phase from a root within which a pin may stand before the neighbouring tooth, rad.
+
+    It is where the generating path has run three times as far as the pin's axis may stray from it, the rotation that
+    errors and modifications allow included.
+    """
+    g = pair
+    turning = circle / (g.eccentricity * g.gear_teeth)
+    reach = 3.0 * (1.0 + turning) * stray + 5e-5
+    k = g.eccentricity * g.pins / circle
+    phase = np.linspace(0.0, 0.9 * np.pi, 200)
+    speed = circle / g.gear_teeth * np.sqrt(1.0 + k * k - 2.0 * k * np.cos(phase))
+    path = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(phase))])
+    return float(np.interp(reach, path, phase))
+
+
+def _contiguous(values: ArrayLike) -> Array:
+    # A copy: for a view with steps, or one that is read only, the kernel would be compiled once more.
+    return np.array(values, dtype=float, order="C", ndmin=1)
+
+
+def carried(contacts: contact.Rows) -> Array:
+    """Torque that contacts carry, N·m: force times arm, summed over the rows, shape (..., rows), of each."""
+    force, arm = contacts["force"], contacts["arm"]
+    return np.asarray(np.sum(np.where(force > 0.0, force * arm, 0.0), axis=-1))
+
+
+def balances(torque: ArrayLike, balance: ArrayLike) -> NDArray[np.bool_]:
+    """Whether what contacts carry is the torque, both N·m, shapes that broadcast: else the search ended without it."""
+    return np.asarray(np.abs(np.subtract(balance, torque)) <= _UNBALANCED * np.abs(torque))
+
+
+def check_balance(torque: ArrayLike, balance: ArrayLike) -> None:
+    """Refuse a torque that contacts do not carry.
+
+    Parameters
+    ----------
+    torque, balance
+        N·m, and what contacts carry, shapes that broadcast.
+
+    Raises
+    ------
+    edge.InputError
+        It names the torque.
+    """
+    failed = ~balances(torque, balance)
+    if failed.any():
+        first = np.broadcast_to(torque, failed.shape)[failed][0]
+        raise edge.InputError(
+            f"torque = {first:g} N*m: no contacts of this pair can balance it; give one that it can carry."
+        )
+
+
+def _check_again(drive: contact.Problem, crank_angle: Array, torque: Array, falling: NDArray[np.bool_]) -> None:
+    """Check the balance where the torque falls with the rotation, which it does on worn flanks or beyond any load."""
+    rows = contact.contact_rows(drive)
+    for i in np.flatnonzero(falling & (torque != 0.0)):
+        contact.equilibrium(drive, crank_angle[i], torque[i], 0.0, rows, True)
+        check_balance(torque[i], carried(rows))
+
+
+def _lines(
+    pair: Pair, surface: ErrorSurface, problem: contact.Problem, places: tuple[int, ...]
+) -> contact.ContactLines:
+    """Return empty contact lines, of the surface's elements or as many as by default."""
+    g, slices = pair, problem.centre_x.size
+    profile = PROFILE_ELEMENTS if surface.gear_deviation is None else surface.gear_deviation.shape[2]
+    around = ANGLE_ELEMENTS if surface.pin_deviation is None else surface.pin_deviation.shape[1]
+    alpha, x, y, _, _ = _flank_points(pair, surface, profile)
+    return contact.ContactLines(
+        np.zeros((*places, slices), np.float32), np.zeros((*places, slices), np.float32),
+        np.zeros((places[0], g.discs, g.gear_teeth, profile, slices)), np.zeros((places[0], g.pins, around, slices)),
+        alpha, x, y,
+    )  # fmt: skip
+
+
+def _no_lines(torques: int) -> contact.ContactLines:
+    slices, elements = np.zeros((torques, 0, 0, 0, 0), np.float32), np.zeros((torques, 0, 0, 0, 0))
+    none = np.empty(0)
+    return contact.ContactLines(slices, slices, elements, elements.reshape(torques, 0, 0, 0), none, none, none)
+
+
+def solve(
+    pair: Pair,
+    surface: ErrorSurface,
+    torque: ArrayLike,
+    crank_angle: ArrayLike,
+    slices: int = 1,
+    *,
+    with_play: bool = True,
+    with_elements: bool = False,
+    workers: int = 1,
+    progress: Callable[[int], None] = lambda angles: None,
+) -> Transmission:
+    """Solve the loaded contact at every torque and crank angle.
+
+    Parameters
+    ----------
+    pair, surface
+        The nominal pair and its errors.
+    torque
+        Torques of the environment on the output, N·m; at 0 the transmission error is the middle of the play.
+    crank_angle
+        Crank angles, rad; neighbours should be neighbours in the array, each solution starts from the one before.
+    slices
+        Slices across the face width.
+    with_play
+        Whether to compute play, backlash and interference; NaN otherwise.
+    with_elements
+        Whether to keep the contact lines and the largest pressure of each element.
+    workers
+        Threads. The work is divided in the same way whatever their number, so the results are the same bits.
+    progress
+        Told how many crank angles (times loads) were just finished.
+
+    Raises
+    ------
+    edge.InputError
+        If a torque is too large to be balanced.
+    Interrupted
+        At a KeyboardInterrupt; it holds the results of the crank angles that were finished.
+    """
+    problem = drive_of(pair, surface, slices)
+    g = pair
+    torques, angles = _contiguous(torque), _contiguous(crank_angle)
+    if not (np.isfinite(torques).all() and np.isfinite(angles).all()):
+        raise ValueError("torque and crank_angle must be finite")
+    loads, places = (torques.size, angles.size), (torques.size, angles.size, g.discs, g.pins)
+    deviation, stiffness, pressure = (np.full(loads, np.nan) for _ in range(3))
+    found = contact.LoadedSweep(
+        deviation, stiffness, np.zeros(loads, dtype=np.int64), pressure, np.zeros(places), np.zeros(places)
+    )
+    low, high, gap = (np.full(angles.size, np.nan) for _ in range(3))
+    lines = _lines(pair, surface, problem, places) if with_elements else None
+    merging = threading.Lock()
+
+    def part(first: int) -> int:
+        last = min(first + PART, angles.size)
+        # Parts that are solved at once each raise pressures of their own.
+        mine = lines and lines._replace(
+            gear_pressure=np.zeros_like(lines.gear_pressure), pin_pressure=np.zeros_like(lines.pin_pressure)
+        )
+        contact.sweep(problem, angles, torques, first, last, with_play, low, high, gap, found, mine)
+        if lines is not None and mine is not None:
+            with merging:
+                np.maximum(lines.gear_pressure, mine.gear_pressure, out=lines.gear_pressure)
+                np.maximum(lines.pin_pressure, mine.pin_pressure, out=lines.pin_pressure)
+        return last - first
+
+    def result(done: slice) -> Transmission:
+        kept = lines or _no_lines(torques.size)
+        return Transmission(
+            torques, angles[done], deviation[:, done], stiffness[:, done], found.contact_count[:, done],
+            pressure[:, done], found.pin_force[:, done], found.pin_pressure[:, done], low[done], high[done], gap[done],
+            kept.slice_force[:, done], kept.slice_direction[:, done], kept.gear_pressure, kept.pin_pressure,
+        )  # fmt: skip
+
+    finished = 0
+    # One thread needs no pool: a study of thousands of drives would start one for each.
+    with ThreadPoolExecutor(workers) if workers > 1 else contextlib.nullcontext() as pool:
+        parts = range(0, angles.size, PART)
+        try:
+            for size in map(part, parts) if pool is None else pool.map(part, parts):
+                finished += size
+                progress(size * torques.size)
+        except KeyboardInterrupt:
+            if pool is not None:
+                pool.shutdown(cancel_futures=True)
+            raise Interrupted(result(slice(0, finished))) from None
+    for k, load in enumerate(torques):
+        _check_again(problem, angles, np.full(angles.size, load), stiffness[k] <= 0.0)
+    return result(slice(None))
+
+
+class Interrupted(KeyboardInterrupt):
+    """A sweep was interrupted; `result` holds what was finished, from the first crank angle on."""
+
+    def __init__(self, result: Transmission) -> None:
+        super().__init__()
+        self.result = result
+
+
+def error_sensitivity(
+    pair: Pair, surface: ErrorSurface, torque: ArrayLike, crank_angle: ArrayLike, names: list[str], slices: int = 1
+) -> tuple[Array, Array, Array, Array]:
+    """Transmission error at one torque, or one for each angle, with its derivatives by errors, angle and torque.
+
+    Returns
+    -------
+    transmission_error
+        Shape (angles,), rad.
+    jacobian
+        By the structured errors of `names`, orders of the profile deviation among them, shape (angles, names), rad/m
+        (rad/rad for angles).
+    each
+        By every single error, columns as in `contact.sensitivities`.
+    further
+        By crank angle (rad/rad) and torque (rad/(N·m)), shape (angles, 2).
+
+    Raises
+    ------
+    edge.InputError
+        If a torque is too large to be balanced.
+    """
+    drive = drive_of(pair, surface, slices)
+    angles = _contiguous(crank_angle)
+    columns = displacement_columns(pair, names)
+    each = np.empty((angles.size, columns.shape[0]))
+    deviation, by_angle, by_torque = (np.empty(angles.size) for _ in range(3))
+    torques = _contiguous(np.broadcast_to(torque, angles.shape))
+    contact.sweep_sensitivities(drive, angles, torques, deviation, each, by_angle, by_torque)
+    _check_again(drive, angles, torques, ~(by_torque > 0.0))
+    jacobian = each @ columns
+    elements = PROFILE_POINTS if surface.gear_deviation is None else surface.gear_deviation.shape[2]
+    profiles = {at: wave for at, name in enumerate(names) if (wave := profile_wave(name, elements)) is not None}
+    if profiles:
+        places = np.concatenate([[0.0], equal_arc_parameters(pair, elements), [2.0 * np.pi / pair.gear_teeth]])
+        waves = np.pad(np.array(list(profiles.values())), ((0, 0), (1, 1)), "edge")
+        of_waves = np.empty((angles.size, len(profiles)))
+        contact.sweep_flank_sensitivities(drive, angles, deviation, places, waves, of_waves)
+        jacobian[:, list(profiles)] = of_waves
+    return deviation, jacobian, each, np.stack([by_angle - 1.0 / pair.ratio, by_torque], axis=1)
+
+
+_LABELS = {
+    "transmission_error": ("rad", "transmission error at the output"),
+    "backlash": ("rad", "backlash: free rotation of the output with the crank locked"),
+    "interference": ("m", "interference where no free position exists"),
+    "torsional_stiffness": ("N*m/rad", "torsional stiffness at the output"),
+    "contact_count": ("1", "pins that carry more than 1 % of the most loaded pin's force"),
+    "max_contact_pressure": ("Pa", "largest contact pressure"),
+    "pin_force": ("N", "force of each pin"),
+    "pin_pressure": ("Pa", "largest contact pressure of each pin"),
+    "slice_force": ("N", "contact lines: force of each pin in each slice"),
+    "slice_direction": ("rad", "contact lines: direction about the pin's axis, from that to the pin circle's centre"),
+    "gear_element_pressure": ("Pa", "largest pressure that each element of the flanks has seen"),
+    "pin_element_pressure": ("Pa", "largest pressure that each element of the pins has seen"),
+    "slice": ("m", "middle of the slice from mid-width"),
+    "profile": ("1", "middle of the element along the tooth's arc, from its first root to its second"),
+    "angle": ("rad", "middle of the element about the pin's axis, from the direction to the pin circle's centre"),
+    "torque": ("N*m", "torque of the environment on the output"),
+    "crank_angle": ("rad", "crank angle"),
+}
+
+
+def analyze(
+    pair: Pair,
+    surface: ErrorSurface,
+    torque: ArrayLike,
+    crank_angle: ArrayLike,
+    slices: int = 1,
+    *,
+    with_elements: bool = False,
+    workers: int = 1,
+    progress: Callable[[int], None] = lambda angles: None,
+) -> xr.Dataset:
+    """Return the labelled dataset of a crank sweep (format `cycloid-analysis/1`).
+
+    Parameters are those of `solve`. Interrupted, it returns the crank angles that were finished, and the attribute
+    `complete` is 0.
+    """
+    complete = True
+    try:
+        result = solve(
+            pair, surface, torque, crank_angle, slices, with_elements=with_elements, workers=workers, progress=progress
+        )
+    except Interrupted as interrupted:
+        result, complete = interrupted.result, False
+    return labelled(pair, surface, result, slices, complete=complete)
+
+
+def labelled(pair: Pair, surface: ErrorSurface, result: Transmission, slices: int, *, complete: bool) -> xr.Dataset:
+    """Return results as `analyze` does: a dataset that states the drive, its slices and whether it is complete."""
+    data = dataset_of(pair, result)
+    data.attrs.update(provenance(pair, surface), slices=slices, complete=int(complete))
+    return data
+
+
+def dataset_of(pair: Pair, result: Transmission) -> xr.Dataset:
+    """Return results as a labelled dataset with units."""
+    import xarray as xr
+
+    g = pair
+    grid = ("torque", "crank_angle")
+    pins = (*grid, "disc", "pin")
+    each = np.ones((result.torque.size, 1))
+    data: dict[str, Any] = {
+        "transmission_error": (grid, result.transmission_error),
+        "backlash": (grid, each * result.backlash),
+        "interference": (grid, each * result.interference),
+        "torsional_stiffness": (grid, result.torsional_stiffness),
+        "contact_count": (grid, result.contact_count),
+        "max_contact_pressure": (grid, result.max_contact_pressure),
+        "pin_force": (pins, result.pin_force),
+        "pin_pressure": (pins, result.pin_pressure),
+    }
+    coordinates: dict[str, Any] = {
+        "torque": result.torque,
+        "crank_angle": result.crank_angle,
+        "disc": np.arange(g.discs),
+        "pin": np.arange(g.pins),
+    }
+    if result.slice_force.size:
+        slices = result.slice_force.shape[-1]
+        profile, around = result.gear_element_pressure.shape[3], result.pin_element_pressure.shape[2]
+        data["slice_force"] = ((*pins, "slice"), result.slice_force)
+        data["slice_direction"] = ((*pins, "slice"), result.slice_direction)
+        data["gear_element_pressure"] = (("torque", "disc", "tooth", "profile", "slice"), result.gear_element_pressure)
+        data["pin_element_pressure"] = (("torque", "pin", "angle", "slice"), result.pin_element_pressure)
+        coordinates["slice"] = g.face_width * ((np.arange(slices) + 0.5) / slices - 0.5)
+        coordinates["tooth"] = np.arange(g.gear_teeth)
+        coordinates["profile"] = (np.arange(profile) + 0.5) / profile
+        coordinates["angle"] = np.pi * ((np.arange(around) + 0.5) / around - 0.5)
+    dataset = xr.Dataset(data, coordinates)
+    for name, (unit, text) in _LABELS.items():
+        if name in dataset.variables:
+            dataset[name].attrs.update(units=unit, long_name=text)
+    dataset.attrs["format"] = FORMAT
+    return dataset
+
+
+def statistics(data: Mapping[Any, Any]) -> dict[str, NDArray[np.float64]]:
+    """Return the error-surface paper's figures of an analysis (dataset or arrays by name), one value for each torque.
+
+    MTE and PPTE are the mean and peak-to-peak transmission error, MB and PPB those of the backlash (rad; NaN where
+    there is no free position), MCS the largest contact pressure (Pa).
+    """
+    error, backlash = np.asarray(data["transmission_error"]), np.asarray(data["backlash"])
+    return {
+        "MTE": error.mean(axis=1),
+        "PPTE": np.ptp(error, axis=1),
+        "MB": backlash.mean(axis=1),
+        "PPB": np.ptp(backlash, axis=1),
+        "MCS": np.asarray(data["max_contact_pressure"]).max(axis=1),
+    }

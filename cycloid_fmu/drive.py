@@ -1,0 +1,260 @@
+"""A drive: a gear pair with what really was made of it, and what can be asked of it."""
+
+from __future__ import annotations
+
+import functools
+import math
+import os
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cycloid_fmu import edge
+from cycloid_fmu.errors.kinds import KINDS
+from cycloid_fmu.errors.stated import Errors
+from cycloid_fmu.geometry.pair import Pair, read_pair
+from cycloid_fmu.surfaces.provenance import drive_hash, drive_text, stating
+from cycloid_fmu.surfaces.surface import ErrorSurface, check_surface, stated_values, surface_of_pair
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from cycloid_fmu.fmu.variables import Interface
+
+Array = NDArray[np.float64]
+_FIELD_UNITS = {
+    "rad": ("arcsec", edge.ARCSEC), "N*m/rad": ("N*m/arcmin", 1.0 / edge.ARCMIN), "Pa": ("MPa", 1e-6), "m": ("um", 1e6),
+}  # fmt: skip
+
+
+class Drive:
+    """A gear pair with its errors: everything that the contact model needs. Immutable, equal by value.
+
+    Parameters
+    ----------
+    pair
+        The gear pair; the errors that it states are the drive's unless a surface is given.
+    surface
+        What really was made, of the same pair.
+
+    Attributes
+    ----------
+    pair
+        The pair with the errors that the drive has.
+    surface
+        The drive's errors as an error surface.
+
+    Raises
+    ------
+    edge.InputError
+        If the surface belongs to another pair.
+
+    Examples
+    --------
+    >>> import cycloid_fmu as cy
+    >>> pair = cy.Pair(
+    ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm"
+    ... )
+    >>> drive = cy.Drive(pair).replace(offset=-30e-6, errors={"pin_radius": "-1 um"})
+    >>> drive.surface.pin_radius
+    -1e-06
+    >>> data = drive.analyze(torque=[20, "200 N*m"], angles=90)
+    >>> data.sizes["torque"], data.sizes["crank_angle"]
+    (2, 90)
+    """
+
+    pair: Pair
+    surface: ErrorSurface
+
+    def __init__(self, pair: Pair, surface: ErrorSurface | None = None) -> None:
+        if surface is None:
+            surface = surface_of_pair(pair)
+        else:
+            check_surface(pair, surface, "the pair", "the surface")
+            pair = pair if surface_of_pair(pair) == surface else stating(pair, surface)
+        self.__dict__.update(pair=pair, surface=surface)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(f"{name}: a drive can't be changed; make another with replace")
+
+    def __eq__(self, other: object) -> bool:
+        return self.hash == other.hash if isinstance(other, Drive) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self.hash)
+
+    def __repr__(self) -> str:
+        pair, errors = self.pair, ", ".join(self.pair.errors) or "none"
+        return f"Drive({pair.gear_teeth}/{pair.pins}, discs {pair.discs}, errors: {errors}, hash {self.hash})"
+
+    @property
+    def text(self) -> str:
+        """The drive as the text of a pair file, the same for the same drive, however it was made.
+
+        Form and wear of elements are not part of it.
+        """
+        return drive_text(self.pair, self.surface)
+
+    @functools.cached_property
+    def hash(self) -> str:
+        """Fingerprint of all values, 16 hexadecimal digits: the same for the same drive, however it was made."""
+        return drive_hash(self.pair, self.surface)
+
+    def replace(self, errors: Mapping[str, Any] | None = None, **changes: Any) -> Self:
+        """Return the drive with other values, checked as reading a file does.
+
+        Parameters
+        ----------
+        errors
+            The errors that change, by their keys in a pair file (`pin_radius_each`) or their names; the others are
+            kept.
+        changes
+            Values of the pair, `isometric` and `offset` of its modification among them, or `surface`.
+
+        Raises
+        ------
+        edge.InputError
+            As `Pair` and `ErrorSurface` do.
+        """
+        names = {kind.name: kind.file_key for kind in KINDS.values()}
+        given = {names.get(name, name): value for name, value in (errors or {}).items()}
+        surface = changes.pop("surface", self.surface)
+        if surface == surface_of_pair(self.pair):
+            return type(self)(self.pair.replace(errors=given, **changes))
+        pair, stated = self.pair.nominal.replace(**changes), Errors(given)
+        changed = {kind.name for kind in KINDS.values() if kind.file_key in given}
+        kept = {name: values for name, values in surface.errors.items() if name not in changed}
+        values = {**kept, **stated_values(pair, stated)}
+        # What was fitted together with other values is not their covariance.
+        return type(self)(pair, surface.replace(pair=pair, errors=values, covariance=None, covariance_of=()))
+
+    def analyze(
+        self,
+        torque: ArrayLike | str | Sequence[float | str],
+        *,
+        crank_angle: ArrayLike | None = None,
+        angles: int = 360,
+        turns: int = 1,
+        slices: int | None = None,
+        workers: int | None = None,
+        progress: Callable[[int], None] = lambda angles: None,
+    ) -> xr.Dataset:
+        """Transmission error, backlash, stiffness, load sharing and pressure over a crank sweep.
+
+        Parameters
+        ----------
+        torque
+            Of the environment on the output, counter-clockwise positive, N·m or text with a unit; one or several. At 0
+            the transmission error is the middle of the play.
+        crank_angle
+            Crank angles, rad; `angles` of them evenly over `turns` crank turns from 0, end excluded, where not given.
+        slices
+            Slices across the face width, with contact lines and the pressure on each element; where not given as many
+            as the errors need, without these.
+        workers
+            Threads; one for each core where not given.
+        progress
+            Called with the number of crank angles (times loads) that were just finished.
+
+        Returns
+        -------
+        xarray.Dataset
+            Over `torque` and `crank_angle`, SI, with units (format `cycloid-analysis/1`). `field_units` converts it.
+
+        Raises
+        ------
+        edge.InputError
+            If a torque can't be carried.
+        """
+        from cycloid_fmu.contact.transmission import analyze, slices_needed
+
+        if crank_angle is None:
+            crank_angle = np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False)
+        given = [torque] if isinstance(torque, str) or np.ndim(torque) == 0 else list(torque)  # type: ignore[arg-type]
+        return analyze(
+            self.pair, self.surface, [edge.quantity(t, "N*m") for t in given], crank_angle,
+            slices or slices_needed(self.surface), with_elements=slices is not None,
+            workers=workers or os.cpu_count() or 1, progress=progress,
+        )  # fmt: skip
+
+    def build_fmu(self, path: str | os.PathLike[str], interface: str | Interface = "kinematic", **options: Any) -> None:
+        """Build the drive's FMU; parameters are those of `build_fmu`."""
+        from cycloid_fmu.fmu.build import build
+
+        build(self, path, interface, **options)
+
+    def write(self, path: str | os.PathLike[str]) -> None:
+        """Write the drive: a pair file (`.toml`) or an error surface (`.nc`), which holds form and wear as well.
+
+        Raises
+        ------
+        edge.InputError
+            If the ending is another, or a pair file can't hold the drive's form and wear.
+        """
+        from cycloid_fmu.geometry.pair import write_pair
+        from cycloid_fmu.surfaces.files import write_surface
+        from cycloid_fmu.surfaces.surface import DEVIATIONS
+
+        target = edge.output_path(path, "path", (".toml", ".nc"))
+        if target.suffix.lower() == ".nc":
+            write_surface(self.surface, target)
+        elif any(getattr(self.surface, name) is not None for name in DEVIATIONS):
+            raise edge.InputError(f"{path}: a pair file can't hold the form of flanks and pins; write a surface, .nc.")
+        else:
+            write_pair(self.pair, target)
+
+
+def read_drive(path: str | os.PathLike[str], surface: str | os.PathLike[str] | None = None) -> Drive:
+    """Return the drive of a pair file, with the errors that it states or those of an error surface.
+
+    Raises
+    ------
+    edge.InputError
+        If a file can't be read or the surface belongs to another pair; it names the file, the field and the value.
+
+    Examples
+    --------
+    >>> import cycloid_fmu as cy
+    >>> pair = cy.Pair(
+    ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm"
+    ... )
+    >>> drive = cy.Drive(pair).replace(errors={"pin_radial": {2: ("2.5 um", "40 deg")}})
+    >>> drive.write("drive.toml")
+    >>> cy.read_drive("drive.toml") == drive
+    True
+    """
+    from cycloid_fmu.surfaces.files import read_surface
+
+    pair = read_pair(path)
+    if surface is None:
+        return Drive(pair)
+    made = read_surface(surface)
+    check_surface(pair, made, str(path), str(surface))
+    return Drive(pair, made)
+
+
+def field_units(data: xr.Dataset) -> xr.Dataset:
+    """Return a dataset in the units of drawings and reports: arcsec, N·m/arcmin, MPa and µm instead of SI.
+
+    Crank angles are in degrees.
+
+    Examples
+    --------
+    >>> import cycloid_fmu as cy
+    >>> pair = cy.Pair(
+    ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm"
+    ... )
+    >>> data = cy.field_units(cy.Drive(pair).analyze(181, angles=45))
+    >>> data.transmission_error.attrs["units"], round(float(data.transmission_error.mean()), 1)
+    ('arcsec', 4.5)
+    """
+    found = data.copy()
+    for name in data.variables:
+        unit = str(data[name].attrs.get("units"))
+        shown, factor = ("deg", 180.0 / math.pi) if name == "crank_angle" else _FIELD_UNITS.get(unit, (unit, 1.0))
+        if shown != unit:
+            values = data[name].variable * factor
+            found[name] = values.assign_attrs({**data[name].attrs, "units": shown})
+    return found

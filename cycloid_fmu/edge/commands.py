@@ -1,0 +1,389 @@
+"""What the command lines share: their frame, options, tables, progress and exit codes.
+
+A command line is a package with one module a command; each module has one function named as the command, or a
+`typer.Typer` of further commands. Only the module of the command that runs is imported.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import shutil
+import signal
+import sys
+import textwrap
+import time
+from collections.abc import Callable, Collection, Iterator, MutableMapping, Sequence
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+import typer
+import typer.core
+
+from cycloid_fmu.edge.files import PICTURES, json_text, output_path, zip_archive
+from cycloid_fmu.edge.problems import (
+    BAD_INPUT,
+    DONE,
+    FAILED,
+    INTERRUPTED,
+    ArgumentError,
+    InputError,
+    did_you_mean,
+    shown,
+)
+from cycloid_fmu.edge.quantities import EXAMPLES, parse_quantity
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+_USAGE_ERROR: type[Exception] = typer.BadParameter.__mro__[1]  # typer's own, or click's with older versions
+_SETTINGS: dict[str, Any] = {
+    "no_args_is_help": True, "add_completion": False, "pretty_exceptions_enable": False, "rich_markup_mode": "rich",
+}  # fmt: skip
+_QUIET, _LONGEST_QUIET = 10.0, 30.0  # seconds between the lines of a progress that is written to a file
+_SHORT = 0.5  # seconds: what takes no longer shows no bar, whose package takes a while to load
+_WIDE = 40  # characters of a cell that may be wrapped at its blanks where the terminal is narrow
+
+
+class _Group(typer.core.TyperGroup):
+    """A group of commands that names options, not arguments, in the errors of the library."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
+        if args[0] not in self.commands and not args[0].startswith("-"):
+            near = did_you_mean(args[0], self.commands)
+            raise InputError(f"{args[0]} is not a command; {near or f'see {ctx.command_path} --help.'}")
+        name, command, rest = super().resolve_command(ctx, args)
+        ctx.meta["cycloid.command"] = command
+        return name, command, rest
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except ArgumentError as problem:
+            raise InputError(problem.named(_flag(ctx.meta["cycloid.command"], problem.argument))) from problem
+        except KeyboardInterrupt as interrupt:
+            _say(str(interrupt) or "Interrupted; what was finished is kept.")
+            raise typer.Exit(INTERRUPTED) from None
+
+
+def _flag(command: Any, argument: str) -> str:
+    """Return what a command's user writes for an argument of the library."""
+    for parameter in command.params:
+        options = [o for o in parameter.opts if o.startswith("--")]
+        if argument == parameter.name or "--" + argument.replace("_", "-") in options:
+            return options[0] if options else parameter.metavar or argument
+    return argument
+
+
+class _Lazy(MutableMapping[str, Any]):
+    """The commands of a package by name, each imported when it is asked for."""
+
+    def __init__(self, package: str, names: Sequence[str]) -> None:
+        self._package = package
+        self._made: dict[str, Any] = dict.fromkeys(names)
+
+    def __getitem__(self, name: str) -> Any:
+        if self._made[name] is None:
+            file = name.replace("-", "_")
+            module = importlib.import_module(f"{self._package}.{file}")
+            made = getattr(module, file, None) or getattr(module, f"{file}_")
+            if not isinstance(made, typer.Typer):
+                function, made = made, typer.Typer(**_SETTINGS)
+                made.command(name)(function)
+            command = typer.main.get_command(made)
+            command.name = name
+            self._made[name] = command
+        return self._made[name]
+
+    def __setitem__(self, name: str, command: Any) -> None:
+        self._made[name] = command
+
+    def __delitem__(self, name: str) -> None:
+        del self._made[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._made)
+
+    def __len__(self) -> int:
+        return len(self._made)
+
+
+def command_line(name: str, help: str, package: str = "", names: Sequence[str] = ()) -> typer.Typer:
+    """Return a command line; more commands than those of the package are added with `@….command()`.
+
+    Parameters
+    ----------
+    name
+        What its user types, such as "cycloid-fmu".
+    help
+        One sentence for the help page.
+    package
+        The package whose modules are commands: each has a function of its own name (or with `_` behind it) or a
+        `typer.Typer` made by `subcommands`.
+    names
+        Its commands in the order of the help page.
+    """
+
+    class Group(_Group):
+        def __init__(self, **settings: Any) -> None:
+            super().__init__(**settings)
+            if names:
+                self.commands = _Lazy(package, names)
+
+    app = typer.Typer(name=name, cls=Group, help=help, **_SETTINGS)
+    app.callback()(_version_of(name))
+    return app
+
+
+def subcommands(help: str) -> typer.Typer:
+    """Return a `typer.Typer` for commands of two words, to which its module adds them with `@….command()`."""
+    return typer.Typer(cls=_Group, help=help, **_SETTINGS)
+
+
+def _version_of(name: str) -> Callable[..., None]:
+    def show(asked: bool) -> None:
+        if asked:
+            typer.echo(f"{name} {version('cycloid-fmu')}")
+            raise typer.Exit
+
+    Version = Annotated[bool, typer.Option("--version", callback=show, is_eager=True, help="Show the version.")]
+
+    def shared(version: bool = False) -> None:
+        pass
+
+    shared.__annotations__["version"] = Version
+    return shared
+
+
+def run(app: typer.Typer) -> NoReturn:
+    """Run a command line: bad input exits 2 with its sentence, an interrupt 130, a failure in the middle 1."""
+    debug = bool(os.environ.get("CYCLOID_TRACEBACK"))
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        code = app(prog_name=app.info.name, standalone_mode=False)
+    except InputError as problem:
+        if debug:
+            raise
+        _say(str(problem))
+        sys.exit(BAD_INPUT)
+    except _USAGE_ERROR as problem:
+        if sentence := _usage(problem):
+            _say(sentence)
+        sys.exit(BAD_INPUT)
+    except (KeyboardInterrupt, typer.Abort) as problem:
+        ended = isinstance(problem.__cause__, EOFError)
+        _say("The input ended." if ended else "Interrupted; what was finished is kept.")
+        sys.exit(FAILED if ended else INTERRUPTED)
+    except Exception as problem:
+        if debug:
+            raise
+        _say(f"Failed: {type(problem).__name__}: {problem} (CYCLOID_TRACEBACK=1 shows where)")
+        sys.exit(FAILED)
+    sys.exit(code if isinstance(code, int) else DONE)
+
+
+def _usage(problem: Any) -> str:
+    """Return a sentence for words that the command line does not understand."""
+    said = str(problem.format_message()).strip()
+    where = problem.ctx.command_path if problem.ctx is not None else ""
+    if isinstance(problem, _Refused) and problem.param is not None:
+        reason = problem.message if problem.message.endswith("?") else f"{problem.message}."
+        return f"{problem.param.opts[0]} = {shown(problem.given)}: {reason}"
+    unknown = getattr(problem, "option_name", None)
+    if unknown is not None and getattr(problem, "possibilities", unknown) is not unknown:
+        options = [o for p in problem.ctx.command.params for o in p.opts if o.startswith("--")]
+        near = did_you_mean(unknown, options)
+        return f"{unknown} is not an option of {where}; {near or f'see {where} --help.'}"
+    if "\n" in said or not said:  # a help page, or one that is printed already
+        return said
+    return f"{said.rstrip('.')}; see {where} --help."
+
+
+def _say(text: str) -> None:
+    sys.stdout.flush()
+    print(text, file=sys.stderr, flush=True)
+
+
+class _Refused(typer.BadParameter):
+    """A value of an option that can't be used, with the reason as the library says it."""
+
+    def __init__(self, given: str, reason: str) -> None:
+        super().__init__(reason)
+        self.given = given
+
+
+def quantity_option(si: str, help: str, *names: str, **settings: Any) -> Any:
+    """Return an option that is typed with its unit and is a number in SI units to the command.
+
+    Parameters
+    ----------
+    si
+        The SI unit, as pint writes it.
+    help
+        What it is.
+    names
+        The option's names where they differ from the parameter's.
+    settings
+        More for `typer.Option`, such as `show_default="600 rpm"`.
+
+    Examples
+    --------
+    >>> Torques = Annotated[list[float], quantity_option("N*m", "Torque on the output; may be repeated.")]
+    """
+
+    def parse(text: str | float) -> float:
+        if isinstance(text, float):  # a default
+            return text
+        try:
+            return parse_quantity(text, si)
+        except ValueError as problem:
+            raise _Refused(text, str(problem)) from None
+
+    parse.__name__ = "quantity"
+    return typer.Option(*names, parser=parse, metavar=f'"{EXAMPLES.get(si, f"1 {si}")}"', help=help, **settings)
+
+
+def choice_option(choices: Collection[str], help: str, *names: str, **settings: Any) -> Any:
+    """Return an option that takes one of some words."""
+
+    def parse(text: str) -> str:
+        if text in choices:
+            return text
+        near = did_you_mean(text, choices) if text[:1].isalpha() else ""
+        raise _Refused(text, f"it must be one of {', '.join(choices)}{f'; {near}' if near else ''}")
+
+    parse.__name__ = "choice"
+    return typer.Option(*names, parser=parse, metavar="|".join(choices), help=help, **settings)
+
+
+def output_option(endings: Collection[str], metavar: str, help: str, *names: str) -> Any:
+    """Return an option for a file to write; another ending or a missing folder is refused before the command runs."""
+
+    def check(param: typer.CallbackParam, value: Path | None) -> Path | None:
+        return value if value is None else output_path(value, param.opts[0], endings)
+
+    return typer.Option(*(names or ("--output", "-o")), metavar=metavar, callback=check, help=help)
+
+
+def zip_argument(metavar: str, what: str, help: str) -> Any:
+    """Return an argument for a file that is a ZIP archive, such as an FMU; anything else is refused."""
+
+    def check(value: Path) -> Path:
+        return zip_archive(value, what)
+
+    return typer.Argument(metavar=metavar, callback=check, help=help)
+
+
+PlotFile = Annotated[Path | None, output_option(PICTURES, "FILE.png|pdf", "Draw the result.", "--plot")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the result for scripts: SI, names as in the files.")]
+
+
+def print_json(data: Any) -> None:
+    """Print a result for scripts: SI units, NaN as null."""
+    typer.echo(json_text(data))
+
+
+def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table for people, numbers set to the right. Nothing is cut, however narrow the terminal is.
+
+    Sentences in the last column are wrapped at blanks where a terminal is too narrow for them.
+    """
+    lines = [[str(cell) for cell in row] for row in (columns, *rows)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    if sys.stdout.isatty() and widths[-1] > _WIDE:
+        room = shutil.get_terminal_size().columns - sum(widths[:-1]) - 2 * len(widths[:-1])
+        words = max(len(word) for line in lines for word in line[-1].split())
+        widths[-1] = min(widths[-1], max(room, words, _WIDE))
+    textual = [not any(_is_number(line[k]) for line in lines[1:]) for k in range(len(widths))]
+
+    def printed(line: Sequence[str]) -> Iterator[str]:
+        wrapped = textwrap.wrap(line[-1], widths[-1], break_long_words=False, break_on_hyphens=False) or [""]
+        if len(line[-1]) <= widths[-1]:
+            wrapped = [line[-1]]
+        for k, last in enumerate(wrapped):
+            cells = [*(line[:-1] if k == 0 else [""] * (len(line) - 1)), last]
+            put = [c.ljust(w) if t else c.rjust(w) for c, w, t in zip(cells, widths, textual, strict=True)]
+            yield "  ".join(put).rstrip()
+
+    typer.secho(title, bold=True)
+    for text in printed(lines[0]):
+        typer.echo(text)
+    typer.echo("  ".join("─" * width for width in widths))
+    for line in lines[1:]:
+        for text in printed(line):
+            typer.echo(text)
+
+
+def _is_number(cell: str) -> bool:
+    return bool(cell) and (cell[0].isdigit() or (cell[0] in "+-−±<" and len(cell) > 1 and cell[1].isdigit()))
+
+
+class Bar:
+    """How far a computation is: on a terminal a bar, otherwise a line every ten seconds or more, on standard error.
+
+    Parameters
+    ----------
+    what
+        What is counted, such as "crank angles".
+    total
+        How many there are; None while it is not known.
+    """
+
+    def __init__(self, what: str, total: float | None) -> None:
+        self._what, self._total, self._done = what, total, 0.0
+        self._began = self._said = time.monotonic()
+        self._said_share = 0.0
+        self._rich: Progress | None = None
+
+    def advance(self, done: float = 1.0) -> None:
+        """Count `done` more."""
+        self.update(completed=self._done + done)
+
+    def update(
+        self, *, completed: float | None = None, total: float | None = None, description: str | None = None
+    ) -> None:
+        """Say how many are done, how many there are, or what is counted now."""
+        self._done = self._done if completed is None else completed
+        self._total = self._total if total is None else total
+        self._what = self._what if description is None else description
+        if sys.stderr.isatty():
+            self._draw()
+        elif self._done != self._total:
+            self._print()
+
+    def _draw(self) -> None:
+        if self._rich is None:
+            if time.monotonic() - self._began < _SHORT:
+                return
+            from rich.console import Console
+            from rich.progress import Progress
+
+            self._rich = Progress(console=Console(stderr=True), transient=True)
+            self._task = self._rich.add_task(self._what, total=self._total)
+            self._rich.start()
+        self._rich.update(self._task, completed=self._done, total=self._total, description=self._what)
+
+    def _print(self) -> None:
+        now = time.monotonic()
+        quiet = now - self._said
+        share = self._done / self._total if self._total else 0.0
+        if quiet >= _LONGEST_QUIET or (quiet >= _QUIET and share >= self._said_share + 0.1):
+            known = f" of {self._total:.6g} ({share:.0%})" if self._total else ""
+            _say(f"{self._what}: {self._done:.6g}{known} after {now - self._began:.0f} s")
+            self._said, self._said_share = now, share
+
+    def __enter__(self) -> Bar:
+        return self
+
+    def __exit__(self, *problem: object) -> None:
+        if self._rich is not None:
+            self._rich.stop()
+
+
+@contextmanager
+def progress(what: str, total: float | None) -> Iterator[Callable[[float], None]]:
+    """Show how far a computation is; yields what its `progress` argument calls with how many more are done."""
+    with Bar(what, total) as bar:
+        yield bar.advance

@@ -1,0 +1,158 @@
+"""Configuration: models whose quantities have units, and whose errors name file, field, value and what is allowed."""
+
+from __future__ import annotations
+
+import math
+import numbers
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated, Any, Self, TypeVar, get_args
+
+import pydantic
+
+from cycloid_fmu.edge.problems import InputError, did_you_mean, shown
+from cycloid_fmu.edge.quantities import EXAMPLES, parse_quantity
+
+if TYPE_CHECKING:
+    from pydantic._internal._model_construction import ModelMetaclass as _Construction
+else:
+
+    class _Construction(type(pydantic.BaseModel)):
+        """Construction in Python raises an `InputError` of one sentence a problem, as reading a file does."""
+
+        def __call__(cls, *args: Any, **values: Any) -> Any:
+            try:
+                return super().__call__(*args, **values)
+            except pydantic.ValidationError as problems:
+                raise _input_error(problems, cls, cls.__name__) from None
+
+
+def quantity(value: object, si: str, info: pydantic.ValidationInfo | None = None) -> float:
+    """Return a quantity in SI units: a number or text with its unit in Python, only such text in a file.
+
+    Parameters
+    ----------
+    value
+        What was given.
+    si
+        The SI unit, as pint writes it: "m", "rad", "N*m".
+    info
+        What pydantic gives a validator; its context says whether a file is read (`validated`). None in Python.
+
+    Raises
+    ------
+    ValueError
+        If it is neither; the message says how to write it.
+    """
+    in_file = info is not None and info.context is not None
+    if not in_file and isinstance(value, numbers.Real) and not isinstance(value, bool):
+        if not math.isfinite(number := float(value)):
+            raise ValueError(f'give a finite number in SI units, or text with a unit, such as "{EXAMPLES[si]}"')
+        return number
+    return parse_quantity(value, si)
+
+
+def _in_unit(si: str) -> tuple[pydantic.BeforeValidator, Any]:
+    def read(value: Any, info: pydantic.ValidationInfo) -> float:
+        return quantity(value, si, info)
+
+    return pydantic.BeforeValidator(read), pydantic.Field(json_schema_extra={"quantity": EXAMPLES[si], "si": si})
+
+
+Length = Annotated[float, *_in_unit("m")]
+Angle = Annotated[float, *_in_unit("rad")]
+Torque = Annotated[float, *_in_unit("N*m")]
+Pressure = Annotated[float, *_in_unit("Pa")]
+Seconds = Annotated[float, *_in_unit("s")]
+Speed = Annotated[float, *_in_unit("rad/s")]
+Temperature = Annotated[float, *_in_unit("K")]
+PressureViscosity = Annotated[float, *_in_unit("1/Pa")]
+WearCoefficient = Annotated[float, *_in_unit("m^2/N")]
+
+
+class Config(pydantic.BaseModel, metaclass=_Construction):
+    """Base of everything read from TOML: unknown keys are refused, values can't be changed afterwards.
+
+    Raises
+    ------
+    InputError
+        If a value can't be used; one sentence a problem.
+    """
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True, validate_default=False)
+
+    def replace(self, **changes: Any) -> Self:
+        """Return the model with other values, checked as constructing it does."""
+        return type(self)(**{**{name: getattr(self, name) for name in type(self).model_fields}, **changes})
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """As `replace`: there is no way to a value that was not checked."""
+        return self.replace(**(update or {}))
+
+
+Model = TypeVar("Model", bound=Config)
+
+
+def unit_of_field(field: Any) -> str | None:
+    """Return the SI unit of a model's field, None where it has none."""
+    if isinstance(extra := getattr(field, "json_schema_extra", None), dict) and "si" in extra:
+        return str(extra["si"])
+    parts = [*get_args(getattr(field, "annotation", field)), *getattr(field, "__metadata__", ())]
+    return next((unit for part in parts if (unit := unit_of_field(part)) is not None), None)
+
+
+def _models(annotation: Any) -> Iterator[type[pydantic.BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, pydantic.BaseModel):
+        yield annotation
+    for part in get_args(annotation):
+        yield from _models(part)
+
+
+def _keys(model: type[pydantic.BaseModel], place: Sequence[int | str]) -> list[str]:
+    """Return the keys that a model knows at a place."""
+    models = [model]
+    for part in place:
+        fields = [m.model_fields[part] for m in models if isinstance(part, str) and part in m.model_fields]
+        models = [below for f in fields for below in _models(f.annotation)] or models
+    return [field.alias or name for one in models for name, field in one.model_fields.items()]
+
+
+def _sentence(error: Any, model: type[pydantic.BaseModel], source: str) -> str:
+    """Say one of pydantic's findings as a sentence that names file, field, value and what is allowed."""
+    place, kind, message = error["loc"], error["type"], error["msg"]
+    tables = [str(p) for p in place[:-1] if not isinstance(p, int)]
+    field = "".join(f"[{i}]" if isinstance(i, int) else f".{i}" for i in place).lstrip(".")
+    if len(place) > 1 and all(isinstance(p, str) for p in place):
+        field = f"[{'.'.join(tables)}] {place[-1]}"
+    if kind == "missing":
+        return f"{source}: {field} is missing."
+    if kind == "extra_forbidden":
+        near = did_you_mean(str(place[-1]), _keys(model, place[:-1])) or "check its spelling or remove it."
+        return f"{source}: {field} is not a key known here; {near}"
+    message = message.removeprefix("Value error, ").removeprefix("Input should be ").removesuffix(".")
+    if kind not in ("value_error", "assertion_error"):
+        message = f"it should be {message}"
+    if not field:
+        return f"{source}: {message}."
+    return f"{source}: {field} = {shown(error['input'])}: {message}."
+
+
+def _input_error(problems: pydantic.ValidationError, model: type[pydantic.BaseModel], source: str) -> InputError:
+    found = problems.errors(include_url=False, include_context=False)
+    said = [_sentence(e, model, source) for e in found[:5]]
+    if len(found) > 5:
+        said.append(f"{source}: {len(found) - 5} more problems.")
+    return InputError("\n".join(said))
+
+
+def validated(model: type[Model], data: dict[str, Any], source: str) -> Model:
+    """Return `data` of a file checked by `model`: quantities need their units there.
+
+    Raises
+    ------
+    InputError
+        One sentence a problem, each naming `source`.
+    """
+    try:
+        return model.model_validate(data, context={"file": source})
+    except pydantic.ValidationError as problems:
+        raise _input_error(problems, model, source) from None

@@ -1,0 +1,260 @@
+"""Files: text, TOML, JSON, tables with units and netCDF that are read, and files that appear whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import json
+import math
+import os
+import tempfile
+import tomllib
+import zipfile
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from cycloid_fmu.edge.problems import ArgumentError, InputError, shown
+from cycloid_fmu.edge.quantities import unit_scale
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+PICTURES = (".png", ".pdf")
+"""Endings of files with a plot."""
+
+
+def check_format(given: object, wanted: str, source: str) -> None:
+    """Refuse, in one sentence, a file whose `format` is not the one that this version reads."""
+    if given is None:
+        raise InputError(f'{source}: format is missing; the first line must be format = "{wanted}".')
+    if given != wanted:
+        raise InputError(f'{source}: format = {shown(given)}: this version reads "{wanted}".')
+
+
+def toml_table(text: str, wanted_format: str, source: str) -> dict[str, Any]:
+    """Return the table of a TOML text of the wanted format, without its `format` key."""
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as problem:
+        raise InputError(f"{source}: this is not TOML: {problem}.") from None
+    check_format(table.pop("format", None), wanted_format, source)
+    return table
+
+
+def json_table(path: str | os.PathLike[str], wanted_format: str, what: str) -> dict[str, Any]:
+    """Return the table of a JSON file of the wanted format; `what` it should hold, for the message, such as "figures".
+
+    Raises
+    ------
+    InputError
+        If it can't be read, is no JSON or no table, or is of another format.
+    """
+    try:
+        data = json.loads(read_text(path))
+    except json.JSONDecodeError as problem:
+        raise InputError(f"{path}: this is not JSON: {problem}.") from None
+    if not isinstance(data, dict):
+        raise InputError(f"{path}: it holds no {what}; it must be a JSON object.")
+    check_format(data.get("format"), wanted_format, str(path))
+    return data
+
+
+def netcdf(path: str | os.PathLike[str], wanted_format: str) -> xr.Dataset:
+    """Return the variables of a netCDF file of the wanted format, loaded.
+
+    Raises
+    ------
+    InputError
+        If it can't be read, is no netCDF, or is of another format.
+    """
+    import xarray as xr
+
+    existing(path)
+    try:
+        with xr.open_dataset(path, engine="h5netcdf") as opened:
+            data = opened.load()
+    except Exception as problem:
+        raise InputError(f"{path}: this is not a netCDF file ({type(problem).__name__}).") from None
+    check_format(data.attrs.get("format"), wanted_format, str(path))
+    return data
+
+
+def format_of(path: str | os.PathLike[str]) -> object:
+    """Return the `format` of a TOML file, None where it has none or is no TOML (its reader then says so)."""
+    try:
+        return tomllib.loads(read_text(path)).get("format")
+    except tomllib.TOMLDecodeError:
+        return None
+
+
+def read_text(path: str | os.PathLike[str]) -> str:
+    """Return a UTF-8 text file; an `InputError` where it can't be read."""
+    try:
+        return Path(path).read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: this is not a UTF-8 text file.") from None
+    except OSError as problem:
+        raise InputError(f"{path}: {problem.strerror or problem}.") from None
+
+
+def existing(path: str | os.PathLike[str]) -> Path:
+    """Return the path of a file that can be read; an `InputError` where there is none."""
+    try:
+        with Path(path).open("rb"):
+            return Path(path)
+    except OSError as problem:
+        raise InputError(f"{path}: {problem.strerror or problem}.") from None
+
+
+def unit_columns(
+    header: Sequence[str], wanted: Mapping[str, str], source: str, optional: Mapping[str, str] = MappingProxyType({})
+) -> dict[str, tuple[int, float]]:
+    """Return position and scale to SI of the wanted columns of a table whose header says units, `time [s]`.
+
+    Parameters
+    ----------
+    header
+        The header's cells.
+    wanted
+        SI unit of each column that must be there; others are passed over.
+    source
+        The file's name, for messages.
+    optional
+        SI unit of each column that is looked for but need not be there.
+
+    Raises
+    ------
+    InputError
+        If a column or its unit is missing, or the unit measures something else.
+    """
+    found: dict[str, tuple[int, float]] = {}
+    units = {**wanted, **optional}
+    for position, cell in enumerate(header):
+        name, bracket, unit = cell.strip().partition("[")
+        name = name.strip()
+        if name not in units:
+            continue
+        if not bracket or not unit.endswith("]"):
+            raise InputError(f'{source}: the column "{cell.strip()}" has no unit; write "{name} [{units[name]}]".')
+        try:
+            found[name] = (position, unit_scale(unit[:-1].strip(), units[name]))
+        except ValueError as problem:
+            raise InputError(f"{source}: the column {name}: {problem}.") from None
+    for name, unit in wanted.items():
+        if name not in found:
+            raise InputError(f'{source}: there is no column "{name} [{unit}]" in the header.')
+    return found
+
+
+def finite(cell: str, field: str) -> float:
+    """Return the number in a cell of a table; an `InputError` that begins with `field` where it is none."""
+    try:
+        value = float(cell)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(f'{field} = "{cell}": it must be a finite number with a decimal point.')
+    return value
+
+
+def number_rows(
+    path: str | os.PathLike[str], wanted: Mapping[str, str], optional: Mapping[str, str] = MappingProxyType({})
+) -> Iterator[tuple[int, dict[str, float]]]:
+    """Yield the lines of a CSV table whose header says units: line and {column: value in SI}; blank ones are left out.
+
+    Parameters
+    ----------
+    path
+        The file.
+    wanted, optional
+        As for `unit_columns`.
+
+    Raises
+    ------
+    InputError
+        If it can't be read, a column or its unit is missing, or a cell is no finite number; it names the line.
+    """
+    lines = csv.reader(read_text(path).splitlines())
+    columns = unit_columns(next(lines, []), wanted, str(path), optional)
+    for number, row in enumerate(lines, start=2):
+        if row:
+            cells = {name: row[place].strip() if place < len(row) else "" for name, (place, _) in columns.items()}
+            yield number, {n: finite(c, f"{path}: line {number}: {n}") * columns[n][1] for n, c in cells.items()}
+
+
+def output_path(path: str | os.PathLike[str], argument: str, endings: Collection[str]) -> Path:
+    """Return where a result goes, before anything is computed.
+
+    Raises
+    ------
+    ArgumentError
+        If the name has another ending than the format's, or its folder does not exist; it names `argument`.
+    """
+    target = Path(path)
+    if target.suffix.lower() not in endings:
+        raise ArgumentError(argument, f"the name must end in {' or '.join(endings)}", target)
+    if not target.parent.is_dir():
+        raise ArgumentError(argument, f"the folder {target.parent} does not exist", target)
+    return target
+
+
+@contextlib.contextmanager
+def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Give a temporary path beside `path` and rename it to `path` on success: readers see all of it or nothing."""
+    target = Path(path)
+    if not target.parent.is_dir():
+        raise InputError(f"{path}: the folder {target.parent} does not exist.")
+    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.stem}-", suffix=target.suffix)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        umask = os.umask(0)
+        os.umask(umask)
+        temporary.chmod(0o666 & ~umask)
+        temporary.replace(target)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def zip_archive(path: str | os.PathLike[str], what: str) -> Path:
+    """Return the path of a file that is a ZIP archive; an `InputError` says that it is no `what`, such as "FMU"."""
+    if not zipfile.is_zipfile(existing(path)):
+        raise InputError(f"{path}: this is not an {what}: it must be a ZIP archive.")
+    return Path(path)
+
+
+def json_text(data: Any) -> str:
+    """Return JSON with NaN as null, which is what other languages' readers accept; each array is one line.
+
+    Examples
+    --------
+    >>> print(json_text({"angle": [0.0, 0.5], "backlash": float("nan")}))
+    {
+     "angle": [0.0, 0.5],
+     "backlash": null
+    }
+    """
+
+    def plain(x: Any) -> Any:
+        if isinstance(x, dict):
+            return {str(k): plain(v) for k, v in x.items()}
+        if hasattr(x, "tolist"):
+            return plain(x.tolist())
+        if isinstance(x, list | tuple):
+            return [plain(v) for v in x]
+        return None if isinstance(x, float) and not math.isfinite(x) else x
+
+    def text(x: Any, indent: str) -> str:
+        if isinstance(x, dict) and x:
+            inner = [f"{json.dumps(k)}: {text(v, indent + ' ')}" for k, v in x.items()]
+        elif isinstance(x, list) and any(isinstance(v, dict | list) for v in x):
+            inner = [text(v, indent + " ") for v in x]
+        else:
+            return json.dumps(x, allow_nan=False)
+        opening, closing = "{}" if isinstance(x, dict) else "[]"
+        return f"{opening}\n{indent} " + f",\n{indent} ".join(inner) + f"\n{indent}{closing}"
+
+    return text(plain(data), "")

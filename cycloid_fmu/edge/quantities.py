@@ -1,0 +1,132 @@
+"""Quantities: numbers with units."""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+from decimal import Decimal
+from typing import TYPE_CHECKING, Any
+
+from cycloid_fmu.edge.problems import InputError, shown
+
+if TYPE_CHECKING:
+    import pint
+
+ARCSEC = 648000.0 / math.pi
+"""Arcseconds in a radian: what people are shown."""
+ARCMIN = ARCSEC / 60.0
+
+_NUMBER = r"[+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?"
+_QUANTITY = re.compile(rf"({_NUMBER}) (\S.*)")
+_NEWTON_METRE = re.compile(r"\b([mkM]?)N(m|mm|cm)\b")
+EXAMPLES = {
+    "m": "64 mm", "rad": "0.5 arcmin", "N": "5 N", "N*m": "181 N*m", "Pa": "206 GPa", "s": "10 ms", "rad/s": "15 rpm",
+    "K": "300 K", "rad/(N*m)": "0.02 arcsec/(N*m)", "1/Pa": "2.2e-8 1/Pa", "m^2/N": "1e-18 m^2/N",
+    "kg*m^2": "0.05 kg*m^2",
+}  # fmt: skip
+# The usual units, so that reading them takes no half a second to load pint; a test compares each with pint.
+USUAL = {
+    "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9},
+    "rad": {
+        "rad": 1.0, "mrad": 1e-3, "urad": 1e-6, "µrad": 1e-6, "deg": math.pi / 180.0, "°": math.pi / 180.0,
+        "arcmin": 0.00029088820866572163, "arcsec": 4.84813681109536e-06,
+    },
+    "N": {"N": 1.0, "kN": 1e3},
+    "N*m": {
+        "N*m": 1.0, "Nm": 1.0, "N·m": 1.0, "N m": 1.0, "mN*m": 1e-3, "mNm": 1e-3, "N*mm": 1e-3, "Nmm": 1e-3,
+        "kN*m": 1e3, "kNm": 1e3,
+    },
+    "Pa": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9},
+    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0},
+    "rad/s": {"rad/s": 1.0, "deg/s": math.pi / 180.0, "rpm": 0.10471975511965977},
+    "K": {"K": 1.0},
+    "1/Pa": {"1/Pa": 1.0},
+    "m^2/N": {"m^2/N": 1.0},
+    "kg*m^2": {"kg*m^2": 1.0},
+}  # fmt: skip
+
+
+@functools.cache
+def units() -> pint.UnitRegistry[Any]:
+    """Return the one unit registry (pint, imported on first use because it takes half a second)."""
+    import pint
+
+    return pint.UnitRegistry()
+
+
+@functools.lru_cache(maxsize=512)
+def unit_scale(unit: str, si: str) -> float:
+    """Return how many `si` units one `unit` is.
+
+    Raises
+    ------
+    ValueError
+        If the unit is unknown, measures something else, or has an offset (degrees Celsius).
+    """
+    usual = USUAL.get(si, {}).get(unit)
+    if usual is not None:
+        return usual
+    example = EXAMPLES.get(si, f"1 {si}").split(" ", 1)[1]
+    try:
+        # Pint would read "Nm" as a number of metres.
+        parsed = units().Unit(_NEWTON_METRE.sub(r"(\1N*\2)", unit))
+        zero, one = (units().Quantity(x, parsed).to(si).magnitude for x in (0.0, 1.0))
+    except Exception as problem:
+        reason = "measures something else" if "convert" in str(problem) else "is not a unit known here"
+        raise ValueError(f'the unit "{unit}" {reason}; use one such as {example}') from None
+    if zero != 0.0:
+        raise ValueError(f'the unit "{unit}" has an offset; use one such as {example}')
+    return float(one)
+
+
+def parse_quantity(value: object, si: str) -> float:
+    """Return a quantity written as text, such as "64 mm", in SI units.
+
+    Pint alone is too generous here: it reads "1,5 mm" as 15 mm, "0.3" as radians, "nan mm" and "2*3 mm".
+
+    Parameters
+    ----------
+    value
+        One finite number with a decimal point, a space and a unit. Newton metres may be written as Nm.
+    si
+        The SI unit asked for, as pint writes it: "m", "rad", "N*m".
+
+    Raises
+    ------
+    ValueError
+        If the text is anything else; the message says how to write it.
+
+    Examples
+    --------
+    >>> parse_quantity("64 mm", "m"), parse_quantity("181 Nm", "N*m")
+    (0.064, 181.0)
+    """
+    how = f'write one number with a decimal point, a space and a unit, such as "{EXAMPLES.get(si, f"1 {si}")}"'
+    match = _QUANTITY.fullmatch(value) if isinstance(value, str) else None
+    if match is None:
+        raise ValueError(how)
+    # In decimals: "1.3 mm" is 0.0013 and not a last bit beside it, as the same value written in metres is.
+    number = float(Decimal(match[1]) * Decimal(repr(unit_scale(match[2].strip(), si))))
+    if not math.isfinite(number):
+        raise ValueError(how)
+    return number
+
+
+def format_quantity(value: float, si: str, unit: str) -> str:
+    """Write an SI value as text that `parse_quantity` reads back to the same number (to 15 digits).
+
+    Examples
+    --------
+    >>> format_quantity(0.064, "m", "mm")
+    '64 mm'
+    """
+    return f"{value / unit_scale(unit, si):.15g} {unit}"
+
+
+def quantity_option(text: str, si: str, name: str) -> float:
+    """Return a quantity typed on the command line in SI units; an `InputError` names the option."""
+    try:
+        return parse_quantity(text, si)
+    except ValueError as problem:
+        raise InputError(f"{name} = {shown(text)}: {problem}.") from None

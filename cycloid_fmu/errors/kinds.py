@@ -1,0 +1,254 @@
+"""The kinds of error, each defined once: `KINDS`.
+
+A kind says what an error is called in files, datasets, FMUs and identifications, its unit, sign and limit, what it
+displaces, which parts it makes unlike, and how a tolerance names it. Everything else is made from that: the keys of a
+pair file's `[errors]`, the variables of an error surface, the contact problem, the columns of its sensitivities, the
+FMU's parameters, what a tolerance study samples and what an identification looks for. `register` adds a kind.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from cycloid_fmu.geometry.pair import Pair
+
+Array = NDArray[np.float64]
+Displacement = Callable[["Pair", Array], Array]
+
+LARGEST_DEVIATION = 1e-3
+LARGEST_MISALIGNMENT = 0.02
+BODIES = (
+    "centre_x", "centre_y", "tilt_x", "tilt_y", "crank_throw", "generating_pin_radius", "generating_circle_radius",
+)  # fmt: skip
+"""What one number displaces: the gear's centre at mid-width (m), the tilt of its axis (rad), the crank's eccentricity,
+and radius and circle radius of the generating pin, from which the flank is made (m)."""
+EACH_PIN = ("pin_radial", "pin_tangential", "pin_radius")
+"""What is displaced of each pin: its place outwards and counter-clockwise, as arc at the pin circle radius, and its
+radius, m. Behind these, the turn of each tooth about the gear's centre, `tooth_turn`, rad."""
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """How a tolerance file names a kind.
+
+    Attributes
+    ----------
+    key
+        The table's name.
+    form
+        "each" is a number within ± a tolerance, one for the drive or one for each pin or tooth; "pitch" is a position
+        round the circle with a single and a cumulative tolerance.
+    share
+        The error for each unit of what is toleranced: 0.5 of a radius whose diameter is.
+    """
+
+    key: str
+    form: Literal["each", "pitch"] = "each"
+    share: float = 1.0
+
+
+@dataclass(frozen=True)
+class ErrorKind:
+    """One kind of error.
+
+    Attributes
+    ----------
+    name
+        Of the error surface's variable, the dataset's, the FMU's parameter and the identification's.
+    text, sign
+        What it is, and what a value above zero means.
+    of
+        What has one value: the drive, each pin or each tooth of each disc.
+    displaces
+        By the names of `BODIES`, `EACH_PIN` and "tooth_turn": the displacement (m, or rad for tilts and turns) as a
+        linear function of the pair and the error's values, shape () or (pins,) or (..., teeth).
+    breaks
+        Which parts are unlike each other when it is not zero ("frame": the parts that stand still) or not the same for
+        all ("pins", "teeth"); "" where all stay alike.
+    unit
+        "m" or "rad".
+    key
+        In a pair file's `[errors]`; the name where it is empty.
+    waves
+        Whether its Fourier orders round the circle are structured errors, with a cosine and a sine part each.
+    tolerance
+        How a tolerance file names it, None where it has none.
+    """
+
+    name: str
+    text: str
+    sign: str
+    of: Literal["drive", "pin", "tooth"]
+    displaces: Mapping[str, Displacement]
+    breaks: Literal["", "frame", "pins", "teeth"] = ""
+    unit: Literal["m", "rad"] = "m"
+    key: str = ""
+    waves: bool = False
+    tolerance: Tolerance | None = None
+
+    @property
+    def limit(self) -> float:
+        """Largest magnitude that makes sense, m or rad."""
+        return LARGEST_MISALIGNMENT if self.unit == "rad" else LARGEST_DEVIATION
+
+    @property
+    def file_key(self) -> str:
+        """Key in a pair file's `[errors]`."""
+        return self.key or self.name
+
+    @property
+    def description(self) -> str:
+        """Meaning and sign in one phrase."""
+        return f"{self.text}, {self.sign}"
+
+    def shape(self, pair: Pair) -> tuple[int, ...]:
+        """Shape of its values for a pair: (), (pins,) or (discs, teeth)."""
+        shapes = {"drive": (), "pin": (pair.pins,), "tooth": (pair.discs, pair.gear_teeth)}
+        return shapes[self.of]
+
+
+def _same(pair: Pair, value: Array) -> Array:
+    return value
+
+
+def _all_pins(pair: Pair, value: Array) -> Array:
+    return np.full(pair.pins, value)
+
+
+def _turn(pair: Pair, value: Array) -> Array:
+    return value / pair.pin_circle_radius
+
+
+KINDS: dict[str, ErrorKind] = {}
+"""Every kind by its name, in the order of files and FMUs."""
+
+
+def register(kind: ErrorKind) -> ErrorKind:
+    """Add a kind of error; from then on files, surfaces, sensitivities, studies, FMUs and identifications know it.
+
+    Raises
+    ------
+    ValueError
+        If a kind of this name or key is there already, or it displaces what no contact problem has.
+    """
+    known = {*BODIES, *EACH_PIN, "tooth_turn"}
+    if unknown := set(kind.displaces) - known:
+        raise ValueError(f'displaces = "{sorted(unknown)[0]}": it must be one of {", ".join(sorted(known))}')
+    for other in KINDS.values():
+        if kind.name == other.name or kind.file_key == other.file_key:
+            raise ValueError(f'name = "{kind.name}": there is a kind of this name or key already')
+    KINDS[kind.name] = kind
+    _wave_names.cache_clear()
+    return kind
+
+
+def unregister(name: str) -> None:
+    """Remove a kind that was added."""
+    del KINDS[name]
+    _wave_names.cache_clear()
+
+
+@functools.cache
+def _wave_names() -> re.Pattern[str]:
+    names = "|".join(re.escape(k.name) for k in KINDS.values() if k.waves)
+    return re.compile(rf"({names})_([1-9]\d*)_(cos|sin)")
+
+
+def numbers() -> tuple[str, ...]:
+    """Return the names of the kinds that are one number for a drive."""
+    return tuple(k.name for k in KINDS.values() if k.of == "drive")
+
+
+def structured_names(orders: Collection[int]) -> list[str]:
+    """Return the names of the structured errors.
+
+    These are the kinds of one number, and of the kinds with waves the cosine and sine parts at the given orders.
+    """
+    found = []
+    for kind in KINDS.values():
+        if kind.of == "drive":
+            found.append(kind.name)
+        elif kind.waves:
+            found += [f"{kind.name}_{order}_{part}" for order in orders for part in ("cos", "sin")]
+    return found
+
+
+def wave_of(name: str) -> tuple[ErrorKind, int, str] | None:
+    """Return kind, order and part ("cos" or "sin") of a structured error that is a wave, None for any other name."""
+    match = _wave_names().fullmatch(name)
+    return None if match is None else (KINDS[match[1]], int(match[2]), match[3])
+
+
+def kind_of(name: str) -> ErrorKind | None:
+    """Return the kind of an error or of a wave, None for a name that is neither."""
+    wave = wave_of(name)
+    return KINDS.get(name) if wave is None else wave[0]
+
+
+for _kind in (
+    ErrorKind(
+        "centre_distance_x", "offset of the gear's centre", "> 0 along +x", "drive", {"centre_x": _same}, "frame",
+        tolerance=Tolerance("centre_distance_x"),
+    ),
+    ErrorKind(
+        "centre_distance_y", "offset of the gear's centre", "> 0 along +y", "drive", {"centre_y": _same}, "frame",
+        tolerance=Tolerance("centre_distance_y"),
+    ),
+    ErrorKind(
+        "misalignment_xz", "tilt of the gear's axis about mid-width", "> 0 its +z end towards +x", "drive",
+        {"tilt_x": _same}, "frame", "rad", tolerance=Tolerance("misalignment_xz"),
+    ),
+    ErrorKind(
+        "misalignment_yz", "tilt of the gear's axis about mid-width", "> 0 its +z end towards +y", "drive",
+        {"tilt_y": _same}, "frame", "rad", tolerance=Tolerance("misalignment_yz"),
+    ),
+    ErrorKind(
+        "eccentricity", "error of the crank's eccentricity", "> 0 longer", "drive", {"crank_throw": _same},
+        tolerance=Tolerance("eccentricity"),
+    ),
+    ErrorKind(
+        "pin_circle_radius", "error of the pin circle's radius", "> 0 larger", "drive", {"pin_radial": _all_pins},
+        tolerance=Tolerance("pin_circle_diameter", share=0.5),
+    ),
+    ErrorKind(
+        "pin_radius", "error of all pins' radius", "> 0 thicker", "drive", {"pin_radius": _all_pins},
+        tolerance=Tolerance("pin_radius"),
+    ),
+    ErrorKind(
+        "isometric", "isometric modification really made beyond the nominal", "> 0 material removed", "drive",
+        {"generating_pin_radius": _same}, tolerance=Tolerance("isometric"),
+    ),
+    ErrorKind(
+        "offset", "offset modification really made beyond the nominal", "> 0 material added", "drive",
+        {"generating_circle_radius": _same}, tolerance=Tolerance("offset"),
+    ),
+    ErrorKind(
+        "pin_radial", "radial position error of each pin", "> 0 outwards", "pin", {"pin_radial": _same}, "pins",
+        waves=True,
+    ),
+    ErrorKind(
+        "pin_tangential", "tangential position error of each pin as arc length", "> 0 counter-clockwise", "pin",
+        {"pin_tangential": _same}, "pins", waves=True, tolerance=Tolerance("pin_pitch", "pitch"),
+    ),
+    ErrorKind(
+        "pin_radius_deviation", "radius error of each pin", "> 0 thicker", "pin", {"pin_radius": _same}, "pins",
+        key="pin_radius_each", tolerance=Tolerance("pin_radius_each"),
+    ),
+    ErrorKind(
+        "tooth_cumulative_pitch", "cumulative pitch error of each tooth at the pin circle radius",
+        "> 0 counter-clockwise", "tooth", {"tooth_turn": _turn}, "teeth", waves=True,
+        tolerance=Tolerance("gear_pitch", "pitch"),
+    ),
+):  # fmt: skip
+    register(_kind)
+
+FIRST_KINDS = tuple(KINDS)
+"""The kinds that every surface file holds; one that came later is zero where a file does not name it."""

@@ -1,0 +1,160 @@
+"""Errors as a pair file's `[errors]` states them, checked against the kinds."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu import edge
+from cycloid_fmu.errors.kinds import KINDS, ErrorKind
+
+_ORDER = re.compile(r"order_([1-9]\d*)")
+
+
+def limited(value: float, kind: ErrorKind) -> float:
+    """Return the value of an error; a ValueError where its magnitude is above the kind's limit."""
+    if abs(value) > kind.limit:
+        if kind.unit == "rad":
+            raise ValueError("misalignments must lie between -20 mrad and 20 mrad")
+        raise ValueError("modifications and errors must lie between -1 mm and 1 mm")
+    return value
+
+
+def _quantity(value: object, unit: str, in_file: bool) -> float:
+    return edge.parse_quantity(value, unit) if in_file else edge.quantity(value, unit)
+
+
+def _orders(table: Mapping[Any, Any], kind: ErrorKind, in_file: bool) -> dict[int, tuple[float, float]]:
+    found = {}
+    for key, entry in table.items():
+        match = _ORDER.fullmatch(f"order_{key}" if isinstance(key, int) else str(key))
+        if match is None:
+            raise ValueError(f'the key "{key}" is unknown; orders are written order_1 = ["3 um", "40 deg"]')
+        if not isinstance(entry, list | tuple) or len(entry) != 2:
+            raise ValueError(f'{key} needs an amplitude and a phase, such as ["3 um", "40 deg"]')
+        try:
+            amplitude = limited(_quantity(entry[0], "m", in_file), kind)
+            phase = _quantity(entry[1], "rad", in_file)
+        except ValueError as problem:
+            raise ValueError(f"{key}: {problem}") from None
+        found[int(match[1])] = (amplitude, phase)
+    # In the order of their orders: what is summed in another order differs in its last bit.
+    return dict(sorted(found.items()))
+
+
+def _each(values: Any, kind: ErrorKind, in_file: bool) -> tuple[float, ...]:
+    found = []
+    for index, value in enumerate(values):
+        try:
+            found.append(limited(_quantity(value, kind.unit, in_file), kind))
+        except ValueError as problem:
+            raise ValueError(f"value {index} ({value!r}): {problem}") from None
+    return tuple(found)
+
+
+def _value(given: Any, kind: ErrorKind, in_file: bool) -> Any:
+    """Check one error as it was stated: a number, {order: (amplitude, phase)}, one value each, or lists for discs."""
+    if kind.of == "drive":
+        return limited(_quantity(given, kind.unit, in_file), kind)
+    if isinstance(given, Mapping):
+        return _orders(given, kind, in_file)
+    if isinstance(given, np.ndarray):
+        given = given.tolist()
+    if isinstance(given, list | tuple):
+        lists = [isinstance(v, list | tuple) for v in given]
+        if kind.of == "tooth" and lists and all(lists):
+            return tuple(_each(v, kind, in_file) for v in given)
+        if not any(lists):
+            return _each(given, kind, in_file)
+    raise ValueError('write a list of lengths or orders such as { order_1 = ["3 um", "40 deg"] }')
+
+
+class Errors(Mapping[str, Any]):
+    """The errors that are stated of a drive, by their keys in a pair file; what is not stated is zero.
+
+    A kind of one number has a float (m or rad); one of pins or teeth has {order: (amplitude, phase)}, a tuple with one
+    value each, or of teeth a tuple of these, one a disc. `errors.pin_radius` is the value, zero or () where not stated.
+    Immutable, equal by value.
+
+    Parameters
+    ----------
+    stated
+        Values as above, in SI units or as text with a unit.
+    source
+        The file that they come from, in which each quantity must be text with a unit; None for values from Python.
+
+    Raises
+    ------
+    edge.InputError
+        One sentence for each unknown key or value out of range.
+    """
+
+    __slots__ = ("_values",)
+
+    def __init__(self, stated: Mapping[str, Any] | None = None, source: str | None = None) -> None:
+        kinds = {kind.file_key: kind for kind in KINDS.values()}
+        where = f"{source}: [errors] " if source is not None else "errors: "
+        values, problems = {}, []
+        for key, given in (stated or {}).items():
+            if key not in kinds:
+                hint = edge.did_you_mean(str(key), kinds) or "check its spelling or remove it."
+                problems.append(f"{where}{key} is not a key known here; {hint}")
+                continue
+            try:
+                values[key] = _value(given, kinds[key], source is not None)
+            except ValueError as problem:
+                problems.append(f"{where}{key} = {edge.shown(given)}: {problem}.")
+        if problems:
+            raise edge.InputError("\n".join(problems))
+        # Zero and nothing are the same drive as what is not stated, and -0 is 0.
+        kept = {key: values[key] for key in kinds if key in values and values[key] not in (0.0, (), {})}
+        object.__setattr__(self, "_values", kept)
+
+    def __getitem__(self, key: str) -> Any:
+        return self._values[key]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def __getattr__(self, key: str) -> Any:
+        kinds = {kind.file_key: kind for kind in KINDS.values()}
+        if key.startswith("_") or key not in kinds:
+            raise AttributeError(key)
+        return self._values.get(key, 0.0 if kinds[key].of == "drive" else ())
+
+    def __setattr__(self, key: str, value: Any) -> None:
+        raise AttributeError(f"{key}: errors can't be changed; make others with replace")
+
+    def __reduce__(self) -> Any:
+        return (Errors, (self._values,))
+
+    def __hash__(self) -> int:
+        return hash(repr(self._values))
+
+    def __repr__(self) -> str:
+        return f"Errors({self._values})"
+
+
+def values_of(kind: ErrorKind, stated: Any, shape: tuple[int, ...]) -> NDArray[np.float64] | float:
+    """Return the values of a kind that is stated as `Errors` has it, in the shape that a pair gives it, m or rad."""
+    if kind.of == "drive":
+        return float(stated)
+    if kind.of == "tooth" and isinstance(stated, tuple) and stated and isinstance(stated[0], tuple):
+        return np.array(stated, dtype=float)
+    return np.broadcast_to(_one_circle(stated, shape[-1]), shape).copy()
+
+
+def _one_circle(stated: Any, count: int) -> NDArray[np.float64]:
+    """Values round one circle: from {order: (amplitude, phase)}, or one each."""
+    if isinstance(stated, Mapping):
+        index = np.arange(count)
+        waves = [a * np.cos(2.0 * np.pi * k * index / count - phase) for k, (a, phase) in stated.items()]
+        return np.asarray(np.sum(waves, axis=0)) if waves else np.zeros(count)
+    return np.array(stated, dtype=float) if len(stated) else np.zeros(count)

@@ -1,0 +1,1 @@
+"""The gear pair as drawn: values, validation and the flank's profile."""

@@ -1,0 +1,394 @@
+"""What a cycloid-pin gear pair is: geometry, profile modification, material and the errors that are stated of it.
+
+The pair file `cycloid-pair/1` is read and written here; everything leaves this module in SI units. A pair is its
+values: its text is made from them, never kept from a file.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import math
+import os
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self
+
+import pydantic
+
+from cycloid_fmu import edge
+from cycloid_fmu.edge import Config, Length
+from cycloid_fmu.errors.kinds import KINDS, LARGEST_DEVIATION
+from cycloid_fmu.errors.stated import Errors
+
+FORMAT = "cycloid-pair/1"
+LOST_MOTION_LOAD = 0.03  # of the rated torque (GB/T 40731)
+_SHARE = f"{100.0 * LOST_MOTION_LOAD:g} %"
+LOST_MOTION = f"output angle at +{_SHARE} of the rated torque less that at -{_SHARE} (GB/T 40731)"
+
+
+def _positive(value: float) -> float:
+    if not value > 0.0:
+        raise ValueError("it must be above zero")
+    return value
+
+
+def _deviation(value: float) -> float:
+    if abs(value) > LARGEST_DEVIATION:
+        raise ValueError("modifications and errors must lie between -1 mm and 1 mm")
+    return value
+
+
+PositiveLength = Annotated[Length, pydantic.AfterValidator(_positive)]
+Deviation = Annotated[Length, pydantic.AfterValidator(_deviation)]
+PositivePressure = Annotated[edge.Pressure, pydantic.AfterValidator(_positive)]
+PositiveTorque = Annotated[edge.Torque, pydantic.AfterValidator(_positive)]
+
+
+class Material(Config):
+    """An elastic material; the default is bearing steel."""
+
+    youngs_modulus: PositivePressure = 206e9
+    poissons_ratio: float = pydantic.Field(default=0.3, ge=0.0, lt=0.5)
+
+    @property
+    def compliance(self) -> float:
+        """V = (1 - ν²)/E of Hertz's line contact, 1/Pa."""
+        return (1.0 - self.poissons_ratio**2) / self.youngs_modulus
+
+
+class Materials(Config):
+    """The materials of both flanks."""
+
+    gear: Material = Material()
+    pin: Material = Material()
+
+
+class Modification(Config):
+    """Profile modification of the gear with the papers' signs, m.
+
+    Isometric > 0 is a larger generating pin (material removed), offset > 0 a larger generating circle (interference).
+    """
+
+    isometric: Deviation = 0.0
+    offset: Deviation = 0.0
+
+
+class _Geometry(Config):
+    """The table `[pair]` of a pair file."""
+
+    gear_teeth: int = pydantic.Field(ge=6, le=120, strict=True)
+    pins: int | None = pydantic.Field(default=None, strict=True)
+    pin_circle_radius: PositiveLength
+    pin_radius: PositiveLength
+    eccentricity: PositiveLength
+    face_width: PositiveLength
+    discs: int = pydantic.Field(default=1, ge=1, le=4, strict=True)
+    output: Literal["gear", "ring"] = "gear"
+    rated_torque: PositiveTorque | None = None
+    contact_law: Literal["capped", "as_printed"] = "capped"
+
+
+class _File(Config):
+    """A pair file's tables but `[errors]`, each number text with a unit."""
+
+    pair: _Geometry
+    modification: Modification = Modification()
+    material: Materials = Materials()
+
+
+class Pair(Config):
+    """A cycloid-pin gear pair, SI units, validated: it has one more pin than teeth and can be made and assembled.
+
+    It is its values: two pairs of the same values are equal, hash alike and have the same `text`, wherever they came
+    from. Lengths and other quantities are SI numbers or text with a unit, `0.064` or `"64 mm"`.
+
+    Attributes
+    ----------
+    gear_teeth, pins
+        z_c; z_p = z_c + 1, which need not be given.
+    pin_circle_radius, pin_radius, eccentricity, face_width
+        R_p, R_rp, e, b, m.
+    discs
+        Cycloid gears, evenly spread around the crank.
+    output
+        What turns: the gear in the fixed ring, or the ring round the gear that only orbits.
+    rated_torque
+        At the output, for limits and loads that are parts of it, N·m.
+    contact_law
+        "capped" bounds the flank's curvature radius in Hertz's logarithm by the pin circle radius.
+    modification, material
+        Profile modification of the gear and the materials of both flanks.
+    errors
+        What is stated of how it was really made, by the keys of a pair file's `[errors]`.
+
+    Raises
+    ------
+    edge.InputError
+        If a value is missing, out of range or the pair can't be made; one sentence a problem, naming the value.
+
+    Examples
+    --------
+    >>> import cycloid_fmu as cy
+    >>> pair = cy.Pair(
+    ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius=0.003, eccentricity="1.3 mm", face_width="10 mm"
+    ... )
+    >>> pair.pins, pair.ratio
+    (40, -39.0)
+    >>> pair.replace(eccentricity="1.7 mm")
+    Traceback (most recent call last):
+    ...
+    cycloid_fmu.edge...InputError: eccentricity = "1.7 mm": eccentricity x pins / pin circle radius is 1.0625; it must
+    stay below 1, so the eccentricity below "1.6 mm".
+    """
+
+    gear_teeth: int = pydantic.Field(ge=6, le=120, strict=True)
+    pins: int = pydantic.Field(strict=True)
+    pin_circle_radius: PositiveLength
+    pin_radius: PositiveLength
+    eccentricity: PositiveLength
+    face_width: PositiveLength
+    discs: int = pydantic.Field(default=1, ge=1, le=4, strict=True)
+    output: Literal["gear", "ring"] = "gear"
+    rated_torque: PositiveTorque | None = None
+    contact_law: Literal["capped", "as_printed"] = "capped"
+    modification: Modification = Modification()
+    material: Materials = Materials()
+    errors: pydantic.InstanceOf[Errors] = Errors()
+
+    def __init__(self, /, **values: Any) -> None:
+        errors = values.pop("errors", Errors())
+        if not isinstance(errors, Errors):
+            errors = Errors(errors)
+        if values.get("pins") is None and isinstance(values.get("gear_teeth"), int):
+            values["pins"] = values["gear_teeth"] + 1
+        super().__init__(**values, errors=errors)
+        for table, sentence in _contradictions(self):
+            raise ContradictionError(table, sentence)
+
+    def replace(self, **changes: Any) -> Self:
+        """Return the pair with other values, validated as reading a file does.
+
+        `isometric` and `offset` may be given directly; `errors` names those that change, the others are kept.
+
+        Raises
+        ------
+        edge.InputError
+            As constructing it does.
+        """
+        values = {name: getattr(self, name) for name in type(self).model_fields}
+        drawn = {n: changes.pop(n) for n in Modification.model_fields if n in changes}
+        if drawn:
+            values["modification"] = self.modification.replace(**drawn)
+        if isinstance(errors := changes.get("errors"), Mapping) and not isinstance(errors, Errors):
+            changes["errors"] = Errors({**self.errors, **Errors(errors), **_zeros(errors)})
+        return type(self)(**{**values, **changes})
+
+    @property
+    def nominal(self) -> Self:
+        """The pair as drawn: without the errors that are stated of it."""
+        return self.replace(errors=Errors()) if self.errors else self
+
+    @functools.cached_property
+    def text(self) -> str:
+        """The pair as the text of a pair file, made from its values alone: `parse_pair` gives an equal pair."""
+        return _text_of(self)
+
+    @property
+    def hash(self) -> str:
+        """The values' fingerprint: the first 16 hexadecimal digits of SHA-256 over `text`."""
+        return hashlib.sha256(self.text.encode()).hexdigest()[:16]
+
+    @property
+    def ratio(self) -> float:
+        """Signed ratio φ_a/φ_b of the ideal drive: -z_c with the gear as output, +z_p with the ring."""
+        return float(-self.gear_teeth if self.output == "gear" else self.pins)
+
+    @property
+    def lost_motion_loads(self) -> list[float]:
+        """Torques between which the lost motion lies, + and - `LOST_MOTION_LOAD`, N·m; none without a rated torque."""
+        rated = self.rated_torque
+        return [] if rated is None else [LOST_MOTION_LOAD * rated, -LOST_MOTION_LOAD * rated]
+
+    @property
+    def generating_circle_radius(self) -> float:
+        """R = R_p + ΔR_p of the nominal flank, m."""
+        return self.pin_circle_radius + self.modification.offset
+
+    @property
+    def generating_pin_radius(self) -> float:
+        """R = R_rp + ΔR_rp of the nominal flank, m."""
+        return self.pin_radius + self.modification.isometric
+
+    @property
+    def shortening(self) -> float:
+        """K = e z_p/R of the nominal flank (the papers' shortening coefficient)."""
+        return self.eccentricity * self.pins / self.generating_circle_radius
+
+
+class ContradictionError(edge.InputError):
+    """Values that contradict each other, each possible by itself; `table` is theirs in a pair file."""
+
+    def __init__(self, table: str, sentence: str) -> None:
+        super().__init__(f"{sentence}.")
+        self.table = table
+
+
+def _contradictions(pair: Pair) -> list[tuple[str, str]]:
+    """Return why a pair can't be made or its errors not be its own: the table in a pair file, and a sentence."""
+    if pair.pins != pair.gear_teeth + 1:
+        teeth = pair.gear_teeth
+        return [("pair", f"pins = {pair.pins}: a gear of gear_teeth = {teeth} needs one pin more, {teeth + 1}")]
+    k = pair.shortening
+    if k >= 1.0:
+        largest = pair.generating_circle_radius / pair.pins
+        return [
+            (
+                "pair",
+                f"eccentricity = {_mm(pair.eccentricity)}: eccentricity x pins / pin circle radius is {k:.4f}; "
+                f"it must stay below 1, so the eccentricity below {_mm(largest)}",
+            )
+        ]
+    smallest = smallest_convex_radius(pair.generating_circle_radius, pair.eccentricity, pair.pins)
+    if pair.generating_pin_radius >= smallest:
+        return [
+            (
+                "pair",
+                f"pin_radius = {_mm(pair.pin_radius)}: the flank is undercut; with its modification the pin radius "
+                f"must stay below the smallest curvature radius of its centre's path, {_mm(smallest)}",
+            )
+        ]
+    gap = 2.0 * pair.pin_circle_radius * math.sin(math.pi / pair.pins)
+    if 2.0 * pair.pin_radius >= gap:
+        sentence = f"neighbouring pins overlap; it must stay below {_mm(gap / 2)}"
+        return [("pair", f"pin_radius = {_mm(pair.pin_radius)}: {sentence}")]
+    found = []
+    for kind in KINDS.values():
+        stated = getattr(pair.errors, kind.file_key)
+        if not isinstance(stated, tuple) or not stated:
+            continue
+        rows = stated if isinstance(stated[0], tuple) else (stated,)
+        if isinstance(stated[0], tuple) and len(stated) != pair.discs:
+            found.append(("errors", f"{kind.file_key} has {len(stated)} lists; it needs one a disc, {pair.discs}"))
+        count = kind.shape(pair)[-1]
+        for row in rows:
+            if len(row) != count:
+                sentence = f"{kind.file_key} has {len(row)} values; it needs one a {kind.of}, {count}"
+                found.append(("errors", sentence))
+    return found
+
+
+def _zeros(errors: Mapping[str, Any]) -> dict[str, Any]:
+    """Errors that are taken back: those whose new value is zero."""
+    return {key: value for key, value in errors.items() if key not in Errors(errors)}
+
+
+def _mm(value: float) -> str:
+    return f'"{value * 1e3:.6g} mm"'
+
+
+def smallest_convex_radius(circle_radius: float, eccentricity: float, pins: int) -> float:
+    """Smallest convex curvature radius of the path of the pin's centre in the gear, m; infinite where none is convex.
+
+    With K = e z_p/R the radius is R S³/(1 + z_p K² - K (z_p + 1) cos φ). Its minimum is where the derivative vanishes,
+    cos φ = (K²(2 z_p - 1) + 2 - z_p)/(K (z_p + 1)), or at the tip (cos φ = -1) where that lies outside.
+    """
+    k = eccentricity * pins / circle_radius
+    stationary = (k * k * (2.0 * pins - 1.0) + 2.0 - pins) / (k * (pins + 1.0))
+    radii = []
+    for c in (max(-1.0, min(1.0, stationary)), -1.0, 1.0):
+        denominator = 1.0 + pins * k * k - k * (pins + 1.0) * c
+        if denominator > 0.0:
+            radii.append(circle_radius * (1.0 + k * k - 2.0 * k * c) ** 1.5 / denominator)
+    return min(radii, default=math.inf)
+
+
+_SHOWN_UNITS = {"m": ("mm", "um"), "Pa": ("GPa",), "N*m": (), "rad": ("mrad",)}
+
+
+def _written(value: float, si: str) -> str:
+    """Write a quantity so that reading it gives the same number, in the unit of drawings where that can be."""
+    value += 0.0  # -0 is 0
+    units = _SHOWN_UNITS[si]
+    for unit in reversed(units) if 0.0 < abs(value) < 1e-4 else units:
+        shown = f"{value / edge.unit_scale(unit, si):.12g} {unit}"
+        if edge.parse_quantity(shown, si) == value:
+            return shown
+    return f"{value!r} {si}"
+
+
+def _toml(value: Any, si: str | None) -> str:
+    if isinstance(value, str):
+        return f'"{value}"'
+    if isinstance(value, int) or si is None:
+        return repr(value)
+    return f'"{_written(value, si)}"'
+
+
+def _error_toml(stated: Any, unit: str) -> str:
+    if isinstance(stated, Mapping):
+        waves = (f"order_{k} = [{_toml(a, unit)}, {_toml(p, 'rad')}]" for k, (a, p) in sorted(stated.items()))
+        return f"{{ {', '.join(waves)} }}"
+    if isinstance(stated, tuple):
+        return f"[{', '.join(_error_toml(v, unit) for v in stated)}]"
+    return _toml(stated, unit)
+
+
+def _text_of(pair: Pair) -> str:
+    lines = [f'format = "{FORMAT}"']
+    tables: dict[str, Config] = {
+        "modification": pair.modification, "material.gear": pair.material.gear, "material.pin": pair.material.pin,
+    }  # fmt: skip
+    for title, table in {"pair": pair, **tables}.items():
+        lines.append(f"[{title}]")
+        for name, field in (_Geometry if table is pair else type(table)).model_fields.items():
+            value = getattr(table, name)
+            if value is not None:
+                lines.append(f"{name} = {_toml(value, edge.unit_of_field(field))}")
+    if pair.errors:
+        lines.append("[errors]")
+        units = {kind.file_key: kind.unit for kind in KINDS.values()}
+        lines += [f"{key} = {_error_toml(stated, units[key])}" for key, stated in pair.errors.items()]
+    return "\n".join(lines) + "\n"
+
+
+def parse_pair(text: str, source: str) -> Pair:
+    """Return the pair that a TOML text describes.
+
+    Parameters
+    ----------
+    text
+        The text of a pair file.
+    source
+        The file's name, for messages.
+
+    Raises
+    ------
+    edge.InputError
+        If it is not a valid pair; one sentence a problem, naming field, value and file.
+    """
+    return pair_of_tables(edge.toml_table(text, FORMAT, source), source)
+
+
+def pair_of_tables(tables: Mapping[str, Any], source: str) -> Pair:
+    """Return the pair that a file's tables describe; an `edge.InputError` names what is wrong in them."""
+    tables = dict(tables)
+    stated = tables.pop("errors", {})
+    if not isinstance(stated, Mapping):
+        raise edge.InputError(f"{source}: errors = {edge.shown(stated)}: it must be a table, [errors].")
+    file, errors = edge.validated(_File, tables, source), Errors(stated, source)
+    geometry = {name: getattr(file.pair, name) for name in _Geometry.model_fields}
+    try:
+        return Pair(**geometry, modification=file.modification, material=file.material, errors=errors)
+    except ContradictionError as problem:
+        raise edge.InputError(f"{source}: [{problem.table}] {problem}") from None
+
+
+def read_pair(path: str | os.PathLike[str]) -> Pair:
+    """Return the pair of a pair file; an `edge.InputError` names what is wrong in it."""
+    return parse_pair(edge.read_text(path), str(path))
+
+
+def write_pair(pair: Pair, path: str | os.PathLike[str]) -> None:
+    """Write a pair file that `read_pair` reads as an equal pair, whole or not at all."""
+    with edge.written_whole(path) as temporary:
+        temporary.write_text(pair.text, encoding="utf-8")

@@ -1,0 +1,1 @@
+"""Studies of many drives: tolerances and their allocation."""

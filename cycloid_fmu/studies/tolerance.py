@@ -1,0 +1,691 @@
+"""Tolerance studies: many drives that a drawing allows, each solved exactly, and what follows for yield and cost.
+
+A drive is a point of the unit cube with one axis for each tolerance (`sampling.surface_at`). The design of a study is a
+set of such points, fixed by its seed; every drive is solved by itself, from a cold start, so neither the number of
+workers nor their order nor an interruption changes a result.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import importlib.metadata
+import json
+import math
+import warnings
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu import edge
+from cycloid_fmu.contact.first_order import Screen
+from cycloid_fmu.contact.transmission import SLICES_MISALIGNED, slices_needed, solve
+from cycloid_fmu.geometry.pair import LOST_MOTION, Pair
+from cycloid_fmu.surfaces.sampling import LARGEST_SEED, AngleError, Tolerances, surface_at
+from cycloid_fmu.surfaces.structured import displacement_vector
+from cycloid_fmu.surfaces.surface import Elements, ErrorSurface
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+Array = NDArray[np.float64]
+Design = Literal["sobol", "latin-hypercube", "saltelli"]
+DESIGNS: tuple[Design, ...] = ("sobol", "latin-hypercube", "saltelli")
+FORMAT = "cycloid-tolerance-study/1"
+CHECKPOINT_FORMAT = "cycloid-tolerance-checkpoint/1"
+CHUNK = 16  # samples of one task
+PLAY_STEP = 10  # play and lost motion, which cost most and vary slowly, are taken at each tenth crank angle
+FORM = Elements(profile=50, width=5, angle=25)  # of sampled form deviations
+# Packages whose versions decide the last digits.
+_DECISIVE = ("cycloid-fmu", "numba", "numpy", "scipy")
+PER_TORQUE = ("angular_transmission_error", "mean_transmission_error", "max_contact_pressure")
+FIGURES = {
+    "angular_transmission_error": ("rad", "largest less smallest transmission error over the crank angles"),
+    "mean_transmission_error": ("rad", "mean transmission error over the crank angles"),
+    "max_contact_pressure": ("Pa", "largest contact pressure over the crank angles"),
+    "mean_backlash": ("rad", "mean backlash over the crank angles, 0 where there is no free position"),
+    "backlash": ("rad", "largest backlash over the crank angles"),
+    "lost_motion": ("rad", f"largest over the crank angles of the {LOST_MOTION}"),
+    "interference": ("m", "largest interference over the crank angles"),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Study:
+    """What a study solves; two studies with equal fields have equal results.
+
+    Attributes
+    ----------
+    pair, tolerances
+        The nominal pair, and what is sampled.
+    samples, seed, design
+        Points: "sobol" (scrambled), "latin-hypercube", or "saltelli" for Sobol indices, whose number of points is the
+        largest multiple of tolerances + 2 by a power of two that `samples` allows.
+    torque
+        Loads on the output, N·m, not zero.
+    angles, turns
+        Crank angles evenly from 0 over so many crank turns, end excluded.
+    """
+
+    pair: Pair
+    tolerances: Tolerances
+    samples: int
+    seed: int
+    torque: tuple[float, ...]
+    design: Design = "sobol"
+    angles: int = 360
+    turns: int = 1
+
+    @property
+    def factors(self) -> tuple[str, ...]:
+        """The tolerances, in the order of the points' columns."""
+        return self.tolerances.factors
+
+    @functools.cached_property
+    def columns(self) -> tuple[tuple[str, int | None], ...]:
+        """Name and index of the torque (None where there is none) of each number that a sample yields."""
+        alone: list[tuple[str, int | None]] = [(n, None) for n in FIGURES if n not in PER_TORQUE]
+        if self.pair.rated_torque is None:
+            alone.remove(("lost_motion", None))
+        return (*((n, k) for n in PER_TORQUE for k in range(len(self.torque))), *alone)
+
+    def identity(self) -> dict[str, Any]:
+        """Return what tells this study from another, for a checkpoint."""
+        return {
+            "pair": self.pair.text,
+            "tolerances": self.tolerances.text,
+            "design": self.design,
+            "samples": self.samples,
+            "seed": self.seed,
+            "torque": list(self.torque),
+            "angles": self.angles,
+            "turns": self.turns,
+            "versions": versions(),
+        }
+
+
+@functools.cache
+def versions() -> dict[str, str]:
+    """Return the versions of the packages that decide a result's last digits."""
+    return {name: importlib.metadata.version(name) for name in _DECISIVE}
+
+
+def check_study(study: Study, pair_source: str, tolerances_source: str) -> None:
+    """Refuse a study that can't be made.
+
+    Raises
+    ------
+    edge.InputError
+        If nothing has a tolerance, a tolerance has no width, a load is zero, the seed is out of range, or a limit needs
+        the rated torque and there is none.
+    """
+    if not study.factors:
+        raise edge.InputError(
+            f"{tolerances_source}: no tolerance is stated; a study needs a table such as [pin_radial]."
+        )
+    for name in study.factors:
+        stated = getattr(study.tolerances, name)
+        field = "single" if hasattr(stated, "single") else "tolerance"
+        if getattr(stated, field) == 0.0:
+            raise edge.InputError(
+                f"{tolerances_source}: [{name}] {field} = 0: a distribution needs a width above zero; remove the table "
+                "where there is no error."
+            )
+    if 0.0 in study.torque:
+        raise edge.ArgumentError("torque", "a study's loads must not be zero; the play has its own figures", 0.0)
+    if not 0 <= study.seed <= LARGEST_SEED:
+        raise edge.ArgumentError("seed", f"it must be between 0 and {LARGEST_SEED}", study.seed)
+    if study.tolerances.limits.lost_motion is not None and study.pair.rated_torque is None:
+        raise edge.InputError(
+            f"{pair_source}: [pair] rated_torque is missing; state it: [limits] lost_motion of {tolerances_source} is "
+            "taken at a share of it."
+        )
+
+
+def points(study: Study) -> Array:
+    """Return the study's points in the unit cube, shape (samples, factors); the seed decides them.
+
+    Raises
+    ------
+    edge.InputError
+        If the design is Saltelli's and the samples are too few for it.
+    """
+    from scipy.stats import qmc
+
+    size = len(study.factors)
+    if study.design == "saltelli":
+        try:
+            from SALib.sample import sobol
+        except ImportError:
+            problem = "this needs SALib: pip install 'cycloid-fmu[sensitivity]'"
+            raise edge.ArgumentError("design", problem, study.design) from None
+        base = saltelli_base(study)
+        return np.asarray(sobol.sample(_problem(study), base, calc_second_order=False, seed=study.seed))
+    if study.design == "latin-hypercube":
+        return np.asarray(qmc.LatinHypercube(size, rng=np.random.default_rng(study.seed)).random(study.samples))
+    with warnings.catch_warnings():
+        # A number of points that is no power of two loses the sequence's balance, not its evenness.
+        warnings.filterwarnings("ignore", message="The balance properties")
+        return np.asarray(qmc.Sobol(size, rng=np.random.default_rng(study.seed)).random(study.samples))
+
+
+def saltelli_base(study: Study) -> int:
+    """Return the base points of Saltelli's design, a power of two; each takes tolerances + 2 samples."""
+    each = len(study.factors) + 2
+    if study.samples < 16 * each:
+        problem = f"Sobol indices of {each - 2} tolerances need {16 * each} samples at least"
+        raise edge.ArgumentError("samples", problem, study.samples)
+    return 1 << int(math.log2(study.samples // each))
+
+
+def _problem(study: Study) -> dict[str, Any]:
+    names = list(study.factors)
+    return {"num_vars": len(names), "names": names, "bounds": [[0.0, 1.0]] * len(names)}
+
+
+def surface_of(study: Study, point: Array) -> ErrorSurface:
+    """Return the drive of one point."""
+    return surface_at(study.pair, study.tolerances, dict(zip(study.factors, map(float, point), strict=True)), FORM)
+
+
+def crank_angles(study: Study) -> Array:
+    """Return the crank angles of a study, shape (angles,), rad."""
+    return np.linspace(0.0, 2.0 * np.pi * study.turns, study.angles, endpoint=False)
+
+
+def figures_of(study: Study, surface: ErrorSurface) -> Array:
+    """Return the figures of one drive in the order of `Study.columns`, by the exact kernel."""
+    angles, slices = crank_angles(study), slices_needed(surface)
+    loaded = solve(study.pair, surface, study.torque, angles, slices, with_play=False)
+    free = solve(study.pair, surface, study.pair.lost_motion_loads, angles[::PLAY_STEP], slices)
+    backlash = np.where(np.isnan(free.backlash), 0.0, free.backlash)
+    found: dict[str, Any] = {
+        "angular_transmission_error": np.ptp(loaded.transmission_error, axis=1),
+        "mean_transmission_error": loaded.transmission_error.mean(axis=1),
+        "max_contact_pressure": loaded.max_contact_pressure.max(axis=1),
+        "mean_backlash": backlash.mean(),
+        "backlash": backlash.max(),
+        "interference": free.interference.max(),
+    }
+    if study.pair.lost_motion_loads:
+        found["lost_motion"] = (free.transmission_error[0] - free.transmission_error[1]).max()
+    return np.array([found[name] if k is None else found[name][k] for name, k in study.columns])
+
+
+def check_first_order(study: Study, tolerances_source: str) -> None:
+    """Refuse, with an `edge.InputError`, form deviations: first order takes errors of size and place alone."""
+    for name in study.factors:
+        if name.endswith("_profile"):
+            raise edge.InputError(
+                f"{tolerances_source}: [{name}]: form deviations need the exact kernel; remove the table."
+            )
+
+
+def screen_of(study: Study, largest: float = 1.0) -> Screen:
+    """Return the error-free pair at a study's loads: first those of `Study.torque`, then ± lost motion, then the play.
+
+    Parameters
+    ----------
+    largest
+        Errors may be this often what the tolerances allow.
+    """
+    angles = crank_angles(study)
+    low_loads = (*study.pair.lost_motion_loads, 0.0)
+    loads = [*((t, angles) for t in study.torque), *((t, angles[::PLAY_STEP]) for t in low_loads)]
+    reach = 0.0
+    for name in study.factors:
+        stated = getattr(study.tolerances, name)
+        width = stated.cumulative if hasattr(stated, "cumulative") else stated.tolerance
+        reach += width * (study.pair.face_width if isinstance(stated, AngleError) else 1.0)
+    tilted = any(isinstance(getattr(study.tolerances, name), AngleError) for name in study.factors)
+    # Errors close a gap by their sum and once more by the rotation that they allow, here with room to spare.
+    return Screen(study.pair, loads, SLICES_MISALIGNED if tilted else 1, 20e-6 + 3.0 * largest * reach)
+
+
+def figures_to_first_order(study: Study, screen: Screen, errors: Array) -> Array:
+    """Return the figures of drives in the order of `Study.columns`, to first order, shape (drives, columns).
+
+    Parameters
+    ----------
+    errors
+        Rows of `displacement_vector`.
+    """
+    loads = len(study.torque)
+    solutions = [screen.loaded(k, errors) for k in range(loads)]
+    has_rated = study.pair.rated_torque is not None
+    backlash, interference = screen.play(loads + 2 * has_rated, errors)
+    free = np.where(np.isnan(backlash), 0.0, backlash)
+    found: dict[str, Any] = {
+        "angular_transmission_error": [np.ptp(deviation, axis=1) for deviation, _ in solutions],
+        "mean_transmission_error": [deviation.mean(axis=1) for deviation, _ in solutions],
+        "max_contact_pressure": [pressure.max(axis=1) for _, pressure in solutions],
+        "mean_backlash": free.mean(axis=1),
+        "backlash": free.max(axis=1),
+        "interference": interference.max(axis=1),
+    }
+    if has_rated:
+        up, down = (screen.loaded(loads + k, errors)[0] for k in range(2))
+        found["lost_motion"] = (up - down).max(axis=1)
+    return np.column_stack([found[name] if k is None else found[name][k] for name, k in study.columns])
+
+
+def _check_versions(wanted: dict[str, str]) -> None:
+    """Refuse to work where other versions would compute other digits."""
+    here = versions()
+    for name, version in wanted.items():
+        if here[name] != version:
+            raise edge.InputError(
+                f"a worker has {name} {here[name]}, this process {version}; give all workers the same version."
+            )
+
+
+_screens: dict[str, Screen] = {}  # the last one of this process
+
+
+def _screening_task(wanted: dict[str, str], study: Study, first: int, rows: Array) -> tuple[int, Array]:
+    """Solve some samples to first order, as `_task` does exactly."""
+    _check_versions(wanted)
+    key = json.dumps(study.identity())
+    if key not in _screens:
+        _screens.clear()
+        _screens[key] = screen_of(study)
+    errors = np.array([displacement_vector(study.pair, surface_of(study, row)) for row in rows])
+    return first, figures_to_first_order(study, _screens[key], errors)
+
+
+def _task(wanted: dict[str, str], study: Study, first: int, rows: Array) -> tuple[int, Array]:
+    """Solve some samples wherever this runs."""
+    _check_versions(wanted)
+    return first, np.array([figures_of(study, surface_of(study, row)) for row in rows])
+
+
+class Checkpoint:
+    """The samples that were solved, on disk: a header and a line for each task, each with its CRC-32.
+
+    A line that a kill cut short is passed over, and its samples are solved again.
+
+    Raises
+    ------
+    edge.InputError
+        If the file is no checkpoint, or one of another study.
+    """
+
+    def __init__(self, path: Path, study: Study) -> None:
+        self.path = path
+        self.done: dict[int, Array] = {}
+        identity = study.identity()
+        if path.exists():
+            self._read(identity)
+        else:
+            with edge.written_whole(path) as temporary:
+                temporary.write_text(_line({"format": CHECKPOINT_FORMAT, "study": identity}), encoding="utf-8")
+
+    def _read(self, identity: dict[str, Any]) -> None:
+        lines = edge.read_text(self.path).splitlines()
+        header = _content(lines[0]) if lines else None
+        if header is None:
+            raise edge.InputError(f"{self.path}: this is not a checkpoint of a tolerance study; move it away.")
+        edge.check_format(header.get("format"), CHECKPOINT_FORMAT, str(self.path))
+        for name, mine in identity.items():
+            theirs = header["study"].get(name)
+            if theirs != mine:
+                values = "" if isinstance(mine, str | dict) and name != "design" else f": {theirs} there, {mine} here"
+                raise edge.InputError(
+                    f"{self.path}: this checkpoint belongs to another study, its {name} differs{values}; finish that "
+                    "study, or remove the file to start anew."
+                )
+        for line in lines[1:]:
+            record = _content(line)
+            if record is not None:
+                self.done[record["first"]] = np.array(record["values"])
+
+    def add(self, first: int, values: Array) -> None:
+        """Keep the figures of the samples from `first` on."""
+        # A newline first: a line that a kill cut short must not spoil this one.
+        with self.path.open("a", encoding="utf-8") as file:
+            file.write("\n" + _line({"first": first, "values": values.tolist()}))
+
+
+def _line(record: dict[str, Any]) -> str:
+    text = json.dumps(record, allow_nan=False)
+    return f"{zlib.crc32(text.encode()):08x} {text}\n"
+
+
+def _content(line: str) -> dict[str, Any] | None:
+    """Return what `_line` wrote, None where the line is not whole."""
+    check, _, text = line.partition(" ")
+    if check != f"{zlib.crc32(text.encode()):08x}":
+        return None
+    record: dict[str, Any] = json.loads(text)
+    return record
+
+
+def _connected(scheduler: str) -> Any:
+    """Return a client of a dask scheduler whose workers are there."""
+    try:
+        from distributed import Client
+    except ImportError:
+        problem = "this needs dask: pip install 'cycloid-fmu[distributed]'"
+        raise edge.ArgumentError("scheduler", problem, scheduler) from None
+    try:
+        client = Client(scheduler, timeout=5, set_as_default=False)
+    except (OSError, ValueError) as failure:
+        problem = f"no scheduler answers there ({type(failure).__name__})"
+        raise edge.ArgumentError("scheduler", problem, scheduler) from None
+    if not client.scheduler_info(n_workers=-1)["workers"]:
+        client.close()
+        raise edge.ArgumentError("scheduler", "it has no workers; start one with dask worker", scheduler)
+    return client
+
+
+def solved(
+    study: Study,
+    waiting: Mapping[int, Array],
+    workers: int,
+    scheduler: str | None,
+    task: Callable[[dict[str, str], Study, int, Array], tuple[int, Array]] = _task,
+) -> Iterator[tuple[int, Array]]:
+    """Yield (first sample, figures) of the waiting tasks as they are finished, in any order.
+
+    Parameters
+    ----------
+    waiting
+        {first sample: points, shape (samples, factors)}.
+    workers
+        Processes of this machine; 1 works in this one.
+    scheduler
+        Address of a dask scheduler, such as "tcp://host:8786"; its workers are used instead.
+    task
+        What solves them: the exact kernel, or that of first order.
+
+    Raises
+    ------
+    edge.InputError
+        If the scheduler does not answer, or a worker has other versions.
+    """
+    import joblib
+
+    wanted = versions()
+    if scheduler is None:
+        tasks = (joblib.delayed(task)(wanted, study, first, rows) for first, rows in waiting.items())
+        yield from joblib.Parallel(n_jobs=workers, return_as="generator_unordered", batch_size=1)(tasks)
+        return
+    client = _connected(scheduler)
+    try:
+        from distributed import as_completed
+
+        # Not through joblib's own dask backend: it scatters arguments, which are lost with a worker that is killed.
+        futures = [client.submit(task, wanted, study, *rows, pure=False) for rows in waiting.items()]
+        for future in as_completed(futures, loop=client.loop):
+            yield future.result()
+            future.release()
+    finally:
+        client.close()
+
+
+@dataclasses.dataclass(frozen=True)
+class Result:
+    """The solved samples of a study, all or those that were done when it was interrupted.
+
+    Attributes
+    ----------
+    point
+        Shape (samples, factors), in the unit cube.
+    values
+        Shape (samples, columns) in the order of `Study.columns`, SI.
+    sample
+        Numbers of the samples, shape (samples,).
+    """
+
+    study: Study
+    point: Array
+    values: Array
+    sample: NDArray[np.int64]
+
+    def figure(self, name: str) -> Array:
+        """Return a figure, shape (samples, torques) or (samples,)."""
+        found = [i for i, (n, _) in enumerate(self.study.columns) if n == name]
+        return self.values[:, found] if name in PER_TORQUE else self.values[:, found[0]]
+
+    @functools.cached_property
+    def independent(self) -> NDArray[np.bool_]:
+        """Which samples are an even sample of the drives: all but those of Saltelli's that share coordinates."""
+        if self.study.design != "saltelli":
+            return np.ones(self.sample.size, dtype=bool)
+        place = self.sample % (len(self.study.factors) + 2)
+        return np.asarray((place == 0) | (place == len(self.study.factors) + 1))
+
+
+def run(
+    study: Study,
+    checkpoint: Checkpoint | None = None,
+    *,
+    workers: int = 1,
+    scheduler: str | None = None,
+    progress: Callable[[int], None] = lambda samples: None,
+) -> Result:
+    """Solve a study's samples, those of the checkpoint excepted.
+
+    Parameters
+    ----------
+    checkpoint
+        Where finished samples are kept as they come.
+    workers, scheduler
+        As in `solved`; the result does not depend on them.
+    progress
+        Told how many samples were just finished, first those of the checkpoint.
+
+    Raises
+    ------
+    Interrupted
+        At a KeyboardInterrupt; it holds the samples that were finished.
+    """
+    place = points(study)
+    tasks = {first: place[first : first + CHUNK] for first in range(0, len(place), CHUNK)}
+    done = {} if checkpoint is None else {k: v for k, v in checkpoint.done.items() if k in tasks}
+    for values in done.values():
+        progress(len(values))
+    waiting = {first: rows for first, rows in tasks.items() if first not in done}
+
+    def result() -> Result:
+        kept = sorted(done)
+        numbers = [np.arange(first, first + len(done[first])) for first in kept]
+        sample = np.concatenate(numbers) if kept else np.empty(0, np.int64)
+        values = np.concatenate([done[k] for k in kept]) if kept else np.empty((0, len(study.columns)))
+        return Result(study, place[sample], values, sample)
+
+    try:
+        for first, values in solved(study, waiting, workers, scheduler) if waiting else ():
+            done[first] = values
+            if checkpoint is not None:
+                checkpoint.add(first, values)
+            progress(len(values))
+    except KeyboardInterrupt:
+        raise Interrupted(result(), len(place), checkpoint) from None
+    return result()
+
+
+@dataclasses.dataclass(frozen=True)
+class Screened:
+    """A study to first order with a share of its drives solved exactly.
+
+    Attributes
+    ----------
+    result
+        All samples, the confirmed ones by the exact kernel.
+    confirmed
+        Numbers of the samples that were solved exactly.
+    difference
+        {figure: largest difference between both kernels over the confirmed samples, SI}.
+    changed
+        Confirmed samples that one kernel lets keep all limits and the other does not.
+    """
+
+    result: Result
+    confirmed: NDArray[np.int64]
+    difference: dict[str, float]
+    changed: int
+
+
+def screened(
+    study: Study,
+    share: float,
+    *,
+    workers: int = 1,
+    scheduler: str | None = None,
+    progress: Callable[[int], None] = lambda samples: None,
+) -> Screened:
+    """Solve a study to first order and confirm a share of it by the exact kernel.
+
+    Confirmed are the samples nearest to the limits, where a difference would decide; without limits the first ones,
+    which are as even as any.
+
+    Parameters
+    ----------
+    share
+        Of the samples, above 0 and at most 1.
+    workers, scheduler, progress
+        As in `run`; each confirmed sample is told of once more.
+    """
+    place = points(study)
+    values = np.empty((len(place), len(study.columns)))
+    size = 16 * CHUNK
+    tasks = {k: place[k : k + size] for k in range(0, len(place), size)}
+    for first, found in solved(study, tasks, workers, scheduler, _screening_task):
+        values[first : first + len(found)] = found
+        progress(len(found))
+    taken = demand(study, values)
+    worst = np.max([*taken.values()], axis=0) if taken else np.arange(len(place), dtype=float)
+    nearest = np.argsort(np.abs(worst - 1.0) if taken else worst, kind="stable")
+    confirmed = np.sort(nearest[: max(1, math.ceil(share * len(place)))])
+    exact = np.empty((confirmed.size, values.shape[1]))
+    waiting = {k: place[confirmed[k : k + CHUNK]] for k in range(0, confirmed.size, CHUNK)}
+    for first, found in solved(study, waiting, workers, scheduler):
+        exact[first : first + len(found)] = found
+        progress(len(found))
+    difference = {
+        name: float(np.abs(exact - values[confirmed])[:, [n == name for n, _ in study.columns]].max())
+        for name in dict.fromkeys(n for n, _ in study.columns)
+    }
+    good = [np.logical_and.reduce([d <= 1.0 for d in demand(study, v).values()]) for v in (exact, values[confirmed])]
+    values[confirmed] = exact
+    result = Result(study, place, values, np.arange(len(place)))
+    return Screened(result, confirmed, difference, int(np.count_nonzero(good[0] != good[1])) if taken else 0)
+
+
+class Interrupted(KeyboardInterrupt):
+    """A study was interrupted; `result` holds the samples that were finished."""
+
+    def __init__(self, result: Result, size: int, checkpoint: Checkpoint | None) -> None:
+        kept = "nothing is kept without an output"
+        if checkpoint is not None:
+            kept = f"{checkpoint.path} keeps them; the same study goes on from there"
+        super().__init__(f"Interrupted: {result.sample.size} of {size} drives are done; {kept}.")
+        self.result = result
+
+
+def statistics(result: Result) -> dict[str, dict[str, Any]]:
+    """Return each figure's distribution: {figure: {"mean", "standard_deviation", "quantiles"}}, SI, one a torque.
+
+    `quantiles` are {"0.05", "0.5", "0.95", "1"}: the last is the largest.
+    """
+    found = {}
+    for name in dict.fromkeys(n for n, _ in result.study.columns):
+        values = result.figure(name)[result.independent]
+        found[name] = {
+            "mean": values.mean(axis=0),
+            "standard_deviation": values.std(axis=0),
+            "quantiles": {f"{q:g}": np.quantile(values, q, axis=0) for q in (0.05, 0.5, 0.95, 1.0)},
+        }
+    return found
+
+
+def demand(study: Study, values: Array) -> dict[str, Array]:
+    """Return how much of each stated limit the samples take, largest over the loads: {limit: shape (samples,)}.
+
+    1 is at the limit. A limit of 0 is kept (share 0) by what does not exceed it.
+    """
+    found = {}
+    for name, limit in study.tolerances.limits.stated().items():
+        taken = values[:, [i for i, (n, _) in enumerate(study.columns) if n == name]].max(axis=1)
+        found[name] = taken / limit if limit > 0.0 else np.where(taken > 0.0, 1.0 + taken * 1e6, 0.0)
+    return found
+
+
+def yields(result: Result) -> dict[str, dict[str, float]]:
+    """Return the share of drives that keep each limit, and "all" of them, with its Clopper-Pearson interval at 95 %.
+
+    Evenly spread points err less than the interval says, which is that of independent ones.
+    """
+    from scipy.stats import binomtest
+
+    kept = {n: d[result.independent] <= 1.0 for n, d in demand(result.study, result.values).items()}
+    kept["all"] = np.logical_and.reduce([*kept.values()])
+    found = {}
+    for name, good in kept.items():
+        interval = binomtest(int(good.sum()), good.size).proportion_ci()
+        found[name] = {"share": float(good.mean()), "low": float(interval.low), "high": float(interval.high)}
+    return found
+
+
+def sobol_indices(result: Result) -> dict[str, dict[str, Array]]:
+    """Return Sobol's indices of each figure that varies, from Saltelli's design (SALib), shape (factors,).
+
+    Returns
+    -------
+    indices
+        {figure, at several loads with its torque: {"first_order", "first_order_confidence", "total",
+        "total_confidence"}}; the confidence is half of the 95 % interval (bootstrap).
+
+    Raises
+    ------
+    ValueError
+        If the design is another or some samples are missing.
+    """
+    from SALib.analyze import sobol
+
+    study = result.study
+    if study.design != "saltelli" or result.sample.size != saltelli_base(study) * (len(study.factors) + 2):
+        raise ValueError("Sobol indices need all samples of Saltelli's design")
+    found = {}
+    for column, (name, k) in enumerate(study.columns):
+        values = result.values[:, column]
+        if np.ptp(values) == 0.0:
+            continue
+        indices = sobol.analyze(
+            _problem(study), (values - values.mean()) / values.std(), calc_second_order=False, seed=study.seed
+        )
+        label = name if k is None or len(study.torque) == 1 else f"{name} {study.torque[k]:g} N*m"
+        found[label] = {
+            "first_order": np.asarray(indices["S1"]), "first_order_confidence": np.asarray(indices["S1_conf"]),
+            "total": np.asarray(indices["ST"]), "total_confidence": np.asarray(indices["ST_conf"]),
+        }  # fmt: skip
+    return found
+
+
+def dataset_of(result: Result) -> xr.Dataset:
+    """Return a study as a labelled dataset, format `cycloid-tolerance-study/1`, dimensions sample, factor, torque."""
+    import xarray as xr
+
+    study = result.study
+    data: dict[str, Any] = {"point": (("sample", "factor"), result.point)}
+    for name in dict.fromkeys(n for n, _ in study.columns):
+        data[name] = (("sample", "torque") if name in PER_TORQUE else ("sample",), result.figure(name))
+    coordinates = {
+        "sample": result.sample, "factor": np.array(study.factors, dtype=object), "torque": np.array(study.torque),
+    }  # fmt: skip
+    dataset = xr.Dataset(data, coordinates)
+    for name, (unit, text) in FIGURES.items():
+        if name in dataset:
+            dataset[name].attrs.update(units=unit, long_name=text)
+    dataset["point"].attrs.update(units="1", long_name="coordinate in the unit cube: the probability of a single error")
+    dataset["torque"].attrs.update(units="N*m", long_name="torque of the environment on the output")
+    identity = study.identity()
+    for name in ("torque", "versions"):
+        identity.pop(name)
+    dataset.attrs.update(identity, format=FORMAT)
+    return dataset

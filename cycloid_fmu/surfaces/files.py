@@ -1,0 +1,99 @@
+"""The error surface file: netCDF, format `cycloid-surface/1`."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+
+from cycloid_fmu import edge
+from cycloid_fmu.errors.kinds import FIRST_KINDS, KINDS
+from cycloid_fmu.geometry.pair import parse_pair
+from cycloid_fmu.surfaces.structured import unit_of
+from cycloid_fmu.surfaces.surface import DEVIATION_TEXTS, DEVIATIONS, ErrorSurface, Life
+
+FORMAT = "cycloid-surface/1"
+_DIMENSIONS = {"drive": (), "pin": ("pin",), "tooth": ("disc", "tooth")}
+
+
+def write_surface(surface: ErrorSurface, path: str | os.PathLike[str]) -> None:
+    """Write a surface file (netCDF, `cycloid-surface/1`), whole or not at all."""
+    import xarray as xr
+
+    data: dict[str, Any] = {name: (_DIMENSIONS[kind.of], surface.errors[name]) for name, kind in KINDS.items()}
+    for name, dimensions in DEVIATIONS.items():
+        if (elements := getattr(surface, name)) is not None:
+            data[name] = (dimensions, elements)
+    if surface.life is not None:
+        for name, values in vars(surface.life).items():
+            data[f"life_{name}"] = (("state", *DEVIATIONS.get(name, ())), values)
+    coordinates: dict[str, Any] = {}
+    if surface.covariance is not None:
+        data["covariance"] = (("parameter", "parameter_"), surface.covariance)
+        coordinates["parameter"] = np.array(surface.covariance_of, dtype=object)
+    dataset = xr.Dataset(data, coordinates)
+    for name, text in {**{n: k.description for n, k in KINDS.items()}, **DEVIATION_TEXTS}.items():
+        if name not in dataset:
+            continue
+        dataset[name].attrs.update(units=unit_of(name), long_name=text)
+        if f"life_{name}" in dataset:
+            dataset[f"life_{name}"].attrs.update(units=unit_of(name), long_name=f"{text}; over life")
+    if surface.life is not None:
+        dataset["life_crank_turns"].attrs.update(units="1", long_name="crank turns since new")
+    dataset.attrs.update(surface.attributes, format=FORMAT, origin=surface.origin, pair=surface.pair.text)
+    with edge.written_whole(path) as temporary:
+        packed = {n: {"zlib": True} for n in dataset.data_vars if str(n).startswith("life_")}
+        dataset.to_netcdf(temporary, engine="h5netcdf", encoding=packed)
+
+
+def read_surface(path: str | os.PathLike[str]) -> ErrorSurface:
+    """Read a surface file.
+
+    Raises
+    ------
+    edge.InputError
+        If it can't be read, is of another format, lacks a variable, holds a wrong unit, size or a value out of range.
+    """
+    data = edge.netcdf(path, FORMAT)
+    pair = parse_pair(data.attrs.get("pair", ""), f"{path} (its pair)")
+    for name in FIRST_KINDS:
+        # A kind that came later is zero in a file that was written before.
+        if name not in data:
+            raise edge.InputError(f"{path}: the variable {name} is missing.")
+    for name in (*KINDS, *DEVIATIONS):
+        if name in data and (unit := data[name].attrs.get("units")) != unit_of(name):
+            raise edge.InputError(f'{path}: {name} has the unit "{unit}"; it must be "{unit_of(name)}".')
+    for name, dimensions in DEVIATIONS.items():
+        if name in data and data[name].dims != dimensions:
+            raise edge.InputError(f"{path}: {name} has the dimensions {data[name].dims}; it must have {dimensions}.")
+    covariance = data["covariance"].values.astype(float) if "covariance" in data else None
+    names = tuple(str(n) for n in data["parameter"].values) if covariance is not None else ()
+    if covariance is not None and not (
+        covariance.shape == (len(names),) * 2 and np.isfinite(covariance).all() and (covariance == covariance.T).all()
+    ):
+        raise edge.InputError(f"{path}: covariance must be symmetric and finite, {len(names)} by {len(names)}.")
+    try:
+        return ErrorSurface(
+            pair,
+            {name: data[name].values for name in KINDS if name in data},
+            **{name: data[name].values for name in DEVIATIONS if name in data},
+            life=_life_of(data, str(path)),
+            origin=str(data.attrs.get("origin")),
+            covariance_of=names,
+            covariance=covariance,
+            attributes={k: v for k, v in data.attrs.items() if k not in ("format", "origin", "pair")},
+        )
+    except edge.InputError as problem:
+        raise edge.InputError(f"{path}: {problem}") from None
+
+
+def _life_of(data: Any, source: str) -> Life | None:
+    if "life_crank_turns" not in data:
+        return None
+    for name in DEVIATIONS:
+        if f"life_{name}" not in data:
+            raise edge.InputError(
+                f"{source}: life_{name} is missing or its shape is not that of {name} for each state."
+            )
+    return Life(*(data[f"life_{name}"].values.astype(float) for name in ("crank_turns", *DEVIATIONS)))

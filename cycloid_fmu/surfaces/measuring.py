@@ -1,0 +1,663 @@
+"""Error surfaces measured: coordinates of flanks and pins from a coordinate measuring machine.
+
+A point's deviation is its distance along the normal from the closest point of the nominal surface. The frame of a
+measurement is the machine's, so it is fitted: of each disc's gear a turn about the axis and a shift across it, together
+with a turn of each tooth (its pitch); of the pins a circle each, and the turn and shift of all their centres. z is
+taken as it is: 0 at mid-width, along the axis.
+
+What a fitted frame can't tell is set to zero: the mean pitch of the teeth, the mean tangential error of the pins, and
+the part of the pins' position errors that is a shift of them all. The mean of the pins' radial errors is the pin
+circle's, the mean of their radius errors is that of all pins; what remains is each pin's own.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import spatial
+from scipy.optimize import least_squares
+from scipy.sparse import csr_array
+
+from cycloid_fmu import edge
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.geometry.profile import (
+    arc_parts,
+    equal_arc_parameters,
+    flank_curvature,
+    flank_normals,
+    flank_points,
+    flank_speed,
+)
+from cycloid_fmu.surfaces.surface import LARGEST_ELEMENT, Elements, ErrorSurface
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Integers = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
+
+LENGTHS = ("x", "y", "z")
+FEWEST_TOOTH_POINTS = 8
+FEWEST_PIN_POINTS = 6
+DEFAULT_ELEMENTS = Elements(profile=50, width=5, angle=25)
+
+_MICRON = 1e-6
+_NEIGHBOURS = 8
+# A point is an outlier this many robust standard deviations (1.4826 of the median absolute one) off its neighbours,
+# and never closer to them than the floor: a noiseless, steep form has outliers of its own otherwise.
+_OUTLYING, _OUTLYING_FLOOR = 8.0, 2e-6
+_ROUGH_POINTS = 600
+
+
+@dataclass(frozen=True)
+class MeasuredPoints:
+    """Points of one or more bodies, SI, arrays of shape (points,).
+
+    Attributes
+    ----------
+    gear
+        True for a gear's flank, False for a pin.
+    disc, number
+        The disc (gears only, else 0) and the tooth or pin, from 0.
+    x, y, z
+        m, in the machine's frame, z along the axis from mid-width.
+    line
+        The line of the file, from 1.
+    source
+        The file's name.
+    """
+
+    gear: Booleans
+    disc: Integers
+    number: Integers
+    x: Array
+    y: Array
+    z: Array
+    line: Integers
+    source: str
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """How the frame of one measured body was found.
+
+    Attributes
+    ----------
+    body
+        "gear, disc 0" and so on, or "pins".
+    x, y, rotation
+        Where the nominal frame lies in the machine's: m, m, rad counter-clockwise.
+    points, outliers
+        Points measured, and those of them left out.
+    rms
+        Root mean square of what is left of the points' deviations after pitch, positions and radii, m.
+    scatter
+        Root mean square of the points about the mean of their element, m: noise, and form within an element.
+    """
+
+    body: str
+    x: float
+    y: float
+    rotation: float
+    points: int
+    outliers: int
+    rms: float
+    scatter: float
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """A point that was left out: its line in the file, where it lies, and how far off its neighbours, m."""
+
+    line: int
+    place: str
+    distance: float
+
+
+@dataclass(frozen=True)
+class MeasurementReport:
+    """What was done to the points; `gear_empty` and `pin_empty` are True for elements that were interpolated."""
+
+    alignments: tuple[Alignment, ...]
+    outliers: tuple[Outlier, ...]
+    gear_empty: Booleans | None
+    pin_empty: Booleans | None
+    notes: tuple[str, ...]
+
+
+def read_points(path: str | os.PathLike[str]) -> MeasuredPoints:
+    """Read points from CSV: a header `body,disc,number,x [mm],y [mm],z [mm]`, one row a point.
+
+    `body` is gear or pin, `disc` is empty or 0 for pins, `number` the tooth or pin from 0; any unit of length will do.
+
+    Raises
+    ------
+    edge.InputError
+        If a column or its unit is missing, or a cell is not what it must be; the sentence names the line.
+    """
+    lines = edge.read_text(path).splitlines()
+    header = next(csv.reader(lines[:1]), [])
+    lengths = edge.unit_columns(header, dict.fromkeys(LENGTHS, "m"), str(path))
+    names = [cell.strip() for cell in header]
+    for name in ("body", "disc", "number"):
+        if name not in names:
+            raise edge.InputError(f'{path}: there is no column "{name}" in the header.')
+    places = {name: names.index(name) for name in ("body", "disc", "number")}
+    places.update({name: position for name, (position, _) in lengths.items()})
+    rows: list[tuple[bool, int, int, float, float, float, int]] = []
+    for line, row in enumerate(csv.reader(lines[1:]), start=2):
+        if not row:
+            continue
+        cells = {name: row[position].strip() if position < len(row) else "" for name, position in places.items()}
+        if cells["body"] not in ("gear", "pin"):
+            raise edge.InputError(f'{path}: line {line}: body = "{cells["body"]}": it must be gear or pin.')
+        gear = cells["body"] == "gear"
+        disc = _whole(cells["disc"] if gear else cells["disc"] or "0", "disc", line, path)
+        number = _whole(cells["number"], "number", line, path)
+        x, y, z = (edge.finite(cells[name], f"{path}: line {line}: {name}") * lengths[name][1] for name in LENGTHS)
+        rows.append((gear, disc, number, x, y, z, line))
+    if not rows:
+        raise edge.InputError(f"{path}: the file has no points; it needs a line for each, below its header.")
+    columns = list(zip(*rows, strict=True))
+    return MeasuredPoints(
+        gear=np.array(columns[0], dtype=bool),
+        disc=np.array(columns[1], dtype=np.int64),
+        number=np.array(columns[2], dtype=np.int64),
+        x=np.array(columns[3]),
+        y=np.array(columns[4]),
+        z=np.array(columns[5]),
+        line=np.array(columns[6], dtype=np.int64),
+        source=str(path),
+    )
+
+
+def _whole(cell: str, name: str, line: int, path: object) -> int:
+    if not (cell.isascii() and cell.isdigit()):
+        raise edge.InputError(f'{path}: line {line}: {name} = "{cell}": it must be a whole number from 0.')
+    return int(cell)
+
+
+def closest_on_tooth(pair: Pair, points: Complex) -> tuple[Array, Array, Complex]:
+    """Closest points of tooth 0's nominal flank.
+
+    Parameters
+    ----------
+    pair
+        The pair.
+    points
+        x + iy in the gear frame, turned back to tooth 0, shape (points,), m.
+
+    Returns
+    -------
+    alpha
+        Profile parameter of the closest point, kept within a twentieth of the tooth beyond its ends, rad.
+    deviation
+        Distance from it, > 0 outside the material, m; along the normal wherever the tooth's ends don't hold it.
+    normal
+        Unit normal out of the material there, x + iy.
+
+    Notes
+    -----
+    Newton along the arc: with d the deviation, d/ds of the distance along the tangent is -(1 + d/ρ_c).
+    """
+    span = 2.0 * np.pi / pair.gear_teeth
+    starts = np.linspace(0.0, span, 97)
+    x, y = flank_points(pair, starts)
+    tree = spatial.cKDTree(np.column_stack([x, y]))
+    alpha = starts[tree.query(np.column_stack([points.real, points.imag]))[1]]
+    low, high = -0.05 * span, 1.05 * span
+    for _ in range(20):
+        x, y = flank_points(pair, alpha)
+        normal = _complex(*flank_normals(pair, alpha))
+        away = (points - _complex(x, y)) * normal.conj()
+        # Where the centre of curvature is near, 1 + d/ρ_c is no guide: there the step is that of a straight flank.
+        turn = 1.0 + away.real * flank_curvature(pair, alpha)
+        step = away.imag / np.where(turn > 0.2, turn, 1.0) / flank_speed(pair, alpha)
+        new = np.clip(alpha + np.clip(step, -0.05 * span, 0.05 * span), low, high)
+        # A foot that is a step of 1e-9 rad off changes the distance by its square: nothing.
+        done = np.abs(new - alpha).max(initial=0.0) < 1e-9
+        alpha = new
+        if done:
+            break
+    x, y = flank_points(pair, alpha)
+    normal = _complex(*flank_normals(pair, alpha))
+    away = points - _complex(x, y)
+    return alpha, np.copysign(np.abs(away), (away * normal.conj()).real), normal
+
+
+def _complex(x: Array, y: Array) -> Complex:
+    return np.asarray(x + 1j * y)
+
+
+def outlying(surface: Integers, along: Array, z: Array, deviation: Array) -> tuple[Booleans, Array]:
+    """Points that don't lie where their neighbours on the same tooth or pin do, and how far off they are.
+
+    Parameters
+    ----------
+    surface
+        Which tooth or pin, shape (points,).
+    along, z
+        Where on it: along the profile and the width, m.
+    deviation
+        m.
+
+    Returns
+    -------
+    outlier, distance
+        A point's distance is from the median of its 8 nearest neighbours; it is an outlier beyond 8 robust standard
+        deviations of all such distances (1.4826 x their median size), and beyond 2 µm.
+    """
+    apart = 10.0 * (np.ptp(along) + np.ptp(z))
+    places = np.column_stack([along, z, surface * apart])
+    nearest = spatial.cKDTree(places).query(places, k=min(_NEIGHBOURS + 1, along.size))[1]
+    # A neighbour on another tooth (where a tooth has few points) says nothing.
+    same = surface[nearest] == surface[:, None]
+    same[:, 0] = False
+    distance = deviation - np.nanmedian(np.where(same, deviation[nearest], np.nan), axis=1)
+    limit = max(_OUTLYING * 1.4826 * float(np.median(np.abs(distance))), _OUTLYING_FLOOR)
+    return np.abs(distance) > limit, distance
+
+
+def element_means(
+    surface: Integers, row: Integers, column: Integers, values: Array, shape: tuple[int, int, int]
+) -> Any:
+    """Mean of the points in each element, those without points interpolated along row, then column.
+
+    Parameters
+    ----------
+    surface, row, column
+        Element of each point: tooth or pin, along the profile, across the width.
+    values
+        Shape (points,).
+    shape
+        Of the result.
+
+    Returns
+    -------
+    means, empty
+        Shape `shape`; empty elements take the straight line between their neighbours along the profile in the same
+        slice of the width, the nearest one beyond the last; a slice without any point takes it between slices.
+    """
+    flat = np.ravel_multi_index((surface, row, column), shape)
+    count = np.bincount(flat, minlength=int(np.prod(shape))).reshape(shape)
+    means = np.bincount(flat, values, minlength=count.size).reshape(shape) / np.maximum(count, 1)
+    empty = count == 0
+    for one, missing in zip(means, empty, strict=True):
+        full = np.flatnonzero(~missing.all(axis=0))
+        for w in full:
+            known = np.flatnonzero(~missing[:, w])
+            one[:, w] = np.interp(np.arange(shape[1]), known, one[known, w])
+        for p in range(shape[1]) if full.size < shape[2] else ():
+            one[p] = np.interp(np.arange(shape[2]), full, one[p, full])
+    return means, empty
+
+
+def _length(value: float) -> str:
+    unit, factor = ("m", 1.0) if value >= 1.0 else ("mm", 1e3) if value >= 1e-3 else ("um", 1e6)
+    return f'"{value * factor:.4g} {unit}"'
+
+
+def _check_units(points: MeasuredPoints, mask: Booleans, pair: Pair, body: str) -> list[str]:
+    """Refuse coordinates that can't be those of this pair, by their reach about their middle; note a narrow trace."""
+    g = pair
+    reach = g.pin_circle_radius + (0.0 if body == "gear" else g.pin_radius)
+    for name in ("x", "y"):
+        values = getattr(points, name)[mask]
+        found = 0.5 * float(np.subtract(*np.percentile(values, [98, 2])))
+        if not 0.5 < found / reach < 2.0:
+            times = "a thousandfold, so " if 1.5 < abs(np.log10(max(found, 1e-12) / reach)) < 4.5 else ""
+            raise edge.InputError(
+                f"{points.source}: {name} of the {body} reaches {_length(found)} about its middle where the pair's is "
+                f"{_length(reach)}: {times}check the unit of the column {name}."
+            )
+    z = points.z[mask]
+    found, reach = float(np.abs(z).max()), 0.5 * g.face_width
+    if found > 1.001 * reach:
+        worst = points.line[mask][np.abs(z).argmax()]
+        raise edge.InputError(
+            f"{points.source}: line {worst}: z is {_length(found)} from mid-width where the face ends at "
+            f"{_length(reach)}: check the unit of the column z and its zero."
+        )
+    if np.ptp(z) >= g.face_width / 100.0:
+        return []
+    spans = f"z of the {body} spans {_length(float(np.ptp(z)))} of a face width of {_length(g.face_width)}"
+    return [f"{points.source}: {spans}: one trace, unless the unit of the column z is wrong."]
+
+
+def _check_counts(points: MeasuredPoints, mask: Booleans, what: str, count: int, fewest: int, where: str) -> None:
+    number = points.number[mask]
+    if (number >= count).any():
+        first = np.flatnonzero(number >= count)[0]
+        raise edge.InputError(
+            f"{points.source}: line {points.line[mask][first]}: {what} {number[first]} does not exist; the pair's are "
+            f"0 to {count - 1}."
+        )
+    found = np.bincount(number, minlength=count)
+    if (found < fewest).any():
+        few = int(np.flatnonzero(found < fewest)[0])
+        raise edge.InputError(
+            f"{points.source}: {what} {few}{where} has {found[few]} points; it needs at least {fewest}."
+        )
+
+
+def _fit(
+    pair: Pair,
+    points: Complex,
+    tooth: Integers,
+    turning: Integers,
+    start: Array,
+    loss: str,
+    scale: float,
+    steps: int = 100,
+) -> tuple[Array, Array, Array]:
+    """Fit a shift and turns (of the groups `turning`, as arc length at R_p, all in µm) of points to the flank.
+
+    Returns the fitted vector (x, y, turns), and tooth parameter and deviation of each point there.
+    """
+    back = np.exp(-2j * np.pi * tooth / pair.gear_teeth)
+    radius = pair.pin_circle_radius
+
+    def moved(v: Array) -> Complex:
+        return np.asarray((points - _MICRON * (v[0] + 1j * v[1])) * np.exp(-1j * _MICRON * v[2:][turning] / radius))
+
+    def residual(v: Array) -> Array:
+        return closest_on_tooth(pair, moved(v) * back)[1] / _MICRON
+
+    def slope(v: Array) -> csr_array:
+        at = moved(v)
+        normal = closest_on_tooth(pair, at * back)[2] * back.conj()
+        columns = np.column_stack([np.zeros_like(turning), np.ones_like(turning), 2 + turning])
+        entries = np.column_stack([-normal.real, -normal.imag, -(normal * at.conj()).imag / radius])
+        return csr_array((entries.ravel(), columns.ravel(), 3 * np.arange(tooth.size + 1)), (tooth.size, v.size))
+
+    fit = least_squares(
+        residual, start, slope, loss=loss, f_scale=scale, xtol=1e-9, gtol=1e-9, ftol=1e-10, max_nfev=steps
+    )
+    alpha, deviation, _ = closest_on_tooth(pair, moved(fit.x) * back)
+    return fit.x, alpha, deviation
+
+
+def _rough_frame(pair: Pair, points: Complex, tooth: Integers) -> tuple[complex, float, float]:
+    """Shift (x + iy, m) and rotation (rad) of the gear frame that bring points near their teeth, and their misfit (m).
+
+    The middles of the teeth's points give the turn to about a part of a tooth (they may lie on one side of each), so
+    eight starts over one pitch are fitted and the best taken.
+    """
+    teeth = pair.gear_teeth
+    count = np.maximum(np.bincount(tooth, minlength=teeth), 1)
+    middle = (np.bincount(tooth, points.real, teeth) + 1j * np.bincount(tooth, points.imag, teeth)) / count
+    wanted = np.exp(2j * np.pi * (np.arange(teeth) + 0.5) / teeth)
+    centre = complex(middle.mean())
+    rotation = float(np.angle(np.vdot(wanted, middle - centre)))
+    chosen = slice(None, None, max(1, tooth.size // _ROUGH_POINTS))
+    best, frame = np.inf, (centre, rotation, np.inf)
+    for start in rotation + 2.0 * np.pi / teeth * np.arange(-4, 4) / 8.0:
+        near = (points[chosen] - centre) * np.exp(-1j * start)
+        one = np.zeros_like(tooth[chosen])
+        v, _, deviation = _fit(pair, near, tooth[chosen], one, np.zeros(3), "soft_l1", 20.0, steps=8)
+        misfit = float(np.median(np.abs(deviation)))
+        if misfit < best:
+            shift = centre + _MICRON * (v[0] + 1j * v[1]) * np.exp(1j * start)
+            best, frame = misfit, (complex(shift), float(start + _MICRON * v[2] / pair.pin_circle_radius), misfit)
+    return frame
+
+
+def _robust_scale(deviation: Array) -> float:
+    """1.4826 x the median absolute deviation in µm, not below a tenth: the scale of a robust loss."""
+    return max(1.4826 * float(np.median(np.abs(deviation))) / _MICRON, 0.1)
+
+
+def _measured_disc(pair: Pair, points: MeasuredPoints, mask: Booleans, disc: int, elements: Elements) -> Any:
+    """Cumulative pitch, deviations, empty elements, alignment and outliers of one disc's gear."""
+    g = pair
+    tooth, z, body = points.number[mask], points.z[mask], f"gear, disc {disc}"
+    at = _complex(points.x[mask], points.y[mask])
+    shift, rotation, off = _rough_frame(pair, at, tooth)
+    if off > 0.5 * LARGEST_ELEMENT:
+        raise edge.InputError(
+            f"{points.source}: the points of the {body} lie {_length(off)} (median) off the nominal flank: check the "
+            "pair, and that teeth are numbered counter-clockwise."
+        )
+    near = (at - shift) * np.exp(-1j * rotation)
+    # The frame and every tooth's own turn at once: fitted one after the other, a shift would swallow pitch.
+    v, alpha, deviation = _fit(pair, near, tooth, tooth, np.zeros(2 + g.gear_teeth), "soft_l1", 20.0)
+    v, alpha, deviation = _fit(pair, near, tooth, tooth, v, "soft_l1", _robust_scale(deviation))
+    length = flank_speed(pair, equal_arc_parameters(pair, 200)).mean() * 2.0 * np.pi / g.gear_teeth
+    pitch = _MICRON * (v[2:] - np.median(v[2:]))
+    if np.abs(pitch).max() > LARGEST_ELEMENT:
+        far = int(np.abs(pitch).argmax())
+        off = float(np.abs(pitch[far]))
+        raise edge.InputError(
+            f"{points.source}: tooth {far} of disc {disc} lies {_length(off)} off its place: check its points' number."
+        )
+    outlier, distance = outlying(tooth, arc_parts(pair, alpha) * length, z, deviation)
+    kept = ~outlier
+    _check_counts(points, _sub(mask, kept), "tooth", g.gear_teeth, FEWEST_TOOTH_POINTS, f" of disc {disc}")
+    v, alpha, deviation = _fit(pair, near[kept], tooth[kept], tooth[kept], v, "linear", 1.0)
+    turn = v[2:].mean()
+    row = np.minimum((arc_parts(pair, alpha) * elements.profile).astype(np.int64), elements.profile - 1)
+    column = _slice(z[kept], g.face_width, elements.width)
+    means, empty = element_means(tooth[kept], row, column, deviation, (g.gear_teeth, elements.profile, elements.width))
+    frame = shift + _MICRON * (v[0] + 1j * v[1]) * np.exp(1j * rotation)
+    alignment = Alignment(
+        body=body,
+        x=float(frame.real),
+        y=float(frame.imag),
+        rotation=_wrapped(rotation + _MICRON * turn / g.pin_circle_radius),
+        points=int(tooth.size),
+        outliers=int(outlier.sum()),
+        rms=_rms(deviation),
+        scatter=_rms(deviation - means[tooth[kept], row, column]),
+    )
+    left_out = _outliers(points, mask, outlier, distance, f"{body}, tooth")
+    return (v[2:] - turn) * _MICRON, means, empty, alignment, left_out
+
+
+def _sub(mask: Booleans, kept: Booleans) -> Booleans:
+    """Mask of all points from that of a body and, among its points, those kept."""
+    result = mask.copy()
+    result[mask] = kept
+    return result
+
+
+def _slice(z: Array, face_width: float, count: int) -> Integers:
+    return np.clip(np.floor((z / face_width + 0.5) * count), 0, count - 1).astype(np.int64)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _wrapped(angle: float) -> float:
+    return float(np.angle(np.exp(1j * angle)))
+
+
+def _outliers(
+    points: MeasuredPoints, mask: Booleans, outlier: Booleans, distance: Array, place: str
+) -> tuple[Outlier, ...]:
+    lines, numbers = points.line[mask][outlier], points.number[mask][outlier]
+    return tuple(
+        Outlier(int(line), f"{place} {number}", float(d))
+        for line, number, d in zip(lines, numbers, distance[outlier], strict=True)
+    )
+
+
+def fitted_circle(points: Complex, robust: bool) -> tuple[complex, float]:
+    """Centre (x + iy) and radius of the circle with the least squared (or robust) distances of the points, m.
+
+    It starts from the algebraic circle, |p|² = 2 Re(conj(c) p) + r² - |c|², which is linear.
+    """
+    middle = complex(points.mean())
+    p = points - middle
+    matrix = np.column_stack([2.0 * p.real, 2.0 * p.imag, np.ones(p.size) * np.abs(p).max() ** 2])
+    x, y, rest = np.linalg.lstsq(matrix, np.abs(p) ** 2, rcond=None)[0]
+    radius = np.sqrt(max(rest * np.abs(p).max() ** 2 + x * x + y * y, 0.0))
+
+    def residual(v: Array) -> Array:
+        return np.asarray((np.abs(p - _MICRON * (v[0] + 1j * v[1])) - _MICRON * v[2]) / _MICRON)
+
+    def slope(v: Array) -> Array:
+        away = p - _MICRON * (v[0] + 1j * v[1])
+        towards = away / np.maximum(np.abs(away), 1e-12)
+        return np.column_stack([-towards.real, -towards.imag, -np.ones(p.size)])
+
+    fit = np.array([x, y, radius]) / _MICRON
+    for scale in (20.0, 2.0) if robust else (1.0,):
+        fit = least_squares(
+            residual, fit, slope, loss="soft_l1" if robust else "linear", f_scale=scale, xtol=1e-10, gtol=1e-10,
+            ftol=1e-12,
+        ).x  # fmt: skip
+    return middle + _MICRON * complex(fit[0], fit[1]), float(_MICRON * fit[2])
+
+
+def _measured_pins(pair: Pair, points: MeasuredPoints, mask: Booleans, elements: Elements) -> Any:
+    """Changes of the surface, empty elements, alignment and outliers of the pins."""
+    g = pair
+    number, z = points.number[mask], points.z[mask]
+    at = _complex(points.x[mask], points.y[mask])
+    rows = [np.flatnonzero(number == pin) for pin in range(g.pins)]
+    fits = [fitted_circle(at[row], robust=True) for row in rows]
+    centre, radius = np.array([f[0] for f in fits]), np.array([f[1] for f in fits])
+    away = at - centre[number]
+    deviation = np.abs(away) - radius[number]
+    middle = centre.mean()
+    inwards = np.angle(away * np.conj(middle - centre)[number])
+    outlier, distance = outlying(number, inwards * g.pin_radius, z, deviation)
+    kept = ~outlier
+    facing = kept & (np.abs(inwards) <= 0.5 * np.pi)
+    _check_counts(
+        points, _sub(mask, facing), "pin", g.pins, FEWEST_PIN_POINTS, " on the half that faces the circle's centre"
+    )
+    for pin, row in enumerate(rows):
+        reach = float(np.ptp(inwards[row][kept[row]]))
+        if reach < 0.5 * np.pi:
+            raise edge.InputError(
+                f"{points.source}: the points of pin {pin} span {np.degrees(reach):.0f}° of it; its centre and radius "
+                "need at least 90°."
+            )
+    fits = [fitted_circle(at[row[kept[row]]], robust=False) for row in rows]
+    centre, radius = np.array([f[0] for f in fits]), np.array([f[1] for f in fits])
+    direction = np.exp(2j * np.pi * np.arange(g.pins) / g.pins)
+    nominal = g.pin_circle_radius * direction
+    shift = complex(centre.mean())
+    rotation = float(np.angle(np.vdot(nominal, centre - shift)))
+    error = ((centre - shift) * np.exp(-1j * rotation) - nominal) * direction.conj()
+    if np.abs(error).max() > LARGEST_ELEMENT or np.abs(radius - g.pin_radius).max() > LARGEST_ELEMENT:
+        raise edge.InputError(
+            f"{points.source}: pins lie up to {_length(float(np.abs(error).max()))} off their place and up to "
+            f"{_length(float(np.abs(radius - g.pin_radius).max()))} off their radius when aligned: check the pair, and "
+            "that pins are numbered counter-clockwise."
+        )
+    away = (at - centre[number]) * np.exp(-1j * rotation)
+    deviation = np.abs(away) - radius[number]
+    # Counter-clockwise about the pin's axis from the direction to the circle's centre.
+    part = np.angle(-away * direction.conj()[number]) / np.pi + 0.5
+    inner = kept & (part >= 0.0) & (part < 1.0)
+    row = (part[inner] * elements.angle).astype(np.int64)
+    column = _slice(z[inner], g.face_width, elements.width)
+    means, empty = element_means(number[inner], row, column, deviation[inner], (g.pins, elements.angle, elements.width))
+    thicker = radius - g.pin_radius
+    changes = {
+        "pin_circle_radius": float(error.real.mean()),
+        "pin_radial": error.real - error.real.mean(),
+        "pin_tangential": error.imag,
+        "pin_radius": float(thicker.mean()),
+        "pin_radius_deviation": thicker - thicker.mean(),
+        "pin_deviation": means,
+    }
+    alignment = Alignment(
+        body="pins",
+        x=shift.real,
+        y=shift.imag,
+        rotation=rotation,
+        points=int(number.size),
+        outliers=int(outlier.sum()),
+        rms=_rms(deviation[kept]),
+        scatter=_rms(deviation[inner] - means[number[inner], row, column]),
+    )
+    return changes, empty, alignment, _outliers(points, mask, outlier, distance, "pin")
+
+
+def measured_surface(
+    pair: Pair, points: MeasuredPoints, elements: Elements = DEFAULT_ELEMENTS
+) -> tuple[ErrorSurface, MeasurementReport]:
+    """Return the error surface that measured points show, of origin "measured", and what was done to them.
+
+    Parameters
+    ----------
+    pair
+        The nominal pair; deviations count from its modified flank.
+    points
+        Every tooth of every disc, or every pin, or both; a body without any points stays nominal, with a note.
+    elements
+        Sizes of the deviation arrays: coarse enough that most elements hold points.
+
+    Raises
+    ------
+    edge.InputError
+        If the points can't be this pair's (unit, numbering), a tooth or pin has too few, or a deviation exceeds half a
+        millimetre.
+    """
+    g = pair
+    notes: list[str] = []
+    alignments: list[Alignment] = []
+    left_out: list[Outlier] = []
+    changes: dict[str, Any] = {}
+    gear_empty: Booleans | None = None
+    pin_empty: Booleans | None = None
+    if points.gear.any():
+        wrong = points.gear & (points.disc >= g.discs)
+        if wrong.any():
+            at = int(np.flatnonzero(wrong)[0])
+            raise edge.InputError(
+                f"{points.source}: line {points.line[at]}: disc {points.disc[at]} does not exist; the pair has "
+                f"{g.discs}, from 0."
+            )
+        discs = [points.gear & (points.disc == disc) for disc in range(g.discs)]
+        for disc, mask in enumerate(discs):
+            _check_counts(points, mask, "tooth", g.gear_teeth, FEWEST_TOOTH_POINTS, f" of disc {disc}")
+        notes += _check_units(points, points.gear, pair, "gear")
+        found = [_measured_disc(pair, points, mask, disc, elements) for disc, mask in enumerate(discs)]
+        changes["tooth_cumulative_pitch"] = np.array([f[0] for f in found])
+        changes["gear_deviation"] = np.array([f[1] for f in found])
+        gear_empty = np.array([f[2] for f in found])
+        alignments += [f[3] for f in found]
+        left_out += [o for f in found for o in f[4]]
+    else:
+        notes.append(f"{points.source}: there are no points of the gear; it is taken as nominal.")
+    if not points.gear.all():
+        mask = ~points.gear
+        _check_counts(points, mask, "pin", g.pins, FEWEST_PIN_POINTS, "")
+        notes += _check_units(points, mask, pair, "pins")
+        of_pins, pin_empty, alignment, outliers = _measured_pins(pair, points, mask, elements)
+        changes.update(of_pins)
+        alignments.append(alignment)
+        left_out += outliers
+    else:
+        notes.append(f"{points.source}: there are no points of pins; they are taken as nominal.")
+    notes += [_empty_note(points.source, "flanks", "tooth", "profile", gear_empty)] if gear_empty is not None else []
+    notes += [_empty_note(points.source, "pins", "pin", "angle", pin_empty)] if pin_empty is not None else []
+    attributes = {"points": Path(points.source).name, "outlier_lines": " ".join(str(o.line) for o in left_out)}
+    try:
+        surface = ErrorSurface(pair, origin="measured", attributes=attributes, **changes)
+    except edge.InputError as problem:
+        raise edge.InputError(f"{points.source}: {problem}") from None
+    report = MeasurementReport(tuple(alignments), tuple(left_out), gear_empty, pin_empty, tuple(n for n in notes if n))
+    return surface, report
+
+
+def _empty_note(source: str, what: str, number: str, along: str, empty: Booleans) -> str:
+    """Say how many elements have no point and which is the first; empty where every element has one."""
+    if not empty.any():
+        return ""
+    *disc, one, row, column = (int(i) for i in np.argwhere(empty)[0])
+    place = f"{f'disc {disc[0]}, ' if disc else ''}{number} {one}, {along} {row}, width {column}"
+    return (
+        f"{source}: {int(empty.sum())} of {empty.size} elements of the {what} have no point and were interpolated, "
+        f"the first of them {place}."
+    )

@@ -1,0 +1,468 @@
+"""Error surfaces sampled from tolerances: the drives that a drawing allows.
+
+The error-surface paper, section 2: every manufacturing error is distributed within its tolerance, and the pitch
+deviations also meet the tolerance of the total cumulative pitch deviation. The file is TOML, `cycloid-tolerances/1`.
+
+Errors of size, position and assembly lie within ± their tolerance, the single pitch too. The two that standards define
+as a range are one here (ISO 1328-1): the total profile deviation is the largest less the smallest deviation over a
+tooth's or pin's surface, the total cumulative pitch deviation the largest less the smallest position of all teeth.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+import os
+import zlib
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any, Literal, Self, TypeVar, cast
+
+import numpy as np
+import pydantic
+from numba import njit
+from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
+
+from cycloid_fmu import edge
+from cycloid_fmu.edge import Angle, Config, Length
+from cycloid_fmu.errors.kinds import KINDS, LARGEST_DEVIATION, LARGEST_MISALIGNMENT, ErrorKind
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.surface import LARGEST_ELEMENT, Elements, ErrorSurface
+
+Array = NDArray[np.float64]
+Distribution = Literal["normal", "uniform"]
+FORMAT = "cycloid-tolerances/1"
+LARGEST_SEED = 2**63 - 1
+# The axes of a study's points that the first version had: a seed's drives stay the same, other kinds follow.
+_FIRST_AXES = (
+    "gear_profile", "pin_profile", "gear_pitch", "pin_pitch", "pin_circle_diameter", "pin_radius", "pin_radius_each",
+    "eccentricity", "centre_distance_x", "centre_distance_y", "misalignment_xz", "misalignment_yz", "isometric",
+    "offset",
+)  # fmt: skip
+# How far a pitch may go of what is allowed: rounding in the sums that make positions from it must not exceed the limit.
+_WITHIN = 1.0 - 1e-9
+# Times that each pitch is met: with ten no figure of 3000 circles differs from four hundred's by more than chance.
+_SWEEPS = 20
+
+
+def _up_to(largest: float, shown: str) -> pydantic.AfterValidator:
+    def check(value: float) -> float:
+        if not 0.0 <= value <= largest:
+            raise ValueError(f"tolerances must lie between 0 and {shown}")
+        return value
+
+    return pydantic.AfterValidator(check)
+
+
+LengthTolerance = Annotated[Length, _up_to(LARGEST_DEVIATION, "1 mm")]
+AngleTolerance = Annotated[Angle, _up_to(LARGEST_MISALIGNMENT, "20 mrad")]
+ZoneTolerance = Annotated[Length, _up_to(2.0 * LARGEST_ELEMENT, "1 mm")]
+
+
+class LengthError(Config):
+    """An error that lies within ± `tolerance` (m); normal means three standard deviations there, cut off there."""
+
+    tolerance: LengthTolerance
+    distribution: Distribution = "normal"
+
+
+class AngleError(Config):
+    """An angle that lies within ± `tolerance` (rad); normal means three standard deviations there, cut off there."""
+
+    tolerance: AngleTolerance
+    distribution: Distribution = "normal"
+
+
+class PitchErrors(Config):
+    """Positions of teeth or pins round the circle, as arc length at the pin circle radius, m.
+
+    Attributes
+    ----------
+    single
+        Each single pitch deviation lies within ± this.
+    cumulative
+        The largest less the smallest position of all teeth stays within this.
+    distribution
+        Of each single pitch, before the circle is closed and the cumulative limit kept.
+    """
+
+    single: LengthTolerance
+    cumulative: LengthTolerance
+    distribution: Distribution = "normal"
+
+    @pydantic.field_validator("cumulative")
+    @classmethod
+    def _possible(cls, cumulative: float, others: pydantic.ValidationInfo) -> float:
+        single = others.data.get("single", 0.0)
+        if cumulative < single:
+            raise ValueError(
+                "it is below what is possible: one pitch off by the single tolerance is a cumulative deviation as "
+                f'large, so it must be at least "{single * 1e6:.6g} um"'
+            )
+        return cumulative
+
+
+class Correlation(Config):
+    """How far a form deviation resembles itself: correlation lengths as parts of the profile and of the face width.
+
+    Deviations that lie the length apart correlate with exp(-1/2). The defaults leave about two waves along a tooth's
+    profile and one across its width.
+    """
+
+    profile: float = pydantic.Field(default=0.15, ge=0.005, le=100.0)
+    width: float = pydantic.Field(default=0.5, ge=0.005, le=100.0)
+
+
+def _correlation(value: Any) -> Any:
+    if value == "none" or isinstance(value, dict):
+        return None if value == "none" else value
+    raise ValueError('write { profile = 0.15, width = 0.5 }, parts of profile and face width, or "none"')
+
+
+class ProfileErrors(Config):
+    """The form of flanks or pins: normal deviations of their elements, m.
+
+    Attributes
+    ----------
+    tolerance
+        Total profile deviation: the elements of a tooth lie within ± half of it, so their range within it.
+    distribution
+        Of each element; normal means three standard deviations at half the tolerance, cut off there.
+    correlation
+        None (in the file "none") is every element by itself, which is what the error-surface paper draws.
+    """
+
+    tolerance: ZoneTolerance
+    distribution: Distribution = "normal"
+    correlation: Annotated[Correlation | None, pydantic.BeforeValidator(_correlation)] = Correlation()
+
+
+class Limits(Config):
+    """What a drive must keep to be good, each the largest allowed.
+
+    Attributes
+    ----------
+    angular_transmission_error
+        Largest less smallest transmission error over the crank angles, rad; at every load.
+    backlash, lost_motion
+        Largest over the crank angles, rad.
+    interference
+        Largest over the crank angles, m.
+    max_contact_pressure
+        Pa; at every load.
+    """
+
+    angular_transmission_error: Angle | None = None
+    backlash: Angle | None = None
+    lost_motion: Angle | None = None
+    interference: Length | None = None
+    max_contact_pressure: edge.Pressure | None = None
+
+    def stated(self) -> dict[str, float]:
+        """Return the limits that are stated, SI."""
+        return {n: v for n in type(self).model_fields if (v := getattr(self, n)) is not None}
+
+
+class Tolerances(Config):
+    """The tolerances of a drive; what is not named has none and is sampled as nominal.
+
+    The kinds of error are named by their tolerances' keys (`pin_circle_diameter` is the circle's diameter, `pin_radius`
+    common to all pins, `pin_radius_each` each pin's own; `gear_pitch` and `pin_pitch` are positions round the circle),
+    each a `LengthError`, `AngleError` or `PitchErrors`, or a table of its values. `limits` are what a good drive keeps,
+    `costs` what each tolerance costs at its stated width, relative to the others (1 where not stated).
+
+    Raises
+    ------
+    edge.InputError
+        One sentence for each key that is unknown and each value out of range.
+    """
+
+    model_config = pydantic.ConfigDict(extra="allow")
+
+    gear_profile: ProfileErrors | None = None
+    pin_profile: ProfileErrors | None = None
+    limits: Limits = Limits()
+    costs: dict[str, Annotated[float, pydantic.Field(gt=0.0)]] = pydantic.Field(default_factory=dict)
+
+    def __init__(self, /, **values: Any) -> None:
+        checked = file_model()(**values)
+        super().__init__(**{n: v for n in type(checked).model_fields if (v := getattr(checked, n)) is not None})
+        for name in self.costs:
+            if name not in self.factors:
+                raise edge.InputError(
+                    f"[costs] {name}: there is no tolerance of this name; give it one or remove its cost."
+                )
+
+    def replace(self, **changes: Any) -> Self:
+        """Return the tolerances with others changed; None takes one away, and its cost with it."""
+        values = {n: getattr(self, n) for n in (*self.factors, "limits")} | changes
+        costs = {n: cost for n, cost in self.costs.items() if values.get(n) is not None}
+        return type(self)(**{"costs": costs, **values})
+
+    def of(self, factor: str) -> LengthError | AngleError | PitchErrors | ProfileErrors | None:
+        """Return the tolerance of this name, None where there is none."""
+        found: LengthError | AngleError | PitchErrors | ProfileErrors | None = getattr(self, factor, None)
+        return found
+
+    @property
+    def factors(self) -> tuple[str, ...]:
+        """Names of the errors that have a tolerance."""
+        return tuple(n for n in _keys() if self.of(n) is not None)
+
+    @property
+    def text(self) -> str:
+        """The tolerances as JSON, made from their values alone (SI)."""
+        return json.dumps({n: v.model_dump() for n in (*self.factors, "limits") if (v := getattr(self, n))})
+
+
+def _keys() -> dict[str, ErrorKind | None]:
+    """Every tolerance's key with its kind of error, None for form."""
+    found = {kind.tolerance.key: kind for kind in KINDS.values() if kind.tolerance is not None}
+    return {**{name: found.get(name) for name in _FIRST_AXES}, **found}
+
+
+def file_model() -> type[Config]:
+    """Return the model of a tolerance file: a table for each kind that has a tolerance, for form, limits and costs."""
+    return _file_model(tuple(_keys()))
+
+
+@functools.cache
+def _file_model(keys: tuple[str, ...]) -> type[Config]:
+    def model(kind: ErrorKind | None) -> type[Config]:
+        if kind is None:
+            return ProfileErrors
+        assert kind.tolerance is not None
+        if kind.tolerance.form == "pitch":
+            return PitchErrors
+        return AngleError if kind.unit == "rad" else LengthError
+
+    tables = {key: (model(kind) | None, None) for key, kind in _keys().items()}
+    others = {n: (Tolerances.__annotations__[n], Tolerances.model_fields[n]) for n in ("limits", "costs")}
+    made: type[Config] = pydantic.create_model("Tolerances", __base__=Config, **tables, **others)
+    return made
+
+
+def parse_tolerances(text: str, source: str) -> Tolerances:
+    """Return the tolerances that a TOML text states.
+
+    Raises
+    ------
+    edge.InputError
+        If it is not a valid table of tolerances; one sentence a problem, naming field, value and `source`.
+    """
+    read = edge.validated(file_model(), edge.toml_table(text, FORMAT, source), source)
+    try:
+        return Tolerances(**{name: value for name, value in read if value is not None})
+    except edge.InputError as problem:
+        raise edge.InputError(f"{source}: {problem}") from None
+
+
+def read_tolerances(path: str | os.PathLike[str]) -> Tolerances:
+    """Return the tolerances of a file; an `edge.InputError` names what is wrong in it."""
+    return parse_tolerances(edge.read_text(path), str(path))
+
+
+def error_stream(seed: int, error: str) -> np.random.Generator:
+    """Return the random stream of one error: a child of the seed by the error's name, whatever else is sampled."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(zlib.crc32(error.encode()),)))
+
+
+def within_tolerance(probability: Array, tolerance: float, distribution: Distribution) -> Array:
+    """Return the values below which an error within ± `tolerance` lies with the given probability (its quantiles).
+
+    Parameters
+    ----------
+    probability
+        Between 0 and 1, any shape.
+    tolerance
+        m or rad, ≥ 0.
+    distribution
+        "uniform", or "normal" with three standard deviations at the tolerance, cut off there.
+    """
+    if distribution == "uniform":
+        return tolerance * (2.0 * probability - 1.0)
+    tail = ndtr(-3.0)
+    return np.asarray(np.clip(ndtri(tail + probability * (1.0 - 2.0 * tail)) / 3.0, -1.0, 1.0) * tolerance)
+
+
+_Function = TypeVar("_Function", bound=Callable[..., None])
+
+
+def _compiled(function: _Function) -> _Function:
+    # No NaN, and zeros have no sign: smallest and largest are found by vector instructions.
+    return cast(_Function, njit(cache=True, fastmath={"nnan", "nsz"})(function))
+
+
+@_compiled
+def _exchange(
+    positions: Array, first: NDArray[np.int64], last: NDArray[np.int64], chances: Array, single: float,
+    cumulative: float, sigma: float,
+) -> None:  # fmt: skip
+    """Markov chain over the positions of one circle of teeth, in place: pitch `first` gains what pitch `last` loses.
+
+    Teeth first + 1 … last move together by an even draw over all moves that keep both limits; a sigma above zero
+    accepts it by the ratio of normal densities (Metropolis), so that the limits only cut the distribution off.
+    """
+    n = positions.size
+    for move in range(first.size):
+        i, j = first[move], last[move]
+        # The moved teeth first + 1 … last are one run of the array, or with first > last all but one.
+        low_end, high_end = min(i, j) + 1, max(i, j) + 1
+        run_low, run_high, rest_low, rest_high = np.inf, -np.inf, np.inf, -np.inf
+        for k in range(low_end, high_end):
+            run_low, run_high = min(run_low, positions[k]), max(run_high, positions[k])
+        for k in range(low_end):
+            rest_low, rest_high = min(rest_low, positions[k]), max(rest_high, positions[k])
+        for k in range(high_end, n):
+            rest_low, rest_high = min(rest_low, positions[k]), max(rest_high, positions[k])
+        if i < j:
+            moved_low, moved_high, kept_low, kept_high = run_low, run_high, rest_low, rest_high
+        else:
+            moved_low, moved_high, kept_low, kept_high = rest_low, rest_high, run_low, run_high
+        gains, loses = positions[(i + 1) % n] - positions[i], positions[(j + 1) % n] - positions[j]
+        low = max(kept_high - moved_low - cumulative, -single - gains, loses - single)
+        high = min(cumulative - moved_high + kept_low, single - gains, loses + single)
+        if high <= low:
+            continue
+        shift = low + chances[move, 0] * (high - low)
+        if sigma > 0.0:
+            energy = ((gains + shift) ** 2 - gains**2 + (loses - shift) ** 2 - loses**2) / (2.0 * sigma * sigma)
+            if chances[move, 1] >= np.exp(-energy):
+                continue
+        if i < j:
+            for k in range(low_end, high_end):
+                positions[k] += shift
+        else:
+            for k in range(low_end):
+                positions[k] += shift
+            for k in range(high_end, n):
+                positions[k] += shift
+
+
+def sample_pitch(generator: np.random.Generator, teeth: int, errors: PitchErrors) -> Array:
+    """Return the positions of the teeth of one circle, their mean zero, shape (teeth,), m.
+
+    The single pitches are independent, of the stated distribution, on the condition that the circle closes (they sum
+    to zero), that each keeps the single limit and their running sum the cumulative one: the density is the product of
+    theirs, cut off at the limits and nowhere bent. It is reached by a Markov chain from the error-free circle that
+    exchanges deviation between two pitches, neighbours and strangers in turn, many times each: nothing is rejected
+    until it fits, so a tight cumulative limit costs no more than a wide one.
+    """
+    if errors.single == 0.0:
+        return np.zeros(teeth)
+    moves = 2 * _SWEEPS * teeth
+    first = generator.integers(teeth, size=moves)
+    apart = np.where(np.arange(moves) % 2 == 0, 1, generator.integers(1, teeth, size=moves))
+    # In units of the single limit, so that the chain is the same one at every scale.
+    positions = np.zeros(teeth)
+    _exchange(
+        positions, first, (first + apart) % teeth, generator.random((moves, 2)), _WITHIN,
+        _WITHIN * errors.cumulative / errors.single, 1.0 / 3.0 if errors.distribution == "normal" else 0.0,
+    )  # fmt: skip
+    return np.asarray((positions - positions.mean()) * errors.single)
+
+
+def _waves(length: float, count: int) -> Array:
+    """Waves whose random sum is smooth with the given correlation length, at `count` elements, shape (count, waves).
+
+    The spectrum is that of the correlation exp(-u²/(2 length²)) with a period beyond the surface by four lengths, so
+    that its two ends know nothing of each other. The waves don't depend on `count`: finer elements show the same form.
+    """
+    u = (np.arange(count) + 0.5) / count
+    step = 2.0 * np.pi * length / (1.0 + 4.0 * length)
+    order = np.arange(1, int(np.ceil(5.3 / step)) + 1)
+    power = np.exp(-0.5 * (step * order) ** 2)
+    scale = np.sqrt(2.0 * power / (1.0 + 2.0 * power.sum()))
+    argument = np.outer(u, order) * step / length
+    constant = np.full((count, 1), 1.0 / np.sqrt(1.0 + 2.0 * power.sum()))
+    return np.hstack([constant, scale * np.cos(argument), scale * np.sin(argument)])
+
+
+def sample_profile(
+    generator: np.random.Generator, surfaces: int, profile: int, width: int, errors: ProfileErrors
+) -> Array:
+    """Return the normal deviations of the elements of teeth or pins, shape (surfaces, profile, width), m.
+
+    A standard normal field, smooth by its correlation lengths or white, is taken element by element through the stated
+    distribution (a Gaussian copula): each element has exactly that distribution and the range keeps its tolerance.
+    """
+    if errors.correlation is None:
+        field = generator.standard_normal((surfaces, profile, width))
+    else:
+        along, across = _waves(errors.correlation.profile, profile), _waves(errors.correlation.width, width)
+        weights = generator.standard_normal((surfaces, along.shape[1], across.shape[1]))
+        # einsum sums in one order, always; a threaded matrix product need not.
+        field = np.einsum("spn,wn->spw", np.einsum("pm,smn->spn", along, weights), across)
+    return within_tolerance(ndtr(field), 0.5 * errors.tolerance, errors.distribution)
+
+
+def sample_surface(pair: Pair, tolerances: Tolerances, seed: int, elements: Elements | None = None) -> ErrorSurface:
+    """Return one drive that the tolerances allow, as an error surface of origin "sampled".
+
+    Parameters
+    ----------
+    pair
+        The nominal pair; the errors that its file states are another drive's and are not part of the sample.
+    tolerances
+        What is sampled; the seed and the tolerances' text go into the surface's attributes.
+    seed
+        0 … 2^63 - 1. The same seed gives the same surface, each error the same whatever others are sampled.
+    elements
+        Sizes of the deviation arrays; the default is `Elements()`.
+
+    Raises
+    ------
+    edge.InputError
+        If the seed is out of range.
+    """
+    if not 0 <= seed <= LARGEST_SEED:
+        raise edge.InputError(f"seed = {seed}: it must lie between 0 and {LARGEST_SEED}.")
+    streams = {name: error_stream(seed, name) for name in tolerances.factors}
+    drawn = _drawn(pair, tolerances, streams, {}, elements or Elements())
+    return drawn.replace(attributes={"seed": seed, "tolerances": tolerances.text})
+
+
+def surface_at(
+    pair: Pair, tolerances: Tolerances, point: Mapping[str, float], elements: Elements | None = None
+) -> ErrorSurface:
+    """Return the drive at a point of the unit cube that has one axis for each of the tolerances' `factors`.
+
+    A single error is its distribution's quantile there. Errors that are many (pitch, form, each pin's radius) are drawn
+    from a stream that the coordinate seeds: any even spread of points spreads the single errors as evenly, and the many
+    are as random as before.
+    """
+    many = (name for name in tolerances.factors if (kind := _keys()[name]) is None or kind.of != "drive")
+    streams = {name: error_stream(int(point[name] * 2.0**53), name) for name in many}
+    return _drawn(pair, tolerances, streams, point, elements or Elements())
+
+
+def _drawn(
+    pair: Pair,
+    tolerances: Tolerances,
+    streams: Mapping[str, np.random.Generator],
+    point: Mapping[str, float],
+    size: Elements,
+) -> ErrorSurface:
+    """Draw each error from its stream, single ones at the probability that `point` says where it says one."""
+    changes: dict[str, Any] = {}
+    for name in tolerances.factors:
+        kind, error = _keys()[name], tolerances.of(name)
+        if isinstance(error, ProfileErrors):
+            if name == "gear_profile":
+                flanks = sample_profile(streams[name], pair.discs * pair.gear_teeth, size.profile, size.width, error)
+                changes["gear_deviation"] = flanks.reshape(pair.discs, pair.gear_teeth, size.profile, size.width)
+            else:
+                changes["pin_deviation"] = sample_profile(streams[name], pair.pins, size.angle, size.width, error)
+            continue
+        assert kind is not None
+        assert kind.tolerance is not None
+        assert error is not None
+        shape = kind.shape(pair)
+        if isinstance(error, PitchErrors):
+            circles = [sample_pitch(streams[name], shape[-1], error) for _ in range(math.prod(shape[:-1]))]
+            changes[kind.name] = np.reshape(circles, shape)
+            continue
+        chance = np.array(point[name]) if name in point and not shape else streams[name].random(shape)
+        changes[kind.name] = kind.tolerance.share * within_tolerance(chance, error.tolerance, error.distribution)
+    return ErrorSurface(pair, origin="sampled").replace(**changes)

@@ -1,0 +1,163 @@
+"""Structured errors: the few numbers that errors are fitted, tuned and compared by, and what each displaces.
+
+A kind of one number is a structured error itself; of errors round a circle the cosine and sine parts of low orders are,
+and of the flank the low orders of a profile deviation that all teeth share.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Collection, Iterable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu.errors.kinds import BODIES, EACH_PIN, KINDS, ErrorKind, kind_of, wave_of
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.surface import ErrorSurface
+
+Array = NDArray[np.float64]
+PROFILE_POINTS = 100  # elements of a profile that has none: its low orders are smooth
+_PROFILE = re.compile(r"profile_deviation_([1-9])")
+
+
+def unit_of(name: str) -> str:
+    """SI unit of an error: "m" or "rad" by its kind, "1/m" for curvatures."""
+    kind = kind_of(name)
+    if kind is not None:
+        return kind.unit
+    return "1/m" if name.endswith("_curvature") else "m"
+
+
+def profile_names(orders: Collection[int]) -> list[str]:
+    """Names of the profile deviation's orders: cosines of order/2 waves along the arc of every tooth, root to root."""
+    return [f"profile_deviation_{order}" for order in orders]
+
+
+def profile_wave(name: str, elements: int) -> Array | None:
+    """Values of an order of the profile deviation at the elements' middles, shape (elements,), or None for others."""
+    match = _PROFILE.fullmatch(name)
+    return None if match is None else np.cos(np.pi * int(match[1]) * (np.arange(elements) + 0.5) / elements)
+
+
+def _wave(pair: Pair, name: str) -> tuple[ErrorKind, Array]:
+    found = wave_of(name)
+    if found is None:
+        raise ValueError(f'"{name}" is not a structured error')
+    kind, order, part = found
+    return kind, _wave_of(name, kind.shape(pair)[-1], order, part)
+
+
+@functools.lru_cache(maxsize=1024)
+def _wave_of(name: str, count: int, order: int, part: str) -> Array:
+    if 2 * order > count:
+        raise ValueError(f'"{name}": the order must be at most half of {count}')
+    argument = 2.0 * np.pi * order * np.arange(count) / count
+    wave = np.cos(argument) if part == "cos" else np.sin(argument)
+    wave.flags.writeable = False
+    return wave
+
+
+def _is_number(name: str) -> bool:
+    return name in KINDS and KINDS[name].of == "drive"
+
+
+def structured_value(pair: Pair, surface: ErrorSurface, name: str) -> float:
+    """Value of a structured error in a surface (m or rad); those of teeth are averaged over teeth and discs."""
+    if _is_number(name):
+        return float(surface.errors[name])
+    flanks = surface.gear_deviation
+    profile = profile_wave(name, PROFILE_POINTS if flanks is None else flanks.shape[2])
+    if profile is not None:
+        return 0.0 if flanks is None else float(2.0 * (flanks * profile[:, None]).mean())
+    kind, wave = _wave(pair, name)
+    return float((surface.errors[kind.name] * wave).mean() / np.mean(wave**2)) if wave.any() else 0.0
+
+
+def with_structured(pair: Pair, surface: ErrorSurface, values: Mapping[str, float]) -> ErrorSurface:
+    """Return a surface in which the named structured errors have the given values (m or rad) and all else is kept.
+
+    Raises
+    ------
+    ValueError
+        If a name is not a structured error of this pair.
+    """
+    changes: dict[str, Any] = {}
+    for name, value in values.items():
+        if _is_number(name):
+            changes[name] = float(value)
+            continue
+        profile = profile_wave(
+            name, PROFILE_POINTS if surface.gear_deviation is None else surface.gear_deviation.shape[2]
+        )
+        if profile is not None:
+            before = structured_value(pair, surface, name)
+            blank = np.zeros((pair.discs, pair.gear_teeth, profile.size, 1)) if value != before else None
+            flanks = changes.get("gear_deviation", surface.gear_deviation)
+            flanks = blank if flanks is None else flanks
+            changes["gear_deviation"] = None if flanks is None else flanks + (value - before) * profile[:, None]
+            continue
+        kind, wave = _wave(pair, name)
+        held = changes.get(kind.name, surface.errors[kind.name])
+        changes[kind.name] = held + (value - structured_value(pair, surface, name)) * wave
+    return surface.replace(**changes)
+
+
+def displacement_layout(pair: Pair) -> dict[str, slice]:
+    """Return where each displacement stands in a vector of all: those of `BODIES`, of each pin, of each tooth."""
+    found = {name: slice(i, i + 1) for i, name in enumerate(BODIES)}
+    start = len(BODIES)
+    for name in EACH_PIN:
+        found[name] = slice(start, start + pair.pins)
+        start += pair.pins
+    return {**found, "tooth_turn": slice(start, start + pair.discs * pair.gear_teeth)}
+
+
+def displacements(pair: Pair, surface: ErrorSurface, nominal: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what all errors of a surface displace, added to nominal values by the displacements' names.
+
+    The result has a value for every name of `BODIES`, an array (pins,) for each of `EACH_PIN`, and `tooth_turn`
+    (discs, teeth), in m and rad.
+    """
+    found: dict[str, Any] = dict.fromkeys(BODIES, 0.0)
+    found |= dict.fromkeys(EACH_PIN, np.zeros(pair.pins))
+    found["tooth_turn"] = np.zeros((pair.discs, pair.gear_teeth))
+    for name, value in nominal.items():
+        found[name] = value + found[name] if np.ndim(found[name]) else value
+    for name, kind in KINDS.items():
+        for displaced, displacement in kind.displaces.items():
+            found[displaced] = found[displaced] + displacement(pair, surface.errors[name])
+    return found
+
+
+def displacement_vector(pair: Pair, surface: ErrorSurface) -> Array:
+    """Return what all errors of a surface displace in one row, laid out as `displacement_layout`."""
+    return np.concatenate([np.ravel(values) for values in displacements(pair, surface, {}).values()])
+
+
+def displacement_columns(pair: Pair, names: Iterable[str]) -> Array:
+    """Return the linear map from structured errors to displacements, shape (displacements, names).
+
+    Orders of the profile deviation have no part in them.
+    """
+    return _columns_of(pair.nominal, tuple(names))
+
+
+@functools.lru_cache(maxsize=16)
+def _columns_of(pair: Pair, names: tuple[str, ...]) -> Array:
+    layout = displacement_layout(pair)
+    columns = np.zeros((layout["tooth_turn"].stop, len(names)))
+    for column, name in zip(columns.T, names, strict=True):
+        if _is_number(name):
+            kind, shape = KINDS[name], np.asarray(1.0)
+        elif profile_wave(name, 1) is None:
+            kind, shape = _wave(pair, name)
+            shape = np.broadcast_to(shape, kind.shape(pair))
+        else:
+            continue
+        for displaced, displacement in kind.displaces.items():
+            column[layout[displaced]] += np.ravel(displacement(pair, shape))
+    columns.flags.writeable = False
+    return columns

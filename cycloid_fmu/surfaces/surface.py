@@ -1,0 +1,417 @@
+"""The error surface: what really was made and assembled, beyond the nominal pair.
+
+Its errors are of the kinds of `cycloid_fmu.errors.kinds`; signs are those of docs/theory/errors.md.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import math
+import types
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cycloid_fmu import edge
+from cycloid_fmu.errors.kinds import KINDS, ErrorKind
+from cycloid_fmu.errors.stated import Errors, values_of
+from cycloid_fmu.geometry.pair import Pair
+
+Array = NDArray[np.float64]
+ORIGINS = ("nominal", "sampled", "measured", "identified", "worn")
+_FLANKS, _PINS = ("disc", "tooth", "profile", "width"), ("pin", "angle", "width")
+DEVIATIONS = {
+    "gear_deviation": _FLANKS, "pin_deviation": _PINS, "gear_curvature": _FLANKS, "pin_curvature": _PINS,
+}  # fmt: skip
+DEVIATION_TEXTS = {
+    "gear_deviation": "normal deviation of each element of the flanks, > 0 material added",
+    "pin_deviation": "normal deviation of each element of the pins, > 0 material added",
+    "gear_curvature": "curvature that wear adds to each element of the flanks, > 0 convex",
+    "pin_curvature": "curvature that wear adds to each element of the pins, > 0 convex",
+}
+LARGEST_ELEMENT = 5e-4
+
+
+@dataclass(frozen=True)
+class Elements:
+    """How many elements a surface has: along a tooth's profile, across the width, and round the half of a pin."""
+
+    profile: int = 200
+    width: int = 20
+    angle: int = 100
+
+    def __post_init__(self) -> None:
+        for name in ("profile", "width", "angle"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} = {getattr(self, name)}: a surface has at least one element each way")
+
+
+@dataclass(frozen=True)
+class Life:
+    """Deviations of a wearing drive over its life; each array's first axis is the state.
+
+    `crank_turns` (states,) grows from 0; the others are as an `ErrorSurface` has them.
+    """
+
+    crank_turns: Array
+    gear_deviation: Array
+    pin_deviation: Array
+    gear_curvature: Array
+    pin_curvature: Array
+
+
+@dataclass(frozen=True, eq=False, init=False)
+class ErrorSurface:
+    """What really was made of one pair, SI, validated against it.
+
+    Each kind of error is an attribute too: `surface.pin_radius` is a float, `surface.pin_radial` an array (pins,),
+    `surface.tooth_cumulative_pitch` one (discs, teeth). Surfaces are equal where their pairs, errors, deviations and
+    lives are, wherever they came from; arrays can't be written to.
+
+    Attributes
+    ----------
+    pair
+        The nominal pair that it belongs to.
+    errors
+        Values of every kind by its name, m or rad; those not given are zero.
+    gear_deviation
+        Normal deviation of each element of the flanks, > 0 material added, shape (discs, teeth, profile, width), m; or
+        None where the flanks are nominal. Elements are of equal arc length from a tooth's first root to its second
+        (`profile.equal_arc_parameters`) and of equal width from -z to +z; values stand at their middles.
+    pin_deviation
+        Normal deviation of each element of the pins, > 0 material added, shape (pins, angle, width), m; or None.
+        Elements are of equal angle over the half of the pin that faces the pin circle's centre: the angle runs
+        counter-clockwise about the pin's axis from -90° to +90° of the direction to that centre.
+    gear_curvature, pin_curvature
+        Curvature that wear adds at the same places, > 0 convex, shapes as the deviations', 1/m; or None, where the
+        deviations leave the curvature as it is (form and roughness of a scale that contact does not follow).
+    life
+        Of a worn surface: its states from new to the one that the deviations hold; else None.
+    origin
+        One of `ORIGINS`.
+    covariance_of, covariance
+        Names of fitted parameters, shape (parameters,), and their covariance, shape (parameters, parameters).
+    attributes
+        Further provenance (seed, turns, data checksum), written as attributes of the file.
+
+    Raises
+    ------
+    edge.InputError
+        If a kind is unknown, an array has not the pair's shape, or a value is not finite or beyond its kind's limit.
+
+    Examples
+    --------
+    >>> import cycloid_fmu as cy
+    >>> pair = cy.Pair(
+    ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm"
+    ... )
+    >>> surface = cy.ErrorSurface(pair, pin_radius="-1 um")
+    >>> surface.pin_radius, surface.pin_radial.shape
+    (-1e-06, (40,))
+    >>> surface.replace(pin_radial=[1e-6, 2e-6, 3e-6])
+    Traceback (most recent call last):
+    ...
+    cycloid_fmu.edge...InputError: pin_radial has the shape (3,); the pair needs (40,).
+    """
+
+    pair: Pair
+    errors: Mapping[str, Any]
+    gear_deviation: Array | None
+    pin_deviation: Array | None
+    gear_curvature: Array | None
+    pin_curvature: Array | None
+    life: Life | None
+    origin: str
+    covariance_of: tuple[str, ...]
+    covariance: Array | None
+    attributes: Mapping[str, Any]
+
+    def __init__(
+        self,
+        pair: Pair,
+        errors: Mapping[str, Any] | None = None,
+        *,
+        gear_deviation: ArrayLike | None = None,
+        pin_deviation: ArrayLike | None = None,
+        gear_curvature: ArrayLike | None = None,
+        pin_curvature: ArrayLike | None = None,
+        life: Life | None = None,
+        origin: str = "nominal",
+        covariance_of: tuple[str, ...] = (),
+        covariance: Array | None = None,
+        attributes: Mapping[str, Any] | None = None,
+        **kinds: Any,
+    ) -> None:
+        given = {**(errors or {}), **kinds}
+        for name in given:
+            if name not in KINDS:
+                raise edge.InputError(_unknown(name))
+        self._set("pair", pair.nominal)
+        values = {n: _checked(k, given[n], pair) if n in given else _zero(k, pair) for n, k in KINDS.items()}
+        self._set("errors", types.MappingProxyType(values))
+        for name, array in zip(DEVIATIONS, (gear_deviation, pin_deviation, gear_curvature, pin_curvature), strict=True):
+            self._set(name, _checked_deviation(name, array, pair))
+        for name, value in (("life", life), ("origin", origin), ("covariance_of", covariance_of),
+                            ("covariance", covariance), ("attributes", dict(attributes or {}))):  # fmt: skip
+            self._set(name, value)
+        self._check_together()
+
+    def _set(self, name: str, value: object) -> None:
+        object.__setattr__(self, name, value)
+
+    def _check_together(self) -> None:
+        """Check what deviations, curvatures and life need of each other."""
+        _check_curvatures(self)
+        if self.life is not None:
+            _check_life(self)
+        if self.origin not in ORIGINS:
+            raise edge.InputError(f'origin = "{self.origin}": it must be one of {", ".join(ORIGINS)}.')
+
+    def __getattr__(self, name: str) -> Any:
+        errors = self.__dict__.get("errors")
+        if errors is None or name not in errors:
+            raise AttributeError(f"an error surface has no {name}")
+        return errors[name]
+
+    def replace(self, **changes: Any) -> Self:
+        """Return the surface with other values, of kinds of error (by name) or of attributes; the rest is kept.
+
+        Raises
+        ------
+        edge.InputError
+            As constructing it does.
+        """
+        errors = {name: changes.pop(name) for name in list(changes) if name in KINDS}
+        if "pair" in changes or "errors" in changes:
+            values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)} | changes
+            return type(self)(**{**values, "errors": {**values["errors"], **errors}})
+        new = object.__new__(type(self))
+        new.__dict__.update({n: v for n, v in self.__dict__.items() if n in self.__dataclass_fields__})
+        checked = {name: _checked(KINDS[name], value, self.pair) for name, value in errors.items()}
+        new._set("errors", types.MappingProxyType({**self.errors, **checked}))
+        for name, value in changes.items():
+            if name not in self.__dataclass_fields__:
+                raise edge.InputError(_unknown(name))
+            new._set(name, _checked_deviation(name, value, self.pair) if name in DEVIATIONS else value)
+        new._check_together()
+        return new
+
+    def __reduce__(self) -> Any:
+        values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        return (_unpickled, (type(self), {**values, "errors": dict(self.errors)}))
+
+    @functools.cached_property
+    def hash(self) -> str:
+        """Fingerprint of the values: the first 16 hexadecimal digits of SHA-256 over pair, errors and deviations."""
+        digest = hashlib.sha256(self.pair.replace(rated_torque=None, contact_law="capped").text.encode())
+        for name, value in self._values().items():
+            # An error that is zero everywhere is the same drive as one that no one spoke of.
+            if value is not None and (name in DEVIATIONS or np.any(value)):
+                array = np.asarray(value, dtype="<f8") + 0.0
+                digest.update(f"{name}{array.shape}".encode() + array.tobytes())
+        return digest.hexdigest()[:16]
+
+    def _values(self) -> dict[str, Any]:
+        life = {} if self.life is None else {f"life_{n}": v for n, v in vars(self.life).items()}
+        return {**self.errors, **{n: getattr(self, n) for n in DEVIATIONS}, **life}
+
+    def __eq__(self, other: object) -> bool:
+        return self.hash == other.hash if isinstance(other, ErrorSurface) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self.hash)
+
+
+def _unpickled(cls: type[ErrorSurface], values: dict[str, Any]) -> ErrorSurface:
+    return cls(**values)
+
+
+def _unknown(name: str) -> str:
+    return f"{name}: an error surface has no error of this kind; {edge.did_you_mean(name, KINDS) or 'check its name.'}"
+
+
+def _frozen(values: ArrayLike) -> Array:
+    array = np.array(values, dtype=float)
+    array.flags.writeable = False
+    return array
+
+
+def _zero(kind: ErrorKind, pair: Pair) -> Array | float:
+    shape = kind.shape(pair)
+    return _frozen(np.zeros(shape)) if shape else 0.0
+
+
+def _checked(kind: ErrorKind, given: Any, pair: Pair) -> Array | float:
+    """Check the values of one kind against its shape and limit."""
+    shape = kind.shape(pair)
+    if isinstance(given, str):
+        given = edge.parse_quantity(given, kind.unit)
+    array = _frozen(given)
+    if array.shape != shape:
+        raise edge.InputError(f"{kind.name} has the shape {array.shape}; the pair needs {shape}.")
+    # Not a number is not below the limit either.
+    if not (np.abs(array) <= kind.limit).all():
+        if not np.isfinite(array).all():
+            raise edge.InputError(f"{kind.name} holds a value that is not finite.")
+        unit = "mrad" if kind.unit == "rad" else "mm"
+        raise edge.InputError(
+            f"{kind.name} reaches {np.abs(array).max() * 1e3:.4g} {unit}; "
+            f"it must lie within ± {kind.limit * 1e3:g} {unit}."
+        )
+    return array if shape else float(array)
+
+
+def _checked_deviation(name: str, given: Any, pair: Pair) -> Array | None:
+    """Check one array of deviations; profile, angle and width may have any number of elements."""
+    if given is None:
+        return None
+    values = _frozen(given)
+    dimensions = DEVIATIONS[name]
+    if values.ndim != len(dimensions):
+        raise edge.InputError(
+            f"{name} has the shape {values.shape}; it needs one axis each for {', '.join(dimensions)}."
+        )
+    sizes = {"disc": pair.discs, "tooth": pair.gear_teeth, "pin": pair.pins}
+    for dimension, size in zip(dimensions, values.shape, strict=True):
+        if size == 0 or size != sizes.get(dimension, size):
+            raise edge.InputError(
+                f"{name} has {size} of {dimension}; the pair needs {sizes.get(dimension, 'at least 1')}."
+            )
+    if not np.isfinite(values).all():
+        raise edge.InputError(f"{name} holds a value that is not finite.")
+    if name.endswith("_deviation") and (largest := np.abs(values).max()) > LARGEST_ELEMENT:
+        raise edge.InputError(f"{name} reaches {largest * 1e3:.4g} mm; deviations must lie within half a millimetre.")
+    return values
+
+
+def _check_curvatures(surface: ErrorSurface) -> None:
+    """Refuse curvatures that do not come for both bodies, each with deviations of the same elements."""
+    if surface.gear_curvature is None and surface.pin_curvature is None:
+        return
+    for name in DEVIATIONS:
+        if getattr(surface, name) is None:
+            raise edge.InputError(f"the variable {name} is missing; curvatures need all of {', '.join(DEVIATIONS)}.")
+    for body in ("gear", "pin"):
+        mine, theirs = (getattr(surface, f"{body}_{kind}").shape for kind in ("curvature", "deviation"))
+        if mine != theirs:
+            raise edge.InputError(
+                f"{body}_curvature has the shape {mine}; it must have that of {body}_deviation, {theirs}."
+            )
+
+
+def _check_life(surface: ErrorSurface) -> None:
+    """Refuse a life whose states are not those of the surface's deviations."""
+    life = surface.life
+    assert life is not None
+    turns = life.crank_turns
+    if turns.ndim != 1 or turns.size == 0 or turns[0] != 0.0 or not (np.diff(turns) > 0.0).all():
+        raise edge.InputError("life_crank_turns must grow from 0, one value a state.")
+    for name in DEVIATIONS:
+        own, given = getattr(surface, name), getattr(life, name)
+        if own is None or given.shape != (turns.size, *own.shape):
+            raise edge.InputError(f"life_{name} is missing or its shape is not that of {name} for each state.")
+        if not np.isfinite(given).all():
+            raise edge.InputError(f"life_{name} holds a value that is not finite.")
+
+
+def nominal_surface(pair: Pair) -> ErrorSurface:
+    """Return the surface without errors of a pair."""
+    return ErrorSurface(pair)
+
+
+def surface_of_pair(pair: Pair) -> ErrorSurface:
+    """Return the surface with the errors that the pair itself states."""
+    return ErrorSurface(pair, stated_values(pair, pair.errors))
+
+
+def stated_values(pair: Pair, errors: Errors) -> dict[str, Any]:
+    """Return the values of the stated errors by their kinds' names, m or rad, in the shapes of the pair."""
+    kinds = {kind.file_key: kind for kind in KINDS.values()}
+    return {kinds[key].name: values_of(kinds[key], stated, kinds[key].shape(pair)) for key, stated in errors.items()}
+
+
+def surface_after(surface: ErrorSurface, crank_turns: float) -> ErrorSurface:
+    """Return a worn surface at another time of its life, linear between the states that it holds.
+
+    Raises
+    ------
+    ValueError
+        If it holds no life, or not up to so many turns.
+    """
+    life = surface.life
+    if life is None:
+        raise ValueError("this surface holds no states of a life")
+    turns, last = life.crank_turns, life.crank_turns.size - 1
+    if not 0.0 <= crank_turns <= turns[-1]:
+        raise ValueError(
+            f"crank_turns_worn = {crank_turns:g}: it must lie between 0 and {turns[-1]:g}, where the life ends"
+        )
+    after = min(max(int(np.searchsorted(turns, crank_turns)), 1), last)
+    before = min(after - 1, last)
+    span = turns[after] - turns[before]
+    share = (crank_turns - turns[before]) / span if span > 0.0 else 0.0
+    mixed = {n: (1.0 - share) * getattr(life, n)[before] + share * getattr(life, n)[after] for n in DEVIATIONS}
+    return surface.replace(**mixed)
+
+
+def alike(surface: ErrorSurface) -> tuple[bool, bool]:
+    """Return whether all teeth of each disc are alike and whether all pins are, seen from what drives them.
+
+    What stands still in the frame makes the parts unlike that stand still too: the pins with the gear as output, the
+    teeth with the ring. Where both are alike everything repeats from pin to pin.
+    """
+    parts = {"pins": True, "teeth": True, "frame": True}
+    for name, kind in KINDS.items():
+        values = surface.errors[name]
+        if kind.breaks:
+            # One number makes parts unlike wherever it is not zero, many where they are not the same.
+            parts[kind.breaks] &= not np.any(values if kind.of == "drive" else np.ptp(values, axis=-1))
+    for name, axis, part in (("gear", 1, "teeth"), ("pin", 0, "pins")):
+        for what in ("deviation", "curvature"):
+            values = getattr(surface, f"{name}_{what}")
+            parts[part] &= values is None or not np.ptp(values, axis=axis).any()
+    still = "pins" if surface.pair.output == "gear" else "teeth"
+    parts[still] &= parts["frame"]
+    return parts["teeth"], parts["pins"]
+
+
+def shown(value: Any) -> str:
+    """Return a value of a pair's field as a sentence shows it."""
+    return f"{value:.9g}" if isinstance(value, float) else str(value)
+
+
+def _difference(field: str, one: Any, other: Any) -> tuple[str, Any, Any] | None:
+    """Return the first field in which two values differ by more than rounding, with both values, None without one."""
+    if isinstance(one, edge.Config):
+        parts = (
+            _difference(f"[{field.split()[-1]}] {name}", getattr(one, name), getattr(other, name))
+            for name in type(one).model_fields
+        )
+        return next((found for found in parts if found is not None), None)
+    same = (
+        math.isclose(one, other, rel_tol=1e-12) if isinstance(one, float) and isinstance(other, float) else one == other
+    )
+    return None if same else (field, one, other)
+
+
+def check_surface(pair: Pair, surface: ErrorSurface, pair_source: str, surface_source: str) -> None:
+    """Refuse a surface that was made for another pair: geometry, modification and material must be the same.
+
+    Raises
+    ------
+    edge.InputError
+        Naming the first field that differs, both values and both files.
+    """
+    mine, theirs = pair.nominal, surface.pair
+    for name in type(pair).model_fields:
+        field, one, other = _difference(f"[pair] {name}", getattr(mine, name), getattr(theirs, name)) or ("", 0, 0)
+        if field and name not in ("rated_torque", "contact_law"):
+            raise edge.InputError(
+                f"{surface_source}: this surface belongs to another pair: {field} is {shown(other)} there and "
+                f"{shown(one)} in {pair_source}."
+            )

@@ -1,0 +1,1 @@
+"""Wear of flanks and pins over a drive's life."""

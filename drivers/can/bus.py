@@ -1,0 +1,43 @@
+"""A CAN bus as python-can opens it."""
+
+from __future__ import annotations
+
+import can
+
+from drivers.encoder import BusConfig, EncoderSetupError
+from drivers.hubs import reason
+
+SYNC_ID = 0x80
+_CLOCKS = {
+    "socketcan": "kernel", "udp_multicast": "kernel", "loopback": "kernel", "pcan": "hardware", "kvaser": "hardware",
+    "vector": "hardware", "ixxat": "hardware", "gs_usb": "hardware", "usb2can": "hardware", "canalystii": "hardware",
+}  # fmt: skip
+
+
+def time_source(config: BusConfig, what: str) -> str:
+    """Return whose clock stamps what, for a recording: 'hardware clock: the CAN interface's stamp of the frame (…)'."""
+    clock = _CLOCKS.get(config.interface, "host")
+    return f"{clock} clock: the CAN interface's stamp of the {what} ({config.place})"
+
+
+def open_bus(config: BusConfig, **options: object) -> can.BusABC:
+    """Open a bus with python-can; `options` go to its backend.
+
+    Raises
+    ------
+    EncoderSetupError
+        If the interface is unknown or does not open.
+    """
+    for name in ("bitrate", "data_bitrate"):
+        if getattr(config, name) is not None:
+            options[name] = getattr(config, name)
+    if config.fd:
+        options["fd"] = True
+    if config.sync_period is not None and config.interface != "udp_multicast":
+        options["receive_own_messages"] = True  # SYNC comes back in its place among the frames that answer it
+    try:
+        return can.Bus(interface=config.interface, channel=config.channel, **options)
+    except Exception as problem:  # each backend of python-can raises its own
+        raise EncoderSetupError(
+            f"The CAN bus {config.place} does not open: {reason(problem, 'interface')}."
+        ) from problem

@@ -1,0 +1,210 @@
+"""The frames of one identifier, judged: what can be trusted, and what is marked."""
+
+from __future__ import annotations
+
+import collections
+import dataclasses
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.can.hub import CanHub, Frames, joined_frames
+from drivers.counts import judge_sequence
+from drivers.hubs import drained
+from drivers.recording_format import CLOCK_JUMP, DUPLICATE, GAP, OUT_OF_ORDER, Event, FloatArray, IntArray
+
+
+def payload_array(data: list[bytearray], length: int) -> npt.NDArray[np.uint8]:
+    """Return frames of one length as an array of shape (n, length)."""
+    return np.frombuffer(b"".join(data), np.uint8).reshape(-1, length)
+
+
+@dataclasses.dataclass(frozen=True)
+class Judged:
+    """Frames that can be trusted: payloads (n, length), times of host and device, status bits, shape (n,)."""
+
+    payloads: npt.NDArray[np.uint8]
+    time_host: FloatArray
+    time_device: FloatArray | None
+    status: IntArray
+
+
+class FrameReader:
+    """The frames of one identifier as payloads, stamps and status: what CANopen and DBC channels have in common.
+
+    Parameters
+    ----------
+    hub
+        The bus.
+    identifier
+        11-bit identifier (29-bit ones are the same number here; no bench mixes them).
+    length
+        Bytes of the frame; others are skipped with an event.
+    sync_step
+        The frame answers every `sync_step`-th SYNC and is stamped by it; None: stamped by itself.
+    channel
+        The channel's name, for events.
+    period
+        Seconds between frames that come by a timer, None where that is not known: a longer silence is a gap.
+    """
+
+    def __init__(
+        self,
+        hub: CanHub,
+        identifier: int,
+        length: int,
+        sync_step: int | None,
+        channel: str,
+        period: float | None = None,
+    ) -> None:
+        self.hub, self.identifier, self.length, self.sync_step, self.channel, self.period = (
+            hub, identifier, length, sync_step, channel, period,
+        )  # fmt: skip
+        self._blocks = hub.subscribe(identifier)
+        self._events: collections.deque[Event] = collections.deque()
+        self._last_seen = -1
+        self._newest: int | None = None
+        self._last: tuple[float, bytearray, float] | None = None
+        self._marks: collections.deque[int] = collections.deque()
+
+    def close(self) -> None:
+        """Take no more frames."""
+        self.hub.unsubscribe(self.identifier, self._blocks)
+
+    @property
+    def waiting(self) -> int:
+        """Frames that came and are not yet read."""
+        return self._blocks.waiting
+
+    def say(self, time_host: float, text: str, status: int = 0) -> None:
+        """Note an event, and status bits for the sample that comes next."""
+        self._events.append(Event(time_host, self.channel, text))
+        if status:
+            self._marks.append(status)
+
+    def events(self) -> list[Event]:
+        """Return the events of channel and bus since the last call."""
+        return self.hub.events() + drained(self._events)
+
+    def read(self, timeout: float) -> Judged | None:
+        """Return the frames that came.
+
+        Raises
+        ------
+        EncoderConnectionError
+            If the bus broke, once what came before is read.
+        """
+        losses: list[tuple[int, int]] = []
+        blocks: list[Frames] = []
+        place = 0
+        for lost, block in self._blocks.take(timeout):
+            if lost:
+                losses.append((place, lost))
+            blocks.append(block)
+            place += len(block.data)
+        return self._judged(joined_frames(blocks), losses) if blocks else None
+
+    def _judged(self, frames: Frames, losses: list[tuple[int, int]]) -> Judged | None:
+        """Leave out frames that can't be trusted and mark what follows them."""
+        n = len(frames.data)
+        stamps = frames.time if self.sync_step is None else frames.sync_time
+        before = np.zeros(n, np.int64)  # bits for the sample at, or the next kept one after, each place
+        for place, lost in losses:
+            before[place] |= GAP
+            self.say(frames.time[place], f"{lost} frame 0x{self.identifier:03X} lost: the recorder was too slow")
+        good = np.fromiter(map(len, frames.data), np.int64, n) == self.length
+        if not good.all():
+            wrong = frames.data[int(np.flatnonzero(~good)[0])]
+            self._say_count(~good, frames, f"skipped: {len(wrong)} bytes long (0x{wrong.hex()}), not {self.length}")
+            before[~good] |= GAP
+        if self.sync_step is None:
+            self._clocked(frames, before)
+        else:
+            good &= self._synced(frames, before)
+        kept = np.flatnonzero(good)
+        # What stands before a frame left out holds for the next one kept, be it in this block or a later one.
+        marks = np.zeros(len(kept) + 1, np.int64)
+        noted = np.flatnonzero(before)
+        np.bitwise_or.at(marks, np.searchsorted(kept, noted), before[noted])
+        while self._marks:
+            marks[0] |= self._marks.popleft()
+        status, left_over = marks[:-1], int(marks[-1])
+        if left_over:
+            self._marks.append(left_over)
+        if len(kept) == 0:
+            return None
+        if self.sync_step is not None:
+            numbers = frames.sync[kept] // self.sync_step
+            judged, missing, self._newest = judge_sequence(numbers, 1 << 62, self._newest)
+            status |= judged
+            if missing.any():
+                gaps = np.flatnonzero(missing)
+                self.say(
+                    stamps[kept[gaps[0]]],
+                    f"{int(missing.sum())} SYNC without a sample, in {len(gaps)} gaps from here on",
+                )
+        own = frames.device if self.sync_step is None else frames.sync_device
+        device = None if own is None else own[kept]
+        data = frames.data if len(kept) == n else [frames.data[i] for i in kept]
+        return Judged(payload_array(data, self.length), stamps[kept], device, status)
+
+    def _synced(self, frames: Frames, before: IntArray) -> npt.NDArray[np.bool_]:
+        """Return which frames have a SYNC of their own, and note in `before` what the others were."""
+        sync = frames.sync
+        previous = np.concatenate([[self._last_seen], sync[:-1]])
+        self._last_seen = int(sync[-1])
+        self._say_count(sync < 0, frames, "skipped: before the first SYNC")
+        second = (sync >= 0) & (sync == previous)
+        last = None if self._last is None else self._last[1]
+        same = np.zeros(len(sync), bool)
+        for i in np.flatnonzero(second):  # few: payloads are compared only where it matters
+            same[i] = frames.data[i] == (frames.data[i - 1] if i else last)
+        self._last = (0.0, frames.data[-1], frames.arrived)
+        self._say_count(second & same, frames, "skipped: a duplicate of the frame before, or without a SYNC of its own")
+        self._say_count(second & ~same, frames, "skipped: without a SYNC of its own, so its instant is unknown")
+        before[second] |= np.where(same, DUPLICATE, GAP)[second]
+        return np.asarray((sync >= 0) & ~second)
+
+    def _clocked(self, frames: Frames, before: IntArray) -> None:
+        """Note in `before` what the stamps tell."""
+        times = frames.time if frames.device is None else frames.device
+        first = self._last is None
+        last_time, last_data, arrived = self._last or (times[0], bytearray(), frames.arrived)
+        step = np.diff(times, prepend=last_time)
+        copies = np.zeros(len(times), bool)
+        for i in np.flatnonzero(step == 0):
+            copies[i] = frames.data[i] == (frames.data[i - 1] if i else last_data)
+        copies[0] &= not first
+        waited = np.zeros(len(times))
+        waited[0] = frames.arrived - arrived
+        jumps = np.abs(step - waited) > CLOCK_JUMP
+        jumps[0] &= not first
+        # A block that was waited for is not a jump of its first stamp, however late it arrived.
+        jumps &= ~((step > 0) & (step < waited + CLOCK_JUMP))
+        for i in np.flatnonzero(jumps):
+            self.say(
+                frames.time[i], f"the clock of frame 0x{self.identifier:03X} jumped by {step[i] - waited[i]:+.3f} s"
+            )
+        before[jumps] |= GAP
+        early = (step < 0) & ~jumps
+        before[early] |= OUT_OF_ORDER
+        self._say_count(early, frames, "older than the one before")
+        self._say_count(copies, frames, "a duplicate of the frame before")
+        before[copies] |= DUPLICATE
+        if self.period is not None:
+            missing = np.where(jumps, 0, np.rint(step / self.period).astype(np.int64) - 1)
+            gaps = (missing > 0) & (step > 1.5 * self.period)
+            if gaps.any():
+                where = int(np.flatnonzero(gaps)[0])
+                self.say(
+                    frames.time[where],
+                    f"{int(missing[gaps].sum())} frame 0x{self.identifier:03X} missing by the event timer, "
+                    f"in {int(gaps.sum())} gaps from here on",
+                )
+                before[gaps] |= GAP
+        self._last = (float(times[-1]), frames.data[-1], frames.arrived)
+
+    def _say_count(self, which: npt.NDArray[np.bool_], frames: Frames, what: str) -> None:
+        if which.any():
+            first = int(np.flatnonzero(which)[0])
+            self.say(frames.time[first], f"{int(which.sum())} frame 0x{self.identifier:03X} {what}")

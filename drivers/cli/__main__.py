@@ -1,0 +1,5 @@
+"""`python -m drivers.cli`."""
+
+from drivers.cli import main
+
+main()

@@ -1,0 +1,29 @@
+"""`cycloid-bench export`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import drivers
+from drivers.cli.shown import bytes_of
+
+
+def export(
+    recording: Annotated[Path, typer.Argument(metavar="RUN.arrows", help="The recording.")],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="RUN.csv|nc|parquet|mf4", help="File to write.")],
+) -> None:
+    """Write a recording in another format, by the file's ending; it may be larger than the memory.
+
+    Example: [cyan]cycloid-bench export run.arrows -o run.csv[/]
+
+    .csv is one table: the two angles, paired by the SYNC that latched both, and the torque interpolated to those
+    instants. .nc (netCDF), .parquet and .mf4 (MDF4, ASAM) hold every channel's samples as they came.
+    """
+    with bytes_of(recording) as advance:
+        done = drivers.export(recording, output, progress=advance)
+    for problem in done.problems:
+        typer.echo(problem, err=True)
+    typer.echo(f"{done.path}: {done.rows} rows")

@@ -1,0 +1,30 @@
+"""`cycloid-bench record`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import drivers
+from cycloid_fmu.edge.commands import quantity_option
+from drivers.cli.shown import LiveLine, failures, report
+
+
+def record(
+    bench: Annotated[Path, typer.Argument(metavar="BENCH.toml", help="The wiring: buses, ports and channels.")],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="RUN.arrows", help="New file to record to.")],
+    duration: Annotated[float | None, quantity_option("s", "Stop after this time.")] = None,
+    idle: Annotated[float | None, quantity_option("s", "Stop when nothing came for this time.")] = None,
+) -> None:
+    """Record all channels of a bench until Ctrl-C, the duration or silence.
+
+    Example: [cyan]cycloid-bench record BENCH.toml -o run.arrows --idle "2 s"[/]
+
+    What came is in the file a twentieth of a second later, safe from a kill of the process; every second the disk is
+    told to hold it, safe from a power cut. Buses and ports that fail are opened again.
+    """
+    with failures(), LiveLine() as progress:
+        done = drivers.record(bench, output, duration=duration, idle=idle, progress=progress)
+    report(done)

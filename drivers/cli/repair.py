@@ -1,0 +1,39 @@
+"""`cycloid-bench repair`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import drivers
+from cycloid_fmu import edge
+from drivers.cli.shown import bytes_of
+
+
+def repair(
+    recording: Annotated[Path, typer.Argument(metavar="RUN.arrows", help="The recording.")],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="WHOLE.arrows", help="Write what it holds here.")
+    ] = None,
+) -> None:
+    """Report what a torn or damaged recording still holds, and write that as a whole one if asked.
+
+    Example: [cyan]cycloid-bench repair torn.arrows -o whole.arrows[/]
+
+    The file itself is not changed. Exit status 1 where something is wrong with it.
+    """
+    with bytes_of(recording) as advance:
+        kept = drivers.repair(recording, output, progress=advance)
+    for problem in kept.problems:
+        typer.echo(problem, err=True)
+    typer.echo(f"{recording}: {kept.batches} batches that can be trusted, {kept.events} events")
+    for name, channel in kept.channels.items():
+        lasts = f", from {channel.first:.6f} s to {channel.last:.6f} s" if channel.samples else ""
+        gaps = f", {channel.gaps} of them after a gap" if channel.gaps else ""
+        typer.echo(f"{name}: {channel.samples} samples{lasts}{gaps}")
+    if output is not None:
+        typer.echo(f"{output}: written")
+    if kept.problems:
+        raise typer.Exit(edge.FAILED)

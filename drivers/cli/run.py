@@ -1,0 +1,51 @@
+"""`cycloid-bench run`."""
+
+from __future__ import annotations
+
+import itertools
+import subprocess
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import drivers
+from cycloid_fmu import edge
+from drivers.cli.shown import LiveLine, failures
+from drivers.recorder.sequence import Step, read_sequence
+
+
+def run(
+    sequence: Annotated[Path, typer.Argument(metavar="SEQUENCE.toml", help="Speeds, loads, directions, loops.")],
+) -> None:
+    """Run a test sequence: prompt for or drive each step, check that it was reached, write one recording a step.
+
+    Example: [cyan]cycloid-bench run sequence.toml[/]
+
+    Recordings are written beside the sequence; steps that are recorded are left out, so an interrupted sequence goes on
+    where it was. A step that falls short is kept under another name, and made again if you say so.
+    """
+    made = read_sequence(sequence)
+    driven, numbers = made.file.drive is not None, itertools.count(1)
+
+    def note(step: Step, path: Path | None) -> None:
+        line.pause()
+        begun = f"{next(numbers)} of {len(made.steps)}: {step.instruction()}" if path is None else f"{path}: recorded"
+        typer.echo(begun)
+
+    def ready(step: Step) -> None:
+        typer.prompt("Press Enter when it runs", default="", show_default=False, err=True)
+
+    def again(step: Step, trial: Path, short: list[str]) -> bool:
+        line.pause()
+        typer.echo(f"{trial}: not reached: {'; '.join(short)}.", err=True)
+        return not driven and typer.confirm("Make it again?", default=True, err=True)
+
+    with failures(), LiveLine() as line:
+        done = drivers.run_sequence(made, note=note, ready=ready, again=again, progress=line)
+    if done.report_command is not None:
+        typer.echo(" ".join(done.report_command))
+        if subprocess.run(done.report_command, check=False).returncode:
+            raise typer.Exit(edge.FAILED)
+    if done.shortfalls:
+        raise typer.Exit(edge.FAILED)

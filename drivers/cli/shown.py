@@ -1,0 +1,98 @@
+"""What the commands show of a recording: the line while it grows, what it got, and why it failed."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
+
+import typer
+
+from cycloid_fmu import edge
+from cycloid_fmu.edge.commands import progress
+
+if TYPE_CHECKING:
+    from rich.live import Live as Display
+
+    from drivers.recorder.session import Live, Recorded
+
+
+def live_text(live: Live) -> str:
+    """Return how a recording stands, in one line: rates, counts, positions, marks, buffer, disk and running TE."""
+    parts = []
+    for name, state in live.channels.items():
+        shown = "–" if state.value is None else f"{state.value:.5g}"
+        part = f"{name} {state.samples} ({state.rate:.0f}/s) at {shown}"
+        part += "".join(f", {n} {mark}" for mark, n in state.marks.items() if n and mark != "rollovers")
+        part += f", {state.waiting} waiting" if state.waiting else ""
+        parts.append(part + (" OUT" if state.failure is not None else ""))
+    if live.transmission_error is not None:
+        parts.append(f"TE {math.degrees(live.transmission_error) * 3600:+.2f}″")
+    parts.append(f"{live.events} events, disk {live.disk_free / 1e9:.1f} GB free")
+    return " · ".join(parts)
+
+
+class LiveLine:
+    """The live line on the error stream, as the output is what scripts read: from the first call until a pause."""
+
+    def __init__(self) -> None:
+        self._display: Display | None = None
+
+    def __call__(self, live: Live) -> None:
+        """Show how the recording stands."""
+        from rich.console import Console
+        from rich.live import Live as Display
+        from rich.text import Text
+
+        if self._display is None:
+            self._display = Display(console=Console(stderr=True), transient=True, refresh_per_second=5)
+            self._display.start()
+        self._display.update(Text(live_text(live)))
+
+    def pause(self) -> None:
+        """Take the line away until the next call."""
+        if self._display is not None:
+            self._display.stop()
+        self._display = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *problem: object) -> None:
+        self.pause()
+
+
+def bytes_of(path: Path) -> contextlib.AbstractContextManager[Callable[[float], None]]:
+    """Show how much of a file is read."""
+    return progress("bytes", path.stat().st_size if path.is_file() else None)
+
+
+@contextlib.contextmanager
+def failures() -> Iterator[None]:
+    """Show why a bench or a recording failed, with the exit status that belongs to it."""
+    from drivers.encoder import EncoderError
+    from drivers.recorder.session import RecordingError
+
+    try:
+        yield
+    except edge.InputError:
+        raise
+    except (EncoderError, RecordingError) as problem:
+        typer.echo(str(problem), err=True)
+        raise typer.Exit(edge.FAILED) from None
+
+
+def report(done: Recorded) -> None:
+    """Print what a recording got; exit status 1 where a channel was out at the end, or nothing came."""
+    typer.echo(f"{done.path}: {', '.join(f'{n} {name}' for name, n in done.samples.items())}; {done.events} events")
+    for name, marks in done.marks.items():
+        if marks:
+            typer.echo(f"{name}: {', '.join(f'{n} {mark}' for mark, n in marks.items())}")
+    for failure in done.failures:
+        typer.echo(str(failure), err=True)
+    if not any(done.samples.values()):
+        typer.echo("No sample came: does the bench send?", err=True)
+    if done.failures or not any(done.samples.values()):
+        raise typer.Exit(edge.FAILED)

@@ -1,0 +1,81 @@
+"""`cycloid-bench simulate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+import drivers
+from cycloid_fmu import edge
+from cycloid_fmu.edge.commands import choice_option, quantity_option
+from drivers.cli.shown import LiveLine, failures, report
+
+_BUS = "CAN interface of python-can; loopback: other processes of this machine."
+
+
+def simulate(
+    torque: Annotated[float, quantity_option("N*m", "Torque on the output; the sign counts.")],
+    drive: Annotated[
+        Path | None, typer.Option("--fmu", metavar="DRIVE.fmu", help="The drive; without it an ideal one.")
+    ] = None,
+    ratio: Annotated[float | None, typer.Option(help="Signed ratio input/output, such as -39.")] = None,
+    turns: Annotated[int, typer.Option(min=1, help="Crank turns.")] = 39,
+    samples_per_turn: Annotated[int, typer.Option(min=3, help="Samples each crank turn.")] = 96,
+    direction: Annotated[Any, choice_option(("forward", "backward"), "Way the crank turns.")] = "forward",
+    speed: Annotated[float, quantity_option("rad/s", "Crank speed.", show_default="60 rpm")] = 6.283185307179586,
+    noise: Annotated[float, quantity_option("rad", "Noise of each encoder, rms.")] = 0.0,
+    torque_noise: Annotated[float, quantity_option("N*m", "Noise of the torque, rms.")] = 0.0,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed of the noise.")] = 0,
+    interface: Annotated[str, typer.Option("--bus", help=_BUS)] = "loopback",
+    channel: Annotated[str | None, typer.Option(help="Channel of the bus.")] = None,
+    trigger: Annotated[
+        Any, choice_option(("controller", "sync", "timer"), "What makes encoders on CAN send.")
+    ] = "controller",
+    serial: Annotated[
+        Any, choice_option(("amt21", "modbus", "ascii"), "Encoders on a pseudo-terminal instead of CAN.")
+    ] = None,
+    clock_drift: Annotated[
+        float, typer.Option(help="Of the ASCII counter's or the virtual bus's clock, relative, such as 50e-6.")
+    ] = 0.0,
+    hysteresis: Annotated[
+        bool, typer.Option("--hysteresis", help="Lock the input; the torque goes 0, +T, 0, -T, 0, as often as --turns.")
+    ] = False,
+    faults: Annotated[Path | None, typer.Option(metavar="FAULTS.toml", help="What goes wrong and when.")] = None,
+    speed_factor: Annotated[
+        float | None, typer.Option(help="1: at the crank's own speed; default: as fast as the bus carries.")
+    ] = None,
+    write_bench: Annotated[Path, typer.Option(metavar="BENCH.toml", help="Wiring to write.")] = Path("BENCH.toml"),
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="RUN.arrows", help="Record it here at once.")
+    ] = None,
+) -> None:
+    """Simulate a bench: wait for a recorder, then send a motion as real encoders and transducers do.
+
+    Example: [cyan]cycloid-bench simulate --fmu drive.fmu --ratio -39 --torque "20 N*m" --write-bench BENCH.toml[/],
+    and in a second terminal [cyan]cycloid-bench record BENCH.toml -o run.arrows --idle "2 s"[/].
+    The virtual bus ends at its process: with [cyan]--bus virtual[/] add [cyan]-o run.arrows[/].
+    """
+    if interface == "virtual" and output is None and serial is None:
+        raise edge.ArgumentError(
+            "interface", "this bus ends at its process; add -o RUN.arrows or use loopback", interface
+        )
+    bench = drivers.simulate_bench(
+        drive, torque=torque, ratio=ratio, turns=turns, samples_per_turn=samples_per_turn, direction=direction,
+        speed=speed, noise=noise, torque_noise=torque_noise, seed=seed, hysteresis=hysteresis, interface=interface,
+        channel=channel, trigger=trigger, serial=serial, clock_drift=clock_drift, faults=faults,
+        speed_factor=speed_factor,
+    )  # fmt: skip
+    with failures(), bench:
+        if output is not None:
+            with LiveLine() as progress:
+                done = bench.record(output, wiring=write_bench, progress=progress)
+            report(done)
+            return
+        bench.write_wiring(write_bench)
+        count = bench.motion.run.samples
+        typer.echo(f"{write_bench}: wiring of a bench that sends {count} samples once it is recorded", err=True)
+        while not bench.wait(0.2):
+            pass
+        typer.echo("The motion ended.", err=True)

@@ -1,0 +1,117 @@
+"""The arithmetic of counts: fields of frames, rollovers, running numbers."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers import recording_format as rf
+
+
+def unwrap(
+    raw: npt.NDArray[np.int64], modulus: int, previous: int | None = None, *, signed: bool = False
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+    """Make counts that roll over continuous, each step taken the short way round.
+
+    Parameters
+    ----------
+    raw
+        Counts as sent, shape (n,), any representative modulo `modulus`.
+    modulus
+        Counts at which the device starts again from 0.
+    previous
+        Continuous count of the sample before, None at the beginning.
+    signed
+        Whether the first count is taken in [-modulus/2, modulus/2) instead of [0, modulus): an encoder that stands a
+        little below zero then begins at -1 and not a whole range above it.
+
+    Returns
+    -------
+    counts, rolled
+        Continuous counts, and which samples lie beyond a rollover of the raw counts, both of shape (n,).
+    """
+    residue = raw % modulus
+    if previous is None:
+        first = int(residue[0]) if len(residue) else 0
+        previous = first - modulus if signed and first >= modulus - modulus // 2 else first
+    before = np.concatenate([[previous % modulus], residue[:-1]]) if len(residue) else residue
+    step = residue - before
+    half = modulus // 2
+    short = (step + half) % modulus - half
+    return previous + np.cumsum(short), short != step
+
+
+def counts_to_value(
+    counts: npt.NDArray[np.int64], counts_per_turn: int, direction: int, zero: float
+) -> npt.NDArray[np.float64]:
+    """Return the angle in rad, counter-clockwise positive: direction * 2 pi counts / counts per turn - zero."""
+    return np.asarray(direction * (2 * math.pi / counts_per_turn) * counts - zero, np.float64)
+
+
+def extract_bits(
+    payloads: npt.NDArray[np.uint8], start: int, length: int, *, signed: bool, little_endian: bool = True
+) -> npt.NDArray[np.int64]:
+    """Return an integer field of frames.
+
+    Parameters
+    ----------
+    payloads
+        Frames, shape (n, bytes).
+    start
+        Little-endian (CiA 301 mappings, DBC "@1"): lowest bit of the field, counted from byte 0's lowest. Big-endian:
+        highest bit of the field, counted from byte 0's highest.
+    length
+        Bits, 1 to 64 (a 64-bit unsigned field wraps at 2^63).
+    signed
+        Whether the field is in two's complement.
+    little_endian
+        Order of the bytes.
+    """
+    first, shift = divmod(start, 8)
+    field = np.zeros((len(payloads), 16), np.uint8)  # the field begins in byte 0 and ends, at the latest, in byte 8
+    held = payloads[:, first : first + 9]
+    field[:, : held.shape[1]] = held
+    low, high = (field.view("<u8" if little_endian else ">u8").astype(np.uint64)[:, i] for i in (0, 1))
+    # Shifted so that the field's highest bit is the word's highest; shifting back then extends the sign, or not.
+    if little_endian:
+        words = low >> np.uint64(shift)
+        if shift:
+            words |= high << np.uint64(64 - shift)
+        words = words << np.uint64(64 - length)
+    else:
+        words = low << np.uint64(shift)
+        if shift:
+            words |= high >> np.uint64(64 - shift)
+    if signed:
+        return words.view(np.int64) >> np.int64(64 - length)
+    return (words >> np.uint64(64 - length)).view(np.int64)
+
+
+def judge_sequence(
+    numbers: npt.NDArray[np.int64], modulus: int, newest: int | None
+) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64], int]:
+    """Tell from their running numbers which samples are missing, duplicate or out of order.
+
+    Parameters
+    ----------
+    numbers
+        Running numbers as sent, shape (n,), n > 0.
+    modulus
+        Numbers after which they start again from 0.
+    newest
+        Highest continuous number so far, None at the beginning.
+
+    Returns
+    -------
+    status, missing, newest
+        Bits "gap before", "duplicate" (the number is the newest before) and "out of order" (it is an older one); the
+        count of numbers left out before each, shape (n,) both; and the highest continuous number now.
+    """
+    continuous, _ = unwrap(numbers, modulus, newest)
+    before = np.concatenate([[continuous[0] - 1 if newest is None else newest], continuous[:-1]])
+    before = np.maximum.accumulate(before)
+    missing = np.maximum(continuous - before - 1, 0)
+    status = (missing > 0) * rf.GAP + (continuous == before) * rf.DUPLICATE + (continuous < before) * rf.OUT_OF_ORDER
+    return status.astype(np.uint8), missing, int(max(before[-1], continuous[-1]))

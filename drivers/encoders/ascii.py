@@ -1,0 +1,293 @@
+"""Counters and transducers that send lines of text, described by a line with fields: "{sequence};{time};{counts}".
+
+Fields: `{counts}` or `{value}` is what is measured (one of both must be there), `{time}` the device's own clock,
+`{sequence}` the line's running number, `{checksum}` two hexadecimal digits, `{skip}` anything else. What stands between
+the fields must come as written; a line that differs is lost, counted and marked.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import operator
+import re
+import time
+from collections.abc import Callable
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import pydantic
+
+from cycloid_fmu import edge
+from drivers.counts import counts_to_value, judge_sequence, unwrap
+from drivers.encoder import AngleConfig, EncoderProtocolError, EncoderTimeout, PortConfig, channel_of
+from drivers.recording_format import GAP, RESET, ROLLOVER, Samples
+from drivers.serial.polled import SerialEncoder
+from drivers.serial.port import Exchange, PortHub, ask
+
+LONGEST_LINE = 4096
+FIRST_LINE_SECONDS = 2.0
+_RESET_SECONDS = 1.0
+_FIELDS = {
+    "counts": r"([+-]?\d{1,18})",
+    "value": r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?)",
+    "time": r"(\d{1,18}(?:\.\d{0,12})?)",
+    "sequence": r"(\d{1,18})",
+    "checksum": r"([0-9A-Fa-f]{2})",
+}
+_CHECKSUMS: dict[str, Callable[[bytes], int]] = {
+    "xor": lambda text: functools.reduce(operator.xor, text, 0),
+    "sum": lambda text: sum(text) & 0xFF,
+}
+
+
+class AsciiConfig(AngleConfig):
+    """A `[channel.X]` with protocol = "ascii".
+
+    Attributes
+    ----------
+    port
+        The port.
+    line
+        The line without its end, with fields; see the module's text.
+    request
+        What to send for each line; absent: the device sends by itself.
+    counts_modulus, sequence_modulus, time_modulus
+        Where the device's numbers start again from 0; absent: they do not (the sequence: 2^32).
+    time_unit
+        What one of the device's time is, such as "1 us".
+    unit
+        Unit of `{value}`, such as "N*m".
+    checksum
+        "xor" (NMEA 0183: of all between a leading "$" or "!" and the "*" before the field) or "sum" (modulo 256, of
+        all before the field).
+    """
+
+    port: str
+    line: str
+    request: str | None = None
+    counts_modulus: Annotated[int, pydantic.Field(ge=2, le=1 << 62)] | None = None
+    sequence_modulus: Annotated[int, pydantic.Field(ge=2, le=1 << 62)] = 1 << 32
+    time_modulus: Annotated[int, pydantic.Field(ge=2, le=1 << 62)] | None = None
+    time_unit: edge.Seconds = 1.0
+    unit: str | None = None
+    checksum: Literal["xor", "sum"] | None = None
+
+    @pydantic.field_validator("line")
+    @classmethod
+    def _line(cls, value: str) -> str:
+        fields = re.findall(r"\{(\w*)\}", value)
+        unknown = [f for f in fields if f not in _FIELDS and f != "skip"]
+        if unknown:
+            raise ValueError(f"there is no field {{{unknown[0]}}}; there are {', '.join(_FIELDS)} and skip")
+        if ("counts" in fields) == ("value" in fields):
+            raise ValueError("write one of the fields {counts} and {value}")
+        twice = [f for f in _FIELDS if fields.count(f) > 1]
+        if twice:
+            raise ValueError(f"the field {{{twice[0]}}} stands in it twice")
+        return value
+
+
+def line_pattern(line: str) -> tuple[re.Pattern[bytes], list[str]]:
+    """Return the pattern of a described line and the names of its groups, in order."""
+    parts, names = [], []
+    for part in re.split(r"(\{\w+\})", line):
+        name = part[1:-1] if part.startswith("{") else ""
+        if name in _FIELDS:
+            parts.append(_FIELDS[name])
+            names.append(name)
+        else:
+            parts.append(r"[^\r\n]*?" if name == "skip" else re.escape(part))
+    return re.compile("".join(parts).encode()), names
+
+
+class AsciiCounter(SerialEncoder):
+    """One device that sends a line for each sample.
+
+    Parameters
+    ----------
+    name, config, port
+        See `SerialEncoder`.
+
+    Raises
+    ------
+    edge.InputError
+        If an angle has no counts per turn, or the unit is not one.
+    """
+
+    configuration = AsciiConfig
+
+    def __init__(self, name: str, config: AsciiConfig, port: PortConfig) -> None:
+        super().__init__(name, config, port)
+        self.where = f'{name}: line-based device on "{port.url}"'
+        self._pattern, self._names = line_pattern(config.line)
+        self._unit = {"torque": "N*m", "input_angle": "rad", "output_angle": "rad"}.get(name, config.unit or "rad")
+        self._scale = 1.0
+        if "counts" in self._names and config.counts_per_turn is None:
+            raise edge.InputError("counts_per_turn is missing: lines of counts do not say it.")
+        if "checksum" in self._names and config.checksum is None:
+            raise edge.InputError('checksum is missing: write "xor" or "sum".')
+        if "value" in self._names:
+            try:
+                self._scale = edge.unit_scale(config.unit or self._unit, self._unit)
+            except ValueError as problem:
+                raise edge.InputError(f'unit = "{config.unit}": {problem}.') from None
+        self._request = (config.request or "").encode()
+        self.asked = bool(self._request)
+        self._forget()
+
+    def _forget(self) -> None:
+        """Start without a line before."""
+        self._rest, self._skipping = b"", True
+        self._counts: int | None = None
+        self._newest: int | None = None
+        self._device = 0.0  # the device's clock, continuous, in its own unit
+        self._device_start: float | None = None
+        self._ticks: tuple[float, float] | None = None
+
+    def question(self, port: Any) -> bytes:
+        """Return what came, or the line asked for; see `SerialEncoder.question`."""
+        if self._request:
+            return ask(port, self._request, 0) + bytes(port.read_until(b"\n", LONGEST_LINE))
+        return bytes(port.read(1)) + bytes(port.read(port.in_waiting))
+
+    def set_up(self, hub: PortHub) -> None:
+        """Wait for a line that fits; see `SerialEncoder.set_up`."""
+        self._rest, self._skipping = b"", not self._request
+        deadline = time.monotonic() + FIRST_LINE_SECONDS
+        came = b""
+        while time.monotonic() < deadline:
+            _, data = hub.exchange(self.question, self.asked)
+            came = (came + data)[-LONGEST_LINE:]
+            if any(self._fields(line) for line in came.split(b"\n")[1 - bool(self._request) : -1]):
+                break
+        else:
+            if not came:
+                raise EncoderTimeout(f"{self.where} sends nothing; is it powered, and is the baud rate right?")
+            shown = came[-24:].decode("ascii", "backslashreplace")
+            raise EncoderProtocolError(
+                f'{self.where} sends no line like "{self.config.line}" but "{shown}"; is the baud rate right?'
+            )
+        clock = "; the device's own clock is in time_device" if "time" in self._names else ""
+        self.channel = channel_of(
+            self.name,
+            self.config,
+            identity=f'lines "{self.config.line}"',
+            time_source=f"host clock: {'middle of the exchange' if self.asked else 'arrival of the line'}{clock}",
+            unit=self._unit,
+            counts_per_turn=self.config.counts_per_turn,
+        )
+
+    def _fields(self, line: bytes) -> dict[str, str] | None:
+        """Return the fields of a line, None where it is not as described."""
+        match = self._pattern.fullmatch(line.rstrip(b"\r"))
+        return None if match is None else dict(zip(self._names, (g.decode() for g in match.groups()), strict=True))
+
+    def _sum_right(self, line: bytes, fields: dict[str, str]) -> bool:
+        if "checksum" not in fields:
+            return True
+        match = self._pattern.match(line)
+        assert match is not None, "a line with fields has matched"
+        text = line[: match.start(1 + self._names.index("checksum"))]
+        if self.config.checksum == "xor":
+            text = text.lstrip(b"$!").removesuffix(b"*")
+        return _CHECKSUMS[self.config.checksum](text) == int(fields["checksum"], 16)
+
+    def _lines(self, exchanges: list[Exchange]) -> list[Exchange]:
+        """Cut what came into lines, each with the time its end came."""
+        lines: list[Exchange] = []
+        for when, data in exchanges:
+            if self._request and not data.endswith(b"\n"):
+                lines.append((when, data))
+                continue
+            *ended, self._rest = (self._rest + data).split(b"\n")
+            lines += [(when, line) for line in ended]
+            if len(self._rest) > LONGEST_LINE:
+                lines.append((when, self._rest[:64]))
+                self._rest = b""
+        if lines and self._skipping:  # where the listening began, the line had begun before
+            self._skipping = False
+            return lines[1:]
+        return lines
+
+    def read(self, timeout: float) -> Samples | None:
+        """Return the samples of the lines that came; see `Encoder.read`."""
+        lines = self._lines(self.taken(timeout))
+        if not lines:
+            return None
+        parsed = [self._fields(line) for _, line in lines]
+        there = np.array([p is not None for p in parsed])
+        right = np.array(
+            [p is not None and self._sum_right(line, p) for p, (_, line) in zip(parsed, lines, strict=True)]
+        )
+        for which, what in ((~there, "not as described"), (there & ~right, "wrong checksum")):
+            if which.any():
+                first = int(np.flatnonzero(which)[0])
+                shown = lines[first][1][:40].decode("ascii", "backslashreplace")
+                self.say(lines[first][0], f'{int(which.sum())} line lost: {what} ("{shown}")')
+        kept = np.flatnonzero(right)
+        status = self.marked(kept, ~there, there & ~right)
+        if len(kept) == 0:
+            return None
+        fields = [parsed[i] or {} for i in kept]
+        times = np.array([lines[i][0] for i in kept])
+        status, device = self._clocked(fields, times, status)
+        status = self._numbered(fields, times, status)
+        if "value" in self._names:
+            value = self.config.direction * self._scale * np.array([float(f["value"]) for f in fields])
+            return Samples.checked(self.name, times, value - self.config.zero, time_device=device, status=status)
+        counts = np.array([int(f["counts"]) for f in fields], np.int64)
+        if self.config.counts_modulus is not None:
+            signed = bool(counts[0] < 0)
+            counts, rolled = unwrap(counts, self.config.counts_modulus, self._counts, signed=signed)
+            status = status | rolled * ROLLOVER
+        self._counts = int(counts[-1])
+        value = counts_to_value(counts, self.config.counts_per_turn, self.config.direction, self.config.zero)
+        return Samples.checked(self.name, times, value, time_device=device, counts=counts, status=status)
+
+    def _clocked(self, fields: list[dict[str, str]], times: Any, status: Any) -> tuple[Any, Any]:
+        """Return the device's times, s, made continuous, and the status with resets of its clock marked."""
+        if "time" not in self._names:
+            return status, None
+        ticks = np.array([float(f["time"]) for f in fields])
+        last, arrived = self._ticks or (ticks[0], times[0])
+        before = np.concatenate([[last], ticks[:-1]])
+        step, waited = ticks - before, np.diff(times, prepend=arrived)
+        self._ticks = float(ticks[-1]), float(times[-1])
+        if self.config.time_modulus is not None:
+            step = step % self.config.time_modulus
+            step = np.where(step > self.config.time_modulus / 2, step - self.config.time_modulus, step)
+        # A line out of order goes back a little, a device that starts anew by all the time that it was on.
+        reset = (ticks < before / 2) & (np.abs(step * self.config.time_unit - waited) > _RESET_SECONDS)
+        reset |= (ticks < before / 2) & (step < 0)
+        step = np.where(reset, ticks - before, step)
+        device = self._device + np.cumsum(step)
+        if self._device_start is None:
+            self._device_start = float(ticks[0])
+            device += ticks[0]
+        self._device = float(device[-1])
+        if reset.any():
+            self.say(times[np.flatnonzero(reset)[0]], "the device's clock went back: it started anew")
+            status = status | reset * (RESET | GAP)
+        return status, device * self.config.time_unit
+
+    def _numbered(self, fields: list[dict[str, str]], times: Any, status: Any) -> Any:
+        """Return the status with what the running numbers tell."""
+        if "sequence" not in self._names:
+            return status
+        numbers = np.array([int(f["sequence"]) for f in fields], np.int64)
+        # Where the device started anew its numbers did too.
+        starts = [0, *(np.flatnonzero(status & RESET).tolist()), len(numbers)]
+        for low, high in itertools.pairwise(starts):
+            if low == high:
+                continue
+            if status[low] & RESET:
+                self._newest = None
+            judged, missing, self._newest = judge_sequence(
+                numbers[low:high], self.config.sequence_modulus, self._newest
+            )
+            status[low:high] |= judged
+            if missing.any():
+                where = times[low + np.flatnonzero(missing)[0]]
+                self.say(where, f"{int(missing.sum())} line missing by its running number")
+        return status

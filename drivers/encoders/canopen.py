@@ -1,0 +1,328 @@
+"""Encoders of CiA 406 on CANopen (CiA 301): set up by SDO, started by NMT, read from their TPDO."""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import canopen
+import numpy as np
+import pydantic
+
+from cycloid_fmu import edge
+from drivers.can.bus import SYNC_ID, time_source
+from drivers.can.encoder import CanEncoder
+from drivers.can.frames import FrameReader
+from drivers.can.hub import CanHub
+from drivers.counts import counts_to_value, extract_bits, unwrap
+from drivers.encoder import (
+    AngleConfig,
+    BusConfig,
+    EncoderProtocolError,
+    EncoderTimeout,
+    Wiring,
+    channel_of,
+    device_counts,
+    steady_time,
+)
+from drivers.recording_format import RESET, ROLLOVER, Samples
+
+POSITION, SPEED, COUNTS_PER_TURN, TURNS = 0x6004, 0x6030, 0x6501, 0x6502
+HEARTBEAT_TIME = 0x1017
+_HEARTBEAT_ID = 0x700
+TPDOS = 4  # CiA 301 predefines so many
+_MISSED_HEARTBEATS = 3
+_NO_SUCH_OBJECT = (0x06020000, 0x06090011, 0x060A0023)
+# CiA 406: what the encoder says of itself besides counts and turns: index, subindex, whether signed.
+_IDENTITY = {
+    (0x6504, 0, False): "supported alarms 0x{:04X}", (0x6506, 0, False): "supported warnings 0x{:04X}",
+    (0x6507, 0, False): "profile and software 0x{:08X}", (0x6509, 0, True): "offset {}",
+    (0x650A, 1, True): "manufacturer offset {}", (0x650A, 2, True): "smallest position {}",
+    (0x650A, 3, True): "largest position {}", (0x650B, 0, False): "encoder serial {}",
+}  # fmt: skip
+_STATE = {
+    (0x6500, 0, False): "operating status 0x{:04X}", (0x6503, 0, False): "alarms 0x{:04X}",
+    (0x6505, 0, False): "warnings 0x{:04X}", (0x6508, 0, False): "operating time {}",
+}  # fmt: skip
+
+
+class CanopenConfig(AngleConfig):
+    """A `[channel.X]` with protocol = "canopen".
+
+    Attributes
+    ----------
+    bus, node
+        Where it is.
+    quantity, speed_unit
+        "position" is object 0x6004; "speed" is 0x6030, whose unit the wiring must say, such as "1 rpm" a count.
+    signed
+        A first position in the upper half of the range is one below zero.
+    eds
+        File that says what the TPDO map, instead of the node.
+    heartbeat
+        Seconds between heartbeats, set in the node; absent: as the node is set, unsupervised where that is 0.
+    """
+
+    bus: str
+    node: Annotated[int, pydantic.Field(ge=1, le=127)]
+    quantity: Literal["position", "speed"] = "position"
+    speed_unit: edge.Speed | None = None
+    signed: bool = False
+    eds: str | None = None
+    heartbeat: Annotated[edge.Seconds, pydantic.Field(ge=0.001, le=65.535)] | None = None
+
+
+class CanopenEncoder(CanEncoder):
+    """One node of CiA 406 with a TPDO that maps the position 0x6004 or the speed 0x6030.
+
+    Node or EDS say the identifier and mapping of its TPDO (0x1800 ff., 0x1A00 ff.), when it sends (transmission type 1
+    to 240: on every n-th SYNC, which then stamps the sample; 254, 255: at its own pace, stamped frame by frame, a gap
+    being more than its event timer), its counts per turn (0x6501) and turns (0x6502), at whose product the position
+    rolls over. A node that starts again is set operational again; one without heartbeat and frames is given up.
+
+    Parameters
+    ----------
+    name
+        Name of the channel.
+    config
+        Node, direction, zero.
+    bus
+        The bus.
+    dictionary
+        Object dictionary of the EDS, or None.
+
+    Raises
+    ------
+    edge.InputError
+        If `config.quantity` is "speed" and no `speed_unit` is given.
+    """
+
+    configuration = CanopenConfig
+
+    def __init__(self, name: str, config: CanopenConfig, bus: BusConfig, dictionary: Any = None) -> None:
+        super().__init__(name, config, bus)
+        self._dictionary = dictionary
+        self._node: Any = None
+        self._previous: int | None = None
+        self._started = self._restarted = self._listening = False
+
+    @classmethod
+    def from_config(cls, name: str, config: Any, wiring: Wiring) -> CanopenEncoder:
+        """Return the encoder of a `[channel.name]`; see `Encoder.from_config`."""
+        if config.quantity == "speed" and config.speed_unit is None:
+            raise edge.InputError(
+                f'{wiring.source}: [channel.{name}] speed_unit is missing: say what one count of 0x6030 is, "1 rpm".'
+            )
+        dictionary = None
+        if config.eds is not None:
+            path = wiring.folder / config.eds
+            dictionary = _read_eds(path, config.node)
+        return cls(name, config, wiring.bus(config.bus, name), dictionary)
+
+    @property
+    def _where(self) -> str:
+        return f"{self.name}: node {self.config.node} on the CAN bus {self.bus.place}"
+
+    def set_up(self, hub: CanHub) -> None:
+        """Ask the node what it is; see `CanEncoder.set_up`."""
+        self._node = hub.node(self.config.node, self.config.quantity)
+        vendor, product = self._object(0x1018, 1, 0), self._object(0x1018, 2, 0)
+        serial = self._object(0x1018, 4, 0)
+        identifier, kind, timer, length = self._tpdo()
+        step = kind if 1 <= kind <= 240 else None
+        about = [f"node {self.config.node}, vendor 0x{vendor:08X}, product 0x{product:08X}, serial {serial}"]
+        about += self._said(_IDENTITY)
+        state = self._said(_STATE)
+        if self.config.quantity == "position":
+            said = self._object(COUNTS_PER_TURN, 0, self.config.counts_per_turn)
+            self._counts_per_turn = device_counts(self.config, said, self._where) if said else 0
+            if self._counts_per_turn == 0:
+                raise EncoderProtocolError(f"{self._where} says 0 counts per turn (0x6501).")
+            # The position has 0x6501 * 0x6502 values, or all 2^bits where the node does not say its turns.
+            turns = self._object(TURNS, 0, 0)
+            self._modulus = min(self._counts_per_turn * turns, 1 << self._bits) if turns else 1 << self._bits
+        self._supervise()
+        self.channel = channel_of(
+            self.name,
+            self.config,
+            identity="; ".join(", ".join(part) for part in (about, state) if part),
+            time_source=time_source(self.bus, f"SYNC 0x{SYNC_ID:03X}" if step else "frame"),
+            unit="rad" if self.config.quantity == "position" else "rad/s",
+            counts_per_turn=self._counts_per_turn if self.config.quantity == "position" else None,
+        )
+        self.reader = FrameReader(hub, identifier, length, step, self.name, timer / 1000 or None)
+        self._node.emcy.add_callback(self._on_emergency)
+        hub.network.subscribe(_HEARTBEAT_ID + self.config.node, self._on_heartbeat)
+        self._listening = True
+
+    def _uploaded(self, index: int, subindex: int, *, optional: bool) -> bytes | None:
+        """Return an object by SDO; None where it is `optional` and the node has no such object."""
+        try:
+            return bytes(self._node.sdo.upload(index, subindex))
+        except canopen.SdoAbortedError as problem:
+            if optional and problem.code in _NO_SUCH_OBJECT:
+                return None
+            raise EncoderProtocolError(f"{self._where} refuses 0x{index:04X}:{subindex:02X}: {problem}.") from problem
+        except canopen.SdoCommunicationError as problem:
+            raise EncoderTimeout(
+                f"{self._where} does not answer; is it powered, and are node and bit rate right?"
+            ) from problem
+
+    def _object(self, index: int, subindex: int, default: int | None = None) -> int:
+        """Return an unsigned object by SDO; `default` where the node has no such object."""
+        data = self._uploaded(index, subindex, optional=default is not None)
+        return int.from_bytes(data, "little") if data is not None else default or 0
+
+    def _said(self, objects: Mapping[tuple[int, int, bool], str]) -> list[str]:
+        """Return what these objects say, those left out that the node does not have."""
+        said = []
+        for (index, subindex, signed), text in objects.items():
+            data = self._uploaded(index, subindex, optional=True)
+            if data is not None:
+                said.append(text.format(int.from_bytes(data, "little", signed=signed)))
+        return said
+
+    def _communication(self, index: int, subindex: int, default: int | None = None) -> int:
+        """Return an object of the TPDO from the EDS, where the wiring names one, else from the node."""
+        if self._dictionary is None:
+            return self._object(index, subindex, default)
+        try:
+            entry = self._dictionary[index][subindex]
+            value = entry.default if entry.value is None else entry.value
+        except KeyError:
+            value = None
+        if value is None and default is None:
+            raise EncoderProtocolError(
+                f"{self._where}: {self.config.eds} has no value of 0x{index:04X}:{subindex:02X}."
+            )
+        return int(default if value is None else value)  # type: ignore[arg-type]
+
+    def _tpdo(self) -> tuple[int, int, int, int]:
+        """Find the TPDO that maps the quantity: identifier, transmission type, event timer in ms, length in bytes.
+
+        Keeps the place of the quantity in it.
+        """
+        wanted = POSITION if self.config.quantity == "position" else SPEED
+        off = None
+        for number in range(TPDOS):
+            entries = self._communication(0x1A00 + number, 0, 0)
+            offset, found = 0, False
+            for entry in range(1, min(entries, 64) + 1):
+                mapped = self._communication(0x1A00 + number, entry)
+                index, _, bits = struct.unpack(">HBB", struct.pack(">I", mapped & 0xFFFFFFFF))
+                if index == wanted and 0 < bits <= 32 and not found:
+                    self._start, self._bits, found = offset, bits, True
+                offset += bits
+            if not found or offset > 512 or offset % 8:
+                continue
+            identifier = self._communication(0x1800 + number, 1)
+            if identifier & 0x80000000:
+                off = f"0x{0x1800 + number:04X}:01 = 0x{identifier:08X}"
+                continue
+            kind = self._communication(0x1800 + number, 2, 255)
+            timer = self._communication(0x1800 + number, 5, 0) if kind >= 254 else 0
+            return identifier & 0x1FFFFFFF, kind, timer, offset // 8
+        if off is not None:
+            raise EncoderProtocolError(f"{self._where} has its TPDO switched off ({off}).")
+        what = f"the {self.config.quantity} 0x{wanted:04X}"
+        raise EncoderProtocolError(f"{self._where} does not map {what} into its TPDO (0x1A00 ff.).")
+
+    def _supervise(self) -> None:
+        """Set or read the node's heartbeat time."""
+        if self.config.heartbeat is not None:
+            wanted = struct.pack("<H", round(self.config.heartbeat * 1000))
+            try:
+                self._node.sdo.download(HEARTBEAT_TIME, 0, wanted)
+            except (canopen.SdoAbortedError, canopen.SdoCommunicationError) as problem:
+                raise EncoderProtocolError(f"{self._where} takes no heartbeat time (0x1017): {problem}.") from problem
+        self._heartbeat = self.config.heartbeat or self._object(HEARTBEAT_TIME, 0, 0) / 1000
+        self._alive = self._framed = steady_time()
+        self._dead = False
+
+    def _on_emergency(self, problem: Any) -> None:
+        """Take an EMCY; runs in the reader's thread."""
+        said = f"EMCY 0x{problem.code:04X}, register 0x{problem.register:02X}: {problem.get_desc()}"
+        self.reader.say(problem.timestamp, said)
+
+    def _on_heartbeat(self, identifier: int, data: bytearray, stamp: float) -> None:
+        """Take a heartbeat; runs in the reader's thread."""
+        self._alive = steady_time()
+        if len(data) == 1 and data[0] == 0:
+            self.reader.say(time.time(), "the node started again", RESET)
+            self._restarted = True
+
+    def start(self) -> None:
+        """Set the node operational: it sends from now on."""
+        self._node.nmt.state = "OPERATIONAL"
+        self._started = True
+        self._alive = self._framed = steady_time()
+        super().start()
+
+    def leave(self, hub: CanHub) -> None:
+        """Set the node back to pre-operational, where `start` was called, and give it back."""
+        if self._started:
+            with contextlib.suppress(Exception):  # a broken bus can't be told
+                self._node.nmt.state = "PRE-OPERATIONAL"
+        if self._listening:
+            self._node.emcy.callbacks.remove(self._on_emergency)
+            hub.network.unsubscribe(_HEARTBEAT_ID + self.config.node, self._on_heartbeat)
+        if self._node is not None:
+            hub.leave_node(self.config.node, self.config.quantity)
+        self._node, self._started, self._listening = None, False, False
+
+    def read(self, timeout: float) -> Samples | None:
+        """Return the positions or speeds that came; see `Encoder.read`."""
+        block = self.reader.read(timeout)
+        now = steady_time()
+        if self._restarted:
+            self._restarted = False
+            self._node.nmt.state = "OPERATIONAL"
+        if block is None:
+            self._check_alive(now)
+            return None
+        self._framed = now
+        self._check_alive(now)
+        speed = self.config.quantity == "speed"
+        raw = extract_bits(block.payloads, self._start, self._bits, signed=speed)
+        if speed:
+            value = raw * (self.config.direction * (self.config.speed_unit or 0.0))
+            return Samples.checked(
+                self.name, block.time_host, value, time_device=block.time_device, counts=raw, status=block.status
+            )
+        counts, rolled = unwrap(raw, self._modulus, self._previous, signed=self.config.signed)
+        self._previous = int(counts[-1])
+        value = counts_to_value(counts, self._counts_per_turn, self.config.direction, self.config.zero)
+        return Samples.checked(
+            self.name, block.time_host, value, time_device=block.time_device, counts=counts,
+            status=np.bitwise_or(block.status, rolled * ROLLOVER),
+        )  # fmt: skip
+
+    def _check_alive(self, now: float) -> None:
+        """Say that the heartbeat is missing; give the node up where its frames are missing too."""
+        if not self._heartbeat or not self._started:
+            return
+        silent = now - self._alive
+        late = silent > max(_MISSED_HEARTBEATS * self._heartbeat, 0.2)
+        if late and now - self._framed > max(_MISSED_HEARTBEATS * self._heartbeat, 0.2):
+            raise EncoderTimeout(f"{self._where}: no heartbeat and no frame for {silent:.2f} s.")
+        if late and not self._dead:
+            self.reader.say(time.time(), f"no heartbeat for {silent:.2f} s, though frames come")
+        elif self._dead and not late:
+            self.reader.say(time.time(), "the heartbeat is back")
+        self._dead = late
+
+
+def _read_eds(path: Path, node: int) -> Any:
+    edge.existing(path)
+    try:
+        dictionary = canopen.import_od(str(path), node)
+    except Exception as problem:  # canopen raises its parser's
+        said = str(problem).splitlines()[0] if str(problem) else type(problem).__name__
+        raise edge.InputError(f"{path}: this is not an EDS file: {said}.") from None
+    if 0x1A00 not in dictionary:
+        raise edge.InputError(f"{path}: this EDS describes no TPDO (0x1A00).")
+    return dictionary

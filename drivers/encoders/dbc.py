@@ -1,0 +1,180 @@
+"""A signal of a CAN frame that a DBC file describes, such as a torque transducer's."""
+
+from __future__ import annotations
+
+import re
+import time
+from pathlib import Path
+from typing import Any
+
+import cantools
+import numpy as np
+import numpy.typing as npt
+
+from cycloid_fmu import edge
+from drivers.can.bus import SYNC_ID, time_source
+from drivers.can.encoder import CanEncoder
+from drivers.can.frames import FrameReader
+from drivers.can.hub import CanHub
+from drivers.counts import extract_bits, judge_sequence
+from drivers.encoder import BusConfig, ChannelConfig, Wiring, channel_of
+from drivers.recording_format import DUPLICATE, GAP, FloatArray, IntArray, Samples
+
+_NEWTON_METRE = re.compile(r"([kmu]?)Nm")
+_SI = {"torque": "N*m", "input_angle": "rad", "output_angle": "rad"}
+
+
+class DbcConfig(ChannelConfig):
+    """A `[channel.X]` with protocol = "dbc".
+
+    `unit` overrules the file's; `sync`: the frame answers every SYNC; `counter`: the signal that counts the frames, by
+    which missing, duplicate and misplaced ones are found.
+    """
+
+    bus: str
+    file: str
+    message: str
+    signal: str
+    unit: str | None = None
+    sync: bool = False
+    counter: str | None = None
+
+
+class DbcSensor(CanEncoder):
+    """One signal of one frame.
+
+    Parameters
+    ----------
+    name
+        Name of the channel; it says the SI unit that the signal must have: "torque" N*m, the angles rad, others any.
+    config
+        File, message, signal.
+    bus
+        The bus.
+    folder
+        What `config.file` is relative to.
+    source
+        The `BENCH.toml`, for errors.
+
+    Raises
+    ------
+    edge.InputError
+        If file, message, signal or unit are not there or can't be used.
+    """
+
+    configuration = DbcConfig
+
+    def __init__(self, name: str, config: DbcConfig, bus: BusConfig, folder: Path, source: str) -> None:
+        super().__init__(name, config, bus)
+        where = f"{source}: [channel.{name}]"
+        path = folder / config.file
+        text = edge.read_text(path)
+        try:
+            database = cantools.database.load_string(text, "dbc")
+        except Exception as problem:  # cantools raises its parser's and its own
+            said = str(problem).splitlines()[0] if str(problem) else type(problem).__name__
+            raise edge.InputError(f"{path}: this is not a DBC file: {said}.") from None
+        messages = {m.name: m for m in database.messages}
+        if config.message not in messages:
+            raise edge.InputError(
+                f'{where} message = "{config.message}": {path} has no such message; it has {", ".join(messages)}.'
+            )
+        self._message = messages[config.message]
+        signals = {s.name: s for s in self._message.signals}
+        for key in ("signal", "counter"):
+            wanted = getattr(config, key)
+            if wanted is not None and wanted not in signals:
+                raise edge.InputError(
+                    f'{where} {key} = "{wanted}": the message {config.message} of {path} has no such signal; '
+                    f"it has {', '.join(signals)}."
+                )
+        self._counter = signals[config.counter] if config.counter is not None else None
+        self._newest: int | None = None
+        self._signal = signals[config.signal]
+        unit = config.unit or _NEWTON_METRE.sub(r"\1N*m", self._signal.unit or "")
+        self._unit = _SI.get(name, unit)
+        try:
+            self._si = 1.0 if self._unit == unit else edge.unit_scale(unit, self._unit)
+        except ValueError as problem:
+            raise edge.InputError(f'{where} unit = "{unit}": {problem}.') from None
+
+    @classmethod
+    def from_config(cls, name: str, config: Any, wiring: Wiring) -> DbcSensor:
+        """Return the sensor of a `[channel.name]`; see `Encoder.from_config`."""
+        return cls(name, config, wiring.bus(config.bus, name), wiring.folder, wiring.source)
+
+    def set_up(self, hub: CanHub) -> None:
+        """See `CanEncoder.set_up`."""
+        step = 1 if self.config.sync else None
+        self.reader = FrameReader(hub, self._message.frame_id, self._message.length, step, self.name)
+        self.channel = channel_of(
+            self.name,
+            self.config,
+            identity=f"{self.config.file}: {self.config.signal} of {self.config.message}, 0x{self._message.frame_id:X}",
+            time_source=time_source(self.bus, f"SYNC 0x{SYNC_ID:03X}" if step else "frame"),
+            unit=self._unit,
+        )
+
+    @property
+    def measuring_range(self) -> tuple[float, float] | None:
+        """Smallest and largest value, SI, that the file says the signal takes."""
+        if self._signal.minimum is None or self._signal.maximum is None:
+            return None
+        low, high = sorted(self.config.direction * self._si * float(v) for v in (
+            self._signal.minimum, self._signal.maximum
+        ))  # fmt: skip
+        return (low, high) if low < high else None
+
+    def read(self, timeout: float) -> Samples | None:
+        """Return the values that came; see `Encoder.read`."""
+        block = self.reader.read(timeout)
+        if block is None:
+            return None
+        decoded, there = self._decoded(block.payloads)
+        status = block.status
+        if self._counter is not None:
+            numbers = _raw(self._counter, block.payloads)
+            judged, missing, self._newest = judge_sequence(numbers, 1 << self._counter.length, self._newest)
+            status = status | judged
+            if missing.any():
+                first = float(block.time_host[np.flatnonzero(missing)[0]])
+                self.reader.say(first, f"{int(missing.sum())} frame missing by the counter {self._counter.name}")
+            again = judged & DUPLICATE > 0
+            if again.any():
+                first = float(block.time_host[np.flatnonzero(again)[0]])
+                self.reader.say(first, f"{int(again.sum())} duplicate by the counter {self._counter.name}")
+        if not there.any():
+            return None
+        value = self.config.direction * self._si * decoded[there]
+        device = block.time_device
+        return Samples.checked(
+            self.name, block.time_host[there], value, status=status[there],
+            time_device=None if device is None else device[there],
+        )  # fmt: skip
+
+    def _decoded(self, payloads: npt.NDArray[np.uint8]) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+        """Return the signal in the file's unit and where it is, both of shape (n,): a multiplexed one is not in all."""
+        signal = self._signal
+        if not (signal.is_multiplexer or signal.multiplexer_ids):
+            raw = _raw(signal, payloads)
+            number: npt.NDArray[Any] = raw
+            if signal.is_float:
+                number = raw.astype(f"<i{signal.length // 8}").view(f"<f{signal.length // 8}")
+            return number * float(signal.scale) + float(signal.offset), np.ones(len(raw), bool)
+        decoded, wrong = np.full(len(payloads), np.nan), 0
+        for i, payload in enumerate(payloads):
+            try:
+                decoded[i] = self._message.decode(payload.tobytes(), decode_choices=False).get(signal.name, np.nan)
+            except Exception:  # cantools raises several; a frame it can't decode is lost, the next ones are not
+                wrong += 1
+        if wrong:
+            self.reader.say(time.time(), f"{wrong} {self.config.message} skipped: it can't be decoded", GAP)
+        return decoded, ~np.isnan(decoded)
+
+
+def _raw(signal: Any, payloads: npt.NDArray[np.uint8]) -> IntArray:
+    """Return a signal's integer as sent, shape (n,)."""
+    little = signal.byte_order == "little_endian"
+    # DBC counts a big-endian start bit from the byte's lowest bit, the field from the byte's highest.
+    start = signal.start if little else signal.start // 8 * 8 + 7 - signal.start % 8
+    return extract_bits(payloads, start, signal.length, signed=signal.is_signed, little_endian=little)

@@ -1,0 +1,131 @@
+"""What the threads that read CAN buses and serial ports have in common."""
+
+from __future__ import annotations
+
+import collections
+import errno
+import threading
+from collections.abc import Callable
+from typing import Any, Generic, Protocol, TypeVar
+
+from drivers.encoder import EncoderError
+from drivers.recording_format import Event
+
+BLOCK_SECONDS = 0.05  # of a block, and so of what a kill can cost besides the batch being written
+WAITING_LIMIT = 1 << 20  # readings that wait for the recorder; more are lost, counted and marked
+
+Block = TypeVar("Block")
+
+
+class BlockQueue(Generic[Block]):
+    """Blocks on their way from a reader thread to a channel, bounded: a consumer too slow loses some, counted."""
+
+    def __init__(self) -> None:
+        self._blocks: collections.deque[tuple[int, Block, int]] = collections.deque()
+        self._filled = threading.Condition()
+        self._lost = 0
+        self._failure: EncoderError | None = None
+        self.waiting = 0
+
+    def put(self, block: Block, readings: int) -> None:
+        """Append a block of so many readings, or count them as lost where `WAITING_LIMIT` are waiting."""
+        with self._filled:
+            if self.waiting + readings > WAITING_LIMIT:
+                self._lost += readings
+                return
+            self._blocks.append((self._lost, block, readings))
+            self._lost = 0
+            self.waiting += readings
+            self._filled.notify()
+
+    def fail(self, problem: EncoderError) -> None:
+        """Note that nothing more will come, and why."""
+        with self._filled:
+            self._failure = problem
+            self._filled.notify()
+
+    def take(self, timeout: float) -> list[tuple[int, Block]]:
+        """Return all blocks, each with the readings lost before it, waiting for the first one.
+
+        Raises
+        ------
+        EncoderError
+            The problem given to `fail`, once the blocks before are taken.
+        """
+        with self._filled:
+            if not self._blocks and self._failure is None and timeout > 0:
+                self._filled.wait(timeout)
+            if not self._blocks and self._failure is not None:
+                raise self._failure
+            taken = [(lost, block) for lost, block, _ in self._blocks]
+            self._blocks.clear()
+            self.waiting = 0
+            return taken
+
+
+def drained(events: collections.deque[Event]) -> list[Event]:
+    """Empty a queue of events that another thread may be filling."""
+    return [events.popleft() for _ in range(len(events))]
+
+
+def reason(problem: Exception, what: str) -> str:
+    """Return the sentence at the bottom of what a bus or port raised; `what` it is: "interface" or "port"."""
+    below = problem.__cause__ or problem.__context__
+    while isinstance(below, OSError) and not (problem.__cause__ is None and problem.__suppress_context__):
+        problem, below = below, below.__cause__ or below.__context__
+    code = getattr(problem, "errno", None) or getattr(problem, "error_code", None)
+    if code in (errno.ENODEV, errno.ENOENT):
+        return f"there is no such {what}"
+    if code in (errno.EACCES, errno.EPERM):
+        return "permission denied"
+    return str(problem).rstrip(".") or type(problem).__name__
+
+
+class _Hub(Protocol):
+    config: Any
+    broken: bool
+
+    def close(self) -> None: ...
+
+
+Hub = TypeVar("Hub", bound=_Hub)
+
+
+class SharedHubs(Generic[Hub]):
+    """The hubs in use, one for each bus or port, shared by its channels.
+
+    Parameters
+    ----------
+    opened
+        Opens the hub of a bus or port.
+    """
+
+    def __init__(self, opened: Callable[[Any], Hub]) -> None:
+        self._opened = opened
+        self._users: dict[str, tuple[Hub, list[int]]] = {}
+        self._lock = threading.Lock()
+
+    def __contains__(self, config: Any) -> bool:
+        return config.place in self._users
+
+    def acquire(self, config: Any) -> Hub:
+        """Return the hub of this bus or port, opened for its first user, and again where it broke; see `release`."""
+        with self._lock:
+            if config.place in self._users and self._users[config.place][0].broken:
+                self._users.pop(config.place)[0].close()
+            if config.place not in self._users:
+                self._users[config.place] = (self._opened(config), [0])
+            hub, users = self._users[config.place]
+            users[0] += 1
+            return hub
+
+    def release(self, hub: Hub) -> None:
+        """Give a hub back; its last user closes it."""
+        with self._lock:
+            current, users = self._users.get(hub.config.place, (None, [0]))
+            if current is not hub:  # it broke, and `acquire` has closed it since
+                return
+            users[0] -= 1
+            if users[0] == 0:
+                del self._users[hub.config.place]
+                hub.close()

@@ -1,0 +1,1 @@
+"""From the wiring of a bench to its recordings."""

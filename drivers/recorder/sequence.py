@@ -1,0 +1,431 @@
+"""A guided test sequence: the runs a bench has to make, whether each was what it should be, one recording each."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import itertools
+import math
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias
+
+import numpy as np
+import pydantic
+
+from cycloid_fmu import edge
+from drivers import recording_format as rf
+from drivers.encoder import EncoderError, EncoderTimeout
+from drivers.recorder.bench import Bench, open_encoders, read_bench
+from drivers.recorder.session import ChannelState, Live, record_encoders
+from drivers.recording_format import Samples, read_recording
+
+FORMAT = "cycloid-sequence/1"
+_STANDS = math.radians(0.5)  # an input that is locked may give by so much
+_NEAR_ZERO = 0.02  # of the loop's torque
+_AT_PEAK = 0.98
+_RETRY_SECONDS = 0.2
+
+Direction: TypeAlias = Literal["forward", "backward"]
+
+
+class _Hysteresis(edge.Config):
+    torque: edge.Torque
+    loops: Annotated[int, pydantic.Field(ge=1)] = 1
+
+
+class _Drive(edge.Config):
+    run: str
+    hysteresis: str | None = None
+    start_time: Annotated[edge.Seconds, pydantic.Field(gt=0)] = 30.0
+
+
+class SequenceFile(edge.Config):
+    """What a `SEQUENCE.toml` says.
+
+    Attributes
+    ----------
+    bench
+        The `BENCH.toml`, relative to the sequence's folder.
+    loads, speeds, directions
+        Every combination is a step. Loads are those of a brake: their torque opposes the motion.
+    turns
+        Crank turns of a step.
+    load_tolerance, speed_tolerance
+        N*m, rad/s: how far the means may be off.
+    hysteresis
+        A loop with the input locked: its torque, and how many.
+    drive
+        Commands that drive the bench, `{torque}`, `{speed}`, `{direction}` and `{turns}` filled in; without them the
+        sequence prompts. `start_time` is how long to wait for the encoders.
+    pair, report
+        Pair file and report for `cycloid-fit report`, absent: no report.
+    """
+
+    bench: str
+    loads: list[Annotated[edge.Torque, pydantic.Field(ge=0)]] = pydantic.Field(default_factory=list)
+    speeds: list[Annotated[edge.Speed, pydantic.Field(gt=0)]] = pydantic.Field(default_factory=list)
+    directions: tuple[Direction, ...] = ("forward", "backward")
+    turns: Annotated[float, pydantic.Field(gt=0)] = 1.0
+    load_tolerance: Annotated[edge.Torque, pydantic.Field(gt=0)] = 1.0
+    speed_tolerance: Annotated[edge.Speed, pydantic.Field(gt=0)] = 1.0
+    hysteresis: _Hysteresis | None = None
+    drive: _Drive | None = None
+    pair: str | None = None
+    report: str | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Step:
+    """One recording to make.
+
+    Attributes
+    ----------
+    name
+        Of its file.
+    torque
+        Mean torque on the output, N*m with sign, or the peak of a hysteresis loop.
+    speed
+        Crank speed, rad/s; 0: the input is locked.
+    direction
+        Of the crank.
+    turns
+        Crank turns, or loops.
+    """
+
+    name: str
+    torque: float
+    speed: float
+    direction: Direction
+    turns: float
+
+    @property
+    def is_hysteresis(self) -> bool:
+        """Whether the input is locked and the torque goes round."""
+        return self.speed == 0
+
+    @property
+    def conditions(self) -> dict[str, float | str]:
+        """What its recording says about it."""
+        return {"load": self.torque, "speed": self.speed, "direction": self.direction}
+
+    def instruction(self) -> str:
+        """Return what a person has to set."""
+        if self.is_hysteresis:
+            peak = f"{self.torque:g}"
+            return f"Lock the input. Torque 0 → +{peak} → 0 → −{peak} → 0 N*m, {self.turns:g} times."
+        rpm = self.speed * 30 / math.pi
+        return f"{rpm:g} rpm {self.direction}, {self.torque:+g} N*m on the output, {self.turns:g} crank turns."
+
+
+@dataclasses.dataclass(frozen=True)
+class BenchSequence:
+    """A sequence that can be run: its file, its bench, its steps and where it lies."""
+
+    file: SequenceFile
+    bench: Bench
+    steps: tuple[Step, ...]
+    folder: Path
+    source: str
+
+
+def read_sequence(path: str | os.PathLike[str]) -> BenchSequence:
+    """Read a `SEQUENCE.toml` and its `BENCH.toml` and check all that can be checked without a device.
+
+    Raises
+    ------
+    edge.InputError
+        Naming file and key; also where the torque sensor can't measure a load.
+    """
+    source = str(path)
+    folder = Path(path).parent
+    file = edge.validated(SequenceFile, edge.toml_table(edge.read_text(path), FORMAT, source), source)
+    if file.drive is None or (folder / file.bench).exists():
+        bench = read_bench(folder / file.bench)
+    else:  # a simulated bench writes its wiring when it is started
+        bench = Bench(None, "", {}, {}, None)  # type: ignore[arg-type]
+    if bool(file.loads) != bool(file.speeds):
+        raise edge.InputError(f"{source}: loads and speeds belong together; write both or neither.")
+    if not file.loads and file.hysteresis is None:
+        raise edge.InputError(f"{source}: there is no step; write loads and speeds, or [hysteresis].")
+    if file.hysteresis is not None and file.drive is not None and file.drive.hysteresis is None:
+        raise edge.InputError(f"{source}: [drive] hysteresis is missing: the command that drives the loop.")
+    if file.loads and bench.channels and bench.ratio is None:
+        raise edge.InputError(f"{folder / file.bench}: ratio is missing: a brake's torque opposes the output's motion.")
+    steps = _steps(file, bench.ratio or -1.0)
+    _check_range(bench, file, source)
+    return BenchSequence(file, bench, steps, folder, source)
+
+
+def _steps(file: SequenceFile, ratio: float) -> tuple[Step, ...]:
+    steps = []
+    for speed, load, direction in itertools.product(file.speeds, file.loads, file.directions):
+        turning = (1.0 if direction == "forward" else -1.0) * math.copysign(1.0, ratio)
+        rpm = speed * 30 / math.pi
+        name = f"{rpm:g}rpm-{load:g}Nm-{direction}"
+        steps.append(Step(name, -turning * load, speed, direction, file.turns))
+    if file.hysteresis is not None:
+        loop = file.hysteresis
+        steps.append(Step(f"hysteresis-{loop.torque:g}Nm", loop.torque, 0.0, "forward", float(loop.loops)))
+    return tuple(steps)
+
+
+def _check_range(bench: Bench, file: SequenceFile, source: str) -> None:
+    """Refuse loads that the torque sensor can't measure."""
+    wanted = [("loads", sign * load) for load in file.loads for sign in (1, -1)]
+    if file.hysteresis is not None:
+        wanted += [("[hysteresis] torque", sign * file.hysteresis.torque) for sign in (1, -1)]
+    for encoder in bench.encoders() if bench.channels else []:
+        if getattr(encoder, "name", None) != "torque" or encoder.measuring_range is None:
+            continue
+        low, high = encoder.measuring_range
+        for key, torque in wanted:
+            if not low <= torque <= high:
+                raise edge.InputError(
+                    f"{source}: {key}: {torque:g} N*m is beyond the torque sensor, "
+                    f"which measures {low:g} to {high:g} N*m."
+                )
+
+
+def shortfalls(step: Step, samples: dict[str, Samples], file: SequenceFile) -> list[str]:
+    """Return, one sentence each, in what a recording is not the step that it should be.
+
+    Parameters
+    ----------
+    step
+        What it should be.
+    samples
+        Samples of the roles "input_angle", "output_angle" and "torque".
+    file
+        Tolerances.
+    """
+    said = [f"there is no sample of {role}" for role in ("input_angle", "torque") if not len(samples.get(role, ()))]
+    if said:
+        return said
+    angle, torque = samples["input_angle"], samples["torque"].value
+    way = angle.value[-1] - angle.value[0]
+    if step.is_hysteresis:
+        moved = float(np.ptp(angle.value))
+        if moved > _STANDS:
+            said.append(f"the input is not locked: it moved by {math.degrees(moved):.2f} deg")
+        for name, reached in (("highest", float(torque.max())), ("lowest", -float(torque.min()))):
+            if reached < _AT_PEAK * step.torque:
+                said.append(f"the {name} torque reaches {reached:.4g} of {step.torque:.4g} N*m")
+        if abs(torque[-1]) > 2 * _NEAR_ZERO * step.torque:
+            said.append(f"it does not end at zero torque but at {torque[-1]:.4g} N*m")
+        return said
+    if way * (1 if step.direction == "forward" else -1) < 0:
+        said.append(f"the crank turns the other way, not {step.direction}")
+    turned = abs(way) / (2 * math.pi)
+    if turned < step.turns * (1 - 1e-3) - 0.05:
+        said.append(f"the crank makes {turned:.3g} turns, not {step.turns:g}")
+    mean, spread = float(torque.mean()), float(torque.std())
+    if abs(mean - step.torque) > file.load_tolerance:
+        said.append(f"the mean torque is {mean:.4g} N*m, not {step.torque:.4g} ± {file.load_tolerance:.3g}")
+    if spread > 3 * file.load_tolerance:
+        said.append(f"the torque wanders by {spread:.3g} N*m rms")
+    lasts = float(angle.time_host[-1] - angle.time_host[0])
+    speed = abs(way) / lasts if lasts > 0 else math.inf
+    if abs(speed - step.speed) > file.speed_tolerance:
+        said.append(
+            f"the mean speed is {speed * 30 / math.pi:.4g} rpm, not {step.speed * 30 / math.pi:.4g} ± "
+            f"{file.speed_tolerance * 30 / math.pi:.3g}"
+        )
+    return said
+
+
+class _End:
+    """Whether a step has come to its end, from how its recording stands."""
+
+    def __init__(self, step: Step) -> None:
+        self.step = step
+        self._peaks = 0
+        self.reached = False
+
+    def __call__(self, live: Live) -> None:
+        """Look at the newest blocks."""
+        angle, torque = (live.channels.get(n) for n in ("input_angle", "torque"))
+        if self.step.is_hysteresis:
+            if torque is not None and torque.value is not None:
+                self._pass_peaks(torque)
+                done = self._peaks == 2 * self.step.turns
+                self.reached = done and abs(torque.value) <= _NEAR_ZERO * self.step.torque
+        elif angle is not None and angle.value is not None and angle.first is not None:
+            self.reached = abs(angle.value - angle.first) >= 2 * math.pi * self.step.turns
+
+    def _pass_peaks(self, torque: ChannelState) -> None:
+        """Count the peaks, which are passed in turn, + then -, so many as the loops have."""
+        peak = _AT_PEAK * self.step.torque
+        for _ in range(2):  # a block may hold one of each
+            furthest = torque.highest if self._peaks % 2 == 0 else -(torque.lowest or 0.0)
+            if self._peaks < 2 * self.step.turns and furthest is not None and furthest >= peak:
+                self._peaks += 1
+
+
+@contextlib.contextmanager
+def _driven(sequence: BenchSequence, step: Step) -> Iterator[subprocess.Popen[bytes] | None]:
+    """Run the command that drives a step beside it, where there is one."""
+    drive = sequence.file.drive
+    if drive is None:
+        yield None
+        return
+    text = drive.hysteresis if step.is_hysteresis else drive.run
+    filled = (text or "").format(
+        torque=f"{step.torque:.9g} N*m", speed=f"{step.speed:.9g} rad/s", direction=step.direction,
+        turns=f"{step.turns:g}",
+    )  # fmt: skip
+    try:
+        process = subprocess.Popen(shlex.split(filled), cwd=sequence.folder, stderr=subprocess.DEVNULL)
+    except OSError as problem:
+        raise edge.InputError(f"{sequence.source}: [drive] {filled}: {problem.strerror}.") from None
+    try:
+        yield process
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(5.0)
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def _run_step(sequence: BenchSequence, step: Step, path: Path, progress: Callable[[Live], None]) -> list[str]:
+    """Make one step's recording and return in what it falls short.
+
+    Raises
+    ------
+    edge.InputError, EncoderError, RecordingError
+        As `recorder.record` does.
+    """
+    end = _End(step)
+
+    def look(live: Live) -> None:
+        end(live)
+        progress(live)
+
+    with _driven(sequence, step) as process:
+        bench, encoders, stack = _opened(sequence, process)
+        with stack:
+            record_encoders(
+                encoders, path, ratio=bench.ratio, pair=bench.pair, conditions={**bench.conditions, **step.conditions},
+                progress=look, stop=lambda: end.reached, idle=None if process is None else 3.0,
+            )  # fmt: skip
+    recording = read_recording(path)
+    samples = {c.role: recording.samples[c.name] for c in recording.header.channels}
+    said = shortfalls(step, samples, sequence.file)
+    gaps = sum(int(np.count_nonzero(s.status & rf.GAP)) for s in recording.samples.values())
+    return said + ([f"{gaps} samples follow a gap"] if gaps else [])
+
+
+def _opened(sequence: BenchSequence, process: Any) -> tuple[Bench, list[Any], contextlib.ExitStack]:
+    """Open the encoders, waiting for those of a bench that is just being started."""
+    start = sequence.file.drive.start_time if sequence.file.drive is not None else 0.0
+    deadline = time.monotonic() + start
+    wiring = sequence.folder / sequence.file.bench
+    while True:
+        stack = contextlib.ExitStack()
+        try:
+            bench = read_bench(wiring)
+            return bench, stack.enter_context(open_encoders(bench)), stack
+        except (EncoderTimeout, edge.InputError) as problem:
+            stack.close()
+            if time.monotonic() > deadline:
+                raise
+            if process is not None and process.poll() is not None:
+                raise EncoderError(f"The command that drives the bench ended by itself: {problem}") from problem
+            time.sleep(_RETRY_SECONDS)
+
+
+@dataclasses.dataclass(frozen=True)
+class SequenceResult:
+    """What became of a sequence.
+
+    Attributes
+    ----------
+    recordings
+        One file a step that was reached, in the sequence's order.
+    shortfalls
+        Of each step that was not: in what its last trial falls short, by the step's name.
+    report_command
+        The `cycloid-fit report` of these recordings; None where the sequence asks for none.
+    """
+
+    recordings: tuple[Path, ...]
+    shortfalls: Mapping[str, Sequence[str]]
+    report_command: tuple[str, ...] | None
+
+
+def run_sequence(
+    sequence: BenchSequence | str | os.PathLike[str],
+    *,
+    note: Callable[[Step, Path | None], None] | None = None,
+    ready: Callable[[Step], None] | None = None,
+    again: Callable[[Step, Path, list[str]], bool] | None = None,
+    progress: Callable[[Live], None] | None = None,
+) -> SequenceResult:
+    """Run a test sequence: make each step, check that it was reached, write one recording a step.
+
+    Recordings are written beside the sequence; steps that are recorded already are left out, so an interrupted sequence
+    goes on where it was. A trial that falls short is kept as `STEP.trial-N.arrows`.
+
+    Parameters
+    ----------
+    sequence
+        The sequence, or its `SEQUENCE.toml`.
+    note
+        Called with each step and None when it begins, with its recording when it is there.
+    ready
+        Called before each trial of a step that no command of the sequence drives; it returns when the bench runs.
+    again
+        Called with a step, its trial and in what that falls short; whether to make it again. Without it: no.
+    progress
+        See `drivers.record`.
+
+    Raises
+    ------
+    edge.InputError, EncoderError, RecordingError, KeyboardInterrupt
+        As `record` does; what was recorded before is kept.
+
+    Examples
+    --------
+    >>> import drivers
+    >>> drivers.run_sequence("sequence.toml")
+    Traceback (most recent call last):
+    cycloid_fmu.edge.problems.InputError: sequence.toml: No such file or directory.
+    """
+    made = sequence if isinstance(sequence, BenchSequence) else read_sequence(sequence)
+    recordings, missed = [], {}
+    for step in made.steps:
+        path = made.folder / f"{step.name}.arrows"
+        if note is not None:
+            note(step, None)
+        while not path.exists():
+            if made.file.drive is None and ready is not None:
+                ready(step)
+            trials = (made.folder / f"{step.name}.trial-{number}.arrows" for number in itertools.count(1))
+            trial = next(t for t in trials if not t.exists())
+            short = _run_step(made, step, trial, progress or (lambda _: None))
+            if not short:
+                trial.rename(path)
+            elif again is None or not again(step, trial, short):
+                missed[step.name] = short
+                break
+        if path.exists():
+            recordings.append(path)
+            if note is not None:
+                note(step, path)
+    return SequenceResult(tuple(recordings), missed, _report_command(made, recordings))
+
+
+def _report_command(sequence: BenchSequence, recordings: Sequence[Path]) -> tuple[str, ...] | None:
+    """Return the command beside this Python, so that no environment has to be activated."""
+    file = sequence.file
+    if file.report is None or not recordings:
+        return None
+    pair = ["--pair", str(sequence.folder / file.pair)] if file.pair is not None else []
+    beside = shutil.which("cycloid-fit", path=str(Path(sys.executable).parent)) or "cycloid-fit"
+    return (beside, "report", *map(str, recordings), *pair, "-o", str(sequence.folder / file.report))

@@ -1,0 +1,109 @@
+"""Encoders that come back: what fails is closed, said, and tried again until it answers."""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+
+from cycloid_fmu import edge
+from drivers.encoder import Encoder, EncoderConnectionError, EncoderError, steady_time
+from drivers.recording_format import GAP, RESET, Channel, Event, Samples
+
+RETRY_SECONDS = 0.5
+
+
+class Supervised:
+    """An encoder, open and started, that is opened anew whenever it fails.
+
+    Its first sample afterwards is marked "gap before" and, where its zero is only good for one power cycle, "reset".
+
+    Parameters
+    ----------
+    encoder
+        The encoder.
+    """
+
+    def __init__(self, encoder: Encoder) -> None:
+        self.encoder = encoder
+        self.channel = encoder.channel
+        self.failure: EncoderError | None = None
+        self._events: list[Event] = []
+        self._mark = 0
+        self._said = ""
+        self._stopping = threading.Event()
+        self._reopened = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    @property
+    def waiting(self) -> int:
+        """See `Encoder.waiting`."""
+        return self.encoder.waiting
+
+    def close(self) -> None:
+        """Try no more; the encoder itself is closed by whoever opened it."""
+        self._stopping.set()
+        if self._thread is not None:
+            self._thread.join()
+
+    def read(self, timeout: float) -> Samples | None:
+        """Return the samples that came, None while the encoder is out; see `Encoder.read`."""
+        if self.failure is not None and not self._reopened.wait(timeout):
+            return None
+        if self.failure is not None:
+            self._mark = GAP | (RESET if self.channel.zero_reference == "incremental" else 0)
+            self.failure, self._thread = None, None
+            self._reopened.clear()
+        try:
+            block = self.encoder.read(timeout)
+        except EncoderError as problem:
+            self.failure = problem
+            if str(problem) != self._said:  # one that opens but never delivers is said once, not twice a second
+                self._say(f"failed and will be opened anew: {problem}")
+            self._said = str(problem)
+            self._events += self.encoder.events()
+            self._thread = threading.Thread(target=self._reopen, name=f"reopen {self.channel.name}", daemon=True)
+            self._thread.start()
+            return None
+        if block is not None and len(block) and self._said:
+            self._say("samples come again")
+            self._said = ""
+        if block is not None and len(block) and self._mark:
+            status = block.status.copy()
+            status[0] |= self._mark
+            self._mark = 0
+            block = dataclasses.replace(block, status=status)
+        return block
+
+    def events(self) -> list[Event]:
+        """Return what happened to the encoder and its supervision; see `Encoder.events`."""
+        said, self._events = self._events, []
+        return said if self.failure is not None else said + self.encoder.events()
+
+    def _say(self, text: str) -> None:
+        self._events.append(Event(steady_time(), self.channel.name, text))
+
+    def _reopen(self) -> None:
+        """Try until it opens; runs in a thread of its own, because an open may wait for answers."""
+        self.encoder.close()
+        last = ""
+        while not self._stopping.wait(RETRY_SECONDS):
+            try:
+                self.encoder.__enter__()
+                if _device(self.encoder.channel) != _device(self.channel):
+                    raise EncoderConnectionError(
+                        f"another device answers: {self.encoder.channel.identity}, not {self.channel.identity}"
+                    )
+                self.encoder.start()
+            except (EncoderError, edge.InputError, OSError) as problem:
+                self.encoder.close()
+                if str(problem) != last and not last:
+                    self._say(f"does not open yet: {problem}")
+                last = str(problem)
+            else:
+                self._reopened.set()
+                return
+
+
+def _device(channel: Channel) -> Channel:
+    """Return a channel without its device's state, such as operating time, which changes while it is away."""
+    return dataclasses.replace(channel, identity=channel.identity.partition(";")[0])

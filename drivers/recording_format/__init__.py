@@ -1,0 +1,57 @@
+"""The bench recording, `cycloid-recording/1`: its schema, its writer, its reader and the clocks in it.
+
+No bus library is needed for it. `schema` defines the format; `export` and `repair` are the tools for finished files.
+"""
+
+from drivers.recording_format.clocks import CLOCK_JUMP, Alignment, Clock, clock_event, clock_restarts
+from drivers.recording_format.reader import Recording, RecordingReader, read_clocks, read_recording
+from drivers.recording_format.schema import (
+    CHECKSUM,
+    DUPLICATE,
+    FORMAT,
+    GAP,
+    MARKS,
+    OUT_OF_ORDER,
+    RESET,
+    ROLES,
+    ROLLOVER,
+    Channel,
+    Event,
+    FloatArray,
+    Header,
+    IntArray,
+    Samples,
+    joined,
+)
+from drivers.recording_format.writer import FLUSH_SECONDS, RecordingWriter, check_new
+
+__all__ = [
+    "CHECKSUM",
+    "CLOCK_JUMP",
+    "DUPLICATE",
+    "FLUSH_SECONDS",
+    "FORMAT",
+    "GAP",
+    "MARKS",
+    "OUT_OF_ORDER",
+    "RESET",
+    "ROLES",
+    "ROLLOVER",
+    "Alignment",
+    "Channel",
+    "Clock",
+    "Event",
+    "FloatArray",
+    "Header",
+    "IntArray",
+    "Recording",
+    "RecordingReader",
+    "RecordingWriter",
+    "Samples",
+    "check_new",
+    "clock_event",
+    "clock_restarts",
+    "joined",
+    "read_clocks",
+    "read_recording",
+]

@@ -1,0 +1,106 @@
+"""The clocks of devices in a recording: their lines against the host's, and samples put onto it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.recording_format.schema import RESET, Event, FloatArray, Samples
+
+CLOCK_JUMP = 1.0  # s between the stamps' step and the arrivals' that no bus and no scheduler explains
+_CLOCK = "clock: "
+
+
+@dataclasses.dataclass(frozen=True)
+class Clock:
+    """How a device's clock runs against the host's: host = origin_host + (1 + drift) (device - origin_device).
+
+    Attributes
+    ----------
+    origin_device, origin_host
+        A point of the line in the middle of the samples, s.
+    drift
+        Relative rate of the host's clock to the device's, less one.
+    uncertainty
+        Half width at 95 %, s, at the ends of the samples, of a band about the line.
+    """
+
+    origin_device: float
+    origin_host: float
+    drift: float
+    uncertainty: float
+
+    def host(self, device: npt.ArrayLike) -> FloatArray:
+        """Return the host's time, s, of device times, s: earliest arrival, the constant part of the delay included."""
+        away = np.asarray(device, np.float64) - self.origin_device
+        return np.asarray(self.origin_host + away + self.drift * away, np.float64)
+
+
+def clock_event(time: float, channel: str, clock: Clock, restarts: int) -> Event:
+    """Return the event that says how a channel's own clock runs after so many restarts; see `read_clocks`."""
+    return Event(time, channel, _CLOCK + json.dumps({**dataclasses.asdict(clock), "restarts": restarts}))
+
+
+def clocks_of(events: Iterable[Event]) -> dict[str, dict[int, Clock]]:
+    """Return the last estimate of each channel's clock after each of its restarts."""
+    found: dict[str, dict[int, Clock]] = {}
+    for event in events:
+        if event.text.startswith(_CLOCK):
+            said = json.loads(event.text.removeprefix(_CLOCK))
+            restarts = said.pop("restarts", 0)
+            found.setdefault(event.channel, {})[restarts] = Clock(**said)
+    return found
+
+
+def clock_restarts(samples: Samples, last: tuple[float, float] | None) -> npt.NDArray[np.bool_]:
+    """Return at which samples the device's clock starts anew, shape (n,).
+
+    Where they are marked reset, or the device's time goes back or ahead of the host's by more than `CLOCK_JUMP`.
+    Arrivals that were held up and then come at once are no restart.
+
+    Parameters
+    ----------
+    samples
+        Samples that have a device time.
+    last
+        Device and host time of the sample before, s; None at the beginning.
+    """
+    assert samples.time_device is not None
+    if not len(samples):
+        return np.zeros(0, np.bool_)
+    device, host = last if last is not None else (samples.time_device[0], samples.time_host[0])
+    step = np.diff(samples.time_device, prepend=device)
+    waited = np.diff(samples.time_host, prepend=host)
+    return np.asarray((samples.status & RESET != 0) | (step < -CLOCK_JUMP) | (step > waited + CLOCK_JUMP))
+
+
+class Alignment:
+    """Puts one channel's samples, block by block in their order, on the host's clock by the device's own.
+
+    Parameters
+    ----------
+    clocks
+        The device's clock after each of its restarts, as `read_clocks` gives it.
+    """
+
+    def __init__(self, clocks: Mapping[int, Clock]) -> None:
+        self._clocks = clocks
+        self._restarts = 0
+        self._last: tuple[float, float] | None = None
+
+    def time(self, samples: Samples) -> FloatArray:
+        """Return when the samples were taken, s since the start; `time_host` where the device's clock is not known."""
+        if samples.time_device is None or not len(samples):
+            return samples.time_host
+        number = self._restarts + np.cumsum(clock_restarts(samples, self._last))
+        self._restarts = int(number[-1])
+        self._last = float(samples.time_device[-1]), float(samples.time_host[-1])
+        time = samples.time_host.copy()
+        for restarts in np.unique(number).tolist():
+            if (clock := self._clocks.get(restarts)) is not None:
+                time[number == restarts] = clock.host(samples.time_device[number == restarts])
+        return time

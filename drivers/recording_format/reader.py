@@ -1,0 +1,471 @@
+"""A recording being read, however it ended."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from cycloid_fmu import edge
+from drivers.recording_format.clocks import Alignment, Clock, clocks_of
+from drivers.recording_format.schema import (
+    COLUMNS,
+    FORMAT,
+    GAP,
+    HEADER_CRC,
+    Channel,
+    Event,
+    FloatArray,
+    Header,
+    Samples,
+    batch_checksum,
+    header_checksum,
+    joined,
+    recording_metadata,
+    recording_schema,
+)
+from drivers.recording_format.writer import END_OF_STREAM, MESSAGE
+
+_SEARCH_BYTES = 1 << 20
+_PIECE_BYTES = 1 << 22  # of a file, decoded at a time
+
+
+@dataclasses.dataclass(frozen=True)
+class Recording:
+    """A recording that was read.
+
+    Attributes
+    ----------
+    header
+        Channels and conditions.
+    samples
+        Samples of every channel by its name, in the order of the file; length 0 where a channel has none.
+    events
+        All events in the order of the file, `time` in seconds since the start.
+    problems
+        One sentence for each thing wrong with the file; empty where it is whole.
+
+    Examples
+    --------
+    >>> import drivers
+    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, interface="virtual") as bench:
+    ...     done = bench.record("aligned.arrows")
+    >>> recording = drivers.read_recording("aligned.arrows")
+    >>> [c.unit for c in recording.header.channels], recording.aligned_time("torque").shape
+    (['rad', 'rad', 'N*m'], (96,))
+    """
+
+    header: Header
+    samples: Mapping[str, Samples]
+    events: tuple[Event, ...]
+    problems: tuple[str, ...]
+
+    def clock(self, channel: str) -> Clock | None:
+        """Return the last estimate of a channel's clock; None where it has none."""
+        clocks = clocks_of(self.events).get(channel, {})
+        return clocks[max(clocks)] if clocks else None
+
+    def aligned_time(self, channel: str) -> FloatArray:
+        """Return when a channel's samples were taken, s since the start on the host's clock, shape (n,).
+
+        By the channel's own clock where it has one and its offset and drift were estimated: free of the delays on the
+        way to the host, which `time_host` has. Else `time_host`.
+        """
+        return Alignment(clocks_of(self.events).get(channel, {})).time(self.samples[channel])
+
+
+def _header(metadata: Mapping[bytes, bytes] | None, source: str) -> tuple[Header, list[str]]:
+    """Return what a recording says about itself, and a sentence where that is damaged."""
+    try:
+        text = {k.decode(): v.decode() for k, v in (metadata or {}).items()}
+    except UnicodeDecodeError:
+        raise edge.InputError(f"{source}: the recording's header is damaged; it is no text.") from None
+    if "format" not in text:
+        raise edge.InputError(f"{source}: this is an Arrow stream but not a recording; it names no format.")
+    if text["format"] != FORMAT:
+        raise edge.InputError(f'{source}: format = "{text["format"]}": this version reads "{FORMAT}".')
+    try:
+        header = Header(
+            tuple(Channel(**c) for c in json.loads(text["channels"])),
+            json.loads(text["conditions"]),
+            json.loads(text["ratio"]),
+            text["pair"],
+            text["start"],
+        )
+    except (KeyError, TypeError, ValueError) as problem:
+        raise edge.InputError(f"{source}: the recording's header can't be understood ({problem}).") from None
+    # Without its checksum it is one of the first recordings, unless a damaged key stands in the place.
+    unknown = text.keys() - recording_metadata(header).keys() - {HEADER_CRC}
+    if not unknown and text.get(HEADER_CRC) in (None, header_checksum(text)):
+        return header, []
+    return header, [
+        f"{source}: the header is damaged, its CRC-32 is wrong: what it says of channels (units, counts per turn, "
+        "direction, zero), conditions, ratio, pair or start may be wrong; the samples have checksums of their own."
+    ]
+
+
+def _decoded(
+    batches: Sequence[tuple[pa.RecordBatch, Mapping[bytes, bytes] | None]], names: Sequence[str]
+) -> Iterator[tuple[int, Samples, tuple[Event, ...]] | Exception]:
+    """Yield sequence number, samples and events of each batch, or why it can't be trusted.
+
+    Their columns are taken together: a batch is a twentieth of a second, and to ask Arrow for each one's costs more
+    than what is in it.
+    """
+    sound: list[pa.RecordBatch] = []
+    problems: dict[int, Exception] = {}
+    for place, (batch, _) in enumerate(batches):
+        try:
+            batch.validate()
+        except pa.ArrowException as problem:
+            problems[place] = problem
+        else:
+            sound.append(batch)
+    if not sound:
+        yield from problems.values()
+        return
+    ends = np.cumsum([0, *(batch.num_rows for batch in sound)])
+    table = pa.Table.from_batches(sound)
+    arrays: dict[str, npt.NDArray[Any]] = {}
+    gaps: dict[str, list[bool]] = {}
+    for name, (_, dtype, _) in COLUMNS.items():
+        column = table.column(name)
+        missing = np.asarray(column.is_null()) if column.null_count else np.zeros(len(column), bool)
+        nulls = np.concatenate([[0], np.cumsum(missing)])
+        gaps[name] = (np.diff(nulls[ends]) > 0).tolist()
+        arrays[name] = np.asarray(column.fill_null(0) if column.null_count else column, dtype)
+    # By the number, as the header counts its channels: a damaged dictionary names them wrongly.
+    numbers = pa.chunked_array([batch.column(0).indices for batch in sound], pa.int16())
+    rows = np.asarray(numbers.fill_null(-1) if numbers.null_count else numbers)
+    changes = np.flatnonzero(np.diff(rows)) + 1
+    mixed = (np.searchsorted(changes, ends[1:]) > np.searchsorted(changes, ends[:-1], "right")).tolist()
+    spans = zip(mixed, *gaps.values(), ends[:-1].tolist(), ends[1:].tolist(), strict=True)
+    for place, (_, metadata) in enumerate(batches):
+        if place in problems:
+            yield problems[place]
+            continue
+        mixes, *null, begin, end = next(spans)
+        columns = {
+            name: None if absent else array[begin:end]
+            for (name, array), absent in zip(arrays.items(), null, strict=True)
+        }
+        try:
+            if mixes:
+                raise ValueError("it mixes channels")
+            yield _checked(metadata or {}, columns, int(rows[begin]) if end > begin else None, names)
+        except (ValueError, TypeError, KeyError) as problem:
+            yield problem
+
+
+def _checked(
+    metadata: Mapping[bytes, bytes], columns: Mapping[str, Any], number: int | None, names: Sequence[str]
+) -> tuple[int, Samples, tuple[Event, ...]]:
+    """Return sequence number, samples and events of a batch of channel `number`; ValueError says why not."""
+    try:
+        number_said, said, crc = (metadata[key] for key in (b"sequence", b"events", b"crc32"))
+    except KeyError:
+        raise ValueError("it has no sequence number, events or CRC-32") from None
+    sequence, text = int(number_said), said.decode()
+    events = () if text == "[]" else tuple(Event(**e) for e in json.loads(text))
+    if number is not None and not 0 <= number < len(names):
+        raise ValueError("its channel is none of the header's")
+    # An empty batch has no row that names its channel: it is the one the CRC-32 fits.
+    for name in [names[number]] if number is not None else names:
+        samples = Samples(name, **columns)
+        if batch_checksum(sequence, text, samples).encode() == crc:
+            return sequence, samples, events
+    raise ValueError("its CRC-32 is wrong")
+
+
+class RecordingReader:
+    """A recording read batch by batch, at constant memory; it may be torn, damaged or still growing.
+
+    A context manager. A batch whose CRC-32 is wrong is left out. Where bytes are damaged, the next batch whose CRC-32
+    is right is searched for and reading goes on there. The next sample of each channel that may have lost samples so
+    is marked "gap before".
+
+    Parameters
+    ----------
+    path
+        A `.arrows` file.
+
+    Attributes
+    ----------
+    header
+        Channels and conditions.
+    problems
+        One sentence for each thing wrong with the file, as far as it was read.
+    complete
+        Number of complete batches read.
+
+    Raises
+    ------
+    edge.InputError
+        If the file can't be read, is no recording or has another format.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.source = str(path)
+        self._path = edge.existing(path)
+        if self._path.stat().st_size == 0:
+            raise edge.InputError(f"{self.source}: the file is empty; it was cut before the header of a recording.")
+        self._file = pa.OSFile(self.source, "rb")
+        try:
+            schema = pa.ipc.read_schema(pa.ipc.read_message(self._file))
+        except (pa.ArrowException, OSError, EOFError):
+            self._file.close()
+            raise edge.InputError(f"{self.source}: this is not a recording, or it was cut within its header.") from None
+        self.header, self.problems = _header(schema.metadata, self.source)
+        expected = recording_schema(self.header)
+        if not schema.equals(expected):
+            raise edge.InputError(f"{self.source}: the columns are not those of {FORMAT}: {', '.join(schema.names)}.")
+        self.complete = 0
+        self._number = 0
+        self._offset: int = self._file.tell()
+        self._good_end = self._offset
+        self._next_sequence = 0
+        self._lost: set[str] = set()
+        self._names = [c.name for c in self.header.channels]
+        self._preamble = _preamble(expected, self._names)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+    def batches(self, *, growing: bool = False) -> Iterator[tuple[Samples, tuple[Event, ...]]]:
+        """Yield samples and events of every batch not yet yielded.
+
+        Parameters
+        ----------
+        growing
+            The end is where the recorder is just now, not a cut: it is no problem, and a later call goes on there.
+        """
+        while True:
+            batches, ends = self._sound()
+            for decoded, end in zip(_decoded(batches, self._names), ends, strict=True):
+                self._offset = end
+                if (taken := self._judged(decoded)) is not None:
+                    yield taken
+            # What is read many at a time stops at the end, at damage and where a piece is cut: one by one from there.
+            size = self._path.stat().st_size
+            if self._bytes(self._offset, 8) == END_OF_STREAM:
+                return
+            found = self._message(self._offset, size)
+            if found is None:
+                if growing:
+                    return
+                if not self._resume(size):
+                    if self._offset >= size and self._good_end == self._offset:
+                        self.problems.append(
+                            f"{self.source}: it was not closed; all {self.complete} batches were read."
+                        )
+                    else:
+                        self.problems.append(
+                            f"{self.source}: it is cut or damaged after {self.complete} complete batches; "
+                            "these were read."
+                        )
+                    return
+                continue
+            data, self._offset = found
+            if data is None:
+                continue
+            if (taken := self._judged(self._decoded(data))) is not None:
+                yield taken
+
+    def _judged(
+        self, decoded: tuple[int, Samples, tuple[Event, ...]] | Exception
+    ) -> tuple[Samples, tuple[Event, ...]] | None:
+        """Return samples and events of the next batch, marked where something is lost before; None if it is wrong."""
+        if isinstance(decoded, Exception):
+            self._left_out(decoded)
+            return None
+        sequence, samples, said = decoded
+        if sequence != self._next_sequence:
+            self.problems.append(
+                f"{self.source}: batch {self._number} has sequence number {sequence}, not {self._next_sequence}."
+            )
+            self._lost = set(self._names)
+        self._number += 1
+        self._good_end, self._next_sequence = self._offset, sequence + 1
+        self.complete += 1
+        if len(samples) and samples.channel in self._lost:
+            status = samples.status.copy()
+            status[0] |= GAP
+            samples = dataclasses.replace(samples, status=status)
+            self._lost.discard(samples.channel)
+        return samples, said
+
+    def _left_out(self, problem: Exception) -> None:
+        self.problems.append(f"{self.source}: batch {self._number} was left out: {problem}.")
+        self._lost = set(self._names)
+        self._number += 1
+        self._next_sequence += 1
+
+    def _sound(self) -> tuple[list[tuple[pa.RecordBatch, Mapping[bytes, bytes] | None]], list[int]]:
+        """Return the next batches and the byte where each ends, as far as one piece of the file holds them."""
+        begin = self._offset - len(self._preamble)
+        source = pa.BufferReader(self._preamble + self._bytes(self._offset, _PIECE_BYTES))
+        batches: list[tuple[pa.RecordBatch, Mapping[bytes, bytes] | None]] = []
+        ends: list[int] = []
+        with pa.ipc.open_stream(source) as reader:
+            reader.read_next_batch()
+            while True:
+                try:
+                    batches.append(reader.read_next_batch_with_custom_metadata())
+                except (StopIteration, ValueError, OSError, EOFError, pa.ArrowException):
+                    return batches, ends
+                ends.append(begin + source.tell())
+
+    @property
+    def size(self) -> int:
+        """Bytes of the file."""
+        return int(self._path.stat().st_size)
+
+    @property
+    def position(self) -> int:
+        """Byte up to which it was read."""
+        return self._offset
+
+    def _bytes(self, offset: int, count: int) -> bytes:
+        self._file.seek(offset)
+        return bytes(self._file.read(count))
+
+    def _message(self, offset: int, size: int) -> tuple[bytes | None, int] | None:
+        """Return a batch (None if it is none) here and where the message ends; None if there is no message."""
+        if offset + 8 > size or self._bytes(offset, 4) != MESSAGE:
+            return None
+        try:
+            self._file.seek(offset)
+            message = pa.ipc.read_message(self._file)
+            end = self._file.tell()
+        except (pa.ArrowException, OSError, EOFError):
+            return None
+        if not offset < end <= size:
+            return None
+        return (self._bytes(offset, end - offset) if message.type == "record batch" else None), end
+
+    def _decoded(self, data: bytes) -> tuple[int, Samples, tuple[Event, ...]] | Exception:
+        """Return the batch of a message, as the one batch of a stream, or what is wrong with it."""
+        try:
+            with pa.ipc.open_stream(pa.BufferReader(self._preamble + data)) as reader:
+                reader.read_next_batch()
+                return next(_decoded([reader.read_next_batch_with_custom_metadata()], self._names))
+        except (ValueError, OSError, pa.ArrowException, StopIteration) as problem:  # OSError of lengths beyond the end
+            return problem
+
+    def _resume(self, size: int) -> bool:
+        """Find the next batch that can be trusted behind a damaged place and go on there; False if there is none."""
+        position = self._good_end + 8
+        while position < size:
+            block = self._bytes(position, _SEARCH_BYTES)
+            found = block.find(MESSAGE)
+            while found >= 0:
+                at = position + found
+                taken = self._message(at, size) if at % 8 == 0 else None
+                if taken is not None and taken[0] is not None and not isinstance(self._decoded(taken[0]), Exception):
+                    self.problems.append(
+                        f"{self.source}: damaged from byte {self._good_end} on; reading went on at byte {at}."
+                    )
+                    self._lost = set(self._names)
+                    self._offset = at
+                    return True
+                found = block.find(MESSAGE, found + 1)
+            if len(block) < _SEARCH_BYTES:
+                break
+            position += len(block) - len(MESSAGE)
+        return False
+
+
+def _preamble(schema: pa.Schema, names: Sequence[str]) -> bytes:
+    """Return the start of a stream, to the end of an empty batch: schema and the dictionary of channel names."""
+    sink = pa.BufferOutputStream()
+    columns = [pa.DictionaryArray.from_arrays(pa.array([], pa.int16()), pa.array(names, pa.string()))]
+    columns += [pa.array([], kind) for kind, _, _ in COLUMNS.values()]
+    with pa.ipc.new_stream(sink, schema) as stream:
+        stream.write_batch(pa.RecordBatch.from_arrays(columns, schema=schema))
+    return bytes(sink.getvalue())[: -len(END_OF_STREAM)]
+
+
+def read_recording(path: str | os.PathLike[str]) -> Recording:
+    """Read a whole recording, however it ended; see `RecordingReader`.
+
+    Raises
+    ------
+    edge.InputError
+        If the file can't be read, is no recording or has another format.
+
+    Examples
+    --------
+    >>> import drivers
+    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, interface="virtual") as bench:
+    ...     done = bench.record("read.arrows")
+    >>> recording = drivers.read_recording("read.arrows")
+    >>> recording.header.ratio, len(recording.samples["torque"]), recording.problems
+    (-39.0, 96, ())
+    """
+    with RecordingReader(path) as reader:
+        blocks: dict[str, list[Samples]] = {c.name: [] for c in reader.header.channels}
+        events: list[Event] = []
+        for samples, said in reader.batches():
+            events.extend(said)
+            if len(samples):
+                blocks[samples.channel].append(samples)
+        samples_of = {n: joined(n, b) for n, b in blocks.items()}
+        return Recording(reader.header, samples_of, tuple(events), tuple(reader.problems))
+
+
+def read_clocks(path: str | os.PathLike[str], channels: Collection[str]) -> dict[str, dict[int, Clock]]:
+    """Return, for `Alignment`, how the own clocks of channels run: {channel: {after how many restarts: clock}}.
+
+    Channels without a clock of their own are not in it, nor those too short to tell. Two channels that one clock
+    stamped, those of one CAN interface or those that one SYNC latches, share the better known of its two estimates:
+    what was one instant stays one. Where no channel has a clock of its own, the file is read only to each one's first
+    samples.
+
+    Raises
+    ------
+    edge.InputError
+        If the file can't be read, is no recording or has another format.
+    """
+    first: dict[str, Samples] = {}
+    events: list[Event] = []
+    with RecordingReader(path) as reader:
+        devices = {c.name: _clock_device(c.time_source) for c in reader.header.channels}
+        for samples, said in reader.batches():
+            events.extend(said)
+            if len(samples) and samples.channel in channels:
+                first.setdefault(samples.channel, samples)
+            if len(first) == len(channels) and all(s.time_device is None for s in first.values()):
+                return {}
+    found = {name: clocks for name, clocks in clocks_of(events).items() if name in channels}
+    names = list(found)
+    for number, one in enumerate(names):
+        for other in names[number + 1 :]:
+            same = devices[one] is not None and devices[one] == devices[other]
+            if same or _stamps(first[one]) & _stamps(first[other]):
+                for restarts in found[one].keys() & found[other].keys():
+                    best = min(found[one][restarts], found[other][restarts], key=lambda clock: clock.uncertainty)
+                    found[one][restarts] = found[other][restarts] = best
+    return found
+
+
+def _clock_device(time_source: str) -> str | None:
+    """Return the device whose hardware clock stamps a channel; None where it is no such clock."""
+    return time_source.rpartition(" (")[2] if time_source.startswith("hardware clock") else None
+
+
+def _stamps(samples: Samples) -> set[tuple[float, float]]:
+    """Return the pairs of device and host time of samples: two clocks have none in common."""
+    assert samples.time_device is not None
+    return set(zip(samples.time_device.tolist(), samples.time_host.tolist(), strict=True))

@@ -1,0 +1,103 @@
+"""What a torn or damaged recording still holds."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import os
+from collections.abc import Mapping
+
+import numpy as np
+
+from drivers.recording_format.export import Progress, batches
+from drivers.recording_format.reader import RecordingReader
+from drivers.recording_format.schema import (
+    GAP,
+    Header,
+)
+from drivers.recording_format.writer import RecordingWriter
+
+
+@dataclasses.dataclass
+class HeldChannel:
+    """What a recording holds of a channel: samples, how many follow a gap, first and last `time_host` in s."""
+
+    samples: int = 0
+    gaps: int = 0
+    first: float = np.inf
+    last: float = -np.inf
+
+
+@dataclasses.dataclass(frozen=True)
+class Repaired:
+    """What can be trusted of a recording.
+
+    Attributes
+    ----------
+    header
+        Channels and conditions.
+    channels
+        What is held of each channel, by name.
+    batches, events
+        How many.
+    problems
+        One sentence for each thing wrong with the file; empty where it is whole.
+    """
+
+    header: Header
+    channels: Mapping[str, HeldChannel]
+    batches: int
+    events: int
+    problems: tuple[str, ...]
+
+
+def repair(
+    recording: str | os.PathLike[str],
+    output: str | os.PathLike[str] | None = None,
+    *,
+    progress: Progress | None = None,
+) -> Repaired:
+    """Read all that can be trusted of a torn or damaged recording, and write it as a whole one if asked.
+
+    Parameters
+    ----------
+    recording
+        The `.arrows` file; it is not changed.
+    output
+        New recording, or None.
+    progress
+        Called with the number of bytes read since the call before.
+
+    Raises
+    ------
+    edge.InputError
+        If the recording can't be read at all, or the output exists or can't be created.
+
+    Examples
+    --------
+    >>> import drivers
+    >>> with drivers.simulate_bench(ratio=-39, torque=20.0, turns=1, interface="virtual") as bench:
+    ...     done = bench.record("whole.arrows")
+    >>> kept = drivers.repair("whole.arrows")
+    >>> kept.channels["torque"].samples, kept.problems
+    (96, ())
+    """
+    with contextlib.ExitStack() as stack:
+        reader = stack.enter_context(RecordingReader(recording))
+        channels = {c.name: HeldChannel() for c in reader.header.channels}
+        # What is written has a checksum that is right: that the header was damaged must be in it.
+        damage = {"damaged header": " ".join(reader.problems)} if reader.problems else {}
+        header = dataclasses.replace(reader.header, conditions={**reader.header.conditions, **damage})
+        writer = None if output is None else stack.enter_context(RecordingWriter(output, header))
+        count = 0
+        for samples, events in batches(reader, progress or (lambda _: None)):
+            count += len(events)
+            if len(samples):
+                channel = channels[samples.channel]
+                channel.samples += len(samples)
+                channel.gaps += int(np.count_nonzero(samples.status & GAP))
+                channel.first = min(channel.first, float(samples.time_host.min()))
+                channel.last = max(channel.last, float(samples.time_host.max()))
+            if writer is not None:
+                writer.write(samples, events)
+        return Repaired(reader.header, channels, reader.complete, count, tuple(reader.problems))

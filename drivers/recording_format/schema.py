@@ -1,0 +1,240 @@
+"""The bench recording, `cycloid-recording/1`: an Arrow IPC stream that survives a kill at any byte.
+
+No bus library stands behind this module: it is what a recorder writes and an evaluation reads.
+
+A file is a schema, record batches and an end mark. Every batch holds samples of one channel as they came, in the
+columns `channel` (dictionary of the channels' names), `time_host`, `time_device`, `counts`, `value` and `status`.
+The schema's metadata, UTF-8 text, are `format`, `channels` (a JSON list of objects, the fields of `Channel`),
+`conditions` (a JSON object, SI numbers and text), `ratio` (JSON number or null), `pair`, `start` (ISO 8601, UTC) and
+`header_crc32`, the CRC-32 of the texts before, each behind its key, in this order; the first recordings have none.
+Each batch's custom metadata are `sequence` (decimal, from 0), `events` (a JSON list of {time, channel, text}) and
+`crc32` (eight hexadecimal digits).
+
+The CRC-32 is that of zlib and PNG, over these bytes in this order: `sequence` and `events` as stored, the channel's
+name in UTF-8, then the columns `time_host`, `time_device`, `counts`, `value`, `status` as little-endian arrays without
+padding, where a column that is null contributes nothing.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import zlib
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+FORMAT = "cycloid-recording/1"
+GAP, CHECKSUM, RESET, DUPLICATE, OUT_OF_ORDER, ROLLOVER = 1, 2, 4, 8, 16, 32
+MARKS = {
+    "gaps": GAP, "checksum": CHECKSUM, "resets": RESET, "duplicates": DUPLICATE, "out of order": OUT_OF_ORDER,
+    "rollovers": ROLLOVER,
+}  # fmt: skip
+ROLES = ("input_angle", "output_angle", "torque", "other")
+
+FloatArray: TypeAlias = npt.NDArray[np.float64]
+IntArray: TypeAlias = npt.NDArray[np.int64]
+ByteArray: TypeAlias = npt.NDArray[np.uint8]
+
+
+HEADER_CRC = "header_crc32"
+
+
+@dataclasses.dataclass(frozen=True)
+class Channel:
+    """One measured quantity and where it comes from.
+
+    Attributes
+    ----------
+    name
+        Unique in the recording: "input_angle", "output_angle", "torque" or another.
+    role
+        What an evaluation takes it for: the name where it is one of these three, else "other".
+    protocol
+        Name of the protocol that delivered it.
+    unit
+        SI unit of the values: "rad", "N*m" or another.
+    counts_per_turn
+        Counts of one turn; None where the channel has no counts.
+    direction
+        +1 where the counts grow with the angle counter-clockwise, -1 where they fall.
+    zero
+        Value, in `unit`, that the sensor shows (with its direction) when the shaft is at zero; already subtracted.
+    zero_reference
+        "absolute": the zero is the same in every recording; "incremental": each recording has its own.
+    identity
+        What the device says it is; behind a semicolon its state when it was opened.
+    time_source
+        What event `time_host` marks and whose clock it is: a hardware clock's device stands in brackets at the end.
+    """
+
+    name: str
+    role: str
+    protocol: str
+    unit: str
+    counts_per_turn: int | None
+    direction: int
+    zero: float
+    zero_reference: str
+    identity: str
+    time_source: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Event:
+    """Something that happened to a channel: `time` in seconds on the host's clock, as the samples' `time_host`."""
+
+    time: float
+    channel: str
+    text: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Samples:
+    """Samples of one channel, arrays of shape (n,).
+
+    Attributes
+    ----------
+    channel
+        The channel's name.
+    time_host
+        Seconds: in a recording since its `start`, fresh from an encoder since 1970.
+    time_device
+        Seconds on the device's own clock, or None where it has none.
+    counts
+        Unwrapped counts as the device sent them, or None where it sends none.
+    value
+        SI value: continuous radians of an angle, newton metres of a torque.
+    status
+        Bits: 1 gap before, 2 checksum failed (before), 4 reset, 8 duplicate (it, or one left out before it), 16 out of
+        order, 32 rollover.
+    """
+
+    channel: str
+    time_host: FloatArray
+    time_device: FloatArray | None
+    counts: IntArray | None
+    value: FloatArray
+    status: ByteArray
+
+    @classmethod
+    def checked(
+        cls,
+        channel: str,
+        time_host: npt.ArrayLike,
+        value: npt.ArrayLike,
+        *,
+        time_device: npt.ArrayLike | None = None,
+        counts: npt.ArrayLike | None = None,
+        status: npt.ArrayLike | None = None,
+    ) -> Samples:
+        """Return samples of these arrays, converted; no `status` means that nothing is wrong.
+
+        Raises
+        ------
+        ValueError
+            If an array isn't one-dimensional and of the same length as the others.
+        """
+        host = np.asarray(time_host, np.float64)
+        made = cls(
+            channel,
+            host,
+            None if time_device is None else np.asarray(time_device, np.float64),
+            None if counts is None else np.asarray(counts, np.int64),
+            np.asarray(value, np.float64),
+            np.zeros(host.shape, np.uint8) if status is None else np.asarray(status, np.uint8),
+        )
+        shapes = {name: a.shape for name in COLUMNS if (a := getattr(made, name)) is not None}
+        if len(host.shape) != 1 or len(set(shapes.values())) != 1:
+            raise ValueError(f"the samples of {channel} must be one-dimensional and of one length, not {shapes}")
+        return made
+
+    def __len__(self) -> int:
+        return len(self.time_host)
+
+
+@dataclasses.dataclass(frozen=True)
+class Header:
+    """What a recording says about itself: channels, conditions (SI), signed ratio, pair's name, start in UTC."""
+
+    channels: tuple[Channel, ...]
+    conditions: Mapping[str, float | str]
+    ratio: float | None
+    pair: str
+    start: str
+
+
+COLUMNS: Mapping[str, tuple[pa.DataType, str, bool]] = {
+    "time_host": (pa.float64(), "<f8", False),
+    "time_device": (pa.float64(), "<f8", True),
+    "counts": (pa.int64(), "<i8", True),
+    "value": (pa.float64(), "<f8", False),
+    "status": (pa.uint8(), "u1", False),
+}
+_BYTES_OF = tuple((name, np.dtype(kind)) for name, (_, kind, _) in COLUMNS.items())
+COLUMN_DTYPES: Mapping[str, str] = {name: kind for name, (_, kind, _) in COLUMNS.items()}
+
+
+def batch_checksum(sequence: int, events: str, samples: Samples) -> str:
+    """Return the CRC-32 of a batch as eight hexadecimal digits; the module's text defines the bytes."""
+    crc = zlib.crc32(f"{sequence}{events}{samples.channel}".encode())
+    for name, kind in _BYTES_OF:
+        array = getattr(samples, name)
+        if array is not None:
+            crc = zlib.crc32(np.ascontiguousarray(array, kind).data, crc)
+    return f"{crc:08x}"
+
+
+def recording_metadata(header: Header) -> dict[str, str]:
+    """Return what a recording says about itself as texts, see the module's."""
+    return {
+        "format": FORMAT,
+        "channels": json.dumps([dataclasses.asdict(c) for c in header.channels]),
+        "conditions": json.dumps(dict(header.conditions)),
+        "ratio": json.dumps(header.ratio),
+        "pair": header.pair,
+        "start": header.start,
+    }
+
+
+def header_checksum(texts: Mapping[str, str]) -> str:
+    """Return the CRC-32 of the header's texts as eight hexadecimal digits; the module's text defines the bytes."""
+    said = "".join(f"{key}{texts[key]}" for key in ("format", "channels", "conditions", "ratio", "pair", "start"))
+    return f"{zlib.crc32(said.encode()):08x}"
+
+
+def recording_schema(header: Header) -> pa.Schema:
+    """Return the Arrow schema of a recording: columns and metadata."""
+    fields = [pa.field("channel", pa.dictionary(pa.int16(), pa.string()), nullable=False)]
+    fields += [pa.field(name, kind, nullable=nullable) for name, (kind, _, nullable) in COLUMNS.items()]
+    texts = recording_metadata(header)
+    return pa.schema(fields, metadata={**texts, HEADER_CRC: header_checksum(texts)})
+
+
+def record_batch(samples: Samples, schema: pa.Schema, names: Sequence[str]) -> pa.RecordBatch:
+    """Return samples as a batch of a recording's table; ValueError if its channel is none of `names`."""
+    n = len(samples)
+    index = np.full(n, list(names).index(samples.channel), np.int16)
+    columns = [pa.DictionaryArray.from_arrays(pa.array(index), pa.array(names, pa.string()))]
+    for name, (kind, _, _) in COLUMNS.items():
+        array = getattr(samples, name)
+        columns.append(pa.nulls(n, kind) if array is None else pa.array(array, kind))
+    return pa.RecordBatch.from_arrays(columns, schema=schema)
+
+
+def joined(name: str, blocks: Sequence[Samples], *, fill: bool = False) -> Samples:
+    """Return a channel's blocks as one; a column that one of them lacks is None, with `fill` NaN or 0 there."""
+    columns: dict[str, npt.NDArray[Any] | None] = {}
+    for column, (_, kind, optional) in COLUMNS.items():
+        parts = [getattr(block, column) for block in blocks]
+        lacking = sum(part is None for part in parts)
+        if optional and (lacking == len(parts) or (lacking and not fill)):
+            columns[column] = None
+            continue
+        blank = np.nan if kind == "<f8" else 0
+        filled = [np.full(len(b), blank, kind) if p is None else p for b, p in zip(blocks, parts, strict=True)]
+        columns[column] = np.concatenate([np.zeros(0, kind), *filled])
+    return Samples(name, **columns)  # type: ignore[arg-type]

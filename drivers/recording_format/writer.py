@@ -1,0 +1,155 @@
+"""A recording being written, safe from a kill at any byte."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import json
+import os
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import pyarrow as pa
+
+from cycloid_fmu import edge
+from drivers.recording_format.schema import Event, Header, Samples, batch_checksum, record_batch, recording_schema
+
+FLUSH_SECONDS = 1.0  # of samples that a power cut can cost; a kill costs none that `write` returned for
+
+
+MESSAGE = b"\xff\xff\xff\xff"  # what every message of an Arrow stream begins with, at a multiple of eight bytes
+END_OF_STREAM = MESSAGE + b"\x00\x00\x00\x00"
+
+
+def check_new(path: str | os.PathLike[str]) -> None:
+    """Refuse, with an `edge.InputError`, a path at which there is something already: no recording is overwritten."""
+    if Path(path).exists():
+        raise edge.InputError(f"{path}: this file exists and recordings are not overwritten; name another.")
+
+
+class _Sink(io.RawIOBase):
+    """A file that has the header of a stream at once: Arrow's writer gives it only with the first batch.
+
+    Each message is gathered until `flush` and given to the operating system in one piece.
+    """
+
+    def __init__(self, descriptor: int, schema: pa.Schema) -> None:
+        self._descriptor = descriptor
+        empty = pa.BufferOutputStream()
+        pa.ipc.new_stream(empty, schema).close()
+        header = bytes(empty.getvalue())[: -len(END_OF_STREAM)]
+        self._put(header)
+        self._skip = len(header)
+        self._parts: list[bytes] = []
+
+    def _put(self, data: bytes) -> None:
+        rest = memoryview(data)
+        while rest:
+            rest = rest[os.write(self._descriptor, rest) :]
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, data: Any) -> int:
+        """Take a piece; the header that Arrow's writer repeats is passed over."""
+        given = bytes(data)
+        passed = min(self._skip, len(given))
+        self._skip -= passed
+        self._parts.append(given[passed:])
+        return len(given)
+
+    def flush(self) -> None:
+        """Give what was taken to the operating system."""
+        data, self._parts = b"".join(self._parts), []
+        self._put(data)
+
+
+class RecordingWriter:
+    """A recording being written: every batch is with the operating system when `write` returns.
+
+    A kill loses at most the batch being written, a power cut at most the last `FLUSH_SECONDS`: that often the disk is
+    asked to hold all of it.
+
+    Parameters
+    ----------
+    path
+        New file; what is recorded is never overwritten.
+    header
+        Channels and conditions.
+
+    Raises
+    ------
+    edge.InputError
+        If the file exists or can't be created.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], header: Header) -> None:
+        self._names = [c.name for c in header.channels]
+        self._schema = recording_schema(header)
+        self._sequence = 0
+        self._whole = True
+        try:
+            self._descriptor = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666)
+        except FileExistsError:
+            check_new(path)
+            raise
+        except OSError as problem:
+            raise edge.InputError(f"{path}: {problem.strerror or problem}.") from None
+        self._sink = _Sink(self._descriptor, self._schema)
+        self._stream = pa.ipc.new_stream(pa.PythonFile(self._sink, "w"), self._schema)
+        self._end, self._flushed = os.lseek(self._descriptor, 0, os.SEEK_CUR), time.monotonic()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def write(self, samples: Samples, events: Sequence[Event] = ()) -> None:
+        """Append samples of one channel and what happened meanwhile; no samples, events only, is a batch too.
+
+        Raises
+        ------
+        ValueError
+            If the header has no such channel.
+        OSError
+            If the disk does not take them; the batches before stay readable, what was written of this one is cut off.
+        """
+        said = json.dumps([dataclasses.asdict(e) for e in events])
+        metadata = {
+            "sequence": str(self._sequence),
+            "events": said,
+            "crc32": batch_checksum(self._sequence, said, samples),
+        }
+        batch = record_batch(samples, self._schema, self._names)
+        self._whole = False
+        try:
+            self._stream.write_batch(batch, custom_metadata=metadata)
+            self._sink.flush()
+        except OSError:
+            os.ftruncate(self._descriptor, self._end)
+            raise
+        self._whole = True
+        self._end = os.lseek(self._descriptor, 0, os.SEEK_CUR)
+        self._sequence += 1
+        if time.monotonic() - self._flushed >= FLUSH_SECONDS:
+            os.fsync(self._descriptor)
+            self._flushed = time.monotonic()
+
+    def close(self) -> None:
+        """End the stream; after a failed write the end mark is left out, so that the file says it was not closed."""
+        if self._descriptor < 0:
+            return
+        try:
+            if self._whole:
+                self._stream.close()
+                self._sink.flush()
+            os.fsync(self._descriptor)
+        finally:
+            os.close(self._descriptor)
+            self._descriptor = -1

@@ -1,0 +1,1 @@
+"""Serial ports: one thread for each, questions and answers."""

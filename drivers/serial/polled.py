@@ -1,0 +1,193 @@
+"""What all encoders on serial ports share: a question, put again and again, and its answers."""
+
+from __future__ import annotations
+
+import abc
+import collections
+from typing import Any, ClassVar, Self
+
+import numpy as np
+import numpy.typing as npt
+import serial
+
+from cycloid_fmu import edge
+from drivers.encoder import (
+    Encoder,
+    EncoderConnectionError,
+    EncoderProtocolError,
+    EncoderTimeout,
+    PortConfig,
+)
+from drivers.hubs import BlockQueue, drained, reason
+from drivers.recording_format import CHECKSUM, GAP, Event, FloatArray, IntArray, Samples
+from drivers.serial.port import Exchange, PortHub, ports
+
+
+class SerialEncoder(Encoder):
+    """What all encoders on serial ports share: one question, put again and again, and its answers.
+
+    Parameters
+    ----------
+    name
+        Name of the channel.
+    config
+        The channel's table in the `BENCH.toml`.
+    port
+        The port.
+    """
+
+    where: str
+    asked = True  # False: the device sends by itself
+
+    def __init__(self, name: str, config: Any, port: PortConfig) -> None:
+        self.name, self.config, self.port = name, config, port
+        self._hub: PortHub | None = None
+        self._answers: BlockQueue[list[Exchange]] = BlockQueue()
+        self._events: collections.deque[Event] = collections.deque()
+        self._pending = 0
+
+    @classmethod
+    def from_config(cls, name: str, config: Any, wiring: Any) -> Self:
+        """Return the encoder of a `[channel.name]`; see `Encoder.from_config`."""
+        port = wiring.port(config.port, name)
+        try:
+            return cls(name, config, port)
+        except edge.InputError as problem:
+            raise edge.InputError(f"{wiring.source}: [channel.{name}] {problem}") from None
+
+    @abc.abstractmethod
+    def question(self, port: Any) -> bytes:
+        """Put the question and return the answer; called by the port's thread, again and again."""
+
+    @abc.abstractmethod
+    def set_up(self, hub: PortHub) -> None:
+        """Ask the device whether it is there and say in `channel` what it is.
+
+        Raises
+        ------
+        EncoderError
+            If it does not answer or answers nonsense.
+        """
+
+    def __enter__(self) -> Self:
+        """Open the port and ask the device once; see `Encoder.__enter__`."""
+        self._hub = ports.acquire(self.port)
+        try:
+            try:
+                self.set_up(self._hub)
+            except (serial.SerialException, OSError) as problem:
+                raise EncoderConnectionError(f"{self.where}: the port broke: {reason(problem, 'port')}.") from problem
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def start(self) -> None:
+        """Poll it from now on."""
+        assert self._hub is not None, "start() is for an encoder that is open"
+        self._answers = BlockQueue()
+        self._hub.poll(self.question, self.asked, self._answers)
+
+    def close(self) -> None:
+        """Poll it no more and release the port."""
+        hub, self._hub = self._hub, None
+        if hub is not None:
+            hub.stop_polling(self._answers)
+            ports.release(hub)
+
+    @property
+    def waiting(self) -> int:
+        """Answers that came and are not yet read."""
+        return self._answers.waiting
+
+    def taken(self, timeout: float) -> list[Exchange]:
+        """Return the answers that came; what the recorder was too slow for is an event and a gap."""
+        exchanges: list[Exchange] = []
+        for lost, block in self._answers.take(timeout):
+            if lost:
+                self.say(block[0][0], f"{lost} reading lost: the recorder was too slow", GAP)
+            exchanges += block
+        return exchanges
+
+    def say(self, time_host: float, text: str, status: int = 0) -> None:
+        """Note an event, and status bits for the sample that comes next."""
+        self._events.append(Event(time_host, self.name, text))
+        self._pending |= status
+
+    def marked(self, kept: npt.NDArray[np.intp], lost: npt.NDArray[np.bool_], wrong: npt.NDArray[np.bool_]) -> IntArray:
+        """Return the status of the readings kept: what was lost, or came wrong, stands before the next one kept.
+
+        Parameters
+        ----------
+        kept
+            Places of the readings kept, shape (k,).
+        lost, wrong
+            Which readings are missing, and which of them came with a wrong checksum, shape (n,).
+        """
+        marks = np.zeros(len(kept) + 1, np.int64)
+        # bitwise_or.at, because several losses may come before the same sample
+        np.bitwise_or.at(marks, np.searchsorted(kept, np.flatnonzero(lost)), GAP)
+        np.bitwise_or.at(marks, np.searchsorted(kept, np.flatnonzero(wrong)), GAP | CHECKSUM)
+        marks[0] |= self._pending
+        self._pending = int(marks[-1])
+        return marks[:-1]
+
+    def events(self) -> list[Event]:
+        """Return lost readings; see `Encoder.events`."""
+        return drained(self._events)
+
+
+class PolledEncoder(SerialEncoder):
+    """An encoder that is asked and answers with a fixed number of bytes that carry a checksum.
+
+    An answer whose checksum fails, or that does not come, is never an angle: the sample is left out, the next good one
+    is marked (gap before; checksum failed) and an event says how many there were.
+    """
+
+    answer_bytes: int
+    checksum_name: ClassVar[str]
+
+    @abc.abstractmethod
+    def checked(self, answers: list[bytes]) -> npt.NDArray[np.bool_]:
+        """Return which of these answers, all of the full length, the checksum confirms, shape (n,)."""
+
+    def asked_once(self, hub: PortHub) -> bytes:
+        """Return one good answer.
+
+        Raises
+        ------
+        EncoderTimeout, EncoderProtocolError
+            If none comes, or a wrong one.
+        """
+        _, answer = hub.exchange(self.question, self.asked)
+        if not answer:
+            raise EncoderTimeout(f"{self.where} does not answer; is it powered, and are address and baud rate right?")
+        if len(answer) < self.answer_bytes or not self.checked([answer]).all():
+            raise EncoderProtocolError(f"{self.where} answers 0x{answer.hex()}, whose {self.checksum_name} wrong.")
+        return answer
+
+    @abc.abstractmethod
+    def samples(self, times: FloatArray, answers: list[bytes], status: IntArray) -> Samples:
+        """Return the samples of good answers, all arguments of shape (k,), k > 0."""
+
+    def read(self, timeout: float) -> Samples | None:
+        """Return the positions that came; see `Encoder.read`."""
+        times, answers, status = self.judged(self.taken(timeout))
+        return self.samples(times, answers, status) if answers else None
+
+    def judged(self, exchanges: list[Exchange]) -> tuple[FloatArray, list[bytes], IntArray]:
+        """Leave out what the checksum doesn't confirm and mark what follows it: times, answers, status, shape (k,)."""
+        times = np.array([t for t, _ in exchanges])
+        there = np.array([len(a) == self.answer_bytes for _, a in exchanges], bool)
+        right = np.zeros(len(exchanges), bool)
+        if there.any():
+            right[there] = self.checked([exchanges[i][1] for i in np.flatnonzero(there)])
+        for which, what in ((~there, "no answer"), (there & ~right, self.checksum_name.replace(" are", ""))):
+            if which.any():
+                first = int(np.flatnonzero(which)[0])
+                shown = f" (0x{exchanges[first][1].hex()})" if exchanges[first][1] else ""
+                wrong = "" if what == "no answer" else "wrong "
+                self.say(times[first], f"{int(which.sum())} reading lost: {wrong}{what}{shown}")
+        kept = np.flatnonzero(right)
+        status = self.marked(kept, ~there, there & ~right)
+        return times[kept], [exchanges[i][1] for i in kept], status

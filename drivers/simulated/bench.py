@@ -1,0 +1,124 @@
+"""What every simulated bench is: a motion that a thread sends, and the wiring that records it."""
+
+from __future__ import annotations
+
+import abc
+import os
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from cycloid_fmu import edge
+from drivers.recorder.session import Live, Recorded, record
+from drivers.simulated.motion import Motion
+
+
+class SimulatedBench(abc.ABC):
+    """A motion that a thread sends; a context manager, whose thread ends with it.
+
+    Parameters
+    ----------
+    motion
+        What to send.
+
+    Attributes
+    ----------
+    ratio, pair
+        Signed ratio and name of the drive for the wiring, where `write_wiring` is given none.
+    """
+
+    ratio: float | None = None
+    pair = ""
+
+    def __init__(self, motion: Motion) -> None:
+        self.motion = motion
+        self._stopping = threading.Event()
+        self._done = threading.Event()
+        self._failure: Exception | None = None
+
+    def __enter__(self) -> Self:
+        """Be there to be recorded."""
+        self._open()
+        self._thread = threading.Thread(target=self._work, name="bench", daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stopping.set()
+        self._thread.join()
+        self._close()
+        if kind is None and self._failure is not None:
+            raise self._failure
+
+    def write_wiring(self, path: str | os.PathLike[str], *, ratio: float | None = None, pair: str = "") -> Path:
+        """Write the `BENCH.toml` that records this bench, and the files it names beside it; return its path."""
+        ratio, run = self.ratio if ratio is None else ratio, self.motion.run
+        head = "" if ratio is None else f"ratio = {float(ratio)!r}\n"
+        text = (
+            f'format = "cycloid-bench/1"\n{head}pair = {edge.json_text(pair or self.pair)}\n\n'
+            f'[conditions]\nload = "{edge.format_quantity(run.torque, "N*m", "N*m")}"\n'
+            f'speed = "{edge.format_quantity(run.speed, "rad/s", "rad/s")}"\ndirection = "{run.direction}"\n\n'
+        )
+        with edge.written_whole(path) as temporary:
+            temporary.write_text(text + self._connections(Path(path).parent), encoding="utf-8")
+        return Path(path)
+
+    def record(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        wiring: str | os.PathLike[str] | None = None,
+        progress: Callable[[Live], None] | None = None,
+    ) -> Recorded:
+        """Record the whole motion as `drivers.record` does.
+
+        Parameters
+        ----------
+        path
+            New `.arrows` file.
+        wiring
+            `BENCH.toml` to write; by default beside the recording.
+        progress
+            See `drivers.record`.
+        """
+        written = self.write_wiring(Path(path).with_name("BENCH.toml") if wiring is None else wiring)
+        return record(written, path, progress=progress, **self._end())
+
+    @abc.abstractmethod
+    def _connections(self, folder: Path) -> str:
+        """Return the tables of buses or ports and of channels; files that they name go into the folder."""
+
+    @abc.abstractmethod
+    def _end(self) -> dict[str, Any]:
+        """Return what ends a recording of the whole motion: arguments of `record`."""
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait for the end of the motion and return whether it came; raise what broke the bench, if so."""
+        ended = self._done.wait(timeout)
+        if self._failure is not None:
+            raise self._failure
+        return ended
+
+    def _work(self) -> None:
+        try:
+            self._run()
+        except Exception as problem:  # told by wait(): nobody else sees a thread's end
+            self._failure = problem
+        finally:
+            self._done.set()
+
+    @abc.abstractmethod
+    def _open(self) -> None:
+        """Put it on its line."""
+
+    @abc.abstractmethod
+    def _close(self) -> None:
+        """Take it off its line."""
+
+    @abc.abstractmethod
+    def _run(self) -> None:
+        """Send the motion until `_stopping`."""

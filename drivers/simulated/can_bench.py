@@ -1,0 +1,298 @@
+"""The simulated bench on a CAN bus: two CiA 406 encoders, a torque transducer and a controller."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import can
+import canopen
+import numpy as np
+from canopen.objectdictionary import UNSIGNED8, UNSIGNED16, UNSIGNED32, ODRecord, ODVariable
+
+from cycloid_fmu import edge
+from drivers.can.bus import SYNC_ID, open_bus
+from drivers.can.hub import SYNC_COUNTER_MAX
+from drivers.encoder import BusConfig
+from drivers.encoders.canopen import COUNTS_PER_TURN, HEARTBEAT_TIME, POSITION, TURNS
+from drivers.recording_format import FloatArray
+from drivers.simulated.bench import SimulatedBench
+from drivers.simulated.faults import NODE_FAULTS, Fault, Frame, faulty_frames
+from drivers.simulated.motion import Motion, quantised
+
+_END_SECONDS = 2.0  # without any node operating: then nobody listens any more
+_UP_SECONDS = 1000.0  # since an interface with a clock of its own was powered
+UDP_SAMPLES_PER_SECOND = 2000.0  # four datagrams each; the kernel drops what a reader doesn't take in time
+_INPUT_NODE, _OUTPUT_NODE = 1, 2
+_TORQUE_ID, _TORQUE_SCALE = 0x2A0, 0.0001
+_TORQUE_DBC = f"""VERSION ""
+NS_ :
+BS_:
+BU_: bench
+
+BO_ {_TORQUE_ID} torque: 4 bench
+ SG_ torque : 0|32@1- ({_TORQUE_SCALE},0) [-200000|200000] "Nm" bench
+"""
+
+
+def _turns(counts_per_turn: int) -> int:
+    """Return how many turns a 32-bit position tells apart, as 0x6502 (16 bits) can say it."""
+    return min((1 << 32) // counts_per_turn, 1 << 15)
+
+
+def _object_dictionary(node: int, identifier: int, counts_per_turn: int, timer: int | None) -> canopen.ObjectDictionary:
+    """Return what a CiA 406 encoder answers by SDO, its TPDO1 sent on every SYNC or by a timer in ms."""
+    dictionary = canopen.ObjectDictionary()
+
+    def variable(name: str, index: int, kind: int, value: int, sub: int = 0) -> ODVariable:
+        made = ODVariable(name, index, sub)
+        made.data_type, made.default = kind, value
+        made.access_type = "rw" if index == HEARTBEAT_TIME else "ro"
+        return made
+
+    def record(name: str, index: int, entries: Sequence[tuple[str, int, int]]) -> None:
+        made = ODRecord(name, index)
+        made.add_member(variable("entries", index, UNSIGNED8, len(entries)))
+        for sub, (entry, kind, value) in enumerate(entries, 1):
+            made.add_member(variable(entry, index, kind, value, sub))
+        dictionary.add_object(made)
+
+    for name, index, kind, value in (
+        ("device type", 0x1000, UNSIGNED32, 0x00020196),
+        ("error register", 0x1001, UNSIGNED8, 0),
+        ("heartbeat time", HEARTBEAT_TIME, UNSIGNED16, 0),
+        ("operating parameters", 0x6000, UNSIGNED16, 0),
+        ("position", POSITION, UNSIGNED32, 0),
+        ("operating status", 0x6500, UNSIGNED16, 0),
+        ("counts per turn", COUNTS_PER_TURN, UNSIGNED32, counts_per_turn),
+        ("turns", TURNS, UNSIGNED16, _turns(counts_per_turn)),
+        ("profile and software", 0x6507, UNSIGNED32, 0x01000302),
+        ("encoder serial", 0x650B, UNSIGNED32, node),
+    ):
+        dictionary.add_object(variable(name, index, kind, value))
+    who = [("vendor", 0), ("product", 0x406), ("revision", 1), ("serial", node)]
+    record("identity", 0x1018, [(entry, UNSIGNED32, value) for entry, value in who])
+    sent = [("identifier", UNSIGNED32, identifier), ("transmission type", UNSIGNED8, 1 if timer is None else 254)]
+    if timer is not None:
+        sent += [("inhibit time", UNSIGNED16, 0), ("compatibility", UNSIGNED8, 0), ("event timer", UNSIGNED16, timer)]
+    record("TPDO1", 0x1800, sent)
+    record("TPDO1 mapping", 0x1A00, [("position", UNSIGNED32, POSITION << 16 | 32)])
+    return dictionary
+
+
+class _StampedNetwork(canopen.Network):  # type: ignore[misc]
+    """A network whose service frames are stamped by a clock, as the bus is told to keep the stamps it is given."""
+
+    NOTIFIER_CYCLE = 0.02
+
+    def __init__(self, bus: can.BusABC, stamp: Callable[[float], float]) -> None:
+        super().__init__(bus)
+        self._stamp = stamp
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        message = can.Message(
+            timestamp=self._stamp(time.time()),
+            arbitration_id=can_id,
+            is_extended_id=can_id > 0x7FF,
+            data=data,
+            is_remote_frame=remote,
+        )
+        with self.send_lock:
+            self.bus.send(message)
+
+
+class SimulatedCanBench(SimulatedBench):
+    """A bench on a CAN bus: two CiA 406 nodes, a torque transducer and, by default, a controller that sends SYNC.
+
+    Once both nodes are told to operate, a thread sends the motion; it ends with the motion or when
+    no node operates any more. A node that is not operational sends nothing. On the virtual bus the frames carry the
+    motion's own time.
+
+    Parameters
+    ----------
+    motion
+        What to send.
+    interface, channel
+        The bus as python-can opens it; "udp_multicast" stays on this machine.
+    trigger
+        "controller": the bench sends SYNC with counter; "sync": each SYNC of another, such as the recorder, is answered
+        with the next sample; "timer": every node sends at its event timer, no SYNC.
+    input_counts_per_turn, output_counts_per_turn
+        Resolution, powers of two; the 32-bit position counts turns too and rolls over.
+    speed_factor
+        1: at the motion's own speed, 10: ten times as fast; None: as fast as the bus carries it without loss.
+    clock_drift
+        Virtual bus: its interface has a clock of its own, which counts from power-up and runs so much faster, relative,
+        than the host's; then the motion's own speed is the default. None: it has none.
+    faults
+        What goes wrong, see `faults.Fault`.
+    """
+
+    def __init__(
+        self,
+        motion: Motion,
+        *,
+        interface: str = "virtual",
+        channel: str = "bench",
+        trigger: Literal["controller", "sync", "timer"] = "controller",
+        input_counts_per_turn: int = 1 << 22,
+        output_counts_per_turn: int = 1 << 25,
+        speed_factor: float | None = None,
+        clock_drift: float | None = None,
+        faults: Sequence[Fault] = (),
+    ) -> None:
+        super().__init__(motion)
+        self.trigger, self.faults = trigger, tuple(faults)
+        self.bus_config = BusConfig(interface=interface, channel=channel)
+        self.counts_per_turn = {_INPUT_NODE: input_counts_per_turn, _OUTPUT_NODE: output_counts_per_turn}
+        self.clock_drift, self._powered = clock_drift, time.time()
+        if clock_drift is not None and speed_factor is None:
+            speed_factor = 1.0
+        own = 2 * math.pi / motion.run.samples_per_turn / motion.run.speed
+        self._timer = own  # on the virtual bus the stamps are the motion's own
+        if trigger == "sync":
+            self._interval = own
+        elif speed_factor is not None:
+            self._interval = own / speed_factor
+        else:
+            self._interval = 0.0 if interface == "virtual" else 1 / UDP_SAMPLES_PER_SECOND
+        self._pace = self._interval / own
+        if interface != "virtual":
+            self._timer = self._interval
+        self._syncs = threading.Semaphore(0)
+        self.sent = 0
+
+    def _open(self) -> None:
+        options: dict[str, Any] = {"preserve_timestamps": True} if self.bus_config.interface == "virtual" else {}
+        self._bus = open_bus(self.bus_config, **options)
+        self._network = _StampedNetwork(self._bus, self._stamp)
+        self._network.connect()
+        self._nodes = {}
+        timer = max(1, round(self._timer * 1000)) if self.trigger == "timer" else None
+        for node, resolution in self.counts_per_turn.items():
+            dictionary = _object_dictionary(node, 0x180 + node, resolution, timer)
+            local = self._network.create_node(node, dictionary)
+            local.nmt.state = "INITIALISING"
+            local.nmt.state = "PRE-OPERATIONAL"
+            self._nodes[node] = local
+        if self.trigger == "sync":
+            self._network.subscribe(SYNC_ID, lambda *_: self._syncs.release())
+
+    def _close(self) -> None:
+        for node in self._nodes.values():
+            node.nmt.stop_heartbeat()
+        self._network.disconnect()
+
+    def _connections(self, folder: Path) -> str:
+        angles = "".join(
+            f'[channel.{name}]\nprotocol = "canopen"\nbus = "can0"\nnode = {node}\nsigned = true\n\n'
+            for name, node in (("input_angle", _INPUT_NODE), ("output_angle", _OUTPUT_NODE))
+        )
+        sync = f'sync_period = "{self._interval:.9g} s"\n' if self.trigger == "sync" else ""
+        with edge.written_whole(folder / "torque.dbc") as temporary:
+            temporary.write_text(_TORQUE_DBC, encoding="utf-8")
+        return (
+            f"[bus.can0]\ninterface = {edge.json_text(self.bus_config.interface)}\n"
+            f"channel = {edge.json_text(self.bus_config.channel)}\n{sync}\n{angles}"
+            '[channel.torque]\nprotocol = "dbc"\nbus = "can0"\nfile = "torque.dbc"\nmessage = "torque"\n'
+            f'signal = "torque"\nsync = {"false" if self.trigger == "timer" else "true"}\n'
+        )
+
+    def _end(self) -> dict[str, Any]:
+        return {"samples": self.motion.run.samples, "idle": 5.0}
+
+    def _stamp(self, host: float) -> float:
+        """Return what the interface's clock shows at a time of the host's."""
+        if self.clock_drift is None:
+            return host
+        return _UP_SECONDS + (host - self._powered) * (1 + self.clock_drift)
+
+    def _operational(self) -> list[bool]:
+        return [node.nmt.state == "OPERATIONAL" for node in self._nodes.values()]
+
+    def _run(self) -> None:
+        while not all(self._operational()):
+            if self._stopping.wait(0.005):
+                return
+        self._send()
+
+    def _positions(self, node: int, angle: FloatArray) -> np.ndarray[Any, np.dtype[np.uint32]]:
+        """Return what the object 0x6004 of a node shows at these angles."""
+        resolution = self.counts_per_turn[node]
+        return (quantised(angle, resolution) % (resolution * _turns(resolution))).astype("<u4")
+
+    def _frames(self) -> Iterator[list[Frame]]:
+        """Yield what to send at each sample: identifier, data and stamp less the start, faults included."""
+        motion = self.motion
+        payloads: dict[int, Any] = {
+            0x180 + _INPUT_NODE: self._positions(_INPUT_NODE, motion.input_angle),
+            0x180 + _OUTPUT_NODE: self._positions(_OUTPUT_NODE, motion.output_angle),
+            _TORQUE_ID: np.rint(motion.torque / _TORQUE_SCALE).astype("<i4"),
+        }
+        for fault in self.faults:
+            if fault.kind == "reset":  # the counter starts again at zero where the shaft is just now
+                array = payloads[fault.target]
+                array[fault.sample :] -= array[fault.sample]
+        if self.trigger == "controller":
+            payloads = {SYNC_ID: (np.arange(len(motion.time)) % SYNC_COUNTER_MAX + 1).astype("u1"), **payloads}
+        raw = [(identifier, array.tobytes(), array.itemsize) for identifier, array in payloads.items()]
+        samples = (
+            [(identifier, data[i * size : (i + 1) * size], stamp) for identifier, data, size in raw]
+            for i, stamp in enumerate(motion.time)
+        )
+        return faulty_frames(samples, self.faults)
+
+    def _send(self) -> None:
+        """Send all samples: SYNC, where the bench has a controller, then what it latched."""
+        frames, at = self._frames(), {f.sample: f for f in self.faults if f.kind in NODE_FAULTS}
+        nodes = {0x180 + number: node for number, node in self._nodes.items()}
+        silent: dict[int, int] = {}
+        begun, ends = time.time(), math.inf
+        send, interval, stamped = self._bus.send, self._interval, self._stamp
+        pace = self._pace if self.clock_drift is not None else 1.0
+        for i, sample in enumerate(frames):
+            while not any(self._operational()):
+                ends = min(ends, time.monotonic() + _END_SECONDS)
+                if self._stopping.wait(0.005) or time.monotonic() > ends:
+                    return
+            ends = math.inf
+            if self._stopping.is_set():
+                return
+            if self.trigger == "sync":
+                while not self._syncs.acquire(timeout=0.05):
+                    if self._stopping.is_set() or not any(self._operational()):
+                        return
+            elif interval:
+                wait = begun + i * interval - time.time()
+                if wait > 0 and self._stopping.wait(wait):
+                    return
+            if i in at:
+                self._befall(at[i], silent)
+            for identifier, data, stamp in sample:
+                node = nodes.get(identifier)
+                if node is not None and (node.nmt.state != "OPERATIONAL" or silent.get(node.id, -1) > i):
+                    continue
+                when = stamped(begun + stamp * pace)
+                send(can.Message(timestamp=when, arbitration_id=identifier, is_extended_id=False, data=data))
+            for number in [n for n, end in silent.items() if end == i]:
+                self._nodes[number].nmt.start_heartbeat(self._nodes[number].sdo[HEARTBEAT_TIME].raw)
+            self.sent = i + 1
+
+    def _befall(self, fault: Fault, silent: dict[int, int]) -> None:
+        """Let happen to a node, or the bus, what is not in its data frames."""
+        if fault.kind == "bus_off":
+            self._bus.send(can.Message(timestamp=time.time(), arbitration_id=0x40, is_error_frame=True, dlc=8))
+            return
+        node = self._nodes[fault.target & 0x7F]
+        if fault.kind == "emergency":
+            node.emcy.send(0x5530, 0x01)
+        elif fault.kind == "reboot":
+            node.nmt.state = "INITIALISING"
+            node.nmt.state = "PRE-OPERATIONAL"
+        elif fault.kind == "silence":
+            node.nmt.stop_heartbeat()
+            silent[node.id] = fault.sample + fault.count

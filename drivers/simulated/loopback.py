@@ -1,0 +1,110 @@
+"""A CAN bus between the processes of one machine, for the simulated bench: UDP multicast on the loopback interface.
+
+A backend of python-can, interface "loopback", registered as an entry point of the group `can.interface`. python-can's
+own "udp_multicast" joins the group on the default interface, so it reaches a network where the machine has one, and
+cannot distinguish a bus's own frames from those of others.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import struct
+import time
+
+import can
+
+_LOOPBACK, _PORT = "127.0.0.1", 43114
+_HEAD = struct.Struct("<IBB")  # identifier, flags, DLC; the data follow
+_EXTENDED, _REMOTE, _ERROR, _FD, _BIT_RATE_SWITCH = 1, 2, 4, 8, 16
+_RECEIVE_BUFFER = 8 << 20  # seconds of frames; the usual one holds 256
+# Linux: nanoseconds of arrival with each datagram; more buffer than is allowed to all; only the groups joined here.
+_TIMESTAMP_NS, _BUFFER_FORCE, _MULTICAST_ALL = 35, 33, 49
+_STAMP = struct.Struct("@ll")
+
+
+class LoopbackBus(can.BusABC):  # type: ignore[misc]
+    """The bus of all who open it with the same group; it is never sent to a network.
+
+    It sends from a port of its own, so its own frames that come back have `is_rx` False.
+
+    Parameters
+    ----------
+    channel
+        An IPv4 multicast group, such as "239.74.163.2".
+    """
+
+    def __init__(self, channel: str, **options: object) -> None:
+        self._receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            group = socket.inet_aton(channel)
+            for level, option, value in (
+                (socket.SOL_SOCKET, socket.SO_REUSEADDR, 1),
+                (socket.SOL_SOCKET, getattr(socket, "SO_REUSEPORT", socket.SO_REUSEADDR), 1),  # Windows has none
+                (socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER),
+                (socket.SOL_SOCKET, _BUFFER_FORCE, _RECEIVE_BUFFER),
+                (socket.SOL_SOCKET, _TIMESTAMP_NS, 1),
+                (socket.IPPROTO_IP, _MULTICAST_ALL, 0),
+            ):
+                with contextlib.suppress(OSError):  # Linux alone has the last three, the first of them with the right
+                    self._receiver.setsockopt(level, option, value)
+            self._receiver.bind(("", _PORT))
+            loopback = socket.inet_aton(_LOOPBACK)
+            self._receiver.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group + loopback)
+            self._sender.bind((_LOOPBACK, 0))
+            self._sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, loopback)
+            self._sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
+        except OSError as problem:
+            self._receiver.close()
+            self._sender.close()
+            raise can.CanInitializationError(
+                f"the loopback interface carries IPv4 groups such as 239.74.163.2 only ({problem})"
+            ) from None
+        self._own, self._group = self._sender.getsockname(), (channel, _PORT)
+        self.channel_info = f"loopback {channel}"
+        self._can_protocol = can.CanProtocol.CAN_FD
+        super().__init__(channel, **options)
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        """Return the next frame; python-can's documented place for a backend to do so."""
+        if not select.select([self._receiver], [], [], timeout)[0]:
+            return None, False
+        data, ancillary, _, address = self._receiver.recvmsg(128, 64)
+        identifier, flags, dlc = _HEAD.unpack_from(data)
+        seconds, nanoseconds = _STAMP.unpack_from(ancillary[0][2]) if ancillary else (time.time(), 0)
+        message = can.Message(
+            timestamp=seconds + nanoseconds * 1e-9,
+            arbitration_id=identifier,
+            is_extended_id=bool(flags & _EXTENDED),
+            is_remote_frame=bool(flags & _REMOTE),
+            is_error_frame=bool(flags & _ERROR),
+            is_fd=bool(flags & _FD),
+            bitrate_switch=bool(flags & _BIT_RATE_SWITCH),
+            is_rx=address != self._own,
+            dlc=dlc,
+            data=data[_HEAD.size :],
+        )
+        return message, False
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Send a frame to everybody on this bus."""
+        flags = (
+            msg.is_extended_id * _EXTENDED | msg.is_remote_frame * _REMOTE | msg.is_error_frame * _ERROR
+            | msg.is_fd * _FD | msg.bitrate_switch * _BIT_RATE_SWITCH
+        )  # fmt: skip
+        try:
+            self._sender.sendto(_HEAD.pack(msg.arbitration_id, flags, msg.dlc) + bytes(msg.data), self._group)
+        except OSError as problem:
+            raise can.CanOperationError(f"it takes no frame: {problem.strerror}") from problem
+
+    def fileno(self) -> int:
+        """Return the descriptor of the socket that receives."""
+        return self._receiver.fileno()
+
+    def shutdown(self) -> None:
+        """Close the bus."""
+        super().shutdown()
+        self._receiver.close()
+        self._sender.close()

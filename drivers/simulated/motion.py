@@ -1,0 +1,185 @@
+"""What moves on the simulated bench: a motion that a function or an FMU says."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+import shutil
+from collections.abc import Callable
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from cycloid_fmu import edge
+from drivers.recording_format import FloatArray, IntArray
+
+OutputAngle: TypeAlias = Callable[[FloatArray, FloatArray], FloatArray]
+
+
+@dataclasses.dataclass(frozen=True)
+class SimulatedRun:
+    """One run of the bench at a constant torque.
+
+    Attributes
+    ----------
+    torque
+        What the environment puts on the output, N*m, counter-clockwise positive; keeps its sign in both directions.
+    turns
+        Crank turns.
+    samples_per_turn
+        Samples each crank turn, evenly from crank angle 0, end excluded.
+    direction
+        "forward": the crank angle grows; "backward": the same angles from the last to the first.
+    speed
+        Crank speed, rad/s: it gives the time.
+    noise, torque_noise
+        Standard deviation of each encoder's reading, rad, and of the torque's, N*m.
+    seed
+        Random seed of the noise.
+    lead_in
+        Samples before the first, at the same spacing, while the drive settles on its flank; recorded as all others.
+    """
+
+    torque: float
+    turns: int = 39
+    samples_per_turn: int = 96
+    direction: Literal["forward", "backward"] = "forward"
+    speed: float = 2 * math.pi
+    noise: float = 0.0
+    torque_noise: float = 0.0
+    seed: int = 0
+    lead_in: int = 0
+
+    @property
+    def samples(self) -> int:
+        """Number of samples, lead-in included."""
+        return self.turns * self.samples_per_turn + self.lead_in
+
+
+@dataclasses.dataclass(frozen=True)
+class Motion:
+    """What the sensors see, noise included: time s, angles rad, torque N*m, arrays of shape (n,), and of which run."""
+
+    run: SimulatedRun
+    time: FloatArray
+    input_angle: FloatArray
+    output_angle: FloatArray
+    torque: FloatArray
+
+
+def simulate_motion(output_angle: OutputAngle, run: SimulatedRun) -> Motion:
+    """Move a drive through a run.
+
+    Parameters
+    ----------
+    output_angle
+        Returns the output angles, rad, for crank angles, rad, and torques, N*m, all of shape (n,) in the order of time;
+        `fmu_output_angle` gives that of an FMU.
+    run
+        Angles, torque and noise.
+    """
+    step = 2 * math.pi / run.samples_per_turn
+    angle = step * np.arange(-run.lead_in, run.samples - run.lead_in, dtype=np.float64)
+    if run.direction == "backward":
+        angle = step * (run.turns * run.samples_per_turn - 1) - angle
+    return _measured(output_angle, run, angle, np.full(run.samples, float(run.torque)))
+
+
+def simulate_hysteresis(output_angle: OutputAngle, run: SimulatedRun) -> Motion:
+    """Lock a drive's input at crank angle 0 and let the torque go round: 0, +T, 0, -T, 0.
+
+    Parameters
+    ----------
+    output_angle
+        As for `simulate_motion`.
+    run
+        `torque` is T, `turns` the loops, `samples_per_turn` the samples of each, `speed` gives the time: 2 pi a loop.
+    """
+    phase = 4.0 * np.arange(run.samples) / run.samples_per_turn % 4.0
+    phase[-1] = 0.0  # back at zero, where it began
+    torque = run.torque * np.interp(phase, [0.0, 1.0, 2.0, 3.0, 4.0], [0.0, 1.0, 0.0, -1.0, 0.0])
+    return _measured(output_angle, run, np.zeros(run.samples), torque)
+
+
+def _measured(output_angle: OutputAngle, run: SimulatedRun, angle: FloatArray, torque: FloatArray) -> Motion:
+    """Return what the sensors show of crank angles, rad, and torques, N*m, both of shape (n,)."""
+    output = np.asarray(output_angle(angle, torque), np.float64)
+    if output.shape != angle.shape:
+        raise ValueError(f"output_angle returned the shape {output.shape} for angles of shape {angle.shape}")
+    random = np.random.default_rng(run.seed)
+    return Motion(
+        run,
+        np.arange(run.samples, dtype=np.float64) * (2 * math.pi / run.samples_per_turn / run.speed),
+        angle + run.noise * random.standard_normal(run.samples),
+        output + run.noise * random.standard_normal(run.samples),
+        torque + run.torque_noise * random.standard_normal(run.samples),
+    )
+
+
+def fmu_output_angle(path: str | os.PathLike[str], step: float = 1e-3) -> OutputAngle:
+    """Return the output angle that an FMI 2.0 co-simulation FMU of a drive gives, one step of it a sample.
+
+    Parameters
+    ----------
+    path
+        The FMU: inputs `flange_a.phi`, `flange_b.tau`, output `flange_b.phi`.
+    step
+        Communication step, s.
+
+    Raises
+    ------
+    edge.InputError
+        If it is no such FMU.
+    """
+    from fmpy import extract, read_model_description
+    from fmpy.fmi2 import FMU2Slave
+
+    edge.existing(path)
+    try:
+        description = read_model_description(str(path))
+    except Exception as problem:  # fmpy raises what its XML reader and checks raise
+        said = str(problem).splitlines()[0] if str(problem) else type(problem).__name__
+        raise edge.InputError(f"{path}: this is not an FMU: {said}.") from None
+    references = {v.name: v.valueReference for v in description.modelVariables}
+    missing = [n for n in ("flange_a.phi", "flange_b.tau", "flange_b.phi") if n not in references]
+    if description.fmiVersion != "2.0" or description.coSimulation is None or missing:
+        what = f"it has no variable {missing[0]}" if missing else f"FMI {description.fmiVersion}"
+        raise edge.InputError(f"{path}: the bench needs an FMI 2.0 co-simulation FMU of a drive; {what}.")
+
+    def output_angle(angle: FloatArray, torque: FloatArray) -> FloatArray:
+        folder = extract(str(path))
+        fmu = FMU2Slave(
+            guid=description.guid,
+            unzipDirectory=folder,
+            modelIdentifier=description.coSimulation.modelIdentifier,
+            instanceName="bench",
+        )
+        inputs = [references["flange_a.phi"], references["flange_b.tau"]]
+        outputs = [references["flange_b.phi"]]
+        output = np.empty(len(angle))
+        try:
+            fmu.instantiate()
+            try:
+                fmu.setupExperiment(startTime=0.0)
+                fmu.enterInitializationMode()
+                if len(angle):
+                    fmu.setReal(inputs, [float(angle[0]), float(torque[0])])
+                fmu.exitInitializationMode()
+                for i, given in enumerate(zip(angle.tolist(), torque.tolist(), strict=True)):
+                    fmu.setReal(inputs, given)
+                    fmu.doStep(i * step, step)
+                    output[i] = fmu.getReal(outputs)[0]
+                fmu.terminate()
+            finally:
+                fmu.freeInstance()
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+        return output
+
+    return output_angle
+
+
+def quantised(angle: FloatArray, counts_per_turn: int) -> IntArray:
+    """Return the nearest counts of angles in rad, not yet rolled over, shape (n,)."""
+    return np.rint(angle * (counts_per_turn / (2 * math.pi))).astype(np.int64)

@@ -1,0 +1,352 @@
+"""The simulated bench on a serial line: a pseudo-terminal that is paced to its baud rate, in place of a port."""
+
+from __future__ import annotations
+
+import abc
+import contextlib
+import functools
+import operator
+import os
+import select
+import struct
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from pymodbus.framer import FramerRTU
+from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
+from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadHoldingRegistersResponse
+
+from cycloid_fmu import edge
+from drivers.encoders.amt21 import check_bits
+from drivers.simulated.bench import SimulatedBench
+from drivers.simulated.faults import SERIAL_FAULTS, Fault, at_wrong_baud
+from drivers.simulated.motion import Motion, quantised
+
+_BITS_PER_BYTE = 10  # with start and stop bit
+
+
+class _PtyBench(SimulatedBench):
+    """A thread behind a pseudo-terminal whose name stays when the cable is pulled and put back.
+
+    Parameters
+    ----------
+    motion
+        What moves.
+    speed_factor
+        Speed of time.
+    baud_rate
+        Pace of the bytes in both directions.
+    faults
+        What goes wrong, see `faults.Fault`.
+
+    Attributes
+    ----------
+    url
+        The port to record.
+    """
+
+    _protocol: ClassVar[str]
+
+    def __init__(
+        self, motion: Motion, *, speed_factor: float = 1.0, baud_rate: int, faults: Sequence[Fault] = ()
+    ) -> None:
+        super().__init__(motion)
+        self.baud_rate = baud_rate
+        self._factor = speed_factor
+        self._faults = [f for f in faults if f.kind in SERIAL_FAULTS]
+        self._begun: float | None = None
+
+    def _open(self) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="cycloid-bench-")
+        self.url = str(Path(self._folder.name) / "tty")
+        self._plug()
+
+    def _close(self) -> None:
+        self._unplug()
+        self._folder.cleanup()
+
+    def _plug(self) -> None:
+        import termios
+        import tty
+
+        self._bench, self._line = os.openpty()
+        tty.setraw(self._line)
+        settings = termios.tcgetattr(self._line)
+        settings[4] = settings[5] = termios.B50  # no recorder asks for it: so one that opens the port is noticed
+        termios.tcsetattr(self._line, termios.TCSANOW, settings)
+        os.symlink(os.ttyname(self._line), self.url)
+
+    def _unplug(self) -> None:
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(self.url)
+            os.close(self._bench)
+            os.close(self._line)
+
+    def _opened(self) -> bool:
+        """Return whether somebody has opened the port and set its baud rate."""
+        import termios
+
+        return bool(termios.tcgetattr(self._line)[5] != termios.B50)
+
+    def _sample(self) -> int:
+        """Return which sample of the motion is now; the first call begins it."""
+        now = time.monotonic()
+        self._begun = now if self._begun is None else self._begun
+        i = int(np.searchsorted(self.motion.time, (now - self._begun) * self._factor, side="right")) - 1
+        if i >= len(self.motion.time) - 1:
+            self._done.set()
+        return i
+
+    def _fault(self, number: int, target: int) -> Fault | None:
+        """Return what goes wrong with this question or line of this device."""
+        for fault in self._faults:
+            if fault.sample <= number < fault.sample + fault.count and fault.target in (0, target):
+                return fault
+        return None
+
+    def _put(self, data: bytes, fault: Fault | None, after: int = 0) -> bool:
+        """Send bytes, as a fault leaves them, no faster than the line; return whether they went out as they were."""
+        kind = None if fault is None else fault.kind
+        if kind == "mute":
+            return False
+        if kind == "pull" and fault is not None:
+            self._unplug()
+            self._stopping.wait(fault.by)
+            self._plug()
+            self._faults.remove(fault)
+            return False
+        sent = {
+            "half": data[: len(data) // 2],
+            "corrupt": data[:1] + bytes([data[1] ^ 1]) + data[2:],
+            "garbage": bytes((b * 151 + 7) % 256 for b in data[::-1]) * 2,
+            "wrong_baud": at_wrong_baud(data),
+        }.get(kind or "", data)
+        end = time.perf_counter() + (len(sent) + after) * _BITS_PER_BYTE / self.baud_rate
+        while (left := end - time.perf_counter()) > 0:
+            if left > 1e-3:
+                time.sleep(left - 5e-4)
+        with contextlib.suppress(BlockingIOError, OSError):
+            os.write(self._bench, sent)
+        return sent == data
+
+    def _connections(self, folder: Path) -> str:
+        port = f"[port.tty]\nurl = {edge.json_text(self.url)}\nbaud_rate = {self.baud_rate}\n"
+        return port + "".join(
+            f'\n[channel.{name}]\nprotocol = "{self._protocol}"\nport = "tty"\n{keys}'
+            for name, keys in self._channels().items()
+        )
+
+    @abc.abstractmethod
+    def _channels(self) -> dict[str, str]:
+        """Return the protocol's own keys of each channel."""
+
+    def _end(self) -> dict[str, Any]:
+        return {"stop": lambda: self.wait(0.0)}  # a device that is asked has no number of samples of its own
+
+
+class SimulatedAmt21Bench(_PtyBench):
+    """A bench of two AMT21 encoders on one RS-485 line, which is a pseudo-terminal: record `url`.
+
+    The motion begins with the first question and runs at its own speed times `speed_factor`; each
+    answer is the position at that moment. The torque is not on this line.
+
+    Parameters
+    ----------
+    motion, speed_factor, baud_rate, faults
+        See `_PtyBench`; a fault's `sample` is the number of the question, its `target` the address.
+    addresses
+        Address of the input's and the output's encoder.
+    bits
+        12 or 14.
+    multi_turn
+        Whether the encoders count turns.
+
+    Attributes
+    ----------
+    answered
+        The sample each address answered, question by question, wrong answers left out.
+    """
+
+    _protocol = "amt21"
+
+    def __init__(
+        self,
+        motion: Motion,
+        *,
+        addresses: tuple[int, int] = (0x54, 0x58),
+        bits: Literal[12, 14] = 14,
+        multi_turn: bool = False,
+        speed_factor: float = 1.0,
+        baud_rate: int = 2_000_000,
+        faults: Sequence[Fault] = (),
+    ) -> None:
+        super().__init__(motion, speed_factor=speed_factor, baud_rate=baud_rate, faults=faults)
+        self.addresses, self.bits, self.multi_turn = addresses, bits, multi_turn
+        self.answered: dict[int, list[int]] = {a: [] for a in addresses}
+
+    def _channels(self) -> dict[str, str]:
+        turns = "multi_turn = true\n" if self.multi_turn else ""
+        keys = [f"address = {address}\nbits = {self.bits}\n{turns}" for address in self.addresses]
+        return dict(zip(("input_angle", "output_angle"), keys, strict=True))
+
+    def _run(self) -> None:
+        counts = 1 << self.bits
+        words: dict[int, list[int]] = {}
+        for address, angle in zip(self.addresses, (self.motion.input_angle, self.motion.output_angle), strict=True):
+            position = quantised(angle, counts)
+            words[address] = check_bits((position % counts << (14 - self.bits)).astype(np.uint16)).tolist()
+            if self.multi_turn:
+                words[address + 1] = check_bits((position // counts % (1 << 14)).astype(np.uint16)).tolist()
+        asked = 0
+        while not self._stopping.is_set():
+            if not select.select([self._bench], [], [], 0.05)[0]:
+                continue
+            with contextlib.suppress(OSError):
+                for question in os.read(self._bench, 64):
+                    if question not in words:
+                        continue
+                    i = self._sample()
+                    address = question & ~1
+                    whole = self._put(struct.pack("<H", words[question][i]), self._fault(asked, address), after=1)
+                    if whole and question == address:
+                        self.answered[address].append(i)
+                    asked += 1
+
+
+class SimulatedModbusBench(_PtyBench):
+    """A bench of two Modbus RTU encoders on one line, which is a pseudo-terminal: record `url`.
+
+    Each device holds its position, 32 bits that count turns too, in the holding registers 0 and 1,
+    high word first; any other request gets the exception "illegal data address". The motion begins with the first
+    question and runs at its own speed times `speed_factor`. The torque is not on this line.
+
+    Parameters
+    ----------
+    motion, speed_factor, baud_rate, faults
+        See `_PtyBench`; a fault's `sample` is the number of the question, its `target` the device.
+    devices
+        Address of the input's and the output's encoder.
+    counts_per_turn
+        Resolution.
+    """
+
+    _protocol = "modbus"
+
+    def __init__(
+        self,
+        motion: Motion,
+        *,
+        devices: tuple[int, int] = (1, 2),
+        counts_per_turn: int = 1 << 18,
+        speed_factor: float = 1.0,
+        baud_rate: int = 115_200,
+        faults: Sequence[Fault] = (),
+    ) -> None:
+        super().__init__(motion, speed_factor=speed_factor, baud_rate=baud_rate, faults=faults)
+        self.devices, self.counts_per_turn = devices, counts_per_turn
+
+    def _channels(self) -> dict[str, str]:
+        keys = f"register = 0\ncounts_per_turn = {self.counts_per_turn}\nsigned = true\n"
+        angles = zip(("input_angle", "output_angle"), self.devices, strict=True)
+        return {name: f"device = {device}\n{keys}" for name, device in angles}
+
+    def _run(self) -> None:
+        angles = (self.motion.input_angle, self.motion.output_angle)
+        words = {d: quantised(a, self.counts_per_turn) % (1 << 32) for d, a in zip(self.devices, angles, strict=True)}
+        framer = FramerRTU(DecodePDU(True))
+        asked, waiting = 0, b""
+        while not self._stopping.is_set():
+            if not select.select([self._bench], [], [], 0.05)[0]:
+                waiting = b""  # a pause ends a frame
+                continue
+            with contextlib.suppress(OSError):
+                waiting += os.read(self._bench, 256)
+            used, request = framer.handleFrame(waiting, 0, 0)
+            waiting = waiting[used:]
+            if request is None or request.dev_id not in words:
+                continue
+            answer: ModbusPDU = ExceptionResponse(request.function_code, 2, device_id=request.dev_id)
+            if isinstance(request, ReadHoldingRegistersRequest) and (request.address, request.count) == (0, 2):
+                high, low = divmod(int(words[request.dev_id][self._sample()]), 1 << 16)
+                answer = ReadHoldingRegistersResponse(registers=[high, low], dev_id=request.dev_id)
+            self._put(framer.buildFrame(answer), self._fault(asked, request.dev_id), after=8)
+            asked += 1
+
+
+class SimulatedAsciiBench(_PtyBench):
+    """A counter that sends a line for each sample, "$sequence,time,counts*checksum", by itself: record `url`.
+
+    The motion begins when the port is opened. The time is the counter's own clock in microseconds,
+    32 bits, the checksum NMEA 0183's. Its counts are the output angle's.
+
+    Parameters
+    ----------
+    motion, speed_factor, baud_rate, faults
+        See `_PtyBench`; a fault's `sample` is the number of the line. "reset": clock, numbers and counts start at 0.
+    counts_per_turn
+        Resolution.
+    clock_drift
+        How much faster than the host's the counter's clock runs, relative.
+    """
+
+    _protocol = "ascii"
+
+    def __init__(
+        self,
+        motion: Motion,
+        *,
+        counts_per_turn: int = 360_000,
+        clock_drift: float = 0.0,
+        speed_factor: float = 1.0,
+        baud_rate: int = 921_600,
+        faults: Sequence[Fault] = (),
+    ) -> None:
+        super().__init__(motion, speed_factor=speed_factor, baud_rate=baud_rate, faults=faults)
+        self._restarts = {f.sample: f for f in faults if f.kind == "reset"}
+        self._odd = {f.sample: f.kind for f in faults if f.kind in ("duplicate", "swap", "drop")}
+        self.counts_per_turn, self.clock_drift = counts_per_turn, clock_drift
+
+    def _channels(self) -> dict[str, str]:
+        line = 'line = "${sequence},{time},{counts}*{checksum}"\nchecksum = "xor"\ntime_unit = "1 us"\n'
+        counts = f'time_modulus = {1 << 32}\ncounts_per_turn = {self.counts_per_turn}\nzero_reference = "incremental"\n'
+        return {"output_angle": line + counts}
+
+    def _run(self) -> None:
+        times = self.motion.time / self._factor
+        while not self._opened():
+            if self._stopping.wait(0.01):
+                return
+        begun = time.monotonic()
+        zero = number = 0
+        start = 0.0
+        held: bytes | None = None
+        for i, due in enumerate(times.tolist()):
+            if self._stopping.wait(max(0.0, begun + due - time.monotonic())):
+                return
+            now = time.monotonic() - begun  # this thread may wake late: what is latched is now, not then
+            angle = np.interp(now, times, self.motion.output_angle)
+            count = int(quantised(np.array([angle]), self.counts_per_turn)[0])
+            if i in self._restarts:
+                zero, number, start = count, 0, now
+            ticks = round((now - start) * (1 + self.clock_drift) * 1e6) % (1 << 32)
+            text = f"{number},{ticks},{count - zero}".encode()
+            line = b"$%b*%02X\r\n" % (text, functools.reduce(operator.xor, text, 0))
+            number += 1
+            odd = self._odd.get(i)
+            if odd == "drop":
+                continue
+            if odd == "swap":
+                held = line
+                continue
+            for one in [line] * (1 + (odd == "duplicate")) + [held] * (held is not None):
+                self._put(one or b"", self._fault(i, 0))
+            held = None
+
+
+SERIAL_BENCHES: Mapping[str, type[SimulatedAmt21Bench] | type[SimulatedModbusBench] | type[SimulatedAsciiBench]] = {
+    "amt21": SimulatedAmt21Bench, "modbus": SimulatedModbusBench, "ascii": SimulatedAsciiBench,
+}  # fmt: skip

@@ -1,0 +1,126 @@
+"""A simulated bench from a few arguments."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+from typing import Any, Literal
+
+from cycloid_fmu import edge
+from drivers.arguments import in_si
+from drivers.simulated.bench import SimulatedBench
+from drivers.simulated.can_bench import SimulatedCanBench
+from drivers.simulated.faults import read_faults
+from drivers.simulated.motion import OutputAngle, SimulatedRun, fmu_output_angle, simulate_hysteresis, simulate_motion
+from drivers.simulated.serial_bench import SERIAL_BENCHES
+
+
+def simulate_bench(
+    drive: OutputAngle | str | os.PathLike[str] | None = None,
+    *,
+    torque: float | str,
+    ratio: float | None = None,
+    turns: int = 39,
+    samples_per_turn: int = 96,
+    direction: Literal["forward", "backward"] = "forward",
+    speed: float | str = 2 * math.pi,
+    noise: float | str = 0.0,
+    torque_noise: float | str = 0.0,
+    seed: int = 0,
+    hysteresis: bool = False,
+    interface: str = "loopback",
+    channel: str | None = None,
+    trigger: Literal["controller", "sync", "timer"] = "controller",
+    serial: Literal["amt21", "modbus", "ascii"] | None = None,
+    clock_drift: float = 0.0,
+    faults: str | os.PathLike[str] | None = None,
+    speed_factor: float | None = None,
+) -> SimulatedBench:
+    """Return a bench that waits for a recorder and then sends a motion as real encoders and transducers do.
+
+    A context manager: it is on its bus or port from `with` on. `write_wiring` writes the `BENCH.toml` that records it,
+    `record` records the whole motion at once.
+
+    Parameters
+    ----------
+    drive
+        The drive: its FMU, or a function of crank angles, rad, and torques, N*m, both of shape (n,) in the order of
+        time, that returns output angles, rad; without it an ideal one of the `ratio`.
+    torque
+        On the output, N*m, counter-clockwise positive in both directions, or text such as "20 N*m".
+    ratio
+        Signed ratio input/output, such as -39.
+    turns, samples_per_turn
+        Crank turns, and samples in each; with `hysteresis` loops.
+    direction, speed
+        Of the crank; rad/s, or text such as "60 rpm".
+    noise, torque_noise
+        Of each encoder and of the torque, rms: rad and N*m, or text.
+    seed
+        Random seed of the noise.
+    hysteresis
+        Lock the input and let the torque go 0, +T, 0, -T, 0.
+    interface, channel, trigger
+        The CAN bus as python-can names it ("loopback" reaches other processes of this machine, "virtual" this one), and
+        what makes its encoders send, see `SimulatedCanBench`.
+    serial
+        Encoders on a pseudo-terminal instead of CAN.
+    clock_drift
+        How much faster than the host's the ASCII counter's or the virtual bus's clock runs, relative, such as 50e-6.
+    faults
+        Script of what goes wrong and when, `cycloid-faults/1`.
+    speed_factor
+        1: at the crank's own speed; None: as fast as the bus carries, 1 on a serial line.
+
+    Raises
+    ------
+    edge.InputError
+        If an argument or a file can't be used.
+
+    Examples
+    --------
+    >>> import drivers
+    >>> with drivers.simulate_bench(ratio=-39, torque="20 N*m", turns=2, interface="virtual") as bench:
+    ...     done = bench.record("simulated.arrows")
+    >>> done.samples["output_angle"]
+    192
+    """
+    if drive is None and ratio is None:
+        raise edge.ArgumentError("ratio", "is missing: give the drive, or the signed ratio of an ideal one")
+    if ratio is not None and not (math.isfinite(ratio) and ratio):
+        raise edge.ArgumentError("ratio", "write the signed ratio input/output, such as -39", ratio)
+    if speed_factor is not None and not speed_factor > 0:
+        raise edge.ArgumentError("speed_factor", "the factor must be above zero", speed_factor)
+    if serial is not None and serial not in SERIAL_BENCHES:
+        raise edge.ArgumentError("serial", f"it must be one of {', '.join(SERIAL_BENCHES)}", serial)
+    if clock_drift and not (serial == "ascii" or (serial is None and interface == "virtual")):
+        raise edge.ArgumentError("clock_drift", 'only serial "ascii" and the "virtual" bus have a clock', clock_drift)
+    run = SimulatedRun(
+        torque=in_si(torque, "N*m", "torque"),
+        turns=turns,
+        samples_per_turn=samples_per_turn,
+        direction=direction,
+        speed=in_si(speed, "rad/s", "speed", above=0.0),
+        noise=in_si(noise, "rad", "noise", least=0.0),
+        torque_noise=in_si(torque_noise, "N*m", "torque_noise", least=0.0),
+        seed=seed,
+    )
+    name = "ideal"
+    if isinstance(drive, str | os.PathLike):
+        name, drive = Path(drive).stem, fmu_output_angle(drive)
+    moved = simulate_hysteresis if hysteresis else simulate_motion
+    motion = moved(drive or (lambda angle, _: angle / (ratio or 1.0)), run)
+    script = read_faults(faults) if faults is not None else []
+    bench: SimulatedBench
+    if serial is None:
+        group = "239.74.163.2" if interface == "loopback" else "bench"
+        bench = SimulatedCanBench(
+            motion, interface=interface, channel=channel or group, trigger=trigger, speed_factor=speed_factor,
+            clock_drift=clock_drift or None, faults=script,
+        )  # fmt: skip
+    else:
+        options: dict[str, Any] = {"clock_drift": clock_drift} if serial == "ascii" else {}
+        bench = SERIAL_BENCHES[serial](motion, speed_factor=speed_factor or 1.0, faults=script, **options)
+    bench.ratio, bench.pair = ratio, name
+    return bench

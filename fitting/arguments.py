@@ -1,0 +1,32 @@
+"""Arguments as a caller of the front door gives them: numbers in SI units or text with a unit."""
+
+from __future__ import annotations
+
+import math
+import numbers
+
+from cycloid_fmu import edge
+
+
+def positive(value: float | str, si: str, argument: str, *, zero: bool = False) -> float:
+    """Return a quantity above zero in SI units.
+
+    Parameters
+    ----------
+    value, si, argument
+        A number in SI units or text such as "181 N*m", the SI unit and the argument's name.
+    zero
+        Whether it may be zero.
+
+    Raises
+    ------
+    edge.ArgumentError
+        If it is no such quantity.
+    """
+    try:
+        found = float(value) if isinstance(value, numbers.Real) else edge.parse_quantity(value, si)
+    except ValueError as problem:
+        raise edge.ArgumentError(argument, str(problem), value) from None
+    if not (math.isfinite(found) and (found > 0.0 or (zero and found == 0.0))):
+        raise edge.ArgumentError(argument, f"it must be {'zero or ' if zero else ''}above zero", value)
+    return found

@@ -1,0 +1,15 @@
+"""The command line `cycloid-fit`: one module a command."""
+
+from typing import NoReturn
+
+from cycloid_fmu.edge import commands
+
+app = commands.command_line(
+    "cycloid-fit", "Measured transmission errors: curves, figures, and the errors of the drive behind them.", __name__,
+    ("curve", "inspect", "metrics", "report", "compare", "identify", "plan", "ensemble"),
+)  # fmt: skip
+
+
+def main() -> NoReturn:
+    """Run the command line."""
+    commands.run(app)

@@ -1,0 +1,48 @@
+"""`cycloid-fit compare`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cycloid_fmu.edge import commands
+from fitting.cli import options
+
+
+def compare(
+    before: Annotated[Path, typer.Argument(metavar="A", help="A recording, or figures (JSON) of several.")],
+    after: Annotated[Path, typer.Argument(metavar="B", help="What it is compared with.")],
+    drive: options.MaybePair = None,
+    ratio: options.Ratio = None,
+    rated_torque: options.RatedTorque = None,
+    mapping: options.MappingFile = None,
+    plot: commands.PlotFile = None,
+    as_json: commands.AsJson = False,
+) -> None:
+    """Which figures moved beyond their uncertainty: before and after, two drives, two temperatures.
+
+    Example: [cyan]cycloid-fit metrics new/*.csv --ratio -39 -o new.json[/], the same for worn.json, then
+    [cyan]cycloid-fit compare new.json worn.json --plot moved.png[/]
+    """
+    import fitting
+    from cycloid_fmu.drive import read_drive
+    from fitting.figures.comparison import comparison_json
+
+    nominal = None if drive is None else read_drive(drive)
+    first, second = (
+        file if file.suffix.lower() == ".json" else fitting.read_recordings(file, mapping)[0]
+        for file in (before, after)
+    )
+    with options.status() as progress:
+        found = fitting.compare(first, second, nominal, ratio=ratio, rated_torque=rated_torque, progress=progress)
+    if plot is not None:
+        fitting.plot(found, plot)
+    if as_json:
+        commands.print_json(comparison_json(found))
+        return
+    moved = {True: "yes", False: "no", None: "not known"}
+    rows = [[change.name, *change.in_field_units(), moved[change.moved]] for change in found.changes]
+    commands.print_table("Changes", ["figure", "A", "B", "B - A", "± 95 %", "unit", "moved"], rows)
+    options.print_notes(found.notes)

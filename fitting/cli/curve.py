@@ -1,0 +1,49 @@
+"""`cycloid-fit curve`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cycloid_fmu.edge import ARCSEC, commands
+from fitting.cli import options
+
+
+def curve(
+    files: options.Recordings,
+    drive: options.PairFile,
+    mapping: options.MappingFile = None,
+    output: Annotated[Path | None, commands.output_option((".nc",), "CURVES.nc", "Write the curves (netCDF).")] = None,
+    read_head: options.HeadFile = None,
+    plot: commands.PlotFile = None,
+    as_json: commands.AsJson = False,
+) -> None:
+    """Transmission error curves over one output turn, averaged over turns, one for each recording and direction.
+
+    Example: [cyan]cycloid-fit curve 20Nm.arrows 200Nm.arrows --pair pair.toml -o curves.nc --plot curves.png[/]
+    """
+    import numpy as np
+
+    import fitting
+    from cycloid_fmu.drive import read_drive
+    from fitting.reports.panels import label_of
+    from fitting.transmission_error.curve import curves_json, noise_of
+
+    curves = fitting.curves(fitting.read_recordings(files, mapping, read_head), read_drive(drive))
+    if output is not None:
+        fitting.write_curves(curves, output)
+    if plot is not None:
+        fitting.plot(curves, plot)
+    if as_json:
+        commands.print_json(curves_json(curves))
+        return
+    rows = []
+    for one in curves:
+        error = one.transmission_error * ARCSEC
+        rows.append(
+            [Path(one.source).name, label_of(one), str(one.input_angle.size), f"{one.sample_count.mean():.1f}",
+             f"{error.mean():.3f}", f"{np.ptp(error):.3f}", f"{noise_of(one) * ARCSEC:.3f}"]
+        )  # fmt: skip
+    columns = ["recording", "load", "points", "turns", "mean", "peak-peak", "noise"]
+    commands.print_table("Transmission error [arcsec]", columns, rows)
+    options.print_notes(note for one in curves for note in one.notes)

@@ -1,0 +1,45 @@
+"""`cycloid-fit ensemble`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cycloid_fmu import edge
+from cycloid_fmu.edge import commands
+from fitting.cli import options
+
+
+def ensemble(
+    surface: Annotated[Path, typer.Argument(metavar="S.nc", help="An identified error surface.")],
+    drive: options.PairFile,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Where the surfaces go.")],
+    count: Annotated[int, typer.Option(min=1, max=10000, help="How many.")] = 20,
+    seed: Annotated[int, typer.Option(min=0, help="The same seed draws the same surfaces.")] = 0,
+    torque: Annotated[
+        float | None, commands.quantity_option("N*m", "Torque at which --plot draws the transmission errors' band.")
+    ] = None,
+    plot: commands.PlotFile = None,
+) -> None:
+    """Draw error surfaces that the fit cannot tell from the identified one: FMUs built from them make a band.
+
+    Example: [cyan]cycloid-fit ensemble s.nc --pair pair.toml -o drawn --torque "100 N*m" --plot band.png[/]
+    """
+    import fitting
+    from cycloid_fmu.drive import read_drive
+    from fitting.reports.plots import plot_band
+
+    if (plot is None) != (torque is None):
+        raise edge.InputError("--plot and --torque belong together: the band is drawn at one torque.")
+    identified = read_drive(drive, surface)
+    drawn = fitting.ensemble(identified, count, seed)
+    output.mkdir(parents=True, exist_ok=True)
+    with commands.progress("surfaces", count) as written:
+        for number, one in enumerate(drawn):
+            one.write(output / f"{surface.stem}-{number:04d}.nc")
+            written(1.0)
+    if plot is not None and torque is not None:
+        plot_band(identified, drawn, torque, plot)
+    typer.echo(f"{count} error surfaces are in {output}.")

@@ -1,0 +1,102 @@
+"""`cycloid-fit identify`."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cycloid_fmu.edge import ARCSEC, commands
+from fitting.cli import options
+
+if TYPE_CHECKING:
+    from fitting.estimation.result import Identification
+
+
+def identify(
+    files: options.Recordings,
+    drive: options.PairFile,
+    mapping: options.MappingFile = None,
+    output: Annotated[Path | None, commands.output_option((".json",), "FIT.json", "Write the fit (JSON).")] = None,
+    surface: Annotated[
+        Path | None, commands.output_option((".nc",), "S.nc", "Write the identified surface (netCDF).", "--surface")
+    ] = None,
+    read_head: options.HeadFile = None,
+    tolerances: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="TOL.toml",
+            help="Report every pin and tooth by itself, and the form that all teeth share, with these as prior.",
+        ),
+    ] = None,
+    profiled: Annotated[
+        list[str] | None,
+        typer.Option("--profile", metavar="ERROR", help="Find this error's interval by its profile; repeatable."),
+    ] = None,
+    bootstrap: Annotated[int, typer.Option(min=0, help="Number of bootstrap resamples of output turns.")] = 0,
+    report: Annotated[
+        Path | None, commands.output_option((".html",), "FIT.html", "Write a report of the fit.", "--report")
+    ] = None,
+    plot: commands.PlotFile = None,
+    as_json: commands.AsJson = False,
+) -> None:
+    """Fit the drive's errors to recordings at one or more loads, and list what the data cannot resolve.
+
+    Hysteresis loops with the input locked may be among them: they tell the play apart from friction.
+
+    Example: [cyan]cycloid-fit identify loop.csv *.arrows --pair pair.toml -o fit.json --surface s.nc --plot fit.png[/]
+    """
+    import fitting
+    from cycloid_fmu.drive import read_drive
+    from fitting.estimation.result import as_json as content
+
+    nominal = read_drive(drive)
+    recordings = fitting.read_recordings(files, mapping, read_head)
+    with options.status() as progress:
+        result = fitting.identify(
+            recordings, nominal, tolerances=tolerances, profiled=profiled or (), bootstrap=bootstrap, progress=progress
+        )
+    if output is not None:
+        result.write(output)
+    if surface is not None:
+        result.drive.write(surface)
+    if plot is not None:
+        fitting.plot(result, plot)
+    if report is not None:
+        fitting.report(result, report)
+    if as_json:
+        commands.print_json(content(result))
+        return
+    _print(result)
+    options.print_notes(result.notes)
+
+
+def _print(result: Identification) -> None:
+    rows, held = [], []
+    for p in result.parameters:
+        factor, unit = options.FIELD_UNITS[p.unit]
+        low, high = (v * factor for v in p.interval)
+        if p.held is None:
+            rows.append([p.name, f"{p.value * factor:.3f}", f"{low:.3f} … {high:.3f}", unit])
+        else:
+            held.append([p.name, p.held])
+    commands.print_table("Identified errors", ["error", "identified", "95 % interval", "unit"], rows)
+    commands.print_table("Held, because the data cannot resolve them", ["error", "why"], held)
+    if result.held_out is not None:
+        kept = result.held_out
+        typer.echo(
+            f"Kept from a first fit and predicted by it: {kept.loads}: {kept.residual * ARCSEC:.3f}″ rms left, "
+            f"noise {kept.noise * ARCSEC:.3f}″."
+        )
+    scatter = ", ".join(f"{n} {v * 1e6:.2f} µm" for n, v in result.scatter.items())
+    typer.echo(
+        f"Residual {result.residual * ARCSEC:.3f}″ rms, noise {result.noise * ARCSEC:.3f}″; scatter beyond these "
+        f"errors: {scatter}."
+    )
+    for one in result.loops:
+        typer.echo(
+            f"{Path(one.source).name}: play at the crank angle {math.degrees(one.crank_angle):.1f}°: "
+            f"{one.play * ARCSEC:.2f} ± {1.96 * one.standard_error * ARCSEC:.2f}″ by the identified errors."
+        )

@@ -1,0 +1,49 @@
+"""`cycloid-fit inspect`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cycloid_fmu.edge import commands
+from fitting.cli import options
+
+
+def inspect(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A bench file of any kind that is read.")],
+    dbc: Annotated[Path | None, typer.Option(help="The DBC of a CAN log.")] = None,
+    output: Annotated[
+        Path | None, commands.output_option((".toml",), "MAP.toml", "Write the proposed mapping (TOML).")
+    ] = None,
+    plot: commands.PlotFile = None,
+    as_json: commands.AsJson = False,
+) -> None:
+    """Show what is in a file, propose which channel is what, and draw the channels.
+
+    Example: [cyan]cycloid-fit inspect run.tdms -o map.toml --plot channels.png[/], then check map.toml and give it as
+    [cyan]--mapping map.toml[/]
+    """
+    import fitting
+    from fitting.recordings.inspection import LOOKED_AT, inspection_json
+
+    found = fitting.inspect(file, dbc)
+    if output is not None:
+        found.write(output)
+    if plot is not None:
+        fitting.plot(found, plot)
+    if as_json:
+        commands.print_json(inspection_json(found))
+        return
+    roles = {one.channel.name: role for role, one in found.roles.items()}
+    rows = [
+        [o.channel.name, o.channel.unit, str(o.values.size), f"{o.values.min():.6g}", f"{o.values.max():.6g}",
+         roles.get(o.channel.name, "")]
+        for o in found.looks
+    ]  # fmt: skip
+    commands.print_table(file.name, ["channel", "unit", "samples", "smallest", "largest", "proposed as"], rows)
+    if max(one.values.size for one in found.looks) >= LOOKED_AT:
+        typer.echo(f"Looked at the first {LOOKED_AT} samples.")
+    typer.echo("\n# A mapping that may fit; check it and give it as --mapping.\n" + found.text)
+    options.print_notes(found.file.problems)

@@ -1,0 +1,39 @@
+"""`cycloid-fit metrics`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cycloid_fmu.edge import commands
+from fitting.cli import options
+
+
+def metrics(
+    files: options.Recordings,
+    drive: options.MaybePair = None,
+    ratio: options.Ratio = None,
+    rated_torque: options.RatedTorque = None,
+    mapping: options.MappingFile = None,
+    output: Annotated[
+        Path | None, commands.output_option((".json",), "FIGURES.json", "Write the figures (JSON).")
+    ] = None,
+    plot: commands.PlotFile = None,
+    as_json: commands.AsJson = False,
+) -> None:
+    """The standard figures: transmission error, lost motion, backlash, stiffness, hysteresis, starting torques.
+
+    Example: [cyan]cycloid-fit metrics loop.csv *.arrows --ratio -39 --rated-torque "167 N*m"[/]
+    """
+    import fitting
+    from cycloid_fmu.drive import read_drive
+
+    nominal = None if drive is None else read_drive(drive)
+    recordings = fitting.read_recordings(files, mapping)
+    with options.status() as progress:
+        found = fitting.metrics(recordings, nominal, ratio=ratio, rated_torque=rated_torque, progress=progress)
+    if plot is not None:
+        fitting.plot(found, plot)
+    if output is not None:
+        found.write(output)
+    options.finish(found, as_json=as_json)

@@ -1,0 +1,63 @@
+"""Options and printing that several commands of `cycloid-fit` share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cycloid_fmu import edge
+from cycloid_fmu.edge import commands
+
+if TYPE_CHECKING:
+    from fitting.figures.metrics import Figures
+
+Recordings = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings of any kind that is read.")]
+PairFile = Annotated[Path, typer.Option("--pair", metavar="PAIR.toml", help="The nominal gear pair.")]
+MaybePair = Annotated[Path | None, typer.Option("--pair", metavar="PAIR.toml", help="The nominal gear pair.")]
+HeadFile = Annotated[
+    Path | None, typer.Option(metavar="HEAD.toml", help="Free the output angle of its single head's coaxiality error.")
+]
+Ratio = Annotated[float | None, typer.Option(help="Signed ratio input/output, such as -39, in place of a pair.")]
+RatedTorque = Annotated[float | None, commands.quantity_option("N*m", "Rated torque at the output.")]
+MappingFile = Annotated[Path | None, typer.Option(metavar="MAP.toml", help="Which channel is what; see inspect.")]
+FIELD_UNITS = {"m": (1e6, "µm"), "rad": (1e3, "mrad")}
+
+
+@contextmanager
+def status() -> Iterator[Callable[[str], None]]:
+    """Show on a terminal what is being done; yields what a `progress` argument calls."""
+    from rich.console import Console
+
+    with Console(stderr=True).status("reading …") as shown:
+        yield lambda step: shown.update(f"{step} …")
+
+
+def print_notes(notes: Iterable[str]) -> None:
+    """Print notes for people on standard error."""
+    for note in notes:
+        typer.echo(note, err=True)
+
+
+def finish(found: Figures, *, as_json: bool) -> None:
+    """Print figures and notes for people, or the figures for scripts; leave with the status that belongs to them."""
+    from fitting.figures.figure import in_field_units
+    from fitting.figures.metrics import figures_json
+
+    rows = []
+    for name, figure in found.figures.items():
+        parts = {Path(part).name: one for part, one in {**figure.parts, **figure.runs}.items()}
+        for label, one in [(name, figure), *((f"  {part}", one) for part, one in parts.items())]:
+            rows.append([label, *in_field_units(one), f"{one.count:.4g} {one.counted}"])
+    if as_json:
+        commands.print_json(figures_json(found))
+    else:
+        commands.print_table("Figures", ["figure", "value", "± 95 %", "unit", "of"], rows)
+    print_notes(found.problems if as_json and found.figures else found.notes)
+    if not found.figures:
+        raise edge.InputError("No figure could be computed.")
+    if found.problems:
+        raise typer.Exit(edge.INTERRUPTED if found.interrupted else edge.BAD_INPUT)

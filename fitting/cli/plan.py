@@ -1,0 +1,66 @@
+"""`cycloid-fit plan`."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cycloid_fmu.edge import ARCSEC, commands
+from fitting.cli import options
+
+
+def plan(
+    drive: Annotated[Path, typer.Argument(metavar="PAIR.toml", help="The nominal gear pair.")],
+    torque: Annotated[
+        list[float], commands.quantity_option("N*m", "A torque that the bench can hold; repeat it for each.")
+    ],
+    turns: Annotated[float, typer.Option(min=0.05, help="Output turns of each run.")] = 2.0,
+    samples: Annotated[int, typer.Option(min=6, help="Samples in a crank turn.")] = 24,
+    noise: Annotated[
+        float,
+        commands.quantity_option(
+            "rad", "Standard deviation of one sample's transmission error.", show_default="0.5 arcsec"
+        ),
+    ] = 0.5 / ARCSEC,
+    scatter: Annotated[
+        float,
+        commands.quantity_option(
+            "m", "What single pins and teeth do beyond their low orders, standard deviation.", show_default="0.3 um"
+        ),
+    ] = 0.3e-6,
+    loop: Annotated[
+        float | None,
+        commands.quantity_option("N*m", "Also with a hysteresis loop to this torque, the crank locked at pin 0."),
+    ] = None,
+    plot: commands.PlotFile = None,
+    as_json: commands.AsJson = False,
+) -> None:
+    """List before anything is measured which loads and directions would identify which errors, and how well.
+
+    Example: [cyan]cycloid-fit plan pair.toml --torque "20 N*m" --torque "200 N*m"[/]
+    """
+    import fitting
+    from cycloid_fmu.drive import read_drive
+    from cycloid_fmu.surfaces.structured import unit_of
+
+    plans = fitting.plan(
+        read_drive(drive), torque, turns=turns, samples=samples, noise=noise, scatter=scatter, loop=loop
+    )
+    if plot is not None:
+        fitting.plot(plans, plot)
+    if as_json:
+        commands.print_json([dataclasses.asdict(p) for p in plans])
+        return
+    rows = []
+    for name in [*plans[-1].standard_error, *plans[-1].held]:
+        factor, unit = options.FIELD_UNITS[unit_of(name)]
+        known = [f"{p.standard_error[name] * factor:.3f}" if name in p.standard_error else "–" for p in plans]
+        rows.append([f"{name} [{unit}]", *known])
+    labels = [chr(ord("A") + i) for i in range(len(plans))]
+    commands.print_table("Standard error of what each set of runs would identify", ["error", *labels], rows)
+    for label, one in zip(labels, plans, strict=True):
+        typer.echo(f"{label}: {one.runs}")
+    commands.print_table("Held with all runs", ["error", "why"], [list(item) for item in plans[-1].held.items()])

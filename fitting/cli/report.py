@@ -1,0 +1,33 @@
+"""`cycloid-fit report`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cycloid_fmu.edge import commands
+from fitting.cli import options
+
+
+def report(
+    files: options.Recordings,
+    output: Annotated[Path, commands.output_option((".html", ".pdf"), "REPORT.html|pdf", "The report.")],
+    drive: options.MaybePair = None,
+    ratio: options.Ratio = None,
+    rated_torque: options.RatedTorque = None,
+    mapping: options.MappingFile = None,
+    as_json: commands.AsJson = False,
+) -> None:
+    """A report to hand on: figures, curves, orders, loops, what was left out and why. One file, HTML or PDF.
+
+    Example: [cyan]cycloid-fit report loop.csv *.arrows --pair pair.toml -o report.html[/]
+    """
+    import fitting
+    from cycloid_fmu.drive import read_drive
+
+    nominal = None if drive is None else read_drive(drive)
+    recordings = fitting.read_recordings(files, mapping)
+    with options.status() as progress:
+        found = fitting.metrics(recordings, nominal, ratio=ratio, rated_torque=rated_torque, progress=progress)
+    fitting.report(found, output)
+    options.finish(found, as_json=as_json)

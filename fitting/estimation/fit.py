@@ -1,0 +1,611 @@
+"""The fit itself: a drive's errors, its bench, and what every single pin and tooth does beyond them, in one go.
+
+Gauss-Newton steps on the exact contact model with its analytic derivatives, damped where they do not lead down (where
+pins come into contact the curves have corners). Single pins and teeth are random displacements whose variance is not
+known: with every step it is estimated together with each curve's noise by restricted maximum likelihood, from the same
+normal equations (MacKay, Neural Computation 4 (1992) 415, section 4; Harville, J. Am. Stat. Assoc. 72 (1977) 320).
+Where that has ended, lmfit takes the last step, confirms the optimum and states its covariance.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Collection, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from cycloid_fmu.errors.kinds import LARGEST_DEVIATION, LARGEST_MISALIGNMENT
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.structured import profile_names, structured_value, unit_of, with_structured
+from cycloid_fmu.surfaces.surface import LARGEST_ELEMENT, surface_of_pair
+from fitting.model.identifiability import UNKNOWN
+from fitting.model.observations import (
+    CREEP,
+    NO_CREEP,
+    PROFILE_ORDERS,
+    Linear,
+    LinearisationPoint,
+    Observations,
+    State,
+    joined,
+    left_of,
+    linearise,
+    linearised_curve,
+    nuisance_columns,
+    scatter_names,
+    scatter_parts,
+    spread_of,
+    with_scatter,
+)
+from fitting.model.prior import tolerances_of
+
+if TYPE_CHECKING:
+    import lmfit
+
+Array = NDArray[np.float64]
+
+NO_SCATTER = 1e-8  # m: a scatter below this changes nothing that a bench can see
+OUTLYING = 6.0  # robust standard deviations from the fit
+EVALUATIONS = 60  # of one fit, which needs ten to thirty
+_PATIENCE = 3  # steps in a row that may bring less than they should, at the curves' corners
+TURNS = 3  # fewer do not say how they scatter
+_PROFILE_GAIN, _PROFILE_WITHIN = 0.02, 0.1  # of the rise: where a fit of a profile ends, and how near it must come
+_CRANK_SCALE, _SCATTER_SCALE, _CREEP_SCALE = 1e-2, 1e-6, 1e-6  # rad, m, rad
+_CONFIRMATIONS = 2  # evaluations of the model that the last step may cost
+_ROUNDS, _LINEAR = 40, 0.02  # of the variances' fixed point on one model, where a step promises so little a point
+_SETTLED = 3e-3  # relative change of a deviation with one round, which comes near by ever smaller ones; in a start more
+_PINNED = 1e6  # precision that holds an unknown where it is put, in its scale
+_SHRINKS, _GROWS = 0.1, 10.0  # by how much a variance may change with one step
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Where a fit ended.
+
+    Attributes
+    ----------
+    observed
+        The observations, their weights the noise that the fit found, points that lie far off left out.
+    chosen
+        The errors that were fitted.
+    state, scatter
+        The errors and the bench; standard deviation of each scattered pattern, m, and of the zeros' creep, rad.
+    linear
+        The model at that state.
+    misfit
+        Weighted sum of squares with the priors, in units of the noise.
+    unlikelihood
+        -2 log of the restricted likelihood but for a constant: what tells fits of the same points apart. A scatter
+        that the data do not need makes it larger.
+    evaluations
+        How often the model was evaluated at all points, with its derivatives.
+    disagreeing
+        From how many starts a fit of some of the points ended in as many optima; 0 where two of them agreed.
+    """
+
+    observed: Observations
+    chosen: tuple[str, ...]
+    state: State
+    scatter: dict[str, float]
+    linear: Linear
+    misfit: float
+    unlikelihood: float
+    evaluations: int
+    disagreeing: int = 0
+
+    @property
+    def noises(self) -> Array:
+        """Noise of a point of each curve, rad."""
+        return np.array([1.0 / np.median(w[w > 0.0]) for w in np.split(self.observed.weight, self.observed.ends)])
+
+    @property
+    def noise(self) -> float:
+        """Noise of a point, the geometric mean over the curves, loops apart, rad."""
+        return float(np.exp(np.mean(np.log(self.noises[self.observed.running]))))
+
+
+@dataclass(frozen=True)
+class _Normal:
+    """The model at some unknowns, and each curve's normal equations in units of the noise.
+
+    `gram` (curves, unknowns, unknowns), `moment` (curves, unknowns), and for each curve the sum of squares and number
+    of the points that count, the robust scale of all points, and how many lie further off than they may.
+    """
+
+    linear: Linear
+    gram: Array
+    moment: Array
+    square: Array
+    count: Array
+    scale: Array
+    outlying: Array
+
+
+class _Problem:
+    """Everything that a fit may change as one vector: errors, nuisances, scatter, each in units of a usual size."""
+
+    def __init__(
+        self, pair: Pair, observed: Observations, chosen: Sequence[str], around: LinearisationPoint | None = None
+    ) -> None:
+        self.pair, self.chosen, self.around = pair, list(chosen), around
+        self.prior = surface_of_pair(pair)
+        self.columns_of_chosen = [observed.errors.index(n) for n in chosen]
+        known = np.isfinite(observed.bench_prior)
+        crank = [_CRANK_SCALE] if observed.fit_crank else []
+        scattered = spread_of(pair, {}).size
+        self.scale = np.concatenate([
+            tolerances_of(chosen, observed.profile), np.where(known, observed.bench_prior, 1e-4),
+            np.full(len(observed.friction_names), observed.friction_prior), crank, np.full(scattered, _SCATTER_SCALE),
+        ])  # fmt: skip
+        loops = len(observed.friction_names) - 1
+        flat = np.concatenate([
+            [n not in observed.profile for n in chosen], ~known, [False],
+            np.ones(loops + len(crank) + scattered, bool),
+        ])  # fmt: skip
+        self.known = np.where(flat, UNKNOWN, 1.0)
+        self.first_scatter = self.scale.size - scattered
+        self.parts = {
+            n: slice(p.start + self.first_scatter, p.stop + self.first_scatter) for n, p in scatter_parts(pair).items()
+        }
+        self.bench = slice(len(chosen), len(chosen) + known.size)
+        creeping = observed.creeping
+        if creeping.stop:
+            self.parts[CREEP] = slice(creeping.start + len(chosen), creeping.stop + len(chosen))
+            self.scale[self.parts[CREEP]] = _CREEP_SCALE
+        self.fit_crank, self.with_loops = observed.fit_crank, loops > 0
+        crank_name = ["crank_angle_offset"] if observed.fit_crank else []
+        self.names = [*chosen, *observed.bench_names, *observed.friction_names, *crank_name, *scatter_names(pair)]
+
+    def unknowns(self, state: State) -> Array:
+        plain = with_scatter(self.pair, state.surface, -state.scatter)
+        errors = [structured_value(self.pair, plain, n) for n in self.chosen]
+        crank = [state.crank_offset] if self.fit_crank else []
+        friction = [state.friction, state.loop_friction] if self.with_loops else [state.friction]
+        values = np.concatenate([errors, state.bench, friction, crank, state.scatter])
+        scaled: Array = values / self.scale
+        return scaled
+
+    def columns(self, observed: Observations, linear: Linear) -> Array:
+        """Return the model's derivatives by the unknowns in units of the noise, shape (points, unknowns)."""
+        nuisances, _ = nuisance_columns(observed, linear)
+        columns = np.column_stack([linear.structured[:, self.columns_of_chosen], nuisances, linear.scatter])
+        columns *= observed.weight[:, None] * self.scale
+        return columns
+
+    def state(self, unknowns: Array) -> State:
+        values = unknowns * self.scale
+        errors = dict(zip(self.chosen, values[: len(self.chosen)], strict=True))
+        scatter = values[self.first_scatter :]
+        return State(
+            surface=with_scatter(self.pair, with_structured(self.pair, self.prior, errors), scatter),
+            scatter=scatter,
+            bench=values[self.bench],
+            friction=float(values[self.bench.stop]),
+            loop_friction=float(values[self.bench.stop + 1]) if self.with_loops else 0.0,
+            crank_offset=float(values[self.first_scatter - 1]) if self.fit_crank else 0.0,
+        )
+
+    def precision(self, scatter: Mapping[str, float]) -> Array:
+        found: Array = self.known.copy()
+        for name, part in self.parts.items():
+            found[part] = (self.scale[part.start] / max(scatter.get(name, 0.0), 1e-2 * NO_SCATTER)) ** 2
+        return found
+
+    def normal(self, unknowns: Array, observed: Observations, limit: Array) -> _Normal:
+        """Evaluate the model and its normal equations; points further off than `limit` (curves,) do not count."""
+        state = self.state(unknowns)
+
+        def of(number: int) -> tuple[Linear, tuple[Array, ...]]:
+            one = observed.some([number])
+            linear = linearised_curve(self.pair, observed, number, state, self.around)
+            left = one.weight * left_of(one, linear, state)
+            inside = (np.abs(left) <= limit[number]) & (one.weight > 0.0)
+            columns = self.columns(one, linear)[inside]
+            counted = left[inside]
+            scale = 1.4826 * np.median(np.abs(left[one.weight > 0.0]))
+            return linear, (columns.T @ columns, columns.T @ counted, counted @ counted, counted.size, scale,
+                            np.count_nonzero(one.weight) - counted.size)  # fmt: skip
+
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            linears, sums = zip(*pool.map(of, range(len(observed.curves))), strict=True)
+        return _Normal(joined(linears), *(np.array(v) for v in zip(*sums, strict=True)))
+
+
+def _limits(normal: _Normal) -> Array:
+    return OUTLYING * np.maximum(normal.scale, 1.0)
+
+
+def fit(
+    pair: Pair,
+    observed: Observations,
+    chosen: Sequence[str],
+    state: State,
+    scatter: Mapping[str, float],
+    *,
+    gain: float,
+    around: LinearisationPoint | None = None,
+    evaluations: int = EVALUATIONS,
+    estimated: bool = True,
+    known: Mapping[str, float] | None = None,
+    pinned: Mapping[str, float] | None = None,
+) -> Estimate:
+    """Fit errors, bench and scatter to observations.
+
+    Parameters
+    ----------
+    pair, observed
+        The nominal pair and the observations; their weights are where the noise starts from.
+    chosen
+        The errors to fit; the others stay as the pair file states them.
+    state, scatter
+        Where to start, and the standard deviation of each scattered pattern, m, and of the zeros' creep, rad.
+    gain
+        The fit ends where a step promises less than this of the sum of squares in units of the noise, or some in a
+        row bring no more.
+    around
+        A drive near which the model is taken to first order, a tenth of the work; None for the exact one.
+    evaluations
+        How often the model is evaluated at most.
+    estimated
+        Whether the noise and the scatter's deviations are estimated as well.
+    known
+        Standard deviations of patterns that are not estimated, m.
+    pinned
+        Errors held at these values, m or rad.
+    """
+    problem = _Problem(pair, observed, chosen, around)
+    unknowns = problem.unknowns(state)
+    pins = {list(chosen).index(n): value for n, value in (pinned or {}).items()}
+    mean = np.zeros(unknowns.size)
+    for at, value in pins.items():
+        mean[at] = value / problem.scale[at]
+    scatter = {**scatter, **(known or {})}
+    limit = np.full(len(observed.curves), np.inf)
+    now = problem.normal(unknowns, observed, limit)
+    limit = _limits(now)
+    if estimated:
+        observed, now = _at_noise(observed, now, now.scale**2)
+        limit = np.full_like(limit, OUTLYING)
+    damping, done, idle, settled = 1e-3, 1, 0, not estimated
+    while done < evaluations:
+        precision = problem.precision(scatter)
+        precision[list(pins)] = _PINNED
+        away = unknowns - mean
+        misfit = _misfit(now, limit) + float(precision @ away**2)
+        gram = now.gram.sum(axis=0) + np.diag(precision)
+        slope = now.moment.sum(axis=0) - precision * away
+        step = linalg.solve(gram + damping * np.diag(np.diag(gram)), slope, assume_a="pos")
+        promised = float(2.0 * slope @ step - step @ gram @ step)
+        if promised < gain and settled:
+            break
+        then = problem.normal(unknowns + step, observed, limit)
+        done += 1
+        gained = misfit - _misfit(then, limit) - float(precision @ (away + step) ** 2)
+        idle = idle + 1 if gained < gain else 0
+        if gained > 0.0:
+            unknowns, now = unknowns + step, then
+            damping = max(0.1 * damping, 1e-9) if gained > 0.5 * promised else damping
+            if estimated:
+                ahead = np.zeros_like(unknowns)
+                # Where the model is as good as linear the variances settle without another evaluation of it.
+                for _ in range(_ROUNDS if promised < _LINEAR * observed.measured.size else 1):
+                    observed, now, scatter, settled = _variances(
+                        problem, observed, now, scatter, unknowns, ahead, known or {}, _SETTLED * max(gain, 1.0)
+                    )
+                    if settled:
+                        break
+                    ahead = _ahead(problem, now, scatter, unknowns, mean, list(pins))
+            limit = _limits(now)
+        else:
+            damping = max(10.0 * damping, 1e-2)
+        if idle > _PATIENCE:
+            break
+    misfit = _misfit(now, limit) + float(precision @ (unknowns - mean) ** 2)
+    gram = now.gram.sum(axis=0) + np.diag(precision)
+    seen = observed.weight[observed.weight > 0.0]
+    unlikelihood = misfit + float(np.linalg.slogdet(gram)[1] - np.log(precision).sum() - 2.0 * np.log(seen).sum())
+    state, linear = problem.state(unknowns), now.linear
+    off = np.abs(observed.weight * left_of(observed, linear, state)) > _each_point(observed, limit)
+    prior = observed.bench_prior.copy()
+    prior[observed.creeping] = max(scatter.get(CREEP, 0.0), NO_CREEP)
+    observed = dataclasses.replace(observed, weight=np.where(off, 0.0, observed.weight), bench_prior=prior)
+    return Estimate(observed, tuple(chosen), state, scatter, linear, misfit, unlikelihood, done)
+
+
+def _each_point(observed: Observations, values: Array) -> Array:
+    return np.repeat(values, [c.input_angle.size for c in observed.curves])
+
+
+def _misfit(normal: _Normal, limit: Array) -> float:
+    return float(normal.square.sum() + normal.outlying @ limit**2)
+
+
+def _at_noise(observed: Observations, normal: _Normal, variance: Array) -> tuple[Observations, _Normal]:
+    """Express observations and normal equations in units of another noise, given in units of the one so far."""
+    factor = np.sqrt(np.maximum(variance, 1e-12))
+    weight = observed.weight / _each_point(observed, factor)
+    return dataclasses.replace(observed, weight=weight), dataclasses.replace(
+        normal, gram=normal.gram / factor[:, None, None] ** 2, moment=normal.moment / factor[:, None] ** 2,
+        square=normal.square / factor**2, scale=normal.scale / factor,
+    )  # fmt: skip
+
+
+def _variances(
+    problem: _Problem,
+    observed: Observations,
+    normal: _Normal,
+    scatter: Mapping[str, float],
+    unknowns: Array,
+    ahead: Array,
+    known: Mapping[str, float],
+    little: float,
+) -> tuple[Observations, _Normal, dict[str, float], bool]:
+    """Take one step of the restricted likelihood's fixed point; also whether it moved by a share less than `little`.
+
+    `ahead` is a step from the unknowns, at whose end the fixed point is taken as the linear model foretells it.
+    """
+    precision = problem.precision(scatter)
+    gram = normal.gram.sum(axis=0) + np.diag(precision)
+    size = np.sqrt(np.diag(gram))
+    covariance = linalg.inv(gram / np.outer(size, size)) / np.outer(size, size)
+    told = np.einsum("kij,ji->k", normal.gram, covariance)
+    square = normal.square - 2.0 * normal.moment @ ahead + np.einsum("i,kij,j->k", ahead, normal.gram, ahead)
+    variance = square / np.maximum(normal.count - told, 1.0)
+    unknowns = unknowns + ahead
+    found = dict(known)
+    for name, part in problem.parts.items():
+        if name in known:
+            continue
+        told_of = part.stop - part.start - precision[part.start] * np.trace(covariance[part, part])
+        before = max(scatter.get(name, 0.0), 1e-2 * NO_SCATTER) ** 2
+        after = float(unknowns[part] @ unknowns[part]) * problem.scale[part.start] ** 2 / max(told_of, 1e-9)
+        found[name] = float(np.sqrt(np.clip(after / before, _SHRINKS, _GROWS) * before))
+    hardly = all(abs(v - scatter.get(n, 0.0)) < little * v or v < NO_SCATTER for n, v in found.items())
+    settled = hardly and bool((np.abs(variance - 1.0) < little).all())
+    observed, normal = _at_noise(observed, normal, variance)
+    return observed, normal, found, settled
+
+
+def _ahead(
+    problem: _Problem, normal: _Normal, scatter: Mapping[str, float], unknowns: Array, mean: Array, pins: list[int]
+) -> Array:
+    """Return the Gauss-Newton step."""
+    precision = problem.precision(scatter)
+    precision[pins] = _PINNED
+    slope = normal.moment.sum(axis=0) - precision * (unknowns - mean)
+    return np.asarray(linalg.solve(normal.gram.sum(axis=0) + np.diag(precision), slope, assume_a="pos"))
+
+
+def possible(pair: Pair, name: str) -> tuple[float, float]:
+    """Return what an error can be, m or rad: what a pair file may state, and what still makes a gear pair."""
+    g = pair
+    low, high = {"m": (-LARGEST_DEVIATION, LARGEST_DEVIATION), "rad": (-LARGEST_MISALIGNMENT, LARGEST_MISALIGNMENT)}[
+        unit_of(name)
+    ]
+    if name in profile_names(PROFILE_ORDERS):
+        low, high = -LARGEST_ELEMENT, LARGEST_ELEMENT
+    if name == "eccentricity":
+        low, high = max(low, -g.eccentricity), min(high, g.pin_circle_radius / g.pins - g.eccentricity)
+    if name == "pin_circle_radius":
+        low = max(low, g.eccentricity * g.pins - g.pin_circle_radius)
+    if name == "pin_radius":
+        touching = g.pin_circle_radius * np.sin(np.pi / g.pins)
+        low, high = max(low, -g.pin_radius), min(high, float(touching) - g.pin_radius)
+    return low, high
+
+
+def confirmed(pair: Pair, estimate: Estimate, gain: float) -> tuple[Estimate, lmfit.Parameters, Array]:
+    """Have lmfit take the last step from where a fit ended, at the noise and the scatter that it found.
+
+    The residual in units of the noise goes to `lmfit.Minimizer` (least squares within bounds, trust region) with its
+    analytic Jacobian, rotated into the frame of the Jacobian's triangular factor: sum of squares, gradient and
+    Gauss-Newton matrix are the same, with as many rows as there are unknowns.
+
+    Parameters
+    ----------
+    pair, estimate
+        The nominal pair and where the fit ended.
+    gain
+        lmfit ends where a step gains less than this of the sum of squares in units of the noise, and after two
+        evaluations of the model at most.
+
+    Returns
+    -------
+    estimate
+        At lmfit's optimum, or as it was where that is no better.
+    parameters
+        Every error, the bench and every pin's and tooth's scatter, SI, with standard errors, correlations and the
+        bounds of `possible`; errors that are not fitted do not vary.
+    covariance
+        Of those that vary, in their order, SI.
+    """
+    from lmfit import Minimizer, Parameters
+
+    problem, observed = _Problem(pair, estimate.observed, estimate.chosen), estimate.observed
+    prior = np.sqrt(problem.precision(estimate.scatter))
+    parameters = Parameters()
+    for name, value in zip(problem.names, problem.unknowns(estimate.state) * problem.scale, strict=True):
+        # The bench's nuisances have their priors; one that came out below zero is zero within its standard error.
+        low, high = possible(pair, name) if name in estimate.chosen else (-np.inf, np.inf)
+        parameters.add(name, float(value), min=low, max=high)
+    for name in observed.errors:
+        if name not in estimate.chosen:
+            low, high = possible(pair, name)
+            parameters.add(name, structured_value(pair, problem.prior, name), vary=False, min=low, max=high)
+
+    def evaluated(values: Array, linear: Linear | None = None) -> tuple[State, Linear, Array]:
+        state = problem.state(values / problem.scale)
+        linear = linearise(pair, observed, state) if linear is None else linear
+        left = np.concatenate([observed.weight * left_of(observed, linear, state), -prior * values / problem.scale])
+        slopes = np.vstack([-problem.columns(observed, linear), -np.diag(prior)]) / problem.scale
+        triangle: Array = np.asarray(np.linalg.qr(np.column_stack([slopes, left]), mode="r"))
+        return state, linear, triangle
+
+    known: dict[bytes, tuple[State, Linear, Array]] = {}
+
+    def at(parameters: lmfit.Parameters) -> Array:
+        values = np.array([parameters[n].value for n in problem.names])
+        if values.tobytes() not in known:
+            known[values.tobytes()] = evaluated(values)
+        return known[values.tobytes()][2]
+
+    start = np.array([parameters[n].value for n in problem.names])
+    inside = bool(np.allclose(start, problem.unknowns(estimate.state) * problem.scale, rtol=1e-9, atol=0.0))
+    known[start.tobytes()] = evaluated(start, estimate.linear if inside else None)
+    misfit = float(np.sum(known[start.tobytes()][2][:, -1] ** 2))
+    minimizer = Minimizer(lambda p: at(p)[:, -1], parameters, scale_covar=False)
+    # At lmfit's own limit of evaluations there would be no covariance; at SciPy's there is one.
+    minimizer.kws["max_nfev"] = 1 + _CONFIRMATIONS
+    result = minimizer.minimize(
+        method="least_squares", jac=lambda p: at(p)[:, :-1], x_scale=problem.scale, ftol=gain / misfit, gtol=None
+    )
+    best = np.array([result.params[n].value for n in problem.names])
+    state, linear, _ = known[best.tobytes()]
+    evaluations = estimate.evaluations + len(known) - inside
+    estimate = dataclasses.replace(
+        estimate, state=state, linear=linear, misfit=float(result.chisqr), evaluations=evaluations,
+        unlikelihood=estimate.unlikelihood + float(result.chisqr) - misfit,
+    )  # fmt: skip
+    return estimate, result.params, np.asarray(0.5 * (result.covar + result.covar.T))
+
+
+def freedom(pair: Pair, estimate: Estimate, covariance: Array, known: Collection[str]) -> Array:
+    """Degrees of freedom of the fitted errors' standard errors, which rest on estimated variances of the scatter.
+
+    An error that the scatter blurs is known as well as the scatter's variance is, from as many patterns of it as the
+    data tell: its interval is that of Student's t. With the shares s of its variance that come from each scatter, and γ
+    patterns told of each, it has 1/Σ(s²/γ) degrees of freedom (Satterthwaite, Biometrics Bulletin 2 (1946) 110;
+    Giesbrecht and Burns, Biometrics 41 (1985) 477).
+
+    Parameters
+    ----------
+    pair, estimate
+        The nominal pair and where the fit ended.
+    covariance
+        Of all that was fitted, SI, the errors first and the single pins' and teeth's scatter last.
+    known
+        Patterns whose deviation is stated, not estimated.
+
+    Returns
+    -------
+    degrees
+        Shape (errors,), > 0, infinite where no scatter blurs an error.
+    """
+    count, size = len(estimate.chosen), spread_of(pair, {}).size
+    parts = {n: slice(p.start + len(covariance) - size, p.stop + len(covariance) - size)
+             for n, p in scatter_parts(pair).items()}  # fmt: skip
+    parts[CREEP] = slice(*(count + end for end in (estimate.observed.creeping.start, estimate.observed.creeping.stop)))
+    variance = np.diag(covariance)[:count]
+    blur = np.zeros(count)
+    for name, part in parts.items():
+        deviation = estimate.scatter.get(name, 0.0)
+        if name in known or deviation <= NO_SCATTER:
+            continue
+        share = (covariance[:count, part] ** 2).sum(axis=1) / deviation**2 / variance
+        told = part.stop - part.start - np.trace(covariance[part, part]) / deviation**2
+        blur += share**2 / max(told, 1.0)
+    found: Array = np.divide(1.0, blur, out=np.full(count, np.inf), where=blur > 0.0)
+    return found
+
+
+def profile_interval(
+    pair: Pair, estimate: Estimate, name: str, standard_error: float, inflation: float, rise: float
+) -> tuple[float, float]:
+    """Interval of one error by its profile: how far it can go before the best fit with it is worse by `rise`.
+
+    Unlike the interval by standard error it need not be symmetrical, and it does not take the model for linear
+    (Venzon and Moolgavkar, Applied Statistics 37 (1988) 87).
+
+    Parameters
+    ----------
+    pair, estimate
+        The nominal pair and where the fit ended.
+    name, standard_error
+        The error and its standard error, m or rad, from which the search starts.
+    inflation
+        By how much standard errors are larger than white noise would make them.
+    rise
+        Of the sum of squares in units of the noise: the square of the quantile of Student's t.
+
+    Returns
+    -------
+    low, high
+        m or rad; infinite where the rise is not reached within sixteen standard errors.
+    """
+
+    def refitted(state: State, pinned: Mapping[str, float]) -> Estimate:
+        return fit(pair, estimate.observed, estimate.chosen, state, estimate.scatter, gain=_PROFILE_GAIN * rise,
+                   estimated=False, pinned=pinned)  # fmt: skip
+
+    best = refitted(estimate.state, {})
+    centre = structured_value(pair, with_scatter(pair, best.state.surface, -best.state.scatter), name)
+    ends = []
+    for way in (-1.0, 1.0):
+        distance, state, found = standard_error * np.sqrt(rise), best.state, np.inf
+        while distance < 16.0 * standard_error:
+            one = refitted(state, {name: centre + way * distance})
+            # The root of the rise grows in proportion to the distance where the model is linear.
+            reached = max(one.misfit - best.misfit, 0.01 * rise) / (inflation**2 * rise)
+            state = one.state
+            if abs(reached - 1.0) < _PROFILE_WITHIN:
+                found = distance / np.sqrt(reached)
+                break
+            distance *= float(np.clip(1.0 / np.sqrt(reached), 0.4, 2.5))
+        ends.append(centre + way * found)
+    return ends[0], ends[1]
+
+
+def turn_bootstrap(estimate: Estimate, pair: Pair, draws: int, seed: int) -> Array:
+    """Standard errors of the fitted errors from the turns' own scatter: turns are drawn again, with replacement.
+
+    Every draw is one Gauss-Newton step from the optimum (Shao and Tu, The Jackknife and Bootstrap, 1995, section
+    4.3.4), so the contacts are not solved again. It sees what white noise is not: disturbances that last, or that come
+    in some turns only.
+
+    Parameters
+    ----------
+    estimate, pair
+        Where the fit ended, of curves that keep their turns, and the nominal pair. Loops stay as they are.
+    draws, seed
+        How many; the same seed draws the same turns.
+
+    Returns
+    -------
+    standard_error, white
+        Shape (2, errors), m or rad: from the turns, and what the fit's white noise makes of the same points.
+
+    Raises
+    ------
+    ValueError
+        If a curve has fewer than `TURNS` turns.
+    """
+    observed = estimate.observed
+    turning = [observed.curves[i] for i in observed.running]
+    if any(c.each_turn is None or len(c.each_turn) < TURNS for c in turning):
+        raise ValueError(f"every curve needs at least {TURNS} turns")
+    problem = _Problem(pair, observed, estimate.chosen)
+    columns = problem.columns(observed, estimate.linear)
+    gram = columns.T @ columns
+    errors = slice(0, len(estimate.chosen))
+    step = linalg.solve(gram + np.diag(problem.precision(estimate.scatter)), columns.T, assume_a="pos")[errors]
+    step *= observed.weight * problem.scale[errors, None]
+    generator = np.random.default_rng(seed)
+    moved = np.zeros((draws, len(estimate.chosen)))
+    for curve, part in zip(observed.curves, np.split(np.arange(observed.measured.size), observed.ends), strict=True):
+        if curve.each_turn is None:
+            continue
+        there = np.isfinite(curve.each_turn)
+        turns = np.where(there, curve.each_turn - curve.transmission_error, 0.0)
+        taken = generator.multinomial(len(turns), np.full(len(turns), 1.0 / len(turns)), size=draws).astype(float)
+        mean = taken @ turns / np.maximum(taken @ there, 1.0)
+        # The turns drawn scatter less than turns do, by one of their number.
+        moved += np.sqrt(len(turns) / (len(turns) - 1.0)) * mean @ step[:, part].T
+    inside = observed.weight > 0.0
+    white = np.sqrt(((step[:, inside] / observed.weight[inside]) ** 2).sum(axis=1))
+    return np.array([moved.std(axis=0), white])

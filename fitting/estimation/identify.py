@@ -1,0 +1,319 @@
+"""From recordings to the drive's errors: the way to the best fit; `fitting.estimation.result` states it.
+
+The structured errors that the data tell apart are fitted with the exact contact model and its analytic Jacobian; lmfit
+takes the last step, confirms the optimum and states its covariance. What every single pin and tooth does beyond them is
+a random scatter of unknown size: it is estimated together with the noise (restricted maximum likelihood), and where
+there is any it is part of the fit, so that it neither bends the structured errors nor lets their intervals look smaller
+than they are.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from cycloid_fmu import edge
+from cycloid_fmu.drive import Drive
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.sampling import Tolerances, read_tolerances
+from cycloid_fmu.surfaces.structured import structured_value, with_structured
+from cycloid_fmu.surfaces.surface import surface_of_pair
+from fitting.estimation.fit import NO_SCATTER, OUTLYING, TURNS, Estimate, fit
+from fitting.estimation.result import HeldOut, Identification, is_uneven, result_of
+from fitting.model.identifiability import chosen_errors
+from fitting.model.loops import observed_curves, on_the_curves_zero
+from fitting.model.observations import (
+    CREEP,
+    NO_CREEP,
+    Linear,
+    LinearisationPoint,
+    Observations,
+    State,
+    errors_of,
+    left_of,
+    linearisation_point,
+    linearise,
+    observations,
+    scatter_parts,
+    spread_of,
+    with_scatter,
+)
+from fitting.model.prior import Prior, prior_of, tolerances_of
+from fitting.recordings.sources import Source
+from fitting.transmission_error.curve import Curve
+
+Array = NDArray[np.float64]
+
+_MISPREDICTED = 1.5  # times the noise: a fit that predicts no better is no start for another
+_START_POINTS = 4000  # of all curves together, for the way from the prior
+_STARTS, _START_EVALUATIONS = 5, 30
+_AGREE = 0.01  # of the points: two starts ended alike where -2 log likelihood differs by less, the noise by 0.5 %
+_CRANK_STARTS = (0.0, -0.25, 0.25, 0.5)  # pin pitches, where the crank's zero is not known
+_CHOICES = 3  # of errors to fit, which change where the state at which they are chosen does
+# A fit ends where a step gains less than this of the sum of squares in units of the noise: what moves one estimate by a
+# standard error at most, and by a tenth where it is shared among all. lmfit's steps follow.
+_START_GAIN, _GAIN = 8.0, 1.0
+
+
+def identify(
+    recordings: Source | Curve | Iterable[Source | Curve],
+    drive: Drive,
+    *,
+    tolerances: Tolerances | Prior | str | os.PathLike[str] | None = None,
+    profiled: Sequence[str] = (),
+    bootstrap: int = 0,
+    held_out: bool = True,
+    progress: Callable[[str], None] = lambda step: None,
+) -> Identification:
+    """Identify a drive's errors from recordings at one or more loads, one or both directions.
+
+    Recordings whose input stands still are taken as hysteresis loops: they tell the play apart from friction.
+
+    Parameters
+    ----------
+    recordings
+        What `fitting.read_recordings` gave, `fitting.Run`, or curves that were made of them.
+    drive
+        The nominal drive; the errors that it states are the prior and start.
+    tolerances
+        The drive's tolerances, their file or a prior: with it every pin and tooth is reported with its own error, and
+        the form that all teeth share is fitted as far as the data resolve it.
+    profiled
+        Errors whose intervals are found by their profile rather than by their standard error.
+    bootstrap
+        Number of bootstrap resamples of output turns, whose scatter widens the standard errors where it is more than
+        white noise; 0 for none.
+    held_out
+        Whether a load or direction is first kept from the fit and predicted.
+    progress
+        Called with what is being done.
+
+    Raises
+    ------
+    edge.InputError
+        If a recording can't be read or has no load, an argument is wrong, the data resolve no error, or there are too
+        few turns to draw from.
+
+    Examples
+    --------
+    A drive of 9 teeth whose eccentricity is 3 µm too large, measured at two loads in both directions:
+
+    >>> import cycloid_fmu as cy, fitting, numpy as np
+    >>> pair = cy.Pair(gear_teeth=9, pin_circle_radius=0.04, pin_radius=0.004, eccentricity=0.002, face_width=0.01)
+    >>> drive = cy.Drive(pair)
+    >>> made, angle = drive.replace(errors={"eccentricity": "3 um"}), np.linspace(0.0, 2.0 * np.pi * 9, 200)
+    >>> def run(load):
+    ...     error = made.analyze(load, crank_angle=angle).transmission_error.values[0]
+    ...     return fitting.Run(input_angle=angle, output_angle=angle / -9 + error, torque=load, known_index=True)
+    >>> result = fitting.identify([run(load) for load in (20.0, -20.0, 100.0, -100.0)], drive, held_out=False)
+    >>> round(next(p for p in result.parameters if p.name == "eccentricity").value * 1e6, 1)
+    3.0
+    >>> result.drive.surface.eccentricity == result.surface.eccentricity
+    True
+    """
+    pair = drive.pair
+    progress("reading")
+    curves = observed_curves(recordings, pair, keep_turns=bootstrap > 0)
+    if isinstance(tolerances, str | os.PathLike):
+        tolerances = read_tolerances(tolerances)
+    prior = prior_of(pair, tolerances) if isinstance(tolerances, Tolerances) else tolerances or Prior()
+    if bootstrap < 0:
+        raise edge.ArgumentError("bootstrap", "it must not be below zero", bootstrap)
+    for curve in curves if bootstrap else ():
+        turns = 0 if curve.each_turn is None else len(curve.each_turn)
+        if turns < TURNS and not curve.branch:
+            raise edge.InputError(
+                f"{curve.source}: it has {turns} output turns; at least {TURNS} are needed to draw turns again."
+            )
+    for name in profiled:
+        if name not in (errors := [*errors_of(pair), *prior.profile]):
+            near = edge.did_you_mean(name, errors).rstrip("?") or f"one of {', '.join(errors)}"
+            raise edge.ArgumentError("profiled", f"it is no error of this drive; {near}", name)
+    running = [c for c in curves if not c.branch]
+    if not running:
+        raise edge.InputError(
+            "there is no transmission error curve: a loop sees the drive at one crank angle only; give recordings of a "
+            "turning crank too."
+        )
+    loops = on_the_curves_zero([c for c in curves if c.branch], running)
+    for curve in (*running, *loops):
+        if abs(curve.ratio / pair.ratio - 1.0) > 1e-9:
+            raise edge.InputError(
+                f"{curve.source}: its ratio is {curve.ratio:g}, the pair's {pair.ratio:g}; it is of another drive."
+            )
+    for curve in running:
+        if abs(curve.torque) < 1e-3 * max(abs(c.torque) for c in running) or curve.torque == 0.0:
+            raise edge.InputError(
+                f"{curve.source}: the mean torque is {curve.torque:g} N·m; the fit needs loaded curves."
+            )
+    # The kernel's threads keep the processor busy; those of linear algebra would spin beside them.
+    with threadpool_limits(limits=1, user_api="blas"):
+        kept, start = kept_back(running) if held_out else (), None
+        predicted = None
+        if kept:
+            progress("fitting without the curves kept back")
+            rest = [*(c for i, c in enumerate(running) if i not in kept), *loops]
+            start = _fitted(rest, pair, None, prior, progress)
+            predicted = _predicted(pair, start, [running[i] for i in kept])
+            if predicted.residual > _MISPREDICTED * predicted.noise or is_uneven(start):
+                start = None
+        found = _fitted([*running, *loops], pair, start, prior, progress)
+        return result_of(pair, found, predicted, prior.scatter, profiled, bootstrap, _GAIN, progress)
+
+
+def kept_back(curves: Sequence[Curve]) -> tuple[int, ...]:
+    """Choose the curves that are kept back to be predicted: a load between others, or a direction of the smallest.
+
+    Empty where fewer than three curves were measured.
+    """
+    if len(curves) < 3:
+        return ()
+    sizes = np.array([abs(c.torque) for c in curves])
+    order = np.argsort(sizes)
+    # Torques within a twentieth of one another are one load.
+    groups = np.split(order, np.flatnonzero(np.diff(sizes[order]) > 0.05 * sizes.max()) + 1)
+    if len(groups) >= 3:
+        return tuple(int(i) for i in groups[len(groups) // 2])
+    return (int(order[0]),)
+
+
+def _predicted(pair: Pair, fit: Estimate, curves: Sequence[Curve]) -> HeldOut:
+    """What is left of curves that the fit has not seen; their own zeros and drifts are nobody's to foretell."""
+    observed = observations(curves, pair)
+    known = dict(zip(fit.observed.bench_names, fit.state.bench, strict=True))
+    own = np.array(
+        [n.startswith("output_angle_drift") or not (n in known or n.startswith(CREEP)) for n in observed.bench_names]
+    )
+    if not all(c.common_zero for c in (*curves, *fit.observed.curves)):
+        own |= np.array([n.startswith("output_angle_offset") for n in observed.bench_names])
+    predictable = ~own & ~np.array([n.startswith(CREEP) for n in observed.bench_names])
+    bench = np.array([known[n] if shared else 0.0 for n, shared in zip(observed.bench_names, predictable, strict=True)])
+    state = dataclasses.replace(fit.state, bench=bench)
+    left = left_of(observed, linearise(pair, observed, state), state)
+    # What single samples far off do to the rms is not the model's.
+    scale = 1.4826 * float(np.median(np.abs(left - np.median(left))))
+    inside = np.abs(left - np.median(left)) < OUTLYING * scale
+    columns = observed.bench[inside][:, own]
+    left = left[inside] - columns @ np.linalg.lstsq(columns, left[inside], rcond=None)[0]
+    loads = ", ".join(f"{c.torque:+.4g} N·m" for c in curves)
+    return HeldOut(loads, float(np.sqrt(np.mean(left**2))), fit.noise)
+
+
+def _fitted(
+    curves: Sequence[Curve], pair: Pair, start: Estimate | None, known: Prior, progress: Callable[[str], None]
+) -> Estimate:
+    observed = observations(curves, pair, profile=known.profile)
+    rough = _starting_estimate(pair, observed, start, progress)
+    state, scatter = rough.state, rough.scatter
+    prior = observed.bench_prior.copy()
+    prior[observed.creeping] = max(scatter.get(CREEP, 0.0), NO_CREEP)
+    weight = observed.weight * np.median(rough.observed.weight) / np.median(observed.weight)
+    observed = dataclasses.replace(observed, weight=weight, bench_prior=prior)
+    linear, before = linearise(pair, observed, state), list(rough.chosen)
+    chosen = _chosen(observed, linear, pair, scatter)
+    for _ in range(_CHOICES):
+        state = _carried_over(pair, observed, linear, state, before, chosen)
+        progress(f"fitting {len(chosen)} errors and the scatter of pins and teeth")
+        estimate = fit(pair, observed, chosen, state, scatter, gain=_GAIN, known=known.scatter)
+        state, scatter, linear, before = estimate.state, estimate.scatter, estimate.linear, chosen
+        chosen = _chosen(estimate.observed, linear, pair, scatter)
+        if chosen == before:
+            break
+    return dataclasses.replace(estimate, disagreeing=rough.disagreeing)
+
+
+def _carried_over(
+    pair: Pair, observed: Observations, linear: Linear, state: State, before: Sequence[str], chosen: Sequence[str]
+) -> State:
+    """A state in which other errors than before do what those did that are no longer fitted."""
+    dropped = [n for n in before if n not in chosen]
+    if not dropped:
+        return state
+    at, prior = observed.errors.index, surface_of_pair(pair)
+    plain = with_scatter(pair, state.surface, -state.scatter)
+    excess = {n: structured_value(pair, plain, n) - structured_value(pair, prior, n) for n in dropped}
+    size = tolerances_of(chosen, observed.profile)
+    columns = np.hstack([linear.structured[:, [at(n) for n in chosen]] * size, observed.bench])
+    lost = sum(linear.structured[:, at(n)] * value for n, value in excess.items())
+    weight = observed.weight[:, None]
+    share = np.linalg.lstsq(weight * columns, observed.weight * lost, rcond=1e-6)[0]
+    values = {n: structured_value(pair, plain, n) + d for n, d in zip(chosen, size * share[: size.size], strict=True)}
+    values |= {n: structured_value(pair, prior, n) for n in dropped}
+    plain = with_structured(pair, plain, values)
+    return dataclasses.replace(state, surface=with_scatter(pair, plain, state.scatter),
+                               bench=state.bench + share[size.size :])  # fmt: skip
+
+
+def _chosen(observed: Observations, linear: Linear, pair: Pair, scatter: Mapping[str, float]) -> list[str]:
+    chosen = chosen_errors(observed, linear, observed.errors, spread_of(pair, scatter))
+    if not chosen:
+        raise edge.InputError("the data tell none of the structured errors apart; record more loads or more turns.")
+    return chosen
+
+
+def _starting_estimate(
+    pair: Pair, observed: Observations, start: Estimate | None, progress: Callable[[str], None]
+) -> Estimate:
+    """A fit near the best one: where another fit ended, or the best of several starts on some of the points.
+
+    The curves' corners make minima beside the best one. From the prior and by way of the largest load alone a fit
+    rarely ends in the same wrong one, so two that agree are enough, all curves explained alike; otherwise random starts
+    follow.
+    """
+    size = spread_of(pair, {}).size
+    prior = surface_of_pair(pair)
+
+    def zeroed(part: Observations, state: State, around: LinearisationPoint | None) -> tuple[State, Linear]:
+        """The state with the unknown zeros of these observations, and the model there."""
+        state = dataclasses.replace(state, bench=np.zeros(part.bench.shape[1]))
+        free = ~np.isfinite(part.bench_prior)
+        linear = linearise(pair, part, state, around)
+        state.bench[free] = np.linalg.lstsq(part.bench[:, free], left_of(part, linear, state), rcond=None)[0]
+        return state, linear
+
+    if start is not None:
+        state = start.state
+        if start.observed.bench_names != observed.bench_names:
+            state, _ = zeroed(observed, state, None)
+        return dataclasses.replace(start, state=state)
+    few, fewer = observed.thinned(_START_POINTS), observed.thinned(_START_POINTS // 2)
+    loads = np.array([0.0 if c.branch else abs(c.torque) for c in few.curves])
+    high, all_of_them = np.flatnonzero(loads > 0.7 * loads.max()), np.arange(loads.size)
+    generator = np.random.default_rng(0)
+    # A scatter that grows from nothing as the data ask for it leads past most of the wrong minima.
+    unknown = {**dict.fromkeys(scatter_parts(pair), NO_SCATTER), CREEP: NO_CREEP}
+    pitch = 2.0 * np.pi / pair.pins if observed.fit_crank else 0.0
+
+    def ended(
+        part: Observations, state: State, scatter: Mapping[str, float], around: LinearisationPoint | None
+    ) -> Estimate:
+        state, linear = zeroed(part, state, around)
+        chosen = _chosen(part, linear, pair, {})
+        return fit(pair, part, chosen, state, scatter, gain=_START_GAIN, around=around, evaluations=_START_EVALUATIONS)
+
+    # To first order from the prior, and from there once more; a crank whose zero is unknown needs the exact model.
+    nominal = None if observed.fit_crank else linearisation_point(pair, prior, fewer)
+    found: list[Estimate] = []
+    for number in range(_STARTS):
+        progress(f"finding a start ({number + 1})")
+        crank = _CRANK_STARTS[number % len(_CRANK_STARTS)] * pitch
+        state = State(prior, np.zeros(size), np.empty(0), crank)
+        if number > 1:
+            names = found[0].chosen
+            drawn = generator.normal(0.0, 0.3 * tolerances_of(names, few.profile))
+            values = {n: structured_value(pair, prior, n) + d for n, d in zip(names, drawn, strict=True)}
+            state = dataclasses.replace(state, surface=with_structured(pair, prior, values))
+        part = high if number == 1 else all_of_them
+        one = ended(fewer.some(part), state, unknown, None if nominal is None else nominal.some(part))
+        around = None if nominal is None else linearisation_point(pair, one.state.surface, few)
+        one = ended(few, one.state, one.scatter, around)
+        found = sorted([*found, one], key=lambda e: e.unlikelihood)
+        alike = len(found) > 1 and found[1].unlikelihood < found[0].unlikelihood + _AGREE * few.measured.size
+        if alike and not is_uneven(found[0]):
+            break
+    return dataclasses.replace(found[0], disagreeing=0 if alike else len(found))

@@ -1,0 +1,496 @@
+"""What an identification states: errors with their intervals, what the data cannot tell, and its file.
+
+The intervals hold for noise as coloured as what is left, for the scatter of single pins and teeth, and for as many
+degrees of freedom as the data leave.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtrit
+
+from cycloid_fmu import edge
+from cycloid_fmu.drive import Drive
+from cycloid_fmu.edge import ARCSEC
+from cycloid_fmu.errors.kinds import wave_of
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.structured import displacement_columns, displacement_layout, structured_value, unit_of
+from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
+from fitting.estimation.fit import NO_SCATTER, Estimate, confirmed, freedom, profile_interval, turn_bootstrap
+from fitting.model.identifiability import weakness
+from fitting.model.loops import LoopFit, play_of
+from fitting.model.observations import left_of, scatter_columns, scatter_names, scatter_parts, spread_of, with_scatter
+from fitting.model.prior import tolerances_of
+from fitting.transmission_error.curve import Curve, noise_of
+
+if TYPE_CHECKING:
+    import lmfit
+
+Array = NDArray[np.float64]
+FORMAT = "cycloid-identification/1"
+
+_CONFIDENCE = 0.95
+_NORMAL = float(stdtrit(np.inf, 0.5 + 0.5 * _CONFIDENCE))  # standard errors in half an interval
+_UNEXPLAINED = 2.0  # times its noise: a residual above this is another drive's
+_LEFT = 1.3  # times its noise: a curve of which more is left is not explained wholly
+_ANGLES = 720  # of a crank turn that count as different: samples in step with it are closer than that
+_TOLD = 1.5  # angles of the crank in all curves for each single displacement: with fewer a fit finds many minima
+_MEASURED = 0.1  # share of a single displacement's variance that the data must take away for it to be measured
+_AT_BOUND = 1e-3  # of the bound: lmfit ends so close beside it
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One structured error after the fit: SI value, standard error and 95 % interval, or why it is held.
+
+    `data_share` says how much of what is known of it comes from the data: 1 less the ratio of its variance after and
+    before measuring.
+    """
+
+    name: str
+    unit: str
+    value: float
+    standard_error: float
+    interval: tuple[float, float]
+    data_share: float
+    held: str | None = None
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Curves kept from the fit and predicted by it: their loads in words, rms of what is left, and their noise, rad."""
+
+    loads: str
+    residual: float
+    noise: float
+
+
+@dataclass(frozen=True)
+class Identification:
+    """The result of a fit.
+
+    Attributes
+    ----------
+    parameters
+        All structured errors, fitted and held.
+    singles
+        Every pin's and tooth's own error with all its parts, where asked for; held where it was only bounded.
+    bench
+        {name: value} of the bench's nuisances: zeros and encoder eccentricity (rad), compliance of the chain beside
+        the gear pair (rad/(N·m)), friction torque, and that of loops (N·m).
+    lmfit_parameters
+        All structured errors and the bench's nuisances in SI: values, standard errors, correlations, and what each
+        error can be as bounds. Those that are held do not vary; their standard error is what they may be unmeasured.
+    surface
+        The identified error surface, the pins' and teeth's own scatter included.
+    correlation
+        Of the fitted parameters, in the order of `fitted`.
+    singular_values, weak_combinations
+        Of the Jacobian scaled by tolerance and noise (below 1 a combination is less known than before measuring), and
+        the weak ones in words.
+    noise, scatter
+        Noise of a point (rad) and standard deviation of each scattered pattern (m).
+    inflation
+        By how much the standard errors are larger than white noise would make them, because the residual is not white.
+    residual
+        rms of measured less fitted transmission error, rad.
+    outliers
+        {source: points that were left out}.
+    held_out
+        What a fit without some of the curves predicts of them, or None where too few were measured.
+    fitted_curves
+        Fitted transmission error of each curve, the bench's nuisances included, rad.
+    loops
+        The loops that were given.
+    checksums
+        {source: SHA-256} of the data.
+    notes
+        What a reader should know of the fit and of the data.
+    pair
+        The nominal pair.
+    curves
+        The curves that were fitted, the loops' branches apart.
+    """
+
+    parameters: tuple[Parameter, ...]
+    singles: tuple[Parameter, ...]
+    bench: dict[str, float]
+    lmfit_parameters: lmfit.Parameters
+    surface: ErrorSurface
+    correlation: Array
+    singular_values: Array
+    weak_combinations: tuple[str, ...]
+    noise: float
+    scatter: dict[str, float]
+    inflation: float
+    residual: float
+    outliers: dict[str, int]
+    held_out: HeldOut | None
+    fitted_curves: tuple[Array, ...]
+    loops: tuple[LoopFit, ...]
+    checksums: dict[str, str]
+    notes: tuple[str, ...]
+    pair: Pair
+    curves: tuple[Curve, ...]
+
+    @property
+    def fitted(self) -> tuple[str, ...]:
+        """Names of the fitted parameters."""
+        return tuple(p.name for p in self.parameters if p.held is None)
+
+    @property
+    def drive(self) -> Drive:
+        """The drive with the identified errors."""
+        return Drive(self.pair, self.surface)
+
+    def write(self, path: str | os.PathLike[str]) -> None:
+        """Write the identification, `cycloid-identification/1`, whole or not at all."""
+        with edge.written_whole(path) as temporary:
+            temporary.write_text(edge.json_text(as_json(self)), encoding="utf-8")
+
+
+def is_uneven(fit: Estimate) -> bool:
+    """Whether a curve's noise comes out larger than the others', as where a fit ends in a minimum beside the best."""
+    noises = fit.noises[fit.observed.running]
+    return bool(noises.max() > _LEFT * np.median(noises))
+
+
+def _inflation(residuals: Sequence[Array]) -> float:
+    """By how much the standard error of a mean of these residuals exceeds that of white noise of the same size.
+
+    The square root of the integrated autocorrelation time, summed to the first lag that noise could make.
+    """
+    time, lag = 1.0, 1
+    total = sum(float(r @ r) for r in residuals)
+    count = sum(r.size for r in residuals)
+    while lag < min(r.size for r in residuals) // 4:
+        correlation = sum(float(r[lag:] @ r[:-lag]) for r in residuals) / total
+        if correlation < 2.0 / np.sqrt(count):
+            break
+        time += 2.0 * correlation
+        lag += 1
+    return float(np.sqrt(time))
+
+
+def result_of(
+    pair: Pair,
+    fit: Estimate,
+    predicted: HeldOut | None,
+    known: Mapping[str, float],
+    profiled: Sequence[str],
+    bootstrap: int,
+    gain: float,
+    progress: Callable[[str], None],
+) -> Identification:
+    """Confirm a fit's optimum and state what it found.
+
+    Parameters
+    ----------
+    pair, fit, predicted
+        The nominal pair, where its fit ended, and what was foretold of curves kept back.
+    known, profiled, bootstrap, progress
+        `scatter` and the others of `fitting.estimation.identify.identify`.
+    gain
+        Of a step, below which the fit has ended, as in `fitting.estimation.fit.fit`.
+    """
+    names, chosen, spread = list(fit.observed.errors), list(fit.chosen), spread_of(pair, fit.scatter)
+    whitened = fit.observed.weight * left_of(fit.observed, fit.linear, fit.state)
+    each = np.split(whitened, fit.observed.ends)
+    inflation = _inflation([each[i] for i in fit.observed.running])
+    observed = dataclasses.replace(fit.observed, weight=fit.observed.weight / inflation)
+    progress("confirming the optimum")
+    optimum, found, every = confirmed(pair, dataclasses.replace(fit, observed=observed), gain)
+    fit = dataclasses.replace(optimum, observed=fit.observed)
+    state, linear = fit.state, fit.linear
+    fitted = linear.model + observed.bench @ state.bench
+    if bootstrap:
+        progress("drawing turns")
+        turns, white = turn_bootstrap(fit, pair, bootstrap, seed=0)
+        # What the turns' scatter adds to the noise that the covariance holds already.
+        added = np.maximum(turns**2 - (inflation * white) ** 2, 0.0)
+        every[np.diag_indices(len(chosen))] += added
+    # The scatter of pins and teeth stands behind the errors and the bench.
+    lmfit_parameters = _stated(found, every[: -spread.size, : -spread.size], observed.profile)
+    bench = {n: p.value for n, p in lmfit_parameters.items() if n not in names}
+    quantiles = stdtrit(freedom(pair, fit, every, known), 0.5 + 0.5 * _CONFIDENCE)
+    lasting = np.r_[: len(chosen), len(every) - spread.size : len(every)]
+    every = every[np.ix_(lasting, lasting)]
+    covariance = every[: len(chosen), : len(chosen)]
+    error = np.sqrt(np.diag(covariance))
+    prior = surface_of_pair(pair)
+    plain = with_scatter(pair, state.surface, -state.scatter)
+    singular, combinations, reasons = weakness(observed, linear, names, chosen)
+    parameters = []
+    for name, tolerance in zip(names, tolerances_of(names, observed.profile), strict=True):
+        if name in chosen:
+            sigma, quantile = float(error[chosen.index(name)]), float(quantiles[chosen.index(name)])
+            one = _parameter(name, structured_value(pair, plain, name), sigma, float(tolerance), None, quantile)
+            if name in profiled:
+                progress(f"profile of {name}")
+                interval = profile_interval(pair, fit, name, sigma, inflation, quantile**2)
+                one = dataclasses.replace(one, interval=interval)
+        else:
+            one = _parameter(name, structured_value(pair, prior, name), float(tolerance), float(tolerance),
+                             reasons[name])  # fmt: skip
+        parameters.append(one)
+    singles = _singles(pair, state.surface, chosen, every, spread) if known else ()
+    surface = state.surface.replace(
+        origin="identified",
+        covariance_of=(*chosen, *scatter_names(pair)),
+        covariance=every,
+        attributes={"data": " ".join(f"{c.checksum}" for c in observed.curves)},
+    )
+    used = (observed.weight > 0.0) & ~observed.of_loops
+    parts = np.split(fitted, observed.ends)
+    outliers = dict.fromkeys((c.source for c in observed.curves), 0)
+    for curve, part in zip(observed.curves, np.split(observed.weight, observed.ends), strict=True):
+        outliers[curve.source] += int(np.count_nonzero(part == 0.0))
+    return Identification(
+        parameters=tuple(parameters),
+        singles=singles,
+        bench=bench,
+        lmfit_parameters=lmfit_parameters,
+        surface=surface,
+        correlation=covariance / np.outer(error, error),
+        singular_values=singular,
+        weak_combinations=combinations,
+        noise=float(np.sqrt(1.0 / np.mean((inflation * observed.weight[used]) ** 2))),
+        scatter={n: fit.scatter[n] for n in scatter_parts(pair)},
+        inflation=inflation,
+        residual=float(np.sqrt(np.mean((observed.measured - fitted)[used] ** 2))),
+        outliers=outliers,
+        held_out=predicted,
+        fitted_curves=tuple(parts[i] for i in observed.running),
+        loops=_loops(pair, fit, parts, every),
+        checksums={c.source: c.checksum for c in observed.curves},
+        notes=(
+            *_notes(pair, fit),
+            *(
+                f"{n} ends at {found[n].value * 1e3:.2g} {'mm' if unit_of(n) == 'm' else 'mrad'}, as far as it can be; "
+                "check counts per turn, directions and the pair file."
+                for n in chosen
+                if _bounded(found[n])
+            ),
+            *(f"{n} is held, so it has no profile: {reasons[n]}." for n in profiled if n not in chosen),
+            *dict.fromkeys(note for i in observed.running for note in observed.curves[i].notes),
+        ),
+        pair=pair,
+        curves=tuple(observed.curves[i] for i in observed.running),
+    )
+
+
+def _bounded(parameter: lmfit.Parameter) -> bool:
+    return bool(min(parameter.value - parameter.min, parameter.max - parameter.value) < _AT_BOUND * parameter.max)
+
+
+def _stated(found: lmfit.Parameters, covariance: Array, profile: Mapping[str, float]) -> lmfit.Parameters:
+    """Return the first of lmfit's parameters, those of a covariance, and what is held, with what is stated of them."""
+    from lmfit import Parameters
+
+    names = [n for n, p in found.items() if p.vary][: len(covariance)]
+    held = [n for n, p in found.items() if not p.vary]
+    deviation = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(deviation, deviation)
+    stated = Parameters()
+    for name in (*names, *held):
+        one = found[name]
+        stated.add(name, one.value, vary=one.vary, min=one.min, max=one.max)
+    for name, sigma in zip(held, tolerances_of(held, profile), strict=True):
+        stated[name].stderr = float(sigma)
+    for at, name in enumerate(names):
+        stated[name].stderr = float(deviation[at])
+        stated[name].correl = {n: float(correlation[at, i]) for i, n in enumerate(names) if i != at}
+    return stated
+
+
+def _parameter(
+    name: str, value: float, sigma: float, before: float, held: str | None, quantile: float = _NORMAL
+) -> Parameter:
+    interval = (value - quantile * sigma, value + quantile * sigma)
+    return Parameter(name, unit_of(name), value, sigma, interval, max(1.0 - (sigma / before) ** 2, 0.0), held)
+
+
+def _singles(
+    pair: Pair, surface: ErrorSurface, chosen: Sequence[str], covariance: Array, spread: Array
+) -> tuple[Parameter, ...]:
+    """Every pin's and tooth's own error: its part of the structured ones and its scatter."""
+    # The patterns round the circles alone: an error of all pins alike is stated by itself.
+    columns = displacement_columns(pair, chosen) * [wave_of(n) is not None for n in chosen]
+    layout = displacement_layout(pair)
+    pins = [columns[layout[name]] for name in ("pin_radial", "pin_tangential")]
+    waves = np.vstack([*pins, columns[layout["tooth_turn"]] * pair.pin_circle_radius])
+    lever = np.hstack([waves, np.eye(spread.size)])
+    deviation = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", lever, covariance, lever), 0.0))
+    values = np.concatenate([getattr(surface, pattern).ravel() for pattern in scatter_parts(pair)])
+    before = np.sqrt(spread**2 + (waves**2) @ tolerances_of(chosen) ** 2)
+    found = []
+    for at, name in enumerate(scatter_names(pair)):
+        alone = covariance[len(chosen) + at, len(chosen) + at]
+        bounded = alone > (1.0 - _MEASURED) * spread[at] ** 2 and spread[at] > NO_SCATTER
+        why = "it hardly carries load in these curves: bounded by its neighbours, not measured" if bounded else None
+        found.append(_parameter(name, float(values[at]), float(deviation[at]), float(before[at]), why))
+    return tuple(found)
+
+
+def _loops(pair: Pair, fit: Estimate, fitted: Sequence[Array], covariance: Array) -> tuple[LoopFit, ...]:
+    """Each loop as measured and fitted, and its play with the standard error that the errors leave it."""
+    observed, chosen, found = fit.observed, list(fit.chosen), []
+    branches = [i for i, c in enumerate(observed.curves) if c.branch]
+    for source in dict.fromkeys(observed.curves[i].source for i in branches):
+        own = [i for i in branches if observed.curves[i].source == source]
+        crank = float(np.mean([observed.curves[i].input_angle.mean() for i in own]))
+        play, by_error, each = play_of(pair, fit.state.surface, crank + fit.state.crank_offset, chosen)
+        slope = np.concatenate([by_error, scatter_columns(pair, each)])
+        found.append(LoopFit(
+            source, crank,
+            {observed.curves[i].branch: observed.curves[i].torque_at_points for i in own},
+            {observed.curves[i].branch: observed.curves[i].transmission_error for i in own},
+            {observed.curves[i].branch: fitted[i] for i in own},
+            play, float(np.sqrt(max(slope @ covariance @ slope, 0.0))),
+        ))  # fmt: skip
+    return tuple(found)
+
+
+def _ambiguity(pair: Pair, fit: Estimate) -> list[str]:
+    """Say where the best of several minima may not have been found, and how many samples would tell."""
+    notes = []
+    if fit.disagreeing:
+        notes.append(
+            f"No two of {fit.disagreeing} starts ended in the same optimum; the best was taken, and a better one may "
+            "have been missed: compare the residual with the encoders' noise, and record more samples a crank turn."
+        )
+    curves = [fit.observed.curves[i] for i in fit.observed.running]
+    if is_uneven(fit):
+        noises = fit.noises[fit.observed.running]
+        notes.append(
+            f"{curves[int(np.argmax(noises))].source}: its noise comes out as {noises.max() * ARCSEC:.2f}″, the "
+            f"others' as {np.median(noises) * ARCSEC:.2f}″; where the bench is as quiet there, the fit has ended "
+            "beside the best one and the intervals are too narrow."
+        )
+    unknown = sum(p.stop - p.start for n, p in scatter_parts(pair).items()
+                  if n.startswith("pin_") and fit.scatter[n] > NO_SCATTER)  # fmt: skip
+    seen = sum(np.unique(np.rint(c.input_angle / (2.0 * np.pi) * _ANGLES) % _ANGLES).size for c in curves)
+    if seen < _TOLD * unknown:
+        notes.append(
+            f"The curves see {seen} angles of the crank in all, too few to tell the {unknown} displacements by which "
+            f"single pins scatter: the fit may end beside the best one; record at least "
+            f"{math.ceil(_TOLD * unknown / len(curves))} samples a crank turn, not in step with it."
+        )
+    return notes
+
+
+def _notes(pair: Pair, fit: Estimate) -> tuple[str, ...]:
+    """Say what the curves lack, and whether the errors explain them."""
+    notes = []
+    running = fit.observed.running
+    curves = [fit.observed.curves[i] for i in running]
+    sizes = np.array([abs(c.torque) for c in curves])
+    if np.ptp(sizes) < 0.05 * sizes.max():
+        notes.append(
+            f"There is one load only, {sizes.mean():.4g} N·m: what gives way elsewhere and what stands off can't be "
+            "told apart; record a second one, ten times smaller."
+        )
+    if len({np.sign(c.torque) for c in curves}) == 1:
+        notes.append(
+            "All torques have one sign, so one side of the teeth was never loaded; record the other direction too."
+        )
+    if len({c.direction for c in curves}) == 1:
+        notes.append(
+            "The crank turned one way only, so friction can't be told from what gives way; record the other direction."
+        )
+    for curve in curves:
+        turns = float(np.ptp(curve.input_angle)) / (2.0 * np.pi * abs(curve.ratio))
+        if turns < 0.95:
+            notes.append(
+                f"{curve.source}: it covers {turns:.2f} of an output turn; pins and teeth are told apart less well."
+            )
+    rest = np.split(left_of(fit.observed, fit.linear, fit.state), fit.observed.ends)
+    counted = np.split(fit.observed.weight > 0.0, fit.observed.ends)
+    excess = [rest[i][counted[i]].std() / max(noise_of(fit.observed.curves[i]), 1e-12) for i in running]
+    if np.median(excess) > _UNEXPLAINED:
+        notes.append(
+            f"No error of this pair explains the curves: what is left is {np.median(excess):.1f} times their noise; is "
+            "this the drive of the pair file, and are counts per turn and directions right?"
+        )
+    elif max(excess) > _LEFT:
+        notes.append(
+            f"No error of this pair explains all of {curves[int(np.argmax(excess))].source}: what is left is "
+            f"{max(excess):.1f} times its noise, so the intervals may be too narrow."
+        )
+    notes += _ambiguity(pair, fit)
+    gear = np.abs(fit.linear.model - fit.linear.model.mean()).max()
+    names = fit.observed.bench_names
+    once = np.hypot(*(fit.state.bench[names.index(f"output_encoder_eccentricity_{p}")] for p in ("cos", "sin")))
+    if once > gear:
+        notes.append(
+            f"Once an output turn the angle errs by {once * ARCSEC:.3g}″, more than the gear does in all: "
+            "an encoder sits eccentrically, or the shafts are not aligned."
+        )
+    for curve, left in zip(fit.observed.curves, np.split(fit.observed.weight == 0.0, fit.observed.ends), strict=True):
+        if left.any():
+            named = ", ".join(n for n in (curve.source, curve.branch) if n)
+            notes.append(f"{named}: {np.count_nonzero(left)} of {left.size} points lie far off and were left out.")
+    return tuple(notes)
+
+
+def _as_json(one: Parameter) -> dict[str, Any]:
+    fields = dataclasses.asdict(one)
+    return {**fields, "interval": list(one.interval), "held": one.held or False}
+
+
+def as_json(result: Identification) -> dict[str, Any]:
+    """Return an identification as the content of a `cycloid-identification/1` file (SI)."""
+    return {
+        "format": FORMAT,
+        "parameters": {p.name: _as_json(p) for p in result.parameters},
+        **({"singles": {p.name: _as_json(p) for p in result.singles}} if result.singles else {}),
+        "bench": result.bench,
+        "lmfit_parameters": json.loads(result.lmfit_parameters.dumps()),
+        "correlation": {"of": list(result.fitted), "matrix": result.correlation},
+        "singular_values": result.singular_values,
+        "weak_combinations": list(result.weak_combinations),
+        "noise": result.noise,
+        "scatter": result.scatter,
+        "inflation": result.inflation,
+        "residual": result.residual,
+        "outliers": result.outliers,
+        "loops": {
+            one.source: {"crank_angle": one.crank_angle, "play": one.play, "standard_error": one.standard_error}
+            for one in result.loops
+        },
+        "held_out": None if result.held_out is None else dataclasses.asdict(result.held_out),
+        "data": result.checksums,
+        "notes": list(result.notes),
+    }
+
+
+def read_lmfit_parameters(path: str | os.PathLike[str]) -> lmfit.Parameters:
+    """Read the errors and the bench of an identification file as lmfit has them, SI.
+
+    Raises
+    ------
+    edge.InputError
+        If the file is no identification, or its parameters are not lmfit's.
+    """
+    from lmfit import Parameters
+
+    data = edge.json_table(path, FORMAT, "identification")
+    if "lmfit_parameters" not in data:
+        raise edge.InputError(f"{path}: lmfit_parameters is missing; write the file anew with cycloid-fit identify.")
+    try:
+        states = data["lmfit_parameters"]["params"]
+        # lmfit would run an expression or a symbol of the file's; a fit of ours has neither.
+        if any(state[3] is not None for state in states):
+            raise ValueError("an expression")
+        return Parameters().loads(json.dumps({"unique_symbols": {}, "params": states}))
+    except (LookupError, TypeError, ValueError, AttributeError) as problem:
+        raise edge.InputError(f"{path}: lmfit_parameters are not as lmfit writes them ({problem}).") from None

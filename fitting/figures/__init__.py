@@ -1,0 +1,1 @@
+"""The standard figures: lost motion, backlash, stiffness, transmission error and starting torques."""

@@ -1,0 +1,206 @@
+"""Which figures moved: before and after, two drives, two temperatures."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from cycloid_fmu import edge
+from cycloid_fmu.drive import Drive
+from fitting.figures.figure import DEFINITIONS, Figure, in_field_units
+from fitting.figures.metrics import FORMAT, Figures, metrics
+from fitting.recordings.sources import Source
+
+
+@dataclass(frozen=True)
+class Change:
+    """One figure before and after, SI.
+
+    Attributes
+    ----------
+    name
+        The figure, and after a dot its part: `torsional_stiffness.positive`.
+    before, after
+        The figure of either.
+    difference, uncertainty
+        After less before, and half its 95 % interval: both uncertainties, which are independent, together.
+    """
+
+    name: str
+    before: Figure
+    after: Figure
+
+    @property
+    def difference(self) -> float:
+        """After less before."""
+        return self.after.value - self.before.value
+
+    @property
+    def uncertainty(self) -> float:
+        """Half the 95 % interval of the difference; NaN where one of the two is unknown."""
+        return math.hypot(self.before.uncertainty, self.after.uncertainty)
+
+    @property
+    def moved(self) -> bool | None:
+        """Whether it moved beyond its uncertainty; None where that is unknown."""
+        return None if math.isnan(self.uncertainty) else abs(self.difference) > self.uncertainty
+
+    def in_field_units(self) -> tuple[str, str, str, str, str]:
+        """Return both values, their difference, its uncertainty and the unit of all as people read them."""
+        larger = dataclasses.replace(self.after, value=max(abs(self.before.value), abs(self.after.value)))
+        change = dataclasses.replace(self.before, value=self.difference, uncertainty=self.uncertainty)
+        before, after = (in_field_units(one, like=larger)[0] for one in (self.before, self.after))
+        return before, after, *in_field_units(change, like=larger)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Figures of two sides, compared.
+
+    Attributes
+    ----------
+    changes
+        Of the figures that both sides have, taken over the same interval, parts included.
+    notes
+        One sentence for each thing left out of either side, and each figure that can't be compared.
+    """
+
+    changes: tuple[Change, ...]
+    notes: tuple[str, ...]
+
+
+def compare(
+    before: Figures | Source | str | os.PathLike[str],
+    after: Figures | Source | str | os.PathLike[str],
+    drive: Drive | None = None,
+    *,
+    ratio: float | None = None,
+    rated_torque: float | str | None = None,
+    progress: Callable[[str], None] = lambda step: None,
+) -> Comparison:
+    """Return which figures moved beyond their uncertainty: before and after, two drives, two temperatures.
+
+    Parameters
+    ----------
+    before, after
+        Figures, the file in which they were written, or a recording.
+    drive, ratio, rated_torque, progress
+        As in `fitting.metrics`, for a recording.
+
+    Raises
+    ------
+    edge.InputError
+        If a file can't be read or the two have no figure that can be compared.
+
+    Examples
+    --------
+    >>> import numpy as np, fitting
+    >>> torque = 100.0 * np.sin(np.linspace(0.0, 4.0 * np.pi, 4000))
+    >>> new, worn = (fitting.Run(input_angle=0.0, output_angle=torque * c, torque=torque) for c in (1e-6, 1.1e-6))
+    >>> stiffness, *_ = (c for c in fitting.compare(new, worn).changes if c.name == "torsional_stiffness")
+    >>> stiffness.moved, round(stiffness.difference / stiffness.before.value, 3)
+    (True, -0.091)
+    """
+    sides: list[dict[str, Figure]] = []
+    notes: list[str] = []
+    for side in (before, after):
+        if isinstance(side, str | os.PathLike):
+            sides.append(read_figures(side))
+            continue
+        if not isinstance(side, Figures):
+            side = metrics(side, drive, ratio=ratio, rated_torque=rated_torque, progress=progress)
+        sides.append(side.figures)
+        notes += side.notes
+    changes, missing = changes_between(*sides)
+    notes += missing
+    if not changes:
+        raise edge.InputError("\n".join([*notes, "before and after have no figure that can be compared."]))
+    return Comparison(tuple(changes), tuple(notes))
+
+
+def changes_between(before: Mapping[str, Figure], after: Mapping[str, Figure]) -> tuple[list[Change], list[str]]:
+    """Return the changes of figures that both sides have, and a sentence for each that can't be compared."""
+    changes: list[Change] = []
+    notes = []
+    for name in DEFINITIONS:
+        one, other = before.get(name), after.get(name)
+        if one is None and other is None:
+            continue
+        if one is None or other is None:
+            notes.append(f"{name}: only {'the second' if one is None else 'the first'} has it.")
+            continue
+        if not _same_interval(one, other):
+            notes.append(
+                f"{name}: it was taken over {_interval(one)} in the first and {_interval(other)} in the second; give "
+                "both the same rated torque."
+            )
+            continue
+        changes.append(Change(name, one, other))
+        changes += [Change(f"{name}.{p}", one.parts[p], other.parts[p]) for p in one.parts if p in other.parts]
+    return changes, notes
+
+
+def _same_interval(one: Figure, other: Figure) -> bool:
+    if one.interval is None or other.interval is None:
+        return one.interval == other.interval
+    return all(math.isclose(a, b, rel_tol=1e-3) for a, b in zip(one.interval, other.interval, strict=True))
+
+
+def _interval(figure: Figure) -> str:
+    low, high = figure.interval or (math.nan, math.nan)
+    return f"{low:.4g} … {high:.4g} {figure.interval_unit}"
+
+
+def comparison_json(found: Comparison) -> dict[str, Any]:
+    """Return a comparison for scripts (SI)."""
+    return {
+        **{
+            c.name: {
+                "before": c.before.value, "after": c.after.value, "difference": c.difference,
+                "uncertainty": c.uncertainty, "unit": c.before.unit, "moved": c.moved,
+            }
+            for c in found.changes
+        },
+        "notes": list(found.notes),
+    }  # fmt: skip
+
+
+def read_figures(path: str | os.PathLike[str]) -> dict[str, Figure]:
+    """Read the figures that `cycloid-fit metrics -o` wrote.
+
+    Raises
+    ------
+    edge.InputError
+        If the file is no such file.
+    """
+    data = edge.json_table(path, FORMAT, "figures")
+    try:
+        return {name: _figure(data[name]) for name in DEFINITIONS if name in data}
+    except (KeyError, TypeError, ValueError) as problem:
+        raise edge.InputError(f"{path}: a figure lacks something or is no number ({problem}).") from None
+
+
+_COUNTED = ("loops", "turns", "starts")
+
+
+def _figure(data: dict[str, Any]) -> Figure:
+    counted = next(c for c in (*_COUNTED, None) if c is None or c in data)
+    if counted is None:
+        raise KeyError(" or ".join(_COUNTED))
+    known = {"value", "uncertainty", "unit", "definition", "interval", "interval_unit", "runs", counted}
+    return Figure(
+        value=float(data["value"]),
+        uncertainty=math.nan if data["uncertainty"] is None else float(data["uncertainty"]),
+        unit=data["unit"],
+        definition=data["definition"],
+        interval=None if data["interval"] is None else (float(data["interval"][0]), float(data["interval"][1])),
+        interval_unit=data["interval_unit"],
+        count=float(data[counted]),
+        counted=counted,
+        parts={k: _figure(v) for k, v in data.items() if k not in known},
+        runs={k: _figure(v) for k, v in data.get("runs", {}).items()},
+    )

@@ -1,0 +1,128 @@
+"""One standard figure: definition, value and 95 % uncertainty; how several become one, how it is shown and written."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.special import stdtrit
+
+from cycloid_fmu.geometry.pair import LOST_MOTION
+
+DEFINITIONS = {
+    "hysteresis_loss": "distance of the two unloading branches, each extrapolated to zero torque by a straight line "
+    "over the interval on its own side (Nabtesco)",
+    "backlash": "hysteresis loss less twice the dry friction torque over the stiffness: less the mean distance of "
+    "loading and unloading branch at ±50 % of the rated torque",
+    "lost_motion": f"{LOST_MOTION}, mean of loading and unloading branch (Nabtesco)",
+    "torsional_stiffness": "torque over windup along the loading branches in the interval, mean of both sides",
+    "starting_torque": "largest torque on the input, the output without load, from a standstill until the crank has "
+    "turned 1 degree, mean of the starts (no-load starting torque)",
+    "back_driving_torque": "largest torque on the output, while it drives, from a standstill until the crank has "
+    "turned 1 degree, mean of the starts (overhauling starting torque)",
+    "angular_transmission_error": "largest less smallest value over one output turn, in one direction, of the curve "
+    "averaged over turns and made of the orders that stand out of the noise (GB/T 35089); the largest of the runs",
+}
+UNITS = {
+    "hysteresis_loss": "rad", "backlash": "rad", "lost_motion": "rad", "torsional_stiffness": "N*m/rad",
+    "starting_torque": "N*m", "back_driving_torque": "N*m", "angular_transmission_error": "rad",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One figure, SI.
+
+    Attributes
+    ----------
+    value, uncertainty
+        The value and half its 95 % interval; NaN where one repetition leaves it unknown.
+    unit
+        Of both.
+    definition
+        How it is defined.
+    interval
+        Where on the curve it was taken, in `interval_unit`.
+    interval_unit
+        "N*m" of torque or "rad" of the output.
+    count, counted
+        How many loops, turns or starts are behind it, and which of these.
+    parts
+        The same figure of parts of the data: `forward` and `backward`, `positive` and `negative`.
+    runs
+        {what was run: the figure} where several runs were made.
+    """
+
+    value: float
+    uncertainty: float
+    unit: str
+    definition: str
+    interval: tuple[float, float] | None
+    interval_unit: str
+    count: float
+    counted: str
+    parts: dict[str, Figure] = field(default_factory=dict)
+    runs: dict[str, Figure] = field(default_factory=dict)
+
+
+def pooled(figures: Sequence[Figure]) -> Figure:
+    """Return the mean of one figure from several recordings, weighted by their loops."""
+    if len(figures) == 1:
+        return figures[0]
+    weight = np.array([f.count for f in figures]) / sum(f.count for f in figures)
+    values = np.array([f.value for f in figures])
+    value = float(weight @ values)
+    uncertainty = float(np.sqrt(np.sum((weight * [f.uncertainty for f in figures]) ** 2)))
+    if len(figures) > 2:
+        scatter = float(np.std(values, ddof=1)) / math.sqrt(len(figures))
+        uncertainty = max(uncertainty, float(stdtrit(len(figures) - 1, 0.975)) * scatter)
+    first = figures[0]
+    parts = {
+        side: pooled([f.parts[side] for f in figures if side in f.parts])
+        for side in {s: None for f in figures for s in f.parts}
+    }
+    return Figure(
+        value, uncertainty, first.unit, first.definition, first.interval, first.interval_unit,
+        sum(f.count for f in figures), first.counted, parts,
+    )  # fmt: skip
+
+
+_FIELD_UNITS = {
+    "rad": (10800.0 / math.pi, "arcmin"), "N*m/rad": (math.pi / 10800.0, "N·m/arcmin"), "N*m": (1.0, "N·m"),
+}  # fmt: skip
+
+
+def in_field_units(figure: Figure, like: Figure | None = None) -> tuple[str, str, str]:
+    """Return value, uncertainty and unit as people read them: arcmin, or arcsec where it is less than one.
+
+    The value has as many digits as its uncertainty tells, one more than that is significant. `like` is a figure whose
+    unit is taken, so that several can stand beside each other.
+    """
+    factor, unit = _FIELD_UNITS[figure.unit]
+    if unit == "arcmin" and abs((like or figure).value) * factor < 1.0:
+        factor, unit = factor * 60.0, "arcsec"
+    value, uncertainty = figure.value * factor, figure.uncertainty * factor
+    if not math.isfinite(uncertainty):
+        return f"{value:.4g}", "not known", unit
+    digits = 6 if uncertainty <= 0.0 else min(max(1 - math.floor(math.log10(uncertainty)), 0), 6)
+    return f"{value:.{digits}f}", f"{uncertainty:.{digits}f}", unit
+
+
+def figure_json(figure: Figure) -> dict[str, Any]:
+    """Return one figure as the content of a `cycloid-figures/1` file (SI)."""
+    found: dict[str, Any] = {
+        "value": figure.value,
+        "uncertainty": figure.uncertainty,
+        "unit": figure.unit,
+        "definition": figure.definition,
+        "interval": figure.interval,
+        "interval_unit": figure.interval_unit,
+        figure.counted: figure.count,
+    }
+    found.update({side: figure_json(part) for side, part in figure.parts.items()})
+    if figure.runs:
+        found["runs"] = {name: figure_json(run) for name, run in figure.runs.items()}
+    return found

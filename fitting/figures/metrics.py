@@ -1,0 +1,227 @@
+"""The standard figures of a drive from all its recordings: which of them count, and how they become one figure each."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from cycloid_fmu import edge
+from cycloid_fmu.drive import Drive
+from cycloid_fmu.geometry.pair import Pair
+from fitting.arguments import positive
+from fitting.figures.figure import Figure, figure_json, pooled
+from fitting.figures.hysteresis import loop_figures
+from fitting.figures.spectrum import Spectrum, angular_transmission_error, spectrum
+from fitting.figures.starts import Start, back_driving_torques, start_figure, starting_torques
+from fitting.figures.survey import Surveyed, survey
+from fitting.recordings.sources import Source, open_source
+from fitting.transmission_error.curve import Curve
+
+FORMAT = "cycloid-figures/1"
+
+
+@dataclass(frozen=True)
+class Figures:
+    """The figures of one drive from all its recordings.
+
+    Attributes
+    ----------
+    figures
+        By name; those that the recordings don't tell are not there, and `notes` say why.
+    surveyed
+        What each recording gave.
+    spectra
+        Orders of each curve, in the order of the recordings and their curves; None where less than a turn is there.
+    rated_torque, ratio
+        T_N (N·m) and signed ratio, where known.
+    notes
+        What was left out and why, one sentence each.
+    pair
+        The nominal gear pair, where it is known.
+    problems
+        Of the notes, those on recordings that could not be read at all, and on an interrupt.
+    interrupted
+        Whether an interrupt left recordings out.
+    """
+
+    figures: dict[str, Figure]
+    surveyed: tuple[Surveyed, ...]
+    spectra: tuple[Spectrum | None, ...]
+    rated_torque: float | None
+    ratio: float | None
+    notes: tuple[str, ...]
+    pair: Pair | None = None
+    problems: tuple[str, ...] = ()
+    interrupted: bool = False
+
+    @property
+    def curves(self) -> list[Curve]:
+        """All curves."""
+        return [c for s in self.surveyed for c in s.curves]
+
+    def write(self, path: str | os.PathLike[str]) -> None:
+        """Write the figures, `cycloid-figures/1`, whole or not at all."""
+        with edge.written_whole(path) as temporary:
+            temporary.write_text(edge.json_text(figures_json(self)), encoding="utf-8")
+
+
+def figures_of(surveyed: Sequence[Surveyed], ratio: float | None, rated_torque: float | None) -> Figures:
+    """Return the figures that recordings of one drive give together.
+
+    Several recordings' loops count together; of transmission errors the largest is the figure, the others are its
+    runs.
+
+    Parameters
+    ----------
+    surveyed
+        What each recording gave.
+    ratio, rated_torque
+        As given to `survey`.
+    """
+    notes = [n for s in surveyed for n in s.notes]
+    figures: dict[str, Figure] = {}
+    of_loops = []
+    for one in surveyed:
+        if one.loops is not None:
+            found, said = loop_figures(one.loops)
+            notes += said
+            of_loops.append(found)
+    for name in ("hysteresis_loss", "backlash", "lost_motion", "torsional_stiffness"):
+        same = [f[name] for f in of_loops if name in f]
+        if same:
+            figures[name] = pooled(same)
+    spectra: list[Spectrum | None] = []
+    ways: dict[str, dict[str, Figure]] = {"forward": {}, "backward": {}}
+    for one in surveyed:
+        for curve in one.curves:
+            way = "forward" if curve.direction > 0 else "backward"
+            try:
+                orders = spectrum(curve)
+            except edge.InputError as problem:
+                notes.append(f"{problem} No angular transmission error is given for it.")
+                spectra.append(None)
+                continue
+            spectra.append(orders)
+            around, varies = abs(curve.torque), curve.torque_deviation
+            if 0.1 * around < varies < around or varies > 0.1 * (rated_torque or math.inf):
+                notes.append(
+                    f"{curve.source}: the torque varies by {varies:.3g} N·m around {curve.torque:.4g} "
+                    "N·m; the transmission error holds the windup that this makes."
+                )
+            figure = angular_transmission_error(curve, orders)
+            # Clocks that run apart add their way over one turn, for every turn begins anew.
+            uncertainty = math.hypot(figure.uncertainty, one.runaway / max(curve.turns, 1.0))
+            figure = dataclasses.replace(figure, uncertainty=uncertainty)
+            ways[way][f"{one.source}, {curve.torque:.4g} N*m, {way}"] = figure
+    parts = {way: max(runs.values(), key=lambda f: f.value) for way, runs in ways.items() if runs}
+    if parts:
+        largest = max(parts.values(), key=lambda f: f.value)
+        runs = {name: f for way in ways.values() for name, f in way.items()}
+        figures["angular_transmission_error"] = Figure(
+            largest.value, largest.uncertainty, largest.unit, largest.definition, largest.interval,
+            largest.interval_unit, largest.count, largest.counted, parts, runs,
+        )  # fmt: skip
+    started: dict[str, list[Start]] = {"starting_torque": [], "back_driving_torque": []}
+    for one in surveyed:
+        if one.loops is not None:
+            continue
+        for name, starts_by in (("starting_torque", starting_torques), ("back_driving_torque", back_driving_torques)):
+            starts, said = starts_by(one.overview, ratio if ratio is not None else one.overview.ratio)
+            started[name] += starts
+            notes += said
+            if one.averaged > 1 and starts:
+                notes.append(
+                    f"{one.source}: {name}: its torques are means of {one.averaged} samples of a long recording."
+                )
+    for name, starts in started.items():
+        if starts:
+            figures[name] = start_figure(name, [s.torque for s in starts])
+    return Figures(figures, tuple(surveyed), tuple(spectra), rated_torque, ratio, tuple(dict.fromkeys(notes)))
+
+
+def metrics(
+    recordings: Source | Iterable[Source],
+    drive: Drive | None = None,
+    *,
+    ratio: float | None = None,
+    rated_torque: float | str | None = None,
+    progress: Callable[[str], None] = lambda step: None,
+) -> Figures:
+    """Return the standard figures of a drive: transmission error, lost motion, backlash, stiffness, starting torques.
+
+    A recording that can't be read, or an interrupt, leaves the figures of the others, with a note.
+
+    Parameters
+    ----------
+    recordings
+        What `fitting.read_recordings` gave, `fitting.Run`, or one of them: runs at a load, hysteresis loops, starts.
+    drive
+        The nominal drive, which gives ratio and rated torque.
+    ratio
+        In place of a drive: its signed ratio input over output. Without either the recordings' own.
+    rated_torque
+        T_N, N·m or text with a unit; by default the drive's, without one the largest torque of each recording.
+    progress
+        Called with what is being read.
+
+    Raises
+    ------
+    edge.InputError
+        If an argument is wrong or no recording can be read.
+
+    Examples
+    --------
+    >>> import numpy as np, fitting
+    >>> torque = 100.0 * np.sin(np.linspace(0.0, 4.0 * np.pi, 4000))
+    >>> loop = fitting.Run(input_angle=0.0, output_angle=torque / 1e6, torque=torque)
+    >>> figures = fitting.metrics(loop, ratio=-39.0, rated_torque="100 N*m").figures
+    >>> round(figures["torsional_stiffness"].value)
+    1000000
+    """
+    if drive is not None and ratio is not None:
+        raise edge.ArgumentError("ratio", "the drive states its ratio; give one of the two", ratio)
+    if ratio is not None and not (math.isfinite(ratio) and ratio):
+        raise edge.ArgumentError("ratio", "give the signed ratio input/output, such as -39", ratio)
+    rated = None if rated_torque is None else positive(rated_torque, "N*m", "rated_torque")
+    if drive is not None:
+        ratio, rated = drive.pair.ratio, drive.pair.rated_torque if rated is None else rated
+    given = [recordings] if isinstance(recordings, Source) else list(recordings)
+    surveyed: list[Surveyed] = []
+    problems: list[str] = []
+    interrupted = False
+    for number, source in enumerate(given, start=1):
+
+        def report(samples: int, number: int = number) -> None:
+            progress(f"recording {number} of {len(given)}: {samples / 1e6:.1f} million samples")
+
+        try:
+            surveyed.append(survey(open_source(source), ratio, rated, report))
+        except edge.InputError as problem:
+            problems.append(str(problem))
+        except KeyboardInterrupt:
+            if not surveyed:
+                raise
+            problems.append(f"Interrupted: {len(surveyed)} of {len(given)} recordings were taken.")
+            interrupted = True
+            break
+    if not surveyed:
+        raise edge.InputError("\n".join(problems) or "recordings: there is none.")
+    found, pair = figures_of(surveyed, ratio, rated), None if drive is None else drive.pair
+    notes = (*problems, *found.notes)
+    return dataclasses.replace(found, notes=notes, pair=pair, problems=tuple(problems), interrupted=interrupted)
+
+
+def figures_json(found: Figures) -> dict[str, Any]:
+    """Return all figures as the content of a `cycloid-figures/1` file: each under its name, and whence they are."""
+    return {
+        "format": FORMAT,
+        **{name: figure_json(f) for name, f in found.figures.items()},
+        "rated_torque": found.rated_torque,
+        "ratio": found.ratio,
+        "data": {s.source: s.checksum for s in found.surveyed},
+        "notes": list(found.notes),
+    }

@@ -1,0 +1,200 @@
+"""The orders of the output in a transmission error curve, each with the noise around it, and the range they make."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from cycloid_fmu import edge
+from fitting.figures.figure import DEFINITIONS, UNITS, Figure
+from fitting.transmission_error.curve import Curve
+
+Array = NDArray[np.float64]
+
+_WINDOW = 101  # orders around one whose median tells its noise floor
+_HOLES = 0.02  # share of a turn's points that may be empty
+_REDRAWN = 200  # spectra drawn with the noise found, for the uncertainty of a largest and a smallest value
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Orders of the output in a transmission error curve, arrays of shape (orders,) from order 0.
+
+    Attributes
+    ----------
+    coefficient
+        Complex amplitude, rad: order k is Re(c_k exp(ikψ)), ψ the crank angle over |ratio|; order 0 is the mean.
+    floor
+        Noise floor, rad: the root of the mean square amplitude that noise alone has at this order and around it.
+    turns
+        Output turns behind it.
+    """
+
+    coefficient: NDArray[np.complex128]
+    floor: Array
+    turns: float
+
+    @property
+    def amplitude(self) -> Array:
+        """Amplitude of each order, rad."""
+        return np.abs(self.coefficient)
+
+    @property
+    def uncertainty(self) -> Array:
+        """Half the 95 % interval of each amplitude, rad."""
+        half: Array = 1.96 * self.floor / np.sqrt(2.0)
+        return half
+
+    @property
+    def significant(self) -> NDArray[np.bool_]:
+        """Orders that noise alone reaches once in a hundred such spectra, the mean excepted."""
+        return significant(self.coefficient, self.floor, self.floor.size)
+
+
+def significant(coefficient: NDArray[np.complex128], floor: Array, orders: int) -> NDArray[np.bool_]:
+    """Return which of this many orders stand out of the noise: it alone makes one do so once in a hundred times."""
+    threshold = floor * np.sqrt(np.log(orders / 0.01))
+    found: NDArray[np.bool_] = np.abs(coefficient) > threshold
+    found[..., 0] = False
+    return found
+
+
+def spectrum(curve: Curve) -> Spectrum:
+    """Return the orders of a curve over a whole output turn.
+
+    The points are no even grid: each is a mean over its samples' angles. The orders are found such that at these angles
+    they give the measured means (to second order in the angle), by iteration on the even grid. The noise floor of an
+    order is the median around it, so that noise that is not white is told where it is; single orders don't move it.
+
+    Raises
+    ------
+    edge.InputError
+        If the curve has holes: less than a turn was recorded, or gaps lie always at the same angles.
+    """
+    turn = 2.0 * np.pi * abs(curve.ratio)
+    points, shift = curve.grid
+    if not points:
+        points = curve.input_angle.size
+        shift = float(curve.input_angle[0]) - 0.5 * turn / points
+    scale = 1.0 / abs(curve.ratio)  # from crank angles to those of the output turn
+    place = np.mod(curve.input_angle - shift, turn) * scale
+    variance = np.zeros(place.size) if curve.angle_variance is None else curve.angle_variance * scale**2
+    while True:
+        gathered = _gridded(place, curve.transmission_error, variance, curve.sample_count.astype(float), points)
+        filled = gathered[3]
+        if np.count_nonzero(filled) >= (1.0 - _HOLES) * points or points <= 64:
+            break
+        points //= 2
+    value, inside, spread, filled = gathered
+    runs = np.diff(np.flatnonzero(np.concatenate([filled, filled, [True]])))
+    if np.count_nonzero(filled) < (1.0 - _HOLES) * points or runs.max() > max(2, points // 64):
+        raise edge.InputError(
+            f"{curve.source}: {np.count_nonzero(filled) / points:.1%} of an output turn was recorded; its orders need "
+            "all of it."
+        )
+    # Two terms of the series in the angle reach so far; evenly sampled turns have their whole band.
+    reach = float(np.max(np.abs(inside[filled]) + np.sqrt(spread[filled])))
+    highest = max(1, min((points - 1) // 2, max(points // 4, int(0.25 * np.pi / max(reach, 1e-9)))))
+    order = np.arange(highest + 1)
+    shift_phase = np.exp(1j * order * (shift * scale + np.pi / points))
+    coefficient = np.zeros(highest + 1, complex)
+    for _ in range(50):
+        wave = coefficient * shift_phase
+        model = synthesised(wave, points)
+        model += synthesised(1j * order * wave, points) * inside
+        model += synthesised(-(order**2) * wave, points) * (0.5 * (inside**2 + spread))
+        step = np.fft.rfft(np.where(filled, value - model, 0.0))[: highest + 1] * (2.0 / points) / shift_phase
+        step[0] *= 0.5
+        coefficient = coefficient + step
+        if np.abs(step[1:]).max() <= 1e-9 * np.abs(coefficient[1:]).max():
+            break
+    power = np.abs(coefficient[1:]) ** 2
+    floor = np.sqrt(ndimage.median_filter(power, min(_WINDOW, power.size), mode="reflect") / np.log(2.0))
+    floor = np.maximum(np.concatenate([floor[:1], floor]), 1e-15)
+    return Spectrum(coefficient, floor, curve.turns)
+
+
+def synthesised(coefficient: NDArray[np.complex128], points: int) -> Array:
+    """Return Re Σ c_k exp(ikψ) at `points` even angles from 0; the coefficients lie along the last axis.
+
+    Parameters
+    ----------
+    coefficient
+        Complex amplitudes from order 0, shape (…, orders); orders below half the points.
+    points
+        Angles over a turn.
+    """
+    scaled = coefficient * (0.5 * points)
+    scaled[..., 0] *= 2.0
+    found: Array = np.fft.irfft(scaled, points, axis=-1)
+    return found
+
+
+def _gridded(
+    place: Array, error: Array, variance: Array, weight: Array, points: int
+) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+    """Gather points on an even grid of the output turn: mean error, mean and variance of the angle within, filled."""
+    spacing = 2.0 * np.pi / points
+    number = np.minimum((place / spacing + 1e-9).astype(np.int64), points - 1)
+    total = np.bincount(number, weight, points)
+    filled = total > 0.0
+    total[~filled] = 1.0
+    offset = place - (number + 0.5) * spacing
+    inside = np.bincount(number, weight * offset, points) / total
+    second = np.bincount(number, weight * (offset**2 + variance), points) / total
+    value = np.bincount(number, weight * error, points) / total
+    return value, inside, np.maximum(second - inside**2, 0.0), filled
+
+
+def angular_transmission_error(curve: Curve, orders: Spectrum, *, seed: int = 0) -> Figure:
+    """Return the largest less the smallest transmission error over one output turn of a curve.
+
+    The curve is that of the orders which stand out of the noise: the largest of noisy values is too large. What the
+    noise left in these orders still adds is found by drawing spectra with it, taken off, and is the uncertainty.
+
+    Parameters
+    ----------
+    curve, orders
+        A curve over a whole turn and its orders.
+    seed
+        Of the noise that is drawn.
+    """
+    rng = np.random.default_rng(seed)
+    kept = np.where(orders.significant, orders.coefficient, 0.0)
+    highest = int(np.flatnonzero(orders.significant).max(initial=1))
+    points = 1 << max(10, math.ceil(math.log2(64 * highest)))
+    found = float(_range_of(kept[: highest + 1], points)[0])
+    drawn = np.empty(_REDRAWN)
+    step = max(1, (1 << 22) // points)
+    for begin in range(0, _REDRAWN, step):
+        rows = min(step, _REDRAWN - begin)
+        noise = rng.normal(size=(rows, 2, highest + 1)) * (orders.floor[: highest + 1] / math.sqrt(2.0))
+        noisy = kept[: highest + 1] + noise[:, 0] + 1j * noise[:, 1]
+        out = significant(noisy, orders.floor[: highest + 1], orders.floor.size)
+        drawn[begin : begin + rows] = _range_of(np.where(out, noisy, 0.0), points)
+    bias = float(drawn.mean()) - found
+    uncertainty = 1.96 * float(drawn.std(ddof=1))
+    name = "angular_transmission_error"
+    return Figure(
+        max(found - bias, 0.0), uncertainty, UNITS[name], DEFINITIONS[name], (0.0, 2.0 * math.pi), "rad",
+        curve.turns, "turns",
+    )  # fmt: skip
+
+
+def _range_of(coefficient: NDArray[np.complex128], points: int) -> Array:
+    """Return largest less smallest value, each at the top of a parabola through it and its neighbours."""
+    curve = np.atleast_2d(synthesised(coefficient, points))
+    rows = np.arange(curve.shape[0])
+
+    def top(values: Array) -> Array:
+        at = np.argmax(values, axis=-1)
+        before, peak, after = (values[rows, (at + step) % points] for step in (-1, 0, 1))
+        bend = np.minimum(before - 2.0 * peak + after, -1e-300)
+        found: Array = peak - (before - after) ** 2 / (8.0 * bend)
+        return found
+
+    return top(curve) + top(-curve)

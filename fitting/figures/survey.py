@@ -1,0 +1,223 @@
+"""A recording taken once, block by block: its overview, its transmission error curves or its loops, and their notes."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu import edge
+from fitting.figures.hysteresis import LoopData, loops_of
+from fitting.recordings.cleaning import Block
+from fitting.recordings.mapping import OPTIONAL
+from fitting.recordings.recording import Recording, RecordingStream
+from fitting.transmission_error.curve import Curve
+from fitting.transmission_error.folding import Folding
+
+Array = NDArray[np.float64]
+
+_OVERVIEW = 1 << 20
+
+
+@dataclass(frozen=True)
+class Surveyed:
+    """What one recording gave, taken block by block: bounded in size however long the recording.
+
+    Attributes
+    ----------
+    source, checksum
+        Of the recording.
+    samples, duration
+        How many it had, and over which time, s.
+    overview
+        The recording; where it is long each sample is the mean of `averaged` consecutive ones.
+    averaged
+        How many samples one of the overview holds.
+    curves
+        Transmission error curves, one a direction; empty for loops and where no ratio is known.
+    loops
+        The loops, or None.
+    notes
+        What was left out and why.
+    runaway
+        Half the 95 % interval, rad of the output, of what the two angles' clocks may make the transmission error run
+        away over the whole recording.
+    """
+
+    source: str
+    checksum: str
+    samples: int
+    duration: float
+    overview: Recording
+    averaged: int
+    curves: tuple[Curve, ...]
+    loops: LoopData | None
+    notes: tuple[str, ...]
+    runaway: float = 0.0
+
+
+class _Overview:
+    """Keeps the whole recording at a resolution that halves whenever it grows beyond twice `_OVERVIEW` samples."""
+
+    names = ("time", "input_angle", "output_angle", "torque", *OPTIONAL)
+
+    def __init__(self) -> None:
+        self.averaged = 1
+        self.samples = 0
+        self._parts: list[list[Array]] = []
+        self._rest: list[Array] | None = None
+        self._held = 0
+
+    def add(self, block: Block) -> None:
+        self.names = tuple(n for n in self.names if getattr(block, n) is not None)
+        columns = [getattr(block, n) for n in self.names]
+        self.samples += block.time.size
+        if self._rest is not None:
+            columns = [np.concatenate([r, c]) for r, c in zip(self._rest, columns, strict=True)]
+        whole = columns[0].size - columns[0].size % self.averaged
+        self._rest = [c[whole:].copy() for c in columns]
+        self._keep([self._mean(c[:whole], self.averaged) for c in columns])
+
+    @staticmethod
+    def _mean(column: Array, size: int) -> Array:
+        found: Array = column.copy() if size == 1 else column.reshape(-1, size).mean(axis=1)
+        return found
+
+    def _keep(self, columns: list[Array]) -> None:
+        if columns[0].size:
+            self._parts.append(columns)
+            self._held += columns[0].size
+        while self._held > 2 * _OVERVIEW:
+            joined = [np.concatenate(c) for c in zip(*self._parts, strict=True)]
+            whole = joined[0].size - joined[0].size % 2
+            assert self._rest is not None
+            odd = [c[whole:] for c in joined]
+            self._rest = [
+                np.concatenate([np.repeat(one, self.averaged), rest]) for one, rest in zip(odd, self._rest, strict=True)
+            ]
+            self._parts = [[self._mean(c[:whole], 2) for c in joined]]
+            self.averaged *= 2
+            self._held = whole // 2
+
+    def table(self) -> dict[str, Array]:
+        """Return the columns; what is left of the last average is an average too."""
+        if self._rest is not None and self._rest[0].size:
+            self._parts.append([np.atleast_1d(c.mean()) for c in self._rest])
+            self._rest = None
+        columns = [np.concatenate(c) for c in zip(*self._parts, strict=True)]
+        return dict(zip(self.names, columns, strict=True))
+
+
+def survey(
+    stream: Recording | RecordingStream,
+    ratio: float | None,
+    rated_torque: float | None,
+    progress: Callable[[int], None] = lambda samples: None,
+) -> Surveyed:
+    """Take a recording once, block by block, and return what figures, report and comparison need of it.
+
+    Parameters
+    ----------
+    stream
+        The recording, in memory or in its file.
+    ratio
+        Signed ratio; None takes the recording's own. Without any the input must be locked.
+    rated_torque
+        T_N, N·m; None takes the largest torque of the recording, with a note.
+    progress
+        Told how many samples were taken so far.
+
+    Raises
+    ------
+    edge.InputError
+        If the file can't be read. Whatever of its content can't be used is a note.
+    """
+    ratio = stream.ratio if ratio is None else ratio
+    overview = _Overview()
+    folding = None if ratio is None else Folding(ratio, stream.source)
+    for block in stream.blocks():
+        overview.add(block)
+        if folding is not None:
+            folding.add(block)
+        progress(overview.samples)
+    table: dict[str, NDArray[Any]] = {**overview.table()}
+    notes = list(stream.notes)
+    table["status"] = np.zeros(table["time"].size, np.uint8)
+    shortened = dataclasses.replace(stream.recording(table), ratio=ratio)
+    loops, said = loops_of(shortened, ratio, rated_torque)
+    notes += said
+    curves: list[Curve] = []
+    if loops is None and folding is not None:
+        try:
+            curves = folding.curves(stream)
+            notes = list(curves[0].notes) + said + _lag_note(shortened, folding.ratio)
+        except edge.InputError as problem:
+            notes.append(str(problem))
+    elif loops is None and np.ptp(shortened.input_angle) > 0.0:
+        notes.append(f"{stream.source}: the input turns and no ratio is known; --pair or --ratio is needed.")
+    duration = float(table["time"][-1] - table["time"][0])
+    speed = float(np.abs(np.diff(table["output_angle"])).sum()) / duration if duration > 0.0 else 0.0
+    return Surveyed(
+        stream.source, shortened.checksum, overview.samples, duration, shortened, overview.averaged, tuple(curves),
+        loops, tuple(notes), 2.0 * stream.alignment * speed,
+    )  # fmt: skip
+
+
+def _lag_note(recording: Recording, ratio: float) -> list[str]:
+    """Say where the output angle is late beyond its uncertainty, and by a tenth of an arcsecond at full speed."""
+    found = lag_of(recording, ratio)
+    if found is None:
+        return []
+    lag, uncertainty = found
+    fastest = float(np.abs(np.gradient(recording.output_angle, recording.time)).max())
+    arcsec = abs(lag) * fastest * edge.ARCSEC
+    if abs(lag) < 2.0 * uncertainty or arcsec < 0.1:
+        return []
+    return [
+        f"{recording.source}: where the speed changes the output angle is {'late' if lag > 0.0 else 'early'} by "
+        f"{abs(lag) * 1e3:.3g} ± {uncertainty * 1e3:.1g} ms, {arcsec:.3g}″ at full speed; where that is not windup, "
+        "give it as delay in the mapping."
+    ]
+
+
+def lag_of(recording: Recording, ratio: float) -> tuple[float, float] | None:
+    """Find by how much later than the input angle the output angle was taken, from changes of speed.
+
+    An output angle that is late by τ is short by τ times its speed. At one speed that is an offset like any other;
+    where the speed changes it shows, apart from what repeats with the output's or crank's turns and from the lost
+    motion, which has the sign of the speed. A windup that grows with speed (viscous friction) shows alike.
+
+    Parameters
+    ----------
+    recording
+        The recording.
+    ratio
+        Signed ratio.
+
+    Returns
+    -------
+    lag, uncertainty
+        s, and half its 95 % interval; None where the speed hardly changes.
+    """
+    step = max(1, recording.time.size // 50000)
+    time, angle, output = recording.time[::step], recording.input_angle[::step], recording.output_angle[::step]
+    if time.size < 50:
+        return None
+    speed = np.gradient(angle, time) / ratio
+    waves = np.multiply.outer(angle, np.array([1.0, 2.0, 1.0 + 1.0 / abs(ratio), 1.0 / abs(ratio)]))
+    columns = np.column_stack([np.ones(angle.size), np.sign(speed), np.cos(waves), np.sin(waves)])
+    both = np.column_stack([output - angle / ratio, speed])
+    left = both - columns @ np.linalg.lstsq(columns, both, rcond=None)[0]
+    error, changes = left.T
+    spread = float(changes @ changes)
+    if np.sqrt(spread / time.size) < 0.02 * np.abs(speed).max():
+        return None
+    slope = float(changes @ error) / spread
+    rest = error - slope * changes
+    alike = min(max(float(rest[1:] @ rest[:-1]) / max(float(rest @ rest), 1e-300), 0.0), 1.0 - 2.0 / time.size)
+    variance = float(rest @ rest) / (time.size - columns.shape[1] - 1) / spread * (1.0 + alike) / (1.0 - alike)
+    return -slope, 1.96 * float(np.sqrt(variance))

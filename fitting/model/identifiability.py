@@ -1,0 +1,184 @@
+"""Which errors measurements tell apart, and which they do not and why."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from fitting.model.observations import ORDERS, Linear, Observations, nuisance_columns
+from fitting.model.prior import tolerances_of
+
+Array = NDArray[np.float64]
+
+# Of each set of errors that move the transmission error alike the first is fitted (docs/theory/errors.md).
+PREFERENCE = (
+    "centre_distance_x", "centre_distance_y", "pin_radius", "pin_circle_radius", "eccentricity",
+    *(f"{p}_{k}_{w}" for k in (2, 3) for p in ("pin_radial", "pin_tangential") for w in ("cos", "sin")),
+    *(f"tooth_cumulative_pitch_{k}_{w}" for k in ORDERS for w in ("cos", "sin")),
+    *(f"{p}_1_{w}" for p in ("pin_tangential", "pin_radial") for w in ("cos", "sin")),
+    "isometric", "offset", "misalignment_xz", "misalignment_yz",
+)  # fmt: skip
+UNKNOWN = 1e-6  # precision of what has no prior, so that what these curves do not see at all can stay where it is
+KNOWN = 0.2  # an error counts as known where the data leave less than this share of its tolerance
+
+
+def choose(information: Array, names: Sequence[str]) -> list[str]:
+    """Choose the errors that the data tell apart.
+
+    Parameters
+    ----------
+    information
+        Information matrix of the structured errors, scaled by their tolerances.
+    names
+        The structured errors in the matrix' order.
+
+    Returns
+    -------
+    names
+        In the order of `PREFERENCE`: each was added where all errors chosen stay known to `KNOWN` of their tolerance.
+    """
+    chosen: list[int] = []
+    for name in PREFERENCE:
+        if name not in names:
+            continue
+        trial = [*chosen, list(names).index(name)]
+        block = information[np.ix_(trial, trial)]
+        size = np.sqrt(np.maximum(np.diag(block), 0.0))
+        if (size <= 0.0).any():
+            continue
+        values, vectors = np.linalg.eigh(block / np.outer(size, size))
+        if values[0] < 1e-9:
+            continue
+        if (np.sqrt((vectors**2 / values).sum(axis=1)) / size < KNOWN).all():
+            chosen = trial
+    return [list(names)[i] for i in chosen]
+
+
+def chosen_errors(observed: Observations, linear: Linear, names: Sequence[str], spread: Array) -> list[str]:
+    """Choose the errors that observations tell apart, in the order of `names`; orders of the profile are always there.
+
+    Their size is known before measuring, as that of the scatter, and as that they blur the others.
+
+    Parameters
+    ----------
+    observed, linear, names
+        The observations and the model at a state.
+    spread
+        Standard deviation of each scattered displacement of a pin or tooth, which blurs the errors, m.
+    """
+    information = _information(observed, linear, names, spread)
+    free = [n not in observed.profile for n in names]
+    own = np.flatnonzero([*free, *np.zeros(len(information) - len(names), bool)])
+    other = np.setdiff1d(np.arange(len(information)), own)
+    # What scatter, form and nuisances leave of the information about the errors.
+    blurred = linalg.solve(information[np.ix_(other, other)], information[np.ix_(other, own)], assume_a="pos")
+    left = information[np.ix_(own, own)] - information[np.ix_(own, other)] @ blurred
+    found = choose(0.5 * (left + left.T), [n for n, one in zip(names, free, strict=True) if one])
+    return [n for n in names if n in found or n in observed.profile]
+
+
+def _information(observed: Observations, linear: Linear, names: Sequence[str], spread: Array) -> Array:
+    """Information matrix of errors, scatter and nuisances, each in units of what it may be before measuring.
+
+    Scatter, the profile's orders and the nuisances that have a prior are known by it; the errors and the other
+    nuisances by the data alone.
+    """
+    nuisances, priors = nuisance_columns(observed, linear)
+    known = np.isfinite(priors)
+    columns = np.column_stack([
+        linear.structured * tolerances_of(names, observed.profile), linear.scatter * spread,
+        nuisances * np.where(known, priors, 1e-4),
+    ])  # fmt: skip
+    columns = observed.weight[:, None] * columns
+    information: Array = columns.T @ columns
+    stated = np.array([float(n in observed.profile) for n in names])
+    prior = np.concatenate([stated, np.ones(spread.size), np.where(known, 1.0, UNKNOWN)])
+    return information + np.diag(prior)
+
+
+def weakness(
+    observed: Observations, linear: Linear, names: Sequence[str], chosen: Sequence[str]
+) -> tuple[Array, tuple[str, ...], dict[str, str]]:
+    """Say what the data cannot tell.
+
+    Returns
+    -------
+    singular_values
+        Of the Jacobian scaled by tolerance and noise, the nuisances projected out.
+    weak_combinations
+        Combinations of errors that stay less known than `KNOWN` of their tolerance, in words: one for each error that
+        is not chosen.
+    reasons
+        {name: why} of every error that is not chosen.
+    """
+    weight = observed.weight[:, None]
+    nuisances, priors = nuisance_columns(observed, linear)
+    # A nuisance with a prior is one more measurement of itself.
+    known = np.isfinite(priors)
+    rows = np.vstack([weight * nuisances, np.diag(1.0 / priors)[known]])
+    scale = np.linalg.norm(rows, axis=0)
+    rows = rows[:, scale > 0.0] / scale[scale > 0.0]
+    q, _ = np.linalg.qr(rows)
+    columns = np.vstack(
+        [weight * linear.structured * tolerances_of(names, observed.profile), np.zeros((known.sum(), len(names)))]
+    )
+    columns = columns - q @ (q.T @ columns)
+    singular = np.linalg.svd(columns, compute_uv=False)
+    keep = [list(names).index(n) for n in chosen]
+    weak, reasons = [], {}
+    for i, name in enumerate(names):
+        if i in keep:
+            continue
+        length = float(np.linalg.norm(columns[:, i]))
+        if length < 1.0:
+            reasons[name] = "it does not move these transmission errors"
+            weak.append(f"{name} is not known from these data")
+            continue
+        share, *_ = np.linalg.lstsq(columns[:, keep], columns[:, i], rcond=None)
+        left = float(np.linalg.norm(columns[:, i] - columns[:, keep] @ share)) / length
+        leading = [j for j in np.argsort(-np.abs(share)) if abs(share[j]) > 0.2 * np.abs(share).max()][:4]
+        alike = " ".join(f"{share[j]:+.2f} {chosen[j]}" for j in leading)
+        if left < 0.05:
+            reasons[name] = f"it moves the transmission errors as {alike}"
+        else:
+            reasons[name] = f"the data leave it too uncertain beside {alike}"
+        weak.append(_in_words(name, [(float(share[j]), chosen[j]) for j in leading]))
+    return singular, tuple(weak), reasons
+
+
+def posterior_covariance(
+    observed: Observations, linear: Linear, names: Sequence[str], chosen: Sequence[str], spread: Array
+) -> Array:
+    """Covariance of the chosen errors and of the scatter of every pin and tooth, the nuisances unknown.
+
+    Parameters
+    ----------
+    chosen
+        The errors fitted; they have no prior.
+    spread
+        Standard deviation of each scattered displacement before anything is measured, m.
+
+    Returns
+    -------
+    covariance
+        Shape (chosen + scatter, chosen + scatter), m² or rad².
+    """
+    information = _information(observed, linear, names, spread)
+    chosen_first = [*(list(names).index(n) for n in chosen), *range(len(names), len(information))]
+    scale = np.concatenate([tolerances_of(chosen, observed.profile), spread])
+    covariance = linalg.inv(information[np.ix_(chosen_first, chosen_first)])[: scale.size, : scale.size]
+    covariance = 0.5 * (covariance + covariance.T)
+    return np.asarray(covariance * np.outer(scale, scale))
+
+
+def _in_words(name: str, alike: Sequence[tuple[float, str]]) -> str:
+    """Say which combination is not known of an error that moves the transmission error as others do."""
+    if len(alike) == 1 and abs(abs(alike[0][0]) - 1.0) < 0.05:
+        (share, other), *_ = alike
+        way, left = ("alike", "sum") if share > 0 else ("oppositely", "difference")
+        return f"{name} and {other} move the transmission error {way}; only their {left} is known"
+    # Moving the error by one and the others against what it does changes nothing.
+    return f"+1.00 {name} {' '.join(f'{-share:+.2f} {other}' for share, other in alike)} is not known from these data"

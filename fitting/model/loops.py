@@ -1,0 +1,251 @@
+"""Hysteresis loops as data of the identification: their branches as curves over the torque, and the play in them.
+
+With the input locked at a crank angle a loop is the drive's windup there at every torque: what a transmission error
+curve shows at one torque and every angle. Beyond friction and play each of its four branches is loaded contact, so the
+exact model at that angle foretells it; friction stands between loading and unloading, the play between the sides.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu import edge
+from cycloid_fmu.contact.transmission import error_sensitivity, solve
+from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD, Pair
+from cycloid_fmu.surfaces.surface import ErrorSurface
+from fitting.figures.hysteresis import FRICTION, FRICTION_NEAR, LOCKED, Lobe, LoopData, branch_line
+from fitting.figures.survey import Surveyed, survey
+from fitting.recordings.recording import Recording, RecordingStream
+from fitting.recordings.sources import Source, open_source
+from fitting.transmission_error.curve import Curve
+from fitting.transmission_error.folding import curves
+
+Array = NDArray[np.float64]
+
+BINS = 24  # of the torque on a branch
+_LEAST = 4  # samples in each
+_FRICTIONS = 2.5  # friction torques from zero and from the peak: there friction turns round, and a branch is left
+_REACH = 0.97  # of the peak
+_NO_TORQUE = 1e-2  # N·m: one flank touches at each end, and hardly gives way
+
+
+@dataclass(frozen=True)
+class LoopFit:
+    """A loop after the fit.
+
+    Attributes
+    ----------
+    source, crank_angle
+        The recording, and where the input was locked, rad.
+    torque, measured, fitted
+        Of each branch's points: torque (N·m) and windup with the bench's part (rad), lists of arrays by branch.
+    play, standard_error
+        The free rotation there as the identified errors have it, rad; it has no friction in it.
+    """
+
+    source: str
+    crank_angle: float
+    torque: dict[str, Array]
+    measured: dict[str, Array]
+    fitted: dict[str, Array]
+    play: float
+    standard_error: float
+
+
+def is_locked(stream: Recording | RecordingStream) -> bool:
+    """Whether the input stands still in a recording but for what its fixture gives way, as it does in a loop."""
+    low, high = np.inf, -np.inf
+    for block in stream.blocks():
+        if block.input_angle.size:
+            low, high = min(low, float(block.input_angle.min())), max(high, float(block.input_angle.max()))
+        if high - low > LOCKED:
+            return False
+    return True
+
+
+def observed_curves(
+    recordings: Source | Curve | Iterable[Source | Curve], pair: Pair, *, keep_turns: bool = False
+) -> list[Curve]:
+    """Return the curves of recordings, and behind them the branches of those whose input stands still, which are loops.
+
+    Raises
+    ------
+    edge.InputError
+        If a recording can't be read, or gives neither.
+    """
+    given = [recordings] if isinstance(recordings, Source | Curve) else list(recordings)
+    found = [one for one in given if isinstance(one, Curve)]
+    sources = [one for one in given if not isinstance(one, Curve)]
+    locked = [is_locked(open_source(one)) for one in sources]
+    found += curves(
+        [one for one, still in zip(sources, locked, strict=True) if not still], pair.ratio, keep_turns=keep_turns
+    )
+    for one in itertools.compress(sources, locked):
+        found += branches_of(survey(open_source(one), pair.ratio, pair.rated_torque), pair.ratio)
+    return found
+
+
+def branches_of(surveyed: Surveyed, ratio: float) -> list[Curve]:
+    """Return the branches of a recorded loop as curves over the torque: loading and unloading on either side.
+
+    Each begins at 3 % of the rated torque, or where friction has left the play behind, and is averaged in `BINS` equal
+    steps of the torque over all the recording's loops.
+
+    Parameters
+    ----------
+    surveyed
+        A recording with the input locked.
+    ratio
+        Signed ratio.
+
+    Raises
+    ------
+    edge.InputError
+        If there is no loop in it, one side was not loaded, or a branch has too few samples.
+    """
+    loop, recording = surveyed.loops, surveyed.overview
+    if loop is None:
+        raise edge.InputError("\n".join(surveyed.notes) or f"{surveyed.source}: there is no loop.")
+    if not loop.loops:
+        raise edge.InputError(f"{surveyed.source}: the loop loads one side only; the play is between both.")
+    crank = recording.input_angle
+    error = recording.output_angle - crank / ratio
+    friction = _friction(loop)
+    found = []
+    for side in (1, -1):
+        for loading in (True, False):
+            parts = [lobe.loading if loading else lobe.unloading for lobe in loop.lobes if lobe.sign == side]
+            at = np.concatenate([np.arange(part.start, part.stop) for part in parts])
+            name = f"{'positive' if side > 0 else 'negative'} {'loading' if loading else 'unloading'}"
+            found.append(
+                _branch(surveyed, loop.torque[at], error[at], crank[at], (name, side, loading), friction, ratio)
+            )
+    return found
+
+
+def _friction(loop: LoopData) -> float:
+    """Dry friction torque that a loop shows between its branches, N·m: half their distance there."""
+    widths = []
+    low, high = (FRICTION - FRICTION_NEAR) * loop.rated_torque, (FRICTION + FRICTION_NEAR) * loop.rated_torque
+
+    def line(lobe: Lobe, part: slice) -> tuple[float, float] | None:
+        found = branch_line(loop.torque, loop.windup, part, low, high)
+        return None if found is None else (found.at(lobe.sign * FRICTION * loop.rated_torque)[0], found.slope)
+
+    for lobe in loop.lobes:
+        up, down = line(lobe, lobe.loading), line(lobe, lobe.unloading)
+        if up is not None and down is not None and up[1] > 0.0:
+            widths.append(0.5 * lobe.sign * (down[0] - up[0]) / up[1])
+    return max(float(np.mean(widths)), 0.0) if widths else 0.0
+
+
+def _branch(
+    surveyed: Surveyed,
+    torque: Array,
+    error: Array,
+    crank: Array,
+    which: tuple[str, int, bool],
+    friction: float,
+    ratio: float,
+) -> Curve:
+    name, side, loading = which
+    assert surveyed.loops is not None
+    size = side * torque
+    low = max(LOST_MOTION_LOAD * surveyed.loops.rated_torque, _FRICTIONS * friction)
+    high = _REACH * float(size.max())
+    if not loading:
+        high = min(high, float(size.max()) - _FRICTIONS * friction)
+    place = np.floor((size - low) / max(high - low, 1e-300) * BINS).astype(int)
+    inside = (place >= 0) & (place < BINS) & (high > low)
+    count = np.bincount(place[inside], minlength=BINS)
+    if count.min() < _LEAST:
+        raise edge.InputError(
+            f"{surveyed.source}: the {name} branch of the loop has {np.count_nonzero(inside)} samples from {low:.4g} "
+            f"to {high:.4g} N·m; at least {BINS * _LEAST}, evenly over the torque, are needed."
+        )
+
+    def mean(values: Array) -> Array:
+        return np.asarray(np.bincount(place[inside], values[inside], BINS) / count)
+
+    at, windup = mean(torque), mean(error)
+    # Within a step the windup is a straight line, whose slope is that between the steps' means.
+    left = error - windup[np.clip(place, 0, BINS - 1)]
+    left -= np.gradient(windup, at)[np.clip(place, 0, BINS - 1)] * (torque - at[np.clip(place, 0, BINS - 1)])
+    scatter = np.sqrt(np.bincount(place[inside], left[inside] ** 2, BINS) / (count - 1.0))
+    motion = side if loading else -side
+    recording = surveyed.overview
+    return Curve(
+        input_angle=mean(crank), transmission_error=windup, standard_error=scatter / np.sqrt(count),
+        sample_count=count.astype(np.int64), torque=float(at.mean()), torque_deviation=float(at.std()),
+        direction=motion * (1 if ratio > 0.0 else -1), ratio=ratio, common_zero=recording.common_zero,
+        known_index=recording.known_index, source=surveyed.source, checksum=surveyed.checksum, torque_each=at,
+        branch=name,
+    )  # fmt: skip
+
+
+def on_the_curves_zero(branches: Sequence[Curve], curves: Sequence[Curve]) -> list[Curve]:
+    """Return branches with the crank's turns counted as the curves count them, where the output's zero is common.
+
+    An input encoder that knows its angle within one turn does not know which of the output's teeth it stands at; an
+    absolute output encoder does.
+    """
+    absolute = [float(np.mean(c.transmission_error)) for c in curves if c.common_zero]
+    found = []
+    for one in branches:
+        turn = 2.0 * np.pi / one.ratio
+        passed = 0.0
+        if one.common_zero and absolute:
+            passed = round((float(np.mean(one.transmission_error)) - float(np.mean(absolute))) / turn)
+        crank = one.input_angle + 2.0 * np.pi * passed
+        found.append(dataclasses.replace(
+            one, input_angle=np.mod(crank, 2.0 * np.pi * abs(one.ratio)),
+            transmission_error=one.transmission_error - passed * turn,
+        ))  # fmt: skip
+    return found
+
+
+def play_of(pair: Pair, surface: ErrorSurface, crank_angle: float, names: Sequence[str]) -> tuple[float, Array, Array]:
+    """Play at a crank angle with its derivatives: those of the two flanks that touch at its ends.
+
+    Parameters
+    ----------
+    pair, surface
+        The pair and its errors.
+    crank_angle
+        Where the input is locked, rad.
+    names
+        Structured errors.
+
+    Returns
+    -------
+    play, by_error, each
+        rad, 0 where there is interference; its derivatives by the errors, shape (names,), and by every single
+        one, columns as in `contact.sensitivities`.
+    """
+    ends = [-_NO_TORQUE, _NO_TORQUE]
+    _, jacobian, each, _ = error_sensitivity(pair, surface, ends, [crank_angle] * 2, list(names))
+    play = float(np.nan_to_num(solve(pair, surface, _NO_TORQUE, crank_angle).backlash[0]))
+    return play, jacobian[1] - jacobian[0], each[1] - each[0]
+
+
+def planned_branches(pair: Pair, torque: float, crank_angle: float, number: int) -> list[Curve]:
+    """Return the branches of a loop to a torque (N·m) with the input locked at a crank angle (rad), all errors zero."""
+    size = torque * np.linspace(LOST_MOTION_LOAD, _REACH, BINS)
+    motions = {"positive loading": (1, 1), "positive unloading": (1, -1), "negative loading": (-1, -1),
+               "negative unloading": (-1, 1)}  # fmt: skip
+    return [
+        Curve(
+            input_angle=np.full(BINS, crank_angle), transmission_error=np.zeros(BINS),
+            standard_error=np.full(BINS, np.nan), sample_count=np.ones(BINS, dtype=np.int64),
+            torque=float(side * size.mean()), torque_deviation=0.0, direction=motion * (1 if pair.ratio > 0.0 else -1),
+            ratio=pair.ratio, common_zero=False, known_index=True, source=f"planned loop {number}", checksum="",
+            torque_each=side * size, branch=name,
+        )
+        for name, (side, motion) in motions.items()
+    ]  # fmt: skip

@@ -1,0 +1,363 @@
+"""What transmission error curves observe of a drive: the exact model at every point, and its derivatives.
+
+Beside the errors of the drive the curves see the bench: the zeros of its angles, eccentric encoders, what else gives
+way between the two encoders, and friction. These are nuisances: fitted with the errors, never part of the surface.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu.contact import first_order
+from cycloid_fmu.contact.transmission import error_sensitivity, solve
+from cycloid_fmu.errors.kinds import structured_names
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.structured import displacement_columns, displacement_layout, displacement_vector
+from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
+from fitting.transmission_error.curve import Curve, noise_of
+
+Array = NDArray[np.float64]
+
+ORDERS = (1, 2, 3)  # of pins and teeth that are structured errors; what is beyond them is scatter
+PROFILE_ORDERS = (1, 2, 3, 4)  # of the profile deviation that all teeth share, where it is fitted
+
+# What an encoder errs once a turn of its own shaft before anything is measured, rad; the output's is told by its order.
+OUTPUT_ENCODER, INPUT_ENCODER = 2e-4, 5e-5
+DRIFT = 5e-5  # rad an output turn: how far the angles' zeros may creep while the bench warms up
+CREEP = "output_angle_creep"  # what a common zero has moved from one recording to the next; how far, the fit estimates
+NO_CREEP = 1e-8  # rad
+_REACH = 80e-6  # m: gaps that errors and the rotation may close where contacts are taken to first order
+_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+_LEAST_TORQUE = 1e-3  # of a curve's mean: without any the output is free in its play
+FRICTION_SHARE = 0.002  # of the largest torque
+COMPLIANCE_SHARE = 0.02  # of the gear pair's own compliance
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Curves as one long vector.
+
+    Attributes
+    ----------
+    curves
+        The curves.
+    measured, weight
+        Shape (points,): transmission error (rad) and 1/noise of each point (1/rad; 0 leaves a point out).
+    bench_names, bench, bench_prior
+        Nuisances in which the transmission error is linear: names, columns (points, nuisances) and what each may be
+        before anything is measured, as a standard deviation (infinite: unknown).
+    fit_crank
+        Whether the crank's zero is unknown too.
+    friction_prior
+        Standard deviation of the friction torque before anything is measured, N·m; that of loops is unknown.
+    with_loops
+        Whether there are branches of loops, whose friction is their own.
+    errors, profile
+        The structured errors considered, and {order of the profile deviation: what it may be before anything is
+        measured, m} of those that are among them.
+    """
+
+    curves: tuple[Curve, ...]
+    measured: Array
+    weight: Array
+    bench_names: tuple[str, ...]
+    bench: Array
+    bench_prior: Array
+    fit_crank: bool
+    friction_prior: float
+    with_loops: bool
+    errors: tuple[str, ...]
+    profile: Mapping[str, float]
+
+    @property
+    def running(self) -> list[int]:
+        """Which of the curves were taken with the crank turning, the others being branches of loops."""
+        return [i for i, c in enumerate(self.curves) if not c.branch]
+
+    @property
+    def of_loops(self) -> NDArray[np.bool_]:
+        """Which points are of loops, shape (points,)."""
+        return np.concatenate([np.full(c.input_angle.size, bool(c.branch)) for c in self.curves])
+
+    @property
+    def friction_names(self) -> tuple[str, ...]:
+        """Dry friction at the output while it turns, and, with loops, where it is only wound up."""
+        return ("friction_torque", "loop_friction_torque") if self.with_loops else ("friction_torque",)
+
+    @property
+    def creeping(self) -> slice:
+        """Which of the bench's nuisances are the creep of each recording's zero."""
+        found = [i for i, name in enumerate(self.bench_names) if name.startswith(CREEP)]
+        return slice(found[0], found[-1] + 1) if found else slice(0, 0)
+
+    @property
+    def ends(self) -> NDArray[np.int64]:
+        """Where one curve ends and the next begins, shape (curves - 1,)."""
+        return np.cumsum([c.input_angle.size for c in self.curves])[:-1]
+
+    def thinned(self, points: int) -> Observations:
+        """About so many points of all curves, evenly over every angle of the crank, and every one of a loop."""
+        share = points / self.measured.size
+        # Multiples of the golden section fall into step with nothing.
+        chosen = [bool(c.branch) | (np.mod(np.arange(c.input_angle.size) * _GOLDEN, 1.0) < share) for c in self.curves]
+        curves = tuple(c.points(one) for c, one in zip(self.curves, chosen, strict=True))
+        every = np.concatenate(chosen)
+        return dataclasses.replace(
+            self, curves=curves, measured=self.measured[every], weight=self.weight[every], bench=self.bench[every]
+        )
+
+    def some(self, numbers: Sequence[int] | NDArray[np.int64]) -> Observations:
+        """Some of the curves by themselves."""
+        places = np.split(np.arange(self.measured.size), self.ends)
+        part = np.concatenate([places[n] for n in numbers])
+        return dataclasses.replace(
+            self, curves=tuple(self.curves[n] for n in numbers), measured=self.measured[part],
+            weight=self.weight[part], bench=self.bench[part],
+        )  # fmt: skip
+
+
+def observations(
+    curves: Sequence[Curve],
+    pair: Pair,
+    noise: Sequence[float] | None = None,
+    profile: Mapping[str, float] | None = None,
+) -> Observations:
+    """Return curves as observations of a pair.
+
+    Parameters
+    ----------
+    curves
+        One or more, branches of loops among them.
+    pair
+        The nominal pair.
+    noise
+        Noise of a single point of each curve, rad; by default what the curves themselves show.
+    profile
+        Orders of the profile deviation to consider too, and what each may be, m.
+    """
+    shown = np.array([noise_of(c) for c in curves] if noise is None else noise)
+    floor = max(float(np.median(shown)), 1e-9)
+    weight = [np.sqrt(c.sample_count / np.median(c.sample_count)) / max(n, 0.1 * floor, 1e-9)
+              for c, n in zip(curves, shown, strict=True)]  # fmt: skip
+    sizes = [c.input_angle.size for c in curves]
+    crank = np.concatenate([c.input_angle for c in curves])
+    torque = np.concatenate([c.torque_at_points for c in curves])
+    names, columns, priors = [], [], []
+    # The branches of a loop share its zero, and what that has crept.
+    recordings: dict[str | int, list[int]] = {}
+    for number, curve in enumerate(curves):
+        recordings.setdefault(curve.source if curve.branch else number, []).append(number)
+    absolute = [group for group in recordings.values() if curves[group[0]].common_zero]
+    own = [group for group in recordings.values() if not curves[group[0]].common_zero]
+    groups = [[i for group in absolute for i in group]] if absolute else []
+    groups += [g for g in own if not curves[g[0]].branch]
+    zeros = {"output_angle_offset" if len(groups) == 1 else f"output_angle_offset_{n}": g for n, g in enumerate(groups)}
+    zeros |= {f"loop_angle_offset_{n}": g for n, g in enumerate(g for g in own if curves[g[0]].branch)}
+    for name, group in zeros.items():
+        names.append(name)
+        columns.append(np.repeat([float(i in group) for i in range(len(curves))], sizes))
+        priors.append(np.inf)
+    for group in absolute if len(absolute) > 1 else []:
+        names.append(f"{CREEP}_{group[0]}")
+        columns.append(np.repeat([float(i in group) for i in range(len(curves))], sizes))
+        priors.append(NO_CREEP)
+    ratio = abs(curves[0].ratio)
+    shafts = (("output", crank / ratio, 1.0, OUTPUT_ENCODER), ("input", crank, 1.0 / ratio, INPUT_ENCODER))
+    for shaft, angle, lever, prior in shafts:
+        for part, wave in (("cos", np.cos(angle)), ("sin", np.sin(angle))):
+            names.append(f"{shaft}_encoder_eccentricity_{part}")
+            columns.append(lever * wave)
+            priors.append(prior)
+    for number, curve in enumerate(curves):
+        if curve.branch:
+            continue
+        names.append(f"output_angle_drift_{number}")
+        place = curve.input_angle / (2.0 * np.pi * ratio)
+        columns.append(np.concatenate([np.zeros(sum(sizes[:number])), place - place.mean(),
+                                       np.zeros(sum(sizes[number + 1 :]))]))  # fmt: skip
+        priors.append(DRIFT)
+    largest = max(float(np.abs(torque).max()), 1e-9)
+    nominal = solve(pair, surface_of_pair(pair), largest, np.linspace(0.0, 2.0 * np.pi, 40), with_play=False)
+    names.append("chain_compliance")
+    columns.append(torque)
+    priors.append(COMPLIANCE_SHARE / float(nominal.torsional_stiffness.mean()))
+    return Observations(
+        curves=tuple(curves),
+        measured=np.concatenate([c.transmission_error for c in curves]),
+        weight=np.concatenate(weight),
+        bench_names=tuple(names),
+        bench=np.array(columns).T,
+        bench_prior=np.array(priors),
+        fit_crank=not all(c.known_index for c in curves),
+        friction_prior=FRICTION_SHARE * largest,
+        with_loops=any(c.branch for c in curves),
+        errors=(*errors_of(pair), *(profile or {})),
+        profile=profile or {},
+    )
+
+
+@dataclass(frozen=True)
+class State:
+    """Where a fit stands.
+
+    Attributes
+    ----------
+    surface
+        The error surface, the pins' and teeth's own scatter in it.
+    scatter
+        That scatter by itself, shape (2 pins + discs x teeth,), m.
+    bench
+        The bench's nuisances as in `Observations.bench_names`.
+    crank_offset, friction, loop_friction
+        The crank's zero (rad) and the friction torques of curves and of loops (N·m).
+    """
+
+    surface: ErrorSurface
+    scatter: Array
+    bench: Array
+    crank_offset: float = 0.0
+    friction: float = 0.0
+    loop_friction: float = 0.0
+
+
+@dataclass(frozen=True)
+class Linear:
+    """The model at one state: transmission error without the bench, shape (points,), and its derivatives.
+
+    `structured` (points, errors as in `Observations.errors`), `scatter` (points, 2 pins + discs x teeth), and by crank
+    angle and friction torque (points,).
+    """
+
+    model: Array
+    structured: Array
+    scatter: Array
+    by_crank: Array
+    by_friction: Array
+
+
+def errors_of(pair: Pair) -> list[str]:
+    """Return the structured errors that every fit of this pair considers."""
+    return structured_names([k for k in ORDERS if 2 * k < pair.gear_teeth])
+
+
+def scatter_parts(pair: Pair) -> dict[str, slice]:
+    """Return where the scatter of each pattern stands in a scatter vector."""
+    g = pair
+    return {
+        "pin_radial": slice(0, g.pins),
+        "pin_tangential": slice(g.pins, 2 * g.pins),
+        "tooth_cumulative_pitch": slice(2 * g.pins, 2 * g.pins + g.discs * g.gear_teeth),
+    }
+
+
+def scatter_names(pair: Pair) -> list[str]:
+    """Return the names of the single displacements in a scatter vector, as a surface's covariance has them."""
+    return [f"{name}_at_{i}" for name, part in scatter_parts(pair).items() for i in range(part.stop - part.start)]
+
+
+def spread_of(pair: Pair, deviations: Mapping[str, float]) -> Array:
+    """Return the standard deviation of each displacement in a scatter vector from those of the patterns, m."""
+    return np.concatenate([np.full(p.stop - p.start, deviations.get(n, 0.0)) for n, p in scatter_parts(pair).items()])
+
+
+def with_scatter(pair: Pair, surface: ErrorSurface, scatter: Array) -> ErrorSurface:
+    """Return a surface with a displacement of every pin and tooth added."""
+    parts = scatter_parts(pair)
+    return surface.replace(
+        **{n: getattr(surface, n) + scatter[p].reshape(getattr(surface, n).shape) for n, p in parts.items()}
+    )
+
+
+def scatter_columns(pair: Pair, each: Array) -> Array:
+    """Return derivatives by a scatter vector, last axis, from those by every error as in `contact.sensitivities`."""
+    layout = displacement_layout(pair)
+    pins = [each[..., layout[name]] for name in ("pin_radial", "pin_tangential")]
+    return np.concatenate([*pins, each[..., layout["tooth_turn"]] / pair.pin_circle_radius], axis=-1)
+
+
+@dataclass(frozen=True)
+class LinearisationPoint:
+    """The contacts of one drive at the points of each curve, from which drives near it are taken to first order.
+
+    `errors` are that drive's as of `displacement_vector`, `contacts` has one entry a curve.
+    """
+
+    errors: Array
+    contacts: tuple[first_order.Contacts, ...]
+
+    def some(self, numbers: Sequence[int] | NDArray[np.int64]) -> LinearisationPoint:
+        """Some of the curves by themselves."""
+        return LinearisationPoint(self.errors, tuple(self.contacts[n] for n in numbers))
+
+
+def linearisation_point(pair: Pair, surface: ErrorSurface, observed: Observations) -> LinearisationPoint:
+    """Solve a drive at every point of every curve, so that drives near it can be taken to first order."""
+
+    def one(curve: Curve) -> first_order.Contacts:
+        return first_order.contacts_of(pair, surface, curve.torque, curve.input_angle, 1, _REACH)
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return LinearisationPoint(displacement_vector(pair, surface), tuple(pool.map(one, observed.curves)))
+
+
+def linearised_curve(
+    pair: Pair, observed: Observations, number: int, state: State, around: LinearisationPoint | None = None
+) -> Linear:
+    """Evaluate the model and its analytic derivatives by every structured error at every point of one curve.
+
+    The model is the exact one, or near a drive the one to first order, which knows of no crank's zero and no form.
+    """
+    curve = observed.curves[number]
+    against = -float(curve.direction) * np.sign(curve.ratio)
+    friction = state.loop_friction if curve.branch else state.friction
+    torque, least = curve.torque_at_points + against * friction, _LEAST_TORQUE * curve.torque
+    torque = np.where(np.abs(torque) < abs(least), least, torque)
+    if around is None:
+        model, jacobian, each, further = error_sensitivity(
+            pair, state.surface, torque, curve.input_angle + state.crank_offset, list(observed.errors)
+        )
+        by_crank, by_torque = further.T
+    else:
+        errors = displacement_vector(pair, state.surface) - around.errors
+        model, each, by_torque = first_order.sensitivities(pair, around.contacts[number], 1, errors, torque)
+        jacobian, by_crank = each @ displacement_columns(pair, observed.errors), np.zeros_like(model)
+    return Linear(model, jacobian, scatter_columns(pair, each), by_crank, against * by_torque)
+
+
+def linearise(pair: Pair, observed: Observations, state: State, around: LinearisationPoint | None = None) -> Linear:
+    """Evaluate the model and its analytic derivatives at every point of every curve, as `linearised_curve` does."""
+    # The kernel works without Python's lock.
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        numbers = range(len(observed.curves))
+        return joined(list(pool.map(lambda number: linearised_curve(pair, observed, number, state, around), numbers)))
+
+
+def joined(each: Sequence[Linear]) -> Linear:
+    """Return the models of curves, one after another, as one."""
+    return Linear(*(np.concatenate([getattr(f, n.name) for f in each]) for n in dataclasses.fields(Linear)))
+
+
+def left_of(observed: Observations, linear: Linear, state: State) -> Array:
+    """Measured less modelled transmission error, the bench's part included, shape (points,), rad."""
+    return observed.measured - linear.model - observed.bench @ state.bench
+
+
+def nuisance_columns(observed: Observations, linear: Linear) -> tuple[Array, Array]:
+    """Return the columns of all nuisances, shape (points, nuisances), and their prior standard deviations."""
+    locked = observed.of_loops
+    columns = [observed.bench, (linear.by_friction * ~locked)[:, None]]
+    priors = [*observed.bench_prior, observed.friction_prior]
+    if observed.with_loops:
+        columns.append((linear.by_friction * locked)[:, None])
+        priors.append(np.inf)
+    if observed.fit_crank:
+        columns.append(linear.by_crank[:, None])
+        priors.append(np.inf)
+    return np.hstack(columns), np.array(priors)

@@ -1,0 +1,83 @@
+"""What is known of errors before anything is measured: usual sizes, and those that tolerances allow."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.sampling import Tolerances, sample_surface
+from cycloid_fmu.surfaces.structured import profile_names, profile_wave, unit_of
+from cycloid_fmu.surfaces.surface import Elements
+from fitting.model.observations import ORDERS, PROFILE_ORDERS, scatter_parts
+
+Array = NDArray[np.float64]
+TOLERANCE = {"m": 5e-6, "rad": 1e-4}  # standard deviation that an error has before anything is measured
+_DRAWN = 100  # drives from which tolerances' scatter is taken
+_PROFILE_DRAWN = 50  # elements along the profile of each
+
+
+def tolerances_of(names: Sequence[str], stated: Mapping[str, float] | None = None) -> Array:
+    """Return the standard deviation of each error before anything is measured, m or rad, where none is stated."""
+    return np.array([(stated or {}).get(n, TOLERANCE[unit_of(n)]) for n in names])
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of single pins and teeth before anything is measured: {name: standard deviation, m}.
+
+    Attributes
+    ----------
+    scatter
+        Of a pattern such as `pin_radial`; one that is not named is estimated from the data.
+    profile
+        Of the orders of the profile deviation that all teeth share; only those named are fitted.
+    """
+
+    scatter: Mapping[str, float] = field(default_factory=dict)
+    profile: Mapping[str, float] = field(default_factory=dict)
+
+
+def prior_of(pair: Pair, tolerances: Tolerances) -> Prior:
+    """Return what tolerances allow."""
+    return Prior(scatter_of(pair, tolerances), profile_of(pair, tolerances))
+
+
+def scatter_of(pair: Pair, tolerances: Tolerances) -> dict[str, float]:
+    """Return what tolerances let single pins and teeth do beyond the structured orders: standard deviations, m.
+
+    They are those of drives that the tolerances allow (`cycloid_fmu.surfaces.sampling.sample_surface`). A pattern of
+    which the tolerances say nothing is left out.
+    """
+    drawn = [sample_surface(pair, tolerances, seed, Elements(2, 2, 1)) for seed in range(_DRAWN)]
+    found = {}
+    for name in scatter_parts(pair):
+        spectra = np.fft.rfft(np.array([np.atleast_2d(getattr(s, name))[0] for s in drawn]), axis=-1)
+        spectra[:, : max(ORDERS) + 1] = 0.0
+        count = np.asarray(getattr(drawn[0], name)).shape[-1]
+        deviation = float(np.sqrt(np.mean(np.fft.irfft(spectra, count, axis=-1) ** 2)))
+        if deviation > 0.0:
+            found[name] = deviation
+    return found
+
+
+def profile_of(pair: Pair, tolerances: Tolerances) -> dict[str, float]:
+    """Return what tolerances let the low orders of the profile deviation be that all teeth share, m.
+
+    Cutter and grinding wheel make one form on every tooth, so it may be as large as one tooth's: standard deviation
+    over the teeth of drives that the tolerances allow. Empty where they say nothing of the flanks' form.
+    """
+    if tolerances.gear_profile is None:
+        return {}
+    elements = Elements(_PROFILE_DRAWN, 2, 1)
+    drawn = [sample_surface(pair, tolerances, seed, elements).gear_deviation for seed in range(_DRAWN // 10)]
+    teeth = np.concatenate([d.reshape(-1, *d.shape[2:]) for d in drawn if d is not None]).mean(axis=-1)
+    found = {}
+    for name in profile_names(PROFILE_ORDERS):
+        wave = profile_wave(name, _PROFILE_DRAWN)
+        assert wave is not None
+        found[name] = float(np.std(2.0 * (teeth * wave).mean(axis=1)))
+    return found

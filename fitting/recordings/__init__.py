@@ -1,0 +1,1 @@
+"""Recordings of test benches: formats and readers, the mapping of channels, cleaned and on one clock."""

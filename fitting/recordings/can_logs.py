@@ -1,0 +1,86 @@
+"""Logs of CAN buses, decoded with their DBC."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from cycloid_fmu import edge
+from fitting.recordings.formats import PIECE, BenchFile, Piece, RawChannel, first_line
+
+
+class CanLog(BenchFile):
+    """A log of CAN frames; the channels are the signals of its DBC."""
+
+    def __init__(self, source: str, dbc: str | os.PathLike[str] | None) -> None:
+        import cantools
+
+        if dbc is None:
+            raise edge.InputError(f"{source}: a CAN log needs the DBC of its frames; name it as dbc in the mapping.")
+        try:
+            self._database: Any = cantools.database.load_string(edge.read_text(dbc), "dbc")
+        except edge.InputError:
+            raise
+        except Exception as problem:
+            raise edge.InputError(f"{dbc}: this is not a DBC file: {first_line(problem)}.") from None
+        channels = [
+            RawChannel(f"{m.name}.{s.name}", s.unit or "") for m in self._database.messages for s in m.signals
+        ]  # fmt: skip
+        super().__init__(source, tuple(channels), timed=True)
+
+    def pieces(self, names: Sequence[str]) -> Iterator[Piece]:
+        """Yield pieces of these channels in the order of time."""
+        import can
+
+        wanted: dict[int, tuple[Any, list[tuple[str, str]]]] = {}
+        for message in self._database.messages:
+            signals = [(f"{message.name}.{s.name}", s.name) for s in message.signals]
+            chosen = [(full, short) for full, short in signals if full in names]
+            if chosen:
+                wanted[message.frame_id] = (message, chosen)
+        try:
+            log = can.LogReader(self.source)
+        except Exception as problem:
+            raise edge.InputError(f"{self.source}: this CAN log can't be read ({first_line(problem)}).") from None
+        kept: dict[int, tuple[list[float], list[list[float]]]] = {k: ([], []) for k in wanted}
+        failed, count = 0, 0
+
+        def flush() -> Iterator[Piece]:
+            for key, (times, rows) in kept.items():
+                if times:
+                    table = np.array(rows, float)
+                    yield Piece(np.array(times), {full: table[:, i] for i, (full, _) in enumerate(wanted[key][1])})
+                    times.clear()
+                    rows.clear()
+
+        messages = iter(log)
+        while True:
+            try:
+                frame = next(messages)
+            except StopIteration:
+                break
+            except Exception as problem:  # a cut or damaged log
+                self.problems.append(
+                    f"{self.source}: it is cut or damaged after {count} frames ({first_line(problem)})."
+                )
+                break
+            count += 1
+            if frame.arbitration_id not in wanted or frame.is_error_frame or frame.is_remote_frame:
+                continue
+            message, chosen = wanted[frame.arbitration_id]
+            try:
+                decoded = message.decode(bytes(frame.data), decode_choices=False)
+            except Exception:  # too short for the message, or a multiplexer it does not know
+                failed += 1
+                continue
+            times, rows = kept[frame.arbitration_id]
+            times.append(frame.timestamp)
+            rows.append([float(decoded.get(short, np.nan)) for _, short in chosen])
+            if len(times) >= PIECE // 4:
+                yield from flush()
+        yield from flush()
+        if failed:
+            self.problems.append(f"{self.source}: {failed} frames do not fit the DBC and were left out.")

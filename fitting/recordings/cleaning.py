@@ -1,0 +1,190 @@
+"""Recordings cleaned block by block: continuous angles, marked gaps, and what is no sample left out and counted."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu import edge
+from drivers.recording_format import GAP, ROLLOVER
+from fitting.recordings.one_clock import GAP_STEPS
+
+Array = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+_TURN = 2.0 * np.pi
+
+
+@dataclass(frozen=True)
+class Block:
+    """Consecutive samples of a recording: SI arrays of one length, angles continuous with the blocks before.
+
+    Attributes
+    ----------
+    time, input_angle, output_angle, torque
+        s, rad, rad, N·m of the environment on the output.
+    temperature
+        K, or None where none was recorded.
+    status
+        Bits of the recording format: 1 a gap before, 32 an angle rolled over.
+    input_torque
+        N·m of the environment on the input, or None where none was recorded.
+    """
+
+    time: Array
+    input_angle: Array
+    output_angle: Array
+    torque: Array
+    status: Bytes
+    temperature: Array | None = None
+    input_torque: Array | None = None
+
+
+class _Angle:
+    """Unrolls an angle block by block.
+
+    An angle that has a rollover, or stays within one turn and then jumps by more than half a one, rolls over; one that
+    ran beyond a turn is continuous already.
+    """
+
+    def __init__(self, rollover: float | None, name: str, source: str) -> None:
+        self._period = rollover
+        self._name, self._source = name, source
+        self._low = self._high = self._last = self._offset = np.nan
+        self.rolls: bool | None = None if rollover is None else True
+
+    def add(self, angle: Array) -> tuple[Array, NDArray[np.bool_] | None]:
+        """Return the angle continuous with what came before, and where it rolled over (None: nowhere)."""
+        if np.isnan(self._offset):
+            self._offset, self._last = 0.0, angle[0]
+            self._low = self._high = angle[0]
+        steps = np.diff(angle, prepend=self._last)
+        largest = max(float(steps.max()), -float(steps.min()))
+        if self.rolls is None:
+            self._decide(angle, steps, largest)
+        self._last = angle[-1]
+        if not self.rolls:
+            return angle, None
+        period = self._period or _TURN
+        if largest <= 0.5 * period:
+            return (angle if self._offset == 0.0 else angle + self._offset), None
+        turns = -np.round(steps / period)
+        unrolled = angle + (self._offset + period * np.cumsum(turns))
+        self._offset += period * float(turns.sum())
+        return unrolled, turns != 0.0
+
+    def _decide(self, angle: Array, steps: Array, largest: float) -> None:
+        low, high = min(self._low, float(angle.min())), max(self._high, float(angle.max()))
+        if largest > np.pi:
+            jump = int(np.argmax(np.abs(steps) > np.pi))
+            before = angle[:jump]
+            span = max(self._high, before.max(initial=-np.inf)) - min(self._low, before.min(initial=np.inf))
+            turn = _TURN * (1.0 + 1e-9)
+            if high - low <= turn and span <= turn:
+                self.rolls = True
+            elif 0.9 * 360.0 < largest <= high - low <= 360.0 * (1.0 + 1e-9) and np.count_nonzero(
+                np.abs(steps) > 180.0
+            ) < 0.1 * max(steps.size, 10):
+                raise edge.InputError(
+                    f"{self._source}: {self._name} jumps by {largest:.1f} rad, as an angle in degrees does where it "
+                    "rolls over; its unit is deg, not rad."
+                )
+        self._low, self._high = low, high
+        if self.rolls is None and high - low > _TURN * (1.0 + 1e-9):
+            self.rolls = False
+
+
+class Cleaning:
+    """Leaves out what is no sample, marks gaps, makes angles continuous; block by block."""
+
+    def __init__(self, rollover: Mapping[str, float | None], source: str) -> None:
+        self._angles = {name: _Angle(period, name, source) for name, period in rollover.items()}
+        self._usual = np.nan
+        self._last = -np.inf
+        self._seen = 0
+        self._not_finite: dict[str, tuple[int, int]] = {}
+        self._duplicates = self._backwards = self._gaps = 0
+        self._longest = self._longest_at = 0.0
+        self._mark_next = False
+
+    def add(self, table: dict[str, Array], status: Bytes | None) -> Block:
+        """Return what is left of the next samples, SI arrays by role; the block may be empty."""
+        time = table["time"]
+        bits = np.zeros(time.size, np.uint8) if status is None else status.copy()
+        keep = self._finite(table)
+        if keep is not None:
+            bits[1:][keep[1:] & ~keep[:-1]] |= GAP
+            if self._mark_next and keep[0]:
+                bits[0] |= GAP
+            self._mark_next = not keep[-1]
+            table, bits, time = {n: v[keep] for n, v in table.items()}, bits[keep], time[keep]
+        elif self._mark_next and time.size:
+            bits[0] |= GAP
+            self._mark_next = False
+        self._seen += keep.size if keep is not None else time.size
+        if time.size:
+            steps = np.diff(time, prepend=self._last)
+            if steps.min() <= 0.0:
+                furthest = np.maximum.accumulate(np.concatenate([[self._last], time]))
+                onward = time > furthest[:-1]
+                same = ~onward & (time == furthest[:-1])
+                self._duplicates += int(np.count_nonzero(same))
+                self._backwards += int(np.count_nonzero(~onward & ~same))
+                table, bits, time = {n: v[onward] for n, v in table.items()}, bits[onward], time[onward]
+                steps = np.diff(time, prepend=self._last)
+        if not time.size:
+            return Block(**{"input_angle": time, **table}, status=bits)  # type: ignore[arg-type]
+        self._gaps_in(time, steps, bits)
+        self._last = float(time[-1])
+        for name, angle in self._angles.items():
+            table[name], rolled = angle.add(table[name])
+            if rolled is not None:
+                bits[rolled] |= ROLLOVER
+        return Block(**{"input_angle": np.zeros(time.size), **table}, status=bits)  # type: ignore[arg-type]
+
+    def _finite(self, table: dict[str, Array]) -> NDArray[np.bool_] | None:
+        """Return which samples are finite in all that is needed, or None where all are."""
+        keep = None
+        for name, value in table.items():
+            if name == "temperature" or np.isfinite(value.sum()):
+                continue
+            wrong = ~np.isfinite(value)
+            if not wrong.any():
+                continue
+            count, first = self._not_finite.get(name, (0, self._seen + int(np.argmax(wrong))))
+            self._not_finite[name] = (count + int(np.count_nonzero(wrong)), first)
+            keep = ~wrong if keep is None else keep & ~wrong
+        return keep
+
+    def _gaps_in(self, time: Array, steps: Array, bits: Bytes) -> None:
+        if np.isnan(self._usual) and time.size > 2:
+            self._usual = float(np.median(np.diff(time)))
+        if not np.isfinite(self._last):
+            steps = steps[1:]
+        largest = float(steps.max(initial=0.0))
+        if largest > GAP_STEPS * self._usual:
+            wide = np.flatnonzero(steps > GAP_STEPS * self._usual)
+            at = wide + (time.size - steps.size)
+            bits[at] |= GAP
+            self._gaps += wide.size
+            if largest > self._longest:
+                self._longest, self._longest_at = largest, float(time[at[np.argmax(steps[wide])]]) - largest
+
+    def notes(self) -> list[str]:
+        """Return one sentence for each thing that was left out or marked so far."""
+        said = []
+        for name, (count, first) in self._not_finite.items():
+            also = f" and {count - 1} more" if count > 1 else ""
+            said.append(f"{name} is not a finite number in sample {first}{also}; left out.")
+        if self._duplicates:
+            said.append(f"{self._duplicates} samples at the time of the one before were left out.")
+        if self._backwards:
+            said.append(f"{self._backwards} samples older than one before were left out.")
+        if self._gaps:
+            said.append(
+                f"{self._gaps} gaps, the longest {self._longest:.3g} s at {self._longest_at:.6g} s; nothing was "
+                "interpolated over them."
+            )
+        return said

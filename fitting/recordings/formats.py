@@ -1,0 +1,184 @@
+"""What files of test benches hold, piece by piece and as they name it: nothing here knows which channel is what.
+
+Every reader yields pieces of bounded size, so that a file may be larger than memory.
+"""
+
+from __future__ import annotations
+
+import abc
+import heapq
+import importlib
+import os
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu import edge
+from drivers.recording_format import Clock
+
+Array = NDArray[np.float64]
+
+PIECE = 1 << 17  # samples of a piece: its arrays stay within a processor's cache
+
+
+@dataclass(frozen=True)
+class RawChannel:
+    """A channel as the file names it.
+
+    Attributes
+    ----------
+    name
+        Its name, unique in the file.
+    unit
+        Its unit as the file writes it, "" where it says none.
+    zero_reference
+        "absolute" where the file says that the zero is the same in every recording, else "incremental".
+    """
+
+    name: str
+    unit: str = ""
+    zero_reference: str = "incremental"
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Consecutive samples of channels that share their instants: arrays of one length.
+
+    Attributes
+    ----------
+    time
+        Seconds by the file's own time base, or None where a channel holds the time.
+    values
+        {name: values in the file's unit}.
+    status
+        Bits of the recording format, or None where the file has none.
+    """
+
+    time: Array | None
+    values: dict[str, Array]
+    status: NDArray[np.uint8] | None = None
+
+
+@dataclass
+class BenchFile(abc.ABC):
+    """A file that was opened.
+
+    Attributes
+    ----------
+    source
+        The file's name.
+    channels
+        What it holds.
+    timed
+        Whether its channels bring their time with them; else one of them is the time.
+    ratio
+        Signed ratio of the drive, where the file says it.
+    problems
+        One sentence for each thing found wrong with the file; complete when all pieces were taken.
+    clocks
+        {channel: the clock that stamped it, in the host's time} where a device stamped it with a clock of its own.
+    """
+
+    source: str
+    channels: tuple[RawChannel, ...] = ()
+    timed: bool = False
+    ratio: float | None = None
+    problems: list[str] = field(default_factory=list)
+    clocks: dict[str, Clock] = field(default_factory=dict)
+
+    @abc.abstractmethod
+    def pieces(self, names: Sequence[str]) -> Iterator[Piece]:
+        """Yield pieces of these channels in the order of time."""
+
+
+# Reader class of each ending; a package adds its own as entry points of the group, `ending = "module:Class"`.
+READERS = {
+    "arrows": "fitting.recordings.recorder_files:RecorderFile",
+    **dict.fromkeys(("csv", "txt", "tsv", "dat"), "fitting.recordings.tables:CsvFile"),
+    "parquet": "fitting.recordings.tables:ParquetFile",
+    **dict.fromkeys(("mf4", "mdf"), "fitting.recordings.loggers:MdfFile"),
+    "tdms": "fitting.recordings.loggers:TdmsFile",
+    **dict.fromkeys(("blf", "asc", "trc"), "fitting.recordings.can_logs:CanLog"),
+}
+GROUP = "cycloid.recordings"
+
+
+def open_bench_file(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | None = None) -> BenchFile:
+    """Open a bench file with the reader of its ending: one of `READERS` or of the entry points in `GROUP`.
+
+    Parameters
+    ----------
+    path
+        The file.
+    dbc
+        The DBC file that describes the frames of a CAN log.
+
+    Raises
+    ------
+    edge.InputError
+        If the file can't be read or understood, or a package that reads it is missing.
+    """
+    edge.existing(path)
+    ending = Path(path).suffix.lower().removeprefix(".")
+    reader = READERS.get(ending) or next((e.value for e in metadata.entry_points(group=GROUP, name=ending)), None)
+    if reader is None:
+        known = sorted({*READERS, *(e.name for e in metadata.entry_points(group=GROUP))})
+        raise edge.InputError(f"{path}: the ending must be one of {', '.join('.' + one for one in known)}.")
+    module, name = reader.split(":")
+    opened: BenchFile = getattr(importlib.import_module(module), name)(str(path), dbc)
+    return opened
+
+
+def name_and_unit(text: str) -> tuple[str, str]:
+    """Split a column's name from its unit: `angle [deg]`, `angle (deg)` or `angle / deg`."""
+    text = text.strip()
+    match = re.fullmatch(r"(.*?)\s*(?:\[([^\]]*)\]|\(([^)]*)\)|\s/\s(.+))", text)
+    if match is None:
+        return text, ""
+    return match[1].strip(), next((g for g in match.groups()[1:] if g is not None), "").strip()
+
+
+def first_line(problem: Exception) -> str:
+    """What a library's error says, in one line."""
+    return (str(problem).strip() or type(problem).__name__).splitlines()[0].rstrip(".")
+
+
+def unique(channels: Sequence[RawChannel]) -> tuple[RawChannel, ...]:
+    """Give channels of one name a number: what a mapping names must be one channel."""
+    seen: dict[str, int] = {}
+    found = []
+    for c in channels:
+        seen[c.name] = seen.get(c.name, 0) + 1
+        name = c.name if seen[c.name] == 1 else f"{c.name} #{seen[c.name]}"
+        found.append(RawChannel(name, c.unit, c.zero_reference))
+    return tuple(found)
+
+
+def in_order(streams: Sequence[Iterator[Piece]]) -> Iterator[Piece]:
+    """Take from several streams, each in the order of its time, always the piece that begins first."""
+
+    def begins(piece: Piece) -> float:
+        return 0.0 if piece.time is None else float(piece.time[0])
+
+    yield from heapq.merge(*streams, key=begins)
+
+
+_SPELLINGS = {
+    "°": "deg", "º": "deg", "°c": "degC", "′": "arcmin", "'": "arcmin", "″": "arcsec", '"': "arcsec", "sec": "s",
+}  # fmt: skip
+
+
+def unit_text(text: str) -> str:
+    """Return a unit as pint reads it; benches write `°`, `Nm`, `N·m`, `kNm`, `°C`."""
+    text = text.strip()
+    if text == "nm":  # nanometres are what this says
+        return text
+    torque = re.fullmatch(r"([kmMµu]?)N[ ·.⋅*-]?m", text)
+    if torque:
+        return f"{torque[1]}N*m"
+    return _SPELLINGS.get(text.lower(), text)

@@ -1,0 +1,269 @@
+"""What is in a bench file, and a mapping that may fit it: proposed for a person to check, never used unseen."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu import edge
+from fitting.recordings.formats import BenchFile, RawChannel, open_bench_file, unit_text
+from fitting.recordings.mapping import CHANNELS, FORMAT, OPTIONAL
+
+Array = NDArray[np.float64]
+
+LOOKED_AT = 1 << 20  # samples of a channel that are looked at
+_NAMES = {
+    "time": r"\btime|zeit|^t$|stamp|\bsec",
+    "input_angle": r"input|\bin\b|motor|crank|antrieb|eingang|\ban\b|drive|sun|enc\w*1|phi_?1|servo",
+    "output_angle": r"output|\bout\b|abtrieb|ausgang|\bab\b|load|flange|enc\w*2|phi_?2",
+    "torque": r"torque|moment|\bmd\b|\bnm\b|trq",
+    "temperature": r"temp|°c",
+}
+_ANGLE_NAMES = r"angle|winkel|pos|phi|enc|theta|rot|count|ink"
+_KINDS = {"time": "s", "angle": "rad", "torque": "N*m", "temperature": "K"}
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a channel holds, as far as it was looked at: arrays of shape (samples,) in the file's unit.
+
+    Attributes
+    ----------
+    channel
+        Name and unit.
+    time
+        Seconds, or None where a channel holds the time.
+    values
+        As stored.
+    """
+
+    channel: RawChannel
+    time: Array | None
+    values: Array
+
+    @property
+    def travel(self) -> float:
+        """How far the values go, steps beyond half their range (a rollover) left out."""
+        steps = np.abs(np.diff(self.values[np.isfinite(self.values)]))
+        return float(steps[steps < 0.5 * np.ptp(self.values)].sum()) if steps.size else 0.0
+
+
+def look(file: BenchFile) -> list[Look]:
+    """Take the first samples of every channel of a file."""
+    names = [c.name for c in file.channels]
+    parts: dict[str, list[tuple[Array | None, Array]]] = {n: [] for n in names}
+    taken = dict.fromkeys(names, 0)
+    for piece in file.pieces(names):
+        for name, values in piece.values.items():
+            if taken[name] < LOOKED_AT:
+                parts[name].append((piece.time, values))
+                taken[name] += values.size
+        if min(taken.values()) >= LOOKED_AT:
+            break
+    found = []
+    for channel in file.channels:
+        mine = parts[channel.name]
+        if not mine:
+            continue
+        times = [t for t, _ in mine if t is not None]
+        found.append(
+            Look(
+                channel,
+                np.concatenate(times) if len(times) == len(mine) else None,
+                np.concatenate([v for _, v in mine]),
+            )
+        )
+    return found
+
+
+def _measures(unit: str, kind: str) -> bool:
+    if not unit:
+        return False
+    try:
+        return bool(edge.units().Unit(unit_text(unit)).is_compatible_with(_KINDS[kind]))
+    except Exception:  # pint raises many for what is no unit
+        return False
+
+
+def _is_angle(unit: str) -> bool:
+    # To pint a bare number is an angle too.
+    return _measures(unit, "angle") and unit_text(unit).lower() not in ("", "%", "1", "ppm")
+
+
+def _named(looks: Sequence[Look], role: str) -> list[Look]:
+    return [one for one in looks if re.search(_NAMES[role], one.channel.name, re.IGNORECASE)]
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """What is in a bench file, and a mapping that may fit it.
+
+    Attributes
+    ----------
+    file
+        The file, opened.
+    looks
+        What its channels hold.
+    roles
+        {role: the channel proposed for it}.
+    dbc
+        The DBC with which it was opened.
+    """
+
+    file: BenchFile
+    looks: tuple[Look, ...]
+    roles: dict[str, Look]
+    dbc: Path | None = None
+
+    @property
+    def text(self) -> str:
+        """The proposed mapping file, with a comment wherever something was concluded from the values, or is missing."""
+        return _mapping_text(self.roles, self.file, None if self.dbc is None else str(self.dbc.resolve()))
+
+    def write(self, path: str | os.PathLike[str]) -> None:
+        """Write the proposed mapping file, in which the DBC is named relative to it, whole or not at all."""
+        folder = Path(path).resolve().parent
+        dbc = None if self.dbc is None else os.path.relpath(self.dbc.resolve(), folder)
+        with edge.written_whole(path) as temporary:
+            temporary.write_text(_mapping_text(self.roles, self.file, dbc), encoding="utf-8")
+
+
+def inspect(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | None = None) -> Inspection:
+    """Return what is in a bench file and propose which channel is what, for a person to check.
+
+    Parameters
+    ----------
+    path
+        A file of any kind that is read.
+    dbc
+        The DBC of a CAN log.
+
+    Raises
+    ------
+    edge.InputError
+        If the file can't be read or holds no samples.
+
+    Examples
+    --------
+    >>> import fitting, pathlib
+    >>> rows = ["t [s];Motor [deg];Flange [deg];Md [Nm]", "0;0;0;5", "1;39;1;5", ""]
+    >>> _ = pathlib.Path("strange.csv").write_text(chr(10).join(rows))
+    >>> {role: one.channel.name for role, one in fitting.inspect("strange.csv").roles.items()}
+    {'time': 't', 'torque': 'Md', 'input_angle': 'Motor', 'output_angle': 'Flange'}
+    """
+    file = open_bench_file(path, dbc)
+    looks = look(file)
+    if not looks:
+        raise edge.InputError(" ".join([*file.problems, f"{path}: it holds no samples of a numeric channel."]))
+    return Inspection(file, tuple(looks), roles_of(file, looks), None if dbc is None else Path(dbc))
+
+
+def inspection_json(found: Inspection) -> dict[str, Any]:
+    """Return what is in a file for scripts."""
+    channels = {
+        o.channel.name: {
+            "unit": o.channel.unit, "samples": o.values.size, "min": float(o.values.min()), "max": float(o.values.max())
+        }
+        for o in found.looks
+    }  # fmt: skip
+    roles = {role: one.channel.name for role, one in found.roles.items()}
+    return {"channels": channels, "proposed": roles, "problems": found.file.problems}
+
+
+def roles_of(file: BenchFile, looks: Sequence[Look]) -> dict[str, Look]:
+    """Propose which channel is what: by names and units, and of two angles the input is the one that goes further."""
+    left = [one for one in looks if np.isfinite(one.values).any()]
+    roles: dict[str, Look] = {}
+
+    def choose(role: str, candidates: Sequence[Look]) -> None:
+        named = _named(candidates, role) or list(candidates)
+        if named:
+            roles[role] = named[0]
+            left.remove(named[0])
+
+    if not file.timed:
+        rising = [one for one in left if one.values.size > 1 and (np.diff(one.values) > 0).all()]
+        timed = [one for one in rising if _measures(one.channel.unit, "time")] or _named(rising, "time")
+        choose("time", timed)
+    torques = [o for o in left if _measures(o.channel.unit, "torque")]
+    torques = torques or _named([o for o in left if not _is_angle(o.channel.unit)], "torque")
+    driving = _named(torques, "input_angle")  # one that bears the input's name is on it, where there is another
+    if driving and len(torques) > len(driving):
+        roles["input_torque"] = driving[0]
+        left.remove(driving[0])
+        torques = [o for o in torques if o not in driving]
+    choose("torque", torques)
+    hot = [o for o in left if _measures(o.channel.unit, "temperature")]
+    choose("temperature", hot)
+    angles = [o for o in left if _is_angle(o.channel.unit)]
+    if len(angles) < 2:
+        angles = [o for o in left if re.search(_ANGLE_NAMES, o.channel.name, re.IGNORECASE) or o in angles]
+    ins, outs = _named(angles, "input_angle"), _named(angles, "output_angle")
+    ins, outs = [o for o in ins if o not in outs] or ins, [o for o in outs if o not in ins] or outs
+    by_travel = sorted(angles, key=lambda o: -o.travel)
+    if len(angles) >= 2:
+        output = outs[0] if outs else next(o for o in reversed(by_travel) if o not in ins[:1])
+        given = ins[0] if ins and ins[0] is not output else next(o for o in by_travel if o is not output)
+        roles["input_angle"], roles["output_angle"] = given, output
+    elif angles:
+        roles["output_angle"] = angles[0]
+    return roles
+
+
+def _mapping_text(roles: dict[str, Look], file: BenchFile, dbc: str | None) -> str:
+    lines = [f'format = "{FORMAT}"']
+    if file.ratio is not None:
+        lines.append(f"ratio = {file.ratio:g}")
+    else:
+        lines.append("# ratio = -39                # signed, input over output; or name the drive")
+    if dbc is not None:
+        lines.append(f"dbc = {_quoted(dbc)}")
+    if not file.timed:
+        lines += ["", "[time]"]
+        if "time" in roles:
+            lines += _channel_lines(roles["time"], "time")
+        else:
+            lines.append(
+                'rate = 1000.0               # samples a second: no channel looks like the time; or column = "…"'
+            )
+    for role in CHANNELS:
+        if role in roles:
+            lines += ["", f"[{role}]", *_channel_lines(roles[role], role)]
+        elif role not in OPTIONAL:
+            where = "  (leave the table out where the input was locked)" if role == "input_angle" else ""
+            lines += ["", f"# no channel looks like the {role}{where}", f"# [{role}]", '# column = "…"']
+    return "\n".join(lines) + "\n"
+
+
+def _quoted(text: str) -> str:
+    # A JSON string is one of TOML too, but for DEL, which TOML wants escaped.
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007F")
+
+
+def _channel_lines(one: Look, role: str) -> list[str]:
+    lines = [f"column = {_quoted(one.channel.name)}"]
+    if one.channel.unit:
+        return [*lines, f"unit = {_quoted(unit_text(one.channel.unit))}"]
+    finite = one.values[np.isfinite(one.values)]
+    if role.endswith("angle"):
+        low, high = float(finite.min()), float(finite.max())
+        whole = bool((finite == np.round(finite)).all())
+        jumps = finite.size > 1 and np.abs(np.diff(finite)).max() > 0.5 * (high - low) > 0.0
+        if jumps and 350.0 < high - low <= 360.0 and not whole:
+            return [*lines, 'unit = "deg"                # it rolls over within 360']
+        if jumps and 6.0 < high - low <= 2.0 * np.pi + 1e-9:
+            return [*lines, 'unit = "rad"                # it rolls over within 2 pi']
+        if whole and jumps:
+            counts = 1 << int(np.ceil(np.log2(high - low + 1.0)))
+            return [*lines, f"counts_per_turn = {counts}     # whole numbers that roll over within {counts}"]
+        if whole:
+            return [*lines, "counts_per_turn = 0         # whole numbers: how many are a turn? (or their unit)"]
+    return [*lines, 'unit = ""                   # the file does not say']

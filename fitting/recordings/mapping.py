@@ -1,0 +1,208 @@
+"""Which channel of a bench file is what: the mapping file, and the mapping of a file whose channels bear our names."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import pydantic
+
+from cycloid_fmu import edge
+from fitting.recordings.formats import BenchFile, unit_text
+
+COLUMNS = {"time": "s", "input_angle": "rad", "output_angle": "rad", "torque": "N*m"}
+OPTIONAL = {"temperature": "K", "input_torque": "N*m"}
+ANGLES = ("input_angle", "output_angle")
+CHANNELS = (*ANGLES, "torque", *OPTIONAL)
+FORMAT = "cycloid-mapping/1"
+_TURN = 2.0 * np.pi
+
+
+class ChannelMapping(edge.Config):
+    """`[input_angle]` and its like: which channel of the file it is and what its numbers mean.
+
+    Attributes
+    ----------
+    column
+        The channel's name in the file.
+    unit
+        Unit of its numbers; needed where the file says none, and it overrules the file's.
+    counts_per_turn
+        In place of a unit: the numbers are counts of an angle.
+    direction
+        -1 where the numbers fall while the quantity grows.
+    rollover
+        Where an angle starts anew, such as "360 deg"; without it one that stays within a turn and jumps back is taken
+        to roll over at one turn.
+    zero_reference
+        "absolute" where the zero is the same in every recording, the crank's being at pin 0.
+    delay
+        By how much later than the event its time is, such as "1.2 ms" of a filter or another clock.
+    drift
+        By how much faster, relative, the clock runs that stamped it, counted from its first sample: 100e-6 is 100 ppm.
+    """
+
+    column: str
+    unit: str | None = None
+    counts_per_turn: int | None = None
+    direction: Literal[1, -1] = 1
+    rollover: edge.Angle | None = None
+    zero_reference: Literal["absolute", "incremental"] | None = None
+    delay: edge.Seconds = 0.0
+    drift: Annotated[float, pydantic.Field(gt=-0.01, lt=0.01)] = 0.0
+
+
+class TimeMapping(edge.Config):
+    """`[time]`: the channel that holds the time, or the rate at which samples were taken evenly."""
+
+    column: str | None = None
+    unit: str | None = None
+    rate: float | None = None
+
+
+class FileMapping(edge.Config):
+    """A mapping file, `cycloid-mapping/1`.
+
+    Attributes
+    ----------
+    ratio
+        Signed ratio of the drive.
+    dbc
+        The DBC of a CAN log, relative to the mapping file.
+    time
+        Not needed where the file's channels bring their time with them.
+    input_angle
+        Left out where the input was locked and nothing measured it.
+    output_angle, torque
+        The channels.
+    temperature, input_torque
+        Not needed. The torque on the input gives the no-load starting torque.
+    """
+
+    ratio: float | None = None
+    dbc: str | None = None
+    time: TimeMapping | None = None
+    input_angle: ChannelMapping | None = None
+    output_angle: ChannelMapping
+    torque: ChannelMapping
+    temperature: ChannelMapping | None = None
+    input_torque: ChannelMapping | None = None
+
+
+def read_mapping(path: str | os.PathLike[str]) -> FileMapping:
+    """Read a mapping file; its DBC is taken relative to it.
+
+    Raises
+    ------
+    edge.InputError
+        With one sentence for each thing wrong in it.
+    """
+    source = str(path)
+    table = edge.toml_table(edge.read_text(path), FORMAT, source)
+    mapping = edge.validated(FileMapping, table, source)
+    for name in CHANNELS:
+        channel = getattr(mapping, name)
+        if channel is None:
+            continue
+        if channel.counts_per_turn is not None and name not in ANGLES:
+            raise edge.InputError(f"{source}: [{name}] counts_per_turn: only an angle has it; give the unit.")
+        if channel.counts_per_turn is not None and (channel.unit is not None or channel.counts_per_turn < 1):
+            raise edge.InputError(f"{source}: [{name}] counts_per_turn: give a whole number above zero and no unit.")
+    if mapping.time is not None:
+        if (mapping.time.column is None) == (mapping.time.rate is None):
+            raise edge.InputError(f"{source}: [time] needs either column or rate (samples a second).")
+        if mapping.time.rate is not None and not mapping.time.rate > 0.0:
+            raise edge.InputError(f"{source}: [time] rate = {mapping.time.rate}: it must be above zero.")
+    if mapping.dbc is not None:
+        mapping = mapping.model_copy(update={"dbc": str(Path(path).parent / mapping.dbc)})
+    return mapping
+
+
+def own_names(file: BenchFile) -> FileMapping:
+    """Return the mapping of a file whose channels bear our names.
+
+    Raises
+    ------
+    edge.InputError
+        If one is missing or has no unit.
+    """
+    channels = {c.name: c for c in file.channels}
+    wanted = [n for n in COLUMNS if n != "time" or not file.timed]
+    for name in wanted:
+        if name not in channels:
+            where = f'no column "{name} [{COLUMNS[name]}]" in the header' if not file.timed else f"no {name} channel"
+            held = ", ".join(list(channels)[:8]) or "no channels"
+            raise edge.InputError(
+                f"{file.source}: there is {where} (it has {held}); `cycloid-fit inspect` proposes a mapping."
+            )
+        if not channels[name].unit:
+            raise edge.InputError(
+                f'{file.source}: the column "{name}" has no unit; write "{name} [{COLUMNS[name]}]", or name it in a '
+                "mapping."
+            )
+    # A table of ours counts the crank's angle from pin 0; a file that says more itself is believed.
+    index = "absolute" if not file.timed else None
+    return FileMapping(
+        time=None if file.timed else TimeMapping(column="time"),
+        input_angle=ChannelMapping(column="input_angle", zero_reference=index),
+        output_angle=ChannelMapping(column="output_angle"),
+        torque=ChannelMapping(column="torque"),
+        **{name: ChannelMapping(column=name) for name in OPTIONAL if name in channels},
+    )
+
+
+def _affine(unit: str, si: str) -> tuple[float, float]:
+    """Return scale and offset from a unit to SI; only temperatures may have an offset."""
+    if si != "K":
+        return edge.unit_scale(unit, si), 0.0
+    try:
+        zero, one = (edge.units().Quantity(x, unit).to("K").magnitude for x in (0.0, 1.0))
+    except Exception:
+        raise ValueError(f'the unit "{unit}" is no temperature; use degC or K') from None
+    return float(one - zero), float(zero)
+
+
+def scales_of(file: BenchFile, mapping: FileMapping) -> dict[str, tuple[str, float, float]]:
+    """Return channel, scale and offset of each role of a mapping: its numbers times the scale, plus the offset, are SI.
+
+    Raises
+    ------
+    edge.InputError
+        If the file lacks a channel, its unit or the time.
+    """
+    channels = {c.name: c for c in file.channels}
+    found: dict[str, tuple[str, float, float]] = {}
+    roles: dict[str, ChannelMapping | TimeMapping | None] = {n: getattr(mapping, n) for n in CHANNELS}
+    if not file.timed:
+        if mapping.time is None:
+            raise edge.InputError(
+                f"{file.source}: nothing says the samples' time; name a channel as [time] column in the mapping, or a "
+                "rate."
+            )
+        if mapping.time.column is not None:
+            roles["time"] = mapping.time
+    for role, channel in roles.items():
+        if channel is None or channel.column is None:
+            continue
+        if channel.column not in channels:
+            held = ", ".join(channels)
+            held = held if len(held) < 300 else held[:297] + "..."
+            raise edge.InputError(f'{file.source}: there is no column "{channel.column}" for {role}; it has {held}.')
+        si = {**COLUMNS, **OPTIONAL}[role]
+        if isinstance(channel, ChannelMapping) and channel.counts_per_turn is not None:
+            scale, offset = _TURN / channel.counts_per_turn, 0.0
+        else:
+            unit = channel.unit or channels[channel.column].unit
+            if not unit:
+                raise edge.InputError(
+                    f'{file.source}: the column "{channel.column}" for {role} has no unit; give it in the mapping.'
+                )
+            try:
+                scale, offset = _affine(unit_text(unit), si)
+            except ValueError as problem:
+                raise edge.InputError(f"{file.source}: the column {channel.column}: {problem}.") from None
+        sign = channel.direction if isinstance(channel, ChannelMapping) else 1
+        found[role] = (channel.column, sign * scale, sign * offset)
+    return found

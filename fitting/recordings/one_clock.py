@@ -1,0 +1,160 @@
+"""Channels that come in pieces of their own, put on one clock."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.recording_format import GAP
+from fitting.recordings.formats import Piece
+from fitting.recordings.mapping import TimeMapping
+
+Array = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+_TOGETHER = 1 << 13  # samples of each channel that are put on one clock at a time
+GAP_STEPS = 2.5  # a step of time beyond this many usual ones is a gap: one lost sample makes a step of two
+
+Table = dict[str, Array]
+
+
+class OneClock:
+    """Puts channels that come in pieces of their own on one clock: the input angle's, or the output's without one.
+
+    Where the angles share most of their instants only these are kept. Otherwise the others are interpolated between
+    neighbours, but never over a gap: samples there are left out, and the next one is marked.
+    """
+
+    def __init__(
+        self,
+        scales: Mapping[str, tuple[str, float, float]],
+        time: TimeMapping | None,
+        clocks: Mapping[str, tuple[float, float]],
+    ) -> None:
+        self._scales = scales
+        self._clocks = clocks
+        self._begun: dict[str, float] = {}
+        self._together = len(set(clocks.values())) == 1
+        self._rate = None if time is None else time.rate
+        self._roles = [r for r in scales if r != "time"]
+        self._master = "input_angle" if "input_angle" in scales else "output_angle"
+        self._waiting: dict[str, list[tuple[Array, Array, Bytes]]] = {r: [] for r in self._roles}
+        self._usual: dict[str, float] = {}
+        self._shared: bool | None = None
+        self._came = 0
+        self._unpaired = 0
+        self._in_gap = 0
+        self._outside = 0
+        self._mark_next = False
+
+    def add(self, piece: Piece) -> Iterator[tuple[Table, Bytes | None]]:
+        """Take the next piece and yield what is complete: {role: values, SI} with the time, and the status bits."""
+        columns = {r: c for r, (c, _, _) in self._scales.items()}
+        here = [r for r in self._scales if columns[r] in piece.values]
+        values = {}
+        for role in here:
+            _, scale, offset = self._scales[role]
+            value = piece.values[columns[role]]
+            values[role] = value if scale == 1.0 and offset == 0.0 else value * scale + offset
+        size = next(iter(values.values())).size
+        if "time" in values:
+            time = values.pop("time")
+        elif piece.time is not None:
+            time = piece.time
+        else:
+            assert self._rate is not None
+            time = (self._came + np.arange(size)) / self._rate
+        self._came += size
+        if self._together and len(values) == len(self._roles) and not any(self._waiting.values()):
+            yield {"time": self._corrected(self._master, time), **values}, piece.status
+            return
+        status = np.zeros(size, np.uint8) if piece.status is None else piece.status
+        for role, value in values.items():
+            self._waiting[role].append((self._corrected(role, time), value, status))
+        if min(sum(t.size for t, _, _ in parts) for parts in self._waiting.values()) >= _TOGETHER:
+            yield from self._flush(min(parts[-1][0][-1] for parts in self._waiting.values()), last=False)
+
+    def _corrected(self, role: str, time: Array) -> Array:
+        """Return when samples were taken: without their delay, and by a clock that drifts no more."""
+        delay, drift = self._clocks[role]
+        if (delay, drift) == (0.0, 0.0) or not time.size:
+            return time
+        begun = self._begun.setdefault(role, float(time[0]))
+        return begun - delay + (time - begun) / (1.0 + drift)
+
+    def finish(self) -> Iterator[tuple[Table, Bytes | None]]:
+        """Yield what is left when all pieces were taken."""
+        if any(self._waiting.values()) and all(self._waiting.values()):
+            ends = [parts[-1][0][-1] for parts in self._waiting.values()]
+            master = self._waiting[self._master][-1][0]
+            self._outside += int(np.count_nonzero(master > min(ends)))
+            yield from self._flush(min(ends), last=True)
+        self._waiting = {r: [] for r in self._roles}
+
+    def _flush(self, until: float, *, last: bool) -> Iterator[tuple[Table, Bytes | None]]:
+        joined = {
+            role: tuple(np.concatenate([p[i] for p in parts]) for i in range(3))
+            for role, parts in self._waiting.items()
+        }
+        for role, (time, value, status) in joined.items():
+            if time.size > 1 and (np.diff(time) < 0).any():
+                order = np.argsort(time, kind="stable")
+                joined[role] = (time[order], value[order], status[order])
+        time, value, status = joined[self._master]
+        status = status.copy()
+        start = max(t[0] for t, _, _ in joined.values())
+        chosen = (time >= start) & (time <= until)
+        self._outside += int(np.count_nonzero(time < start))
+        others = [r for r in self._roles if r != self._master]
+        if self._shared is None and chosen.any():
+            together = np.isin(time[chosen], joined["output_angle"][0])
+            self._shared = bool(self._master == "output_angle" or 2 * together.sum() >= together.size)
+        table = {}
+        left_out = np.zeros(time.size, bool)
+        for role in others:
+            other, theirs, said = joined[role]
+            after = np.clip(np.searchsorted(other, time, "left"), 0, other.size - 1)
+            exact = other[after] == time
+            usual = self._usual.setdefault(role, float(np.median(np.diff(other))) if other.size > 1 else np.inf)
+            before = np.clip(after - 1, 0, other.size - 1)
+            gap = ~exact & (other[after] - other[before] > GAP_STEPS * usual)
+            if role == "output_angle" and self._shared:
+                lonely = chosen & ~exact
+                self._unpaired += int(np.count_nonzero(lonely))
+                left_out |= lonely
+            else:
+                self._in_gap += int(np.count_nonzero(chosen & gap))
+                left_out |= gap
+            if role == "output_angle":
+                status |= np.where(exact, said[after], 0).astype(np.uint8)
+            table[role] = np.interp(time, other, theirs)
+        keep = chosen & ~left_out
+        if left_out.any():
+            marked = np.flatnonzero(keep & np.concatenate([[self._mark_next], (left_out & chosen)[:-1]]))
+            status[marked] |= GAP
+        if chosen.any():
+            self._mark_next = bool(left_out[np.flatnonzero(chosen)[-1]])
+        if keep.any():
+            yield (
+                {"time": time[keep], self._master: value[keep], **{r: v[keep] for r, v in table.items()}},
+                status[keep],
+            )
+        for role, (times, values, statuses) in joined.items():
+            # Of the others one sample before stays: the next of the master's lies behind it.
+            first = int(np.searchsorted(times, until, "right"))
+            first = first if role == self._master else max(0, first - 1)
+            self._waiting[role] = [(times[first:], values[first:], statuses[first:])] if first < times.size else []
+
+    def notes(self) -> list[str]:
+        """Return one sentence for each kind of sample that was left out or interpolated."""
+        said = []
+        if self._unpaired:
+            said.append(f"{self._unpaired} samples of one angle without the other's at the same instant were left out.")
+        if self._shared is False:
+            said.append("the angles share no instants; the output angle was interpolated to the input's times.")
+        if self._in_gap:
+            said.append(f"{self._in_gap} samples fall into another channel's gap and were left out.")
+        if self._outside:
+            said.append(f"{self._outside} samples before or after another channel's were left out.")
+        return said

@@ -1,0 +1,203 @@
+"""The bench recording as evaluation sees it: one clock, one table, SI, validated.
+
+Recordings come block by block, so that they may be larger than memory: times run on, angles are continuous, and what
+is missing or was left out is marked and counted, never filled in silence.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import io
+import itertools
+import math
+import os
+import threading
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu import edge
+from fitting.recordings.cleaning import Block, Cleaning
+from fitting.recordings.formats import open_bench_file
+from fitting.recordings.mapping import ANGLES, CHANNELS, ChannelMapping, FileMapping, own_names, scales_of
+from fitting.recordings.one_clock import OneClock
+
+Array = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording(Block):
+    """What a bench recorded: a block that holds all of it, and where it comes from.
+
+    Attributes
+    ----------
+    source, checksum
+        The file's name and its SHA-256.
+    ratio
+        Signed ratio of the drive, where the recording states it.
+    common_zero
+        Whether the output encoder's zero is the same in every recording of the bench (an absolute encoder).
+    known_index
+        Whether crank angle 0 is the crank at pin 0 (an absolute or indexed input encoder).
+    notes
+        One sentence for each thing that a reader should know: what was left out, what was interpolated.
+    alignment, torque_alignment
+        Half the 95 % interval, s, of how far the two angles' clocks, and those of output angle and torque, may be apart
+        at the recording's ends; 0 where one clock stamped both, or none is known to be another.
+    """
+
+    source: str
+    checksum: str
+    ratio: float | None = None
+    common_zero: bool = False
+    known_index: bool = False
+    notes: tuple[str, ...] = ()
+    alignment: float = 0.0
+    torque_alignment: float = 0.0
+
+    def blocks(self) -> Iterator[Block]:
+        """Yield the recording as one block."""
+        yield self
+
+    def recording(self, columns: Mapping[str, NDArray[Any]]) -> Recording:
+        """Return this recording with other columns of a block."""
+        return dataclasses.replace(self, **columns)  # type: ignore[arg-type]
+
+
+class RecordingStream:
+    """A recording in a file, taken block by block.
+
+    Parameters
+    ----------
+    path
+        The file; see `fitting.recordings.formats.open_bench_file` for the kinds.
+    mapping
+        Which channel is what; None where the channels bear our names: time, input_angle, output_angle, torque.
+
+    Attributes
+    ----------
+    source, ratio, common_zero, known_index
+        As in `Recording`.
+    notes, alignment, torque_alignment
+        As in `Recording`; complete when all blocks were taken.
+
+    Raises
+    ------
+    edge.InputError
+        If the file can't be read, or a channel, its unit or the time is missing.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], mapping: FileMapping | None = None) -> None:
+        self.source = str(path)
+        self._file = open_bench_file(path, None if mapping is None else mapping.dbc)
+        self._mapping = own_names(self._file) if mapping is None else mapping
+        self._scales = scales_of(self._file, self._mapping)
+        self.ratio = self._mapping.ratio if self._mapping.ratio is not None else self._file.ratio
+        self.common_zero = self._zero_reference("output_angle") == "absolute"
+        self.known_index = self._zero_reference("input_angle") == "absolute"
+        self.notes: list[str] = []
+        self.alignment = self.torque_alignment = 0.0
+        self._digest: list[str] = []
+        self._digesting: threading.Thread | None = None
+
+    @property
+    def checksum(self) -> str:
+        """SHA-256 of the file."""
+        self._start_digest().join()
+        return self._digest[0]
+
+    def _start_digest(self) -> threading.Thread:
+        """Work the checksum out beside what reads the blocks: hours at kilohertz are gigabytes."""
+        if self._digesting is None:
+            # An interrupt or a refused file does not wait for it.
+            file = Path(self.source).open("rb")  # noqa: SIM115
+            self._digesting = threading.Thread(target=self._take_digest, args=(file,), daemon=True)
+            self._digesting.start()
+        return self._digesting
+
+    def _take_digest(self, file: io.BufferedReader) -> None:
+        with file:
+            self._digest.append(hashlib.file_digest(file, "sha256").hexdigest())
+
+    def _zero_reference(self, name: str) -> str:
+        channel: ChannelMapping | None = getattr(self._mapping, name)
+        if channel is None:
+            return "incremental"
+        if channel.zero_reference is not None:
+            return channel.zero_reference
+        return next(c.zero_reference for c in self._file.channels if c.name == channel.column)
+
+    def blocks(self) -> Iterator[Block]:
+        """Yield the recording's blocks in the order of time.
+
+        Raises
+        ------
+        edge.InputError
+            If a value of the file is no number, or it ends before a sample came.
+        """
+        self._start_digest()
+        clocks = {n: (m.delay, m.drift) for n in CHANNELS if (m := getattr(self._mapping, n)) is not None}
+        merge = OneClock(self._scales, self._mapping.time, clocks)
+        cleaning = Cleaning({n: m.rollover for n in ANGLES if (m := getattr(self._mapping, n))}, self.source)
+        names = list(dict.fromkeys(column for column, _, _ in self._scales.values()))
+        kept = 0
+        merged = (merge.add(piece) for piece in self._file.pieces(names))
+        for table, status in itertools.chain(itertools.chain.from_iterable(merged), merge.finish()):
+            block = cleaning.add(table, status)
+            kept += block.time.size
+            if block.time.size:
+                yield block
+        said = [*self._clock_notes(), *merge.notes(), *cleaning.notes()]
+        self.notes = [*self._file.problems, *(f"{self.source}: {n}" for n in said)]
+        if self._mapping.input_angle is None:
+            self.notes.append(f"{self.source}: no input angle is mapped; the input is taken as locked.")
+        if kept < 2:
+            raise edge.InputError(
+                " ".join([*self.notes, f"{self.source}: the recording has {kept or 'no'} samples; a curve needs more."])
+            )
+
+    def read(self) -> Recording:
+        """Return the whole recording in memory.
+
+        Raises
+        ------
+        edge.InputError
+            As `blocks`.
+        """
+        blocks = list(self.blocks())
+        names = [f.name for f in dataclasses.fields(Block) if getattr(blocks[0], f.name) is not None]
+        return self.recording({n: np.concatenate([getattr(b, n) for b in blocks]) for n in names})
+
+    def recording(self, columns: Mapping[str, NDArray[Any]]) -> Recording:
+        """Return columns of a block as a recording from this file, when all its blocks were taken."""
+        return Recording(
+            **columns, source=self.source, checksum=self.checksum, ratio=self.ratio, common_zero=self.common_zero,
+            known_index=self.known_index, notes=tuple(self.notes), alignment=self.alignment,
+            torque_alignment=self.torque_alignment,
+        )  # fmt: skip
+
+    def _clock_notes(self) -> list[str]:
+        """Say which channels were put on the host's clock, and keep how well those of a pair are known to agree."""
+        clocks = {role: c for role, (name, _, _) in self._scales.items() if (c := self._file.clocks.get(name))}
+
+        def apart(roles: tuple[str, ...]) -> float:
+            own = {clocks.get(role) for role in roles if role in self._scales}
+            return math.hypot(*(clock.uncertainty for clock in own if clock is not None)) if len(own) > 1 else 0.0
+
+        self.alignment, self.torque_alignment = apart(ANGLES), apart(("output_angle", "torque"))
+        return [
+            f"{role} has a clock of its own, which runs {-clock.drift * 1e6:+.3g} ppm fast; its samples were put on "
+            f"the host's to ± {clock.uncertainty * 1e6:.2g} µs (95 %)."
+            for role, clock in clocks.items()
+        ]
+
+
+def open_recording(path: str | os.PathLike[str], mapping: FileMapping | None = None) -> RecordingStream:
+    """Open a recording that may be larger than memory; see `RecordingStream`."""
+    return RecordingStream(path, mapping)

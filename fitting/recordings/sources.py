@@ -1,0 +1,166 @@
+"""Where recordings come from: files by name or pattern, or arrays of somebody else's bench."""
+
+from __future__ import annotations
+
+import glob
+import hashlib
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cycloid_fmu import edge
+from fitting.recordings.cleaning import Cleaning
+from fitting.recordings.mapping import ANGLES, FileMapping, read_mapping
+from fitting.recordings.read_head import ReadHead, read_read_head, without_coaxiality_error
+from fitting.recordings.recording import Recording, RecordingStream
+
+
+@dataclass(frozen=True)
+class RecordingFile:
+    """A recording in a file, opened when it is used; see `read_recordings`."""
+
+    path: Path
+    mapping: FileMapping | None = None
+    read_head: ReadHead | None = None
+
+    def open(self) -> Recording | RecordingStream:
+        """Open the file; with a read head, its whole recording free of the head's coaxiality error.
+
+        Raises
+        ------
+        edge.InputError
+            If the file can't be read, or a channel, its unit or the time is missing.
+        """
+        stream = RecordingStream(self.path, self.mapping)
+        return stream if self.read_head is None else without_coaxiality_error(stream.read(), self.read_head)
+
+
+@dataclass(frozen=True)
+class Run:
+    """A recording as arrays of shape (samples,), whatever bench they come from; a number stands for all samples.
+
+    Attributes
+    ----------
+    input_angle, output_angle
+        rad; angles that roll over at a turn are unrolled. An input angle of one number is a locked input.
+    torque
+        N·m of the environment on the output.
+    time
+        s; None where the samples were taken evenly in an unknown time, so that nothing is said of speeds.
+    temperature, input_torque
+        K, and N·m of the environment on the input, where they were measured.
+    name
+        What messages and reports call it.
+    common_zero
+        Whether the output angle's zero is the same in every run of the bench (an absolute encoder).
+    known_index
+        Whether input angle 0 is the crank at pin 0.
+
+    Examples
+    --------
+    >>> import numpy as np, fitting
+    >>> angle = np.linspace(0.0, 2.0 * np.pi, 200)
+    >>> run = fitting.Run(input_angle=angle, output_angle=angle / -39, torque=20.0, name="20 N*m")
+    >>> run.open().time.size
+    200
+    """
+
+    input_angle: ArrayLike
+    output_angle: ArrayLike
+    torque: ArrayLike
+    time: ArrayLike | None = None
+    temperature: ArrayLike | None = None
+    input_torque: ArrayLike | None = None
+    name: str = "run"
+    common_zero: bool = False
+    known_index: bool = False
+
+    def open(self) -> Recording:
+        """Return the arrays as a recording: what is no sample is left out, with a note.
+
+        Raises
+        ------
+        edge.InputError
+            If the arrays' shapes differ or fewer than two samples are left.
+        """
+        size = np.size(self.output_angle)
+        given = {n: getattr(self, n) for n in (*ANGLES, "torque", "temperature", "input_torque")}
+        given["time"] = np.arange(float(size)) if self.time is None else self.time
+        columns = {n: np.asarray(v, dtype=float) for n, v in given.items() if v is not None}
+        for name, values in columns.items():
+            if values.shape not in ((), (size,)):
+                raise edge.InputError(
+                    f"{self.name}: {name} has the shape {values.shape}, output_angle ({size},); they must be the same."
+                )
+        columns = {n: np.broadcast_to(v, size).copy() for n, v in columns.items()}
+        digest = hashlib.sha256(b"".join(v.tobytes() for v in columns.values())).hexdigest()
+        cleaning = Cleaning(dict.fromkeys(ANGLES), self.name)
+        block = cleaning.add(columns, None)
+        if block.time.size < 2:
+            raise edge.InputError(f"{self.name}: it has {block.time.size} samples; a curve needs more.")
+        return Recording(
+            **vars(block), source=self.name, checksum=digest, common_zero=self.common_zero,
+            known_index=self.known_index, notes=tuple(f"{self.name}: {note}" for note in cleaning.notes()),
+        )  # fmt: skip
+
+
+Source = RecordingFile | Run | Recording | RecordingStream
+
+
+def open_source(source: Source) -> Recording | RecordingStream:
+    """Return a recording that can be taken block by block."""
+    return source.open() if isinstance(source, RecordingFile | Run) else source
+
+
+def read_recordings(
+    paths: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    mapping: FileMapping | str | os.PathLike[str] | None = None,
+    read_head: ReadHead | str | os.PathLike[str] | None = None,
+) -> list[RecordingFile]:
+    """Give recordings in files, in the order of their names: CSV, Parquet, MDF 4, TDMS, CAN logs and `.arrows`.
+
+    A file is opened when it is used, and again whenever it is, so that it may be larger than memory: `metrics` leaves
+    one out that can't be read, with a note; `curves` and `identify` refuse it by name.
+
+    Parameters
+    ----------
+    paths
+        A path, a pattern such as "*.arrows", or several of either.
+    mapping
+        Which channel is what, or its file; None where the channels bear our names: time, input_angle, output_angle,
+        torque.
+    read_head
+        The output's single read head, or its file, whose coaxiality error is taken off.
+
+    Raises
+    ------
+    edge.InputError
+        If a pattern fits no file, or the mapping or the read head can't be read.
+
+    Examples
+    --------
+    >>> import fitting, pathlib
+    >>> for load in (20, 200):
+    ...     _ = pathlib.Path(f"{load:03}Nm.csv").write_text("time [s],output_angle [rad],torque [N*m]")
+    >>> [one.path.name for one in fitting.read_recordings("*0Nm.csv")]
+    ['020Nm.csv', '200Nm.csv']
+    """
+    if mapping is not None and not isinstance(mapping, FileMapping):
+        mapping = read_mapping(mapping)
+    if read_head is not None and not isinstance(read_head, ReadHead):
+        read_head = read_read_head(read_head)
+    given = [paths] if isinstance(paths, str | os.PathLike) else paths
+    return [RecordingFile(path, mapping, read_head) for one in given for path in _files(one)]
+
+
+def _files(pattern: str | os.PathLike[str]) -> Iterator[Path]:
+    if Path(pattern).exists() or not glob.has_magic(str(pattern)):
+        yield Path(pattern)
+    elif found := sorted(glob.glob(str(pattern), recursive=True)):
+        yield from map(Path, found)
+    else:
+        raise edge.InputError(f"{pattern}: no file fits this pattern.")

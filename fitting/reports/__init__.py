@@ -1,0 +1,1 @@
+"""Reports and plots of recordings, figures, fits and plans."""

@@ -1,0 +1,177 @@
+"""The report that a person reads and hands on: one HTML file that needs nothing else, or the same as PDF."""
+
+from __future__ import annotations
+
+import math
+import os
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cycloid_fmu import __version__, edge
+from fitting.figures.figure import DEFINITIONS, Figure, in_field_units
+from fitting.figures.metrics import Figures
+from fitting.reports.page import html_page, made_now
+from fitting.reports.panels import Panel, panels_of
+
+FORMATS = (".html", ".pdf")
+TITLES = {name: name.replace("_", " ").capitalize() for name in DEFINITIONS}
+
+
+def write_figures_report(found: Figures, path: str | os.PathLike[str]) -> None:
+    """Write a report as HTML or PDF by its name's ending, whole or not at all.
+
+    Parameters
+    ----------
+    found
+        The figures and what they were taken from.
+    path
+        `.html`: one file with all it needs, to zoom and hover in; `.pdf`: the same on pages.
+    """
+    target = edge.output_path(path, "path", FORMATS)
+    panels = panels_of(found)
+    with edge.written_whole(target) as temporary:
+        if target.suffix.lower() == ".html":
+            temporary.write_text(html_report(found, panels), encoding="utf-8")
+        else:
+            _write_pdf(found, panels, temporary)
+
+
+def figure_rows(found: Figures) -> list[dict[str, str]]:
+    """Return the figures' table, one row a figure and one, with `part`, for each of its parts and runs."""
+    rows = []
+    for name, figure in found.figures.items():
+        rows.append(_row(TITLES[name], figure, definition=figure.definition))
+        rows += [_row(Path(part).name, one, part="yes") for part, one in {**figure.parts, **figure.runs}.items()]
+    return rows
+
+
+def _row(name: str, figure: Figure, *, definition: str = "", part: str = "") -> dict[str, str]:
+    value, uncertainty, unit = in_field_units(figure)
+    interval = ""
+    if figure.interval is not None:
+        low, high = figure.interval
+        if figure.interval_unit == "rad":
+            interval = f"{math.degrees(low):g} … {math.degrees(high):g}°"
+        else:
+            interval = f"{low:.4g} … {high:.4g} N·m"
+    return {
+        "name": name, "value": value, "uncertainty": uncertainty, "unit": unit, "interval": interval,
+        "of": f"{figure.count:.4g} {figure.counted}", "definition": definition, "part": part,
+    }  # fmt: skip
+
+
+def _sources(found: Figures) -> list[dict[str, str]]:
+    rows = []
+    for one in found.surveyed:
+        temperature = one.overview.temperature
+        warm = "" if temperature is None else f"{np.nanmean(temperature) - 273.15:.1f} °C"
+        kind = "loops" if one.loops is not None else "run"
+        rows.append(
+            {"name": Path(one.source).name, "kind": kind, "samples": f"{one.samples:,}",
+             "time": f"{one.duration:.4g} s", "temperature": warm, "checksum": one.checksum}
+        )  # fmt: skip
+    return rows
+
+
+def _facts(found: Figures) -> str:
+    facts = []
+    if found.ratio is not None:
+        facts.append(f"ratio {found.ratio:g}")
+    if found.rated_torque is not None:
+        facts.append(f"rated torque {found.rated_torque:.5g} N·m")
+    return ", ".join([*facts, made_now()])
+
+
+_FIGURES = """<h2>Figures</h2>
+{% if rows %}<table id="figures"><thead><tr><th>Figure</th><th>Value</th><th>± (95 %)</th><th>Unit</th><th>Of</th>
+<th>Interval</th><th>Definition</th></tr></thead><tbody>
+{% for r in rows %}<tr class="{{ 'part' if r.part else 'figure' }}"><td>{{ r.name }}</td>
+<td class="number">{{ r.value }}</td><td class="number">{{ r.uncertainty }}</td><td>{{ r.unit }}</td>
+<td class="number">{{ r.of }}</td>
+<td>{{ r.interval if not r.part }}</td><td class="definition">{{ r.definition }}</td></tr>
+{% endfor %}</tbody></table>{% else %}<p>No figure could be computed; the notes say why.</p>{% endif %}
+"""
+_SOURCES = """<h2>What was left out, and what to know</h2>
+{% if notes %}<ul id="notes">{% for n in notes %}<li>{{ n }}</li>{% endfor %}</ul>{% else %}
+<p id="notes">Nothing was left out.</p>{% endif %}
+<h2>Recordings</h2><table id="recordings"><thead><tr><th>File</th><th>Kind</th><th>Samples</th><th>Time</th>
+<th>Temperature</th><th>SHA-256</th></tr></thead><tbody>
+{% for s in sources %}<tr><td>{{ s.name }}</td><td>{{ s.kind }}</td><td class="number">{{ s.samples }}</td>
+<td class="number">{{ s.time }}</td><td>{{ s.temperature }}</td><td><code>{{ s.checksum }}</code></td></tr>
+{% endfor %}</tbody></table>
+"""
+
+
+def html_report(found: Figures, panels: Sequence[Panel]) -> str:
+    """Return the report as one HTML page that loads nothing from anywhere."""
+    return html_page(
+        "Test bench report", _facts(found), _FIGURES, panels, _SOURCES, rows=figure_rows(found), notes=found.notes,
+        sources=_sources(found),
+    )  # fmt: skip
+
+
+_A4 = (8.27, 11.69)
+_LINES = 62  # of text on a page
+
+
+def _write_pdf(found: Figures, panels: Sequence[Panel], path: Path) -> None:
+    from matplotlib.backends.backend_pdf import PdfPages
+    from matplotlib.figure import Figure as Page
+
+    from fitting.reports.plots import draw_panel
+
+    with PdfPages(path, metadata={"Title": "Test bench report", "Creator": f"cycloid-fmu {__version__}"}) as pdf:
+        for page in _text_pages(found):
+            pdf.savefig(page)
+        for begin in range(0, len(panels), 2):
+            page = Page(figsize=_A4, layout="constrained")
+            page.get_layout_engine().set(rect=(0.03, 0.03, 0.94, 0.94), hspace=0.08)  # type: ignore[union-attr, call-arg]
+            axes = page.subplots(2, 1)
+            for axis in axes[len(panels[begin : begin + 2]) :]:
+                axis.set_axis_off()
+            for axis, panel in zip(axes, panels[begin : begin + 2], strict=False):
+                draw_panel(axis, panel)
+                caption = "\n".join(textwrap.wrap(panel.caption, 110))
+                axis.set_xlabel(f"{panel.x_label}\n{caption}", fontsize=8)
+            pdf.savefig(page)
+
+
+def _text_pages(found: Figures) -> list[Any]:
+    """Set the figures' table, the notes and the recordings in lines of text, as many pages as they need."""
+    from matplotlib.figure import Figure as Page
+
+    lines: list[tuple[str, dict[str, Any]]] = [
+        ("Test bench report", {"fontsize": 16, "weight": "bold"}), (_facts(found), {"color": "#555555"}), ("", {}),
+    ]  # fmt: skip
+    mono = {"family": "DejaVu Sans Mono", "fontsize": 8}
+    heading = {"weight": "bold", "fontsize": 11}
+    lines.append(("Figures", heading))
+    lines.append((f"{'figure':<42} {'value':>10} {'± (95 %)':>10} {'unit':<11} of", {**mono, "weight": "bold"}))
+    for row in figure_rows(found):
+        name = f"  {row['name']}" if row["part"] else row["name"]
+        name = name if len(name) <= 42 else f"{name[:3]}…{name[-38:]}"
+        text = f"{name:<42} {row['value']:>10} {row['uncertainty']:>10} {row['unit']:<11} {row['of']}"
+        lines.append((text, mono))
+        if row["definition"]:
+            said = f"{row['definition']}; {row['interval']}" if row["interval"] else row["definition"]
+            lines += [(f"    {one}", {"color": "#555555", "fontsize": 7}) for one in textwrap.wrap(said, 120)]
+    lines += [("", {}), ("What was left out, and what to know", heading)]
+    for note in found.notes or ("Nothing was left out.",):
+        lines += [(one, {}) for one in textwrap.wrap(note, 112, subsequent_indent="    ")]
+    lines += [("", {}), ("Recordings", heading)]
+    for s in _sources(found):
+        lines.append((", ".join(filter(None, (s["name"], s["kind"], f"{s['samples']} samples", s["time"],
+                                              s["temperature"]))), {}))  # fmt: skip
+        lines.append((f"    SHA-256 {s['checksum']}", {**mono, "fontsize": 6.5, "color": "#777777"}))
+    pages = []
+    for begin in range(0, len(lines), _LINES):
+        page = Page(figsize=_A4)
+        for number, (text, style) in enumerate(lines[begin : begin + _LINES]):
+            # A note may hold a dollar sign, which is no formula.
+            page.text(0.07, 0.95 - number * 0.9 / _LINES, text.replace("$", r"\$"), **{"fontsize": 8.5, **style})
+        pages.append(page)
+    return pages

@@ -1,0 +1,181 @@
+"""The report of a fit: measured against fitted, what is left, errors with intervals, and what is not known."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cycloid_fmu import edge
+from cycloid_fmu.edge import ARCMIN, ARCSEC
+from fitting.estimation.result import Identification, Parameter
+from fitting.figures.spectrum import spectrum
+from fitting.model.loops import LoopFit
+from fitting.reports.page import html_page, made_now
+from fitting.reports.panels import Panel, Trace, label_of, spectra_panel
+
+FORMATS = (".html",)
+_CRANK_TURNS = 3.0  # of the curves that the first panel shows
+_FIELD_UNITS = {"m": (1e6, "µm"), "rad": (1e3, "mrad")}
+
+
+def fit_panels(result: Identification) -> list[Panel]:
+    """Return the panels of a fit: measured and fitted curves, what is left, its orders, and the errors' intervals."""
+    fitted, left, rest = [], [], []
+    for number, (curve, model) in enumerate(zip(result.curves, result.fitted_curves, strict=True)):
+        turns = curve.input_angle / (2.0 * np.pi)
+        shown = turns <= _CRANK_TURNS
+        error, residual = curve.transmission_error, curve.transmission_error - model
+        fitted.append(Trace("measured" if number == 0 else "", turns[shown], error[shown] / _ARC, "points", -1))
+        fitted.append(Trace(label_of(curve), turns[shown], model[shown] / _ARC, "thin", number))
+        left.append(Trace(label_of(curve), turns, residual / _ARC, "thin", number))
+        rest.append(dataclasses.replace(curve, transmission_error=residual))
+    panels = [
+        Panel("Measured and fitted", "crank turns", "transmission error [arcsec]", tuple(fitted),
+              "Points are measured, lines are the fit with the bench's own errors; the first turns of the crank."),
+        Panel("What is left", "crank turns", "measured less fitted [arcsec]", tuple(left),
+              f"{result.residual / _ARC:.3f}″ rms are left; the noise of a point is {result.noise / _ARC:.3f}″."),
+    ]  # fmt: skip
+    orders = spectra_panel(rest, [spectrum(c) for c in rest], result.pair, "Orders of what is left")
+    loops = [panel for one in result.loops for panel in _loop_panels(one)]
+    return [*panels, *([orders] if orders is not None else []), *loops, _intervals(result.parameters)]
+
+
+def _loop_panels(loop: LoopFit) -> list[Panel]:
+    """A loop as measured and fitted, and what is left of it, each branch by itself."""
+    name, torque = f"Hysteresis loop: {Path(loop.source).name}", "torque on the output [N·m]"
+    middle = float(np.mean(list(loop.measured.values())))
+    both, left = [], []
+    for number, (branch, at) in enumerate(loop.torque.items()):
+        measured, fitted = loop.measured[branch], loop.fitted[branch]
+        both.append(Trace("measured" if number == 0 else "", at, (measured - middle) * ARCMIN, "points", -1))
+        both.append(Trace(branch, at, (fitted - middle) * ARCMIN, "thin", number))
+        left.append(Trace(branch, at, (measured - fitted) / _ARC, "thin", number))
+    return [
+        Panel(name, torque, "windup [arcmin]", tuple(both),
+              f"Input locked at {np.degrees(loop.crank_angle):.1f}° of the crank. Points are means over the torque, "
+              "lines the fit, from where friction has left the play behind."),
+        Panel(f"{name}: what is left", torque, "measured less fitted [arcsec]", tuple(left), "Each branch by itself."),
+    ]  # fmt: skip
+
+
+def _intervals(parameters: Sequence[Parameter]) -> Panel:
+    shown = [p for p in parameters if p.held is None and p.unit == "m"]
+    lines = [Trace("95 % interval" if i == 0 else "", np.array(p.interval) * 1e6, np.array([-i, -i], float), "thick", 0)
+             for i, p in enumerate(shown)]  # fmt: skip
+    at, place = np.array([p.value * 1e6 for p in shown]), -np.arange(float(len(shown)))
+    values = Trace("", at, place, "points", -1, tuple(f"{value:.2f}" for value in at))
+    return Panel("Identified errors", "error [µm]", "", (*lines, values),
+                 "Each with its 95 % interval.", y_names=tuple(p.name for p in shown))  # fmt: skip
+
+
+_ARC = 1.0 / ARCSEC
+
+_ABOVE = """<h2>Errors</h2>
+<table id="errors"><thead><tr><th>Error</th><th>Identified</th><th>95 % interval</th><th>Unit</th>
+<th>From the data</th></tr></thead><tbody>
+{% for r in known %}<tr><td>{{ r.name }}</td><td class="number">{{ r.value }}</td><td class="number">{{ r.interval }}
+</td><td>{{ r.unit }}</td><td class="number">{{ r.share }}</td></tr>
+{% endfor %}</tbody></table>
+<h2>How far to trust it</h2><ul id="trust">{% for t in trust %}<li>{{ t }}</li>{% endfor %}</ul>
+"""
+_BELOW = """<h2>Correlation of the identified errors</h2>
+<table id="correlation" style="font-size:.62em; table-layout:fixed"><tbody>
+{% for row in correlation %}<tr><td style="width:22em">{{ row.number }} {{ row.name }}</td>
+{% for c in row.cells %}<td style="padding:0; text-align:center; background:rgba({{ c.colour }})">{{ c.text }}</td>
+{% endfor %}</tr>{% endfor %}</tbody></table>
+<p class="caption">In per cent; columns in the order of the rows. Red: they rise together; blue: one against the
+other.</p>
+<h2>What the data cannot tell</h2><ul id="weak">{% for w in weak %}<li>{{ w }}</li>{% endfor %}</ul>
+<table id="held"><thead><tr><th>Held</th><th>Why</th></tr></thead><tbody>
+{% for p in held %}<tr><td>{{ p.name }}</td><td>{{ p.held }}</td></tr>
+{% endfor %}</tbody></table>
+{% if singles %}<h2>Every pin and tooth</h2><table id="singles"><thead><tr><th>Displacement</th><th>Identified</th>
+<th>95 % interval</th><th>Unit</th><th>From the data</th><th></th></tr></thead><tbody>
+{% for r in singles %}<tr><td>{{ r.name }}</td><td class="number">{{ r.value }}</td><td class="number">{{ r.interval }}
+</td><td>{{ r.unit }}</td><td class="number">{{ r.share }}</td><td class="definition">{{ r.held }}</td></tr>
+{% endfor %}</tbody></table>{% endif %}
+<h2>The bench</h2><table id="bench"><tbody>{% for name, value in bench %}<tr><td>{{ name }}</td>
+<td class="number">{{ value }}</td></tr>
+{% endfor %}</tbody></table>
+<h2>What to know</h2>{% if notes %}<ul id="notes">{% for n in notes %}<li>{{ n }}</li>{% endfor %}</ul>{% else %}
+<p id="notes">Nothing was left out.</p>{% endif %}
+<h2>Recordings</h2><table id="recordings"><thead><tr><th>File</th><th>SHA-256</th></tr></thead><tbody>
+{% for name, checksum in sources %}<tr><td>{{ name }}</td><td><code>{{ checksum }}</code></td></tr>
+{% endfor %}</tbody></table>
+"""
+
+
+def _row(one: Parameter) -> dict[str, str]:
+    factor, unit = _FIELD_UNITS[one.unit]
+    low, high = (v * factor for v in one.interval)
+    return {"name": one.name, "value": f"{one.value * factor:.3f}", "interval": f"{low:.3f} … {high:.3f}",
+            "unit": unit, "share": f"{100.0 * one.data_share:.1f} %", "held": one.held or ""}  # fmt: skip
+
+
+def _correlation(result: Identification) -> list[dict[str, Any]]:
+    rows = []
+    for number, (name, values) in enumerate(zip(result.fitted, result.correlation, strict=True), start=1):
+        cells = [{"text": f"{round(100.0 * v):d}", "colour": f"{'214,39,40' if v > 0 else '31,119,180'},{abs(v):.2f}"}
+                 for v in values]  # fmt: skip
+        rows.append({"number": number, "name": name, "cells": cells})
+    return rows
+
+
+def _trust(result: Identification) -> list[str]:
+    said = [
+        f"{result.residual / _ARC:.3f}″ rms are left of the curves; the noise of a point is {result.noise / _ARC:.3f}″."
+    ]
+    if result.held_out is not None:
+        kept = result.held_out
+        said.append(
+            f"{kept.loads} were kept from a first fit and predicted by it: {kept.residual / _ARC:.3f}″ rms are left, "
+            f"{kept.residual / kept.noise:.2f} times the noise."
+        )
+    else:
+        said.append("Nothing could be kept back to be predicted: that takes three curves.")
+    scatter = ", ".join(f"{n} {v * 1e6:.2f} µm" for n, v in result.scatter.items())
+    said.append(f"Beyond the errors of the table single pins and teeth scatter: {scatter} (standard deviations).")
+    for one in result.loops:
+        left = np.concatenate([one.measured[n] - one.fitted[n] for n in one.fitted])
+        said.append(
+            f"{Path(one.source).name}: the play at {np.degrees(one.crank_angle):.1f}° of the crank is "
+            f"{one.play / _ARC:.2f} ± {1.96 * one.standard_error / _ARC:.2f}″ by the identified errors; "
+            f"{np.sqrt(np.mean(left**2)) / _ARC:.3f}″ rms are left of the loop's points."
+        )
+    if result.inflation > 1.0:
+        said.append(f"The residual is not white: the intervals are {result.inflation:.2f} times those of white noise.")
+    return said
+
+
+def write_fit_report(result: Identification, path: str | os.PathLike[str]) -> None:
+    """Write the report of a fit as one HTML file that needs nothing else, whole or not at all.
+
+    Parameters
+    ----------
+    result
+        The fit.
+    path
+        A name that ends in .html.
+    """
+    target, pair = edge.output_path(path, "path", FORMATS), result.pair
+    text = html_page(
+        "Identified drive", f"{pair.gear_teeth}/{pair.pins}, {len(result.curves)} curves, {made_now()}",
+        _ABOVE, fit_panels(result), _BELOW, known=[_row(p) for p in result.parameters if p.held is None],
+        trust=_trust(result), correlation=_correlation(result), weak=result.weak_combinations,
+        held=[p for p in result.parameters if p.held is not None], singles=[_row(p) for p in result.singles],
+        bench=[(n, f"{v:.4g} {_bench_unit(n)}") for n, v in result.bench.items()], notes=result.notes,
+        sources=[(Path(n).name, c) for n, c in result.checksums.items()],
+    )  # fmt: skip
+    with edge.written_whole(target) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def _bench_unit(name: str) -> str:
+    if name == "chain_compliance":
+        return "rad/(N·m)"
+    return "N·m" if name.endswith("friction_torque") else "rad"

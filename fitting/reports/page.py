@@ -1,0 +1,117 @@
+"""A page of a report: HTML that loads nothing from anywhere, with panels to zoom and hover in."""
+
+from __future__ import annotations
+
+import base64
+import datetime
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from cycloid_fmu import __version__
+from fitting.reports.panels import Panel, Trace
+
+COLOURS = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b", "#e377c2")
+GREY = "#777777"
+
+
+def made_now() -> str:
+    """Say when and with which version a report is made."""
+    now = datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z")
+    return f"made {now} with cycloid-fmu {__version__}"
+
+
+_HEAD = """<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{{ title }}</title>
+<style>
+body { font: 15px/1.45 system-ui, "Segoe UI", "DejaVu Sans", sans-serif; color: #222; max-width: 960px;
+  margin: 1.5em auto; padding: 0 1em; }
+h1 { font-size: 1.5em; margin: 0; } h2 { font-size: 1.15em; margin: 1.6em 0 .3em; }
+p.facts, p.caption { color: #555; margin: .2em 0 .6em; } p.caption { font-size: .9em; }
+table { border-collapse: collapse; width: 100%; } th { text-align: left; font-weight: 600; }
+th, td { padding: .25em .6em .25em 0; border-bottom: 1px solid #ddd; vertical-align: top; }
+td.number { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
+tr.part td { color: #555; font-size: .92em; border-bottom-style: dotted; }
+tr.part td:first-child { padding-left: 1.2em; }
+td.definition { font-size: .85em; color: #555; } code { font-size: .8em; word-break: break-all; color: #777; }
+.panel { height: 380px; } section { break-inside: avoid; } li { margin: .2em 0; }
+@media print { body { margin: 0; max-width: none; font-size: 11px; } .panel { height: 300px; }
+  .modebar { display: none; } }
+</style></head><body>
+<h1>{{ title }}</h1><p class="facts">{{ facts }}</p>
+"""
+_PANELS = """{% for p in panels %}<section><h2>{{ p.title }}</h2><div class="panel" id="panel-{{ loop.index0 }}"></div>
+<p class="caption">{{ p.caption }}</p></section>
+{% endfor %}
+"""
+_TAIL = """<script>{{ plotly }}</script>
+<script>
+const panels = {{ data }};
+panels.forEach((p, i) => Plotly.newPlot("panel-" + i, p.data, p.layout, {responsive: true, displaylogo: false}));
+const fit = () => panels.forEach((_, i) => Plotly.Plots.resize("panel-" + i));
+window.matchMedia("print").addEventListener("change", fit);
+window.addEventListener("beforeprint", fit);
+</script></body></html>
+"""
+
+
+def html_page(title: str, facts: str, above: str, panels: Sequence[Panel], below: str, **values: Any) -> str:
+    """Return one HTML page that loads nothing from anywhere: what stands above the panels, the panels, what is below.
+
+    `above` and `below` are jinja2 templates of `values`, which are escaped.
+    """
+    import jinja2
+    from markupsafe import Markup
+    from plotly.offline import get_plotlyjs
+
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+    data = json.dumps([_plotly(p) for p in panels]).replace("</", "<\\/")
+    return environment.from_string(_HEAD + above + _PANELS + below + _TAIL).render(
+        title=title, facts=facts, panels=panels, plotly=Markup(get_plotlyjs()), data=Markup(data), **values
+    )
+
+
+def _packed(values: Any) -> dict[str, str]:
+    """Pack numbers as plotly reads them without a digit too many: 32 bit, base 64."""
+    return {"dtype": "f4", "bdata": base64.b64encode(np.asarray(values, "<f4").tobytes()).decode()}
+
+
+_PLOTLY_LINES: dict[str, dict[str, Any]] = {
+    "line": {"width": 1.5}, "thin": {"width": 1.0}, "dashed": {"width": 1.2, "dash": "dash"}, "thick": {"width": 3.5},
+}  # fmt: skip
+
+
+def _colour(trace: Trace) -> str:
+    return GREY if trace.colour < 0 else COLOURS[trace.colour % len(COLOURS)]
+
+
+def _plotly(panel: Panel) -> dict[str, Any]:
+    data = []
+    for t in panel.traces:
+        one: dict[str, Any] = {
+            "type": "scatter", "x": _packed(t.x), "y": _packed(t.y), "name": t.label, "showlegend": bool(t.label),
+            "mode": "lines",
+        }  # fmt: skip
+        if t.style == "points":
+            named = {"mode": "markers+text", "text": list(t.texts), "textposition": "top center",
+                     "textfont": {"size": 11}, "cliponaxis": False}  # fmt: skip
+            one |= {"mode": "markers", "marker": {"color": "#222" if t.texts else GREY, "size": 5 if t.texts else 2}}
+            one |= named if t.texts else {}
+        else:
+            one["line"] = {**_PLOTLY_LINES[t.style], "color": _colour(t)}
+        data.append(one)
+    axis = {"gridcolor": "#e5e5e5", "zeroline": False, "ticks": "outside", "automargin": True}
+    layout: dict[str, Any] = {
+        "margin": {"l": 60, "r": 20, "t": 30, "b": 45}, "paper_bgcolor": "white", "plot_bgcolor": "white",
+        "xaxis": {**axis, "title": {"text": panel.x_label}},
+        "yaxis": {**axis, "title": {"text": panel.y_label}, "type": "log" if panel.log_y else "linear"},
+        "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom"}, "modebar": {"orientation": "v"},
+        "hovermode": "closest",
+    }  # fmt: skip
+    if panel.y_names:
+        rows = [-row for row in range(len(panel.y_names))]
+        layout["yaxis"] |= {"tickvals": rows, "ticktext": list(panel.y_names), "tickfont": {"size": 10}}
+    return {"data": data, "layout": layout}

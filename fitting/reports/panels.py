@@ -1,0 +1,225 @@
+"""What a report draws, as data: panels of lines and points in field units, for paper and for the browser alike."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu.edge import ARCMIN, ARCSEC
+from cycloid_fmu.geometry.pair import Pair
+from fitting.figures.hysteresis import LoopData, loop_marks
+from fitting.figures.metrics import Figures
+from fitting.figures.spectrum import Spectrum
+from fitting.figures.starts import back_driving_torques, starting_torques
+from fitting.transmission_error.curve import Curve
+
+Array = NDArray[np.float64]
+
+_MIDDLE = 0.12  # share of the rated torque that the middle of a loop shows
+_NAMED = 14  # orders that bear their names
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One line, or points: arrays of shape (points,) in the panel's units.
+
+    Attributes
+    ----------
+    label
+        In the legend; "" for none.
+    x, y
+        Where.
+    style
+        "line", "thin", "dashed", "thick" or "points".
+    colour
+        Number of the colour; -1 is grey.
+    texts
+        A name for each point, or none: then the points are small.
+    """
+
+    label: str
+    x: Array
+    y: Array
+    style: Literal["line", "thin", "dashed", "thick", "points"] = "line"
+    colour: int = 0
+    texts: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One diagram with its title, axes, and a sentence that says what is seen.
+
+    `y_names` stand beside the y axis in place of numbers, at 0, -1, -2 and so on.
+    """
+
+    title: str
+    x_label: str
+    y_label: str
+    traces: tuple[Trace, ...]
+    caption: str
+    log_y: bool = False
+    y_names: tuple[str, ...] = ()
+
+
+def label_of(curve: Curve) -> str:
+    """Load and direction of a curve, as plots name it."""
+    return f"{curve.torque:+.4g} N·m, {'forward' if curve.direction > 0 else 'backward'}"
+
+
+def order_name(order: int, ratio: float, pair: Pair | None) -> str:
+    """Return what an order of the output comes from, "" where its number does not tell.
+
+    Errors of pins and ring repeat at multiples of the gear's teeth, those of the teeth at multiples of the pins,
+    whether gear or ring is the output; what both have in common is the mesh. The first two are the rig's: coaxiality
+    and couplings. Without the pair only the turns of the input are known.
+    """
+    if order <= 2:
+        return "rig"
+    if pair is None:
+        return "input turn" if abs(order / ratio - round(order / ratio)) * abs(ratio) < 1e-6 else ""
+    teeth, pins = pair.gear_teeth, pair.pins
+    kinds = [name for name, per_turn in (("pin", teeth), ("tooth", pins)) if order % per_turn == 0]
+    return "mesh" if len(kinds) > 1 else "".join(kinds)
+
+
+def panels_of(found: Figures) -> list[Panel]:
+    """Return the panels of a report: curves, orders, loops, and the torque over time.
+
+    Parameters
+    ----------
+    found
+        The figures and what they were taken from.
+    """
+    panels = []
+    if found.curves:
+        panels.append(_curves_panel(found.curves))
+        spectra = spectra_panel(found.curves, found.spectra, found.pair)
+        if spectra is not None:
+            panels.append(spectra)
+    panels += [p for s in found.surveyed if s.loops is not None for p in _loop_panels(s.loops)]
+    panels += _start_panels(found)
+    panels.append(_torque_panel(found))
+    return panels
+
+
+def _curves_panel(curves: list[Curve]) -> Panel:
+    traces = []
+    for number, curve in enumerate(curves):
+        error = (curve.transmission_error - curve.transmission_error.mean()) * ARCSEC
+        turn = np.degrees(curve.input_angle / abs(curve.ratio))
+        traces.append(Trace(label_of(curve), turn, error, "thin", number))
+    return Panel(
+        "Transmission error over one output turn", "output turn [°]", "transmission error [arcsec]", tuple(traces),
+        "Mean of all turns at each angle, one curve for each load and direction; the mean of each curve is taken off.",
+    )  # fmt: skip
+
+
+def spectra_panel(
+    curves: Sequence[Curve], spectra: Sequence[Spectrum | None], pair: Pair | None, title: str = "Orders of the output"
+) -> Panel | None:
+    """Return the panel of the curves' orders with the noise around them, or None without a spectrum."""
+    pairs = [(c, s) for c, s in zip(curves, spectra, strict=True) if s is not None]
+    if not pairs:
+        return None
+    highest = max(int(np.flatnonzero(s.significant).max(initial=10)) for _, s in pairs)
+    traces = []
+    for number, (curve, orders) in enumerate(pairs):
+        upto = min(orders.amplitude.size, math.ceil(1.1 * highest) + 1)
+        order = np.arange(1, upto, dtype=float)
+        amplitude = orders.amplitude[1:upto] * ARCSEC
+        traces.append(Trace(label_of(curve), order, amplitude, "thin", number))
+        floor = orders.floor[1:upto] * ARCSEC
+        traces.append(Trace("noise floor" if number == 0 else "", order, floor, "dashed", -1))
+    largest = np.zeros(highest + 1)
+    for _, orders in pairs:
+        kept = np.where(orders.significant, orders.amplitude, 0.0)[: highest + 1]
+        largest[: kept.size] = np.maximum(largest[: kept.size], kept * ARCSEC)
+    leading = np.array(_apart(largest), dtype=int)
+    names = tuple(f"{k} {order_name(int(k), pairs[0][0].ratio, pair)}".strip() for k in leading)
+    traces.append(Trace("", leading.astype(float), largest[leading], "points", -1, names))
+    return Panel(
+        title, "order of the output turn", "amplitude [arcsec]", tuple(traces),
+        "Pin: errors of pins and ring; tooth: errors of the gear's teeth; mesh: both; rig: coaxiality and couplings "
+        "(large errors of pins and teeth beat at order 1 too). "
+        "Dashed: what noise alone has. An amplitude's 95 % interval is ± 1.4 times the dashed line.",
+        log_y=True,
+    )  # fmt: skip
+
+
+def _apart(amplitude: Array) -> list[int]:
+    """Return the orders whose names have room: the largest, less those beside one that is nearly as large."""
+    chosen: list[int] = []
+    for order in np.argsort(-amplitude)[: np.count_nonzero(amplitude)]:
+        beside = [k for k in chosen if abs(k - order) < amplitude.size / 60]
+        if all(amplitude[k] > 2.0 * amplitude[order] for k in beside) and len(beside) < 2:
+            chosen.append(int(order))
+        if len(chosen) == _NAMED:
+            break
+    return sorted(chosen)
+
+
+_MARKS = {
+    "hysteresis_loss": "hysteresis loss", "backlash": "backlash", "lost_motion": "lost motion",
+    "torsional_stiffness": "torsional stiffness",
+}  # fmt: skip
+
+
+def _loop_panels(loop: LoopData) -> list[Panel]:
+    """The whole loop, and the middle of it, where play and friction show."""
+    step = max(1, loop.torque.size // 20000)
+    traces = [Trace("measured", loop.torque[::step], loop.windup[::step] * ARCMIN, "thin", -1)]
+    for number, (name, lines) in enumerate(loop_marks(loop).items()):
+        for first, line in enumerate(lines):
+            label = _MARKS[name] if first == 0 else ""
+            traces.append(Trace(label, line[:, 0], line[:, 1] * ARCMIN, "thick", number))
+    axes = ("torque on the output [N·m]", "windup of the output [arcmin]")
+    name = f"Hysteresis loop: {Path(loop.source).name}"
+    said = "The coloured lines show where each figure is read off the first loop; the figures are means of all loops."
+    near = np.abs(loop.torque) <= _MIDDLE * loop.rated_torque
+    middle = [
+        t if t.colour >= 0 else Trace(t.label, loop.torque[near], loop.windup[near] * ARCMIN, "points", -1)
+        for t in traces
+        if t.label != _MARKS["torsional_stiffness"]
+        and (t.colour < 0 or np.abs(t.x).max() <= _MIDDLE * loop.rated_torque)
+    ]
+    return [Panel(name, *axes, tuple(traces), said), Panel(f"{name}, around zero torque", *axes, tuple(middle), said)]
+
+
+def _start_panels(found: Figures) -> list[Panel]:
+    """The torque of each start over the time from the standstill until the crank has turned a degree."""
+    panels = []
+    kinds = (
+        ("input", "no-load starting torque", starting_torques),
+        ("output", "back-driving torque", back_driving_torques),
+    )
+    for shaft, name, starts_of in kinds:
+        traces: list[Trace] = []
+        for one in (s.overview for s in found.surveyed if s.loops is None):
+            torque = one.input_torque if shaft == "input" else one.torque
+            for start in starts_of(one, found.ratio or one.ratio)[0]:
+                assert torque is not None
+                time = one.time[start.part] - one.time[start.part.start]
+                number = len(traces) // 2
+                traces.append(Trace("", time, np.abs(torque[start.part]), "thin", number))
+                at = slice(start.peak - start.part.start, start.peak - start.part.start + 1)
+                traces.append(Trace("", time[at], np.array([start.torque]), "points", number, (str(number + 1),)))
+        if traces:
+            said = f"The {name} is the mean of the marked values, the largest until the crank has turned 1°."
+            axes = ("time since the standstill [s]", f"torque on the {shaft} [N·m]")
+            panels.append(Panel(f"Starts by the {shaft}", *axes, tuple(traces), said))
+    return panels
+
+
+def _torque_panel(found: Figures) -> Panel:
+    traces = []
+    for number, one in enumerate(found.surveyed):
+        time, torque = one.overview.time, one.overview.torque
+        step = max(1, time.size // 5000)
+        traces.append(Trace(Path(one.source).name, time[::step] - time[0], torque[::step], "thin", number))
+    return Panel("Torque over time", "time [s]", "torque [N·m]", tuple(traces), "Each recording from its beginning.")

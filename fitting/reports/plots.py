@@ -1,0 +1,231 @@
+"""Pictures of recordings, curves, figures, fits and plans."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu import edge
+from cycloid_fmu.contact.transmission import solve
+from cycloid_fmu.draw.plots import new_figure, save, show_legend
+from cycloid_fmu.drive import Drive
+from cycloid_fmu.edge import ARCSEC
+from cycloid_fmu.surfaces.structured import unit_of
+from fitting.estimation.plan import Plan
+from fitting.estimation.result import Identification
+from fitting.figures.comparison import Change, Comparison
+from fitting.figures.metrics import Figures
+from fitting.model.prior import TOLERANCE
+from fitting.recordings.inspection import Inspection, Look
+from fitting.reports.panels import Panel, label_of, panels_of
+from fitting.transmission_error.curve import Curve
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+
+_WIDTHS = {"line": 1.2, "thin": 0.8, "dashed": 1.0, "thick": 2.5}
+
+
+def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
+    """Draw a result, and write the picture where a path is given.
+
+    Parameters
+    ----------
+    result
+        What `fitting.curves`, `metrics`, `compare`, `identify`, `plan` or `inspect` returned.
+    path
+        `.png` or `.pdf`.
+
+    Raises
+    ------
+    edge.InputError
+        If there is no picture of such a result, or the name has another ending.
+
+    Examples
+    --------
+    >>> import numpy as np, fitting
+    >>> angle = np.linspace(0.0, 2.0 * np.pi * 39, 2000)
+    >>> run = fitting.Run(input_angle=angle, output_angle=-angle / 39 + 1e-5 * np.cos(angle), torque=20.0)
+    >>> len(fitting.plot(fitting.curves(run, -39.0)).axes)
+    2
+    """
+    pictures: list[tuple[type, Callable[[Any], Figure]]] = [
+        (Figures, lambda found: plot_panels(panels_of(found))), (Comparison, lambda found: plot_changes(found.changes)),
+        (Identification, plot_identification), (Inspection, lambda found: plot_channels(found.looks, found.roles)),
+        (Curve, plot_curves), (Plan, plot_plans),
+    ]  # fmt: skip
+    one = result[0] if isinstance(result, list | tuple) and result else result
+    draw = next((draw for kind, draw in pictures if isinstance(one, kind)), None)
+    if draw is None:
+        raise edge.InputError(f"result: there is no picture of {type(one).__name__}.")
+    figure = draw(result)
+    if path is not None:
+        save(figure, path)
+    return figure
+
+
+def draw_panel(axis: Axes, panel: Panel) -> None:
+    """Draw one panel of a report."""
+    for trace in panel.traces:
+        colour = "0.45" if trace.colour < 0 else f"C{trace.colour % 10}"
+        if trace.style == "points":
+            size, colour = (4.0, "0") if trace.texts else (1.0, "0.45")
+            axis.plot(trace.x, trace.y, ".", ms=size, color=colour, label=trace.label or None)
+            for x, y, text in zip(trace.x, trace.y, trace.texts, strict=False):
+                axis.annotate(text, (x, y), (0, 3), textcoords="offset points", rotation=60, fontsize=7)
+            continue
+        style = "--" if trace.style == "dashed" else "-"
+        axis.plot(trace.x, trace.y, style, lw=_WIDTHS[trace.style], color=colour, label=trace.label or None)
+    axis.set(xlabel=panel.x_label, ylabel=panel.y_label)
+    if panel.log_y:
+        axis.set_yscale("log")
+    if panel.y_names:
+        axis.set_yticks([-float(row) for row in range(len(panel.y_names))], panel.y_names, fontsize=7)
+    axis.set_title(panel.title, fontsize=10, loc="left")
+    axis.grid(alpha=0.3)
+    if any(t.label for t in panel.traces):
+        show_legend(axis, fontsize=7, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
+    if any(t.texts for t in panel.traces):
+        scale = axis.yaxis.get_transform()
+        low, high = scale.transform(axis.get_ylim())
+        above = high + 0.25 * (high - low)  # room for the highest points' names
+        axis.set_ylim(top=float(scale.inverted().transform(above)))
+
+
+def plot_panels(panels: Sequence[Panel]) -> Figure:
+    """Panels of a report below each other."""
+    figure, axes = new_figure(len(panels))
+    for axis, panel in zip(axes, panels, strict=True):
+        draw_panel(axis, panel)
+    return figure
+
+
+def plot_changes(changes: Sequence[Change]) -> Figure:
+    """Each figure's change in per cent of what it was, with its 95 % interval; those that moved are filled."""
+    figure, axes = new_figure(max(1, round(0.25 * len(changes) + 0.5)))
+    for axis in axes[1:]:
+        figure.delaxes(axis)
+    axis = axes[0]
+    axis.set_subplotspec(axis.get_gridspec()[:, :])
+    for row, change in enumerate(reversed(changes)):
+        share = 100.0 / abs(change.before.value) if change.before.value else np.nan
+        error = 0.0 if np.isnan(change.uncertainty) else change.uncertainty * share
+        fill = "C0" if change.moved else "white"
+        axis.errorbar(change.difference * share, row, xerr=error, fmt="o", color="C0", mfc=fill, capsize=3)
+    axis.axvline(0.0, color="0.5", lw=0.8)
+    axis.set_yticks(range(len(changes)), [c.name.replace("_", " ").replace(".", ", ") for c in reversed(changes)])
+    axis.set(xlabel="change [%]; filled: beyond the uncertainty")
+    return figure
+
+
+def plot_curves(curves: Sequence[Curve]) -> Figure:
+    """Transmission error over one output turn, and over the crank turn, of every curve."""
+    figure, axes = new_figure(2)
+    for curve in curves:
+        error = curve.transmission_error * ARCSEC
+        axes[0].plot(np.degrees(curve.input_angle / abs(curve.ratio)), error, lw=0.8, label=label_of(curve))
+        axes[1].plot(np.degrees(np.mod(curve.input_angle, 2.0 * np.pi)), error, ".", ms=1.5)
+    axes[0].set(xlabel="output turn [°]", ylabel="transmission error [arcsec]")
+    axes[1].set(xlabel="crank angle, all turns folded [°]", ylabel="transmission error [arcsec]")
+    figure.legend(loc="outside upper center", ncols=4, fontsize=8, frameon=False)
+    return figure
+
+
+def plot_channels(looks: Sequence[Look], roles: Mapping[str, Look]) -> Figure:
+    """Every channel of a bench file over its time, those that a role is proposed for first."""
+    role_of = {one.channel.name: role for role, one in roles.items()}
+    clock = roles.get("time")
+    shown = sorted((o for o in looks if o is not clock), key=lambda o: o.channel.name not in role_of)[:8]
+    figure, axes = new_figure(len(shown))
+    for axis, one in zip(axes, shown, strict=True):
+        time = one.time if one.time is not None else None if clock is None else clock.values
+        step = max(1, one.values.size // 20000)
+        across = np.arange(one.values.size) if time is None else time
+        axis.plot(across[::step], one.values[::step], lw=0.8)
+        axis.set(xlabel="sample" if time is None else "time [s]", ylabel=one.channel.unit or "no unit")
+        role = role_of.get(one.channel.name)
+        axis.set_title(one.channel.name + (f": {role}?" if role else ""), fontsize=9, loc="left")
+    return figure
+
+
+def plot_comparison(
+    curves: Sequence[Curve], simulated: Sequence[Array], said: str, *, crank_turns: float = 3.0
+) -> Figure:
+    """Measured and simulated transmission error on one axis, what is left between them below.
+
+    Parameters
+    ----------
+    curves
+        Measured curves.
+    simulated
+        Simulated transmission error at the same angles, with the bench's zeros, rad.
+    said
+        What the simulation is called in the legend.
+    crank_turns
+        How much of the upper axis is shown; the residual below shows the whole output turn.
+    """
+    figure, axes = new_figure(2)
+    for number, (curve, model) in enumerate(zip(curves, simulated, strict=True)):
+        turns = curve.input_angle / (2.0 * np.pi)
+        shown = turns <= crank_turns
+        colour = f"C{number}"
+        left = (curve.transmission_error - model) * ARCSEC
+        label = f"{label_of(curve)}: {np.sqrt(np.mean(left**2)):.2f}″ rms left"
+        axes[0].plot(turns[shown], curve.transmission_error[shown] * ARCSEC, ".", ms=4, color=colour, alpha=0.5)
+        axes[0].plot(turns[shown], model[shown] * ARCSEC, lw=1.2, color=colour, label=label)
+        axes[1].plot(turns, left, ".", ms=1.5, color=colour, alpha=0.6)
+    axes[0].set(ylabel="transmission error [arcsec]")
+    axes[1].set(xlabel="crank turns", ylabel="measured - simulated [arcsec]")
+    handles, labels = axes[0].get_legend_handles_labels()
+    title = f"points: measured, lines: {said}"
+    figure.legend(handles, labels, loc="outside upper center", ncols=2, fontsize=9, frameon=False, title=title)
+    return figure
+
+
+def plot_identification(result: Identification) -> Figure:
+    """Measured and fitted transmission errors with their residual."""
+    return plot_comparison(result.curves, result.fitted_curves, "fitted")
+
+
+def plot_plans(plans: Sequence[Plan]) -> Figure:
+    """Standard error of each error with each set of runs, as a share of its tolerance; 1 where it would be held."""
+    figure, (axis,) = new_figure(1)
+    names = [*plans[-1].standard_error, *plans[-1].held]
+    figure.set_figheight(1.5 + 0.22 * len(names))
+    for number, plan in enumerate(plans):
+        share = [plan.standard_error.get(n, np.nan) / TOLERANCE[unit_of(n)] for n in names]
+        axis.plot(share, np.arange(len(names)), "o", color=f"C{number}", label=plan.runs)
+    axis.set(xscale="log", xlabel="standard error as a share of what the error may be unmeasured")
+    axis.set_yticks(np.arange(len(names)), names, fontsize=7)
+    axis.invert_yaxis()
+    figure.legend(loc="outside upper center", ncols=2, fontsize=8, frameon=False)
+    return figure
+
+
+def plot_band(drive: Drive, drawn: Sequence[Drive], torque: float, path: str | os.PathLike[str]) -> None:
+    """Write a picture of the identified drive's transmission error at a torque (N·m), and of 95 % of the drawn ones."""
+
+    def error(one: Drive) -> Array:
+        found: Array = solve(one.pair, one.surface, torque, angle, with_play=False).transmission_error[0] * ARCSEC
+        return found
+
+    figure, axes = new_figure(2)
+    angle = np.linspace(0.0, 2.0 * np.pi * abs(drive.pair.ratio), 24 * round(abs(drive.pair.ratio)), endpoint=False)
+    identified = error(drive)
+    low, high = np.quantile(np.array([error(one) for one in drawn]), [0.025, 0.975], axis=0)
+    turn = angle / (2.0 * np.pi)
+    axes[0].fill_between(turn, low, high, alpha=0.4, lw=0, label=f"95 % of {len(drawn)} drawn")
+    axes[0].plot(turn, identified, lw=0.8, label="identified")
+    axes[0].set(ylabel="transmission error [arcsec]", title=f"{torque:+.4g} N·m")
+    show_legend(axes[0], ncols=2)
+    axes[1].fill_between(turn, low - identified, high - identified, alpha=0.4, lw=0)
+    axes[1].set(xlabel="crank turns", ylabel="drawn - identified [arcsec]")
+    save(figure, path)

@@ -1,0 +1,40 @@
+"""The report that a person reads and hands on, of figures or of a fit."""
+
+from __future__ import annotations
+
+import os
+
+from fitting.estimation.result import Identification
+from fitting.figures.metrics import Figures
+from fitting.reports.figures_report import write_figures_report
+from fitting.reports.fit_report import write_fit_report
+
+
+def report(result: Figures | Identification, path: str | os.PathLike[str]) -> None:
+    """Write the report of figures or of a fit, whole or not at all.
+
+    Parameters
+    ----------
+    result
+        What `fitting.metrics` or `fitting.identify` returned.
+    path
+        `.html`: one file with all that it needs, to zoom and hover in; `.pdf`, of figures only: the same on pages.
+
+    Raises
+    ------
+    edge.InputError
+        If the name has another ending or its folder does not exist.
+
+    Examples
+    --------
+    >>> import numpy as np, fitting, pathlib
+    >>> torque = 100.0 * np.sin(np.linspace(0.0, 4.0 * np.pi, 4000))
+    >>> loop = fitting.Run(input_angle=0.0, output_angle=torque / 1e6, torque=torque)
+    >>> fitting.report(fitting.metrics(loop, ratio=-39.0), "report.html")
+    >>> "Torsional stiffness" in pathlib.Path("report.html").read_text(encoding="utf-8")
+    True
+    """
+    if isinstance(result, Identification):
+        write_fit_report(result, path)
+    else:
+        write_figures_report(result, path)

@@ -1,0 +1,158 @@
+"""Transmission error curves over one output turn, their noise and their file."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu import edge
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+Array = NDArray[np.float64]
+FORMAT = "cycloid-curve/1"
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Transmission error over one output turn, arrays of shape (points,).
+
+    Attributes
+    ----------
+    input_angle
+        Crank angle of each point, rad, from 0 to one output turn: the mean of the samples in it, so nothing is
+        interpolated.
+    transmission_error, standard_error
+        φ_b - φ_a/ratio (rad), averaged over turns, and the standard error of its mean from the turns' scatter, NaN
+        where one turn was recorded.
+    sample_count
+        Samples in each point.
+    torque, torque_deviation
+        Mean and standard deviation of the torque over the recording, N·m.
+    direction
+        +1 where the crank angle grows.
+    ratio
+        Signed ratio.
+    common_zero, known_index
+        As in the recording.
+    source, checksum
+        Of the recording.
+    notes
+        What a reader should know of the data.
+    turns
+        Output turns recorded in this direction.
+    grid
+        Points of a whole turn, and the crank angle (rad) at which the first begins; (0, 0) where points and samples
+        are the same.
+    angle_variance
+        Variance of the crank angles within each point, rad², or None where a point is one angle.
+    torque_each
+        Mean torque of the samples in each point, N·m, or None where it is not known how it varies.
+    each_turn
+        Transmission error of every turn by itself, shape (turns, points), rad, NaN where a turn has no sample; None
+        where the turns were not kept.
+    branch
+        "" of a curve over the turn. Of a loop with the input locked: which of its branches; the points then lie over
+        the torque, and the direction is that of a crank which would carry the output the way the torque takes it.
+    """
+
+    input_angle: Array
+    transmission_error: Array
+    standard_error: Array
+    sample_count: NDArray[np.int64]
+    torque: float
+    torque_deviation: float
+    direction: int
+    ratio: float
+    common_zero: bool
+    known_index: bool
+    source: str
+    checksum: str
+    notes: tuple[str, ...] = ()
+    turns: float = 1.0
+    grid: tuple[int, float] = (0, 0.0)
+    angle_variance: Array | None = None
+    torque_each: Array | None = None
+    each_turn: Array | None = None
+    branch: str = ""
+
+    @property
+    def torque_at_points(self) -> Array:
+        """Torque at each point, shape (points,), N·m."""
+        return np.full(self.input_angle.size, self.torque) if self.torque_each is None else self.torque_each
+
+    def points(self, chosen: slice | NDArray[np.int64] | NDArray[np.bool_]) -> Curve:
+        """Some of the points; those of a grid no more."""
+        variance, torque = self.angle_variance, self.torque_each
+        return dataclasses.replace(
+            self, grid=(0, 0.0), input_angle=self.input_angle[chosen], standard_error=self.standard_error[chosen],
+            transmission_error=self.transmission_error[chosen], sample_count=self.sample_count[chosen],
+            angle_variance=None if variance is None else variance[chosen],
+            torque_each=None if torque is None else torque[chosen],
+            each_turn=None if self.each_turn is None else self.each_turn[:, chosen],
+        )  # fmt: skip
+
+
+def noise_of(curve: Curve) -> float:
+    """Noise of one point of a curve, rad: from the turns' scatter, or, after one turn, from neighbours' differences.
+
+    The sixth differences of smooth values vanish and those of noise have √924 times its deviation; the median is not
+    moved by the corners where pins come into contact.
+    """
+    repeated = np.isfinite(curve.standard_error)
+    if np.count_nonzero(repeated) > 20:
+        return float(np.sqrt(np.mean(curve.standard_error[repeated] ** 2)))
+    differences = np.diff(curve.transmission_error, 6)
+    return float(np.median(np.abs(differences)) / 0.6745 / np.sqrt(924.0)) if differences.size else 0.0
+
+
+def curves_dataset(curves: Sequence[Curve]) -> xr.Dataset:
+    """Return curves as a labelled dataset, format `cycloid-curve/1`, dimensions (run, point); short runs end in NaN."""
+    import xarray as xr
+
+    points = max(c.input_angle.size for c in curves)
+
+    def padded(name: str, fill: float) -> Array:
+        rows = [np.pad(getattr(c, name).astype(float), (0, points - c.input_angle.size), constant_values=fill)
+                for c in curves]  # fmt: skip
+        return np.array(rows)
+
+    grid = ("run", "point")
+    data = xr.Dataset(
+        {
+            "transmission_error": (grid, padded("transmission_error", np.nan)),
+            "standard_error": (grid, padded("standard_error", np.nan)),
+            "sample_count": (grid, padded("sample_count", 0.0).astype(np.int64)),
+            "torque": ("run", [c.torque for c in curves]),
+            "torque_deviation": ("run", [c.torque_deviation for c in curves]),
+            "direction": ("run", [c.direction for c in curves]),
+            "source": ("run", np.array([c.source for c in curves], dtype=object)),
+            "checksum": ("run", np.array([c.checksum for c in curves], dtype=object)),
+        },
+        {"input_angle": (grid, padded("input_angle", np.nan))},
+    )
+    for name, unit in (("transmission_error", "rad"), ("standard_error", "rad"), ("input_angle", "rad"),
+                       ("torque", "N*m"), ("torque_deviation", "N*m")):  # fmt: skip
+        data[name].attrs["units"] = unit
+    data.attrs.update(format=FORMAT, ratio=curves[0].ratio)
+    return data
+
+
+def curves_json(curves: Sequence[Curve]) -> dict[str, Any]:
+    """Return curves for scripts (SI), with their notes."""
+    data = curves_dataset(curves)
+    numbers = {str(name): values.values for name, values in {**data.coords, **data.data_vars}.items()}
+    return {**numbers, "notes": [note for one in curves for note in one.notes]}
+
+
+def write_curves(curves: Sequence[Curve], path: str | os.PathLike[str]) -> None:
+    """Write curves to a netCDF file, whole or not at all."""
+    with edge.written_whole(path) as temporary:
+        curves_dataset(curves).to_netcdf(temporary, engine="h5netcdf")

@@ -1,0 +1,457 @@
+"""From a recording to its transmission error curves: over one output turn, averaged over turns, one direction each.
+
+The samples are taken block by block and folded as they come, so that hours at kilohertz need no more memory than one
+output turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu import edge
+from cycloid_fmu.drive import Drive
+from drivers.recording_format import GAP
+from fitting.recordings.cleaning import Block
+from fitting.recordings.recording import Recording, RecordingStream
+from fitting.recordings.sources import Source, open_source
+from fitting.transmission_error.curve import Curve
+
+Array = NDArray[np.float64]
+POINTS = 1 << 15  # most points of a turn: orders up to a quarter of them are told
+_FIRST = 1 << 20  # samples from which the number of points is found
+_RAMP = np.pi / 648000.0  # over a whole recording: what runs away by less is not said
+_REVERSAL = np.radians(2.0)  # of the crank: what turns back less is vibration; beyond the lost motion of any drive
+
+
+class _Fold:
+    """Folds the motion in one direction to one output turn.
+
+    A point's mean is that of its turns' means, so that a standstill or a slow stretch weighs no more than it should.
+    """
+
+    def __init__(self, ratio: float, direction: int, *, keep_turns: bool) -> None:
+        self._turn = 2.0 * np.pi * abs(ratio)
+        self._kept: list[Array] | None = [] if keep_turns else None
+        self.ratio, self.direction = ratio, direction
+        self.samples = 0
+        self.points = 0
+        self._first: list[tuple[Array, Array, Array, bool]] = []
+        self._held = 0
+        self._torque = np.zeros(2)
+        self._line = np.zeros(5)
+        self.way = 0.0
+
+    def add(self, angle: Array, error: Array, torque: Array, way: float, *, anew: bool) -> None:
+        """Take crank angles, transmission errors and torques in the order of time; `anew` after a reversal."""
+        if not angle.size:
+            return
+        self.way += way
+        if self.points:
+            self._take(angle, error, torque, anew)
+            return
+        self._first.append((angle.copy(), error.copy(), torque.copy(), anew))
+        self._held += angle.size
+        if self._held >= _FIRST:
+            self._begin()
+
+    def _begin(self) -> None:
+        if not self._first:
+            return
+        angle = self._first[0][0]
+        whole = round((self._held - 1) * min(1.0, self._turn / self.way)) if self.way else 1
+        self.points = min(max(1, whole), POINTS)
+        self._spacing = min(self._turn, self.way or self._turn) / self.points
+        # The points' borders lie midway between the first turn's samples.
+        self._origin = self._begins = float(angle[0])
+        self.shift = float(np.mod(angle[0], self._turn) - 0.5 * self._spacing)
+        self.whole = self.points if self.way >= self._turn else max(1, round(self._turn / self._spacing))
+        self._reference = float(self._first[0][1][0])
+        self._torque_reference = float(self._first[0][2][0])
+        shape = (self.whole,)
+        self.count = np.zeros(shape, np.int64)
+        self.repeats = np.zeros(shape)
+        # Over turns: mean error, its square, mean angle, mean squared angle, mean torque; and of the turn under way:
+        # samples, error, angle, squared angle, torque.
+        self._sums, self._open = np.zeros((5, self.whole)), np.zeros((5, self.whole))
+        self._open_turn = 0
+        waiting, self._first = self._first, []
+        for part in waiting:
+            self._take(*part)
+
+    def _take(self, angle: Array, error: Array, torque: Array, anew: bool) -> None:
+        if anew:
+            self.finish()
+            self._begins = float(angle[0])
+        self.samples += angle.size
+        error = error - self._reference
+        t = torque - self._torque_reference
+        self._torque += np.array([t.sum(), t @ t])
+        x = angle - self._origin
+        self._line += np.array([angle.size, x.sum(), error.sum(), x @ x, x @ error])
+        travel = self.direction * (angle - self._begins) + 0.5 * self._spacing
+        turn = np.maximum((travel / self._turn + 1e-9).astype(np.int64), self._open_turn)
+        place = np.mod(angle - self.shift, self._turn) / self._spacing + 1e-9
+        point = np.minimum(place.astype(np.int64), self.whole - 1)
+        inside = (place - (point + 0.5)) * self._spacing
+        low = self._open_turn
+        rows = int(turn.max()) - low + 1
+        key = point if rows == 1 else point + (turn - low) * self.whole
+        size = rows * self.whole
+        found = np.empty((5, rows, self.whole))
+        found[0] = np.bincount(key, minlength=size).reshape(rows, -1)
+        for number, weights in enumerate((error, inside, inside * inside, t), start=1):
+            found[number] = np.bincount(key, weights, size).reshape(rows, -1)
+        found[:, 0] += self._open
+        self._close(found[:, :-1])
+        self._open = found[:, -1]
+        self._open_turn = low + rows - 1
+
+    def _close(self, found: Array) -> None:
+        samples = found[0]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean = np.where(samples > 0, found[1:] / samples, 0.0)
+        self.count += samples.sum(axis=0).astype(np.int64)
+        self.repeats += (samples > 0).sum(axis=0)
+        self._sums[0] += mean[0].sum(axis=0)
+        self._sums[1] += (mean[0] ** 2).sum(axis=0)
+        self._sums[2] += mean[1].sum(axis=0)
+        self._sums[3] += mean[2].sum(axis=0)
+        self._sums[4] += mean[3].sum(axis=0)
+        if self._kept is not None:
+            self._kept += [one for one in np.where(samples > 0, mean[0], np.nan) if np.isfinite(one).any()]
+
+    def drift(self) -> float:
+        """Return the slope of the transmission error over the crank angle."""
+        n, x, y, xx, xy = self._line
+        spread = n * xx - x * x
+        return float((n * xy - x * y) / spread) if n > 2 and spread > 0.0 else 0.0
+
+    def amplitude(self) -> float:
+        """Return half of what the transmission error, averaged over turns, goes up and down."""
+        filled = self.repeats > 0
+        mean = self._sums[0][filled] / self.repeats[filled]
+        return 0.5 * float(np.ptp(mean))
+
+    def finish(self) -> None:
+        """Close the turn under way: what comes then is another one."""
+        if not self.points:
+            self._begin()
+        if self.points:
+            self._close(self._open[:, None, :])
+            self._open = np.zeros_like(self._open)
+            self._open_turn = 0
+
+    def curve(
+        self, *, common_zero: bool, known_index: bool, source: str, checksum: str, notes: tuple[str, ...]
+    ) -> Curve:
+        """Return what was folded."""
+        filled = np.flatnonzero(self.repeats)
+        n = self.repeats[filled]
+        error, squares, inside, inside2, each = self._sums[:, filled] / n
+        with np.errstate(invalid="ignore", divide="ignore"):
+            standard_error = np.sqrt(np.maximum(squares - error**2, 0.0) / (n - 1.0))
+        angle = np.mod(self.shift + (filled + 0.5) * self._spacing + inside, self._turn)
+        sequence = np.argsort(angle)
+        torque, torque2 = self._torque / self.samples
+        kept = None if self._kept is None else (np.array(self._kept) + self._reference)[:, filled][:, sequence]
+        return Curve(
+            input_angle=angle[sequence],
+            transmission_error=(error + self._reference)[sequence],
+            standard_error=np.where(n > 1, standard_error, np.nan)[sequence],
+            sample_count=self.count[filled][sequence],
+            torque=float(torque + self._torque_reference),
+            torque_deviation=float(np.sqrt(max(torque2 - torque**2, 0.0))),
+            direction=self.direction,
+            ratio=self.ratio,
+            common_zero=common_zero,
+            known_index=known_index,
+            source=source,
+            checksum=checksum,
+            notes=notes,
+            turns=self.way / self._turn,
+            grid=(self.whole, self.shift),
+            angle_variance=np.maximum(inside2 - inside**2, 0.0)[sequence],
+            torque_each=(each + self._torque_reference)[sequence],
+            each_turn=kept,
+        )
+
+
+class Folding:
+    """Takes a recording's blocks and folds each direction of the crank by itself.
+
+    Left out are stretches in which the crank stands, and after a reversal the first two degrees of the crank, in which
+    the lost motion is passed through. Behind a gap the crank's turns that rolled over unseen are counted by the output
+    angle.
+
+    Parameters
+    ----------
+    ratio
+        Signed ratio φ_a/φ_b of the ideal drive.
+    source
+        The recording's name, for messages.
+    keep_turns
+        Whether the curves keep every turn by itself too.
+    """
+
+    def __init__(self, ratio: float, source: str, *, keep_turns: bool = False) -> None:
+        self.ratio, self.source = ratio, source
+        self._folds = {way: _Fold(ratio, way, keep_turns=keep_turns) for way in (1, -1)}
+        self._direction = 0
+        self._furthest = np.nan
+        self._start = np.nan
+        self._stood = 0
+        self._reversing = 0
+        self._usual_run = np.inf
+        self._correction = 0.0
+        self._last: tuple[float, float] | None = None
+        self._recounted = 0
+        self._anew = False
+        self._waiting: list[tuple[Array, Array, Array]] = []
+
+    def add(self, block: Block) -> None:
+        """Take the next block."""
+        angle, output = block.input_angle, block.output_angle
+        if not angle.size:
+            return
+        if self._last is not None or (block.status & GAP).any():
+            angle = self._recount(angle, output, np.flatnonzero(block.status & GAP))
+        self._last = (float(angle[-1]), float(output[-1]))
+        if np.isnan(self._furthest):
+            self._furthest = self._start = float(angle[0])
+        self._waiting.append((angle, output - angle / self.ratio, block.torque))
+        # Which way the crank turns shows once it is away from where it began.
+        if self._direction or sum(part[0].size for part in self._waiting) > _FIRST or self._is_away(angle):
+            self._fold()
+
+    def _is_away(self, angle: Array) -> bool:
+        return bool((np.abs(angle - self._start) > _REVERSAL).any())
+
+    def _fold(self) -> None:
+        angle, error, torque = (np.concatenate(parts) for parts in zip(*self._waiting, strict=True))
+        self._waiting.clear()
+        begin = 0
+        while begin < angle.size:
+            begin = self._stretch(angle, error, torque, begin)
+
+    def _recount(self, angle: Array, output: Array, gaps: NDArray[np.int64]) -> Array:
+        """Add the turns of the crank that the output shows to have passed in a gap."""
+        if not gaps.size:
+            return angle if self._correction == 0.0 else angle + self._correction
+        angle = angle + self._correction
+        for at in gaps:
+            if at == 0 and self._last is None:
+                continue
+            before, driven = self._last if at == 0 and self._last is not None else (angle[at - 1], output[at - 1])
+            wanted = before + (output[at] - driven) * self.ratio
+            turns = float(np.round((wanted - angle[at]) / (2.0 * np.pi)))
+            if turns:
+                angle[at:] += 2.0 * np.pi * turns
+                self._correction += 2.0 * np.pi * turns
+                self._recounted += 1
+        return angle
+
+    def _stretch(self, angle: Array, error: Array, torque: Array, begin: int) -> int:
+        """Fold from `begin` to the next reversal and return where that is."""
+        part = angle[begin:]
+        if self._direction == 0:
+            away = np.flatnonzero(np.abs(part - self._start) > _REVERSAL)
+            if not away.size and part.size > _FIRST:
+                self._stood += part.size
+                return angle.size
+            last = part[away[0]] if away.size else part[-1]
+            self._direction = 1 if last >= self._start else -1
+            self._furthest = self._start
+        d = self._direction
+        ahead = d * part
+        reached = np.maximum.accumulate(np.maximum(ahead, d * self._furthest))
+        end = part.size
+        if (reached[-1] - ahead).max() > _REVERSAL or ahead.min() < d * self._furthest - _REVERSAL:
+            back = np.flatnonzero(reached - ahead > _REVERSAL)
+            if back.size:
+                # It turned where it was furthest; what lies between is the way back through the lost motion.
+                end = (
+                    int(np.argmax(ahead[: back[0] + 1])) + 1 if ahead[: back[0] + 1].max() >= d * self._furthest else 0
+                )
+                self._take(part[:end], error[begin : begin + end], torque[begin : begin + end], reached[:end])
+                self._reversing += int(back[0]) - end
+                self._direction = -d
+                self._furthest = float(part[back[0]])
+                self._anew = True
+                return begin + int(back[0])
+        self._take(part, error[begin:], torque[begin:], reached)
+        return angle.size
+
+    def _take(self, angle: Array, error: Array, torque: Array, reached: Array) -> None:
+        if not angle.size:
+            return
+        before = self._direction * self._furthest
+        grows = np.diff(reached, prepend=before) > 0.0
+        grows[0] |= self._folds[self._direction].samples + self._folds[self._direction]._held == 0
+        way = float(reached[-1]) - before
+        self._furthest = float(reached[-1]) * self._direction
+        if not grows.all():
+            # The crank stands where it did not come further for much longer than usual (an encoder's step, noise).
+            starts = np.flatnonzero(np.concatenate([[True], grows[1:]]))
+            runs = np.diff(np.append(starts, grows.size))
+            self._usual_run = min(self._usual_run, float(np.median(runs)))
+            standing = np.repeat(runs > max(8.0, 4.0 * self._usual_run), runs)
+            standing[starts[grows[starts]]] = False
+            self._stood += int(np.count_nonzero(standing))
+            moving = ~standing
+            angle, error, torque = angle[moving], error[moving], torque[moving]
+        self._folds[self._direction].add(angle, error, torque, way, anew=self._anew)
+        self._anew &= not angle.size
+
+    def curves(self, stream: Recording | RecordingStream) -> list[Curve]:
+        """Return the curve of each direction in which the crank turned, the one that it turned further first.
+
+        A direction in which it turned less than a hundredth of the way is left out, with a note.
+
+        Parameters
+        ----------
+        stream
+            The recording whose blocks were taken.
+
+        Raises
+        ------
+        edge.InputError
+            If the crank does not turn, or its two angles do not belong to this ratio.
+        """
+        if self._waiting:
+            self._fold()
+        folds = sorted(self._folds.values(), key=lambda f: -f.way)
+        for fold in folds:
+            fold.finish()
+        if folds[0].way == 0.0:
+            raise edge.InputError(f"{self.source}: the crank does not turn; a curve needs a run in motion.")
+        notes = list(stream.notes)
+        kept = [f for f in folds if f.way > 0.01 * folds[0].way and f.samples > 1]
+        if not kept:
+            raise edge.InputError(f"{self.source}: the crank does not turn; a curve needs a run in motion.")
+        few = sum(f.samples for f in folds if f not in kept)
+        if self._stood + few:
+            notes.append(
+                f"{self.source}: {self._stood + few} samples in which the crank stood or moved back were left out."
+            )
+        if self._reversing:
+            notes.append(
+                f"{self.source}: {self._reversing} samples after a reversal, within the lost motion, were left out."
+            )
+        if self._recounted:
+            notes.append(
+                f"{self.source}: the crank rolled over unseen in {self._recounted} gaps; its turns there were counted "
+                "by the output angle."
+            )
+        for fold in kept:
+            _check_ratio(fold, self.source)
+            notes += _ramp_note(fold, self.source)
+        checksum = stream.checksum
+        return [
+            f.curve(
+                common_zero=stream.common_zero, known_index=stream.known_index, source=self.source, checksum=checksum,
+                notes=tuple(notes),
+            )
+            for f in kept
+        ]  # fmt: skip
+
+
+def _check_ratio(fold: _Fold, source: str) -> None:
+    """Refuse angles that do not belong to the ratio; say what they look like."""
+    ratio, drift, way = fold.ratio, fold.drift(), fold.way
+    # Below a thousandth it is no other ratio: clocks that drift apart, which `_ramp_note` says.
+    if abs(drift * ratio) <= 1e-3 or (abs(drift * ratio) <= 0.02 and abs(drift * way) <= np.radians(1.0)):
+        return
+    slope = 1.0 / ratio + drift
+    said = f"{source}: the output turns {slope:.6g} of the input, the ratio {ratio:g} means {1.0 / ratio:.6g}; "
+    degrees = 180.0 / np.pi
+    causes = {
+        -1.0: "the ratio's sign or one angle's direction is wrong",
+        ratio * ratio: "input and output angle look swapped",
+        -ratio * ratio: "input and output angle look swapped, and one's direction is wrong",
+        degrees: "the output angle's unit looks like deg taken for rad",
+        1.0 / degrees: "the input angle's unit looks like deg taken for rad",
+    }
+    for factor, cause in causes.items():
+        if abs(slope * ratio / factor - 1.0) < 0.02:
+            raise edge.InputError(f"{said}{cause}; check the pair, the directions and the units.")
+    raise edge.InputError(f"{said}check the pair, the directions and the counts per turn.")
+
+
+def _ramp_note(fold: _Fold, source: str) -> list[str]:
+    """Say where the transmission error runs away turn by turn, which no gear does.
+
+    A wave of amplitude A over N turns shows a slope of at most 12A/(2πN) over all of them (least squares against a
+    sine of one period a turn); only more than three times that is said.
+    """
+    ratio, turns = abs(fold.ratio), fold.way / (2.0 * np.pi * abs(fold.ratio))
+    ramp = fold.drift() * 2.0 * np.pi * ratio
+    wave = 12.0 * fold.amplitude() / (2.0 * np.pi * turns**2)
+    if turns < 2.0 or abs(ramp) < 3.0 * wave or abs(ramp) * turns < _RAMP:
+        return []
+    return [
+        f"{source}: the transmission error runs away by {abs(ramp) * edge.ARCSEC:.3g}″ a turn of the output, as it "
+        f"does where the output angle's clock runs {-fold.drift() * fold.ratio * 1e6:+.3g} ppm fast, or the rig warms "
+        "up; the curve holds it. Give a clock's as drift in the mapping."
+    ]
+
+
+def transmission_error_curves(
+    recording: Recording | RecordingStream, ratio: float, *, keep_turns: bool = False
+) -> list[Curve]:
+    """Return the transmission error curve of each direction of a recording, the one it turned further first.
+
+    The crank angle is folded to one output turn and divided into as many points as samples were taken in a turn (at
+    most `POINTS`); what falls into a point is averaged within each turn and then over turns, angle and error alike.
+
+    Parameters
+    ----------
+    recording
+        The recording, in memory or in its file.
+    ratio
+        Signed ratio φ_a/φ_b of the ideal drive.
+    keep_turns
+        Whether the curves keep every turn by itself too.
+
+    Raises
+    ------
+    edge.InputError
+        If the crank does not turn, or its two angles do not belong to this ratio.
+    """
+    folding = Folding(ratio, recording.source, keep_turns=keep_turns)
+    for block in recording.blocks():
+        folding.add(block)
+    return folding.curves(recording)
+
+
+def curves(recordings: Source | Iterable[Source], drive: Drive | float, *, keep_turns: bool = False) -> list[Curve]:
+    """Return the transmission error curves of recordings, one for each direction in which the crank turns.
+
+    Parameters
+    ----------
+    recordings
+        What `fitting.read_recordings` gave, `fitting.Run`, or one of them.
+    drive
+        The drive, or its signed ratio input over output.
+    keep_turns
+        As in `transmission_error_curves`.
+
+    Raises
+    ------
+    edge.InputError
+        If a recording can't be read, its crank does not turn, or its angles do not belong to the ratio.
+
+    Examples
+    --------
+    >>> import numpy as np, fitting
+    >>> angle = np.linspace(0.0, 2.0 * np.pi * 39, 2000)
+    >>> run = fitting.Run(input_angle=angle, output_angle=-angle / 39 + 1e-5 * np.cos(angle), torque=20.0)
+    >>> (curve,) = fitting.curves(run, -39.0)
+    >>> round(float(np.ptp(curve.transmission_error)) * 1e6)
+    20
+    """
+    ratio = drive if isinstance(drive, float | int) else drive.pair.ratio
+    given = [recordings] if isinstance(recordings, Source) else recordings
+    return [c for one in given for c in transmission_error_curves(open_source(one), ratio, keep_turns=keep_turns)]

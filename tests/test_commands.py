@@ -1,0 +1,259 @@
+"""What the three command lines share."""
+
+import contextlib
+import io
+import re
+import subprocess
+import sys
+import threading
+from typing import Annotated
+
+import pytest
+import typer
+from common import PAIR
+
+from cycloid_fmu import edge
+from cycloid_fmu.edge import commands
+
+COMMANDS = ("cycloid-fmu", "cycloid-fit", "cycloid-bench")
+
+
+@pytest.fixture
+def ran(capsys, monkeypatch):
+    """Run a command line made for the test; exit status and what it prints."""
+
+    def run(app, *words):
+        monkeypatch.setattr(sys, "argv", ["some-command", *words])
+        with pytest.raises(SystemExit) as stop:
+            commands.run(app)
+        printed = capsys.readouterr()
+        assert "Traceback" not in printed.err
+        return stop.value.code, printed.out, printed.err
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("problem", "status"),
+    [
+        (edge.InputError("a.toml: bad."), 2),
+        (KeyboardInterrupt(), 130),
+        (EOFError(), 1),
+        (RuntimeError("broke"), 1),
+        (typer.Exit(1), 1),
+        (None, 0),
+    ],
+)
+def test_exit_status(problem, status, ran):
+    app = commands.command_line("some-command", "Fails.")
+
+    @app.command()
+    def fail() -> None:
+        if problem is not None:
+            raise problem
+
+    assert threading.current_thread() is threading.main_thread()
+    code, _, error = ran(app, "fail")
+    assert code == status
+    assert ("Interrupted" in error) == (status == 130)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_commands_are_installed_and_say_what_is_wrong(installed_command, name):
+    """The other tests of the command line call its entry points in their own process."""
+    helped, refused = installed_command(name, "--help"), installed_command(name, "no-such-verb")
+    assert helped.returncode == 0
+    assert "Usage" in helped.stdout
+    assert refused.returncode == 2
+    assert "no-such-verb" in refused.stderr
+    assert "Traceback" not in refused.stderr
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_version_is_shown(command, name):
+    assert re.fullmatch(rf"{name} \d+\.\d+\.\d+\n", command(name, "--version").stdout)
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["cycloid-fmu", "analyse"], "analyse is not a command; did you mean analyze?"),
+        (["cycloid-fmu", "surface", "nominl"], "nominl is not a command; did you mean nominal?"),
+        (["cycloid-fit", "metric"], "metric is not a command; did you mean metrics?"),
+        (["cycloid-bench", "recrod"], "recrod is not a command; did you mean record?"),
+        (["cycloid-fmu", "xyz"], "xyz is not a command; see cycloid-fmu --help."),
+        (
+            ["cycloid-fmu", "analyze", "p.toml", "--tourque", "3 Nm"],
+            "--tourque is not an option of cycloid-fmu analyze; did you mean --torque?",
+        ),
+        (
+            ["cycloid-fit", "plan", "p.toml", "--tork", "3 Nm"],
+            "--tork is not an option of cycloid-fit plan; did you mean --torque?",
+        ),
+        (
+            ["cycloid-bench", "record", "b.toml", "--ouput", "r"],
+            "--ouput is not an option of cycloid-bench record; did you mean --output?",
+        ),
+        (["cycloid-fmu", "analyze", "p.toml"], "Missing option '--torque'; see cycloid-fmu analyze --help."),
+    ],
+)
+def test_unknown_words_are_answered_in_a_sentence(command, words, sentence):
+    run = command(*words)
+    assert run.returncode == 2
+    assert run.stderr == sentence + "\n"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["cycloid-fmu", "analyze", "no.toml", "--torque", "3 Nm", "--plot", "x.csv"],
+        ["cycloid-fit", "curve", "no.csv", "--pair", "no.toml", "--plot", "x.csv"],
+        ["cycloid-bench", "export", "no.arrows", "-o", "x.doc"],
+    ],
+)
+def test_an_ending_that_does_not_fit_is_refused_before_anything_is_read(command, words):
+    run = command(*words)
+    assert run.returncode == 2
+    assert re.fullmatch(r"--(plot|output) = x\.(csv|doc): the name must end in \..*\.\n", run.stderr)
+
+
+def study(torque: float, seed: int) -> None:
+    """A function of the library."""
+    if seed < 0:
+        raise edge.ArgumentError("seed", "it must not be negative", seed)
+    if torque == 0.0:
+        raise edge.ArgumentError("output_torque", "it must not be zero", torque)
+
+
+def test_errors_name_the_argument_in_python_and_the_option_in_a_command(ran):
+    app = commands.command_line("some-command", "Studies.")
+
+    @app.command("study")
+    def study_(
+        torque: Annotated[float, commands.quantity_option("N*m", "Torque.", "--output-torque")],
+        seed: Annotated[int, typer.Option()] = 1,
+        kind: Annotated[str, commands.choice_option(("sobol", "saltelli"), "Design.")] = "sobol",
+    ) -> None:
+        study(torque, seed)
+
+    with pytest.raises(edge.ArgumentError, match=r"^seed = -1: it must not be negative\.$"):
+        study(1.0, -1)
+    for words, sentence in (
+        (["--output-torque", "3 Nm", "--seed", "-1"], "--seed = -1: it must not be negative."),
+        (["--output-torque", "0 Nm"], "--output-torque = 0.0: it must not be zero."),
+        (["--output-torque", "3 kg"], '--output-torque = "3 kg": the unit "kg" measures something else; '
+                                      "use one such as N*m."),
+        (["--output-torque", "3 Nm", "--kind", "sobl"], '--kind = "sobl": it must be one of sobol, saltelli; '
+                                                        "did you mean sobol?"),
+    ):  # fmt: skip
+        assert ran(app, "study", *words) == (2, "", sentence + "\n")
+    assert ran(app, "study", "--output-torque", "3 Nm") == (0, "", "")
+
+
+class Terminal(io.StringIO):
+    """A narrow terminal."""
+
+    def isatty(self):
+        return True
+
+
+MEANING = "What it means, said at such a length that no narrow terminal holds it."
+ROWS = [["a_very_long_name_of_a_variable_of_an_fmu", "-3.72562147893e-22", MEANING], ["[x]", "12 … 13 µm", ""]]
+
+
+@pytest.mark.parametrize("output", [io.StringIO, Terminal])
+def test_nothing_in_a_table_is_cut_however_narrow_the_terminal(output, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "40")
+    with contextlib.redirect_stdout(output()) as printed:
+        commands.print_table("Variables [1]", ["variable", "start", "meaning"], ROWS)
+    lines = printed.getvalue().splitlines()
+    for word in ("Variables [1]", ROWS[0][0], ROWS[0][1], "[x]", "12 … 13 µm"):
+        assert any(word in line for line in lines), word
+    assert MEANING in " ".join(re.sub(r"\S*_\S*|-3\S*", "", " ".join(lines)).split())
+    assert "…" not in printed.getvalue().replace("12 … 13 µm", "")
+    assert len(lines) == (5 if output is io.StringIO else 6)
+
+
+def test_numbers_are_set_to_the_right(capsys):
+    commands.print_table("", ["error", "value"], [["offset", "-1.5 µm"], ["isometric", "12.5 µm"]])
+    assert capsys.readouterr().out.splitlines()[3:] == ["offset     -1.5 µm", "isometric  12.5 µm"]
+
+
+def test_a_long_computation_is_not_silent_in_a_log(monkeypatch, capsys):
+    now = [0.0]
+    monkeypatch.setattr(commands.time, "monotonic", lambda: now[0])
+    with commands.progress("drives", 1000) as progress:
+        for _ in range(100):
+            progress(10)
+            now[0] += 2.0
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "drives: 100 of 1000 (10%) after 18 s"
+    assert len(lines) == 9
+
+
+def test_a_short_computation_says_nothing_in_a_log(capsys):
+    with commands.progress("drives", 1000) as progress:
+        progress(1000)
+    assert capsys.readouterr().err == ""
+
+
+def test_start_values_that_are_rounding_are_shown_as_0():
+    """What a transform makes of zeros is 0, and exponents are whole."""
+    from cycloid_fmu.cli.inspect import _shown
+
+    assert [_shown(start) for start in ("-3.72562147893e-22", 1.5e-6, "", "true", 40)] == [
+        "0",
+        "1.5e-06",
+        "",
+        "true",
+        "40",
+    ]
+
+
+def test_what_is_no_fmu_is_refused(command, tmp_path):
+    (tmp_path / "d.toml").write_text(PAIR)
+    for words in (["simulate", "d.toml", "--torque", "1 Nm"], ["inspect", "d.toml"], ["compare", "d.toml", "d.toml"]):
+        run = command("cycloid-fmu", *words)
+        assert (run.returncode, run.stderr) == (2, "d.toml: this is not an FMU: it must be a ZIP archive.\n")
+
+
+def test_the_first_answer_waits_for_no_package_that_it_does_not_need(tmp_path):
+    (tmp_path / "pair.toml").write_text(PAIR)
+    code = """
+import sys
+sys.argv = ["cycloid-fmu", "analyze", "pair.toml", "--torque", "181 Nm", "--angles", "3"]
+from cycloid_fmu.cli import main
+try:
+    main()
+finally:
+    print(*{name.partition(".")[0] for name in sys.modules})
+"""
+    run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert "181 N·m" in run.stdout
+    slow = {"xarray", "pandas", "dask", "pint", "matplotlib", "rich", "fmpy", "joblib", "h5netcdf", "lmfit"}
+    assert not slow & set(run.stdout.splitlines()[-1].split())
+
+
+def test_a_command_says_which_option_the_library_objects_to(command, tmp_path):
+    (tmp_path / "pair.toml").write_text(PAIR)
+    (tmp_path / "t.toml").write_text('format = "cycloid-tolerances/1"\n[offset]\ntolerance = "1 um"\n')
+    words = ["cycloid-fmu", "tolerance", "pair.toml", "--tolerances", "t.toml", "--samples", "2", "--angles", "20"]
+    for more, sentence in (
+        ([], "--torque is missing; give it, or state [pair] rated_torque in pair.toml."),
+        (["--torque", "0 Nm"], "--torque = 0.0: a study's loads must not be zero; the play has its own figures."),
+        (["--torque", "9 Nm", "--screen", "2"], "--screen = 2.0: the share must be between 0 and 1."),
+        (["--design", "sobl"],
+         '--design = "sobl": it must be one of sobol, latin-hypercube, saltelli; did you mean sobol?'),
+    ):  # fmt: skip
+        run = command(*words, *more)
+        assert (run.returncode, run.stderr) == (2, sentence + "\n")
+
+
+def test_newton_metres_are_written_as_on_data_sheets(command, tmp_path):
+    (tmp_path / "pair.toml").write_text(PAIR)
+    runs = [
+        command("cycloid-fmu", "analyze", "pair.toml", "--angles", "3", "--torque", text)
+        for text in ("181 Nm", "181 N*m", "0.181 kNm")
+    ]
+    assert {run.stdout for run in runs} == {runs[0].stdout}
+    assert "181 N·m" in runs[0].stdout
