@@ -183,7 +183,7 @@ class Pair(Config):
             changes["errors"] = Errors({**self.errors, **Errors(errors), **_zeros(errors)})
         return type(self)(**{**values, **changes})
 
-    @functools.cached_property
+    @property
     def nominal(self) -> Self:
         """The pair as drawn: without the errors that are stated of it."""
         return self.replace(errors=Errors()) if self.errors else self
