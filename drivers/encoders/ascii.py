@@ -147,7 +147,7 @@ class AsciiCounter(SerialEncoder):
         return bytes(port.read(1)) + bytes(port.read(port.in_waiting))
 
     def set_up(self, hub: PortHub) -> None:
-        """Wait for a line that fits; see `SerialEncoder.set_up`."""
+        """Wait for a line that fits; see `HubEncoder.set_up`."""
         self._rest, self._skipping = b"", not self._request
         deadline = time.monotonic() + FIRST_LINE_SECONDS
         came = b""

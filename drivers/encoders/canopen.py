@@ -113,7 +113,7 @@ class CanopenEncoder(CanEncoder):
         return f"{self.name}: node {self.config.node} on the CAN bus {self.bus.place}"
 
     def set_up(self, hub: CanHub) -> None:
-        """Ask the node what it is; see `CanEncoder.set_up`."""
+        """Ask the node what it is; see `HubEncoder.set_up`."""
         self._node = hub.node(self.config.node, self.config.quantity)
         vendor, product = self._object(0x1018, 1, 0), self._object(0x1018, 2, 0)
         serial = self._object(0x1018, 4, 0)
@@ -258,6 +258,7 @@ class CanopenEncoder(CanEncoder):
         if self._node is not None:
             hub.leave_node(self.config.node, self.config.quantity)
         self._node, self._started, self._listening = None, False, False
+        super().leave(hub)
 
     def read(self, timeout: float) -> Samples | None:
         """Return the positions or speeds that came; see `Encoder.read`."""

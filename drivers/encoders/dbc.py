@@ -93,7 +93,7 @@ class DbcSensor(CanEncoder):
         return cls(name, config, wiring.bus(config.bus, name), wiring.folder, wiring.source)
 
     def set_up(self, hub: CanHub) -> None:
-        """See `CanEncoder.set_up`."""
+        """See `HubEncoder.set_up`."""
         step = 1 if self.config.sync else None
         self.reader = FrameReader(hub, self._message.frame_id, self._message.length, step, self.name)
         self.channel = channel_of(
