@@ -161,7 +161,7 @@ class Pair(Config):
             errors = Errors(errors)
         if values.get("pins") is None and isinstance(values.get("gear_teeth"), int):
             values["pins"] = values["gear_teeth"] + 1
-        super().__init__(**values, errors=errors)
+        super().__init__(**{**values, "errors": errors})
         for table, sentence in _contradictions(self):
             raise ContradictionError(table, sentence)
 
