@@ -158,9 +158,8 @@ def test_bounds_are_where_the_pair_ceases_to_be_one(nominal):
     thin = nominal.replace(eccentricity=0.4e-3)
     assert possible(thin, "eccentricity")[0] == -0.4e-3
     assert possible(nominal, "misalignment_xz") == (-0.02, 0.02)
-    g = nominal
-    wide = nominal.model_copy(update={"pair": g.model_copy(update={
-        "pin_radius": g.pin_circle_radius * np.sin(np.pi / g.pins) - 1e-4})})  # fmt: skip
+    touching = nominal.pin_circle_radius * np.sin(np.pi / nominal.pins)
+    wide = nominal.replace(eccentricity=0.1e-3, pin_radius=touching - 1e-4)
     assert possible(wide, "pin_radius")[1] == pytest.approx(1e-4)
 
 
