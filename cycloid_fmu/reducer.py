@@ -22,9 +22,10 @@ from cycloid_fmu.contact.transmission import drive_of
 from cycloid_fmu.edge import ARCMIN, Angle, Config
 from cycloid_fmu.errors.kinds import LARGEST_DEVIATION
 from cycloid_fmu.fmu.reducer_model import FirstStage
-from cycloid_fmu.geometry.pair import Pair, PositiveLength, pair_of_tables
+from cycloid_fmu.geometry.pair import Pair, PositiveLength, pair_of_tables, read_pair
+from cycloid_fmu.surfaces.files import read_surface
 from cycloid_fmu.surfaces.sampling import Distribution, error_stream, within_tolerance
-from cycloid_fmu.surfaces.surface import ErrorSurface
+from cycloid_fmu.surfaces.surface import ErrorSurface, check_surface, surface_of_pair
 
 Array = NDArray[np.float64]
 Variant = Literal["standard", "as_printed", "geometric", "geometric_sun_locked"]
@@ -222,7 +223,7 @@ def parse_reducer(text: str, source: str) -> Reducer:
         If it is not a valid reducer; one sentence a problem, naming field, value and `source`.
     """
     table = edge.toml_table(text, FORMAT, source)
-    stage = {k: table.pop(k) for k in ("pair", "modification", "material") if k in table}
+    stage: dict[str, Any] = {k: table.pop(k) for k in ("pair", "modification", "material") if k in table}
     for key in ("stage", "text"):
         if key in table:
             raise edge.InputError(f"{source}: {key} is not a key known here; check its spelling or remove it.")
@@ -512,6 +513,42 @@ def first_stage_of(reducer: Reducer) -> FirstStage:
         sun_play=max(0.0, float(outer["base_tangent_length"]) * reducer.ratio),
         bearing_play=max(0.0, float(outer["crank_bearing_clearance"])),
     )
+
+
+def drive_of_file(
+    path: str | os.PathLike[str], surface_file: str | os.PathLike[str] | None = None
+) -> tuple[Pair, ErrorSurface, FirstStage | None, list[str]]:
+    """Return what an FMU is built from, of a pair file or a reducer file.
+
+    Parameters
+    ----------
+    path
+        A file of the format cycloid-pair/1 or cycloid-reducer/1.
+    surface_file
+        The errors; without it those that the file states.
+
+    Returns
+    -------
+    pair, surface, first_stage, warnings
+        No first stage with a pair; sentences where a reducer file contradicts itself.
+
+    Raises
+    ------
+    edge.InputError
+        If a file can't be read, or the surface belongs to another pair.
+    """
+    stage, warnings = None, list[str]()
+    if edge.format_of(path) == FORMAT:
+        reducer = read_reducer(path)
+        pair, surface, stage = reducer.stage, surface_of_reducer(reducer), first_stage_of(reducer)
+        warnings = contradictions(reducer, str(path))
+    else:
+        pair = read_pair(path)
+        surface = surface_of_pair(pair)
+    if surface_file is not None:
+        surface = read_surface(surface_file)
+        check_surface(pair, surface, str(path), str(surface_file))
+    return pair, surface, stage, warnings
 
 
 def summed(terms: Mapping[str, Array]) -> dict[str, Array]:

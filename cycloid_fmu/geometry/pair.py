@@ -161,7 +161,7 @@ class Pair(Config):
             errors = Errors(errors)
         if values.get("pins") is None and isinstance(values.get("gear_teeth"), int):
             values["pins"] = values["gear_teeth"] + 1
-        super().__init__(**values, errors=errors)
+        super().__init__(**{**values, "errors": errors})
         for table, sentence in _contradictions(self):
             raise ContradictionError(table, sentence)
 
@@ -183,14 +183,7 @@ class Pair(Config):
             changes["errors"] = Errors({**self.errors, **Errors(errors), **_zeros(errors)})
         return type(self)(**{**values, **changes})
 
-    def __eq__(self, other: object) -> bool:
-        # Pydantic compares cached properties too; `nominal` would compare a pair with itself for ever.
-        return isinstance(other, Pair) and self.text == other.text
-
-    def __hash__(self) -> int:
-        return hash(self.text)
-
-    @functools.cached_property
+    @property
     def nominal(self) -> Self:
         """The pair as drawn: without the errors that are stated of it."""
         return self.replace(errors=Errors()) if self.errors else self
