@@ -196,8 +196,3 @@ class RecordingStream:
             f"the host's to ± {clock.uncertainty * 1e6:.2g} µs (95 %)."
             for role, clock in clocks.items()
         ]
-
-
-def open_recording(path: str | os.PathLike[str], mapping: FileMapping | None = None) -> RecordingStream:
-    """Open a recording that may be larger than memory; see `RecordingStream`."""
-    return RecordingStream(path, mapping)

@@ -22,15 +22,7 @@ TITLES = {name: name.replace("_", " ").capitalize() for name in DEFINITIONS}
 
 
 def write_figures_report(found: Figures, path: str | os.PathLike[str]) -> None:
-    """Write a report as HTML or PDF by its name's ending, whole or not at all.
-
-    Parameters
-    ----------
-    found
-        The figures and what they were taken from.
-    path
-        `.html`: one file with all it needs, to zoom and hover in; `.pdf`: the same on pages.
-    """
+    """Write the report of figures as HTML or PDF by the name's ending, whole or not at all."""
     target = edge.output_path(path, "path", FORMATS)
     panels = panels_of(found)
     with edge.written_whole(target) as temporary:

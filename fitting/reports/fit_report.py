@@ -153,15 +153,7 @@ def _trust(result: Identification) -> list[str]:
 
 
 def write_fit_report(result: Identification, path: str | os.PathLike[str]) -> None:
-    """Write the report of a fit as one HTML file that needs nothing else, whole or not at all.
-
-    Parameters
-    ----------
-    result
-        The fit.
-    path
-        A name that ends in .html.
-    """
+    """Write the report of a fit as one HTML file that needs nothing else, whole or not at all."""
     target, pair = edge.output_path(path, "path", FORMATS), result.pair
     text = html_page(
         "Identified drive", f"{pair.gear_teeth}/{pair.pins}, {len(result.curves)} curves, {made_now()}",

@@ -398,36 +398,11 @@ def _ramp_note(fold: _Fold, source: str) -> list[str]:
     ]
 
 
-def transmission_error_curves(
-    recording: Recording | RecordingStream, ratio: float, *, keep_turns: bool = False
-) -> list[Curve]:
-    """Return the transmission error curve of each direction of a recording, the one it turned further first.
+def curves(recordings: Source | Iterable[Source], drive: Drive | float, *, keep_turns: bool = False) -> list[Curve]:
+    """Return the transmission error curves of recordings: of each direction, the one it turned further first.
 
     The crank angle is folded to one output turn and divided into as many points as samples were taken in a turn (at
     most `POINTS`); what falls into a point is averaged within each turn and then over turns, angle and error alike.
-
-    Parameters
-    ----------
-    recording
-        The recording, in memory or in its file.
-    ratio
-        Signed ratio φ_a/φ_b of the ideal drive.
-    keep_turns
-        Whether the curves keep every turn by itself too.
-
-    Raises
-    ------
-    edge.InputError
-        If the crank does not turn, or its two angles do not belong to this ratio.
-    """
-    folding = Folding(ratio, recording.source, keep_turns=keep_turns)
-    for block in recording.blocks():
-        folding.add(block)
-    return folding.curves(recording)
-
-
-def curves(recordings: Source | Iterable[Source], drive: Drive | float, *, keep_turns: bool = False) -> list[Curve]:
-    """Return the transmission error curves of recordings, one for each direction in which the crank turns.
 
     Parameters
     ----------
@@ -436,7 +411,7 @@ def curves(recordings: Source | Iterable[Source], drive: Drive | float, *, keep_
     drive
         The drive, or its signed ratio input over output.
     keep_turns
-        As in `transmission_error_curves`.
+        Whether the curves keep every turn by itself too.
 
     Raises
     ------
@@ -453,5 +428,11 @@ def curves(recordings: Source | Iterable[Source], drive: Drive | float, *, keep_
     20
     """
     ratio = drive if isinstance(drive, float | int) else drive.pair.ratio
-    given = [recordings] if isinstance(recordings, Source) else recordings
-    return [c for one in given for c in transmission_error_curves(open_source(one), ratio, keep_turns=keep_turns)]
+    found: list[Curve] = []
+    for source in [recordings] if isinstance(recordings, Source) else recordings:
+        recording = open_source(source)
+        folding = Folding(ratio, recording.source, keep_turns=keep_turns)
+        for block in recording.blocks():
+            folding.add(block)
+        found += folding.curves(recording)
+    return found
