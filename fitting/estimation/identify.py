@@ -185,7 +185,7 @@ def kept_back(curves: Sequence[Curve]) -> tuple[int, ...]:
 
 
 def _predicted(pair: Pair, fit: Estimate, curves: Sequence[Curve]) -> HeldOut:
-    """What is left of curves that the fit has not seen; their own zeros and drifts are nobody's to foretell."""
+    """What is left of curves that the fit has not seen; their own zeros and drifts cannot be predicted."""
     observed = observations(curves, pair)
     known = dict(zip(fit.observed.bench_names, fit.state.bench, strict=True))
     own = np.array(

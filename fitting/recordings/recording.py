@@ -153,8 +153,8 @@ class RecordingStream:
             kept += block.time.size
             if block.time.size:
                 yield block
-        said = [*self._clock_notes(), *merge.notes(), *cleaning.notes()]
-        self.notes = [*self._file.problems, *(f"{self.source}: {n}" for n in said)]
+        notes = [*self._clock_notes(), *merge.notes(), *cleaning.notes()]
+        self.notes = [*self._file.problems, *(f"{self.source}: {n}" for n in notes)]
         if self._mapping.input_angle is None:
             self.notes.append(f"{self.source}: no input angle is mapped; the input is taken as locked.")
         if kept < 2:
