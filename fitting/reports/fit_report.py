@@ -149,7 +149,7 @@ def _trust(result: Identification) -> list[str]:
         )
     if result.inflation > 1.0:
         trust.append(f"The residual is not white: the intervals are {result.inflation:.2f} times those of white noise.")
-    return sentences
+    return trust
 
 
 def write_fit_report(result: Identification, path: str | os.PathLike[str]) -> None:

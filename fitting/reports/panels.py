@@ -188,10 +188,7 @@ def _loop_panels(loop: LoopData) -> list[Panel]:
         if t.label != _MARKS["torsional_stiffness"]
         and (t.colour < 0 or np.abs(t.x).max() <= _MIDDLE * loop.rated_torque)
     ]
-    return [
-        Panel(name, *axes, tuple(traces), caption),
-        Panel(f"{name}, around zero torque", *axes, tuple(middle), caption),
-    ]
+    return [Panel(name, *axes, tuple(traces), seen), Panel(f"{name}, around zero torque", *axes, tuple(middle), seen)]
 
 
 def _start_panels(found: Figures) -> list[Panel]:
