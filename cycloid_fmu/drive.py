@@ -6,7 +6,7 @@ import functools
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -179,11 +179,41 @@ class Drive:
             workers=workers or os.cpu_count() or 1, progress=progress,
         )  # fmt: skip
 
-    def build_fmu(self, path: str | os.PathLike[str], interface: str | Interface = "kinematic", **options: Any) -> None:
-        """Build the drive's FMU; parameters are those of `build_fmu`."""
-        from cycloid_fmu.fmu.build import build
+    def build_fmu(
+        self,
+        path: str | os.PathLike[str],
+        interface: Literal["kinematic", "compliant"] | Interface = "kinematic",
+        *,
+        fmi_version: Literal["2.0", "3.0"] = "2.0",
+        native: bool = False,
+    ) -> None:
+        """Build a Co-Simulation FMU of the drive, whole or not at all.
 
-        build(self, path, interface, **options)
+        Parameters
+        ----------
+        path
+            The FMU file.
+        interface
+            "kinematic" takes crank motion and load and gives the output's motion; "compliant" takes both motions and
+            gives both torques; an `Interface` states inertia and losses as well.
+        fmi_version
+            "2.0" or "3.0".
+        native
+            An FMU of C and tables that needs no Python, instead of the exact model; it takes the extra `native`.
+
+        Raises
+        ------
+        edge.InputError
+            If the folder does not exist or the interface is none of this drive.
+        """
+        if native:
+            from cycloid_fmu.native.build import build_native
+
+            build_native(self, path, interface=interface, fmi_version=fmi_version, workers=os.cpu_count() or 1)
+        else:
+            from cycloid_fmu.fmu.build import build_fmu
+
+            build_fmu(self, path, interface=interface, fmi_version=fmi_version)
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the drive: a pair file (`.toml`) or an error surface (`.nc`), which holds form and wear as well.

@@ -21,11 +21,10 @@ from cycloid_fmu import contact, edge
 from cycloid_fmu.contact.transmission import drive_of
 from cycloid_fmu.edge import ARCMIN, Angle, Config
 from cycloid_fmu.errors.kinds import LARGEST_DEVIATION
-from cycloid_fmu.fmu.reducer_model import FirstStage
-from cycloid_fmu.geometry.pair import Pair, PositiveLength, pair_of_tables, read_pair
-from cycloid_fmu.surfaces.files import read_surface
+from cycloid_fmu.geometry.pair import Pair, PositiveLength, pair_of_tables
+from cycloid_fmu.reducer.first_stage import FirstStage, sun_locked_share
 from cycloid_fmu.surfaces.sampling import Distribution, error_stream, within_tolerance
-from cycloid_fmu.surfaces.surface import ErrorSurface, check_surface, surface_of_pair
+from cycloid_fmu.surfaces.surface import ErrorSurface
 
 Array = NDArray[np.float64]
 Variant = Literal["standard", "as_printed", "geometric", "geometric_sun_locked"]
@@ -202,11 +201,8 @@ class Reducer(Config):
 
     @property
     def sun_locked(self) -> float:
-        """Share of a play with the crank locked that is left with the sun locked: 1/(1 + (1 + z_1/z_2)/z_c).
-
-        The planets roll on the locked sun and turn the cranks by 1 + z_1/z_2 of the output.
-        """
-        return 1.0 / (1.0 + self.crank_share / self.stage.gear_teeth)
+        """Share of a play with the crank locked that is left with the sun locked (`first_stage.sun_locked_share`)."""
+        return sun_locked_share(self.crank_share, self.stage.gear_teeth)
 
     @property
     def crank_share(self) -> float:
@@ -513,42 +509,6 @@ def first_stage_of(reducer: Reducer) -> FirstStage:
         sun_play=max(0.0, float(outer["base_tangent_length"]) * reducer.ratio),
         bearing_play=max(0.0, float(outer["crank_bearing_clearance"])),
     )
-
-
-def drive_of_file(
-    path: str | os.PathLike[str], surface_file: str | os.PathLike[str] | None = None
-) -> tuple[Pair, ErrorSurface, FirstStage | None, list[str]]:
-    """Return what an FMU is built from, of a pair file or a reducer file.
-
-    Parameters
-    ----------
-    path
-        A file of the format cycloid-pair/1 or cycloid-reducer/1.
-    surface_file
-        The errors; without it those that the file states.
-
-    Returns
-    -------
-    pair, surface, first_stage, warnings
-        No first stage with a pair; sentences where a reducer file contradicts itself.
-
-    Raises
-    ------
-    edge.InputError
-        If a file can't be read, or the surface belongs to another pair.
-    """
-    stage, warnings = None, list[str]()
-    if edge.format_of(path) == FORMAT:
-        reducer = read_reducer(path)
-        pair, surface, stage = reducer.stage, surface_of_reducer(reducer), first_stage_of(reducer)
-        warnings = contradictions(reducer, str(path))
-    else:
-        pair = read_pair(path)
-        surface = surface_of_pair(pair)
-    if surface_file is not None:
-        surface = read_surface(surface_file)
-        check_surface(pair, surface, str(path), str(surface_file))
-    return pair, surface, stage, warnings
 
 
 def summed(terms: Mapping[str, Array]) -> dict[str, Array]:
