@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 
 import fitting.model.observations
 from cycloid_fmu.contact.transmission import solve
+from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.surfaces.structured import with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
@@ -79,7 +80,7 @@ def test_identification_against_the_plain_way(benchmark, monkeypatch):
         return kernel(pair, surface, torque, angles, names)
 
     monkeypatch.setattr(fitting.model.observations, "error_sensitivity", counted)
-    identify([c.points(slice(None, 100)) for c in drive(pair, 0)[0]], pair, held_out=False)
+    identify([c.points(slice(None, 100)) for c in drive(pair, 0)[0]], Drive(pair), held_out=False)
     rows = {"identify": [], "plain": []}
 
     def both():
@@ -87,7 +88,7 @@ def test_identification_against_the_plain_way(benchmark, monkeypatch):
         for seed in range(int(os.environ.get("CYCLOID_SEEDS", "1"))):
             curves, values = drive(pair, seed)
             solved, wall, cpu = 0, time.perf_counter(), time.process_time()
-            found = identify(curves, pair, held_out=False)
+            found = identify(curves, Drive(pair), held_out=False)
             told = {p.name: (p.value, p.standard_error) for p in found.parameters if p.held is None}
             spent = time.perf_counter() - wall, time.process_time() - cpu, solved / (720 * len(LOADS))
             rows["identify"].append((*spent, *accuracy(told, values, told)))

@@ -10,31 +10,19 @@ from pathlib import Path
 
 import numpy as np
 
+import cycloid_fmu as cy
 import drivers
-from cycloid_fmu.draw.plots import save
-from cycloid_fmu.fmu.build import build_fmu
-from cycloid_fmu.fmu.run import simulate_fmu
-from cycloid_fmu.geometry.pair import read_pair
-from cycloid_fmu.surfaces.files import read_surface, write_surface
-from cycloid_fmu.surfaces.structured import structured_value
-from cycloid_fmu.surfaces.surface import surface_of_pair
-from fitting.cli import print_identification
-from fitting.estimation.identify import identify
-from fitting.estimation.result import write_identification
-from fitting.recordings.recording import open_recording
-from fitting.reports.plots import plot_comparison
-from fitting.transmission_error.folding import transmission_error_curves
+import fitting
 
 HERE, OUT = Path(__file__).parent, Path("bench_to_fmu_out")
-ARCSEC = np.pi / 648000
 
 
 def main() -> None:
     OUT.mkdir(exist_ok=True)
 
     print("1. The drive on the bench: an FMU of the drive as it was really made")
-    as_made = read_pair(HERE / "drive-39-40-as-made.toml")
-    build_fmu(as_made, OUT / "as-made.fmu")
+    as_made = cy.read_drive(HERE / "drive-39-40-as-made.toml")
+    as_made.build_fmu(OUT / "as-made.fmu")
 
     print("2. The bench runs at two loads in both directions, and the recorder writes what its encoders send")
     recordings = []
@@ -43,7 +31,7 @@ def main() -> None:
             path = OUT / f"{load:g}Nm-{direction}.arrows"
             path.unlink(missing_ok=True)
             bench = drivers.simulate_bench(
-                OUT / "as-made.fmu", ratio=as_made.ratio, torque=sign * load, direction=direction, turns=39,
+                OUT / "as-made.fmu", ratio=as_made.pair.ratio, torque=sign * load, direction=direction, turns=39,
                 samples_per_turn=48, noise="0.5 arcsec", torque_noise=0.2, seed=len(recordings), interface="virtual",
             )  # fmt: skip
             with bench:
@@ -52,26 +40,27 @@ def main() -> None:
             recordings.append(path)
 
     print("3. Transmission error curves, and the errors behind them")
-    nominal = read_pair(HERE / "drive-39-40.toml")
-    curves = [transmission_error_curves(open_recording(path).read(), nominal.ratio)[0] for path in recordings]
-    found = identify(curves, nominal, lambda step: print(f"   {step}"))
-    write_identification(found, OUT / "identification.json")
-    write_surface(found.surface, OUT / "identified.nc")
+    nominal = cy.read_drive(HERE / "drive-39-40.toml")
+    found = fitting.identify(fitting.read_recordings(recordings), nominal, progress=lambda step: print(f"   {step}"))
+    found.write(OUT / "identification.json")
+    fitting.report(found, OUT / "identification.html")
+    for one in found.parameters:
+        if one.held is None and hasattr(as_made.surface, one.name):
+            low, high, made = (1e6 * value for value in (*one.interval, getattr(as_made.surface, one.name)))
+            print(f"   {one.name}: {low:.2f} … {high:.2f} µm; it was made {made:.2f} µm")
 
     print("4. The FMU of this very drive, simulated beside the measurement")
-    build_fmu(nominal, OUT / "identified.fmu", read_surface(OUT / "identified.nc"))
+    found.drive.write(OUT / "identified.nc")
+    found.drive.build_fmu(OUT / "identified.fmu")
     zero = found.bench["output_angle_offset"]
     simulated = [
-        simulate_fmu(OUT / "identified.fmu", c.input_angle, c.torque, ("transmission_error",))["transmission_error"]
-        + zero
-        for c in curves
+        cy.simulate_fmu(OUT / "identified.fmu", c.input_angle, c.torque)["transmission_error"] + zero
+        for c in found.curves
     ]
-    save(plot_comparison(curves, simulated, "simulated by the FMU"), OUT / "comparison.png")
-
-    known = surface_of_pair(as_made)
-    print_identification(found, {p.name: structured_value(as_made, known, p.name) for p in found.parameters})
-    left = np.concatenate([c.transmission_error - s for c, s in zip(curves, simulated, strict=True)])
-    print(f"FMU and measurement differ by {np.sqrt(np.mean(left**2)) / ARCSEC:.2f}″ rms; see {OUT / 'comparison.png'}")
+    fitting.plot_comparison(found.curves, simulated, "simulated by the FMU").savefig(OUT / "comparison.png", dpi=150)
+    left = np.concatenate([c.transmission_error - s for c, s in zip(found.curves, simulated, strict=True)])
+    rms = np.sqrt(np.mean(left**2)) * cy.ARCSEC
+    print(f"FMU and measurement differ by {rms:.2f}″ rms; see {OUT / 'comparison.png'}")
 
 
 if __name__ == "__main__":

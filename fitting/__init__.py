@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from fitting.estimation.result import Identification as Identification
     from fitting.figures.comparison import Comparison as Comparison
     from fitting.figures.comparison import compare as compare
-    from fitting.figures.figure import Figure as Figure
     from fitting.figures.metrics import Figures as Figures
     from fitting.figures.metrics import metrics as metrics
     from fitting.recordings.inspection import Inspection as Inspection
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
     from fitting.recordings.sources import Run as Run
     from fitting.recordings.sources import read_recordings as read_recordings
     from fitting.reports.plots import plot as plot
+    from fitting.reports.plots import plot_comparison as plot_comparison
     from fitting.reports.report import report as report
     from fitting.transmission_error.curve import Curve as Curve
     from fitting.transmission_error.curve import write_curves as write_curves
@@ -33,13 +33,12 @@ _NAMES = {
     "estimation.identify": "identify",
     "estimation.plan": "Plan plan",
     "estimation.result": "Identification",
-    "figures.comparison": "Comparison compare",
-    "figures.figure": "Figure",
+    "figures.comparison": "compare",
     "figures.metrics": "Figures metrics",
-    "recordings.inspection": "Inspection inspect",
-    "recordings.mapping": "FileMapping read_mapping",
+    "recordings.inspection": "inspect",
+    "recordings.mapping": "read_mapping",
     "recordings.sources": "Run read_recordings",
-    "reports.plots": "plot",
+    "reports.plots": "plot plot_comparison",
     "reports.report": "report",
     "transmission_error.curve": "Curve write_curves",
     "transmission_error.folding": "curves",

@@ -551,7 +551,7 @@ def budget(reducer: Reducer) -> dict[str, dict[str, float]]:
     ...     deviations={"pin_radius": "-4 um"},
     ... )
     >>> round(cy.budget(reducer)["standard"]["total"] * cy.ARCMIN, 3)
-    0.0
+    0.784
     """
     values = values_of(reducer)
     found = {}

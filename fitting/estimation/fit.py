@@ -81,7 +81,7 @@ class Estimate:
     misfit
         Weighted sum of squares with the priors, in units of the noise.
     unlikelihood
-        -2 log of the restricted likelihood but for a constant: what tells fits of the same points apart. A scatter
+        -2 log of the restricted likelihood but for a constant: what ranks fits of the same points. A scatter
         that the data do not need makes it larger.
     evaluations
         How often the model was evaluated at all points, with its derivatives.
@@ -348,23 +348,23 @@ def _variances(
 ) -> tuple[Observations, _Normal, dict[str, float], bool]:
     """Take one step of the restricted likelihood's fixed point; also whether it moved by a share less than `little`.
 
-    `ahead` is a step from the unknowns, at whose end the fixed point is taken as the linear model foretells it.
+    `ahead` is a step from the unknowns, at whose end the fixed point is taken as the linear model predicts it.
     """
     precision = problem.precision(scatter)
     gram = normal.gram.sum(axis=0) + np.diag(precision)
     size = np.sqrt(np.diag(gram))
     covariance = linalg.inv(gram / np.outer(size, size)) / np.outer(size, size)
-    told = np.einsum("kij,ji->k", normal.gram, covariance)
+    resolved = np.einsum("kij,ji->k", normal.gram, covariance)
     square = normal.square - 2.0 * normal.moment @ ahead + np.einsum("i,kij,j->k", ahead, normal.gram, ahead)
-    variance = square / np.maximum(normal.count - told, 1.0)
+    variance = square / np.maximum(normal.count - resolved, 1.0)
     unknowns = unknowns + ahead
     found = dict(known)
     for name, part in problem.parts.items():
         if name in known:
             continue
-        told_of = part.stop - part.start - precision[part.start] * np.trace(covariance[part, part])
+        resolved_of = part.stop - part.start - precision[part.start] * np.trace(covariance[part, part])
         before = max(scatter.get(name, 0.0), 1e-2 * NO_SCATTER) ** 2
-        after = float(unknowns[part] @ unknowns[part]) * problem.scale[part.start] ** 2 / max(told_of, 1e-9)
+        after = float(unknowns[part] @ unknowns[part]) * problem.scale[part.start] ** 2 / max(resolved_of, 1e-9)
         found[name] = float(np.sqrt(np.clip(after / before, _SHRINKS, _GROWS) * before))
     hardly = all(abs(v - scatter.get(n, 0.0)) < little * v or v < NO_SCATTER for n, v in found.items())
     settled = hardly and bool((np.abs(variance - 1.0) < little).all())
@@ -480,7 +480,7 @@ def freedom(pair: Pair, estimate: Estimate, covariance: Array, known: Collection
 
     An error that the scatter blurs is known as well as the scatter's variance is, from as many patterns of it as the
     data tell: its interval is that of Student's t. With the shares s of its variance that come from each scatter, and γ
-    patterns told of each, it has 1/Σ(s²/γ) degrees of freedom (Satterthwaite, Biometrics Bulletin 2 (1946) 110;
+    patterns resolved of each, it has 1/Σ(s²/γ) degrees of freedom (Satterthwaite, Biometrics Bulletin 2 (1946) 110;
     Giesbrecht and Burns, Biometrics 41 (1985) 477).
 
     Parameters
@@ -508,8 +508,8 @@ def freedom(pair: Pair, estimate: Estimate, covariance: Array, known: Collection
         if name in known or deviation <= NO_SCATTER:
             continue
         share = (covariance[:count, part] ** 2).sum(axis=1) / deviation**2 / variance
-        told = part.stop - part.start - np.trace(covariance[part, part]) / deviation**2
-        blur += share**2 / max(told, 1.0)
+        resolved = part.stop - part.start - np.trace(covariance[part, part]) / deviation**2
+        blur += share**2 / max(resolved, 1.0)
     found: Array = np.divide(1.0, blur, out=np.full(count, np.inf), where=blur > 0.0)
     return found
 

@@ -106,10 +106,12 @@ def identify(
     >>> import cycloid_fmu as cy, fitting, numpy as np
     >>> pair = cy.Pair(gear_teeth=9, pin_circle_radius=0.04, pin_radius=0.004, eccentricity=0.002, face_width=0.01)
     >>> drive = cy.Drive(pair)
-    >>> made, angle = drive.replace(errors={"eccentricity": "3 um"}), np.linspace(0.0, 2.0 * np.pi * 9, 200)
+    >>> made, angle = drive.replace(errors={"eccentricity": "3 um"}), np.linspace(0.0, 2.0 * np.pi * 9, 120)
+    >>> noise = np.random.default_rng(0)
     >>> def run(load):
     ...     error = made.analyze(load, crank_angle=angle).transmission_error.values[0]
-    ...     return fitting.Run(input_angle=angle, output_angle=angle / -9 + error, torque=load, known_index=True)
+    ...     output = angle / -9 + error + noise.normal(0.0, 1e-6, angle.size)
+    ...     return fitting.Run(input_angle=angle, output_angle=output, torque=load, common_zero=True, known_index=True)
     >>> result = fitting.identify([run(load) for load in (20.0, -20.0, 100.0, -100.0)], drive, held_out=False)
     >>> round(next(p for p in result.parameters if p.name == "eccentricity").value * 1e6, 1)
     3.0
@@ -183,7 +185,7 @@ def kept_back(curves: Sequence[Curve]) -> tuple[int, ...]:
 
 
 def _predicted(pair: Pair, fit: Estimate, curves: Sequence[Curve]) -> HeldOut:
-    """What is left of curves that the fit has not seen; their own zeros and drifts are nobody's to foretell."""
+    """What is left of curves that the fit has not seen; their own zeros and drifts cannot be predicted."""
     observed = observations(curves, pair)
     known = dict(zip(fit.observed.bench_names, fit.state.bench, strict=True))
     own = np.array(

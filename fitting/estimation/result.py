@@ -52,7 +52,7 @@ _AT_BOUND = 1e-3  # of the bound: lmfit ends so close beside it
 class Parameter:
     """One structured error after the fit: SI value, standard error and 95 % interval, or why it is held.
 
-    `data_share` says how much of what is known of it comes from the data: 1 less the ratio of its variance after and
+    `data_share` says how much of what is known of it comes from the data: 1 minus the ratio of its variance after and
     before measuring.
     """
 
@@ -102,7 +102,7 @@ class Identification:
     inflation
         By how much the standard errors are larger than white noise would make them, because the residual is not white.
     residual
-        rms of measured less fitted transmission error, rad.
+        rms of measured minus fitted transmission error, rad.
     outliers
         {source: points that were left out}.
     held_out
@@ -196,7 +196,7 @@ def result_of(
     Parameters
     ----------
     pair, fit, predicted
-        The nominal pair, where its fit ended, and what was foretold of curves kept back.
+        The nominal pair, where its fit ended, and what was predicted of curves kept back.
     known, profiled, bootstrap, progress
         `scatter` and the others of `fitting.estimation.identify.identify`.
     gain
@@ -411,7 +411,7 @@ def _notes(pair: Pair, fit: Estimate) -> tuple[str, ...]:
         turns = float(np.ptp(curve.input_angle)) / (2.0 * np.pi * abs(curve.ratio))
         if turns < 0.95:
             notes.append(
-                f"{curve.source}: it covers {turns:.2f} of an output turn; pins and teeth are told apart less well."
+                f"{curve.source}: it covers {turns:.2f} of an output turn; pins and teeth are less well resolved."
             )
     rest = np.split(left_of(fit.observed, fit.linear, fit.state), fit.observed.ends)
     counted = np.split(fit.observed.weight > 0.0, fit.observed.ends)
@@ -485,7 +485,7 @@ def read_lmfit_parameters(path: str | os.PathLike[str]) -> lmfit.Parameters:
 
     data = edge.json_table(path, FORMAT, "identification")
     if "lmfit_parameters" not in data:
-        raise edge.InputError(f"{path}: lmfit_parameters is missing; write the file anew with cycloid-fit identify.")
+        raise edge.InputError(f"{path}: lmfit_parameters is missing; write the file again with cycloid-fit identify.")
     try:
         states = data["lmfit_parameters"]["params"]
         # lmfit would run an expression or a symbol of the file's; a fit of ours has neither.

@@ -27,7 +27,7 @@ class Change:
     before, after
         The figure of either.
     difference, uncertainty
-        After less before, and half its 95 % interval: both uncertainties, which are independent, together.
+        After minus before, and half its 95 % interval: both uncertainties, which are independent, together.
     """
 
     name: str
@@ -36,7 +36,7 @@ class Change:
 
     @property
     def difference(self) -> float:
-        """After less before."""
+        """After minus before."""
         return self.after.value - self.before.value
 
     @property

@@ -98,7 +98,7 @@ _FIELD_UNITS = {
 def in_field_units(figure: Figure, like: Figure | None = None) -> tuple[str, str, str]:
     """Return value, uncertainty and unit as people read them: arcmin, or arcsec where it is less than one.
 
-    The value has as many digits as its uncertainty tells, one more than that is significant. `like` is a figure whose
+    The value has as many digits as its uncertainty allows, one more than that is significant. `like` is a figure whose
     unit is taken, so that several can stand beside each other.
     """
     factor, unit = _FIELD_UNITS[figure.unit]

@@ -2,7 +2,7 @@
 
 Lost motion, backlash, hysteresis loss and torsional stiffness, each with its definition by name, its 95 % uncertainty
 and the loops behind it. Loops are recorded with the input locked or turning slowly; what counts is the windup, the
-output angle less its share of the input angle.
+output angle minus its share of the input angle.
 """
 
 from __future__ import annotations
@@ -223,7 +223,7 @@ def _mean(values: Sequence[_Value], drift: float = 0.0) -> _Value:
 
 @dataclass(frozen=True)
 class LoopData:
-    """A recording with loops: torque and windup (rad), its loops, rated torque, whence.
+    """A recording with loops: torque and windup (rad), its loops, rated torque, source.
 
     `windup` is zero where the two unloading branches of all loops, extrapolated to zero torque, have their middle.
     `late` is the torque as it was later, by half the 95 % interval of what is not known of its clock against the
@@ -267,8 +267,8 @@ def loop_figures(data: LoopData) -> tuple[dict[str, Figure], list[str]]:
     notes: list[str] = []
     found = [_loop_values(torque, windup, loop, rated) for loop in data.loops]
     later = found if data.late is None else [_loop_values(data.late, windup, loop, rated) for loop in data.loops]
-    drift, said = _closure(data, found)
-    notes.extend(said)
+    drift, added = _closure(data, found)
+    notes.extend(added)
     for name, interval in (
         ("hysteresis_loss", UNLOADING), ("backlash", UNLOADING), ("lost_motion", (-LOST_MOTION_LOAD, LOST_MOTION_LOAD)),
     ):  # fmt: skip
@@ -397,7 +397,7 @@ def loop_marks(data: LoopData) -> dict[str, list[Array]]:
 def loops_of(
     recording: Recording, ratio: float | None, rated_torque: float | None
 ) -> tuple[LoopData | None, list[str]]:
-    """Return the loops of a recording, or None where it is a run at a load, and what is to be said of them.
+    """Return the loops of a recording, or None where it is a run at a load, and notes on them.
 
     Parameters
     ----------

@@ -87,8 +87,8 @@ def figures_of(surveyed: Sequence[Surveyed], ratio: float | None, rated_torque: 
     of_loops = []
     for one in surveyed:
         if one.loops is not None:
-            found, said = loop_figures(one.loops)
-            notes += said
+            found, added = loop_figures(one.loops)
+            notes += added
             of_loops.append(found)
     for name in ("hysteresis_loss", "backlash", "lost_motion", "torsional_stiffness"):
         same = [f[name] for f in of_loops if name in f]
@@ -113,7 +113,7 @@ def figures_of(surveyed: Sequence[Surveyed], ratio: float | None, rated_torque: 
                     "N·m; the transmission error holds the windup that this makes."
                 )
             figure = angular_transmission_error(curve, orders)
-            # Clocks that run apart add their way over one turn, for every turn begins anew.
+            # Clocks that run apart add their way over one turn, for every turn begins again.
             uncertainty = math.hypot(figure.uncertainty, one.runaway / max(curve.turns, 1.0))
             figure = dataclasses.replace(figure, uncertainty=uncertainty)
             ways[way][f"{one.source}, {curve.torque:.4g} N*m, {way}"] = figure
@@ -130,9 +130,9 @@ def figures_of(surveyed: Sequence[Surveyed], ratio: float | None, rated_torque: 
         if one.loops is not None:
             continue
         for name, starts_by in (("starting_torque", starting_torques), ("back_driving_torque", back_driving_torques)):
-            starts, said = starts_by(one.overview, ratio if ratio is not None else one.overview.ratio)
+            starts, added = starts_by(one.overview, ratio if ratio is not None else one.overview.ratio)
             started[name] += starts
-            notes += said
+            notes += added
             if one.averaged > 1 and starts:
                 notes.append(
                     f"{one.source}: {name}: its torques are means of {one.averaged} samples of a long recording."
@@ -216,7 +216,7 @@ def metrics(
 
 
 def figures_json(found: Figures) -> dict[str, Any]:
-    """Return all figures as the content of a `cycloid-figures/1` file: each under its name, and whence they are."""
+    """Return all figures as the content of a `cycloid-figures/1` file: each by name, and their sources."""
     return {
         "format": FORMAT,
         **{name: figure_json(f) for name, f in found.figures.items()},

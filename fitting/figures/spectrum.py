@@ -15,7 +15,7 @@ from fitting.transmission_error.curve import Curve
 
 Array = NDArray[np.float64]
 
-_WINDOW = 101  # orders around one whose median tells its noise floor
+_WINDOW = 101  # orders around one whose median is its noise floor
 _HOLES = 0.02  # share of a turn's points that may be empty
 _REDRAWN = 200  # spectra drawn with the noise found, for the uncertainty of a largest and a smallest value
 
@@ -68,7 +68,7 @@ def spectrum(curve: Curve) -> Spectrum:
 
     The points are no even grid: each is a mean over its samples' angles. The orders are found such that at these angles
     they give the measured means (to second order in the angle), by iteration on the even grid. The noise floor of an
-    order is the median around it, so that noise that is not white is told where it is; single orders don't move it.
+    order is the median around it, so that noise that is not white is found where it is; single orders don't move it.
 
     Raises
     ------
@@ -151,7 +151,7 @@ def _gridded(
 
 
 def angular_transmission_error(curve: Curve, orders: Spectrum, *, seed: int = 0) -> Figure:
-    """Return the largest less the smallest transmission error over one output turn of a curve.
+    """Return the largest minus the smallest transmission error over one output turn of a curve.
 
     The curve is that of the orders which stand out of the noise: the largest of noisy values is too large. What the
     noise left in these orders still adds is found by drawing spectra with it, taken off, and is the uncertainty.
@@ -186,7 +186,7 @@ def angular_transmission_error(curve: Curve, orders: Spectrum, *, seed: int = 0)
 
 
 def _range_of(coefficient: NDArray[np.complex128], points: int) -> Array:
-    """Return largest less smallest value, each at the top of a parabola through it and its neighbours."""
+    """Return largest minus smallest value, each at the top of a parabola through it and its neighbours."""
     curve = np.atleast_2d(synthesised(coefficient, points))
     rows = np.arange(curve.shape[0])
 

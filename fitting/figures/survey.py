@@ -148,13 +148,13 @@ def survey(
     notes = list(stream.notes)
     table["status"] = np.zeros(table["time"].size, np.uint8)
     shortened = dataclasses.replace(stream.recording(table), ratio=ratio)
-    loops, said = loops_of(shortened, ratio, rated_torque)
-    notes += said
+    loops, loop_notes = loops_of(shortened, ratio, rated_torque)
+    notes += loop_notes
     curves: list[Curve] = []
     if loops is None and folding is not None:
         try:
             curves = folding.curves(stream)
-            notes = list(curves[0].notes) + said + _lag_note(shortened, folding.ratio)
+            notes = list(curves[0].notes) + loop_notes + _lag_note(shortened, folding.ratio)
         except edge.InputError as problem:
             notes.append(str(problem))
     elif loops is None and np.ptp(shortened.input_angle) > 0.0:

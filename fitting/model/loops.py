@@ -2,7 +2,7 @@
 
 With the input locked at a crank angle a loop is the drive's windup there at every torque: what a transmission error
 curve shows at one torque and every angle. Beyond friction and play each of its four branches is loaded contact, so the
-exact model at that angle foretells it; friction stands between loading and unloading, the play between the sides.
+exact model at that angle predicts it; friction is between loading and unloading, the play between the sides.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 ORDERS = (1, 2, 3)  # of pins and teeth that are structured errors; what is beyond them is scatter
 PROFILE_ORDERS = (1, 2, 3, 4)  # of the profile deviation that all teeth share, where it is fitted
 
-# What an encoder errs once a turn of its own shaft before anything is measured, rad; the output's is told by its order.
+# What an encoder errs once a turn of its own shaft before anything is measured, rad; its order shows the shaft.
 OUTPUT_ENCODER, INPUT_ENCODER = 2e-4, 5e-5
 DRIFT = 5e-5  # rad an output turn: how far the angles' zeros may creep while the bench warms up
 CREEP = "output_angle_creep"  # what a common zero has moved from one recording to the next; how far, the fit estimates
@@ -345,7 +345,7 @@ def joined(each: Sequence[Linear]) -> Linear:
 
 
 def left_of(observed: Observations, linear: Linear, state: State) -> Array:
-    """Measured less modelled transmission error, the bench's part included, shape (points,), rad."""
+    """Measured minus modelled transmission error, the bench's part included, shape (points,), rad."""
     return observed.measured - linear.model - observed.bench @ state.bench
 
 

@@ -174,17 +174,17 @@ class Cleaning:
 
     def notes(self) -> list[str]:
         """Return one sentence for each thing that was left out or marked so far."""
-        said = []
+        notes = []
         for name, (count, first) in self._not_finite.items():
             also = f" and {count - 1} more" if count > 1 else ""
-            said.append(f"{name} is not a finite number in sample {first}{also}; left out.")
+            notes.append(f"{name} is not a finite number in sample {first}{also}; left out.")
         if self._duplicates:
-            said.append(f"{self._duplicates} samples at the time of the one before were left out.")
+            notes.append(f"{self._duplicates} samples at the time of the one before were left out.")
         if self._backwards:
-            said.append(f"{self._backwards} samples older than one before were left out.")
+            notes.append(f"{self._backwards} samples older than one before were left out.")
         if self._gaps:
-            said.append(
+            notes.append(
                 f"{self._gaps} gaps, the longest {self._longest:.3g} s at {self._longest_at:.6g} s; nothing was "
                 "interpolated over them."
             )
-        return said
+        return notes

@@ -39,9 +39,9 @@ class MdfFile(BenchFile):
         try:
             self._mdf = MDF(source)
         except Exception as problem:  # asammdf raises whatever its parser meets
-            said = first_line(problem)
+            reason = first_line(problem)
             _drop(problem)
-            raise edge.InputError(f"{source}: this is not an MDF file, or it is cut or damaged ({said}).") from None
+            raise edge.InputError(f"{source}: this is not an MDF file, or it is cut or damaged ({reason}).") from None
         channels, self._places = [], []
         for index, group in enumerate(self._mdf.groups):
             master = self._mdf.masters_db.get(index)
@@ -115,8 +115,8 @@ class TdmsFile(BenchFile):
             return
         bases: dict[tuple[float, float], list[tuple[str, Any]]] = {}
         for name in names:
-            said = places[name].properties
-            base = (float(said.get("wf_start_offset", 0.0)), float(said["wf_increment"]))
+            properties = places[name].properties
+            base = (float(properties.get("wf_start_offset", 0.0)), float(properties["wf_increment"]))
             bases.setdefault(base, []).append((name, places[name]))
         yield from in_order([self._chunks(members, base) for base, members in bases.items()])
 

@@ -34,7 +34,7 @@ class ChannelMapping(edge.Config):
     direction
         -1 where the numbers fall while the quantity grows.
     rollover
-        Where an angle starts anew, such as "360 deg"; without it one that stays within a turn and jumps back is taken
+        Where an angle starts again, such as "360 deg"; without it one that stays within a turn and jumps back is taken
         to roll over at one turn.
     zero_reference
         "absolute" where the zero is the same in every recording, the crank's being at pin 0.

@@ -113,7 +113,7 @@ class OneClock:
         table = {}
         left_out = np.zeros(time.size, bool)
         for role in others:
-            other, theirs, said = joined[role]
+            other, theirs, statuses = joined[role]
             after = np.clip(np.searchsorted(other, time, "left"), 0, other.size - 1)
             exact = other[after] == time
             usual = self._usual.setdefault(role, float(np.median(np.diff(other))) if other.size > 1 else np.inf)
@@ -127,7 +127,7 @@ class OneClock:
                 self._in_gap += int(np.count_nonzero(chosen & gap))
                 left_out |= gap
             if role == "output_angle":
-                status |= np.where(exact, said[after], 0).astype(np.uint8)
+                status |= np.where(exact, statuses[after], 0).astype(np.uint8)
             table[role] = np.interp(time, other, theirs)
         keep = chosen & ~left_out
         if left_out.any():
@@ -148,13 +148,13 @@ class OneClock:
 
     def notes(self) -> list[str]:
         """Return one sentence for each kind of sample that was left out or interpolated."""
-        said = []
+        notes = []
         if self._unpaired:
-            said.append(f"{self._unpaired} samples of one angle without the other's at the same instant were left out.")
+            notes.append(f"{self._unpaired} samples of one angle without the other at the same time were left out.")
         if self._shared is False:
-            said.append("the angles share no instants; the output angle was interpolated to the input's times.")
+            notes.append("the angles share no instants; the output angle was interpolated to the input's times.")
         if self._in_gap:
-            said.append(f"{self._in_gap} samples fall into another channel's gap and were left out.")
+            notes.append(f"{self._in_gap} samples fall into another channel's gap and were left out.")
         if self._outside:
-            said.append(f"{self._outside} samples before or after another channel's were left out.")
-        return said
+            notes.append(f"{self._outside} samples before or after another channel's were left out.")
+        return notes

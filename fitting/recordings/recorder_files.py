@@ -51,5 +51,5 @@ class RecorderFile(BenchFile):
                     yield piece(name)
             self.problems = list(reader.problems)
         if silent:
-            said = " ".join([*self.problems, f"{self.source}: the {min(silent)} channel has no samples."])
-            raise edge.InputError(said)
+            sentence = " ".join([*self.problems, f"{self.source}: the {min(silent)} channel has no samples."])
+            raise edge.InputError(sentence)

@@ -153,8 +153,8 @@ class RecordingStream:
             kept += block.time.size
             if block.time.size:
                 yield block
-        said = [*self._clock_notes(), *merge.notes(), *cleaning.notes()]
-        self.notes = [*self._file.problems, *(f"{self.source}: {n}" for n in said)]
+        notes = [*self._clock_notes(), *merge.notes(), *cleaning.notes()]
+        self.notes = [*self._file.problems, *(f"{self.source}: {n}" for n in notes)]
         if self._mapping.input_angle is None:
             self.notes.append(f"{self.source}: no input angle is mapped; the input is taken as locked.")
         if kept < 2:
@@ -196,8 +196,3 @@ class RecordingStream:
             f"the host's to ± {clock.uncertainty * 1e6:.2g} µs (95 %)."
             for role, clock in clocks.items()
         ]
-
-
-def open_recording(path: str | os.PathLike[str], mapping: FileMapping | None = None) -> RecordingStream:
-    """Open a recording that may be larger than memory; see `RecordingStream`."""
-    return RecordingStream(path, mapping)

@@ -50,7 +50,7 @@ class Run:
     torque
         N·m of the environment on the output.
     time
-        s; None where the samples were taken evenly in an unknown time, so that nothing is said of speeds.
+        s; None where the samples were taken evenly in an unknown time, so that speeds are unknown.
     temperature, input_torque
         K, and N·m of the environment on the input, where they were measured.
     name

@@ -33,7 +33,7 @@ class Dialect:
     header
         The header's cells; made up where there is none.
     units
-        Units of the columns, "" where none is said.
+        Units of the columns, "" where none is given.
     skip
         Lines before the first row of numbers.
     """
@@ -224,8 +224,8 @@ class ParquetFile(BenchFile):
             if not (pa.types.is_floating(part.type) or pa.types.is_integer(part.type)):
                 continue
             name, unit = name_and_unit(part.name)
-            said = {k.decode(): v.decode() for k, v in (part.metadata or {}).items()}
-            channels.append(RawChannel(name, unit or said.get("unit", said.get("units", ""))))
+            metadata = {k.decode(): v.decode() for k, v in (part.metadata or {}).items()}
+            channels.append(RawChannel(name, unit or metadata.get("unit", metadata.get("units", ""))))
             self._names[number] = part.name
         super().__init__(source, unique(channels))
 

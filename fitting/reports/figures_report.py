@@ -22,15 +22,7 @@ TITLES = {name: name.replace("_", " ").capitalize() for name in DEFINITIONS}
 
 
 def write_figures_report(found: Figures, path: str | os.PathLike[str]) -> None:
-    """Write a report as HTML or PDF by its name's ending, whole or not at all.
-
-    Parameters
-    ----------
-    found
-        The figures and what they were taken from.
-    path
-        `.html`: one file with all it needs, to zoom and hover in; `.pdf`: the same on pages.
-    """
+    """Write the report of figures as HTML or PDF by the name's ending, whole or not at all."""
     target = edge.output_path(path, "path", FORMATS)
     panels = panels_of(found)
     with edge.written_whole(target) as temporary:
@@ -157,8 +149,8 @@ def _text_pages(found: Figures) -> list[Any]:
         text = f"{name:<42} {row['value']:>10} {row['uncertainty']:>10} {row['unit']:<11} {row['of']}"
         lines.append((text, mono))
         if row["definition"]:
-            said = f"{row['definition']}; {row['interval']}" if row["interval"] else row["definition"]
-            lines += [(f"    {one}", {"color": "#555555", "fontsize": 7}) for one in textwrap.wrap(said, 120)]
+            text = f"{row['definition']}; {row['interval']}" if row["interval"] else row["definition"]
+            lines += [(f"    {one}", {"color": "#555555", "fontsize": 7}) for one in textwrap.wrap(text, 120)]
     lines += [("", {}), ("What was left out, and what to know", heading)]
     for note in found.notes or ("Nothing was left out.",):
         lines += [(one, {}) for one in textwrap.wrap(note, 112, subsequent_indent="    ")]

@@ -37,7 +37,7 @@ def fit_panels(result: Identification) -> list[Panel]:
     panels = [
         Panel("Measured and fitted", "crank turns", "transmission error [arcsec]", tuple(fitted),
               "Points are measured, lines are the fit with the bench's own errors; the first turns of the crank."),
-        Panel("What is left", "crank turns", "measured less fitted [arcsec]", tuple(left),
+        Panel("Residual", "crank turns", "measured minus fitted [arcsec]", tuple(left),
               f"{result.residual / _ARC:.3f}″ rms are left; the noise of a point is {result.noise / _ARC:.3f}″."),
     ]  # fmt: skip
     orders = spectra_panel(rest, [spectrum(c) for c in rest], result.pair, "Orders of what is left")
@@ -59,7 +59,7 @@ def _loop_panels(loop: LoopFit) -> list[Panel]:
         Panel(name, torque, "windup [arcmin]", tuple(both),
               f"Input locked at {np.degrees(loop.crank_angle):.1f}° of the crank. Points are means over the torque, "
               "lines the fit, from where friction has left the play behind."),
-        Panel(f"{name}: what is left", torque, "measured less fitted [arcsec]", tuple(left), "Each branch by itself."),
+        Panel(f"{name}: residual", torque, "measured minus fitted [arcsec]", tuple(left), "Each branch by itself."),
     ]  # fmt: skip
 
 
@@ -127,41 +127,33 @@ def _correlation(result: Identification) -> list[dict[str, Any]]:
 
 
 def _trust(result: Identification) -> list[str]:
-    said = [
+    trust = [
         f"{result.residual / _ARC:.3f}″ rms are left of the curves; the noise of a point is {result.noise / _ARC:.3f}″."
     ]
     if result.held_out is not None:
         kept = result.held_out
-        said.append(
+        trust.append(
             f"{kept.loads} were kept from a first fit and predicted by it: {kept.residual / _ARC:.3f}″ rms are left, "
             f"{kept.residual / kept.noise:.2f} times the noise."
         )
     else:
-        said.append("Nothing could be kept back to be predicted: that takes three curves.")
+        trust.append("Nothing could be kept back to be predicted: that takes three curves.")
     scatter = ", ".join(f"{n} {v * 1e6:.2f} µm" for n, v in result.scatter.items())
-    said.append(f"Beyond the errors of the table single pins and teeth scatter: {scatter} (standard deviations).")
+    trust.append(f"Beyond the errors of the table single pins and teeth scatter: {scatter} (standard deviations).")
     for one in result.loops:
         left = np.concatenate([one.measured[n] - one.fitted[n] for n in one.fitted])
-        said.append(
+        trust.append(
             f"{Path(one.source).name}: the play at {np.degrees(one.crank_angle):.1f}° of the crank is "
             f"{one.play / _ARC:.2f} ± {1.96 * one.standard_error / _ARC:.2f}″ by the identified errors; "
             f"{np.sqrt(np.mean(left**2)) / _ARC:.3f}″ rms are left of the loop's points."
         )
     if result.inflation > 1.0:
-        said.append(f"The residual is not white: the intervals are {result.inflation:.2f} times those of white noise.")
-    return said
+        trust.append(f"The residual is not white: the intervals are {result.inflation:.2f} times those of white noise.")
+    return trust
 
 
 def write_fit_report(result: Identification, path: str | os.PathLike[str]) -> None:
-    """Write the report of a fit as one HTML file that needs nothing else, whole or not at all.
-
-    Parameters
-    ----------
-    result
-        The fit.
-    path
-        A name that ends in .html.
-    """
+    """Write the report of a fit as one HTML file that needs nothing else, whole or not at all."""
     target, pair = edge.output_path(path, "path", FORMATS), result.pair
     text = html_page(
         "Identified drive", f"{pair.gear_teeth}/{pair.pins}, {len(result.curves)} curves, {made_now()}",

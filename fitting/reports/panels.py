@@ -153,7 +153,7 @@ def spectra_panel(
 
 
 def _apart(amplitude: Array) -> list[int]:
-    """Return the orders whose names have room: the largest, less those beside one that is nearly as large."""
+    """Return the orders whose names have room: the largest, without those beside one that is nearly as large."""
     chosen: list[int] = []
     for order in np.argsort(-amplitude)[: np.count_nonzero(amplitude)]:
         beside = [k for k in chosen if abs(k - order) < amplitude.size / 60]
@@ -180,7 +180,7 @@ def _loop_panels(loop: LoopData) -> list[Panel]:
             traces.append(Trace(label, line[:, 0], line[:, 1] * ARCMIN, "thick", number))
     axes = ("torque on the output [N·m]", "windup of the output [arcmin]")
     name = f"Hysteresis loop: {Path(loop.source).name}"
-    said = "The coloured lines show where each figure is read off the first loop; the figures are means of all loops."
+    seen = "The coloured lines show where each figure is read off the first loop; the figures are means of all loops."
     near = np.abs(loop.torque) <= _MIDDLE * loop.rated_torque
     middle = [
         t if t.colour >= 0 else Trace(t.label, loop.torque[near], loop.windup[near] * ARCMIN, "points", -1)
@@ -188,7 +188,7 @@ def _loop_panels(loop: LoopData) -> list[Panel]:
         if t.label != _MARKS["torsional_stiffness"]
         and (t.colour < 0 or np.abs(t.x).max() <= _MIDDLE * loop.rated_torque)
     ]
-    return [Panel(name, *axes, tuple(traces), said), Panel(f"{name}, around zero torque", *axes, tuple(middle), said)]
+    return [Panel(name, *axes, tuple(traces), seen), Panel(f"{name}, around zero torque", *axes, tuple(middle), seen)]
 
 
 def _start_panels(found: Figures) -> list[Panel]:
@@ -210,9 +210,9 @@ def _start_panels(found: Figures) -> list[Panel]:
                 at = slice(start.peak - start.part.start, start.peak - start.part.start + 1)
                 traces.append(Trace("", time[at], np.array([start.torque]), "points", number, (str(number + 1),)))
         if traces:
-            said = f"The {name} is the mean of the marked values, the largest until the crank has turned 1°."
+            caption = f"The {name} is the mean of the marked values, the largest until the crank has turned 1°."
             axes = ("time since the standstill [s]", f"torque on the {shaft} [N·m]")
-            panels.append(Panel(f"Starts by the {shaft}", *axes, tuple(traces), said))
+            panels.append(Panel(f"Starts by the {shaft}", *axes, tuple(traces), caption))
     return panels
 
 

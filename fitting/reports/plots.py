@@ -157,7 +157,7 @@ def plot_channels(looks: Sequence[Look], roles: Mapping[str, Look]) -> Figure:
 
 
 def plot_comparison(
-    curves: Sequence[Curve], simulated: Sequence[Array], said: str, *, crank_turns: float = 3.0
+    curves: Sequence[Curve], simulated: Sequence[Array], label: str, *, crank_turns: float = 3.0
 ) -> Figure:
     """Measured and simulated transmission error on one axis, what is left between them below.
 
@@ -167,7 +167,7 @@ def plot_comparison(
         Measured curves.
     simulated
         Simulated transmission error at the same angles, with the bench's zeros, rad.
-    said
+    label
         What the simulation is called in the legend.
     crank_turns
         How much of the upper axis is shown; the residual below shows the whole output turn.
@@ -178,14 +178,14 @@ def plot_comparison(
         shown = turns <= crank_turns
         colour = f"C{number}"
         left = (curve.transmission_error - model) * ARCSEC
-        label = f"{label_of(curve)}: {np.sqrt(np.mean(left**2)):.2f}″ rms left"
+        entry = f"{label_of(curve)}: {np.sqrt(np.mean(left**2)):.2f}″ rms left"
         axes[0].plot(turns[shown], curve.transmission_error[shown] * ARCSEC, ".", ms=4, color=colour, alpha=0.5)
-        axes[0].plot(turns[shown], model[shown] * ARCSEC, lw=1.2, color=colour, label=label)
+        axes[0].plot(turns[shown], model[shown] * ARCSEC, lw=1.2, color=colour, label=entry)
         axes[1].plot(turns, left, ".", ms=1.5, color=colour, alpha=0.6)
     axes[0].set(ylabel="transmission error [arcsec]")
     axes[1].set(xlabel="crank turns", ylabel="measured - simulated [arcsec]")
     handles, labels = axes[0].get_legend_handles_labels()
-    title = f"points: measured, lines: {said}"
+    title = f"points: measured, lines: {label}"
     figure.legend(handles, labels, loc="outside upper center", ncols=2, fontsize=9, frameon=False, title=title)
     return figure
 

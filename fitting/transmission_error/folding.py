@@ -20,9 +20,9 @@ from fitting.recordings.sources import Source, open_source
 from fitting.transmission_error.curve import Curve
 
 Array = NDArray[np.float64]
-POINTS = 1 << 15  # most points of a turn: orders up to a quarter of them are told
+POINTS = 1 << 15  # most points of a turn: orders up to a quarter of them are resolved
 _FIRST = 1 << 20  # samples from which the number of points is found
-_RAMP = np.pi / 648000.0  # over a whole recording: what runs away by less is not said
+_RAMP = np.pi / 648000.0  # over a whole recording: what runs away by less gets no note
 _REVERSAL = np.radians(2.0)  # of the crank: what turns back less is vibration; beyond the lost motion of any drive
 
 
@@ -44,15 +44,15 @@ class _Fold:
         self._line = np.zeros(5)
         self.way = 0.0
 
-    def add(self, angle: Array, error: Array, torque: Array, way: float, *, anew: bool) -> None:
-        """Take crank angles, transmission errors and torques in the order of time; `anew` after a reversal."""
+    def add(self, angle: Array, error: Array, torque: Array, way: float, *, restarted: bool) -> None:
+        """Take crank angles, transmission errors and torques in the order of time; `restarted` after a reversal."""
         if not angle.size:
             return
         self.way += way
         if self.points:
-            self._take(angle, error, torque, anew)
+            self._take(angle, error, torque, restarted)
             return
-        self._first.append((angle.copy(), error.copy(), torque.copy(), anew))
+        self._first.append((angle.copy(), error.copy(), torque.copy(), restarted))
         self._held += angle.size
         if self._held >= _FIRST:
             self._begin()
@@ -81,8 +81,8 @@ class _Fold:
         for part in waiting:
             self._take(*part)
 
-    def _take(self, angle: Array, error: Array, torque: Array, anew: bool) -> None:
-        if anew:
+    def _take(self, angle: Array, error: Array, torque: Array, restarted: bool) -> None:
+        if restarted:
             self.finish()
             self._begins = float(angle[0])
         self.samples += angle.size
@@ -208,7 +208,7 @@ class Folding:
         self._correction = 0.0
         self._last: tuple[float, float] | None = None
         self._recounted = 0
-        self._anew = False
+        self._restarted = False
         self._waiting: list[tuple[Array, Array, Array]] = []
 
     def add(self, block: Block) -> None:
@@ -279,7 +279,7 @@ class Folding:
                 self._reversing += int(back[0]) - end
                 self._direction = -d
                 self._furthest = float(part[back[0]])
-                self._anew = True
+                self._restarted = True
                 return begin + int(back[0])
         self._take(part, error[begin:], torque[begin:], reached)
         return angle.size
@@ -302,8 +302,8 @@ class Folding:
             self._stood += int(np.count_nonzero(standing))
             moving = ~standing
             angle, error, torque = angle[moving], error[moving], torque[moving]
-        self._folds[self._direction].add(angle, error, torque, way, anew=self._anew)
-        self._anew &= not angle.size
+        self._folds[self._direction].add(angle, error, torque, way, restarted=self._restarted)
+        self._restarted &= not angle.size
 
     def curves(self, stream: Recording | RecordingStream) -> list[Curve]:
         """Return the curve of each direction in which the crank turned, the one that it turned further first.
@@ -365,7 +365,7 @@ def _check_ratio(fold: _Fold, source: str) -> None:
     if abs(drift * ratio) <= 1e-3 or (abs(drift * ratio) <= 0.02 and abs(drift * way) <= np.radians(1.0)):
         return
     slope = 1.0 / ratio + drift
-    said = f"{source}: the output turns {slope:.6g} of the input, the ratio {ratio:g} means {1.0 / ratio:.6g}; "
+    sentence = f"{source}: the output turns {slope:.6g} of the input, the ratio {ratio:g} means {1.0 / ratio:.6g}; "
     degrees = 180.0 / np.pi
     causes = {
         -1.0: "the ratio's sign or one angle's direction is wrong",
@@ -376,15 +376,15 @@ def _check_ratio(fold: _Fold, source: str) -> None:
     }
     for factor, cause in causes.items():
         if abs(slope * ratio / factor - 1.0) < 0.02:
-            raise edge.InputError(f"{said}{cause}; check the pair, the directions and the units.")
-    raise edge.InputError(f"{said}check the pair, the directions and the counts per turn.")
+            raise edge.InputError(f"{sentence}{cause}; check the pair, the directions and the units.")
+    raise edge.InputError(f"{sentence}check the pair, the directions and the counts per turn.")
 
 
 def _ramp_note(fold: _Fold, source: str) -> list[str]:
     """Say where the transmission error runs away turn by turn, which no gear does.
 
     A wave of amplitude A over N turns shows a slope of at most 12A/(2πN) over all of them (least squares against a
-    sine of one period a turn); only more than three times that is said.
+    sine of one period a turn); only more than three times that gets a note.
     """
     ratio, turns = abs(fold.ratio), fold.way / (2.0 * np.pi * abs(fold.ratio))
     ramp = fold.drift() * 2.0 * np.pi * ratio
@@ -398,36 +398,11 @@ def _ramp_note(fold: _Fold, source: str) -> list[str]:
     ]
 
 
-def transmission_error_curves(
-    recording: Recording | RecordingStream, ratio: float, *, keep_turns: bool = False
-) -> list[Curve]:
-    """Return the transmission error curve of each direction of a recording, the one it turned further first.
+def curves(recordings: Source | Iterable[Source], drive: Drive | float, *, keep_turns: bool = False) -> list[Curve]:
+    """Return the transmission error curves of recordings: of each direction, the one it turned further first.
 
     The crank angle is folded to one output turn and divided into as many points as samples were taken in a turn (at
     most `POINTS`); what falls into a point is averaged within each turn and then over turns, angle and error alike.
-
-    Parameters
-    ----------
-    recording
-        The recording, in memory or in its file.
-    ratio
-        Signed ratio φ_a/φ_b of the ideal drive.
-    keep_turns
-        Whether the curves keep every turn by itself too.
-
-    Raises
-    ------
-    edge.InputError
-        If the crank does not turn, or its two angles do not belong to this ratio.
-    """
-    folding = Folding(ratio, recording.source, keep_turns=keep_turns)
-    for block in recording.blocks():
-        folding.add(block)
-    return folding.curves(recording)
-
-
-def curves(recordings: Source | Iterable[Source], drive: Drive | float, *, keep_turns: bool = False) -> list[Curve]:
-    """Return the transmission error curves of recordings, one for each direction in which the crank turns.
 
     Parameters
     ----------
@@ -436,7 +411,7 @@ def curves(recordings: Source | Iterable[Source], drive: Drive | float, *, keep_
     drive
         The drive, or its signed ratio input over output.
     keep_turns
-        As in `transmission_error_curves`.
+        Whether the curves keep every turn by itself too.
 
     Raises
     ------
@@ -453,5 +428,11 @@ def curves(recordings: Source | Iterable[Source], drive: Drive | float, *, keep_
     20
     """
     ratio = drive if isinstance(drive, float | int) else drive.pair.ratio
-    given = [recordings] if isinstance(recordings, Source) else recordings
-    return [c for one in given for c in transmission_error_curves(open_source(one), ratio, keep_turns=keep_turns)]
+    found: list[Curve] = []
+    for source in [recordings] if isinstance(recordings, Source) else recordings:
+        recording = open_source(source)
+        folding = Folding(ratio, recording.source, keep_turns=keep_turns)
+        for block in recording.blocks():
+            folding.add(block)
+        found += folding.curves(recording)
+    return found

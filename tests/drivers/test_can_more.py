@@ -25,7 +25,7 @@ from drivers.recording_format import read_recording
 from drivers.simulated.can_bench import SimulatedCanBench
 from drivers.simulated.faults import Fault
 from drivers.simulated.motion import SimulatedRun, simulate_motion
-from fitting.recordings.recording import open_recording
+from fitting.recordings.recording import RecordingStream
 from tests.drivers.test_bench_cli import needs_multicast
 
 
@@ -81,7 +81,7 @@ def test_an_interface_s_own_clock_is_put_on_the_host_s(tmp_path, bus_name):
     assert late.min() > -clock.uncertainty
     (emergency,) = (e for e in recording.events if e.text.startswith("EMCY"))
     assert 0 < emergency.time < angle.time_host[-1] + 1, "on the host's clock"
-    found = open_recording(path).read()
+    found = RecordingStream(path).read()
     assert found.alignment == 0.0
     assert found.time.size >= len(motion.time) - 1
     np.testing.assert_allclose(found.output_angle, ideal(found.input_angle, 5.0), atol=math.pi / (1 << 22))

@@ -7,13 +7,14 @@ import xarray as xr
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+import fitting
 from cycloid_fmu import edge
 from fitting.figures.metrics import figures_of
 from fitting.figures.survey import survey
 from fitting.recordings.recording import Block, Recording
 from fitting.reports.panels import panels_of
 from fitting.transmission_error.curve import noise_of, write_curves
-from fitting.transmission_error.folding import Folding, transmission_error_curves
+from fitting.transmission_error.folding import Folding
 
 
 def recorded(angle, error, ratio=-39.0, torque=50.0):
@@ -36,7 +37,7 @@ def test_a_known_curve_comes_back_at_the_angles_where_it_was_measured(turns, for
     def known(phi):
         return 1e-4 * np.cos(39 * phi / 39 + 1) + 3e-5 * np.sin(40 * phi / 39) + 2e-5
 
-    curve = transmission_error_curves(recorded(angle, known(angle)), -39.0)[0]
+    curve = fitting.curves(recorded(angle, known(angle)), -39.0)[0]
     assert curve.direction == (1 if forwards else -1)
     assert (np.diff(curve.input_angle) > 0).all()
     assert curve.sample_count.sum() == samples
@@ -48,7 +49,7 @@ def test_a_known_curve_comes_back_at_the_angles_where_it_was_measured(turns, for
 def test_turns_are_averaged_with_their_standard_error():
     rng = np.random.default_rng(0)
     angle = np.arange(39 * 40 * 16) * 2 * np.pi / 40
-    curve = transmission_error_curves(recorded(angle, rng.normal(0, 1e-6, angle.size)), -39.0)[0]
+    curve = fitting.curves(recorded(angle, rng.normal(0, 1e-6, angle.size)), -39.0)[0]
     assert set(curve.sample_count) == {16}
     assert np.sqrt(np.mean(curve.standard_error**2)) == pytest.approx(1e-6 / 4, rel=0.05)
     assert curve.transmission_error.std() == pytest.approx(1e-6 / 4, rel=0.1)
@@ -59,7 +60,7 @@ def test_noise_of_a_single_turn_is_found_beside_the_curve():
     rng = np.random.default_rng(0)
     angle = np.arange(39 * 24) * 2 * np.pi / 24
     smooth = 1e-4 * np.cos(2 * angle)
-    curve = transmission_error_curves(recorded(angle, smooth + rng.normal(0, 2e-6, angle.size)), -39.0)[0]
+    curve = fitting.curves(recorded(angle, smooth + rng.normal(0, 2e-6, angle.size)), -39.0)[0]
     assert np.isnan(curve.standard_error).all()
     assert noise_of(curve) == pytest.approx(2e-6, rel=0.1)
 
@@ -68,17 +69,17 @@ def test_noise_of_a_single_turn_is_found_beside_the_curve():
 def test_a_wrong_ratio_is_refused(ratio):
     angle = np.linspace(0, 245, 4000)
     with pytest.raises(edge.InputError, match="check the pair"):
-        transmission_error_curves(recorded(angle, 0.0), ratio)[0]
+        fitting.curves(recorded(angle, 0.0), ratio)[0]
 
 
 def test_no_motion_is_refused():
     with pytest.raises(edge.InputError, match="does not turn"):
-        transmission_error_curves(recorded(np.zeros(10), 0.0), -39.0)[0]
+        fitting.curves(recorded(np.zeros(10), 0.0), -39.0)[0]
 
 
 def test_curve_file(tmp_path):
-    long = transmission_error_curves(recorded(np.arange(39 * 48) * 2 * np.pi / 48, 1e-5), -39.0)[0]
-    short = transmission_error_curves(recorded(-np.arange(100) * 2 * np.pi / 48, 2e-5, torque=-50.0), -39.0)[0]
+    long = fitting.curves(recorded(np.arange(39 * 48) * 2 * np.pi / 48, 1e-5), -39.0)[0]
+    short = fitting.curves(recorded(-np.arange(100) * 2 * np.pi / 48, 2e-5, torque=-50.0), -39.0)[0]
     write_curves([long, short], tmp_path / "c.nc")
     with xr.open_dataset(tmp_path / "c.nc") as data:
         assert data.attrs["format"] == "cycloid-curve/1"
@@ -101,7 +102,7 @@ def test_blocks_and_reversals_anywhere_give_the_same_curves(ways, forwards, cuts
     angle = np.concatenate(parts) + np.random.default_rng(seed).normal(0, 1e-5, sum(p.size for p in parts))
     way = np.concatenate([np.full(p.size, np.sign(p[1] - p[0])) for p in parts])
     made = recorded(angle, way * 1e-4 + 2e-5 * np.cos(angle))
-    whole = {c.direction: c for c in transmission_error_curves(made, -39.0)}
+    whole = {c.direction: c for c in fitting.curves(made, -39.0)}
     borders = np.unique(np.r_[0, (np.array(cuts) * angle.size).astype(int), angle.size])
     folding = Folding(-39.0, "run.arrows")
     for a, b in itertools.pairwise(borders):
@@ -119,7 +120,7 @@ def test_blocks_and_reversals_anywhere_give_the_same_curves(ways, forwards, cuts
 def test_standstill_is_left_out_and_both_directions_are_told_apart():
     angle = np.concatenate([np.zeros(200), np.linspace(0, 300, 6000), np.full(300, 300.0), np.linspace(300, 40, 5000)])
     error = np.where(np.arange(angle.size) < 6500, 1e-4, -1e-4) + 2e-5 * np.cos(angle)
-    forward, backward = transmission_error_curves(recorded(angle, error), -39.0)
+    forward, backward = fitting.curves(recorded(angle, error), -39.0)
     assert (forward.direction, backward.direction) == (1, -1)
     assert forward.turns == pytest.approx(300 / (2 * np.pi * 39), abs=1e-3)
     assert backward.turns == pytest.approx(260 / (2 * np.pi * 39), abs=2e-3)
@@ -141,7 +142,7 @@ def test_a_transmission_error_that_runs_away_is_said_and_no_other_is(ppm, forwar
 
     seen = angle / (1 + ppm * 1e-6)  # at the time stamped the output was where it is shown a little earlier
     made = recorded(angle, error(seen) - (seen - angle) / 39)
-    curve = transmission_error_curves(made, -39.0)[0]
+    curve = fitting.curves(made, -39.0)[0]
     said = [note for note in curve.notes if "runs away" in note]
     ramp = ppm * 1e-6 * 2 * np.pi
     wave = 12 / (2 * np.pi * turns**2)  # slope of a wave of amplitude 1 a turn; the ramp's own sawtooth is one, too

@@ -9,6 +9,7 @@ import pytest
 from common import EXAMPLES
 from scipy.optimize import least_squares
 
+import fitting
 import fitting.estimation.fit
 import fitting.model.observations
 from cycloid_fmu import edge
@@ -25,7 +26,6 @@ from fitting.model.prior import Prior, scatter_of
 from fitting.recordings.recording import Recording
 from fitting.reports.report import report
 from fitting.transmission_error.curve import Curve
-from fitting.transmission_error.folding import transmission_error_curves
 
 ARCSEC = np.pi / 648000
 ERRORS = ["centre_distance_x", "centre_distance_y", "eccentricity", "pin_radius", "pin_radial_2_cos",
@@ -158,9 +158,8 @@ def test_bounds_are_where_the_pair_ceases_to_be_one(nominal):
     thin = nominal.replace(eccentricity=0.4e-3)
     assert possible(thin, "eccentricity")[0] == -0.4e-3
     assert possible(nominal, "misalignment_xz") == (-0.02, 0.02)
-    g = nominal
-    wide = nominal.model_copy(update={"pair": g.model_copy(update={
-        "pin_radius": g.pin_circle_radius * np.sin(np.pi / g.pins) - 1e-4})})  # fmt: skip
+    touching = nominal.pin_circle_radius * np.sin(np.pi / nominal.pins)
+    wide = nominal.replace(eccentricity=0.1e-3, pin_radius=touching - 1e-4)
     assert possible(wide, "pin_radius")[1] == pytest.approx(1e-4)
 
 
@@ -226,12 +225,12 @@ def test_a_curve_keeps_its_turns_where_asked_to(nominal):
         torque=20.0 + 5.0 * np.cos(angle), status=np.zeros(angle.size, np.uint8), source="run", checksum="0",
         common_zero=True, known_index=True, ratio=-39.0,
     )  # fmt: skip
-    (one,) = transmission_error_curves(recording, -39.0, keep_turns=True)
+    (one,) = fitting.curves(recording, -39.0, keep_turns=True)
     assert one.each_turn.shape == (5, one.input_angle.size)
     assert np.nanmean(one.each_turn, axis=1) == pytest.approx(1e-5 * np.arange(5), abs=1e-12)
     assert np.nanmean(one.each_turn, axis=0) == pytest.approx(one.transmission_error, abs=1e-12)
     assert one.torque_each == pytest.approx(20.0 + 5.0 * np.cos(one.input_angle), abs=1e-6)
-    assert transmission_error_curves(recording, -39.0)[0].each_turn is None
+    assert fitting.curves(recording, -39.0)[0].each_turn is None
 
 
 def test_a_torque_that_swings_and_a_zero_that_creeps_do_not_bend_the_errors(simple, nominal):

@@ -9,7 +9,7 @@ from common import BENCH
 
 import fitting
 from cycloid_fmu import edge
-from cycloid_fmu.drive import Drive, read_drive
+from cycloid_fmu.drive import read_drive
 
 
 def test_importing_costs_next_to_nothing_and_every_name_is_there():
@@ -37,7 +37,7 @@ def test_files_by_pattern_are_sorted_into_curves_and_named_where_they_are_bad(tm
     assert found.problems[0] in found.notes
     assert "angular_transmission_error" in found.figures
     with pytest.raises(edge.InputError, match=r"bad\.csv"):
-        fitting.identify(both, Drive(drive))
+        fitting.identify(both, drive)
     with pytest.raises(edge.InputError, match="fits this pattern"):
         fitting.read_recordings(str(tmp_path / "*.parquet"))
 

@@ -7,6 +7,7 @@ import pytest
 from common import BENCH
 from scipy.special import stdtrit
 
+import fitting
 from cycloid_fmu import edge
 from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.drive import Drive
@@ -19,9 +20,8 @@ from fitting.estimation.result import as_json, read_lmfit_parameters
 from fitting.model.identifiability import choose, posterior_covariance
 from fitting.model.observations import State, errors_of, linearise, observations, spread_of
 from fitting.model.prior import tolerances_of
-from fitting.recordings.recording import open_recording
+from fitting.recordings.recording import RecordingStream
 from fitting.transmission_error.curve import Curve
-from fitting.transmission_error.folding import transmission_error_curves
 
 ARCSEC = np.pi / 648000
 
@@ -151,7 +151,7 @@ def test_scatter_of_single_pins_does_not_bend_the_structured_errors():
     """A drive with 0.3 µm of scatter a pin that no structured error holds, and a load kept back."""
     truth = json.loads((BENCH / "truth.json").read_text())
     pair = read_pair(BENCH / "pair.toml")
-    curves = [transmission_error_curves(open_recording(f).read(), pair.ratio)[0] for f in sorted(BENCH.glob("*.csv"))]
+    curves = [fitting.curves(RecordingStream(f).read(), pair.ratio)[0] for f in sorted(BENCH.glob("*.csv"))]
     found = identify(curves, Drive(pair))
     parameters = {p.name: p for p in found.parameters}
     inside = [

@@ -7,15 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import fitting
 from fitting.figures.figure import Figure, in_field_units
 from fitting.figures.hysteresis import find_lobes, fit_line, loop_marks
 from fitting.figures.metrics import figures_of
 from fitting.figures.spectrum import Spectrum, angular_transmission_error, spectrum
 from fitting.figures.starts import back_driving_torques, starting_torques, starts_of
 from fitting.figures.survey import survey
-from fitting.recordings.recording import Recording, open_recording
+from fitting.recordings.recording import Recording, RecordingStream
 from fitting.reports.panels import panels_of
-from fitting.transmission_error.folding import transmission_error_curves
 
 SEEDS = int(os.environ.get("CYCLOID_SEEDS", "100"))
 ARCMIN = np.pi / 10800
@@ -377,7 +377,7 @@ def test_known_orders_come_back_within_their_uncertainty(turns, each, highest, s
     inside = np.zeros(len(known) + 1)
     for seed in range(seeds):
         made = run_with(known, turns=turns, each=each, noise=2 * ARCSEC, seed=seed)
-        curve = transmission_error_curves(made, -39.0)[0]
+        curve = fitting.curves(made, -39.0)[0]
         orders = spectrum(curve)
         for number, (k, (a, _)) in enumerate(known.items()):
             inside[number] += abs(orders.amplitude[k] - a) <= orders.uncertainty[k]
@@ -393,12 +393,12 @@ def test_known_orders_come_back_within_their_uncertainty(turns, each, highest, s
 def test_the_range_is_that_between_the_samples_of_a_curve(between):
     """Of one order it is twice the amplitude, wherever between two of its 64 points a period the peaks lie."""
     known = {32: (1e-4, between * 2 * np.pi / 64)}
-    curve = transmission_error_curves(run_with(known, turns=2, each=9000, noise=0.0, seed=1), -39.0)[0]
+    curve = fitting.curves(run_with(known, turns=2, each=9000, noise=0.0, seed=1), -39.0)[0]
     assert angular_transmission_error(curve, spectrum(curve)).value == pytest.approx(2e-4, rel=2e-5)
 
 
 def test_a_curve_of_noise_alone_has_no_range():
-    curve = transmission_error_curves(run_with({}, turns=2, each=4000, noise=ARCSEC, seed=1), -39.0)[0]
+    curve = fitting.curves(run_with({}, turns=2, each=4000, noise=ARCSEC, seed=1), -39.0)[0]
     orders = spectrum(curve)
     assert not orders.significant.any()
     figure = angular_transmission_error(curve, orders)
@@ -409,7 +409,7 @@ def test_a_curve_of_noise_alone_has_no_range():
 @pytest.mark.parametrize("phase", [0.0, np.pi / 4, np.pi / 2])
 def test_a_range_is_as_uncertain_as_twice_its_only_order(phase):
     """Noise of root mean square f in a complex amplitude c moves |c| by f/√2, whatever its phase."""
-    curve = transmission_error_curves(run_with({}, turns=1, each=9000, noise=ARCSEC, seed=1), -39.0)[0]
+    curve = fitting.curves(run_with({}, turns=1, each=9000, noise=ARCSEC, seed=1), -39.0)[0]
     coefficient, floor = np.zeros(60, complex), np.zeros(60)
     coefficient[40], floor[40] = 1e-4 * np.exp(1j * phase), 1e-5
     found = angular_transmission_error(curve, Spectrum(coefficient, floor, 1.0))
@@ -455,7 +455,7 @@ def test_a_few_points_that_were_never_recorded_leave_the_orders_as_they_are():
     made = run_with(KNOWN, turns=1, each=9000, noise=0.0, seed=1)
     kept = np.random.default_rng(0).random(made.time.size) > 0.01
     holes = [getattr(made, name)[kept] for name in ("time", "input_angle", "output_angle", "torque")]
-    orders = spectrum(transmission_error_curves(recording(*holes), -39.0)[0])
+    orders = spectrum(fitting.curves(recording(*holes), -39.0)[0])
     for k, (a, p) in KNOWN.items():
         # Within a point the angle's series ends with its square.
         left_out = (k * np.pi / 8910) ** 4 / 24
@@ -480,7 +480,7 @@ def test_an_overview_keeps_as_many_samples_as_it_may(monkeypatch):
 
 
 def test_phases_of_orders_count_from_crank_angle_zero():
-    orders = spectrum(transmission_error_curves(run_with(KNOWN, turns=2, each=9000, noise=0.0, seed=1), -39.0)[0])
+    orders = spectrum(fitting.curves(run_with(KNOWN, turns=2, each=9000, noise=0.0, seed=1), -39.0)[0])
     for k, (a, p) in KNOWN.items():
         assert orders.coefficient[k] == pytest.approx(a * np.exp(-1j * p), abs=1e-4 * a), k
     others = np.delete(orders.amplitude, [0, *KNOWN])
@@ -581,7 +581,7 @@ def test_the_input_s_torque_is_read_from_a_table_and_survives_an_overview(comman
     assert json.loads(run.stdout)["starting_torque"]["value"] == pytest.approx(0.04)
     assert json.loads(run.stdout)["starting_torque"]["starts"] == 3
     monkeypatch.setattr("fitting.figures.survey._OVERVIEW", 1000)  # as if it were too long to be kept whole
-    surveyed = survey(open_recording(tmp_path / "start.csv"), -39.0, None)
+    surveyed = survey(RecordingStream(tmp_path / "start.csv"), -39.0, None)
     assert surveyed.averaged == 2
     found = figures_of([surveyed], -39.0, None)
     assert found.figures["starting_torque"].value == pytest.approx(0.04, rel=0.02)

@@ -6,15 +6,10 @@ from common import EXAMPLES
 
 from cycloid_fmu.contact.transmission import error_sensitivity, solve
 from cycloid_fmu.drive import Drive
+from cycloid_fmu.surfaces.files import read_surface, write_surface
 from cycloid_fmu.surfaces.sampling import read_tolerances
-from cycloid_fmu.surfaces.surface import (
-    profile_names,
-    read_surface,
-    structured_value,
-    surface_of_pair,
-    with_structured,
-    write_surface,
-)  # fmt: skip
+from cycloid_fmu.surfaces.structured import profile_names, structured_value, with_structured
+from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.estimation.identify import identify
 from fitting.model.prior import Prior, profile_of
 from fitting.transmission_error.curve import Curve

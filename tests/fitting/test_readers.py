@@ -13,15 +13,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyarrow import parquet
 
+import fitting
 from cycloid_fmu import edge
 from drivers.recording_format import GAP
 from fitting.figures.survey import lag_of
 from fitting.recordings.formats import PIECE, BenchFile, RawChannel, open_bench_file, unit_text
 from fitting.recordings.inspection import Inspection, Look, inspect, roles_of
 from fitting.recordings.mapping import read_mapping
-from fitting.recordings.recording import open_recording
+from fitting.recordings.recording import RecordingStream
 from fitting.recordings.tables import find_dialect
-from fitting.transmission_error.folding import transmission_error_curves
 
 SAMPLES = 4000
 TIME = np.arange(SAMPLES) * 1e-3
@@ -67,7 +67,7 @@ def test_tables_as_benches_write_them(tmp_path, encoding, delimiter, decimal, he
         'ratio = -39\n[time]\ncolumn = "Zeit"\n[input_angle]\ncolumn = "Motor"\n[output_angle]\ncolumn = "Abtrieb"\n'
         '[torque]\ncolumn = "Drehmoment ü"\n',
     )
-    found = open_recording(path, mapped).read()
+    found = RecordingStream(path, mapped).read()
     same(found)
     assert found.ratio == -39.0
 
@@ -99,14 +99,14 @@ def test_a_table_without_header_or_time_needs_a_mapping_that_says_so(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("\n".join(rows_of([INPUT, OUTPUT, TORQUE], ",", ".")) + "\n")
     with pytest.raises(edge.InputError, match="inspect"):
-        open_recording(path).read()
+        RecordingStream(path).read()
     columns = "".join(
         f'[{role}]\ncolumn = "column {i}"\nunit = "{unit}"\n'
         for i, (role, unit) in enumerate((("input_angle", "rad"), ("output_angle", "rad"), ("torque", "N*m")), start=1)
     )
     with pytest.raises(edge.InputError, match="nothing says the samples' time"):
-        open_recording(path, mapping(tmp_path, columns)).read()
-    same(open_recording(path, mapping(tmp_path, "[time]\nrate = 1000.0\n" + columns)).read())
+        RecordingStream(path, mapping(tmp_path, columns)).read()
+    same(RecordingStream(path, mapping(tmp_path, "[time]\nrate = 1000.0\n" + columns)).read())
 
 
 def test_counts_direction_rollover_and_temperature(tmp_path):
@@ -121,7 +121,7 @@ def test_counts_direction_rollover_and_temperature(tmp_path):
         '[time]\ncolumn = "t"\n[input_angle]\ncolumn = "n"\ncounts_per_turn = 4096\ndirection = -1\n'
         '[output_angle]\ncolumn = "phi"\nrollover = "180 deg"\n[torque]\ncolumn = "M"\n[temperature]\ncolumn = "T"\n',
     )
-    found = open_recording(path, mapped).read()
+    found = RecordingStream(path, mapped).read()
     assert found.input_angle - found.input_angle[0] == pytest.approx(INPUT, abs=2 * np.pi / 4096)
     assert found.output_angle - found.output_angle[0] == pytest.approx(OUTPUT - OUTPUT[0], abs=1e-9)
     assert found.temperature == pytest.approx(298.15)
@@ -154,10 +154,10 @@ def write_parquet(path):
 
 def test_parquet(tmp_path):
     write_parquet(tmp_path / "a.parquet")
-    same(open_recording(tmp_path / "a.parquet").read())
+    same(RecordingStream(tmp_path / "a.parquet").read())
     (tmp_path / "b.parquet").write_bytes((tmp_path / "a.parquet").read_bytes()[:-100])
     with pytest.raises(edge.InputError, match=r"b\.parquet: this is not a Parquet file, or it is cut"):
-        open_recording(tmp_path / "b.parquet").read()
+        RecordingStream(tmp_path / "b.parquet").read()
 
 
 def write_mf4(path, torque_step=1):
@@ -174,7 +174,7 @@ def write_mf4(path, torque_step=1):
 def test_mdf4(tmp_path, torque_step):
     """Two groups, the torque's at a rate of its own: it is interpolated, and nothing beyond its end is made up."""
     write_mf4(tmp_path / "a.mf4", torque_step)
-    found = open_recording(tmp_path / "a.mf4").read()
+    found = RecordingStream(tmp_path / "a.mf4").read()
     kept = (SAMPLES - 1) // torque_step * torque_step + 1
     assert found.time.size == kept
     assert found.input_angle == pytest.approx(INPUT[:kept])
@@ -197,7 +197,7 @@ def write_tdms(path, waveform):
 @pytest.mark.parametrize("waveform", [False, True])
 def test_tdms(tmp_path, waveform):
     write_tdms(tmp_path / "a.tdms", waveform)
-    same(open_recording(tmp_path / "a.tdms").read())
+    same(RecordingStream(tmp_path / "a.tdms").read())
 
 
 DBC = """VERSION ""
@@ -237,7 +237,7 @@ def write_can(tmp_path, suffix):
 @pytest.mark.parametrize("suffix", [".blf", ".asc", ".trc"])
 def test_can_logs(tmp_path, suffix):
     path = write_can(tmp_path, suffix)
-    same(open_recording(path, mapping(tmp_path, CAN_MAP)).read(), angle=6e-5, torque=6e-4, time=2e-4)
+    same(RecordingStream(path, mapping(tmp_path, CAN_MAP)).read(), angle=6e-5, torque=6e-4, time=2e-4)
     with pytest.raises(edge.InputError, match="needs the DBC"):
         open_bench_file(path)
 
@@ -263,7 +263,7 @@ def test_cut_files_give_what_they_hold_or_one_sentence(tmp_path, name):
         cut = tmp_path / f"cut{share}{name[1:]}"
         cut.write_bytes(whole[: int(share * len(whole))])
         try:
-            found = open_recording(cut, mapped).read()
+            found = RecordingStream(cut, mapped).read()
         except edge.InputError as refused:
             said.append(str(refused))
             continue
@@ -281,7 +281,7 @@ def test_any_bytes_are_refused_with_one_sentence(tmp_path_factory, data, suffix)
     path = tmp_path_factory.mktemp("any") / f"a{suffix}"
     path.write_bytes(data)
     with pytest.raises(edge.InputError) as refused:
-        open_recording(path).read()
+        RecordingStream(path).read()
     assert str(path) in str(refused.value)
     assert "\n" not in str(refused.value)
 
@@ -290,7 +290,7 @@ def test_the_last_line_of_a_cut_table_is_left_out(tmp_path):
     header = "time [s],input_angle [rad],output_angle [rad],torque [N*m]\n"
     lines = rows_of([TIME, INPUT, OUTPUT, TORQUE], ",", ".")
     (tmp_path / "a.csv").write_text(header + "\n".join(lines)[:-40])
-    found = open_recording(tmp_path / "a.csv").read()
+    found = RecordingStream(tmp_path / "a.csv").read()
     assert found.time.size == SAMPLES - 1
     assert any("its last line is cut" in note for note in found.notes)
 
@@ -315,7 +315,7 @@ def test_gaps_and_duplicates_are_marked_and_never_filled(tmp_path):
     kept = np.delete(np.arange(SAMPLES), np.r_[100:160, 2000:2100])
     kept = np.insert(kept, [500, 600], [kept[499], kept[300]])  # one twice, one from long before
     path = write_table(tmp_path / "a.csv", TIME[kept], INPUT[kept], OUTPUT[kept])
-    found = open_recording(path).read()
+    found = RecordingStream(path).read()
     assert found.time.size == SAMPLES - 160
     assert found.time[found.status & GAP > 0] == pytest.approx([TIME[160], TIME[2100]])
     said = " ".join(found.notes)
@@ -336,16 +336,16 @@ def test_a_late_output_angle_is_found_by_changes_of_speed_and_a_delay_takes_it_a
 
     noise = np.random.default_rng(0).normal(0, 5e-6, time.size)
     path = write_table(tmp_path / "a.csv", time, crank(time), output(time - lag) + noise)
-    found, uncertainty = lag_of(open_recording(path).read(), -39.0)
+    found, uncertainty = lag_of(RecordingStream(path).read(), -39.0)
     assert abs(found - lag) < 1.5 * uncertainty < 0.05 * lag
     text = '[time]\ncolumn = "time"\n[input_angle]\ncolumn = "input_angle"\n[torque]\ncolumn = "torque"\n'
     mapped = mapping(tmp_path, text + '[output_angle]\ncolumn = "output_angle"\ndelay = "1.3 ms"\n')
-    corrected = open_recording(path, mapped).read()
+    corrected = RecordingStream(path, mapped).read()
     assert corrected.output_angle == pytest.approx(output(corrected.time), abs=4e-5)
     found, uncertainty = lag_of(corrected, -39.0)
     assert abs(found) < 2 * uncertainty
     steady = write_table(tmp_path / "b.csv", time, 60.0 * time, -60.0 * time / 39 + noise)
-    assert lag_of(open_recording(steady).read(), -39.0) is None
+    assert lag_of(RecordingStream(steady).read(), -39.0) is None
 
 
 def test_a_drift_in_the_mapping_takes_two_clocks_apart_together(tmp_path):
@@ -359,15 +359,15 @@ def test_a_drift_in_the_mapping_takes_two_clocks_apart_together(tmp_path):
         late = time[0] + (time - time[0]) * (1 + 100e-6)
         mdf.append([asammdf.Signal(-crank / 39 + 1e-4 * np.cos(crank), late, unit="rad", name="output_angle")])
         mdf.save(tmp_path / "a.mf4")
-    runs_away = transmission_error_curves(open_recording(tmp_path / "a.mf4").read(), -39.0)[0]
+    runs_away = fitting.curves(RecordingStream(tmp_path / "a.mf4").read(), -39.0)[0]
     (note,) = (n for n in runs_away.notes if "runs away" in n)
     assert "clock runs +100 ppm fast" in note
     assert f"by {100e-6 * 2 * np.pi * 206264.8:.3g}″ a turn" in note
     columns = "".join(f'[{n}]\ncolumn = "{n}"\n' for n in ("input_angle", "torque", "output_angle"))
-    found = open_recording(tmp_path / "a.mf4", mapping(tmp_path, f"{columns}drift = 100e-6\n")).read()
+    found = RecordingStream(tmp_path / "a.mf4", mapping(tmp_path, f"{columns}drift = 100e-6\n")).read()
     # What is left is the error of interpolating a wave over steps of 0.6 rad.
     assert found.output_angle + found.input_angle / 39 == pytest.approx(1e-4 * np.cos(found.input_angle), abs=6e-6)
-    assert not any("runs away" in n for n in transmission_error_curves(found, -39.0)[0].notes)
+    assert not any("runs away" in n for n in fitting.curves(found, -39.0)[0].notes)
     with pytest.raises(edge.InputError, match=r"\[output_angle\] drift = 0.5: it should be less than 0.01"):
         mapping(tmp_path, f"{columns}drift = 0.5\n")
 
@@ -381,7 +381,7 @@ def test_a_rollover_within_a_gap_is_counted_by_the_output_angle(tmp_path, gap):
     error = 1e-4 * np.cos(angle)
     shown = (angle % (2 * np.pi))[~missing], ((-angle / 39 + error) % (2 * np.pi))[~missing]
     path = write_table(tmp_path / "a.csv", time[~missing], *shown)
-    curve = transmission_error_curves(open_recording(path).read(), -39.0)[0]
+    curve = fitting.curves(RecordingStream(path).read(), -39.0)[0]
     expected = 1e-4 * np.cos(curve.input_angle)
     offset = np.mean(curve.transmission_error - expected)
     assert curve.transmission_error - offset == pytest.approx(expected, abs=2e-6)
@@ -400,7 +400,7 @@ def test_a_rollover_within_a_gap_is_counted_by_the_output_angle(tmp_path, gap):
 )
 def test_what_is_wrong_with_the_angles_is_said(tmp_path, columns, said):
     with pytest.raises(edge.InputError, match=said):
-        transmission_error_curves(open_recording(write_table(tmp_path / "a.csv", TIME, *columns)).read(), -39.0)[0]
+        fitting.curves(RecordingStream(write_table(tmp_path / "a.csv", TIME, *columns)).read(), -39.0)[0]
 
 
 def test_blocks_join_to_the_same_recording(tmp_path):
@@ -413,7 +413,7 @@ def test_blocks_join_to_the_same_recording(tmp_path):
          "torque [N*m]": np.ones(n)}
     )  # fmt: skip
     parquet.write_table(table, tmp_path / "a.parquet")
-    blocks = list(open_recording(tmp_path / "a.parquet").blocks())
+    blocks = list(RecordingStream(tmp_path / "a.parquet").blocks())
     assert len(blocks) == 3
     assert np.concatenate([b.input_angle for b in blocks]) == pytest.approx(angle, abs=1e-9)
 
@@ -434,7 +434,7 @@ def test_what_inspect_proposes_reads_the_file(tmp_path, name):
         write_can(tmp_path, ".blf")
         dbc = tmp_path / "bench.dbc"
     inspect(tmp_path / name, dbc).write(tmp_path / "map.toml")
-    found = open_recording(tmp_path / name, read_mapping(tmp_path / "map.toml")).read()
+    found = RecordingStream(tmp_path / name, read_mapping(tmp_path / "map.toml")).read()
     assert found.input_angle - found.input_angle[0] == pytest.approx(INPUT, abs=1e-3)
     assert found.torque == pytest.approx(TORQUE, abs=1e-3)
 

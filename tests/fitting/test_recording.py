@@ -3,6 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import fitting
 from cycloid_fmu import edge
 from drivers.recorder.clock import ClockEstimate
 from drivers.recording_format import (
@@ -17,8 +18,7 @@ from drivers.recording_format import (
 )
 from fitting.figures.metrics import figures_of
 from fitting.figures.survey import survey
-from fitting.recordings.recording import open_recording
-from fitting.transmission_error.folding import transmission_error_curves
+from fitting.recordings.recording import RecordingStream
 
 ARCSEC = np.pi / 648000
 HEADER = "time [s],input_angle [rad],output_angle [rad],torque [N*m]"
@@ -35,7 +35,7 @@ def test_units_of_the_header_become_si(tmp_path):
         tmp_path, "0,0,0,1", "5,180,60,2", header="time [ms],input_angle [deg],output_angle [arcmin],torque [kN*m],note"
     )
     path.write_text(path.read_text().replace("0,0,0,1", "0,0,0,1,a").replace("60,2", "60,2,b"))
-    found = open_recording(path).read()
+    found = RecordingStream(path).read()
     assert found.time == pytest.approx([0, 5e-3])
     assert found.input_angle == pytest.approx([0, np.pi])
     assert found.output_angle == pytest.approx([0, np.pi / 180])
@@ -46,7 +46,7 @@ def test_units_of_the_header_become_si(tmp_path):
 def test_an_angle_recorded_within_one_turn_is_continuous(tmp_path_factory, turns, forwards, start):
     angle = start + (1 if forwards else -1) * np.linspace(0, 2 * np.pi * turns, 40 * turns)
     rows = [f"{i},{a % (2 * np.pi):.12f},0,1" for i, a in enumerate(angle)]
-    found = open_recording(csv(tmp_path_factory.mktemp("csv"), *rows)).read()
+    found = RecordingStream(csv(tmp_path_factory.mktemp("csv"), *rows)).read()
     assert np.diff(found.input_angle) == pytest.approx(np.diff(angle), abs=1e-9)
 
 
@@ -67,7 +67,7 @@ def test_an_angle_recorded_within_one_turn_is_continuous(tmp_path_factory, turns
 )
 def test_a_bad_table_is_one_sentence(tmp_path, rows, header, said):
     with pytest.raises(edge.InputError) as refused:
-        open_recording(csv(tmp_path, *rows, header=header)).read()
+        RecordingStream(csv(tmp_path, *rows, header=header)).read()
     assert said in str(refused.value)
     assert "run.csv" in str(refused.value)
     assert "\n" not in str(refused.value)
@@ -76,13 +76,13 @@ def test_a_bad_table_is_one_sentence(tmp_path, rows, header, said):
 def test_an_empty_file_and_another_kind_of_file(tmp_path):
     (tmp_path / "a.csv").write_text("")
     with pytest.raises(edge.InputError, match="empty"):
-        open_recording(tmp_path / "a.csv").read()
+        RecordingStream(tmp_path / "a.csv").read()
     (tmp_path / "a.xlsx").write_text("x")
     with pytest.raises(edge.InputError, match="ending must be"):
-        open_recording(tmp_path / "a.xlsx").read()
+        RecordingStream(tmp_path / "a.xlsx").read()
     (tmp_path / "a.arrows").write_text("not arrow")
     with pytest.raises(edge.InputError, match="not a recording"):
-        open_recording(tmp_path / "a.arrows").read()
+        RecordingStream(tmp_path / "a.arrows").read()
 
 
 def arrows(path, *, names=("input_angle", "output_angle", "torque"), shift=0.0, samples=50, nan=False):
@@ -103,7 +103,7 @@ def arrows(path, *, names=("input_angle", "output_angle", "torque"), shift=0.0, 
 
 
 def test_a_recording_of_ours(tmp_path):
-    found = open_recording(arrows(tmp_path / "a.arrows")).read()
+    found = RecordingStream(arrows(tmp_path / "a.arrows")).read()
     assert found.ratio == -39.0
     assert found.output_angle == pytest.approx(-found.input_angle / 39)
     assert found.common_zero
@@ -111,16 +111,16 @@ def test_a_recording_of_ours(tmp_path):
 
 
 def test_angles_of_different_instants_are_interpolated_and_it_says_so(tmp_path):
-    found = open_recording(arrows(tmp_path / "a.arrows", shift=4e-4)).read()
+    found = RecordingStream(arrows(tmp_path / "a.arrows", shift=4e-4)).read()
     assert found.output_angle == pytest.approx(-(found.time - 4e-4) / 39, abs=1e-12)
     assert any("interpolated" in note for note in found.notes)
 
 
 def test_what_a_recording_lacks_is_named(tmp_path):
     with pytest.raises(edge.InputError, match="no torque channel"):
-        open_recording(arrows(tmp_path / "a.arrows", names=("input_angle", "output_angle"))).read()
+        RecordingStream(arrows(tmp_path / "a.arrows", names=("input_angle", "output_angle"))).read()
     with pytest.raises(edge.InputError, match="no samples"):
-        open_recording(arrows(tmp_path / "b.arrows", samples=0)).read()
+        RecordingStream(arrows(tmp_path / "b.arrows", samples=0)).read()
 
 
 @pytest.mark.parametrize("torque_step", [1, 10])
@@ -141,7 +141,7 @@ def test_channels_in_small_batches_of_their_own_come_together(tmp_path, torque_s
                 at = at[at % step == 0]
                 if at.size:
                     writer.write(Samples.checked(c, time[at], value[at]))
-    found = open_recording(tmp_path / "a.arrows").read()
+    found = RecordingStream(tmp_path / "a.arrows").read()
     last = (n - 1) // torque_step * torque_step
     assert found.time == pytest.approx(time[: last + 1])
     assert found.output_angle == pytest.approx(-found.input_angle / 39)
@@ -150,7 +150,7 @@ def test_channels_in_small_batches_of_their_own_come_together(tmp_path, torque_s
 
 
 def test_a_sample_that_is_no_number_is_left_out_marked_and_named(tmp_path):
-    found = open_recording(arrows(tmp_path / "c.arrows", nan=True)).read()
+    found = RecordingStream(arrows(tmp_path / "c.arrows", nan=True)).read()
     assert found.time.size == 49
     assert np.flatnonzero(found.status & GAP).tolist() == [7]
     assert "output_angle is not a finite number in sample 7" in found.notes[0]
@@ -224,7 +224,7 @@ def test_two_clocks_that_drift_apart_are_put_on_one(tmp_path, restart):
         assert np.polyfit(at, runs, 1)[0] == pytest.approx(DRIFT * SPEED / 39, rel=0.02)
     late, _ = left(output.time_host, output.value, crank.time_host, crank.value)
     assert np.std(late) > 30 * ARCSEC
-    found = open_recording(path).read()
+    found = RecordingStream(path).read()
     rest, at = left(found.time, found.output_angle, found.time, found.input_angle)
     ramp = np.polyfit(at, rest, 1)[0] * 100.0
     reach = 2 * found.alignment * SPEED / 39
@@ -241,10 +241,10 @@ def test_two_clocks_that_drift_apart_are_put_on_one(tmp_path, restart):
 def test_what_is_left_of_the_drift_is_in_the_figure_s_uncertainty(tmp_path):
     """Few samples with long delays: the clock is known badly, so the transmission error is too."""
     path = drifting(tmp_path / "a.arrows", seconds=60.0, rate=100.0, delay=20e-3)
-    surveyed = survey(open_recording(path), None, None)
+    surveyed = survey(RecordingStream(path), None, None)
     (curve,) = surveyed.curves
     figure = figures_of([surveyed], -39.0, None).figures["angular_transmission_error"]
-    run_away = 2 * open_recording(path).read().alignment * SPEED / 39
+    run_away = 2 * RecordingStream(path).read().alignment * SPEED / 39
     assert surveyed.runaway == pytest.approx(run_away, rel=0.02)
     assert figure.uncertainty >= surveyed.runaway / curve.turns > 1e-3 * ARCSEC
     assert abs(figure.value - 40 * ARCSEC) < figure.uncertainty + 0.1 * ARCSEC
@@ -252,12 +252,12 @@ def test_what_is_left_of_the_drift_is_in_the_figure_s_uncertainty(tmp_path):
 
 def test_angles_that_one_clock_stamped_stay_pairs(tmp_path):
     """Latched by one SYNC and stamped by one interface: whatever its clock does, no instant is made two."""
-    found = open_recording(drifting(tmp_path / "a.arrows", seconds=20.0, both=True)).read()
+    found = RecordingStream(drifting(tmp_path / "a.arrows", seconds=20.0, both=True)).read()
     assert found.alignment == 0.0
     assert found.time.size > 9000
     assert not any("interpolated" in note for note in found.notes)
     assert found.output_angle == pytest.approx(-found.input_angle / 39 + error(found.input_angle), abs=1e-12)
-    assert transmission_error_curves(found, -39.0)[0].turns == pytest.approx(20 * SPEED / (2 * np.pi * 39), rel=1e-3)
+    assert fitting.curves(found, -39.0)[0].turns == pytest.approx(20 * SPEED / (2 * np.pi * 39), rel=1e-3)
 
 
 def test_timers_of_their_own_on_one_interface_are_put_on_the_host_s_clock_once(tmp_path):
@@ -266,7 +266,7 @@ def test_timers_of_their_own_on_one_interface_are_put_on_the_host_s_clock_once(t
     runs = {}
     for name, said in (("one", source.format(1)), ("unknown", "host clock: arrival")):
         path = drifting(tmp_path / f"{name}.arrows", seconds=60.0, rate=100.0, delay=20e-3, source=said)
-        found = open_recording(path).read()
+        found = RecordingStream(path).read()
         rest, _ = left(found.time, found.output_angle, found.time, found.input_angle)
         runs[name] = found.alignment, abs(float(np.mean(rest)))
     assert runs["one"][0] == 0.0 < runs["unknown"][0]
