@@ -277,6 +277,5 @@ def field_units(data: xr.Dataset) -> xr.Dataset:
         unit = str(data[name].attrs.get("units"))
         shown, factor = ("deg", 180.0 / math.pi) if name == "crank_angle" else _FIELD_UNITS.get(unit, (unit, 1.0))
         if shown != unit:
-            values = data[name].variable * factor
-            found[name] = values.assign_attrs({**data[name].attrs, "units": shown})
+            found[name] = (data[name].dims, data[name].values * factor, {**data[name].attrs, "units": shown})
     return found

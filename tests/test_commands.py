@@ -3,6 +3,7 @@
 import contextlib
 import io
 import re
+import subprocess
 import sys
 import threading
 from typing import Annotated
@@ -194,6 +195,58 @@ def test_a_short_computation_says_nothing_in_a_log(capsys):
     with commands.progress("drives", 1000) as progress:
         progress(1000)
     assert capsys.readouterr().err == ""
+
+
+def test_start_values_that_are_rounding_are_shown_as_0():
+    """What a transform makes of zeros is 0, and exponents are whole."""
+    from cycloid_fmu.cli.inspect import _shown
+
+    assert [_shown(start) for start in ("-3.72562147893e-22", 1.5e-6, "", "true", 40)] == [
+        "0",
+        "1.5e-06",
+        "",
+        "true",
+        "40",
+    ]
+
+
+def test_what_is_no_fmu_is_refused(command, tmp_path):
+    (tmp_path / "d.toml").write_text(PAIR)
+    for words in (["simulate", "d.toml", "--torque", "1 Nm"], ["inspect", "d.toml"], ["compare", "d.toml", "d.toml"]):
+        run = command("cycloid-fmu", *words)
+        assert (run.returncode, run.stderr) == (2, "d.toml: this is not an FMU: it must be a ZIP archive.\n")
+
+
+def test_the_first_answer_waits_for_no_package_that_it_does_not_need(tmp_path):
+    (tmp_path / "pair.toml").write_text(PAIR)
+    code = """
+import sys
+sys.argv = ["cycloid-fmu", "analyze", "pair.toml", "--torque", "181 Nm", "--angles", "3"]
+from cycloid_fmu.cli import main
+try:
+    main()
+finally:
+    print(*{name.partition(".")[0] for name in sys.modules})
+"""
+    run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert "181 N·m" in run.stdout
+    slow = {"xarray", "pandas", "dask", "pint", "matplotlib", "rich", "fmpy", "joblib", "h5netcdf", "lmfit"}
+    assert not slow & set(run.stdout.splitlines()[-1].split())
+
+
+def test_a_command_says_which_option_the_library_objects_to(command, tmp_path):
+    (tmp_path / "pair.toml").write_text(PAIR)
+    (tmp_path / "t.toml").write_text('format = "cycloid-tolerances/1"\n[offset]\ntolerance = "1 um"\n')
+    words = ["cycloid-fmu", "tolerance", "pair.toml", "--tolerances", "t.toml", "--samples", "2", "--angles", "20"]
+    for more, sentence in (
+        ([], "--torque is missing; give it, or state [pair] rated_torque in pair.toml."),
+        (["--torque", "0 Nm"], "--torque = 0.0: a study's loads must not be zero; the play has its own figures."),
+        (["--torque", "9 Nm", "--screen", "2"], "--screen = 2.0: the share must be between 0 and 1."),
+        (["--design", "sobl"],
+         '--design = "sobl": it must be one of sobol, latin-hypercube, saltelli; did you mean sobol?'),
+    ):  # fmt: skip
+        run = command(*words, *more)
+        assert (run.returncode, run.stderr) == (2, sentence + "\n")
 
 
 def test_newton_metres_are_written_as_on_data_sheets(command, tmp_path):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -459,15 +459,20 @@ def analyze(
     Parameters are those of `solve`. Interrupted, it returns the crank angles that were finished, and the attribute
     `complete` is 0.
     """
-    complete = 1
+    complete = True
     try:
         result = solve(
             pair, surface, torque, crank_angle, slices, with_elements=with_elements, workers=workers, progress=progress
         )
     except Interrupted as interrupted:
-        result, complete = interrupted.result, 0
+        result, complete = interrupted.result, False
+    return labelled(pair, surface, result, slices, complete=complete)
+
+
+def labelled(pair: Pair, surface: ErrorSurface, result: Transmission, slices: int, *, complete: bool) -> xr.Dataset:
+    """Return results as `analyze` does: a dataset that states the drive, its slices and whether it is complete."""
     data = dataset_of(pair, result)
-    data.attrs.update(provenance(pair, surface), slices=slices, complete=complete)
+    data.attrs.update(provenance(pair, surface), slices=slices, complete=int(complete))
     return data
 
 
@@ -514,17 +519,17 @@ def dataset_of(pair: Pair, result: Transmission) -> xr.Dataset:
     return dataset
 
 
-def statistics(data: xr.Dataset) -> dict[str, NDArray[np.float64]]:
-    """Return the error-surface paper's figures of an analysis, one value for each torque.
+def statistics(data: Mapping[Any, Any]) -> dict[str, NDArray[np.float64]]:
+    """Return the error-surface paper's figures of an analysis (dataset or arrays by name), one value for each torque.
 
     MTE and PPTE are the mean and peak-to-peak transmission error, MB and PPB those of the backlash (rad; NaN where
     there is no free position), MCS the largest contact pressure (Pa).
     """
-    error, backlash = data["transmission_error"].values, data["backlash"].values
+    error, backlash = np.asarray(data["transmission_error"]), np.asarray(data["backlash"])
     return {
         "MTE": error.mean(axis=1),
         "PPTE": np.ptp(error, axis=1),
         "MB": backlash.mean(axis=1),
         "PPB": np.ptp(backlash, axis=1),
-        "MCS": data["max_contact_pressure"].values.max(axis=1),
+        "MCS": np.asarray(data["max_contact_pressure"]).max(axis=1),
     }

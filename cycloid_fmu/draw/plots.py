@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,17 +19,9 @@ if TYPE_CHECKING:
 
     from cycloid_fmu.wear.progress import WearModel, WearRate, WearState
 
-FORMATS = (".png", ".pdf")
-
-
-def check_path(path: str | os.PathLike[str]) -> Path:
-    """Refuse a plot file that can't be written, before anything is computed."""
-    return edge.output_path(path, "--plot", FORMATS)
-
-
 def save(figure: Figure, path: str | os.PathLike[str]) -> None:
     """Write a figure as PNG or PDF by its name's ending, whole or not at all."""
-    with edge.written_whole(check_path(path)) as temporary:
+    with edge.written_whole(edge.output_path(path, "path", edge.PICTURES)) as temporary:
         figure.savefig(temporary, dpi=150)
 
 

@@ -43,6 +43,7 @@ _SETTINGS: dict[str, Any] = {
     "no_args_is_help": True, "add_completion": False, "pretty_exceptions_enable": False, "rich_markup_mode": "rich",
 }  # fmt: skip
 _QUIET, _LONGEST_QUIET = 10.0, 30.0  # seconds between the lines of a progress that is written to a file
+_SHORT = 0.5  # seconds: what takes no longer shows no bar, whose package takes a while to load
 _WIDE = 40  # characters of a cell that may be wrapped at its blanks where the terminal is narrow
 
 
@@ -62,8 +63,8 @@ class _Group(typer.core.TyperGroup):
             return super().invoke(ctx)
         except ArgumentError as problem:
             raise InputError(problem.named(_flag(ctx.meta["cycloid.command"], problem.argument))) from problem
-        except KeyboardInterrupt:
-            _say("Interrupted; what was finished is kept.")
+        except KeyboardInterrupt as interrupt:
+            _say(str(interrupt) or "Interrupted; what was finished is kept.")
             raise typer.Exit(INTERRUPTED) from None
 
 
@@ -80,7 +81,8 @@ class _Lazy(MutableMapping[str, Any]):
     """The commands of a package by name, each imported when it is asked for."""
 
     def __init__(self, package: str, names: Sequence[str]) -> None:
-        self._package, self._made = package, dict.fromkeys(names)
+        self._package = package
+        self._made: dict[str, Any] = dict.fromkeys(names)
 
     def __getitem__(self, name: str) -> Any:
         if self._made[name] is None:
@@ -90,7 +92,9 @@ class _Lazy(MutableMapping[str, Any]):
             if not isinstance(made, typer.Typer):
                 function, made = made, typer.Typer(**_SETTINGS)
                 made.command(name)(function)
-            self._made[name] = typer.main.get_command(made)
+            command = typer.main.get_command(made)
+            command.name = name
+            self._made[name] = command
         return self._made[name]
 
     def __setitem__(self, name: str, command: Any) -> None:
@@ -247,7 +251,7 @@ def choice_option(choices: Collection[str], help: str, *names: str, **settings: 
     def parse(text: str) -> str:
         if text in choices:
             return text
-        near = did_you_mean(text, choices)
+        near = did_you_mean(text, choices) if text[:1].isalpha() else ""
         raise _Refused(text, f"it must be one of {', '.join(choices)}{f'; {near}' if near else ''}")
 
     parse.__name__ = "choice"
@@ -332,12 +336,6 @@ class Bar:
         self._began = self._said = time.monotonic()
         self._said_share = 0.0
         self._rich: Progress | None = None
-        if sys.stderr.isatty():
-            from rich.console import Console
-            from rich.progress import Progress
-
-            self._rich = Progress(console=Console(stderr=True), transient=True)
-            self._task = self._rich.add_task(what, total=total)
 
     def advance(self, done: float = 1.0) -> None:
         """Count `done` more."""
@@ -350,19 +348,33 @@ class Bar:
         self._done = self._done if completed is None else completed
         self._total = self._total if total is None else total
         self._what = self._what if description is None else description
-        if self._rich is not None:
-            self._rich.update(self._task, completed=self._done, total=self._total, description=self._what)
-            return
-        quiet = time.monotonic() - self._said
+        if sys.stderr.isatty():
+            self._draw()
+        elif self._done != self._total:
+            self._print()
+
+    def _draw(self) -> None:
+        if self._rich is None:
+            if time.monotonic() - self._began < _SHORT:
+                return
+            from rich.console import Console
+            from rich.progress import Progress
+
+            self._rich = Progress(console=Console(stderr=True), transient=True)
+            self._task = self._rich.add_task(self._what, total=self._total)
+            self._rich.start()
+        self._rich.update(self._task, completed=self._done, total=self._total, description=self._what)
+
+    def _print(self) -> None:
+        now = time.monotonic()
+        quiet = now - self._said
         share = self._done / self._total if self._total else 0.0
         if quiet >= _LONGEST_QUIET or (quiet >= _QUIET and share >= self._said_share + 0.1):
             known = f" of {self._total:.6g} ({share:.0%})" if self._total else ""
-            _say(f"{self._what}: {self._done:.6g}{known} after {time.monotonic() - self._began:.0f} s")
-            self._said, self._said_share = time.monotonic(), share
+            _say(f"{self._what}: {self._done:.6g}{known} after {now - self._began:.0f} s")
+            self._said, self._said_share = now, share
 
     def __enter__(self) -> Bar:
-        if self._rich is not None:
-            self._rich.start()
         return self
 
     def __exit__(self, *problem: object) -> None:

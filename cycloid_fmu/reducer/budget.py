@@ -21,10 +21,11 @@ from cycloid_fmu import contact, edge
 from cycloid_fmu.contact.transmission import drive_of
 from cycloid_fmu.edge import ARCMIN, Angle, Config
 from cycloid_fmu.errors.kinds import LARGEST_DEVIATION
-from cycloid_fmu.geometry.pair import Pair, PositiveLength, pair_of_tables
+from cycloid_fmu.geometry.pair import Pair, PositiveLength, pair_of_tables, read_pair
 from cycloid_fmu.reducer.first_stage import FirstStage, sun_locked_share
+from cycloid_fmu.surfaces.files import read_surface
 from cycloid_fmu.surfaces.sampling import Distribution, error_stream, within_tolerance
-from cycloid_fmu.surfaces.surface import ErrorSurface
+from cycloid_fmu.surfaces.surface import ErrorSurface, check_surface, surface_of_pair
 
 Array = NDArray[np.float64]
 Variant = Literal["standard", "as_printed", "geometric", "geometric_sun_locked"]
@@ -509,6 +510,41 @@ def first_stage_of(reducer: Reducer) -> FirstStage:
         sun_play=max(0.0, float(outer["base_tangent_length"]) * reducer.ratio),
         bearing_play=max(0.0, float(outer["crank_bearing_clearance"])),
     )
+
+
+def drive_of_file(
+    path: str | os.PathLike[str], surface_file: str | os.PathLike[str] | None = None
+) -> tuple[Pair | Reducer, ErrorSurface, list[str]]:
+    """Return what an FMU is built from, of a pair file or a reducer file.
+
+    Parameters
+    ----------
+    path
+        A file of the format cycloid-pair/1 or cycloid-reducer/1.
+    surface_file
+        The errors; without it those that the file states.
+
+    Returns
+    -------
+    drive, surface, warnings
+        Pair or reducer, the errors of the pair or cycloid stage, and sentences where a reducer file contradicts itself.
+
+    Raises
+    ------
+    edge.InputError
+        If a file can't be read, or the surface belongs to another pair.
+    """
+    drive: Pair | Reducer
+    if edge.format_of(path) == FORMAT:
+        drive = read_reducer(path)
+        pair, surface, warnings = drive.stage, surface_of_reducer(drive), contradictions(drive, str(path))
+    else:
+        drive = pair = read_pair(path)
+        surface, warnings = surface_of_pair(pair), []
+    if surface_file is not None:
+        surface = read_surface(surface_file)
+        check_surface(pair, surface, str(path), str(surface_file))
+    return drive, surface, warnings
 
 
 def summed(terms: Mapping[str, Array]) -> dict[str, Array]:

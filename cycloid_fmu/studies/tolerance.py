@@ -136,9 +136,9 @@ def check_study(study: Study, pair_source: str, tolerances_source: str) -> None:
                 "where there is no error."
             )
     if 0.0 in study.torque:
-        raise edge.InputError("--torque = 0 N*m: a study's loads must not be zero; the play has its own figures.")
+        raise edge.ArgumentError("torque", "a study's loads must not be zero; the play has its own figures", 0.0)
     if not 0 <= study.seed <= LARGEST_SEED:
-        raise edge.InputError(f"--seed = {study.seed}: it must lie between 0 and {LARGEST_SEED}.")
+        raise edge.ArgumentError("seed", f"it must be between 0 and {LARGEST_SEED}", study.seed)
     if study.tolerances.limits.lost_motion is not None and study.pair.rated_torque is None:
         raise edge.InputError(
             f"{pair_source}: [pair] rated_torque is missing; state it: [limits] lost_motion of {tolerances_source} is "
@@ -161,7 +161,8 @@ def points(study: Study) -> Array:
         try:
             from SALib.sample import sobol
         except ImportError:
-            raise edge.InputError("--design saltelli needs SALib: pip install 'cycloid-fmu[sensitivity]'.") from None
+            problem = "this needs SALib: pip install 'cycloid-fmu[sensitivity]'"
+            raise edge.ArgumentError("design", problem, study.design) from None
         base = saltelli_base(study)
         return np.asarray(sobol.sample(_problem(study), base, calc_second_order=False, seed=study.seed))
     if study.design == "latin-hypercube":
@@ -176,9 +177,8 @@ def saltelli_base(study: Study) -> int:
     """Return the base points of Saltelli's design, a power of two; each takes tolerances + 2 samples."""
     each = len(study.factors) + 2
     if study.samples < 16 * each:
-        raise edge.InputError(
-            f"--samples = {study.samples}: Sobol indices of {each - 2} tolerances need {16 * each} samples at least."
-        )
+        problem = f"Sobol indices of {each - 2} tolerances need {16 * each} samples at least"
+        raise edge.ArgumentError("samples", problem, study.samples)
     return 1 << int(math.log2(study.samples // each))
 
 
@@ -369,16 +369,16 @@ def _connected(scheduler: str) -> Any:
     try:
         from distributed import Client
     except ImportError:
-        raise edge.InputError("--scheduler needs dask: pip install 'cycloid-fmu[distributed]'.") from None
+        problem = "this needs dask: pip install 'cycloid-fmu[distributed]'"
+        raise edge.ArgumentError("scheduler", problem, scheduler) from None
     try:
         client = Client(scheduler, timeout=5, set_as_default=False)
-    except (OSError, ValueError) as problem:
-        raise edge.InputError(
-            f"--scheduler = {scheduler}: no scheduler answers there ({type(problem).__name__})."
-        ) from None
+    except (OSError, ValueError) as failure:
+        problem = f"no scheduler answers there ({type(failure).__name__})"
+        raise edge.ArgumentError("scheduler", problem, scheduler) from None
     if not client.scheduler_info(n_workers=-1)["workers"]:
         client.close()
-        raise edge.InputError(f"--scheduler = {scheduler}: the scheduler has no workers; start one with dask worker.")
+        raise edge.ArgumentError("scheduler", "it has no workers; start one with dask worker", scheduler)
     return client
 
 
@@ -505,7 +505,7 @@ def run(
                 checkpoint.add(first, values)
             progress(len(values))
     except KeyboardInterrupt:
-        raise Interrupted(result()) from None
+        raise Interrupted(result(), len(place), checkpoint) from None
     return result()
 
 
@@ -580,8 +580,11 @@ def screened(
 class Interrupted(KeyboardInterrupt):
     """A study was interrupted; `result` holds the samples that were finished."""
 
-    def __init__(self, result: Result) -> None:
-        super().__init__()
+    def __init__(self, result: Result, size: int, checkpoint: Checkpoint | None) -> None:
+        kept = "nothing is kept without an output"
+        if checkpoint is not None:
+            kept = f"{checkpoint.path} keeps them; the same study goes on from there"
+        super().__init__(f"Interrupted: {result.sample.size} of {size} drives are done; {kept}.")
         self.result = result
 
 

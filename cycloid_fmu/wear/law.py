@@ -109,13 +109,14 @@ def duty_cycle(
     given = [torque is not None, duty_file is not None, bool(law.duty)]
     if sum(given) != 1:
         raise edge.InputError(
-            f"{source}: the load must come from one of --torque, --duty and [[wear.duty]]; it comes from {sum(given)}."
+            f"{source}: the load must come from one place, a torque, a file with a duty cycle or [[wear.duty]]; "
+            f"it comes from {sum(given)}."
         )
     if crank_turns is not None and not 0.0 <= crank_turns < math.inf:
-        raise edge.InputError(f"--crank-turns = {crank_turns:g}: it must be zero or above, and finite.")
+        raise edge.ArgumentError("crank_turns", "it must be zero or above, and finite", crank_turns)
     if torque is not None:
         if crank_turns is None:
-            raise edge.InputError("--crank-turns is missing; one torque alone does not say for how long.")
+            raise edge.ArgumentError("crank_turns", "is missing; one torque alone does not say for how long")
         return (Load(torque=torque, crank_turns=1.0),), crank_turns
     loads = law.duty if duty_file is None else read_duty_cycle(duty_file)
     total = sum(load.crank_turns for load in loads)

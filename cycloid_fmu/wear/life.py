@@ -1,12 +1,9 @@
-"""A wear run as files and figures: the history that survives a kill, the worn surface, the numbers people ask for."""
+"""A wear run: the states of a life, the worn surface and the figures."""
 
 from __future__ import annotations
 
-import hashlib
-import json
-import os
+import dataclasses
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +11,9 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.contact.tooth_contact import contact_ratio
+from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.surface import DEVIATIONS, ErrorSurface, Life
+from cycloid_fmu.wear.law import Load, WearLaw
 from cycloid_fmu.wear.progress import (
     SENSIBLE_COEFFICIENTS,
     Depth,
@@ -25,119 +24,102 @@ from cycloid_fmu.wear.progress import (
     depth_as_printed,
     tooth_thickness,
     wear_limit,
+    wear_model,
+    wear_rate,
     wear_states,
     worn_surface,
 )
 from cycloid_fmu.wear.sliding import slip_pole
 
 Array = NDArray[np.float64]
-FORMAT = "cycloid-wear-run/2"
 LARGEST_LIFE = 24  # states that a worn surface keeps of its life
 
 
-def unfinished_path(output: str | os.PathLike[str]) -> Path:
-    """Where the run that ends in `output` keeps its history while it goes on."""
-    path = Path(output)
-    return path.with_name(f"{path.stem}.unfinished{path.suffix}")
+@dataclasses.dataclass(frozen=True)
+class WearRun:
+    """A drive that wore.
 
+    Attributes
+    ----------
+    model, new
+        The wear problem and its rate with the profile as new.
+    states
+        The drive when new and after each step.
+    figures
+        As `wear_figures` returns them.
+    notes
+        Sentences on what is doubtful, and on a wear limit that ended the run.
+    """
 
-def _identity(model: WearModel, crank_turns: float) -> dict[str, str]:
-    """What a history belongs to, in the words that its refusal uses, each as a checksum."""
-    surface = hashlib.sha256()
-    for name, value in sorted(vars(model.surface).items()):
-        if isinstance(value, float | np.ndarray):
-            surface.update(name.encode() + np.asarray(value, dtype=float).tobytes())
-    pair = model.pair.model_dump(include={"pair", "modification", "material"})
-    plain = {
-        "pair": json.dumps(pair, sort_keys=True),
-        "surface": surface.hexdigest(),
-        "wear file": model.law.model_dump_json(exclude={"duty"}),
-        "load": json.dumps([[load.torque, load.crank_turns] for load in model.loads] + [model.cycle, crank_turns]),
-    }
-    return {name: hashlib.sha256(text.encode()).hexdigest()[:16] for name, text in plain.items()}
+    model: WearModel
+    new: WearRate
+    states: list[WearState]
+    figures: dict[str, Any]
+    notes: list[str]
 
-
-def _write_history(path: Path, identity: dict[str, str], states: list[WearState]) -> None:
-    import xarray as xr
-
-    depths = {f"{way}{body}_depth": (way, body) for way in ("", "whole_") for body in ("gear", "pin")}
-    data = xr.Dataset(
-        {
-            "crank_turns": ("state", [s.crank_turns for s in states]),
-            "reach": ("state", [s.reach for s in states]),
-            **{
-                name: (
-                    ("state", *DEVIATIONS[f"{body}_deviation"]),
-                    np.stack([getattr(s.whole if way else s.depth, body) for s in states]),
-                )
-                for name, (way, body) in depths.items()
-            },
-        },
-        attrs={"format": FORMAT, **{f"checksum of the {name}": value for name, value in identity.items()}},
-    )
-    for name in ("reach", *depths):
-        data[name].attrs["units"] = "m"
-    with edge.written_whole(path) as temporary:
-        data.to_netcdf(temporary, engine="h5netcdf", encoding={name: {"zlib": True} for name in depths})
-
-
-def _read_history(path: Path, identity: dict[str, str]) -> list[WearState]:
-    data = edge.netcdf(path, FORMAT)
-    for name, value in identity.items():
-        if data.attrs.get(f"checksum of the {name}") != value:
-            raise edge.InputError(
-                f"{path}: this unfinished run is of another {name}; remove it to begin anew, or give another --output."
-            )
-    names = ("crank_turns", "gear_depth", "pin_depth", "whole_gear_depth", "whole_pin_depth", "reach")
-    return [
-        WearState(float(turns), Depth(gear, pin), Depth(whole_gear, whole_pin), float(reach))
-        for turns, gear, pin, whole_gear, whole_pin, reach in zip(*(data[n].values for n in names), strict=True)
-    ]
-
-
-class Interrupted(KeyboardInterrupt):
-    """A run was interrupted; its text says where its history is."""
+    @property
+    def surface(self) -> ErrorSurface:
+        """The worn drive with its life."""
+        return surface_of_run(self.model, self.states, self.new.half_width)
 
 
 def run_wear(
-    model: WearModel,
+    pair: Pair,
+    surface: ErrorSurface,
+    law: WearLaw,
+    loads: tuple[Load, ...],
     crank_turns: float,
-    output: str | os.PathLike[str] | None,
+    source: str,
+    *,
     workers: int = 1,
     progress: Callable[[float], None] = lambda turns: None,
-) -> list[WearState]:
-    """Wear a drive and keep its history beside `output` after each step; the caller removes that file at the end.
-
-    A history of the same run that lies there is gone on from; the result is the same bits.
+) -> WearRun:
+    """Wear a drive for so many crank turns, or until its wear limit is reached.
 
     Parameters
     ----------
+    pair, surface
+        The nominal pair and the errors of the drive when new.
+    law, loads, crank_turns
+        As `law.duty_cycle` returns them.
+    source
+        The wear law's file, for messages.
+    workers
+        Threads.
     progress
         Told the crank turns that are done.
 
     Raises
     ------
     edge.InputError
-        If a history of another run lies there.
-    Interrupted
-        At a KeyboardInterrupt.
+        If the teeth would wear through.
+    KeyboardInterrupt
+        Its text says how far the run was.
     """
-    place = None if output is None else unfinished_path(output)
-    identity = _identity(model, crank_turns)
-    states = _read_history(place, identity) if place is not None and place.exists() else []
-    steps = wear_states(model, crank_turns, states[-1] if states else None, workers)
+    model = wear_model(pair, surface, law, loads)
+    new = wear_rate(model, model.surface, workers)
+    thickness = tooth_thickness(pair)
+    if new.depth.largest * crank_turns > thickness:
+        raise edge.InputError(
+            f"{source}: {crank_turns:g} crank turns would wear {new.depth.largest * crank_turns * 1e3:.4g} mm deep, "
+            f"and the tooth is {thickness * 1e3:.4g} mm thick; check the wear coefficient's units and the turns."
+        )
+    states = []
     try:
-        for number, state in enumerate(steps):
-            if number > 0 or not states:
-                states.append(state)
-                if place is not None:
-                    _write_history(place, identity, states)
+        for state in wear_states(model, crank_turns, workers):
+            states.append(state)
             progress(state.crank_turns)
     except KeyboardInterrupt:
-        kept = "nothing is kept without --output" if place is None else f"{place} holds them, run again to go on"
-        turns = states[-1].crank_turns if states else 0.0
-        raise Interrupted(f"Interrupted: {turns:.4g} of {crank_turns:.4g} crank turns are done; {kept}.") from None
-    return states
+        done = states[-1].crank_turns if states else 0.0
+        raise KeyboardInterrupt(f"Interrupted: {done:.4g} of {crank_turns:.4g} crank turns are done.") from None
+    figures = wear_figures(model, states, new, workers)
+    notes = [doubt for doubt in [coefficient_warning(new.coefficient, model, source)] if doubt is not None]
+    if figures["crank_turns"] < crank_turns:
+        notes.append(
+            f"The wear limit of {figures['wear_limit'] * 1e6:.1f} µm is reached after {figures['crank_turns']:.4g} of "
+            f"{crank_turns:.4g} crank turns; the run ends there."
+        )
+    return WearRun(model, new, states, figures, notes)
 
 
 def surface_of_run(model: WearModel, states: list[WearState], half_width: float) -> ErrorSurface:
@@ -166,7 +148,7 @@ def _figures_of(model: WearModel, depth: Depth) -> dict[str, float]:
 
 
 def wear_figures(model: WearModel, states: list[WearState], new: WearRate, workers: int = 1) -> dict[str, Any]:
-    """Return the figures of a run, SI, as `--json` prints them.
+    """Return the figures of a run, SI.
 
     `linear` is without profile update, `updated` the end of the history, `as_printed` by the paper's slip distance at
     the contacts (the pin's mean leaves out 0.05 rad on both sides of the pole); `step` says how fine the history is and

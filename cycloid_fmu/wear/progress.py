@@ -415,28 +415,23 @@ class WearState:
         return (self.depth + self.whole * -1.0).largest
 
 
-def wear_states(
-    model: WearModel, crank_turns: float, start: WearState | None = None, workers: int = 1
-) -> Iterator[WearState]:
+def wear_states(model: WearModel, crank_turns: float, workers: int = 1) -> Iterator[WearState]:
     """Wear a drive step by step, with gap and curvature of the profile updated.
 
     Every step is made twice: as two halves, each of which wears the deepest element by the law's `largest_step` at
     most, and as one; where they part by more than a tenth of `largest_step`, the step is shortened. Both histories go
     on from their own states, so `WearState.difference` is what halving all steps changes in the end. The midpoint rule
-    is of second order. Nothing but the state is carried over, so a history goes on from any of its states as if it had
-    not been interrupted.
+    is of second order.
 
     Parameters
     ----------
     model, crank_turns
         The wear problem and the turns at which to end; it ends before where `wear_limit` is reached.
-    start
-        A state to go on from; None for a new drive.
 
     Yields
     ------
     state
-        First the start, then the state after each step.
+        First the new drive, then the state after each step.
     """
     new = wear_rate(model, model.surface, workers)
     largest, limit = model.law.largest_step, wear_limit(model)
@@ -448,7 +443,7 @@ def wear_states(
     def after(loaded: WearModel, depth: Depth, rate: Depth, turns: float) -> Depth:
         return depth + rate_at(loaded, depth + rate * (0.5 * turns)) * turns
 
-    state = start or WearState(0.0, model.unworn, model.unworn)
+    state = WearState(0.0, model.unworn, model.unworn)
     yield state
     while state.crank_turns < crank_turns and state.depth.largest < 0.999 * limit:
         loaded, end = _period_at(periods, state.crank_turns)

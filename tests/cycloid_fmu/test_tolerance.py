@@ -239,10 +239,10 @@ def test_killed_in_mid_run_and_started_again(command, files, tmp_path):
         ("", {}, "t.toml: no tolerance is stated"),
         (SINGLE + "[costs]\noffset = 2\n", {}, "t.toml: [costs] offset: there is no tolerance of this name"),
         (SINGLE + "[costs]\neccentricity = 0\n", {}, "t.toml: [costs] eccentricity = 0: it should be greater than 0"),
-        (SINGLE, {"torque": (0.0,)}, "--torque = 0 N*m: a study's loads must not be zero"),
-        (SINGLE, {"design": "saltelli", "samples": 20}, "--samples = 20: Sobol indices of 3 tolerances need 80"),
+        (SINGLE, {"torque": (0.0,)}, "torque = 0.0: a study's loads must not be zero"),
+        (SINGLE, {"design": "saltelli", "samples": 20}, "samples = 20: Sobol indices of 3 tolerances need 80"),
         (SINGLE, {"pair": make_pair()}, "p.toml: [pair] rated_torque is missing"),
-        (SINGLE, {"seed": -1}, "--seed = -1: it must lie between 0 and"),
+        (SINGLE, {"seed": -1}, "seed = -1: it must be between 0 and"),
     ],
 )
 def test_bad_studies_are_one_sentence(text, changes, said):
@@ -261,7 +261,7 @@ def test_bad_studies_are_one_sentence(text, changes, said):
 def test_a_scheduler_that_does_not_answer(command, files, tmp_path):
     failed = command(*files, "--scheduler", "tcp://127.0.0.1:9", "-o", "s.nc")
     assert (failed.returncode, failed.stdout) == (2, "")
-    assert failed.stderr.strip() == "--scheduler = tcp://127.0.0.1:9: no scheduler answers there (OSError)."
+    assert failed.stderr.strip() == '--scheduler = "tcp://127.0.0.1:9": no scheduler answers there (OSError).'
 
 
 # A real cluster

@@ -1,0 +1,15 @@
+"""The command `cycloid-fmu`: one module a command, loaded when it runs."""
+
+from cycloid_fmu.edge import commands
+
+app = commands.command_line(
+    "cycloid-fmu",
+    "Cycloid-pin gear drives: transmission error, backlash, load sharing, and FMUs made from them.",
+    __name__,
+    ("analyze", "surface", "build", "inspect", "simulate", "compare", "wear", "budget", "tolerance"),
+)
+
+
+def main() -> None:
+    """Run the command line."""
+    commands.run(app)

@@ -1,0 +1,98 @@
+"""`cycloid-fmu analyze`."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cycloid_fmu import edge
+from cycloid_fmu.cli.shared import PairFile, SurfaceFile
+from cycloid_fmu.edge import commands
+
+if TYPE_CHECKING:
+    from cycloid_fmu.contact.transmission import Transmission
+
+
+def analyze(
+    pair_file: PairFile,
+    torque: Annotated[
+        list[float], commands.quantity_option("N*m", 'Torque on the output, such as "-181 N*m"; may be repeated.')
+    ],
+    output: Annotated[Path | None, commands.output_option((".nc",), "OUT.nc", "Write the dataset (netCDF).")] = None,
+    surface_file: SurfaceFile = None,
+    angles: Annotated[int, typer.Option(min=1, help="Crank angles, evenly from 0, end excluded.")] = 360,
+    turns: Annotated[int, typer.Option(min=1, help="Crank turns that they span.")] = 1,
+    slices: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="Slices across the face, with contact lines and element pressures.", show_default=False
+        ),
+    ] = None,
+    plot: commands.PlotFile = None,
+    as_json: commands.AsJson = False,
+) -> None:
+    """Transmission error, backlash, stiffness, load sharing and pressure over a crank sweep.
+
+    Example: [cyan]cycloid-fmu analyze pair.toml --torque "-181 N*m" --torque "181 N*m" -o out.nc --plot out.png[/]
+    """
+    import numpy as np
+
+    from cycloid_fmu.contact import transmission
+    from cycloid_fmu.drive import read_drive
+
+    drive = read_drive(pair_file, surface_file)
+    used = slices or transmission.slices_needed(drive.surface)
+    angle = np.linspace(0.0, 2.0 * np.pi * turns, angles, endpoint=False)
+    with commands.progress("crank angles", angles * len(torque)) as progress:
+        try:
+            found = transmission.solve(
+                drive.pair, drive.surface, torque, angle, used, with_elements=slices is not None,
+                workers=os.cpu_count() or 1, progress=progress,
+            )  # fmt: skip
+        except transmission.Interrupted as interrupted:
+            found = interrupted.result
+    finished = found.crank_angle.size
+    if finished < angles:
+        typer.echo(f"Interrupted: {finished} of {angles} crank angles are done.", err=True)
+    if finished == 0:
+        raise typer.Exit(edge.INTERRUPTED)
+    if output is not None or plot is not None or as_json:
+        # Only here: xarray takes longer to load than the sweep.
+        data = transmission.labelled(drive.pair, drive.surface, found, used, complete=finished == angles)
+        if output is not None:
+            with edge.written_whole(output) as temporary:
+                data.to_netcdf(temporary, engine="h5netcdf")
+        if plot is not None:
+            from cycloid_fmu.draw import plots
+
+            plots.save(plots.plot_analysis(data), plot)
+            if slices is not None:
+                plots.save(plots.plot_lines(data), plot.with_stem(f"{plot.stem}-lines"))
+        if as_json:
+            commands.print_json({str(k): v.values for k, v in {**data.coords, **data.data_vars}.items()})
+    if not as_json:
+        _print(found, f"{pair_file.name}, {finished} crank angles over {turns} turn(s)")
+    if finished < angles:
+        raise typer.Exit(edge.INTERRUPTED)
+
+
+def _print(found: Transmission, title: str) -> None:
+    from cycloid_fmu.contact.transmission import statistics
+
+    figures = statistics({**vars(found), "backlash": found.backlash[None]})
+    deepest = found.interference.max() * 1e6
+    rows = []
+    for k, load in enumerate(found.torque):
+        mean, range_ = (figures[n][k] * edge.ARCSEC for n in ("MTE", "PPTE"))
+        play, play_range = (figures[n][0] * edge.ARCSEC for n in ("MB", "PPB"))
+        backlash = [f"{play:.4f}″", f"{play_range:.4f}″"] if deepest == 0.0 else ["interference", f"{deepest:.3f} µm"]
+        count = found.contact_count[k]
+        rows.append(
+            [f"{load:g} N·m", f"{mean:.4f}″", f"{range_:.4f}″", *backlash, f"{figures['MCS'][k] * 1e-6:.1f} MPa",
+             f"{count.min()}–{count.max()}"]
+        )  # fmt: skip
+    commands.print_table(title, ["torque", "MTE", "PPTE", "MB", "PPB", "MCS", "pins"], rows)
+    typer.echo("Mean and peak-to-peak transmission error and backlash, largest contact pressure, pins in contact.")

@@ -1,0 +1,87 @@
+"""`cycloid-fmu budget`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cycloid_fmu import edge
+from cycloid_fmu.edge import commands
+
+if TYPE_CHECKING:
+    from cycloid_fmu.reducer.budget import Stack
+
+
+def budget(
+    reducer_file: Annotated[Path, typer.Argument(metavar="REDUCER.toml", help="Format cycloid-reducer/1.")],
+    samples: Annotated[int, typer.Option(min=100, help="Reducers drawn within the tolerances.")] = 1000,
+    seed: Annotated[int, typer.Option(min=0, help="The same seed draws the same reducers.")] = 1,
+    plot: commands.PlotFile = None,
+    as_json: commands.AsJson = False,
+) -> None:
+    """Lost motion budget of an RV reducer: every term by the closed form and by the contact model, and its scatter.
+
+    Example: [cyan]cycloid-fmu budget rv.toml --plot budget.png[/]
+    """
+    from cycloid_fmu.reducer import budget as rv
+
+    reducer = rv.read_reducer(reducer_file)
+    warnings = rv.contradictions(reducer, str(reducer_file))
+    found = rv.budget(reducer)
+    remarks = rv.remarks(reducer, found)
+    with commands.progress("reducers", samples) as progress:
+        stack = rv.stack(reducer, samples, seed, progress)
+    if plot is not None:
+        from cycloid_fmu.draw import plots
+
+        plots.save(plots.plot_budget(found, stack), plot)
+    if as_json:
+        scatter = None if stack is None else rv.stack_summary(stack)
+        commands.print_json(
+            {**found, "ratio": reducer.ratio, "stack": scatter, "remarks": remarks, "warnings": warnings}
+        )
+        return
+    values, closed = rv.values_of(reducer), found["standard"]
+    terms = sorted((n for n in rv.TERMS if any(v[n] for v in found.values())), key=lambda n: -abs(closed[n]))
+    rows = []
+    for name in (*terms, "interaction", *rv.STAGES, "total"):
+        amount = f"{values[name] * 1e6:+.2f} µm" if name in terms else ""
+        plays = [f"{found[v][name] * edge.ARCMIN:+.5f}" if name in found[v] else "" for v in rv.VARIANTS]
+        rows.append([name, amount, *plays])
+    columns = ["term", "amount", *(v.replace("_", " ") for v in rv.VARIANTS)]
+    commands.print_table(f"{reducer_file.name}: play at the output [arcmin], ratio {reducer.ratio:g}", columns, rows)
+    exact = found["geometric"]
+    if exact["interference"] > 0.0:
+        typer.echo(
+            f"Interference: at {exact['interfering']:.0%} of the crank angles no free position, by up to "
+            f"{exact['interference'] * 1e6:.2f} µm."
+        )
+    for name, remark in remarks.items():
+        typer.echo(f"{name}: {remark}.")
+    if stack is None:
+        typer.echo("No deviation has a tolerance, so nothing scatters.")
+    else:
+        _print_stack(stack, samples)
+    for warning in warnings:
+        typer.echo(warning, err=True)
+
+
+def _print_stack(stack: Stack, samples: int) -> None:
+    from cycloid_fmu.reducer.budget import stack_summary
+
+    shown = stack_summary(stack)
+    rows = []
+    for name in ("worst_case", "root_sum_square"):
+        rows.append([name.replace("_", " "), *(f"{v * edge.ARCMIN:.4f}" for v in shown[name]), "", ""])
+    for name in stack.samples:
+        one = shown["monte_carlo"][name]
+        low, high = one["interval"]
+        rows.append(
+            [f"Monte Carlo, {name}", *(f"{v * edge.ARCMIN:.4f}" for v in (*one["central"], one["mean"])),
+             f"{one['interfering']:.1%} ({low:.1%} … {high:.1%})"]
+        )  # fmt: skip
+    columns = ["stack", "from", "to", "mean", "interference (95 %)"]
+    commands.print_table("Total play within the tolerances [arcmin]", columns, rows)
+    typer.echo(f"Monte Carlo: {samples} reducers, the central 99.73 %; geometric with the sun locked.")

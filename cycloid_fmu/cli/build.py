@@ -1,0 +1,97 @@
+"""`cycloid-fmu build`."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from cycloid_fmu import edge
+from cycloid_fmu.cli.shared import SurfaceFile
+from cycloid_fmu.edge import commands
+
+
+def build(
+    pair_file: Annotated[
+        Path, typer.Argument(metavar="PAIR.toml", help="The gear pair, or an RV reducer (cycloid-reducer/1).")
+    ],
+    output: Annotated[Path, commands.output_option((".fmu",), "DRIVE.fmu", "The FMU file.")],
+    surface_file: SurfaceFile = None,
+    interface: Annotated[
+        str,
+        commands.choice_option(
+            ("kinematic", "compliant"),
+            "kinematic: crank motion and load in, output motion out; compliant: both motions in, both torques out.",
+        ),
+    ] = "kinematic",
+    output_inertia: Annotated[
+        float,
+        commands.quantity_option(
+            "kg*m^2",
+            "Inertia on the output inside a compliant FMU, which then takes the load.",
+            show_default=False,
+        ),
+    ] = 0.0,
+    losses: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="LOSSES.csv",
+            help="Losses: speed \\[rpm],eta_mf1 [1],eta_mf2 [1],tau_bf1 [N*m],tau_bf2 [N*m], as Modelica's LossyGear.",
+        ),
+    ] = None,
+    fmi: Annotated[str, commands.choice_option(("2.0", "3.0"), "FMI version.")] = "2.0",
+    native: Annotated[
+        bool, typer.Option("--native", help="An FMU that needs no Python: C around tables of the contact model.")
+    ] = False,
+    platforms: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--platform", help="With --native: x86_64-linux, aarch64-darwin, ...; all by default. Repeatable."
+        ),
+    ] = None,
+) -> None:
+    """Build a Co-Simulation FMU of the drive, or of a whole RV reducer with the sun as input.
+
+    Example: [cyan]cycloid-fmu build pair.toml --surface identified.nc -o drive.fmu[/]
+    """
+    from cycloid_fmu.fmu.build import build_fmu, read_losses
+    from cycloid_fmu.fmu.variables import LOSSLESS, Interface
+    from cycloid_fmu.reducer.budget import drive_of_file
+
+    if platforms and not native:
+        raise edge.InputError("--platform: only a --native FMU has platforms; one in Python runs where Python does.")
+    rows = LOSSLESS if losses is None else read_losses(losses)
+    drive, surface, warnings = drive_of_file(pair_file, surface_file)
+    for warning in warnings:
+        typer.echo(warning, err=True)
+    offered = Interface(interface, output_inertia, rows)  # type: ignore[arg-type]
+    if native:
+        _build_native(pair_file, drive, surface, output, offered, fmi, platforms or [])
+    else:
+        build_fmu(drive, output, surface, interface=offered, fmi_version=fmi)  # type: ignore[arg-type]
+
+
+def _build_native(
+    pair_file: Path, drive: Any, surface: Any, output: Path, interface: Any, fmi: Any, platforms: list[str]
+) -> None:
+    """Build a native FMU with a progress bar, and print how good its tables are."""
+    from cycloid_fmu.native.build import build_native, platforms_of
+    from cycloid_fmu.native.tables import LARGEST_LOAD, PROBES
+
+    if surface.pair.rated_torque is None:
+        raise edge.InputError(
+            f"{pair_file}: [pair] rated_torque is missing; state it: the tables reach {LARGEST_LOAD:g} times as far."
+        )
+    with commands.Bar("compiling", len(platforms or platforms_of(fmi))) as bar:
+        made = build_native(
+            drive, output, surface, interface=interface, fmi_version=fmi, platforms=platforms,
+            workers=os.cpu_count() or 1, compiled=lambda name: bar.advance(), progress=bar.advance,
+            total=lambda count: bar.update(completed=0, total=count, description="crank angles"),
+        )  # fmt: skip
+    typer.echo(
+        f"{output}: {output.stat().st_size / 1e6:.2f} MB, up to {made.positive.load[-1]:.5g} N*m; transmission error "
+        f"within {made.largest_error * edge.ARCSEC:.3f} arcsec of the exact model "
+        f"({PROBES} random crank angles and torques, and more around the worst)."
+    )

@@ -1,0 +1,39 @@
+"""`cycloid-fmu inspect`."""
+
+from __future__ import annotations
+
+import typer
+
+from cycloid_fmu import edge
+from cycloid_fmu.cli.shared import FmuFile
+from cycloid_fmu.edge import commands
+
+_NOTHING = 1e-15  # in SI: a start value below is rounding
+
+
+def inspect(fmu_file: FmuFile, as_json: commands.AsJson = False) -> None:
+    """List the variables of an FMU and check it against the standard.
+
+    Example: [cyan]cycloid-fmu inspect drive.fmu[/]
+    """
+    from cycloid_fmu.fmu.run import described
+
+    description, problems = described(fmu_file)
+    if as_json:
+        commands.print_json({"variables": description, "problems": problems})
+    else:
+        rows = [
+            [v["name"], v["causality"], v["unit"], _shown(v["start"]), v["description"].strip()] for v in description
+        ]
+        commands.print_table(fmu_file.name, ["variable", "causality", "unit", "start", "meaning"], rows)
+        typer.echo("\n".join(problems) or "fmpy's validation finds nothing to object to.")
+    if problems:
+        raise typer.Exit(edge.FAILED)
+
+
+def _shown(start: object) -> str:
+    try:
+        value = float(str(start))
+    except ValueError:
+        return str(start)
+    return "0" if abs(value) < _NOTHING else f"{value:.9g}"

@@ -1,0 +1,65 @@
+"""`cycloid-fmu simulate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cycloid_fmu import edge
+from cycloid_fmu.cli.shared import FmuFile, MotionFile
+from cycloid_fmu.edge import commands
+
+
+def simulate(
+    fmu_file: FmuFile,
+    torque: Annotated[float | None, commands.quantity_option("N*m", 'Torque on the output, such as "100 N*m".')] = None,
+    turns: Annotated[float, typer.Option(help="Crank turns; below zero turns backwards.")] = 1.0,
+    speed: Annotated[
+        float, commands.quantity_option("rad/s", "Crank speed.", show_default="600 rpm")
+    ] = edge.parse_quantity("600 rpm", "rad/s"),
+    samples: Annotated[int, typer.Option(min=2, help="Samples for each crank turn.")] = 360,
+    motion: MotionFile = None,
+    output: Annotated[Path | None, commands.output_option((".csv",), "RUN.csv", "Write the results (CSV).")] = None,
+    plot: commands.PlotFile = None,
+    as_json: commands.AsJson = False,
+) -> None:
+    """Turn the crank of an FMU at constant speed and torque, or move it through a given motion (with fmpy).
+
+    Example: [cyan]cycloid-fmu simulate drive.fmu --torque "100 N*m" --turns 2 -o run.csv --plot run.png[/]
+    """
+    import numpy as np
+
+    from cycloid_fmu.fmu import run
+
+    if (torque is None) == (motion is None):
+        raise edge.InputError("simulate needs --torque, or --input with the inputs over time.")
+    if torque is not None:
+        if speed <= 0.0:
+            raise edge.ArgumentError("speed", "it must be above zero; turn backwards with turns below zero", speed)
+        if turns == 0.0:
+            raise edge.ArgumentError("turns", "it must not be zero", turns)
+        results = run.turn_crank(fmu_file, torque, turns, speed, samples)
+    elif motion is not None:
+        time, inputs = run.read_inputs(motion, fmu_file)
+        with commands.progress("samples", time.size) as progress:
+            found = run.lead(fmu_file, inputs, list(run.units_of(fmu_file, "output")), time, progress=progress)
+        results = {"time": time, **inputs, **found}
+    if output is not None:
+        run.write_motion(output, results, fmu_file)
+    if plot is not None:
+        from cycloid_fmu.draw import plots
+
+        plots.save(plots.plot_simulation(results), plot)
+    if as_json:
+        commands.print_json(results)
+        return
+    te = results["transmission_error"] * edge.ARCSEC
+    rows = [
+        ["TE mean", f"{te.mean():.4f}″"],
+        ["TE peak-peak", f"{np.ptp(te):.4f}″"],
+        ["backlash mean", f"{results['backlash'].mean() * edge.ARCSEC:.4f}″"],
+        ["largest pressure", f"{results['max_contact_pressure'].max() * 1e-6:.1f} MPa"],
+    ]
+    commands.print_table(fmu_file.name, ["figure", "value"], rows)

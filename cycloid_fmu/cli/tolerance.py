@@ -1,0 +1,168 @@
+"""`cycloid-fmu tolerance`."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cycloid_fmu.cli.shared import PairFile, TolerancesFile
+from cycloid_fmu.edge import commands
+
+if TYPE_CHECKING:
+    from cycloid_fmu.studies.allocation import Allocation
+    from cycloid_fmu.studies.yields import Findings
+
+
+def tolerance(
+    pair_file: PairFile,
+    tolerances_file: TolerancesFile,
+    torque: Annotated[
+        list[float] | None,
+        commands.quantity_option("N*m", "Torque on the output; may be repeated. Default: ± rated."),
+    ] = None,
+    samples: Annotated[int, typer.Option(min=2, help="Drives to solve.")] = 1000,
+    seed: Annotated[int, typer.Option(help="The same seed draws the same drives.")] = 1,
+    design: Annotated[
+        str,
+        commands.choice_option(
+            ("sobol", "latin-hypercube", "saltelli"), "How drives are drawn; saltelli gives Sobol indices as well."
+        ),
+    ] = "sobol",
+    angles: Annotated[int, typer.Option(min=20, help="Crank angles, evenly from 0, end excluded.")] = 360,
+    turns: Annotated[int, typer.Option(min=1, help="Crank turns that they span.")] = 1,
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = os.cpu_count() or 1,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="tcp://HOST:PORT", help="Use a dask cluster instead of this machine's cores.")
+    ] = None,
+    screen: Annotated[
+        float | None,
+        typer.Option(metavar="SHARE", help="Solve to first order and confirm this share by the exact kernel."),
+    ] = None,
+    target: Annotated[
+        float | None,
+        typer.Option(
+            "--allocate", metavar="YIELD", help="Find the cheapest tolerances that reach this share of good drives."
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        commands.output_option(
+            (".nc",), "STUDY.nc", "Write the study (netCDF); what is done is kept beside it until then."
+        ),
+    ] = None,
+    plot: commands.PlotFile = None,
+    as_json: commands.AsJson = False,
+) -> None:
+    """Solve many drives within their tolerances: distributions, yields against limits, sensitivities.
+
+    Stopped or killed, the same command goes on where it was, if it has an output.
+
+    Example: [cyan]cycloid-fmu tolerance pair.toml --tolerances tolerances.toml --samples 10000 -o study.nc[/]
+    """
+    from cycloid_fmu.studies import allocation as allocation_of
+    from cycloid_fmu.studies import yields
+
+    study = yields.read_study(
+        pair_file, tolerances_file, torque, samples=samples, seed=seed, design=design, angles=angles, turns=turns
+    )
+    to_first_order = screen is not None or target is not None
+    yields.check(study, str(pair_file), str(tolerances_file), to_first_order=to_first_order)
+    machines = {"workers": workers, "scheduler": scheduler}
+    with commands.progress("drives", yields.drives(study, screen)) as progress:
+        found = yields.conduct(study, screen, output, progress=progress, **machines)  # type: ignore[arg-type]
+    allocation = None
+    if target is not None:
+        with commands.progress("allocation", allocation_of.steps()) as progress:
+            allocation = allocation_of.allocate(
+                study,
+                target,
+                str(tolerances_file),
+                progress=progress,
+                **machines,  # type: ignore[arg-type]
+            )
+    if plot is not None:
+        _plot(found, allocation, plot)
+    if as_json:
+        given = None if allocation is None else dataclasses.asdict(allocation)
+        commands.print_json({**found.numbers(), "allocation": given})
+        return
+    drives = int(found.result.independent.sum())
+    _print_figures(found, f"{pair_file.name}: {drives} drives within {tolerances_file.name}")
+    if allocation is not None:
+        _print_allocation(found, allocation)
+
+
+def _plot(found: Findings, allocation: Allocation | None, plot: Path) -> None:
+    from cycloid_fmu.draw import plots
+
+    factors = found.result.study.factors
+    plots.save(plots.plot_tolerance(found.result), plot)
+    if found.indices:
+        plots.save(plots.plot_indices(factors, found.indices), plot.with_stem(f"{plot.stem}-indices"))
+    if allocation is not None:
+        title = f"{allocation.exact_yield:.2%} of the drives keep all limits, as stated {allocation.stated_yield:.2%}"
+        drawn = plots.plot_allocation(factors, allocation.scale, title)
+        plots.save(drawn, plot.with_stem(f"{plot.stem}-allocation"))
+
+
+def _print_figures(found: Findings, title: str) -> None:
+    import numpy as np
+
+    from cycloid_fmu.draw.plots import SHOWN
+    from cycloid_fmu.studies.tolerance import FIGURES, PER_TORQUE
+
+    study = found.result.study
+    units = {name: SHOWN[unit] for name, (unit, _) in FIGURES.items()}
+    rows = []
+    for name, one in found.statistics.items():
+        unit, factor = units[name]
+        figures = [one["mean"], one["standard_deviation"], *one["quantiles"].values()]
+        for k, load in enumerate(study.torque if name in PER_TORQUE else [None]):
+            values = [f"{np.atleast_1d(v)[k] * factor:.4g}" for v in figures]
+            rows.append([f"{name.replace('_', ' ')} [{unit}]", "" if load is None else f"{load:g} N·m", *values])
+    commands.print_table(title, ["figure", "torque", "mean", "σ", "5 %", "50 %", "95 %", "largest"], rows)
+    rows = []
+    for name, limit in study.tolerances.limits.stated().items():
+        unit, factor = units[name]
+        rows.append([name.replace("_", " "), f"{limit * factor:g} {unit}", f"{found.yields[name]['share']:.2%}"])
+    if rows:
+        whole = found.yields["all"]
+        rows.append(["all", "", f"{whole['share']:.2%} ({whole['low']:.2%} … {whole['high']:.2%})"])
+        commands.print_table("Yield", ["limit", "largest allowed", "keep it (95 % interval)"], rows)
+    for label, indices in found.indices.items():
+        kinds = ("first_order", "total")
+        rows = [
+            [study.factors[i], *(f"{indices[kind][i]:.3f} ± {indices[kind + '_confidence'][i]:.3f}" for kind in kinds)]
+            for i in np.argsort(-indices["total"])
+        ]
+        commands.print_table(f"Sobol indices: {label.replace('_', ' ')}", ["tolerance", "first order", "total"], rows)
+    if found.screened is not None:
+        differences = ", ".join(
+            f"{name.replace('_', ' ')} {worst * units[name][1]:.3g} {units[name][0]}"
+            for name, worst in found.screened.difference.items()
+        )
+        typer.echo(
+            f"To first order; {found.screened.confirmed.size} drives confirmed by the exact kernel, "
+            f"{found.screened.changed} of them judged otherwise; largest differences: {differences}."
+        )
+
+
+def _print_allocation(found: Findings, allocation: Allocation) -> None:
+    tolerances = found.result.study.tolerances
+    rows = []
+    for name, scale in zip(found.result.study.factors, allocation.scale, strict=True):
+        stated = getattr(tolerances, name)
+        factor, unit = (1e3, "mrad") if name.startswith("misalignment") else (1e6, "µm")
+        for field in ("single", "cumulative") if hasattr(stated, "single") else ("tolerance",):
+            width = getattr(stated, field) * factor
+            cost = tolerances.costs.get(name, 1.0) / scale
+            rows.append([name, field, f"{width:.3g} {unit}", f"{width * scale:.3g} {unit}", f"{cost:.3g}"])
+    commands.print_table("Cheapest tolerances", ["tolerance", "", "stated", "allocated", "cost"], rows)
+    typer.echo(
+        f"Yield {allocation.exact_yield:.2%} (as stated {allocation.stated_yield:.2%}), cost {allocation.cost:.4g} "
+        f"(as stated {allocation.stated_cost:.4g}), cost as 1/width, confirmed by the exact kernel."
+    )

@@ -1,0 +1,98 @@
+"""`cycloid-fmu wear`."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from cycloid_fmu import edge
+from cycloid_fmu.cli.shared import PairFile, SurfaceFile
+from cycloid_fmu.edge import commands
+
+
+def wear(
+    pair_file: PairFile,
+    wear_file: Annotated[Path, typer.Option("--wear", metavar="WEAR.toml", help="The wear law (cycloid-wear/1).")],
+    torque: Annotated[
+        float | None, commands.quantity_option("N*m", 'Torque on the output, such as "-400 N*m".')
+    ] = None,
+    crank_turns: Annotated[
+        float | None, typer.Option(help="Crank turns; without them those of the duty cycle.", show_default=False)
+    ] = None,
+    duty_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--duty", metavar="DUTY.csv", help="Duty cycle instead of one torque: torque [N*m],crank_turns [1]."
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None, commands.output_option((".nc",), "WORN.nc", "Write the worn surface and its life (netCDF).")
+    ] = None,
+    surface_file: SurfaceFile = None,
+    plot: commands.PlotFile = None,
+    as_json: commands.AsJson = False,
+) -> None:
+    """Wear of flanks and pins over a life, with the profile updated as it wears.
+
+    Example: [cyan]cycloid-fmu wear pair.toml --wear wear.toml --torque "-400 N*m" --crank-turns 3e6 -o worn.nc[/]
+    """
+    from cycloid_fmu.drive import read_drive
+    from cycloid_fmu.surfaces.files import write_surface
+    from cycloid_fmu.wear import life
+    from cycloid_fmu.wear.law import duty_cycle, read_wear_law
+
+    law = read_wear_law(wear_file)
+    loads, turns = duty_cycle(law, torque, crank_turns, duty_file, str(wear_file))
+    drive = read_drive(pair_file, surface_file)
+    with commands.Bar("crank turns", turns or 1.0) as bar:
+        run = life.run_wear(
+            drive.pair, drive.surface, law, loads, turns, str(wear_file), workers=os.cpu_count() or 1,
+            progress=lambda done: bar.update(completed=done),
+        )  # fmt: skip
+    figures = run.figures
+    if output is not None:
+        write_surface(run.surface, output)
+    if plot is not None:
+        from cycloid_fmu.draw import plots
+
+        plots.save(plots.plot_wear(run.model, run.states, run.new, figures), plot)
+    for note in run.notes:
+        typer.echo(note, err=True)
+    if as_json:
+        commands.print_json(figures)
+    else:
+        _print(figures, pair_file.name)
+
+
+def _print(figures: dict[str, Any], name: str) -> None:
+    kinds = {"linear": "at the new profile's rate", "updated": "profile updated"}
+    rows = [
+        [f"{body}, {text}", *(f"{figures[kind][f'{body}_depth_{key}'] * 1e6:.3f} µm" for kind in kinds)]
+        for body in ("gear", "pin")
+        for key, text in (("max", "deepest"), ("mean", "mean of what is worn"))
+    ]
+    commands.print_table(f"{name}, {figures['crank_turns']:g} crank turns", ["wear depth", *kinds.values()], rows)
+    life = figures["life"]
+    names = {"transmission_error": "Transmission error", "backlash": "Backlash", "lost_motion": "Lost motion"}
+    for key, text in names.items():
+        new_mean, worn_mean, new_range, worn_range = (
+            f"{life[one][k] * edge.ARCSEC:.3f}″" for one in (key, f"{key}_range") for k in (0, -1)
+        )
+        typer.echo(f"{text}: mean {new_mean} new, {worn_mean} worn; peak to peak {new_range} new, {worn_range} worn.")
+    step = figures["step"]
+    deepest = " and ".join(
+        f"{(figures['updated'][key] - step['whole_steps'][key]) * 1e6:+.3f} µm"
+        for key in ("gear_depth_max", "pin_depth_max")
+    )
+    typer.echo(
+        f"Steps: {step['count']}; halving all of them changes the depth by at most "
+        f"{step['halving_difference'] * 1e6:.3f} µm, the deepest of gear and pin by {deepest}."
+    )
+    typer.echo(f"Sliding work at friction coefficient 1: {figures['sliding_work']:.4g} J a crank turn.")
+    if "sliding_loss" in figures:
+        typer.echo(
+            f"Friction: {figures['friction_work']:.4g} J a crank turn, {figures['sliding_loss']:.3%} of the load's."
+        )

@@ -1,0 +1,159 @@
+"""A tolerance study as a whole: read, checked, solved, written, and what it says of yields."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from cycloid_fmu import edge
+from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.studies.tolerance import (
+    Array,
+    Checkpoint,
+    Result,
+    Screened,
+    Study,
+    check_first_order,
+    check_study,
+    dataset_of,
+    points,
+    run,
+    screened,
+    sobol_indices,
+    statistics,
+    yields,
+)
+from cycloid_fmu.surfaces.sampling import read_tolerances
+
+
+@dataclasses.dataclass(frozen=True)
+class Findings:
+    """What a study found.
+
+    Attributes
+    ----------
+    result
+        The solved samples.
+    statistics, yields, indices
+        As `tolerance.statistics`, `yields` and `sobol_indices` return them; no indices but with Saltelli's design.
+    screened
+        What the exact kernel confirmed, where the study was solved to first order.
+    """
+
+    result: Result
+    statistics: Mapping[str, Mapping[str, Any]]
+    yields: Mapping[str, Mapping[str, float]]
+    indices: Mapping[str, Mapping[str, Array]]
+    screened: Screened | None
+
+    def numbers(self) -> dict[str, Any]:
+        """Return the figures in SI units, for scripts."""
+        screening = None
+        if self.screened is not None:
+            screening = {
+                "confirmed": self.screened.confirmed.size,
+                "difference": self.screened.difference,
+                "changed": self.screened.changed,
+            }
+        return {
+            "samples": self.result.sample.size,
+            "torque": list(self.result.study.torque),
+            "factors": self.result.study.factors,
+            "statistics": self.statistics,
+            "yields": self.yields,
+            "indices": self.indices,
+            "screening": screening,
+        }
+
+
+def read_study(
+    pair_file: str | os.PathLike[str],
+    tolerances_file: str | os.PathLike[str],
+    torque: Sequence[float] | None = None,
+    **settings: Any,
+) -> Study:
+    """Return the study of a pair file and a tolerance file.
+
+    Parameters
+    ----------
+    torque
+        Loads on the output, N·m; plus and minus the pair's rated torque where None.
+    settings
+        Further fields of `Study`.
+
+    Raises
+    ------
+    edge.InputError
+        If a file can't be read, or there is neither a torque nor a rated torque.
+    """
+    pair, tolerances = read_pair(pair_file), read_tolerances(tolerances_file)
+    if not torque:
+        if pair.rated_torque is None:
+            raise edge.ArgumentError("torque", f"is missing; give it, or state [pair] rated_torque in {pair_file}")
+        torque = (pair.rated_torque, -pair.rated_torque)
+    return Study(pair, tolerances, torque=tuple(torque), **settings)
+
+
+def check(study: Study, pair_source: str, tolerances_source: str, *, to_first_order: bool = False) -> None:
+    """Refuse, with an `edge.InputError`, a study that can't be made, or not to first order; it names the files."""
+    check_study(study, pair_source, tolerances_source)
+    if to_first_order:
+        check_first_order(study, tolerances_source)
+
+
+def drives(study: Study, screen: float | None = None) -> int:
+    """Return how many drives `conduct` solves: the samples, and the share of them that is confirmed."""
+    size = len(points(study))
+    return size if screen is None else size + math.ceil(screen * size)
+
+
+def conduct(
+    study: Study,
+    screen: float | None = None,
+    output: str | os.PathLike[str] | None = None,
+    *,
+    workers: int = 1,
+    scheduler: str | None = None,
+    progress: Callable[[int], None] = lambda drives: None,
+) -> Findings:
+    """Solve a study, write it and return its figures.
+
+    Parameters
+    ----------
+    screen
+        Solve to first order, and confirm this share of the samples by the exact kernel.
+    output
+        A netCDF file, format `cycloid-tolerance-study/1`. Until it is written, `output` with `.checkpoint` behind it
+        keeps the samples that the exact kernel has solved; the same study goes on from there.
+    workers, scheduler, progress
+        As of `tolerance.run`.
+
+    Raises
+    ------
+    edge.InputError
+        If the share is not between 0 and 1, or the checkpoint is of another study.
+    Interrupted
+        At a KeyboardInterrupt; its text says what is kept.
+    """
+    if screen is not None and not 0.0 < screen <= 1.0:
+        raise edge.ArgumentError("screen", "the share must be between 0 and 1", screen)
+    machines: dict[str, Any] = {"workers": workers, "scheduler": scheduler, "progress": progress}
+    confirmed = kept = None
+    if screen is not None:
+        confirmed = screened(study, screen, **machines)
+        result = confirmed.result
+    else:
+        if output is not None:
+            kept = Checkpoint(Path(f"{output}.checkpoint"), study)
+        result = run(study, kept, **machines)
+    if output is not None:
+        with edge.written_whole(output) as temporary:
+            dataset_of(result).to_netcdf(temporary, engine="h5netcdf")
+    if kept is not None:
+        kept.path.unlink()
+    indices = sobol_indices(result) if study.design == "saltelli" else {}
+    return Findings(result, statistics(result), yields(result), indices, confirmed)
