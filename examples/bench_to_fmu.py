@@ -13,7 +13,7 @@ import numpy as np
 import drivers
 from cycloid_fmu.draw.plots import save
 from cycloid_fmu.fmu.build import build_fmu
-from cycloid_fmu.fmu.run import follow
+from cycloid_fmu.fmu.run import simulate_fmu
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.surfaces.files import read_surface, write_surface
 from cycloid_fmu.surfaces.structured import structured_value
@@ -62,7 +62,8 @@ def main() -> None:
     build_fmu(nominal, OUT / "identified.fmu", read_surface(OUT / "identified.nc"))
     zero = found.bench["output_angle_offset"]
     simulated = [
-        follow(OUT / "identified.fmu", c.input_angle, c.torque, ("transmission_error",))["transmission_error"] + zero
+        simulate_fmu(OUT / "identified.fmu", c.input_angle, c.torque, ("transmission_error",))["transmission_error"]
+        + zero
         for c in curves
     ]
     save(plot_comparison(curves, simulated, "simulated by the FMU"), OUT / "comparison.png")

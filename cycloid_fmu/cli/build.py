@@ -58,7 +58,7 @@ def build(
     """
     from cycloid_fmu.fmu.build import build_fmu, read_losses
     from cycloid_fmu.fmu.variables import LOSSLESS, Interface
-    from cycloid_fmu.reducer.budget import drive_of_file
+    from cycloid_fmu.reducer.drive_file import drive_of_file
 
     if platforms and not native:
         raise edge.InputError("--platform: only a --native FMU has platforms; one in Python runs where Python does.")
@@ -80,7 +80,7 @@ def _build_native(
     from cycloid_fmu.native.build import build_native, platforms_of
     from cycloid_fmu.native.tables import LARGEST_LOAD, PROBES
 
-    if surface.pair.rated_torque is None:
+    if getattr(drive, "stage", drive).rated_torque is None:
         raise edge.InputError(
             f"{pair_file}: [pair] rated_torque is missing; state it: the tables reach {LARGEST_LOAD:g} times as far."
         )

@@ -68,11 +68,11 @@ def load_sharing(problem: Problem, contacts: Rows, pin_force: Array, pin_pressur
         pin_pressure[disc, pin] = max(pin_pressure[disc, pin], pressure)
     largest_force = largest_pressure = 0.0
     for disc, pin in np.ndindex(pin_force.shape):
-        largest_force = max(largest_force, pin_force[disc, pin])
-        largest_pressure = max(largest_pressure, pin_pressure[disc, pin])
+        largest_force = max(largest_force, float(pin_force[disc, pin]))
+        largest_pressure = max(largest_pressure, float(pin_pressure[disc, pin]))
     count = 0
     for disc, pin in np.ndindex(pin_force.shape):
-        count += pin_force[disc, pin] > _COUNTED * largest_force
+        count += 1 if pin_force[disc, pin] > _COUNTED * largest_force else 0
     return count, largest_pressure
 
 

@@ -45,7 +45,14 @@ PositiveTorque = Annotated[edge.Torque, pydantic.AfterValidator(_positive)]
 
 
 class Material(Config):
-    """An elastic material; the default is bearing steel."""
+    """An elastic material; the default is bearing steel.
+
+    Examples
+    --------
+    >>> import cycloid_fmu as cy
+    >>> cy.Material(youngs_modulus="70 GPa").youngs_modulus
+    70000000000.0
+    """
 
     youngs_modulus: PositivePressure = 206e9
     poissons_ratio: float = pydantic.Field(default=0.3, ge=0.0, lt=0.5)

@@ -21,7 +21,7 @@ from lxml import etree
 import cycloid_fmu as cy
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.core import MAGIC, state_from_bytes, state_to_bytes
-from cycloid_fmu.fmu.run import lead, opened
+from cycloid_fmu.fmu.run import open_fmu, simulate
 from cycloid_fmu.fmu.variables import Interface, variables
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
 from cycloid_fmu.reducer.budget import read_reducer
@@ -122,7 +122,7 @@ def test_both_versions_run_the_same_model(fmus):
         "flange_a.phi": 20.0 * time, "flange_a.w": np.full(time.size, 20.0), "flange_b.tau": 80.0 * np.cos(60.0 * time),
     }  # fmt: skip
     outputs = ("flange_b.phi", "flange_a.tau", "backlash", "power_loss", "max_contact_pressure")
-    old, new = (lead(fmus("kinematic", v), inputs, outputs, time) for v in ("2.0", "3.0"))
+    old, new = (simulate(fmus("kinematic", v), inputs, outputs, time) for v in ("2.0", "3.0"))
     for name in outputs:
         assert np.array_equal(old[name], new[name])
     assert new["power_loss"].min() > 0.0
@@ -197,7 +197,7 @@ def walk(fmu):
 """
     space = {}
     exec(walk, space)
-    with opened(fmus("inertia", "3.0")) as fmu:
+    with open_fmu(fmus("inertia", "3.0")) as fmu:
         fmu.initialize({"flange_b.tau": 10.0, "friction_torque": 1.0, "mesh_damping": 3.0, "pin_radial_1_cos": 2e-6})
         space["walk"](fmu)
         kept = fmu.slave.getFMUState()
@@ -210,8 +210,8 @@ def walk(fmu):
         walk
         + """
 import json, sys
-from cycloid_fmu.fmu.run import opened
-with opened(sys.argv[1]) as fmu:
+from cycloid_fmu.fmu.run import open_fmu
+with open_fmu(sys.argv[1]) as fmu:
     fmu.initialize()
     fmu.slave.setFMUState(fmu.slave.deserializeFMUState(open(sys.argv[2], "rb").read()))
     print(json.dumps(walk(fmu)))

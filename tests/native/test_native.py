@@ -27,7 +27,7 @@ from cycloid_fmu.fmu import constants
 from cycloid_fmu.fmu.compliant_model import CompliantModel
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.reducer_model import ReducerModel
-from cycloid_fmu.fmu.run import opened
+from cycloid_fmu.fmu.run import open_fmu
 from cycloid_fmu.fmu.variables import Interface, from_tables, variables
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
 from cycloid_fmu.native import build as native_build
@@ -180,7 +180,7 @@ def test_an_fmu_whose_table_is_damaged_says_so_when_it_is_opened(built, tmp_path
             if name.endswith(TABLE):
                 data[len(data) // 2] ^= 1
             archive.writestr(name, bytes(data))
-    with pytest.raises(edge.InputError, match=r"can't be instantiated: .* the table is damaged"), opened(damaged):
+    with pytest.raises(edge.InputError, match=r"can't be instantiated: .* the table is damaged"), open_fmu(damaged):
         pass
 
 
