@@ -144,8 +144,8 @@ class Pair(Config):
     >>> pair.replace(eccentricity="1.7 mm")
     Traceback (most recent call last):
     ...
-    cycloid_fmu.edge...InputError: eccentricity = "1.7 mm": eccentricity x pins / pin circle radius is 1.0625; it must
-    stay below 1, so the eccentricity below "1.6 mm".
+    cycloid_fmu.geometry.pair.ContradictionError: eccentricity = "1.7 mm": eccentricity x pins / pin circle radius is
+    1.0625; it must stay below 1, so the eccentricity below "1.6 mm".
     """
 
     gear_teeth: int = pydantic.Field(ge=6, le=120, strict=True)
