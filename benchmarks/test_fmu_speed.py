@@ -10,11 +10,9 @@ import pytest
 from common import CASES, EXAMPLES
 from fmpy.fmi2 import FMU2Slave
 
-from cycloid_fmu.fmu import tables
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.variables import Interface
 from cycloid_fmu.geometry.pair import read_pair
-from cycloid_fmu.surfaces.surface import surface_of_pair
 
 ROUNDS, STEPS = 1500, 20
 # What modellers exchange in a step; a slave that does nothing has as many variables under the same references.
@@ -63,7 +61,7 @@ print(json.dumps(time.perf_counter() - begin))
 def fmu(tmp_path_factory):
     path = tmp_path_factory.mktemp("fmu") / "drive.fmu"
     pair = read_pair(CASES / "errors-39-40.toml")
-    build_fmu(pair, surface_of_pair(pair), path)
+    build_fmu(pair, path)
     return path
 
 
@@ -72,15 +70,13 @@ def slaves(tmp_path_factory):
     """FMUs by name, started, each with the references that are set and got, and what is set at a crank angle."""
     folder = tmp_path_factory.mktemp("slaves")
     pair = read_pair(EXAMPLES / "drive-39-40.toml")
-    surface = surface_of_pair(pair)
-    made, started = tables.compute(pair, surface), {}
+    started = {}
     (folder / "empty.py").write_text(EMPTY)
     subprocess.run([sys.executable, "-m", "pythonfmu", "build", "-f", "empty.py"], cwd=folder, check=True)
     for kind in ("kinematic", "compliant"):
-        build_fmu(pair, surface, folder / f"{kind}.fmu", interface=Interface(kind))
-        build_fmu(pair, surface, folder / f"{kind} from tables.fmu", interface=Interface(kind), tables=made)
+        build_fmu(pair, folder / f"{kind}.fmu", interface=Interface(kind))
     for kind in ("kinematic", "compliant"):
-        for name in (kind, f"{kind} from tables", "Empty"):
+        for name in (kind, "Empty"):
             description = fmpy.read_model_description(str(folder / f"{name}.fmu"))
             v = {m.name: m.valueReference for m in description.modelVariables}
             slave = FMU2Slave(
@@ -94,7 +90,7 @@ def slaves(tmp_path_factory):
             inputs, outputs = [v.get(n, i) for i, n in enumerate(INPUTS[kind])], list(range(6, 10))
             if name != "Empty":
                 outputs = [v[n] for n in OUTPUTS[kind]]
-            started[kind, name.removeprefix(kind)] = slave, inputs, outputs
+            started[kind, name] = slave, inputs, outputs
     yield started
     for slave, _, _ in started.values():
         slave.terminate()
@@ -120,10 +116,9 @@ def test_set_step_get(benchmark, slaves, kind):
                     slave.getReal(outputs)
                 spent = (time.perf_counter_ns() - begun) / STEPS / 1e3
                 best[name] = min(best.get(name, spent), spent)
-    for name, words in (("", "exact"), (" from tables", "from tables")):
-        benchmark.extra_info[f"{words}, of an empty slave's time"] = f"{best[name] / best['Empty']:.2f}"
-        benchmark.extra_info[f"{words}, µs"] = f"{best[name]:.1f}"
-    slave, inputs, outputs = slaves[kind, " from tables"]
+    benchmark.extra_info["of an empty slave's time"] = f"{best[kind] / best['Empty']:.2f}"
+    benchmark.extra_info["µs"] = f"{best[kind]:.1f}"
+    slave, inputs, outputs = slaves[kind, kind]
 
     def once():
         slave.setReal(inputs, moved(kind, 0.5))

@@ -1,21 +1,17 @@
-"""How fast a native FMU steps, in the C host and through fmpy against one that does nothing, and solves single pins."""
+"""How fast a native FMU steps, in the C host and through fmpy against one that does nothing."""
 
-import dataclasses
 import re
 import statistics
 import time
 
 import fmpy
-import numpy as np
 import pytest
 from common import EXAMPLES
 from fmpy.fmi2 import FMU2Slave
-from fmpy.fmi3 import FMU3Slave
 from native.c_host import HERE, compiled, run_host
 
-from cycloid_fmu.fmu import native_build, tables
 from cycloid_fmu.geometry.pair import read_pair
-from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
+from cycloid_fmu.native import build as native_build
 
 STEPS = 20_000
 
@@ -37,9 +33,7 @@ def native(tmp_path_factory):
     """The drive of the examples as a native FMU, unpacked."""
     folder = tmp_path_factory.mktemp("native")
     pair = read_pair(EXAMPLES / "drive-39-40.toml")
-    native_build.build_native(
-        pair, surface_of_pair(pair), folder / "drive.fmu", platforms=[native_build.this_platform()]
-    )  # fmt: skip
+    native_build.build_native(pair, folder / "drive.fmu", platforms=[native_build.this_platform()])
     fmpy.extract(str(folder / "drive.fmu"), unzipdir=str(folder))
     return folder
 
@@ -89,44 +83,3 @@ def test_step_in_the_c_host(benchmark, native, tmp_path):
 
     benchmark.extra_info["ns a step"] = f"{statistics.median(once() for _ in range(5)):.0f}"
     benchmark.pedantic(once, rounds=1)
-
-
-@pytest.mark.parametrize("drive", ["as made", "misaligned", "deviations", "deviations in 20 slices"])
-def test_forces_of_single_pins(benchmark, tmp_path, drive):
-    """One get of `pin_force` and `pin_pressure` through fmpy after a step, less the same get again, which is known.
-
-    The tables are those of the drive without errors: what is measured does not depend on them.
-    """
-    pair, random = read_pair(EXAMPLES / "drive-39-40-as-made.toml"), np.random.default_rng(1)
-    surface, slices = surface_of_pair(pair), 20 if drive.endswith("slices") else 1
-    if drive == "misaligned":
-        surface = dataclasses.replace(surface, misalignment_xz=3e-4)
-    elif drive != "as made":
-        gear, pins = random.normal(0.0, 1e-6, (1, 39, 800, slices)), random.normal(0.0, 1e-6, (40, 400, slices))
-        surface = dataclasses.replace(surface, gear_deviation=gear, pin_deviation=pins)
-    native_build.build_native(
-        pair, surface, tmp_path / "drive.fmu", version="3.0", platforms=[native_build.this_platform()],
-        made=tables.compute(pair, nominal_surface(pair), accuracy=1e-6),
-    )  # fmt: skip
-    described = fmpy.read_model_description(str(tmp_path / "drive.fmu"))
-    both = [v.valueReference for v in described.modelVariables if v.name in ("pin_force", "pin_pressure")]
-    slave = FMU3Slave(
-        guid=described.instantiationToken, unzipDirectory=fmpy.extract(str(tmp_path / "drive.fmu")),
-        modelIdentifier="CycloidDrive", instanceName="drive",
-    )  # fmt: skip
-    slave.instantiate()
-    slave.enterInitializationMode()
-    slave.exitInitializationMode()
-
-    def once():
-        slave.setFloat64([0, 2], [random.uniform(0.0, 60.0), random.uniform(20.0, 450.0)])
-        slave.doStep(0.0, 1e-3)
-        begun = time.perf_counter_ns()
-        slave.getFloat64(both, nValues=80)
-        solved = time.perf_counter_ns()
-        slave.getFloat64(both, nValues=80)
-        return 2 * solved - begun - time.perf_counter_ns()
-
-    benchmark.extra_info["µs of both arrays"] = f"{statistics.median(once() for _ in range(300)) / 1e3:.0f}"
-    benchmark.pedantic(once, rounds=100)
-    slave.freeInstance()

@@ -21,7 +21,8 @@ from cycloid_fmu.surfaces.surface import ErrorSurface, check_surface, stated_val
 if TYPE_CHECKING:
     import xarray as xr
 
-    from cycloid_fmu.fmu.variables import Interface
+    from cycloid_fmu.fmu.description import Version
+    from cycloid_fmu.fmu.variables import Interface, InterfaceKind
 
 Array = NDArray[np.float64]
 _FIELD_UNITS = {
@@ -179,11 +180,32 @@ class Drive:
             workers=workers or os.cpu_count() or 1, progress=progress,
         )  # fmt: skip
 
-    def build_fmu(self, path: str | os.PathLike[str], interface: str | Interface = "kinematic", **options: Any) -> None:
-        """Build the drive's FMU; parameters are those of `build_fmu`."""
-        from cycloid_fmu.fmu.build import build
+    def build_fmu(
+        self,
+        path: str | os.PathLike[str],
+        interface: InterfaceKind | Interface = "kinematic",
+        *,
+        fmi_version: Version = "2.0",
+    ) -> None:
+        """Write the drive's Co-Simulation FMU, which runs in a Python host.
 
-        build(self, path, interface, **options)
+        Parameters
+        ----------
+        path
+            The FMU file.
+        interface
+            "kinematic", "compliant", or an `Interface` with output inertia or losses.
+        fmi_version
+            "2.0" or "3.0".
+
+        Raises
+        ------
+        edge.InputError
+            If the folder does not exist or the interface is none.
+        """
+        from cycloid_fmu.fmu.build import build_fmu
+
+        build_fmu(self, path, interface=interface, fmi_version=fmi_version)
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the drive: a pair file (`.toml`) or an error surface (`.nc`), which holds form and wear as well.

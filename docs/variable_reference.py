@@ -1,6 +1,5 @@
 """The reference of the FMU's variables, from the table that every FMU is made of."""
 
-import dataclasses
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
@@ -42,8 +41,8 @@ INTRODUCTION = f"""# FMU variables
 
 What an FMU of `cycloid-fmu build` has, in each [interface](../fmu.md): the causality of each variable, – where the
 interface lacks it. *Inertia inside* is the compliant interface with `--output-inertia`. FMI 2.0 and 3.0 have the same
-names and value references. In the FMU of an RV reducer `flange_a` is the sun. What an
-[FMU from tables](../native.md), native or in Python, has in them is a *constant* there: it can be read but not set.
+names and value references. In the FMU of an RV reducer `flange_a` is the sun. What a
+[native FMU](../native.md) has in its tables is a *constant* there: it can be read but not set.
 
 Values are in the first unit, those in brackets are display units. Ranges and starts are those of `examples/{EXAMPLE}`,
 and of a drive worn for 10⁶ crank turns; the model description in every FMU has its own.
@@ -56,15 +55,16 @@ def tables() -> Iterator[tuple[str, tuple[Variable, ...]]]:
     pair = read_pair(Path(__file__).parent.parent / "examples" / EXAMPLE)
     flanks, pins = (2, pair.discs, pair.gear_teeth, 1, 1), (2, pair.pins, 1, 1)
     life = Life(np.array([0.0, 1e6]), np.zeros(flanks), np.zeros(pins), np.zeros(flanks), np.zeros(pins))
-    surface = dataclasses.replace(nominal_surface(pair), life=life)
+    surface = nominal_surface(pair).replace(life=life)
     for name, interface in INTERFACES.items():
         yield name, variables(pair, surface, interface, "3.0")
 
 
 def in_native(variable: Variable) -> str:
     """What a native FMU has of a variable."""
-    (kept,) = from_tables([variable]).values()
-    return "the same" if kept == variable else kept.variability
+    for kept in from_tables([variable]).values():
+        return "the same" if kept == variable else kept.variability
+    return "–"
 
 
 def span(variable: Variable) -> str:

@@ -34,7 +34,7 @@ def main() -> None:
 
     print("1. The drive on the bench: an FMU of the drive as it was really made")
     as_made = read_pair(HERE / "drive-39-40-as-made.toml")
-    build_fmu(as_made, surface_of_pair(as_made), OUT / "as-made.fmu")
+    build_fmu(as_made, OUT / "as-made.fmu")
 
     print("2. The bench runs at two loads in both directions, and the recorder writes what its encoders send")
     recordings = []
@@ -59,7 +59,7 @@ def main() -> None:
     write_surface(found.surface, OUT / "identified.nc")
 
     print("4. The FMU of this very drive, simulated beside the measurement")
-    build_fmu(nominal, read_surface(OUT / "identified.nc"), OUT / "identified.fmu")
+    build_fmu(nominal, OUT / "identified.fmu", read_surface(OUT / "identified.nc"))
     zero = found.bench["output_angle_offset"]
     simulated = [
         follow(OUT / "identified.fmu", c.input_angle, c.torque, ("transmission_error",))["transmission_error"] + zero

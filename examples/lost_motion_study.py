@@ -15,7 +15,7 @@ import numpy as np
 from cycloid_fmu.draw.plots import new_figure, save
 from cycloid_fmu.edge import ARCMIN
 from cycloid_fmu.edge.commands import print_table
-from cycloid_fmu.reducer import TERMS, as_printed, budget, read_reducer, shaft_tilt, summed, values_of
+from cycloid_fmu.reducer.budget import TERMS, as_printed, budget, read_reducer, shaft_tilt, summed, values_of
 
 HERE = Path(__file__).parent
 # Table 10: tilt of the output disk and of the input shaft, degrees, and the lost motion, arcmin.

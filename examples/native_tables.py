@@ -1,14 +1,13 @@
 """Tables of an FMU: size against accuracy
 =======================================
 
-What the tables take in the FMU, native or in Python, and what they err against the exact model, by the accuracy asked
+What the tables take in a native FMU, and what they err against the exact model, by the accuracy asked
 for.
 
 The first drive is without errors, so that it repeats from pin to pin; in the second the pins stand as they were made,
 and it repeats with every turn of the crank.
 """
 
-import dataclasses
 import math
 import zlib
 from pathlib import Path
@@ -18,9 +17,10 @@ from matplotlib.ticker import FixedLocator
 
 from cycloid_fmu.draw.plots import new_figure, save
 from cycloid_fmu.edge.commands import print_table
-from cycloid_fmu.fmu import tables
-from cycloid_fmu.fmu.variables import Interface, variables
+from cycloid_fmu.fmu.variables import Interface, from_tables, variables
 from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.native import tables
+from cycloid_fmu.native.table_file import write
 from cycloid_fmu.surfaces.surface import nominal_surface
 
 ARCSEC = math.pi / 648000
@@ -29,7 +29,7 @@ ASKED = (1.0, 0.3, 0.1, 0.05, 0.02)
 pair = read_pair(Path(__file__).parent / "drive-39-40.toml")
 nominal = nominal_surface(pair)
 radial = 2e-6 * np.random.default_rng(1).normal(size=pair.pins)
-drives = {"pins and teeth alike": nominal, "pins as made": dataclasses.replace(nominal, pin_radial=radial)}
+drives = {"pins and teeth alike": nominal, "pins as made": nominal.replace(pin_radial=radial)}
 
 figure, (axes,) = new_figure()
 rows = []
@@ -37,9 +37,9 @@ for name, surface in drives.items():
     sizes, errors = [], []
     for asked in ASKED:
         made = tables.compute(pair, surface, accuracy=asked * ARCSEC)
-        file = tables.write(made, Interface(), variables(pair, surface, Interface(), "2.0"))
+        file = write(made, Interface(), from_tables(variables(pair, surface, Interface(), "2.0")))
         sizes.append(len(zlib.compress(file)) / 1e3)
-        errors.append(made.error["deviation_largest"] / ARCSEC)
+        errors.append(made.largest_error / ARCSEC)
         loads = made.positive.load.size + made.negative.load.size
         rows.append(
             [name, f"{asked:g}″", f"{errors[-1]:.4f}″", f"{sizes[-1]:.0f} kB", f"{loads} × {made.rest_torque.size}"]

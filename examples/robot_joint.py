@@ -80,7 +80,7 @@ def joint(pair: Pair, surface: ErrorSurface, path: Path) -> Path:
     """Build the joint's three FMUs and package them."""
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
-        build_fmu(pair, surface, place / "drive.fmu", interface=ARM)
+        build_fmu(pair, place / "drive.fmu", surface, interface=ARM)
         for name in ("Motor", "Arm"):
             script = place / f"{name.lower()}_part.py"
             script.write_text(f"from joint_parts import {name} as Part\n\n\nclass {name}(Part):\n    pass\n")
@@ -150,8 +150,8 @@ def main() -> None:
     }
     print("1. The joint as an SSP package, with each drive")
     packages = {name: joint(*drive, OUT / f"joint-{name.replace(' ', '-')}.ssp") for name, drive in drives.items()}
-    build_fmu(*drives["as identified"], OUT / "identified.fmu")
-    build_fmu(*drives["as made"], OUT / "as-made.fmu")
+    for name, (pair, surface) in (("identified", drives["as identified"]), ("as-made", drives["as made"])):
+        build_fmu(pair, OUT / f"{name}.fmu", surface)
     known = compensation(OUT / "identified.fmu", -30.0)
 
     print("2. It moves by 90°")

@@ -15,8 +15,8 @@ import pytest
 from common import EXAMPLES
 
 from cycloid_fmu.fmu.description import model_variables
-from cycloid_fmu.fmu.native_build import this_platform
 from cycloid_fmu.fmu.variables import from_tables
+from cycloid_fmu.native.build import this_platform
 
 ROOT = EXAMPLES.parent
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "tutorials").glob("*.md")])

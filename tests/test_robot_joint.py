@@ -35,7 +35,7 @@ def test_the_package_keeps_to_the_standard_and_every_connection_has_two_ends(exa
 
 
 def test_eight_orders_hold_nearly_all_of_the_transmission_error(example, tmp_path):
-    build_fmu(AS_MADE, surface_of_pair(AS_MADE), tmp_path / "drive.fmu")
+    build_fmu(AS_MADE, tmp_path / "drive.fmu")
     known = example.compensation(tmp_path / "drive.fmu", -30.0)
     crank = np.linspace(3.0, 200.0, 150)
     error = follow(tmp_path / "drive.fmu", crank, -30.0, ("transmission_error",))["transmission_error"]

@@ -11,7 +11,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.edge import commands
 
 if TYPE_CHECKING:
-    from cycloid_fmu.reducer import Stack
+    from cycloid_fmu.reducer.budget import Stack
 
 
 def budget(
@@ -25,7 +25,7 @@ def budget(
 
     Example: [cyan]cycloid-fmu budget rv.toml --plot budget.png[/]
     """
-    from cycloid_fmu import reducer as rv
+    from cycloid_fmu.reducer import budget as rv
 
     reducer = rv.read_reducer(reducer_file)
     warnings = rv.contradictions(reducer, str(reducer_file))
@@ -69,7 +69,7 @@ def budget(
 
 
 def _print_stack(stack: Stack, samples: int) -> None:
-    from cycloid_fmu.reducer import stack_summary
+    from cycloid_fmu.reducer.budget import stack_summary
 
     shown = stack_summary(stack)
     rows = []

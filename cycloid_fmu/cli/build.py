@@ -41,7 +41,7 @@ def build(
             help="Losses: speed \\[rpm],eta_mf1 [1],eta_mf2 [1],tau_bf1 [N*m],tau_bf2 [N*m], as Modelica's LossyGear.",
         ),
     ] = None,
-    fmi: Annotated[str, commands.choice_option(("2.0", "3.0"), "FMI version.")] = "2.0",
+    fmi_version: Annotated[str, commands.choice_option(("2.0", "3.0"), "FMI version.", "--fmi")] = "2.0",
     native: Annotated[
         bool, typer.Option("--native", help="An FMU that needs no Python: C around tables of the contact model.")
     ] = False,
@@ -56,42 +56,37 @@ def build(
 
     Example: [cyan]cycloid-fmu build pair.toml --surface identified.nc -o drive.fmu[/]
     """
-    from cycloid_fmu.fmu.build import build_fmu, checked_interface, read_losses
+    from cycloid_fmu.fmu.build import build_fmu, read_losses
     from cycloid_fmu.fmu.variables import LOSSLESS, Interface
-    from cycloid_fmu.reducer import drive_of_file
+    from cycloid_fmu.reducer.budget import Reducer, contradictions, read_buildable
 
     if platforms and not native:
         raise edge.InputError("--platform: only a --native FMU has platforms; one in Python runs where Python does.")
-    rows = LOSSLESS if losses is None else read_losses(losses)
-    pair, surface, stage, warnings = drive_of_file(pair_file, surface_file)
-    for warning in warnings:
+    offered = Interface(interface, output_inertia, LOSSLESS if losses is None else read_losses(losses))  # type: ignore[arg-type]
+    drive, surface = read_buildable(pair_file, surface_file)
+    for warning in contradictions(drive, str(pair_file)) if isinstance(drive, Reducer) else ():
         typer.echo(warning, err=True)
-    offered = checked_interface(Interface(interface, output_inertia, rows), stage)  # type: ignore[arg-type]
-    if native:
-        _build_native(pair_file, pair, surface, output, offered, fmi, stage, platforms or [])
-    else:
-        build_fmu(pair, surface, output, stage, interface=offered, fmi_version=fmi)  # type: ignore[arg-type]
+    options: dict[str, Any] = {"interface": offered, "fmi_version": fmi_version}
+    if not native:
+        build_fmu(drive, output, surface, **options)
+        return
+    from cycloid_fmu.native.build import build_native, platforms_of
+    from cycloid_fmu.native.tables import LARGEST_LOAD, PROBES
 
-
-def _build_native(
-    pair_file: Path, pair: Any, surface: Any, output: Path, interface: Any, fmi: Any, stage: Any, platforms: list[str]
-) -> None:
-    """Build a native FMU with a progress bar, and print how good its tables are."""
-    from cycloid_fmu.fmu.native_build import build_native, platforms_of
-    from cycloid_fmu.fmu.tables import LARGEST_LOAD, PROBES
-
+    pair = drive.stage if isinstance(drive, Reducer) else drive
     if pair.rated_torque is None:
         raise edge.InputError(
             f"{pair_file}: [pair] rated_torque is missing; state it: the tables reach {LARGEST_LOAD:g} times as far."
         )
-    with commands.Bar("compiling", len(platforms or platforms_of(fmi))) as bar:
+    names = platforms or platforms_of(fmi_version)  # type: ignore[arg-type]
+    with commands.Bar("compiling", len(names)) as bar:
         made = build_native(
-            pair, surface, output, interface, fmi, stage, platforms=platforms, workers=os.cpu_count() or 1,
+            drive, output, surface, **options, platforms=names, workers=os.cpu_count() or 1,
             compiled=lambda name: bar.advance(), progress=bar.advance,
             total=lambda count: bar.update(completed=0, total=count, description="crank angles"),
         )  # fmt: skip
     typer.echo(
         f"{output}: {output.stat().st_size / 1e6:.2f} MB, up to {made.positive.load[-1]:.5g} N*m; transmission error "
-        f"within {made.error['deviation_largest'] * edge.ARCSEC:.3f} arcsec of the exact model "
+        f"within {made.largest_error * edge.ARCSEC:.3f} arcsec of the exact model "
         f"({PROBES} random crank angles and torques, and more around the worst)."
     )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -152,7 +151,7 @@ def plot_budget(found: Mapping[str, Mapping[str, float]], stack: object = None) 
 
     The line is the closed form's cumulative share of all terms' amounts; `stack` is a `reducer.Stack` or None.
     """
-    from cycloid_fmu.reducer import TERMS, Stack
+    from cycloid_fmu.reducer.budget import TERMS, Stack
 
     closed, exact = found["standard"], found["geometric_sun_locked"]
     names = sorted(TERMS, key=lambda n: -abs(closed[n]))

@@ -3,33 +3,29 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import json
 import math
 import os
-import shutil
-import sys
 import tempfile
 import zipfile
-from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Protocol
 
 import numpy as np
 
 from cycloid_fmu import __version__, edge
 from cycloid_fmu.errors.kinds import KINDS
+from cycloid_fmu.fmu.core import NUMBERS, SURFACE
 from cycloid_fmu.fmu.description import Version
 from cycloid_fmu.fmu.losses import check_losses
 from cycloid_fmu.fmu.parts import parts, write_archive
-from cycloid_fmu.fmu.reducer_model import FirstStage
-from cycloid_fmu.fmu.variables import Interface, LossRow, from_tables, variables
+from cycloid_fmu.fmu.pythonfmu_builder import build_archive
+from cycloid_fmu.fmu.variables import INTERFACES, Interface, InterfaceKind, LossRow, variables
 from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.reducer.budget import Reducer, first_stage_of, surface_of_reducer
+from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.surfaces.files import write_surface
-from cycloid_fmu.surfaces.surface import DEVIATIONS, ErrorSurface
-
-if TYPE_CHECKING:
-    from cycloid_fmu.fmu.tables import Tables
+from cycloid_fmu.surfaces.surface import DEVIATIONS, ErrorSurface, surface_of_pair
 
 _LIBRARIES = {"2.0": "pythonfmu", "3.0": "pythonfmu3"}
 _SCRIPTS = {"2.0": "cycloid_drive.py", "3.0": "cycloid_drive3.py"}
@@ -41,54 +37,67 @@ _FRONTS = {
 }
 
 
+class DriveWithErrors(Protocol):
+    """A gear pair together with its errors."""
+
+    @property
+    def pair(self) -> Pair:
+        """The nominal pair."""
+
+    @property
+    def surface(self) -> ErrorSurface:
+        """Its errors."""
+
+
+AnyDrive = Pair | Reducer | DriveWithErrors
+
+
+def whole_drive(drive: AnyDrive, surface: ErrorSurface | None) -> tuple[Pair, ErrorSurface, FirstStage | None]:
+    """Return the pair, its errors (those given, else the drive's own), and what stands before the pair in a reducer."""
+    if isinstance(drive, Reducer):
+        return drive.stage, surface or surface_of_reducer(drive), first_stage_of(drive)
+    if isinstance(drive, Pair):
+        return drive, surface or surface_of_pair(drive), None
+    return drive.pair, surface or drive.surface, None
+
+
 def build_fmu(
-    pair: Pair,
-    surface: ErrorSurface,
+    drive: AnyDrive,
     path: str | os.PathLike[str],
-    first_stage: FirstStage | None = None,
+    surface: ErrorSurface | None = None,
     *,
-    interface: Interface | None = None,
+    interface: InterfaceKind | Interface = "kinematic",
     fmi_version: Version = "2.0",
-    tables: Tables | None = None,
 ) -> None:
     """Write a Co-Simulation FMU of the drive that runs in a Python host, whole or not at all.
 
     Parameters
     ----------
-    pair, surface
-        The nominal pair and its errors; the surface file lies in the FMU's `resources/`.
+    drive
+        A gear pair, or an RV reducer, whose FMU has the sun as its input instead of the crank.
     path
         The FMU file.
-    first_stage
-        What makes the drive an RV reducer, whose input is the sun; without it the input is the crank.
+    surface
+        Errors of the pair, of a reducer's cycloid stage; those that the drive states by default.
     interface
-        What the FMU offers; the kinematic interface by default.
+        What the FMU offers: "kinematic", "compliant", or an `Interface`.
     fmi_version
         "2.0" or "3.0".
-    tables
-        What the FMU interpolates instead of solving the contacts; of the pair, without its first stage.
 
     Raises
     ------
     edge.InputError
-        If the folder does not exist, the loss table is none, or the interface and a first stage don't go together.
+        If the folder does not exist, the loss table is none, or the interface is none of this drive.
     """
-    from cycloid_fmu.fmu.core import NUMBERS, SURFACE
-    from cycloid_fmu.fmu.table_teeth import TABLE
-    from cycloid_fmu.fmu.tables import write as written
-
-    interface = checked_interface(interface or Interface(), first_stage)
-    table = variables(pair, surface, interface, fmi_version)
+    pair, surface, first_stage = whole_drive(drive, surface)
+    interface = checked_interface(interface, first_stage)
+    if fmi_version not in _LIBRARIES:
+        raise edge.ArgumentError("fmi_version", "it must be 2.0 or 3.0", fmi_version)
     library = _LIBRARIES[fmi_version]
-    builder: Any = importlib.import_module(f"{library}.builder")
-    # An FMU that ran in this process has brought its own copy of the library, which has no binaries for another.
-    builder.HERE = Path(str(metadata.distribution(library).locate_file(library)))
-    target = Path(path)
-    with tempfile.TemporaryDirectory(prefix="cycloid-fmu-") as folder, edge.written_whole(target) as temporary:
+    with tempfile.TemporaryDirectory(prefix="cycloid-fmu-") as folder, edge.written_whole(path) as temporary:
         place = Path(folder)
         numbers: dict[str, object] = {
             "package_version": __version__, "pair": pair.nominal.text, "interface": dataclasses.asdict(interface),
-            "tables": "" if tables is None else tables.told,
         }  # fmt: skip
         if first_stage is not None:
             numbers["first_stage"] = dataclasses.asdict(first_stage)
@@ -99,43 +108,30 @@ def build_fmu(
                 arrays.update({f"life_{n}": a for n, a in vars(surface.life).items()})
             np.savez(file, allow_pickle=False, **{n: a for n, a in arrays.items() if a is not None})
         write_surface(surface, place / "surface.nc")
-        files = [NUMBERS, SURFACE, "surface.nc"]
-        if tables is not None:
-            (place / TABLE).write_bytes(written(tables, interface, table))
-            files.append(TABLE)
-        script = Path(shutil.copy(Path(__file__).with_name(_SCRIPTS[fmi_version]), place))
-        try:
-            builder.FmuBuilder.build_FMU(
-                script,
-                dest=place,
-                project_files=[place / name for name in files],
-                canGetAndSetFMUstate=True,
-                canSerializeFMUstate=True,
-                canGetAndSetFMUState=True,
-                canSerializeFMUState=True,
-            )
-        finally:
-            # The builder leaves the script's folder and module behind, and the next build would find the old one.
-            sys.path[:] = [p for p in sys.path if p != str(place)]
-            sys.modules.pop(script.stem, None)
-        told = table if tables is None else tuple(from_tables(table).values())
+        script = Path(__file__).with_name(_SCRIPTS[fmi_version])
+        archive = build_archive(library, script, [place / name for name in (NUMBERS, SURFACE, "surface.nc")], place)
         fronts = _FRONTS if fmi_version == "2.0" else {}
-        with zipfile.ZipFile(place / "CycloidDrive.fmu") as made:
+        with zipfile.ZipFile(archive) as made:
             contents = {fronts.get(name, name): made.read(name) for name in made.namelist()}
         for name, behind in fronts.items():
             if behind in contents:
                 contents[name] = (_FRONT / name.removeprefix("binaries/")).read_bytes()
-        write_archive(temporary, {**contents, **parts(pair, interface, told, fmi_version, [library])})
+        table = variables(pair, surface, interface, fmi_version)
+        write_archive(temporary, {**contents, **parts(pair, interface, table, fmi_version, [library])})
 
 
-def checked_interface(interface: Interface, first_stage: FirstStage | None) -> Interface:
+def checked_interface(interface: InterfaceKind | Interface, first_stage: FirstStage | None) -> Interface:
     """Return the interface as an FMU of this drive has it; an `InputError` says what does not go together."""
+    interface = Interface(interface) if isinstance(interface, str) else interface
+    if interface.kind not in INTERFACES:
+        raise edge.ArgumentError("interface", f"it must be one of {', '.join(INTERFACES)}", interface.kind)
     if first_stage is not None and interface.kind == "compliant":
-        raise edge.InputError("--interface = compliant: an RV reducer has the kinematic interface alone.")
+        raise edge.ArgumentError("interface", "an RV reducer has the kinematic interface alone", interface.kind)
     if interface.output_inertia != 0.0 and interface.kind == "kinematic":
-        raise edge.InputError("--output-inertia: the kinematic interface has none; use --interface compliant.")
+        problem = "the kinematic interface has none; use the compliant interface"
+        raise edge.ArgumentError("output_inertia", problem, interface.output_inertia)
     if not 0.0 <= interface.output_inertia < math.inf:
-        raise edge.InputError(f"--output-inertia = {interface.output_inertia:g} kg*m^2: it must not be below zero.")
+        raise edge.ArgumentError("output_inertia", "it must not be below zero", interface.output_inertia)
     try:
         check_losses(interface.losses)
     except ValueError as problem:

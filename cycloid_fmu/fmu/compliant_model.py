@@ -11,67 +11,80 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
+from cycloid_fmu.fmu.constants import (
+    CRANK_STEP,
+    DEVIATION_STEP,
+    FRICTION_DISPLACEMENT,
+    LARGEST_TRANSMISSION_ERROR,
+    LAST_CHANGE,
+    LAST_SHARE,
+    MOST_ITERATIONS,
+    MOST_PARTS,
+    MOST_SUB_STEPS,
+    SAME_PLACE,
+    STEP_TOLERANCE,
+    SUB_STEP,
+)
 from cycloid_fmu.fmu.losses import loss_torque
 from cycloid_fmu.fmu.model import DriveModel
-from cycloid_fmu.fmu.table_teeth import Interpolation
+from cycloid_fmu.fmu.stepped_model import State, SteppedModel, state_fields
 from cycloid_fmu.fmu.teeth import StepError
-from cycloid_fmu.fmu.variables import FRICTION_DISPLACEMENT, LARGEST_STEP, LOSSLESS
+from cycloid_fmu.fmu.variables import LARGEST_STEP, LOSSLESS
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
-FARTHEST = 0.01  # rad: flanges further than this from the ideal ratio are a mistake of the model around the drive
-_SUB_STEP = 0.2  # rad of the output inertia's own oscillation in one sub-step
-_CRANK_STEP = 0.02  # rad of the crank in one sub-step of what is dissipated
-_DEVIATION_STEP = 5e-6  # rad of the deviation likewise
-_MOST_SUB_STEPS = 20000
 _NO_LOSSES = [list(row) for row in LOSSLESS]  # a longer table that takes nothing is walked through in vain
-_SAME = 1e-11  # rad: over a shorter way the torque of its middle is taken instead of an energy difference
-_CLOSE = 1e-15  # rad: last change of a sub-step's solution
+# What a quasi-static drive at the same place has of the state.
+_SHARED = (
+    "errors", "pin_arrays", "_crank_turns_worn", "crank_angle", "crank_speed", "series_compliance", "backlash_on",
+)  # fmt: skip
 
 
-class CompliantModel(DriveModel):
-    """A cycloid-pin drive between two flanges, stepped by `advance`.
-
-    Parameters
-    ----------
-    pair, surface, losses, tables
-        As of `DriveModel`.
-    output_inertia
-        Moment of inertia on the output inside, kg·m²; 0 where there is none.
+@state_fields
+class CompliantState(State):
+    """State of a drive between two flanges.
 
     Attributes
     ----------
-    crank_angle, crank_speed, output_angle, output_speed
-        Of both flanges, rad and rad/s: inputs, but with an output inertia those of the output are its state.
-    torque
-        Torque into the drive at the output, N·m; with an output inertia the load on that, an input.
+    output_angle, output_speed
+        Of the output, rad and rad/s: inputs, but with an output inertia its state.
     mesh_damping
         Damping of the contacts at the output, N·m·s/rad. Its torque is at most the contacts' own (as in Modelica's
         `ElastoBacklash2`): it acts in contact only and never pulls.
-    friction_torque
-        Dry friction at the output, N·m: an elastic-plastic element that slides beyond `FRICTION_DISPLACEMENT`.
+    output_inertia
+        Moment of inertia on the output inside, kg·m²; 0 where there is none.
     largest_step
         Communication step above which `advance` refuses, s.
     dissipated_energy
         J since the start.
     """
 
-    _STATE = (
-        *(n for n in DriveModel._STATE if n not in ("torque", "_output_angle", "_deviation", "_pushed")),
-        "output_angle", "output_speed", "_load_torque", "_bristle", "_seen", "mesh_damping", "dissipated_energy",
-        "largest_step", "output_inertia",
-    )  # fmt: skip
-    _CACHES = (*DriveModel._CACHES, "_solved_at", "_solved")
-    _MOVED = (
-        *DriveModel._MOVED, "crank_angle", "output_angle", "output_speed", "_bristle", "_seen", "dissipated_energy",
-        "_solved_at", "_solved",
-    )  # fmt: skip
-
-    # What the quasi-static drive finds is given here, or the inertia's.
     output_angle: float = 0.0
     output_speed: float = 0.0
+    mesh_damping: float = 0.0
+    output_inertia: float = 0.0
+    largest_step: float = LARGEST_STEP
+    dissipated_energy: float = 0.0
+    _load_torque: float = 0.0  # on the inertia, N·m
+    _bristle: float = 0.0  # how far friction is strained, rad
+    _seen: float = 0.0  # the output angle that friction has followed to, rad
+    _solved_at: Sequence[float] = ()
+    _solved: Sequence[float] = ()
+
+
+class CompliantModel(SteppedModel, CompliantState):
+    """A cycloid-pin drive between two flanges, stepped by `advance`.
+
+    `friction_torque` is that of an elastic-plastic element that slides beyond `FRICTION_DISPLACEMENT`.
+
+    Parameters
+    ----------
+    pair, surface, losses
+        As of `SteppedModel`.
+    output_inertia
+        As of `CompliantState`.
+    """
 
     def __init__(
         self,
@@ -79,26 +92,22 @@ class CompliantModel(DriveModel):
         surface: ErrorSurface,
         losses: Sequence[Sequence[float]] = LOSSLESS,
         output_inertia: float = 0.0,
-        tables: Interpolation | None = None,
     ) -> None:
+        super().__init__(pair, surface, losses)
         self._held, self.output_inertia = output_inertia == 0.0, output_inertia
-        self._bristle = self._seen = 0.0  # how far friction is strained, and the output angle that it has followed to
-        self._load_torque = self.dissipated_energy = 0.0
-        self.mesh_damping, self.largest_step = 0.0, LARGEST_STEP
-        super().__init__(pair, surface, losses, tables)
 
     def _rebuild(self) -> None:
         super()._rebuild()
-        self._solved_at: Sequence[float] = ()
-        self._solved: Sequence[float] = ()
+        self._solved_at = self._solved = ()
         self._stiffest = 0.0
 
     def _contact(self, theta: float, deviation: float) -> tuple[float, float, float]:
         """Energy of contacts and series compliance, with its derivatives by crank and output angle."""
         flange, rate = deviation, 0.0
-        if not -FARTHEST < deviation < FARTHEST:
+        if not -LARGEST_TRANSMISSION_ERROR < deviation < LARGEST_TRANSMISSION_ERROR:
             raise StepError(
-                f"flange_b.phi is {deviation:g} rad from flange_a.phi/ratio: it must stay within {FARTHEST:g} rad"
+                f"flange_b.phi is {deviation:g} rad from flange_a.phi/ratio: it must stay within "
+                f"{LARGEST_TRANSMISSION_ERROR:g} rad"
             )
         self._play = self._crank = self._sharing = None
         self._theta = theta
@@ -161,8 +170,9 @@ class CompliantModel(DriveModel):
         """Make the next step start without history: friction unstrained and, with an inertia, at rest on the load."""
         self._bristle = self.dissipated_energy = 0.0
         if not self._held:
-            still = DriveModel(self.pair, self.surface, tables=self.tables)
-            still.restore({**still.state(), **self._shared(still)})
+            still = DriveModel(self.pair, self.surface)
+            shared = {name: getattr(self, name) for name in _SHARED}
+            still.restore({**still.state(), **shared, "torque": self._load_torque})
             still.advance()
             self.output_angle, self.output_speed = still.output_angle, still.output_speed
             for _ in range(5 if self._load_torque != 0.0 else 0):
@@ -171,15 +181,9 @@ class CompliantModel(DriveModel):
                 self.output_angle += (self._load_torque - torque) * (1.0 / self._stiffness + self.series_compliance)
         self._seen = self.output_angle
 
-    def _shared(self, still: DriveModel) -> dict[str, Any]:
-        own = self.state()
-        kept = {n: own[n] for n in ("errors", "pin_errors", "crank_turns_worn", "crank_angle", "crank_speed")}
-        return {**kept, "torque": self._load_torque, "series_compliance": self.series_compliance,
-                "backlash_on": self.backlash_on}  # fmt: skip
-
     def _move(self, step: float) -> None:
         """Move the flanges on for a step, from the inputs' values at its start."""
-        if step > self.largest_step * (1.0 + 1e-9):
+        if step > self.largest_step * (1.0 + STEP_TOLERANCE):
             raise StepError(f"a step of {step:g} s: largest_step is {self.largest_step:g} s")
         if self._held:
             self._follow(step)
@@ -196,8 +200,8 @@ class CompliantModel(DriveModel):
             self._seen = self.output_angle
         losing = self.mesh_damping > 0.0 or self.loss_table != _NO_LOSSES
         if losing:
-            parts = max(abs(crank_way) / _CRANK_STEP, abs(way - crank_way / self._ratio) / _DEVIATION_STEP)
-            count = min(max(math.ceil(parts), 1), 100)
+            parts = max(abs(crank_way) / CRANK_STEP, abs(way - crank_way / self._ratio) / DEVIATION_STEP)
+            count = min(max(math.ceil(parts), 1), MOST_PARTS)
             power = self._power()
         if rubbing:
             self.dissipated_energy += self._rub(way)[1]
@@ -223,11 +227,11 @@ class CompliantModel(DriveModel):
             _, self._stiffest = self._made_teeth().equilibrium(0.0, rated, 0.0)
         stiffness = 1.0 / (1.0 / self._stiffest + self.series_compliance)
         stiffness += self.friction_torque / FRICTION_DISPLACEMENT
-        count = max(1, math.ceil(step * math.sqrt(stiffness / self.output_inertia) / _SUB_STEP))
-        if count > _MOST_SUB_STEPS:
+        count = max(1, math.ceil(step * math.sqrt(stiffness / self.output_inertia) / SUB_STEP))
+        if count > MOST_SUB_STEPS:
             raise StepError(
                 f"output_inertia = {self.output_inertia:g} kg.m2: so small a one swings {count} sub-steps in a step of "
-                f"{step:g} s, and at most {_MOST_SUB_STEPS} are made"
+                f"{step:g} s, and at most {MOST_SUB_STEPS} are made"
             )
         return count
 
@@ -248,17 +252,17 @@ class CompliantModel(DriveModel):
         stiffness, inertia = self._stiffness, self.output_inertia
         way = part * speed + 0.5 * part**2 / inertia * (self._load_torque - elastic)
         lost = damping = 0.0
-        for _ in range(30):
+        for _ in range(MOST_ITERATIONS):
             following, crank_torque, at_end = self._contact(theta, start + way - ideal)
-            mean = (following - energy) / way if abs(way) > _SAME else 0.5 * (elastic + at_end)
+            mean = (following - energy) / way if abs(way) > SAME_PLACE else 0.5 * (elastic + at_end)
             damping = self._damping(mean, way / part - turning)
             self._bristle = bristle
             work, lost = self._rub(way)
-            friction = work / way if abs(way) > _SAME else self.friction_torque * bristle / FRICTION_DISPLACEMENT
+            friction = work / way if abs(way) > SAME_PLACE else self.friction_torque * bristle / FRICTION_DISPLACEMENT
             short = self._load_torque - mean - damping - friction - 2.0 * inertia * (way - part * speed) / part**2
             stiff = 0.5 * max(stiffness, self._stiffness) + self.mesh_damping / part
             change = short / (2.0 * inertia / part**2 + stiff)
-            if abs(change) <= _CLOSE + 1e-10 * abs(way):
+            if abs(change) <= LAST_CHANGE + LAST_SHARE * abs(way):
                 break
             way += change
         self._seen = self.output_angle = start + way

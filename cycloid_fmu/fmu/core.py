@@ -24,21 +24,17 @@ from cycloid_fmu import __version__
 from cycloid_fmu.fmu.compliant_model import CompliantModel
 from cycloid_fmu.fmu.description import Version
 from cycloid_fmu.fmu.model import DriveModel
-from cycloid_fmu.fmu.reducer_model import FirstStage, ReducerModel
-from cycloid_fmu.fmu.table_teeth import TABLE, Interpolation, read
+from cycloid_fmu.fmu.reducer_model import ReducerModel
 from cycloid_fmu.fmu.teeth import StepError
-from cycloid_fmu.fmu.variables import ARRAYS, Interface, Variable, from_tables, variables
+from cycloid_fmu.fmu.variables import ARRAYS, ATTRIBUTES, Interface, Variable, variables
 from cycloid_fmu.geometry.pair import Pair, parse_pair
+from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.surfaces.surface import ErrorSurface, Life
 
 NUMBERS, SURFACE = "pair.json", "surface.npz"
-MAGIC, STATE_VERSION = b"cycloid state\0\0\0", 3
+MAGIC, STATE_VERSION = b"cycloid state\0\0\0", 4
 _LARGEST = sys.float_info.max
 _HEAD = struct.Struct("<16sII32sQ")  # magic, version, checksum, hash of the resources, length
-_ATTRIBUTES = {
-    "flange_a.phi": "crank_angle", "flange_a.w": "crank_speed", "flange_a.tau": "crank_torque",
-    "flange_b.phi": "output_angle", "flange_b.w": "output_speed", "flange_b.tau": "torque",
-}  # fmt: skip
 
 
 def interface_from(numbers: dict[str, Any]) -> Interface:
@@ -47,18 +43,14 @@ def interface_from(numbers: dict[str, Any]) -> Interface:
 
 
 def model_of(
-    pair: Pair,
-    surface: ErrorSurface,
-    interface: Interface,
-    first_stage: FirstStage | None = None,
-    tables: Interpolation | None = None,
-) -> DriveModel:
-    """Return the model behind an interface, exact or from tables."""
+    pair: Pair, surface: ErrorSurface, interface: Interface, first_stage: FirstStage | None = None
+) -> DriveModel | CompliantModel:
+    """Return the model behind an interface."""
     if interface.kind == "compliant":
-        return CompliantModel(pair, surface, interface.losses, interface.output_inertia, tables)
+        return CompliantModel(pair, surface, interface.losses, interface.output_inertia)
     if first_stage is not None:
-        return ReducerModel(pair, surface, first_stage, interface.losses, tables)
-    return DriveModel(pair, surface, interface.losses, tables)
+        return ReducerModel(pair, surface, first_stage, interface.losses)
+    return DriveModel(pair, surface, interface.losses)
 
 
 class Core:
@@ -77,8 +69,6 @@ class Core:
         The drive.
     table
         Its variables by reference.
-    told
-        What its description says of the tables that it comes from; empty where it is exact.
     faults
         What was refused and not set right since: a sentence for each variable's reference.
     """
@@ -97,15 +87,11 @@ class Core:
         pair, stage = parse_pair(numbers["pair"], "the FMU's drive"), numbers.get("first_stage")
         surface = ErrorSurface(pair, **values, life=Life(**states) if states else None)
         interface = interface_from(numbers["interface"])
-        self.told = str(numbers["tables"])
-        tabulated = (resources / TABLE).read_bytes() if self.told else b""
-        tables = read(tabulated, str(resources / TABLE)) if self.told else None
-        self.model = model_of(pair, surface, interface, None if stage is None else FirstStage(**stage), tables)
-        table = variables(pair, surface, interface, version)
-        self.table = dict(enumerate(table)) if tables is None else from_tables(table)
+        self.model = model_of(pair, surface, interface, None if stage is None else FirstStage(**stage))
+        self.table = dict(enumerate(variables(pair, surface, interface, version)))
         self.faults: dict[int, str] = {}
         self.time = 0.0
-        self._hash = hashlib.sha256(text + stored + tabulated).digest()
+        self._hash = hashlib.sha256(text + stored).digest()
         accesses = {reference: self._access(variable) for reference, variable in self.table.items()}
         self.getters = {reference: getter for reference, (getter, _) in accesses.items()}
         self._setters = {reference: setter for reference, (_, setter) in accesses.items()}
@@ -113,7 +99,7 @@ class Core:
         self._quick = {
             reference: (setter, -_LARGEST if v.least is None else v.least, _LARGEST if v.most is None else v.most)
             for reference, v in self.table.items()
-            if (setter := self._setters[reference]) is not None and not v.dimensions and v.variability != "constant"
+            if (setter := self._setters[reference]) is not None and not v.dimensions
         }
 
     def _access(self, variable: Variable) -> tuple[Callable[[], Any], Callable[[Any], None] | None]:
@@ -128,12 +114,8 @@ class Core:
             return (lambda: model.pin_errors(name)), functools.partial(model.set_pin_errors, name)
         if cell:
             i, j = int(cell[1]) - 1, int(cell[2]) - 1
-
-            def put(value: float) -> None:
-                model.loss_table[i][j] = value
-
-            return (lambda: model.loss_table[i][j]), put
-        attribute = _ATTRIBUTES.get(name, name)
+            return (lambda: model.loss_table[i][j]), functools.partial(model.set_loss, i, j)
+        attribute = ATTRIBUTES.get(name, name)
         setter = None if variable.causality == "output" else functools.partial(setattr, model, attribute)
         return functools.partial(getattr, model, attribute), setter
 
@@ -154,8 +136,7 @@ class Core:
         if refused:
             self.faults[reference] = refused
             return refused
-        if variable.variability != "constant":
-            setter(value)
+        setter(value)
         self.faults.pop(reference, None)
         return ""
 
@@ -173,15 +154,6 @@ class Core:
     def _refused(self, variable: Variable, value: Any) -> str:
         """Why a value is none for a variable; else an empty answer."""
         given = tuple(value) if variable.dimensions else (value,)
-        if variable.variability == "constant":
-            start = variable.start if isinstance(variable.start, tuple) else (variable.start,)
-            for one, held in zip(given, start, strict=True):
-                if one != held:
-                    return (
-                        f"{variable.name} = {one:g}: this FMU holds it in its tables, made for {held:g}; build the FMU "
-                        "again with it, or without --tables, where it is tunable"
-                    )
-            return ""
         least = -math.inf if variable.least is None else variable.least
         most = math.inf if variable.most is None else variable.most
         for one in given:

@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Sequence
 
-from cycloid_fmu.fmu.variables import LOSS_SPEED
+from cycloid_fmu.fmu.constants import LOSS_SPEED
 
 Row = Sequence[float]
 

@@ -9,41 +9,26 @@ gives the torques: T = M + a τ at the output and -b τ at the sun, M at the gea
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
 
-from cycloid_fmu.fmu.model import DriveModel
-from cycloid_fmu.fmu.table_teeth import Interpolation
+from cycloid_fmu.fmu.constants import STAGE_DIFFERENCE, STAGE_ITERATIONS, STAGE_SHARE, STAGE_STEP
+from cycloid_fmu.fmu.model import DriveModel, DriveState
+from cycloid_fmu.fmu.stepped_model import state_fields
 from cycloid_fmu.fmu.variables import LOSSLESS
 from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.reducer.first_stage import FirstStage, sun_locked_share
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
-_STEP = 1e-13  # rad of the output: last step of the crank angle's iteration
-_DIFFERENCE = 1e-6  # rad of the crank, for the change of its torque
+
+@state_fields
+class ReducerState(DriveState):
+    """State of a whole reducer; `crank_angle` and `crank_speed` are the sun's."""
+
+    _torque_rate: float | None = None  # of the crank's torque with its angle, N·m/rad
 
 
-@dataclasses.dataclass(frozen=True)
-class FirstStage:
-    """What stands around the cycloid stage.
-
-    Attributes
-    ----------
-    sun_teeth, planet_teeth
-        z_1, z_2.
-    sun_play
-        Free rotation of the sun with the planets held, two-sided, rad.
-    bearing_play
-        Free rotation of the carrier against the cycloid gears, two-sided, rad.
-    """
-
-    sun_teeth: int
-    planet_teeth: int
-    sun_play: float
-    bearing_play: float
-
-
-class ReducerModel(DriveModel):
+class ReducerModel(DriveModel, ReducerState):
     """An RV reducer with history; `crank_angle` and `crank_torque` are the sun's.
 
     Parameters
@@ -54,11 +39,7 @@ class ReducerModel(DriveModel):
         Teeth and plays around it.
     losses
         As of `DriveModel`, at the sun.
-    tables
-        As of `DriveModel`.
     """
-
-    _MOVED = (*DriveModel._MOVED, "_torque_rate")
 
     def __init__(
         self,
@@ -66,15 +47,11 @@ class ReducerModel(DriveModel):
         surface: ErrorSurface,
         first_stage: FirstStage,
         losses: Sequence[Sequence[float]] = LOSSLESS,
-        tables: Interpolation | None = None,
     ) -> None:
-        teeth = pair.gear_teeth
-        self._b = first_stage.sun_teeth / first_stage.planet_teeth
-        self._a = 1.0 + self._b
-        self._s = 1.0 / (1.0 + self._a / teeth)
-        self._torque_rate: float | None = None
-        super().__init__(pair, surface, losses, tables)
-        self._ratio = teeth / (self._b * self._s)
+        super().__init__(pair, surface, losses)
+        self._a, self._b = first_stage.crank_share, first_stage.sun_share
+        self._s = sun_locked_share(self._a, pair.gear_teeth)
+        self._ratio = pair.gear_teeth / (self._b * self._s)
         self._lever = -self._b
         self._stage = first_stage
 
@@ -104,7 +81,7 @@ class ReducerModel(DriveModel):
         side = math.copysign(1.0, torque) if torque != 0.0 else end
         deviation = side * self._outer + self._s * (self._x - self._shift(side))
         crank_torque = (1.0 - self._s) / self._a * torque
-        for _ in range(50):
+        for _ in range(STAGE_ITERATIONS):
             self._turn_crank(deviation, side)
             super()._elastic(0.0 if torque == 0.0 else torque - self._a * crank_torque, end)
             following = side * self._outer + self._s * (self._x - self._shift(side))
@@ -112,7 +89,7 @@ class ReducerModel(DriveModel):
             if self._stiffness > 0.0:
                 crank_torque, _ = self._pressed(self._theta, self._x)
             moved, deviation = abs(following - deviation), following
-            if moved < _STEP and abs(crank_torque - before) <= 1e-12 * abs(torque):
+            if moved < STAGE_STEP and abs(crank_torque - before) <= STAGE_SHARE * abs(torque):
                 break
         return deviation + self.series_compliance * torque
 
@@ -140,11 +117,11 @@ class ReducerModel(DriveModel):
         """Change of the crank's torque with its angle at constant torque on the gear, N·m/rad."""
         if self._torque_rate is None:
             gear_torque, teeth, found = self._teeth.torque, self._teeth.copy(), []
-            for step in (-_DIFFERENCE, _DIFFERENCE):
+            for step in (-STAGE_DIFFERENCE, STAGE_DIFFERENCE):
                 theta = self._theta + step
                 x, _ = teeth.equilibrium(theta, gear_torque, self._x)
                 found.append(self._pressed(theta, x, teeth)[0])
-            self._torque_rate = (found[1] - found[0]) / (2.0 * _DIFFERENCE)
+            self._torque_rate = (found[1] - found[0]) / (2.0 * STAGE_DIFFERENCE)
         return self._torque_rate
 
     @property
@@ -180,13 +157,13 @@ class ReducerModel(DriveModel):
         ends = []
         for side in (-1.0, 1.0):
             x = self._x
-            for _ in range(50):
+            for _ in range(STAGE_ITERATIONS):
                 theta = self._theta + self._a * (side * self._outer + self._s * (x - self._x))
                 low, high, interference = self._teeth.play(theta, x)
                 if interference > 0.0:
                     return 2.0 * self._outer
                 moved, x = abs((low if side < 0.0 else high) - x), low if side < 0.0 else high
-                if moved < _STEP:
+                if moved < STAGE_STEP:
                     break
             ends.append(x)
         return 2.0 * self._outer + self._s * (ends[1] - ends[0])

@@ -103,8 +103,6 @@ class DriveSlave:
             old = root.find(tag)
             assert old is not None
             root[list(root).index(old)] = made(tuple(table.values()), self.fmi_version, tuple(table))
-        if self.core.told:
-            root.set("description", f"{DESCRIPTION}, {self.core.told}")
         root.set("generationTool", f"cycloid-fmu {__version__}")
         place = next(i for i, node in enumerate(root) if node.tag == "CoSimulation")
         root.insert(place + 1, unit_definitions(tuple(table.values())))

@@ -1,13 +1,11 @@
-"""What stands behind a model's flanges: the exact contacts here, their tables in `table_teeth`.
-
-Both keep how they stand, so that a model has its history and nothing of contact rows or table nodes.
-"""
+"""The contacts behind a model's flanges, which keep how they stand: a model has its history and no contact rows."""
 
 from __future__ import annotations
 
+import base64
 import copy
 import math
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 import numpy as np
 from numba import types
@@ -20,63 +18,6 @@ from cycloid_fmu.contact.transmission import balances, carried
 
 class StepError(ValueError):
     """A step that the model refuses; the text is one sentence."""
-
-
-class Teeth(Protocol):
-    """Gear and pins at a crank angle θ (rad), the output off its ideal place by x (rad) and under a torque (N·m).
-
-    Where a method takes `x`, the search starts there. What `equilibrium`, `behind` or `press` solved last is what
-    `crank_side`, `torque`, `sharing`, `pin_force` and `pin_pressure` tell of. A torque or place at which nothing can be
-    found is a `StepError`.
-    """
-
-    def play(self, theta: float, x: float) -> tuple[float, float, float]:
-        """Ends of the free rotation (rad), and above 0 that there is none (m)."""
-
-    def touch_rate(self, theta: float, x: float, side: float) -> float:
-        """How the crank moves the end x of the play on a side (±1) with it: dφ_b/dθ (1)."""
-
-    def equilibrium(self, theta: float, torque: float, x: float) -> tuple[float, float]:
-        """Deviation (rad) and stiffness (N·m/rad) under a torque; at torque 0 where there is no play."""
-
-    def behind(self, theta: float, flange: float, compliance: float, x: float) -> tuple[float, float]:
-        """Likewise with the flange held at a deviation (rad) behind a compliance (rad/(N·m)): that of the teeth."""
-
-    def press(
-        self, theta: float, flange: float, compliance: float, x: float
-    ) -> tuple[float, float, float, float, float]:
-        """Likewise, and the stored energy (J) with its derivatives by θ and φ_b (N·m)."""
-
-    def crank_side(self, theta: float, x: float) -> tuple[float, float]:
-        """Torque that the crank must be given (N·m), and dφ_b/dθ at constant torque (1)."""
-
-    @property
-    def torque(self) -> float:
-        """Torque through the teeth, N·m."""
-
-    def sharing(self, theta: float) -> tuple[int, float]:
-        """Pins in contact, and the largest pressure (Pa)."""
-
-    def pin_force(self, theta: float) -> list[float]:
-        """Force on each pin after `sharing`, disc by disc, N."""
-
-    def pin_pressure(self, theta: float) -> list[float]:
-        """Largest pressure on each pin after `sharing`, disc by disc, Pa."""
-
-    def begin(self) -> None:
-        """Keep how all stands, for `undo`."""
-
-    def undo(self) -> None:
-        """Return to how all stood at `begin`."""
-
-    def copy(self) -> Self:
-        """Return teeth that stand alike and move by themselves."""
-
-    def state(self) -> dict[str, Any]:
-        """Return how all stands, as plain values."""
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Return to a state given by `state`."""
 
 
 @structref.register
@@ -138,7 +79,11 @@ def _load_sharing(box: _Box, rows: Rows, pin_force: Array, pin_pressure: Array) 
 
 
 class ContactTeeth:
-    """`Teeth` of the exact contact model: each solution is the start of the next.
+    """Gear and pins at a crank angle θ (rad), the output off its ideal place by x (rad) and under a torque (N·m).
+
+    Each solution is the start of the next; where a method takes `x`, the search starts there. `crank_side`, `torque`,
+    `sharing`, `pin_force` and `pin_pressure` are of what `equilibrium`, `behind` or `press` solved last. A torque or
+    place at which nothing can be found is a `StepError`.
 
     Parameters
     ----------
@@ -158,7 +103,7 @@ class ContactTeeth:
         self._moved = self._play_moved = True
 
     def play(self, theta: float, x: float) -> tuple[float, float, float]:
-        """As of `Teeth`."""
+        """Return the ends of the free rotation (rad), and above 0 that there is none (m)."""
         self._keep_play()
         found = _play(self._drive, theta, x, self._play_rows, self._play_cold)
         self._play_cold = math.isnan(found[0])
@@ -170,7 +115,7 @@ class ContactTeeth:
             self._play_moved = True
 
     def touch_rate(self, theta: float, x: float, side: float) -> float:
-        """As of `Teeth`."""
+        """Return how the crank moves the end x of the play on a side (±1) with it: dφ_b/dθ (1)."""
         self._keep_play()
         return _touch_rate(self._drive, theta, x, self._play_rows, self._play_cold, side)
 
@@ -183,7 +128,7 @@ class ContactTeeth:
         return cold
 
     def equilibrium(self, theta: float, torque: float, x: float) -> tuple[float, float]:
-        """As of `Teeth`."""
+        """Return deviation (rad) and stiffness (N·m/rad) under a torque; at torque 0 where there is no play."""
         cold = self._start()
         found: tuple[float, float] = _equilibrium(self._drive, theta, torque, x, self._rows, cold)
         falling = torque != 0.0 and not found[1] > 0.0  # as on worn flanks, or where nothing can balance the torque
@@ -193,13 +138,13 @@ class ContactTeeth:
         return found
 
     def behind(self, theta: float, flange: float, compliance: float, x: float) -> tuple[float, float]:
-        """As of `Teeth`."""
+        """Return the same of the teeth, the flange held at a deviation (rad) behind a compliance (rad/(N·m))."""
         return _behind(self._drive, theta, flange, compliance, x, self._rows, self._start())
 
     def press(
         self, theta: float, flange: float, compliance: float, x: float
     ) -> tuple[float, float, float, float, float]:
-        """As of `Teeth`."""
+        """Return the same, and the stored energy (J) with its derivatives by θ and φ_b (N·m)."""
         cold = self._start()
         found: tuple[float, float, float, float, float] = _press(
             self._drive, theta, flange, compliance, x, self._rows, cold
@@ -210,33 +155,33 @@ class ContactTeeth:
         return found
 
     def crank_side(self, theta: float, x: float) -> tuple[float, float]:
-        """As of `Teeth`."""
+        """Return the torque that the crank must be given (N·m), and dφ_b/dθ at constant torque (1)."""
         return _crank_side(self._drive, theta, x, self._rows)
 
     @property
     def torque(self) -> float:
-        """As of `Teeth`."""
+        """Torque through the teeth, N·m."""
         return float(carried(self._rows))
 
-    def sharing(self, theta: float) -> tuple[int, float]:
-        """As of `Teeth`."""
+    def sharing(self) -> tuple[int, float]:
+        """Return the pins in contact, and the largest pressure (Pa)."""
         return _load_sharing(self._drive, self._rows, self._pin_force, self._pin_pressure)
 
-    def pin_force(self, theta: float) -> list[float]:
-        """As of `Teeth`."""
+    def pin_force(self) -> list[float]:
+        """Return the force on each pin after `sharing`, disc by disc, N."""
         return self._pin_force.ravel().tolist()
 
-    def pin_pressure(self, theta: float) -> list[float]:
-        """As of `Teeth`."""
+    def pin_pressure(self) -> list[float]:
+        """Return the largest pressure on each pin after `sharing`, disc by disc, Pa."""
         return self._pin_pressure.ravel().tolist()
 
     def begin(self) -> None:
-        """As of `Teeth`; rows are kept when they are first solved."""
+        """Keep how all stands, for `undo`; rows are kept when they are first solved."""
         self._before = self._cold, self._play_cold
         self._moved = self._play_moved = False
 
     def undo(self) -> None:
-        """As of `Teeth`."""
+        """Return to how all stood at `begin`."""
         self._cold, self._play_cold = self._before
         if self._moved:
             np.copyto(self._rows, self._spare)
@@ -244,22 +189,23 @@ class ContactTeeth:
             np.copyto(self._play_rows, self._play_spare)
 
     def copy(self) -> Self:
-        """As of `Teeth`."""
+        """Return teeth that stand alike and move by themselves."""
         other = copy.copy(self)
-        for name in ("_rows", "_play_rows", "_spare", "_play_spare", "_pin_force", "_pin_pressure"):
+        for name in (*_ARRAYS, "_spare", "_play_spare"):
             setattr(other, name, getattr(self, name).copy())
         return other
 
     def state(self) -> dict[str, Any]:
-        """As of `Teeth`."""
-        return {
-            "contacts": self._rows.view(float).tolist(), "play_contacts": self._play_rows.view(float).tolist(),
-            "cold": self._cold, "play_cold": self._play_cold,
-            "pins": [self._pin_force.tolist(), self._pin_pressure.tolist()],
-        }  # fmt: skip
+        """Return how all stands, as plain values."""
+        arrays = {name: base64.b64encode(getattr(self, name).tobytes()).decode() for name in _ARRAYS}
+        return {"cold": self._cold, "play_cold": self._play_cold, **arrays}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """As of `Teeth`."""
-        self._rows, self._play_rows = (np.array(state[n]).view(contact.ROW) for n in ("contacts", "play_contacts"))
+        """Return to a state given by `state`."""
         self._cold, self._play_cold = state["cold"], state["play_cold"]
-        self._pin_force, self._pin_pressure = (np.array(values) for values in state["pins"])
+        for name in _ARRAYS:
+            kept = getattr(self, name)
+            kept[...] = np.frombuffer(base64.b64decode(state[name]), kept.dtype).reshape(kept.shape)
+
+
+_ARRAYS = ("_rows", "_play_rows", "_pin_force", "_pin_pressure")

@@ -19,14 +19,18 @@ from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import structured_value
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
-INTERFACES = ("kinematic", "compliant")
+InterfaceKind = Literal["kinematic", "compliant"]
+INTERFACES: tuple[InterfaceKind, ...] = ("kinematic", "compliant")
 ORDERS = (1, 2, 3)
 ARRAYS = ("pin_radial", "pin_tangential", "pin_radius_deviation")
 LossRow = tuple[float, float, float, float, float]
 LOSSLESS: tuple[LossRow, ...] = ((0.0, 1.0, 1.0, 0.0, 0.0),)
 LARGEST_STEP = 1e-3  # s: default of `largest_step`
-FRICTION_DISPLACEMENT = 2e-5  # rad of the output over which the compliant interface's dry friction builds up
-LOSS_SPEED = 1e-2  # rad/s of flange_a below which the losses' torque goes to zero with the speed
+# What the models call variables that have another name there.
+ATTRIBUTES = {
+    "flange_a.phi": "crank_angle", "flange_a.w": "crank_speed", "flange_a.tau": "crank_torque",
+    "flange_b.phi": "output_angle", "flange_b.w": "output_speed", "flange_b.tau": "torque",
+}  # fmt: skip
 
 # unit: exponents of SI base units, then display units with their factor
 UNITS: dict[str, tuple[dict[str, int], dict[str, float]]] = {
@@ -66,7 +70,7 @@ class Interface:
         What `flange_a` is: "crank", or "sun" of an RV reducer.
     """
 
-    kind: Literal["kinematic", "compliant"] = "kinematic"
+    kind: InterfaceKind = "kinematic"
     output_inertia: float = 0.0
     losses: tuple[LossRow, ...] = LOSSLESS
     driven: Literal["crank", "sun"] = "crank"
@@ -97,7 +101,7 @@ class Variable:
     dimensions
         Of an array, which only FMI 3.0 has; () otherwise.
     baked
-        Whether an FMU from tables has it in them: there it can be read but not set.
+        Whether a native FMU has it in its tables: there it can be read but not set.
     """
 
     name: str
@@ -294,15 +298,16 @@ def variables(
 
 
 def from_tables(table: Sequence[Variable]) -> dict[int, Variable]:
-    """Return what an FMU from tables has of the variables, by value reference.
+    """Return what a native FMU has of the variables, by value reference.
 
-    What its tables were made with is a constant.
+    What its tables were made with is a constant, and nothing is known of single pins.
     """
     kept = {
         reference: dataclasses.replace(v, causality="local", variability="constant") if v.baked else v
         for reference, v in enumerate(table)
+        if not v.dimensions
     }
-    constants = {v.name for v in kept.values() if v.variability == "constant"}
+    constants = {v.name for v in table if v.baked}
     return {
         reference: dataclasses.replace(v, initially=tuple(n for n in v.initially if n not in constants))
         for reference, v in kept.items()

@@ -13,7 +13,6 @@ from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.core import Core, state_from_bytes, state_to_bytes
 from cycloid_fmu.fmu.variables import Interface
 from cycloid_fmu.geometry.pair import read_pair
-from cycloid_fmu.surfaces.surface import surface_of_pair
 
 ERRORS = read_pair(CASES / "errors-39-40.toml")
 KINDS = {
@@ -31,7 +30,7 @@ def resources(tmp_path_factory):
     def unpacked(kind):
         if kind not in made:
             folder = tmp_path_factory.mktemp(kind)
-            build_fmu(ERRORS, surface_of_pair(ERRORS), folder / "d.fmu", interface=KINDS[kind])
+            build_fmu(ERRORS, folder / "d.fmu", interface=KINDS[kind])
             with zipfile.ZipFile(folder / "d.fmu") as archive:
                 archive.extractall(folder)
             made[kind] = folder / "resources"

@@ -214,7 +214,7 @@ def test_a_truncated_surface_file_is_one_sentence(tmp_path):
 def test_the_fmu_has_the_elements(tmp_path):
     rng = np.random.default_rng(1)
     surface = dataclasses.replace(surface_of_pair(ERRORS), gear_deviation=rng.normal(0, 1e-6, (1, 39, 80, 2)))
-    build_fmu(ERRORS, surface, tmp_path / "d.fmu")
+    build_fmu(ERRORS, tmp_path / "d.fmu", surface)
     wanted = solve(ERRORS, surface, 100.0, ANGLES, 2).transmission_error[0]
     found = follow(tmp_path / "d.fmu", ANGLES, 100.0, ("transmission_error",))["transmission_error"]
     assert found == pytest.approx(wanted, abs=1e-9)

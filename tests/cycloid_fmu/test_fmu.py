@@ -29,7 +29,7 @@ ERRORS = read_pair(CASES / "errors-39-40.toml")
 @pytest.fixture(scope="module")
 def fmu(tmp_path_factory):
     path = tmp_path_factory.mktemp("fmü with spaces") / "drive ü.fmu"
-    build_fmu(ERRORS, surface_of_pair(ERRORS), path)
+    build_fmu(ERRORS, path)
     return path
 
 
@@ -101,7 +101,7 @@ def test_the_surface_lies_in_the_resources(fmu):
 @pytest.mark.parametrize("case", ["errors-39-40", "two-discs-39-40", "interference-21-22"])
 def test_it_says_what_the_independent_solver_says(case, tmp_path):
     pair = read_pair(CASES / f"{case}.toml")
-    build_fmu(pair, surface_of_pair(pair), tmp_path / "d.fmu")
+    build_fmu(pair, tmp_path / "d.fmu")
     wanted = json.loads((CASES / f"{case}.json").read_text())
     for result in wanted["results"]:
         found = follow(tmp_path / "d.fmu", wanted["crank_angle"], result["torque"])
@@ -261,7 +261,7 @@ from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.surfaces.surface import nominal_surface
 pair = read_pair({str(CASES / "errors-39-40.toml")!r})
-build_fmu(pair, nominal_surface(pair), "again.fmu")
+build_fmu(pair, "again.fmu", nominal_surface(pair))
 names = zipfile.ZipFile("again.fmu").namelist()
 assert "binaries/linux64/CycloidDrive.so" in names, names
 assert "resources/pythonfmu/builder.py" in names, names

@@ -1,14 +1,20 @@
 """The drive with history: play, friction, compliance, state, speed; FMI apart."""
 
+import dataclasses
 import json
 
 import numpy as np
 import pytest
-from common import CASES, PAIR, make_pair
+from common import CASES, EXAMPLES, PAIR, make_pair
 
 from cycloid_fmu.contact.transmission import solve
-from cycloid_fmu.fmu.model import DriveModel
+from cycloid_fmu.fmu.compliant_model import CompliantModel, CompliantState
+from cycloid_fmu.fmu.model import DriveModel, DriveState
+from cycloid_fmu.fmu.reducer_model import ReducerModel, ReducerState
+from cycloid_fmu.fmu.stepped_model import state_fields
+from cycloid_fmu.fmu.teeth import StepError
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
+from cycloid_fmu.reducer import budget as rv
 from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
 
 PLAY = parse_pair(PAIR + '[modification]\noffset = "-40 um"\nisometric = "-15 um"\n', "play.toml")
@@ -180,3 +186,56 @@ def test_an_error_set_is_an_error_built_in():
     model.set_error("centre_distance_y", 2e-6)
     assert step(model, 0.9, 50.0) == pytest.approx(step(wanted, 0.9, 50.0), abs=1e-12)
     assert wanted.errors["pin_tangential_2_sin"] == pytest.approx(3e-6, abs=1e-15)
+
+
+def models():
+    whole = rv.read_reducer(EXAMPLES / "rv-20e.toml")
+    surface = rv.surface_of_reducer(whole)
+    return {
+        "drive": (DriveModel, DriveState, (PLAY, nominal_surface(PLAY))),
+        "compliant": (CompliantModel, CompliantState, (PLAY, nominal_surface(PLAY))),
+        "reducer": (ReducerModel, ReducerState, (whole.stage, surface, rv.first_stage_of(whole))),
+    }
+
+
+@pytest.mark.parametrize("kind", ["drive", "compliant", "reducer"])
+def test_every_field_of_the_state_takes_part_in_rollback_also_one_that_is_added(kind):
+    model_kind, state_kind, made_of = models()[kind]
+
+    @state_fields
+    class Longer(state_kind):
+        steps: int = 0
+
+    class LongerModel(model_kind, Longer):
+        def _move(self, step):
+            self.steps += 1
+            super()._move(step)
+            if self.crank_angle > 1.0:
+                raise StepError("far enough")
+
+    def turned(angle):
+        model.crank_angle = angle
+        if kind == "compliant":
+            model.output_angle = angle / model.pair.ratio + 2.2e-4
+
+    model = LongerModel(*made_of)
+    model.friction_torque = 2.0
+    turned(0.2)
+    model.advance(1e-3)
+    kept = json.loads(json.dumps(model.state()))
+    assert set(kept) == {one.name for one in dataclasses.fields(model)}
+    turned(0.5)
+    model.set_loss(0, 3, 0.1)
+    model.set_error("pin_radius", 1e-6)
+    model.advance(1e-3)
+    turned(1.5)
+    wanted = json.loads(json.dumps(model.state()))
+    with pytest.raises(StepError, match="far enough"):
+        model.advance(1e-3)
+    assert json.loads(json.dumps(model.state())) == wanted
+    assert wanted["steps"] == 2
+    changed = {name for name, value in kept.items() if value != wanted[name]}
+    assert {"steps", "errors", "loss_table", "crank_angle", "_teeth"} <= changed
+    for other in (model, LongerModel(*made_of)):
+        other.restore(kept)
+        assert json.loads(json.dumps(other.state())) == kept

@@ -8,11 +8,12 @@ import pytest
 from common import EXAMPLES
 from fmpy.validation import validate_fmu
 
-from cycloid_fmu import reducer as rv
 from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.fmu.model import DriveModel
-from cycloid_fmu.fmu.reducer_model import FirstStage, ReducerModel
+from cycloid_fmu.fmu.reducer_model import ReducerModel
 from cycloid_fmu.fmu.run import described, follow
+from cycloid_fmu.reducer import budget as rv
+from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.surfaces.surface import nominal_surface
 
 RV = rv.read_reducer(EXAMPLES / "rv-20e.toml")

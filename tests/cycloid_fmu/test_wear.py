@@ -399,7 +399,7 @@ def test_the_fmu_asks_how_far_it_is_worn(run, tmp_path):
     worn, states, new = run
     surface = surface_of_run(worn, states, new.half_width)
     path = tmp_path / "worn.fmu"
-    build_fmu(worn.pair, surface, path)
+    build_fmu(worn.pair, path, surface)
     assert validate_fmu(str(path)) == []
     description = fmpy.read_model_description(str(path))
     variables = {v.name: v for v in description.modelVariables}

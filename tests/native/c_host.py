@@ -6,12 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-import fmpy
-import numpy as np
 import pytest
 
-from cycloid_fmu.fmu import native_build
 from cycloid_fmu.fmu.variables import Interface
+from cycloid_fmu.native import build as native_build
 
 HERE = Path(__file__).parent
 INTERFACES = {
@@ -32,7 +30,7 @@ def zig(platform):
 
 def compiled(target, sources, *flags, compiler=COMPILER):
     """Compile C sources with FMI's headers."""
-    include = ["-I", str(native_build.headers()), "-I", str(HERE.parents[1] / "cycloid_fmu" / "fmu" / "native")]
+    include = ["-I", str(native_build.headers()), "-I", str(HERE.parents[1] / "cycloid_fmu" / "native" / "sources")]
     libraries = [] if target.suffix == ".exe" else ["-ldl", "-lm"]
     subprocess.run(
         [*compiler, "-std=c99", "-g", *flags, *include, *map(str, sources), "-o", str(target), *libraries],
@@ -47,12 +45,6 @@ def run_host(program, library, uri, guid, *words, prefix=(), **environment):
         [*prefix, str(program), str(library), uri, guid, *map(str, words)], capture_output=True, text=True,
         timeout=900, env={**os.environ, **environment}, check=False,
     )  # fmt: skip
-
-
-def pins_of(fmu):
-    """What the C host is told of an unpacked FMU's pins: the reference of their forces, and how many there are."""
-    (force,) = (v for v in fmpy.read_model_description(str(fmu.folder)).modelVariables if v.name == "pin_force")
-    return force.valueReference, int(np.prod(force.shape))
 
 
 def needs(program):

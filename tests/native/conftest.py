@@ -6,8 +6,9 @@ import pytest
 from c_host import COMPILER, HERE, INTERFACES, compiled, run_host
 from common import EXAMPLES
 
-from cycloid_fmu.fmu import native_build, tables
 from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.native import build as native_build
+from cycloid_fmu.native import tables
 from cycloid_fmu.surfaces.surface import surface_of_pair
 
 
@@ -31,7 +32,7 @@ def built(drive, tmp_path_factory):
                 patch.setenv("CC", COMPILER[0] if len(COMPILER) == 1 else "")
                 patch.setenv("XDG_CACHE_HOME", str(folder))
                 native_build.build_native(
-                    drive.pair, drive.surface, path, INTERFACES[kind], version, made=drive.tables,
+                    drive.pair, path, drive.surface, interface=INTERFACES[kind], fmi_version=version, made=drive.tables,
                     platforms=[native_build.this_platform()],
                 )  # fmt: skip
             made[kind, version] = path

@@ -7,12 +7,12 @@ from pathlib import Path
 
 from c_host import zig
 
-from cycloid_fmu.fmu import native_build
+from cycloid_fmu.native import build as native_build
 
-FMU = Path(native_build.__file__).parent
-SHIPPED = FMU / "front"
-SOURCES = (SHIPPED / "front.c", FMU / "native" / "uri.c")
-HEADERS = (FMU / "native" / "format.h", FMU / "native" / "uri.h")
+NATIVE = Path(native_build.__file__).parent / "sources"
+SHIPPED = NATIVE.parents[1] / "fmu" / "front"
+SOURCES = (SHIPPED / "front.c", NATIVE / "uri.c")
+HEADERS = (NATIVE / "format.h", NATIVE / "uri.h")
 LIBRARIES = {"linux64/CycloidDrive.so": "x86_64-linux", "win64/CycloidDrive.dll": "x86_64-windows"}
 
 
@@ -33,7 +33,7 @@ def compile_front(library, target):
     subprocess.run(
         [*zig(LIBRARIES[library]), "-std=c99", "-Os", "-Wall", "-Wextra",
          "-Werror", "-fPIC", "-shared", "-fvisibility=hidden", "-s", f'-DSOURCE_HASH="{source_hash()}"',
-         "-I", str(FMU / "native"), "-I", str(native_build.headers()), *map(str, SOURCES), "-o", str(target), *runtime],
+         "-I", str(NATIVE), "-I", str(native_build.headers()), *map(str, SOURCES), "-o", str(target), *runtime],
         check=True,
     )  # fmt: skip
 

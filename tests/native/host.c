@@ -6,9 +6,6 @@
    host LIBRARY RESOURCES GUID KIND rollback STEPS  random states set back: what follows must be the same bits
    host LIBRARY RESOURCES GUID KIND save FILE       runs half a motion, writes the state, prints the other half
    host LIBRARY RESOURCES GUID KIND load FILE       reads that state in a new process and prints the other half
-   host LIBRARY RESOURCES GUID KIND pins STEPS FIRST SIZE  random steps with each pin's force and pressure, which are the
-                                                    references FIRST and FIRST + 1 of FMI 3.0: asked for or not, what
-                                                    follows must be the same bits
    host LIBRARY RESOURCES GUID KIND time STEPS      nanoseconds a step: set the inputs, step, get two outputs
    host LIBRARY RESOURCES GUID KIND open            instantiates and frees a hundred times, eight at once
 
@@ -339,91 +336,6 @@ static void rollback(int steps) {
     fprintf(stdout, "%d states restored\n", steps);
 }
 
-#if FMI == 3
-/* Forces and pressures of all pins, none below zero; 1 where they are refused. */
-static int pin_loads(Instance c, Reference first, int size, double *values) {
-    Reference both[2];
-    int i;
-    both[0] = first;
-    both[1] = first + 1;
-    if (fmi3GetFloat64_(c, both, 2, values, 2 * (size_t)size) != fmi3OK) {
-        return 1;
-    }
-    for (i = 0; i < 2 * size; i++) {
-        if (!(values[i] >= 0.0 && values[i] < HUGE_VAL)) {
-            fail("a pin's load is no number that is not below zero");
-        }
-        if ((values[i] > 0.0) != (values[i % size] > 0.0)) {
-            fail("a pin has a force without pressure, or a pressure without force");
-        }
-    }
-    return 0;
-}
-
-static void pins(int steps, Reference first, int size) {
-    Instance asked = opened(), quiet = opened(), other = opened();
-    double inputs[MOST_INPUTS], values[REFERENCES], others[REFERENCES];
-    double *loads = malloc(2 * (size_t)size * sizeof *loads), *again = malloc(2 * (size_t)size * sizeof *again);
-    State kept = NULL;
-    double sum;
-    int i, k, refused = 0, pressed = 0;
-    if (loads == NULL || again == NULL) {
-        fail("memory");
-    }
-    pin_loads(asked, first, size, loads);
-    started(asked);
-    started(quiet);
-    started(other);
-    for (i = 0; i < steps; i++) {
-        anywhere(inputs);
-        must(put(asked, inputs) | put(quiet, inputs), "set");
-        must(do_step(asked, 1e-3 * i, 1e-3, 1) | do_step(quiet, 1e-3 * i, 1e-3, 1), "step");
-        if (pin_loads(asked, first, size, loads) != 0) {
-            refused++;
-            continue;
-        }
-        for (k = 0, sum = 0.0; k < size; k++) {
-            sum += loads[k];
-        }
-        pressed += sum > 0.0;
-        must(get_state(asked, &kept), "get state");
-        must(get(asked, 0, REFERENCES, values) | get(quiet, 0, REFERENCES, others), "get");
-        if (memcmp(values, others, sizeof values) != 0) {
-            fail("to ask for the pins' loads changed what came after");
-        }
-        must(set_state(other, kept), "set state");
-        must(pin_loads(other, first, size, again), "pins' loads after a state was set");
-        if (memcmp(loads, again, 2 * (size_t)size * sizeof *loads) != 0) {
-            fail("the pins' loads are not the same bits in another instance");
-        }
-        if (i % 3 == 0) {
-            anywhere(inputs);
-            must(put(asked, inputs) | do_step(asked, 1e-3 * i, 1e-3, 1), "step");
-            pin_loads(asked, first, size, again);
-            must(set_state(asked, kept), "set state");
-            must(pin_loads(asked, first, size, again), "pins' loads after a state was restored");
-            if (memcmp(loads, again, 2 * (size_t)size * sizeof *loads) != 0) {
-                fail("the pins' loads are not the same bits after a state was restored");
-            }
-        }
-    }
-    if (kept != NULL) {
-        must(free_state(asked, &kept), "free state");
-    }
-    free(loads);
-    free(again);
-    freed(asked);
-    freed(quiet);
-    freed(other);
-    fprintf(stdout, "%d steps, pins pressed in %d, %d refused\n", steps, pressed, refused);
-}
-#else
-static void pins(int steps, Reference first, int size) {
-    (void)steps, (void)first, (void)size;
-    fail("FMI 2.0 has no arrays");
-}
-#endif
-
 static void half(int saving, const char *path) {
     Instance c = opened();
     State state = NULL;
@@ -512,7 +424,7 @@ int main(int count, char **words) {
     const char *what = count > 5 ? words[5] : "";
     int steps = count > 6 ? atoi(words[6]) : 0;
     if (count < 6) {
-        fail("usage: host LIBRARY RESOURCES GUID KIND run|random|rollback|save|load|pins|time|open ...");
+        fail("usage: host LIBRARY RESOURCES GUID KIND run|random|rollback|save|load|time|open ...");
     }
     if (!load(words[1])) {
         fail("the library can't be loaded");
@@ -535,8 +447,6 @@ int main(int count, char **words) {
         rollback(steps);
     } else if (strcmp(what, "save") == 0 || strcmp(what, "load") == 0) {
         half(what[0] == 's', words[6]);
-    } else if (strcmp(what, "pins") == 0 && count > 8) {
-        pins(steps, (Reference)atoi(words[7]), atoi(words[8]));
     } else if (strcmp(what, "time") == 0) {
         timed(steps);
     } else if (strcmp(what, "open") == 0) {

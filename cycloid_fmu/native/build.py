@@ -19,22 +19,23 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from cycloid_fmu import __version__, edge
-from cycloid_fmu.contact.transmission import drive_of, slices_needed
-from cycloid_fmu.fmu import tables
-from cycloid_fmu.fmu.build import checked_interface
+from cycloid_fmu.fmu.build import AnyDrive, checked_interface, whole_drive
+from cycloid_fmu.fmu.constants import MOST_LOSS_ROWS
 from cycloid_fmu.fmu.description import Version, model_structure, model_variables, unit_definitions
 from cycloid_fmu.fmu.parts import parts, write_archive
-from cycloid_fmu.fmu.reducer_model import FirstStage
-from cycloid_fmu.fmu.table_teeth import TABLE
-from cycloid_fmu.fmu.variables import Interface, Variable, from_tables, variables
-from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.fmu.variables import Interface, InterfaceKind, Variable, from_tables, variables
+from cycloid_fmu.native import tables
+from cycloid_fmu.native.table_file import TABLE, constants_header, named, write
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
 IDENTIFIER = "CycloidDrive"
-SOURCES = ("fmi2.c", "fmi3.c", "instance.c", "drive.c", "table.c", "pins.c", "uri.c")
-_NATIVE = Path(__file__).with_name("native")
+SOURCES = (
+    "fmi2.c", "fmi3.c", "instance.c", "drive.c", "kinematic.c", "reducer.c", "compliant.c", "teeth.c", "losses.c",
+    "table.c", "table_file.c", "uri.c",
+)  # fmt: skip
+_SOURCES = Path(__file__).with_name("sources")
 _FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off", "-s")
-_UCRT = _NATIVE / "windows" / "ucrt.c"
+_UCRT = Path(__file__).with_name("windows") / "ucrt.c"
 _SPACE = uuid.UUID("6a1f3b0e-51c4-4a52-9c1c-0c2b6a7d39e4")  # the names of this package's FMUs
 
 
@@ -88,7 +89,7 @@ def headers() -> Path:
 def _compiler(name: str) -> list[str]:
     """Command that compiles for a platform: zig; for this machine what CC names, or without zig the system's own."""
     if name not in PLATFORMS:
-        raise edge.InputError(f"--platform = {name}: this is none of {', '.join(PLATFORMS)}.")
+        raise edge.ArgumentError("platforms", f"this is none of {', '.join(PLATFORMS)}", name)
     given = os.environ.get("CC", "")
     system = shutil.which(given or "cc")
     own = name == this_platform() and system is not None
@@ -96,10 +97,8 @@ def _compiler(name: str) -> list[str]:
         return [sys.executable, "-m", "ziglang", "cc", "-target", PLATFORMS[name].target]
     if own:
         return [str(system)]
-    raise edge.InputError(
-        f"--platform = {name}: to compile for it, install the extra: pip install 'cycloid-fmu[native]'"
-        f"{f' (or give --platform {this_platform()} alone)' if system else ''}."
-    )
+    problem = "to compile for it, install the extra: pip install 'cycloid-fmu[native]'"
+    raise edge.ArgumentError("platforms", problem + (f" (or give {this_platform()} alone)" if system else ""), name)
 
 
 def windows_headers() -> Path:
@@ -128,8 +127,8 @@ def windows_runtime(*more: str) -> list[str]:
 
 def _source_files() -> dict[str, bytes]:
     """Return what is compiled, by name: our sources and FMI's headers."""
-    own = {p.name: p.read_bytes() for p in sorted(_NATIVE.glob("*.[ch]"))}
-    return {**own, **{p.name: p.read_bytes() for p in sorted(headers().glob("fmi[23]*.h"))}}
+    files = (*sorted(_SOURCES.glob("*.[ch]")), *sorted(headers().glob("fmi[23]*.h")))
+    return {**{path.name: path.read_bytes() for path in files}, "constants.h": constants_header()}
 
 
 def binary(name: str) -> bytes:
@@ -201,9 +200,8 @@ def _binaries(version: Version, names: Sequence[str], done: Callable[[str], None
 
 
 def _description(
-    version: Version, token: str, table: Sequence[Variable], interface: Interface, made: tables.Tables
+    version: Version, token: str, kept: dict[int, Variable], interface: Interface, made: tables.Tables
 ) -> Element:
-    kept = from_tables(table)
     told = list(kept.values())
     text = f"Cycloid-pin gear drive, {interface.kind}, {made.told}"
     common = {
@@ -250,13 +248,12 @@ def _build_description() -> Element:
 
 
 def build_native(
-    pair: Pair,
-    surface: ErrorSurface,
+    drive: AnyDrive,
     path: str | os.PathLike[str],
-    interface: Interface = Interface(),
-    version: Version = "2.0",
-    first_stage: FirstStage | None = None,
+    surface: ErrorSurface | None = None,
     *,
+    interface: InterfaceKind | Interface = "kinematic",
+    fmi_version: Version = "2.0",
     platforms: Sequence[str] = (),
     made: tables.Tables | None = None,
     workers: int = 1,
@@ -268,16 +265,10 @@ def build_native(
 
     Parameters
     ----------
-    pair, surface
-        The nominal pair and its errors.
-    path
-        The FMU file.
-    interface, version
-        What it offers, and of which FMI.
-    first_stage
-        What makes the drive an RV reducer, whose input is the sun.
+    drive, path, surface, interface, fmi_version
+        As of `cycloid_fmu.fmu.build.build_fmu`.
     platforms
-        Keys of `PLATFORMS`; all that the version knows where empty.
+        Keys of `PLATFORMS`; all that the FMI version knows where empty.
     made
         Tables of this drive that were made before; they are computed where None.
     workers, total, progress
@@ -288,30 +279,34 @@ def build_native(
     Raises
     ------
     edge.InputError
-        If the folder does not exist, a platform can't be built for, or interface and first stage don't go together.
+        If the folder does not exist, a platform can't be built for, or the interface is none of this drive.
     """
+    pair, surface, first_stage = whole_drive(drive, surface)
     interface = checked_interface(interface, first_stage)
-    names = tuple(dict.fromkeys(platforms)) or platforms_of(version)
+    if len(interface.losses) > MOST_LOSS_ROWS:
+        raise edge.ArgumentError(
+            "losses", f"a native FMU has {MOST_LOSS_ROWS} rows at most", f"{len(interface.losses)} rows"
+        )
+    names = tuple(dict.fromkeys(platforms)) or platforms_of(fmi_version)
     for name in names:
         _compiler(name)
-        if name not in platforms_of(version):
-            raise edge.InputError(f"--platform = {name}: FMI {version} does not know it; use --fmi 3.0.")
+        if name not in platforms_of(fmi_version):
+            raise edge.ArgumentError("platforms", f"FMI {fmi_version} does not know it, FMI 3.0 does", name)
     with edge.written_whole(path) as temporary:
-        libraries = _binaries(version, names, compiled)
+        libraries = _binaries(fmi_version, names, compiled)
         if made is None:
             made = tables.compute(pair, surface, workers=workers, total=total, progress=progress)
-        table = variables(pair, surface, interface, version)
-        contacts = drive_of(pair, surface, slices_needed(surface)) if version == "3.0" else None
-        plain = tables.write(made, interface, table, first_stage=first_stage, contacts=contacts)
+        kept = from_tables(variables(pair, surface, interface, fmi_version))
+        plain = write(made, interface, kept, first_stage=first_stage)
         token = f"{{{uuid.uuid5(_SPACE, __version__ + hashlib.sha256(plain).hexdigest())}}}"
         contents = {
-            "modelDescription.xml": _xml(_description(version, token, table, interface, made)),
-            f"resources/{TABLE}": tables.named(plain, token),
+            "modelDescription.xml": _xml(_description(fmi_version, token, kept, interface, made)),
+            f"resources/{TABLE}": named(plain, token),
             **{f"sources/{name}": data for name, data in _source_files().items()},
             **libraries,
-            **parts(pair, interface, list(from_tables(table).values()), version, ()),
+            **parts(pair, interface, list(kept.values()), fmi_version, ()),
         }
-        if version == "3.0":
+        if fmi_version == "3.0":
             contents["sources/buildDescription.xml"] = _xml(_build_description())
         write_archive(temporary, contents)
     return made

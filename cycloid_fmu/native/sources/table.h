@@ -1,26 +1,19 @@
-/* Tables of a drive: how they are read and interpolated. What they hold: cycloid_fmu/fmu/tables.py. */
+/* Tables of a drive: how they are read and interpolated. What they hold: cycloid_fmu/native/tables.py. */
 #ifndef CYCLOID_TABLE_H
 #define CYCLOID_TABLE_H
 
 #include <stddef.h>
 #include <stdint.h>
 
-#include "pins.h"
+#include "constants.h"
 
-enum { MESSAGE_SIZE = 512, MOST_LOADS = 192 };
-
-enum kind { KIND_REAL, KIND_INTEGER, KIND_BOOLEAN };
-enum causality { CAUSALITY_INPUT, CAUSALITY_OUTPUT, CAUSALITY_PARAMETER, CAUSALITY_INDEPENDENT };
-enum offers { INTERFACE_KINEMATIC, INTERFACE_COMPLIANT, INTERFACE_INERTIA };
+enum { MESSAGE_SIZE = 512 };
 
 struct variable {
     char *name;
     int kind, causality, baked, fixed;
-    double least, most;
-    size_t size;   /* values: more than 1 of an array */
-    double *start;
-    int field;     /* what it is in the model (drive.h), -1 where the model does not know it */
-    int row, column; /* of the loss table */
+    int field; /* what it is in the model, of the loss table further by rows and columns; -1 of what is in the tables */
+    double least, most, start;
 };
 
 /* One direction of torque; spline coefficients, the loads of one crank angle side by side. */
@@ -33,7 +26,7 @@ struct side {
 };
 
 struct table {
-    uint64_t hash;
+    uint32_t checksum;
     char *token;
     uint32_t offers, variables; /* offers: which interface, not the word that Windows' headers take */
     uint32_t angles, told_angles; /* of deviation and compliance; of contact count and pressure */
@@ -42,7 +35,6 @@ struct table {
     double sun_teeth, planet_teeth, sun_play, bearing_play; /* of an RV reducer's first stage; else no teeth */
     struct side side[2]; /* positive and negative torque */
     double *rest_torque, *rest_energy; /* at zero load, by crank angle; NULL without interference */
-    struct pins *pins; /* NULL where no variable needs them */
 };
 
 /* Nodes and weights of a crank angle. */
@@ -59,7 +51,7 @@ struct loaded {
 
 struct table *table_read(const char *path, char message[MESSAGE_SIZE]);
 void table_free(struct table *table);
-uint64_t table_hash(const unsigned char *data, size_t size);
+uint32_t table_checksum(const unsigned char *data, size_t size); /* CRC-32 */
 
 struct place table_place(const struct table *table, double crank_angle);
 struct place table_told_place(const struct table *table, double crank_angle); /* of contact count and pressure */

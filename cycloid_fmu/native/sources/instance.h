@@ -33,9 +33,8 @@ int instance_reset(struct instance *instance);
 
 /* A variable of a kind, or NULL with a message. */
 const struct variable *instance_variable(struct instance *instance, uint32_t reference, int kind);
-/* Values of a variable; NULL with a message where they can't be had. Valid until the next call. */
-int instance_get(struct instance *instance, const struct variable *variable, double *values);
-int instance_set(struct instance *instance, const struct variable *variable, const double *values);
+int instance_get(struct instance *instance, const struct variable *variable, double *value);
+int instance_set(struct instance *instance, const struct variable *variable, double value);
 
 /* A state is a blob of `drive_state_size` bytes; one that is handed in is written over. */
 int instance_state(struct instance *instance, void **state);

@@ -7,7 +7,7 @@
 
 #include "uri.h"
 
-static const char TABLE[] = "drive.table";
+static const char TABLE[] = TABLE_FILE;
 
 static int table_path(const char *resources, char *path, size_t size) {
     size_t used;
@@ -51,10 +51,11 @@ int instance_open(struct instance *instance, const char *name, const char *token
         return 1;
     }
     instance->table = table_read(path, instance->message);
-    if (instance->table == NULL || drive_open(&instance->drive, instance->table, instance->message)) {
+    if (instance->table == NULL) {
         instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
         return 1;
     }
+    drive_open(&instance->drive, instance->table);
     if (token == NULL || strcmp(token, instance->table->token) != 0) {
         instance_refuse(instance, STATUS_ERROR, "the model description and the table belong to two FMUs: \"%.100s\" and "
                         "\"%.100s\".", token == NULL ? "" : token, instance->table->token);
@@ -134,18 +135,18 @@ const struct variable *instance_variable(struct instance *instance, uint32_t ref
     return &instance->table->variable[reference];
 }
 
-int instance_get(struct instance *instance, const struct variable *variable, double *values) {
-    if (drive_get(&instance->drive, variable, values, instance->message)) {
+int instance_get(struct instance *instance, const struct variable *variable, double *value) {
+    if (drive_get(&instance->drive, variable, value, instance->message)) {
         return instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
     }
     return STATUS_OK;
 }
 
-int instance_set(struct instance *instance, const struct variable *variable, const double *values) {
+int instance_set(struct instance *instance, const struct variable *variable, double value) {
     if (instance->phase == TERMINATED) {
         return in_phase(instance, STEPPING, "to set a variable");
     }
-    if (drive_set(&instance->drive, variable, values, instance->message)) {
+    if (drive_set(&instance->drive, variable, value, instance->message)) {
         return instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
     }
     return STATUS_OK;
@@ -163,7 +164,7 @@ int instance_state(struct instance *instance, void **state) {
 }
 
 int instance_restore(struct instance *instance, const void *state) {
-    if (drive_state_check(&instance->drive, state, drive_state_size(), instance->message)) {
+    if (drive_state_check(&instance->drive, state, drive_state_size(), 0, instance->message)) {
         return instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
     }
     drive_state_read(&instance->drive, state);
@@ -187,12 +188,13 @@ int instance_state_to_bytes(struct instance *instance, const void *state, unsign
                                (unsigned)drive_state_size(), (unsigned)size);
     }
     memcpy(bytes, state, drive_state_size());
+    drive_state_seal(bytes);
     return STATUS_OK;
 }
 
 int instance_state_from_bytes(struct instance *instance, const unsigned char *bytes, size_t size, void **state) {
     void *blob;
-    if (drive_state_check(&instance->drive, bytes, size, instance->message)) {
+    if (drive_state_check(&instance->drive, bytes, size, 1, instance->message)) {
         return instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
     }
     blob = malloc(size);

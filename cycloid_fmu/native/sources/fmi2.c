@@ -85,7 +85,7 @@ fmi2Status fmi2Reset(fmi2Component c) {
         for (i = 0; i < n; i++) {                                                                                      \
             const struct variable *variable = instance_variable(c, references[i], KIND);                               \
             double value;                                                                                              \
-            if (variable == NULL || variable->size != 1 || instance_get(c, variable, &value) != STATUS_OK) {           \
+            if (variable == NULL || instance_get(c, variable, &value) != STATUS_OK) {                                  \
                 return fmi2Error;                                                                                      \
             }                                                                                                          \
             values[i] = (TYPE)value;                                                                                   \
@@ -99,8 +99,7 @@ fmi2Status fmi2Reset(fmi2Component c) {
         int status = STATUS_OK;                                                                                        \
         for (i = 0; i < n; i++) {                                                                                      \
             const struct variable *variable = instance_variable(c, references[i], KIND);                               \
-            double value = (double)values[i];                                                                          \
-            if (variable == NULL || variable->size != 1 || instance_set(c, variable, &value) != STATUS_OK) {           \
+            if (variable == NULL || instance_set(c, variable, (double)values[i]) != STATUS_OK) {                       \
                 status = STATUS_ERROR;                                                                                 \
             }                                                                                                          \
         }                                                                                                              \

@@ -21,11 +21,11 @@ from cycloid_fmu import contact, edge
 from cycloid_fmu.contact.transmission import drive_of
 from cycloid_fmu.edge import ARCMIN, Angle, Config
 from cycloid_fmu.errors.kinds import LARGEST_DEVIATION
-from cycloid_fmu.fmu.reducer_model import FirstStage
 from cycloid_fmu.geometry.pair import Pair, PositiveLength, pair_of_tables, read_pair
+from cycloid_fmu.reducer.first_stage import FirstStage, sun_locked_share
 from cycloid_fmu.surfaces.files import read_surface
 from cycloid_fmu.surfaces.sampling import Distribution, error_stream, within_tolerance
-from cycloid_fmu.surfaces.surface import ErrorSurface, check_surface, surface_of_pair
+from cycloid_fmu.surfaces.surface import ErrorSurface, check_surface
 
 Array = NDArray[np.float64]
 Variant = Literal["standard", "as_printed", "geometric", "geometric_sun_locked"]
@@ -202,11 +202,8 @@ class Reducer(Config):
 
     @property
     def sun_locked(self) -> float:
-        """Share of a play with the crank locked that is left with the sun locked: 1/(1 + (1 + z_1/z_2)/z_c).
-
-        The planets roll on the locked sun and turn the cranks by 1 + z_1/z_2 of the output.
-        """
-        return 1.0 / (1.0 + self.crank_share / self.stage.gear_teeth)
+        """Share of a play with the crank locked that is left with the sun locked (`first_stage.sun_locked_share`)."""
+        return sun_locked_share(self.crank_share, self.stage.gear_teeth)
 
     @property
     def crank_share(self) -> float:
@@ -223,7 +220,7 @@ def parse_reducer(text: str, source: str) -> Reducer:
         If it is not a valid reducer; one sentence a problem, naming field, value and `source`.
     """
     table = edge.toml_table(text, FORMAT, source)
-    stage = {k: table.pop(k) for k in ("pair", "modification", "material") if k in table}
+    stage: dict[str, Any] = {k: table.pop(k) for k in ("pair", "modification", "material") if k in table}
     for key in ("stage", "text"):
         if key in table:
             raise edge.InputError(f"{source}: {key} is not a key known here; check its spelling or remove it.")
@@ -515,40 +512,23 @@ def first_stage_of(reducer: Reducer) -> FirstStage:
     )
 
 
-def drive_of_file(
+def read_buildable(
     path: str | os.PathLike[str], surface_file: str | os.PathLike[str] | None = None
-) -> tuple[Pair, ErrorSurface, FirstStage | None, list[str]]:
-    """Return what an FMU is built from, of a pair file or a reducer file.
-
-    Parameters
-    ----------
-    path
-        A file of the format cycloid-pair/1 or cycloid-reducer/1.
-    surface_file
-        The errors; without it those that the file states.
-
-    Returns
-    -------
-    pair, surface, first_stage, warnings
-        No first stage with a pair; sentences where a reducer file contradicts itself.
+) -> tuple[Pair | Reducer, ErrorSurface | None]:
+    """Return what an FMU is built from: a pair file or a reducer file, and the errors that a surface file states.
 
     Raises
     ------
     edge.InputError
         If a file can't be read, or the surface belongs to another pair.
     """
-    stage, warnings = None, list[str]()
-    if edge.format_of(path) == FORMAT:
-        reducer = read_reducer(path)
-        pair, surface, stage = reducer.stage, surface_of_reducer(reducer), first_stage_of(reducer)
-        warnings = contradictions(reducer, str(path))
-    else:
-        pair = read_pair(path)
-        surface = surface_of_pair(pair)
-    if surface_file is not None:
-        surface = read_surface(surface_file)
-        check_surface(pair, surface, str(path), str(surface_file))
-    return pair, surface, stage, warnings
+    drive = read_reducer(path) if edge.format_of(path) == FORMAT else read_pair(path)
+    if surface_file is None:
+        return drive, None
+    surface = read_surface(surface_file)
+    pair = drive.stage if isinstance(drive, Reducer) else drive
+    check_surface(pair, surface, str(path), str(surface_file))
+    return drive, surface
 
 
 def summed(terms: Mapping[str, Array]) -> dict[str, Array]:

@@ -96,45 +96,6 @@ static int too_few(struct instance *instance) {
     return instance_refuse(instance, STATUS_ERROR, "the number of values is not that of the variables.");
 }
 
-fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference references[], size_t n, fmi3Float64 values[],
-                          size_t nValues) {
-    size_t i, used = 0;
-    for (i = 0; i < n; i++) {
-        const struct variable *variable = instance_variable(c, references[i], KIND_REAL);
-        if (variable == NULL) {
-            return fmi3Error;
-        }
-        if (variable->size > nValues - used) {
-            return (fmi3Status)too_few(c);
-        }
-        if (instance_get(c, variable, values + used) != STATUS_OK) {
-            return fmi3Error;
-        }
-        used += variable->size;
-    }
-    return used == nValues ? fmi3OK : (fmi3Status)too_few(c);
-}
-
-fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference references[], size_t n, const fmi3Float64 values[],
-                          size_t nValues) {
-    size_t i, used = 0;
-    int status = STATUS_OK;
-    for (i = 0; i < n; i++) {
-        const struct variable *variable = instance_variable(c, references[i], KIND_REAL);
-        if (variable == NULL) {
-            return fmi3Error;
-        }
-        if (variable->size > nValues - used) {
-            return (fmi3Status)too_few(c);
-        }
-        if (instance_set(c, variable, values + used) != STATUS_OK) {
-            status = STATUS_ERROR;
-        }
-        used += variable->size;
-    }
-    return used == nValues ? (fmi3Status)status : (fmi3Status)too_few(c);
-}
-
 #define ACCESS(TYPE, KIND)                                                                                             \
     fmi3Status fmi3Get##TYPE(fmi3Instance c, const fmi3ValueReference references[], size_t n, fmi3##TYPE values[],     \
                              size_t nValues) {                                                                         \
@@ -145,7 +106,7 @@ fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference references[],
         for (i = 0; i < n; i++) {                                                                                      \
             const struct variable *variable = instance_variable(c, references[i], KIND);                               \
             double value;                                                                                              \
-            if (variable == NULL || variable->size != 1 || instance_get(c, variable, &value) != STATUS_OK) {           \
+            if (variable == NULL || instance_get(c, variable, &value) != STATUS_OK) {                                  \
                 return fmi3Error;                                                                                      \
             }                                                                                                          \
             values[i] = (fmi3##TYPE)value;                                                                             \
@@ -161,14 +122,14 @@ fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference references[],
         }                                                                                                              \
         for (i = 0; i < n; i++) {                                                                                      \
             const struct variable *variable = instance_variable(c, references[i], KIND);                               \
-            double value = (double)values[i];                                                                          \
-            if (variable == NULL || variable->size != 1 || instance_set(c, variable, &value) != STATUS_OK) {           \
+            if (variable == NULL || instance_set(c, variable, (double)values[i]) != STATUS_OK) {                       \
                 status = STATUS_ERROR;                                                                                 \
             }                                                                                                          \
         }                                                                                                              \
         return (fmi3Status)status;                                                                                     \
     }
 
+ACCESS(Float64, KIND_REAL)
 ACCESS(Int32, KIND_INTEGER)
 ACCESS(Boolean, KIND_BOOLEAN)
 

@@ -1,0 +1,29 @@
+"""Numbers of the models in Python and in C; the native FMU's `constants.h` is made of these lines."""
+
+from __future__ import annotations
+
+FRICTION_DISPLACEMENT = 2e-5  # rad of the output over which the compliant interface's dry friction builds up
+LOSS_SPEED = 1e-2  # rad/s of flange_a below which the losses' torque goes to zero with the speed
+LOSS_COLUMNS = 5  # of the loss table
+LARGEST_TRANSMISSION_ERROR = 0.01  # rad: flanges beyond it are a mistake of the model around the drive
+SUB_STEP = 0.2  # rad of the output inertia's own oscillation in one sub-step
+MOST_SUB_STEPS = 20000  # of the output inertia in a communication step
+CRANK_STEP = 0.02  # rad of the crank in one sub-step of what is dissipated
+DEVIATION_STEP = 5e-6  # rad of the deviation likewise
+MOST_PARTS = 100  # sub-steps of what is dissipated in a communication step
+SAME_PLACE = 1e-11  # rad: over a shorter way the torque of its middle is taken instead of an energy difference
+LAST_CHANGE = 1e-15  # rad of a sub-step's solution
+LAST_SHARE = 1e-10  # of the sub-step's way, likewise
+MOST_ITERATIONS = 30  # of a sub-step's solution
+STAGE_STEP = 1e-13  # rad of the output: last step of the iteration for a reducer's crank angle
+STAGE_SHARE = 1e-12  # of the torque: last change of the crank's torque, likewise
+STAGE_ITERATIONS = 50  # for a reducer's crank angle
+STAGE_DIFFERENCE = 1e-6  # rad of the crank, for the change of its torque
+STEP_TOLERANCE = 1e-9  # share by which a communication step may exceed `largest_step`
+MOST_LOADS = 192  # nodes of one direction of torque in the tables
+NO_PLAY = 1e-13  # rad: less of it in the tables is none
+LEAST_COMPLIANCE = 1e-12  # rad/(N.m): between nodes a table may have none
+LAST_CELL_SHARE = 1e-9  # of a cell between two loads: a step of the search this short is the last
+MOST_LOSS_ROWS = 64  # of the loss table in a native FMU
+TABLE_VERSION = 5  # of the file of tables
+STATE_VERSION = 3  # of the native FMU's serialised state

@@ -1,0 +1,299 @@
+"""What all drives with history share: errors, contacts and outputs, and steps that are made or refused whole."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import operator
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeVar, dataclass_transform
+
+import numpy as np
+
+from cycloid_fmu.contact.transmission import drive_of, slices_needed
+from cycloid_fmu.errors.kinds import structured_names
+from cycloid_fmu.fmu.losses import check_losses
+from cycloid_fmu.fmu.teeth import ContactTeeth, StepError
+from cycloid_fmu.fmu.variables import LOSSLESS, ORDERS
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.structured import structured_value, with_structured
+from cycloid_fmu.surfaces.surface import ErrorSurface, surface_after
+
+_Kind = TypeVar("_Kind")
+
+
+@dataclass_transform()
+def state_fields(kind: type[_Kind]) -> type[_Kind]:
+    """Make a dataclass of a class; its defaults leave the class, where they would slow each look at a field down."""
+    made = dataclass(eq=False)(kind)
+    for name in kind.__annotations__:
+        if name in kind.__dict__:
+            delattr(kind, name)
+    return made
+
+
+@state_fields
+class State:
+    """All that later steps and outputs depend on: a field that is added here takes part in rollback.
+
+    What was found from the state since is kept with it, so that reading an output is the same before and after.
+    Dictionaries and lists are replaced where they change, never altered: copies share them.
+
+    Attributes
+    ----------
+    crank_angle, crank_speed
+        Inputs: rad, rad/s.
+    friction_torque, series_compliance
+        Parameters: dry friction at the output (N·m) and compliance of the rest of the chain (rad/(N·m)).
+    backlash_on
+        Whether the play acts; without it the flanks of both sides touch at zero torque.
+    errors
+        Structured errors by name, m or rad.
+    pin_arrays
+        Errors of each pin that were set, by name, m.
+    loss_table
+        Rows of the loss table (`variables.Interface.losses`).
+    """
+
+    crank_angle: float = 0.0
+    crank_speed: float = 0.0
+    friction_torque: float = 0.0
+    series_compliance: float = 0.0
+    backlash_on: bool = True
+    errors: dict[str, float] = field(default_factory=dict)
+    pin_arrays: dict[str, list[float]] = field(default_factory=dict)
+    loss_table: list[list[float]] = field(default_factory=list)
+    _crank_turns_worn: float = 0.0
+    _theta: float = 0.0  # the crank's angle, reduced, rad
+    _x: float = 0.0  # deviation of the flange that the teeth alone make, rad
+    _stiffness: float = 0.0  # of the teeth, N·m/rad; 0 where nothing touches
+    _side: float = 0.0  # of the play that the teeth stand on
+    _play: tuple[float, float, float] | None = None  # both ends (rad), and above 0 that there is none (m)
+    _crank: tuple[float, float] | None = None  # torque of the crank (N·m), and dφ_b/dθ
+    _sharing: tuple[int, float] | None = None  # pins in contact, and the largest pressure (Pa)
+    _teeth: ContactTeeth = field(init=False)
+
+    def state(self) -> dict[str, Any]:
+        """Return a copy of the state as plain values (for JSON)."""
+        found = {one.name: getattr(self, one.name) for one in dataclasses.fields(self)}
+        return {**found, "_teeth": self._teeth.state()}
+
+    def assign(self, state: Mapping[str, Any]) -> None:
+        """Return to a state given by `state`, of the same errors."""
+        for one in dataclasses.fields(self):
+            if one.name != "_teeth":
+                setattr(self, one.name, state[one.name])
+        self._teeth.restore(state["_teeth"])
+
+
+class SteppedModel(State):
+    """A cycloid-pin drive with history, stepped by `advance`; a subclass says how it moves (`_move`).
+
+    Parameters
+    ----------
+    pair, surface
+        The nominal pair and its errors.
+    losses
+        Rows of the loss table (`variables.Interface.losses`).
+    """
+
+    def __init__(self, pair: Pair, surface: ErrorSurface, losses: Sequence[Sequence[float]] = LOSSLESS) -> None:
+        super().__init__()
+        self._fields = tuple(one.name for one in dataclasses.fields(self))
+        self._values = operator.attrgetter(*self._fields)
+        self.pair, self.surface = pair, surface
+        self.loss_table = [list(row) for row in losses]
+        self._as_built = surface
+        self._stated = self._structured()
+        self.errors = dict(self._stated)
+        self._crank_turns_worn = 0.0 if surface.life is None else float(surface.life.crank_turns[-1])
+        self._ratio = pair.ratio
+        # Everything repeats after one turn of the gear in the ring; a reduced angle keeps its digits.
+        self._period = 2.0 * math.pi * (pair.gear_teeth if pair.output == "gear" else pair.pins)
+        self._rebuild()
+
+    def _structured(self) -> dict[str, float]:
+        return {name: structured_value(self.pair, self.surface, name) for name in structured_names(ORDERS)}
+
+    def _changed(self) -> dict[str, float]:
+        return {n: v for n, v in self.errors.items() if v != self._stated[n]}
+
+    def check(self) -> None:
+        """Refuse parameters that contradict each other; a `ValueError` says which in one sentence."""
+        check_losses(self.loss_table)
+
+    def _rebuild(self) -> None:
+        """Make the contacts of the present errors."""
+        self._teeth = self._made_teeth()
+        self._x = self._stiffness = self._side = 0.0
+        self._forget()
+
+    def _made_teeth(self) -> ContactTeeth:
+        worn = self.surface if self.surface.life is None else surface_after(self.surface, self._crank_turns_worn)
+        surface = with_structured(self.pair, worn, self._changed())
+        drive = drive_of(self.pair, surface, slices_needed(surface))
+        return ContactTeeth(drive, (self.pair.discs, self.pair.pins))
+
+    def _forget(self) -> None:
+        self._play = self._crank = self._sharing = None
+
+    def set_error(self, name: str, value: float) -> None:
+        """Set a structured error (m or rad), from the next step on."""
+        if self.errors[name] != value:
+            self.errors = {**self.errors, name: value}
+            self._rebuild()
+
+    def pin_errors(self, name: str) -> list[float]:
+        """Return the errors of each pin (m), one of `ARRAYS`, the structured errors set since included."""
+        values: list[float] = getattr(with_structured(self.pair, self.surface, self._changed()), name).tolist()
+        return values
+
+    def set_pin_errors(self, name: str, values: Sequence[float]) -> None:
+        """Set the errors of each pin (m), from the next step on; the structured errors then say what they hold."""
+        if list(values) != self.pin_errors(name):
+            self._put_pin_errors({**self.pin_arrays, name: list(values)})
+            self.errors = {**self.errors, **{n: v for n, v in self._stated.items() if n.startswith(f"{name}_")}}
+            self._rebuild()
+
+    def _put_pin_errors(self, arrays: Mapping[str, Sequence[float]]) -> None:
+        self.pin_arrays = {name: list(values) for name, values in arrays.items()}
+        given: dict[str, Any] = {name: np.array(values) for name, values in self.pin_arrays.items()}
+        self.surface = self._as_built.replace(**given)
+        self._stated = self._structured()
+
+    def set_loss(self, row: int, column: int, value: float) -> None:
+        """Set a cell of the loss table, counted from 0."""
+        table = [list(cells) for cells in self.loss_table]
+        table[row][column] = value
+        self.loss_table = table
+
+    @property
+    def crank_turns_worn(self) -> float:
+        """Crank turns since new, of a surface that holds a life: how far it is worn, from the next step on."""
+        return self._crank_turns_worn
+
+    @crank_turns_worn.setter
+    def crank_turns_worn(self, turns: float) -> None:
+        if turns != self._crank_turns_worn:
+            surface_after(self.surface, turns)
+            self._crank_turns_worn = turns
+            self._rebuild()
+
+    def _reduced(self, crank_angle: float) -> float:
+        return crank_angle - self._period * math.floor(crank_angle / self._period)
+
+    def _solve_play(self) -> tuple[float, float, float]:
+        if self._play is None:
+            self._play = self._teeth.play(self._theta, self._x)
+        return self._play
+
+    def _shift(self, side: float) -> float:
+        """How far the play that does not act would let the output go to a side (±1), rad."""
+        if self.backlash_on:
+            return 0.0
+        low, high, interference = self._solve_play()
+        return 0.5 * side * (high - low) if interference == 0.0 else 0.0
+
+    def _shift_rate(self, side: float, teeth: ContactTeeth, theta: float) -> float:
+        """Change of `_shift` with the crank's angle (1)."""
+        if self.backlash_on:
+            return 0.0
+        low, high, interference = self._solve_play() if theta == self._theta else teeth.play(theta, self._x)
+        if interference > 0.0:
+            return 0.0
+        return 0.5 * side * (teeth.touch_rate(theta, high, 1.0) - teeth.touch_rate(theta, low, -1.0))
+
+    def _settle(self) -> float:
+        """Return the output angle, solved where no step was made yet."""
+        raise NotImplementedError
+
+    def _move(self, step: float) -> None:
+        """Move on for a step (s), from the state before; a `StepError` refuses it."""
+        raise NotImplementedError
+
+    def forget_history(self) -> None:
+        """Make the next step start without history."""
+        raise NotImplementedError
+
+    def advance(self, step: float = 0.0) -> None:
+        """Move to the inputs' present values, from the state before.
+
+        Parameters
+        ----------
+        step
+            How long that takes, s: where the drive is quasi-static, it does not matter.
+
+        Raises
+        ------
+        StepError
+            If the step is refused; nothing has moved then.
+        """
+        if not 0.0 <= step < math.inf:
+            raise StepError(f"a step of {step:g} s: it must be finite and not below 0")
+        kept = self._values(self)
+        self._teeth.begin()
+        try:
+            self._move(step)
+        except StepError:
+            self._teeth.undo()
+            for name, value in zip(self._fields, kept, strict=True):
+                setattr(self, name, value)
+            raise
+
+    @property
+    def backlash(self) -> float:
+        """Free rotation of the output with the crank locked, rad; 0 where there is none."""
+        self._settle()
+        low, high, interference = self._solve_play()
+        return high - low if interference == 0.0 and self.backlash_on else 0.0
+
+    @property
+    def torsional_stiffness(self) -> float:
+        """Stiffness at the flange, the compliance in series included, N·m/rad."""
+        self._settle()
+        if self._stiffness <= 0.0:
+            return 0.0
+        return 1.0 / (1.0 / self._stiffness + self.series_compliance)
+
+    def _load_sharing(self) -> tuple[int, float]:
+        if self._sharing is None:
+            self._settle()
+            self._sharing = self._teeth.sharing() if self._stiffness > 0.0 else (0, 0.0)
+        return self._sharing
+
+    @property
+    def pin_force(self) -> list[float]:
+        """Force on each pin, disc by disc, N."""
+        return self._pin_loads(self._teeth.pin_force)
+
+    @property
+    def pin_pressure(self) -> list[float]:
+        """Largest pressure on each pin, disc by disc, Pa."""
+        return self._pin_loads(self._teeth.pin_pressure)
+
+    def _pin_loads(self, found: Callable[[], list[float]]) -> list[float]:
+        self._load_sharing()
+        return found() if self._stiffness > 0.0 else [0.0] * (self.pair.discs * self.pair.pins)
+
+    @property
+    def contact_count(self) -> int:
+        """Pins that carry more than 1 % of the most loaded pin's force."""
+        return self._load_sharing()[0]
+
+    @property
+    def max_contact_pressure(self) -> float:
+        """Pa."""
+        return self._load_sharing()[1]
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Return to a state given by `state`."""
+        if state["pin_arrays"] != self.pin_arrays:
+            self._put_pin_errors(state["pin_arrays"])
+        errors = ("errors", "pin_arrays", "_crank_turns_worn")
+        remade = any(state[name] != getattr(self, name) for name in errors)
+        if remade:
+            for name in errors:
+                setattr(self, name, state[name])
+            self._rebuild()
+        self.assign(state)

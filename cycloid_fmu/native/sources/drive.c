@@ -1,0 +1,344 @@
+#include "drive.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+static const char BLOB_MAGIC[16] = "cycloid native\n";
+enum { BLOB_HEAD = 32, NUMBERS = sizeof(struct state) / sizeof(double) };
+
+int drive_refuse(char message[MESSAGE_SIZE], const char *format, double value, double limit) {
+    snprintf(message, MESSAGE_SIZE, format, value, limit);
+    return 1;
+}
+
+int drive_kinematic(const struct drive *drive) {
+    return drive->table->offers == INTERFACE_KINEMATIC;
+}
+
+static int move(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
+    struct state *s = &drive->state;
+    drive->placed = drive->solved = 0;
+    if (drive_kinematic(drive)) {
+        return kinematic_follow(drive, message);
+    }
+    if (drive->table->offers == INTERFACE_INERTIA ? compliant_swing(drive, step, message)
+                                                     : compliant_move(drive, step, message)) {
+        return 1;
+    }
+    drive->placed = drive->solved = 0;
+    if (!(fabs(s->crank_angle) < HUGE_VAL && fabs(s->output_angle) < HUGE_VAL && fabs(s->dissipated_energy) < HUGE_VAL
+          && fabs(s->output_speed) < HUGE_VAL)) {
+        return drive_refuse(message, "flange_a.w = %g rad/s: the flanges leave the range of numbers in a step of %g s.",
+                      s->crank_speed, step);
+    }
+    return compliant_solve(drive, message);
+}
+
+static int guarded(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
+    struct state kept;
+    int failed;
+    memcpy(&kept, &drive->state, offsetof(struct state, loss)); /* a step leaves the losses */
+    failed = move(drive, step, message);
+    if (failed) {
+        memcpy(&drive->state, &kept, offsetof(struct state, loss));
+        drive->placed = drive->solved = 0;
+    }
+    return failed;
+}
+
+int drive_step(struct drive *drive, double time, double step, char message[MESSAGE_SIZE]) {
+    double largest = drive->state.largest_step;
+    if (!(step >= 0.0 && step < HUGE_VAL)) {
+        return drive_refuse(message, "a step of %g s: it must be finite and not below %g.", step, 0.0);
+    }
+    if (!drive_kinematic(drive) && step > largest * (1.0 + STEP_TOLERANCE)) {
+        return drive_refuse(message, "a step of %g s: largest_step is %g s.", step, largest);
+    }
+    if (!(fabs(time + step) < HUGE_VAL)) {
+        return drive_refuse(message, "a step from the time %g s over %g s: both must be finite.", time, step);
+    }
+    if (guarded(drive, step, message)) {
+        return 1;
+    }
+    drive->state.time = time + step;
+    return 0;
+}
+
+/* With an inertia the drive starts at rest on its load, without friction's history. */
+static int rest_on_load(struct drive *drive, char message[MESSAGE_SIZE]) {
+    struct state *s = &drive->state;
+    double friction = s->friction_torque, speed;
+    int failed;
+    s->friction_torque = s->settled = 0.0;
+    failed = kinematic_follow(drive, message);
+    drive->placed = 1;
+    speed = failed ? 0.0 : kinematic_speed(drive);
+    s->friction_torque = friction;
+    s->output_speed = speed;
+    return failed;
+}
+
+int drive_start(struct drive *drive, char message[MESSAGE_SIZE]) {
+    struct state kept = drive->state;
+    int failed = losses_check(drive, message);
+    drive->initializing = 0;
+    drive->placed = drive->solved = 0;
+    drive->state.settled = drive->state.bristle = drive->state.dissipated_energy = 0.0;
+    if (!failed && drive->table->offers == INTERFACE_INERTIA) {
+        failed = rest_on_load(drive, message);
+    }
+    drive->state.seen = drive->state.output_angle;
+    failed = failed || guarded(drive, 0.0, message);
+    if (failed) {
+        drive->state = kept;
+        drive->placed = drive->solved = 0;
+    }
+    return failed;
+}
+
+/* ---- variables ---- */
+
+static double *stored(struct drive *drive, const struct variable *variable) {
+    struct state *s = &drive->state;
+    switch (variable->field) {
+    case CRANK_ANGLE: return &s->crank_angle;
+    case CRANK_SPEED: return &s->crank_speed;
+    case OUTPUT_ANGLE: return &s->output_angle;
+    case OUTPUT_SPEED: return &s->output_speed;
+    case TORQUE: return &s->torque;
+    case FRICTION_TORQUE: return &s->friction_torque;
+    case SERIES_COMPLIANCE: return &s->series_compliance;
+    case BACKLASH_ON: return &s->backlash_on;
+    case MESH_DAMPING: return &s->mesh_damping;
+    case LARGEST_STEP: return &s->largest_step;
+    case OUTPUT_INERTIA: return &s->output_inertia;
+    case TIME: return &s->time;
+    default: return variable->field >= LOSS_TABLE ? &s->loss[variable->field - LOSS_TABLE] : NULL;
+    }
+}
+
+void drive_reset(struct drive *drive) {
+    uint32_t i;
+    memset(&drive->state, 0, sizeof drive->state);
+    drive->initializing = 1;
+    drive->placed = drive->solved = 0;
+    for (i = 0; i < drive->table->variables; i++) {
+        const struct variable *v = &drive->table->variable[i];
+        double *value = stored(drive, v);
+        if (value != NULL && v->causality != CAUSALITY_OUTPUT) {
+            *value = v->start;
+        }
+    }
+}
+
+void drive_open(struct drive *drive, struct table *table) {
+    uint32_t i;
+    memset(drive, 0, sizeof *drive);
+    drive->table = table;
+    drive->ratio = table->ratio;
+    if (table->sun_teeth > 0.0) {
+        drive->b = table->sun_teeth / table->planet_teeth;
+        drive->a = 1.0 + drive->b;
+        drive->s = 1.0 / (1.0 - drive->a / table->ratio);
+        drive->ratio = -table->ratio / (drive->b * drive->s);
+    }
+    for (i = 0; i < table->variables; i++) {
+        int row = (table->variable[i].field - LOSS_TABLE) / LOSS_COLUMNS + 1;
+        drive->rows = table->variable[i].field >= LOSS_TABLE && row > drive->rows ? row : drive->rows;
+    }
+    drive_reset(drive);
+}
+
+int drive_set(struct drive *drive, const struct variable *variable, double value, char message[MESSAGE_SIZE]) {
+    double *kept = stored(drive, variable);
+    if (variable->baked && value != variable->start) {
+        snprintf(message, MESSAGE_SIZE, "%.100s = %g: this FMU holds it in its tables, made for %g; build the FMU again "
+                 "with it, or use the FMU in Python, where it is tunable.", variable->name, value, variable->start);
+        return 1;
+    }
+    if (variable->baked) {
+        return 0;
+    }
+    if (kept == NULL || variable->causality == CAUSALITY_OUTPUT || variable->causality == CAUSALITY_INDEPENDENT) {
+        snprintf(message, MESSAGE_SIZE, "%.100s can't be set: it is an output.", variable->name);
+        return 1;
+    }
+    if (variable->fixed && !drive->initializing) {
+        snprintf(message, MESSAGE_SIZE, "%.100s can't be set after initialization.", variable->name);
+        return 1;
+    }
+    if (!(value >= variable->least && value <= variable->most && fabs(value) < HUGE_VAL)) {
+        snprintf(message, MESSAGE_SIZE, "%.100s = %g: it must be finite and lie between %g and %g.", variable->name,
+                 value, variable->least, variable->most);
+        return 1;
+    }
+    *kept = value;
+    drive->solved = 0;
+    if (!drive_kinematic(drive)) {
+        drive->placed = 0;
+    }
+    return 0;
+}
+
+/* How much the teeth carry, and on which side; 0 where nothing touches. */
+static int load_of(struct drive *drive, double *load, double *side) {
+    const struct state *s = &drive->state;
+    *load = drive_kinematic(drive) ? s->load : drive->pressed.load;
+    *side = (drive_kinematic(drive) ? s->side : drive->pressed.side) < 0.0 ? -1.0 : 1.0;
+    return *load > 0.0 || (s->loose == 0.0 && teeth_play(drive, drive_place(drive)).width == 0.0);
+}
+
+static double output(struct drive *drive, int field) {
+    struct state *s = &drive->state;
+    const struct place *place = drive_place(drive);
+    int still = drive_kinematic(drive);
+    double torque, ratio = drive->table->ratio, load, side;
+    int pressed = load_of(drive, &load, &side);
+    switch (field) {
+    case CRANK_TORQUE:
+        if (still) {
+            torque = kinematic_crank_torque(drive);
+            return torque + losses_torque(drive, torque);
+        }
+        return drive->pressed.by_angle - drive->damping / ratio + drive->loss_torque;
+    case OUTPUT_ANGLE: return s->output_angle;
+    case OUTPUT_SPEED: return still ? kinematic_speed(drive) : s->output_speed;
+    case TORQUE: return drive->pressed.by_rotation + drive->damping + s->friction_torque * drive->strain;
+    case TRANSMISSION_ERROR: return still ? s->deviation : s->output_angle - s->crank_angle / ratio;
+    case BACKLASH:
+        return s->backlash_on == 0.0 ? 0.0 : drive->b > 0.0 ? reducer_backlash(drive) : teeth_play(drive, place).width;
+    case TORSIONAL_STIFFNESS: {
+        double stiffness;
+        if (drive->b > 0.0) {
+            return reducer_stiffness(drive);
+        }
+        stiffness = teeth_stiffness(drive, place, load, side, load > 0.0 ? 0.0 : teeth_play(drive, place).width);
+        return stiffness > 0.0 ? 1.0 / (1.0 / stiffness + s->series_compliance) : 0.0;
+    }
+    case MAX_CONTACT_PRESSURE:
+    case CONTACT_COUNT: {
+        struct place told;
+        if (!pressed) {
+            return 0.0;
+        }
+        told = table_told_place(drive->table, still ? s->placed : s->crank_angle);
+        return field == CONTACT_COUNT ? table_contact_count(teeth_side(drive, side), &told, load)
+                                      : table_pressure(teeth_side(drive, side), &told, load);
+    }
+    case POWER_LOSS:
+        if (still) {
+            return losses_torque(drive, kinematic_crank_torque(drive)) * s->crank_speed
+                + s->friction_torque * fabs(kinematic_speed(drive));
+        }
+        return compliant_power(drive)
+            + (fabs(friction_strain(s)) >= FRICTION_DISPLACEMENT ? s->friction_torque * fabs(s->output_speed) : 0.0);
+    case ELASTIC_ENERGY:
+        return drive->pressed.energy
+            + 0.5 * s->friction_torque * FRICTION_DISPLACEMENT * drive->strain * drive->strain;
+    case DISSIPATED_ENERGY: return s->dissipated_energy;
+    default: return 0.0;
+    }
+}
+
+int drive_get(struct drive *drive, const struct variable *variable, double *value, char message[MESSAGE_SIZE]) {
+    const double *kept = variable->causality == CAUSALITY_OUTPUT ? NULL : stored(drive, variable);
+    if (kept != NULL || variable->baked) {
+        *value = kept != NULL ? *kept : variable->start;
+        return 0;
+    }
+    if (drive->initializing) {
+        /* Outputs of initialization follow what is set: they are found without keeping anything. */
+        struct state before = drive->state;
+        int failed = drive_start(drive, message);
+        *value = failed ? 0.0 : output(drive, variable->field);
+        drive->state = before;
+        drive->initializing = 1;
+        drive->placed = drive->solved = 0;
+        if (failed) {
+            return 1;
+        }
+    } else {
+        if (!drive_kinematic(drive) && compliant_solve(drive, message)) {
+            return 1;
+        }
+        *value = output(drive, variable->field);
+    }
+    if (!(fabs(*value) < HUGE_VAL)) {
+        snprintf(message, MESSAGE_SIZE, "%.100s is beyond the range of numbers at these inputs.", variable->name);
+        return 1;
+    }
+    return 0;
+}
+
+/* ---- the state as bytes ---- */
+
+static void put(unsigned char *at, uint64_t value) {
+    int i;
+    for (i = 0; i < 8; i++) {
+        at[i] = (unsigned char)(value >> (8 * i));
+    }
+}
+
+static uint64_t get(const unsigned char *at) {
+    uint64_t value = 0;
+    int i;
+    for (i = 0; i < 8; i++) {
+        value |= (uint64_t)at[i] << (8 * i);
+    }
+    return value;
+}
+
+size_t drive_state_size(void) {
+    return BLOB_HEAD + 8 * (NUMBERS + 1);
+}
+
+void drive_state_write(const struct drive *drive, unsigned char *blob) {
+    const char *numbers = (const char *)&drive->state;
+    unsigned char *body = blob + BLOB_HEAD;
+    int i;
+    for (i = 0; i < NUMBERS; i++) {
+        uint64_t bits;
+        memcpy(&bits, numbers + 8 * i, 8);
+        put(body + 8 * i, bits);
+    }
+    put(body + 8 * NUMBERS, (uint64_t)drive->initializing);
+    memcpy(blob, BLOB_MAGIC, sizeof BLOB_MAGIC);
+    put(blob + 16, (uint64_t)STATE_VERSION | (uint64_t)drive->table->checksum << 32);
+    put(blob + 24, 0);
+}
+
+void drive_state_seal(unsigned char *blob) {
+    put(blob + 24, table_checksum(blob + BLOB_HEAD, drive_state_size() - BLOB_HEAD));
+}
+
+int drive_state_check(const struct drive *drive, const unsigned char *blob, size_t size, int sealed,
+                      char message[MESSAGE_SIZE]) {
+    const char *wrong = NULL;
+    if (blob == NULL || size < BLOB_HEAD || memcmp(blob, BLOB_MAGIC, sizeof BLOB_MAGIC) != 0) {
+        wrong = "these bytes are not the state of a native cycloid drive";
+    } else if ((get(blob + 16) & 0xffffffffu) != STATE_VERSION) {
+        wrong = "this state is of another version than this FMU reads";
+    } else if (size != drive_state_size()
+               || (sealed && get(blob + 24) != table_checksum(blob + BLOB_HEAD, size - BLOB_HEAD))) {
+        wrong = "this state is damaged: its size or checksum does not fit";
+    } else if (get(blob + 16) >> 32 != drive->table->checksum) {
+        wrong = "this state belongs to another drive: it was taken from an FMU with other tables";
+    }
+    if (wrong != NULL) {
+        snprintf(message, MESSAGE_SIZE, "%s.", wrong);
+    }
+    return wrong != NULL;
+}
+
+void drive_state_read(struct drive *drive, const unsigned char *blob) {
+    char *numbers = (char *)&drive->state;
+    const unsigned char *body = blob + BLOB_HEAD;
+    int i;
+    for (i = 0; i < NUMBERS; i++) {
+        uint64_t bits = get(body + 8 * i);
+        memcpy(numbers + 8 * i, &bits, 8);
+    }
+    drive->initializing = get(body + 8 * NUMBERS) != 0;
+    drive->placed = drive->solved = 0;
+}

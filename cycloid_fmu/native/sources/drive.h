@@ -1,0 +1,98 @@
+/* The drive with its history, stepped like cycloid_fmu/fmu/kinematic_model.py and compliant_model.py, on tables. */
+#ifndef CYCLOID_DRIVE_H
+#define CYCLOID_DRIVE_H
+
+#include "table.h"
+
+/* What later steps and outputs depend on: doubles alone, so that it can be written down as it is. */
+struct state {
+    double time;
+    double crank_angle, crank_speed, torque; /* torque: the input, the load on the inertia; else unused */
+    double output_angle, output_speed;       /* of the kinematic interface the speed is found when asked for */
+    double friction_torque, series_compliance, backlash_on, mesh_damping, largest_step, output_inertia;
+    double settled, placed, deviation, load, side, pushed; /* kinematic: at the last step */
+    double gear, loose; /* of a reducer: the gear's own deviation, and whether the plays around it leave it unloaded */
+    double bristle, seen, dissipated_energy;               /* compliant */
+    double loss[MOST_LOSS_ROWS * LOSS_COLUMNS];
+};
+
+/* The ends of the play, mirrored, and what `backlash_on` takes from both. */
+struct play {
+    struct loaded end[2];
+    double width, offset, offset_rate;
+};
+
+/* Contacts and series compliance pressed by a deviation: energy, its derivatives, and how the teeth stand. */
+struct pressed {
+    double energy, by_angle, by_rotation, stiffness, load, side;
+};
+
+struct drive {
+    const struct table *table;
+    double ratio;     /* of the flanges */
+    double a, b, s;   /* of an RV reducer (reducer_model.py); b = 0 without its first stage */
+    struct state state;
+    int rows;         /* of the loss table */
+    int initializing; /* outputs follow the inputs without a step */
+    int placed;       /* whether `place` is that of the state; of no effect on results */
+    struct place place;
+    struct loaded at; /* what the contacts do there under `at_load`, where that is not 0 */
+    double at_load;
+    int solved; /* whether the following belong to the state; likewise */
+    struct pressed pressed;
+    double loss_torque, damping, strain;
+};
+
+/* Every function that can fail returns 0, or 1 with one sentence in `message` and everything left as it was. */
+void drive_open(struct drive *drive, struct table *table);
+void drive_reset(struct drive *drive);
+int drive_start(struct drive *drive, char message[MESSAGE_SIZE]);
+int drive_step(struct drive *drive, double time, double step, char message[MESSAGE_SIZE]);
+int drive_get(struct drive *drive, const struct variable *variable, double *value, char message[MESSAGE_SIZE]);
+int drive_set(struct drive *drive, const struct variable *variable, double value, char message[MESSAGE_SIZE]);
+
+size_t drive_state_size(void);
+void drive_state_write(const struct drive *drive, unsigned char *blob);
+void drive_state_seal(unsigned char *blob); /* with a checksum, for where it may be damaged */
+int drive_state_check(const struct drive *drive, const unsigned char *blob, size_t size, int sealed,
+                      char message[MESSAGE_SIZE]);
+void drive_state_read(struct drive *drive, const unsigned char *blob);
+
+/* Of the drive's own files alone. */
+int drive_refuse(char message[MESSAGE_SIZE], const char *format, double value, double limit);
+int drive_kinematic(const struct drive *drive);
+const struct place *drive_place(struct drive *drive); /* of the state */
+
+int losses_check(const struct drive *drive, char message[MESSAGE_SIZE]);
+int losses_dissipate(const struct drive *drive); /* whether they, or the damping, take anything */
+double losses_torque(const struct drive *drive, double torque);
+
+const struct side *teeth_side(const struct drive *drive, double direction);
+struct play teeth_play(const struct drive *drive, const struct place *place);
+/* Torque of the crank from the contacts: the energy's derivative at fixed output. */
+double teeth_crank_torque(const struct drive *drive, const struct place *place, double load, double side,
+                          double offset_rate, double *energy);
+double teeth_stiffness(const struct drive *drive, const struct place *place, double load, double side, double play);
+int teeth_press(const struct drive *drive, double crank_angle, double deviation, struct pressed *found,
+                char message[MESSAGE_SIZE]);
+
+int kinematic_follow(struct drive *drive, char message[MESSAGE_SIZE]);
+int kinematic_gear(struct drive *drive, const struct play *play, double torque, double end, double *deviation,
+                   char message[MESSAGE_SIZE]);
+double kinematic_rate(struct drive *drive, const struct place *place, const struct play *play);
+double kinematic_crank_torque(struct drive *drive);
+double kinematic_speed(struct drive *drive);
+
+int reducer_elastic(struct drive *drive, double torque, double end, double *deviation, char message[MESSAGE_SIZE]);
+void reducer_hold(struct drive *drive, double deviation);
+double reducer_speed(struct drive *drive);
+double reducer_stiffness(struct drive *drive);
+double reducer_backlash(const struct drive *drive);
+
+int compliant_solve(struct drive *drive, char message[MESSAGE_SIZE]);
+int compliant_move(struct drive *drive, double step, char message[MESSAGE_SIZE]);
+int compliant_swing(struct drive *drive, double step, char message[MESSAGE_SIZE]);
+double compliant_power(const struct drive *drive);
+double friction_strain(const struct state *s); /* rad; more than it can be while it slides */
+
+#endif

@@ -1,0 +1,63 @@
+#include "drive.h"
+
+#include <math.h>
+#include <string.h>
+
+int losses_check(const struct drive *drive, char message[MESSAGE_SIZE]) {
+    int i, j;
+    for (i = 0; i < drive->rows; i++) {
+        const double *row = drive->state.loss + i * LOSS_COLUMNS;
+        if (i == 0 ? row[0] != 0.0 : !(row[0] > row[-LOSS_COLUMNS])) {
+            return drive_refuse(message, "loss_table[%.0f,1] = %g: speeds must ascend from 0.", i + 1, row[0]);
+        }
+        if (!(row[1] > 0.0 && row[1] <= 1.0)) {
+            return drive_refuse(message, "loss_table[%.0f,2] = %g: an efficiency lies above 0 and not above 1.", i + 1, row[1]);
+        }
+        if (!(row[2] >= 0.0 && row[2] <= 1.0)) {
+            return drive_refuse(message, "loss_table[%.0f,3] = %g: an efficiency lies between 0 and 1.", i + 1, row[2]);
+        }
+        for (j = 3; j < LOSS_COLUMNS; j++) {
+            if (!(row[j] >= 0.0)) {
+                return drive_refuse(message, "loss_table[%.0f,4] or its neighbour = %g: a friction torque must not be below 0.",
+                              i + 1, row[j]);
+            }
+        }
+    }
+    return 0;
+}
+
+int losses_dissipate(const struct drive *drive) {
+    int i, found = drive->state.mesh_damping > 0.0;
+    for (i = 0; i < drive->rows; i++) {
+        const double *row = drive->state.loss + i * LOSS_COLUMNS;
+        found |= row[1] != 1.0 || row[2] != 1.0 || row[3] != 0.0 || row[4] != 0.0;
+    }
+    return found;
+}
+
+double losses_torque(const struct drive *drive, double torque) {
+    double speed = drive->state.crank_speed, size = fabs(speed), at[LOSS_COLUMNS], lost, ramp;
+    const double *rows = drive->state.loss;
+    int i, j, last = drive->rows - 1;
+    if (speed == 0.0 || drive->rows == 0) {
+        return 0.0;
+    }
+    memcpy(at, rows + last * LOSS_COLUMNS, sizeof at);
+    for (i = 0; i < last; i++) {
+        const double *below = rows + i * LOSS_COLUMNS, *above = below + LOSS_COLUMNS;
+        if (size < above[0]) {
+            double share = (size - below[0]) / (above[0] - below[0]);
+            for (j = 1; j < LOSS_COLUMNS; j++) {
+                at[j] = below[j] + share * (above[j] - below[j]);
+            }
+            break;
+        }
+    }
+    if (torque * speed >= 0.0) {
+        lost = fabs(torque) * (1.0 / at[1] - 1.0) + at[3];
+    } else {
+        lost = fabs(torque) * (1.0 - at[2]) + at[4];
+    }
+    ramp = size / LOSS_SPEED;
+    return copysign(lost * (ramp < 1.0 ? ramp : 1.0), speed);
+}

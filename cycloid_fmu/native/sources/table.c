@@ -1,0 +1,213 @@
+#include "table.h"
+
+#include <math.h>
+#include <string.h>
+
+static struct place place_among(double period, uint32_t angles, double crank_angle) {
+    double turns = crank_angle / period, n = angles;
+    double at = (turns - floor(turns)) * n, s;
+    uint32_t first = (uint32_t)at;
+    struct place place;
+    int i;
+    s = at - first;
+    first = first >= angles ? 0 : first;
+    place.share = s;
+    place.weight[0] = (1.0 - s) * (1.0 - s) * (1.0 - s) / 6.0;
+    place.weight[1] = (3.0 * s * s * s - 6.0 * s * s + 4.0) / 6.0;
+    place.weight[2] = (1.0 + 3.0 * s + 3.0 * s * s - 3.0 * s * s * s) / 6.0;
+    place.weight[3] = s * s * s / 6.0;
+    place.rate[0] = -0.5 * (1.0 - s) * (1.0 - s);
+    place.rate[1] = 1.5 * s * s - 2.0 * s;
+    place.rate[2] = 0.5 + s - 1.5 * s * s;
+    place.rate[3] = 0.5 * s * s;
+    for (i = 0; i < 4; i++) {
+        uint32_t node = first + (uint32_t)i;
+        place.rate[i] *= n / period;
+        node = node == 0 ? angles - 1 : node - 1;
+        place.node[i] = node >= angles ? node - angles : node;
+    }
+    return place;
+}
+
+struct place table_place(const struct table *table, double crank_angle) {
+    return place_among(table->period, table->angles, crank_angle);
+}
+
+struct place table_told_place(const struct table *table, double crank_angle) {
+    return place_among(table->period, table->told_angles, crank_angle);
+}
+
+static double blend(const float *values, uint32_t loads, const struct place *place, uint32_t load,
+                    const double weight[4]) {
+    double sum = 0.0;
+    int i;
+    for (i = 0; i < 4; i++) {
+        sum += weight[i] * (double)values[(size_t)place->node[i] * loads + load];
+    }
+    return sum;
+}
+
+static uint32_t cell_of(const double *loads, uint32_t count, double load) {
+    uint32_t low = 0;
+    count--;
+    while (count > 1) {
+        uint32_t half = count / 2;
+        low = loads[low + half] <= load ? low + half : low;
+        count -= half;
+    }
+    return low;
+}
+
+/* Hermite's cubic between two values and slopes. */
+static double hermite(double u, double h, double a, double b, double ca, double cb) {
+    double v = 1.0 - u;
+    return (1.0 + 2.0 * u) * v * v * a + (3.0 - 2.0 * u) * u * u * b + h * u * v * (v * ca - u * cb);
+}
+
+static double hermite_slope(double u, double h, double a, double b, double ca, double cb) {
+    double v = 1.0 - u;
+    return 6.0 * u * v * (b - a) / h + v * (1.0 - 3.0 * u) * ca + u * (3.0 * u - 2.0) * cb;
+}
+
+struct loaded table_at(const struct side *side, const struct place *place, double load) {
+    uint32_t j = cell_of(side->load, side->loads, load), i;
+    double h = side->load[j + 1] - side->load[j], u = (load - side->load[j]) / h;
+    double a = 0.0, b = 0.0, ca = 0.0, cb = 0.0, ra = 0.0, rb = 0.0, rca = 0.0, rcb = 0.0;
+    struct loaded found;
+    for (i = 0; i < 4; i++) {
+        const float *x = side->deviation + (size_t)place->node[i] * side->loads + j;
+        const float *c = side->compliance + (size_t)place->node[i] * side->loads + j;
+        double w = place->weight[i], r = place->rate[i];
+        a += w * (double)x[0];
+        b += w * (double)x[1];
+        ca += w * (double)c[0];
+        cb += w * (double)c[1];
+        ra += r * (double)x[0];
+        rb += r * (double)x[1];
+        rca += r * (double)c[0];
+        rcb += r * (double)c[1];
+    }
+    found.deviation = hermite(u, h, a, b, ca, cb);
+    found.compliance = hermite_slope(u, h, a, b, ca, cb);
+    found.rate = hermite(u, h, ra, rb, rca, rcb);
+    return found;
+}
+
+struct loaded table_at_node(const struct side *side, const struct place *place, uint32_t node) {
+    struct loaded found;
+    found.deviation = blend(side->deviation, side->loads, place, node, place->weight);
+    found.rate = blend(side->deviation, side->loads, place, node, place->rate);
+    found.compliance = blend(side->compliance, side->loads, place, node, place->weight);
+    return found;
+}
+
+double table_load(const struct side *side, const struct place *place, double deviation, double offset, double series) {
+    uint32_t low = 0, high = side->loads - 1, step;
+    double a, b, ca, cb, h, left = 0.0, right = 1.0, u, goal = deviation + offset;
+    a = blend(side->deviation, side->loads, place, low, place->weight);
+    b = blend(side->deviation, side->loads, place, high, place->weight) + series * side->load[high];
+    if (goal <= a) {
+        return 0.0;
+    }
+    if (!(goal <= b)) {
+        return HUGE_VAL;
+    }
+    while (high - low > 1) {
+        uint32_t middle = (low + high) / 2;
+        double at = blend(side->deviation, side->loads, place, middle, place->weight) + series * side->load[middle];
+        if (at <= goal) {
+            low = middle;
+            a = at;
+        } else {
+            high = middle;
+            b = at;
+        }
+    }
+    h = side->load[high] - side->load[low];
+    ca = blend(side->compliance, side->loads, place, low, place->weight) + series;
+    cb = blend(side->compliance, side->loads, place, high, place->weight) + series;
+    u = b > a ? (goal - a) / (b - a) : 0.0;
+    for (step = 0; step < 60; step++) {
+        double short_ = goal - hermite(u, h, a, b, ca, cb), slope = h * hermite_slope(u, h, a, b, ca, cb), next;
+        if (fabs(short_) < LAST_CELL_SHARE * slope) { /* Newton's next error is the square of this step: below rounding */
+            u += short_ / slope;
+            return side->load[low] + (u < 0.0 ? 0.0 : u > 1.0 ? 1.0 : u) * h;
+        }
+        if (short_ > 0.0) {
+            left = u;
+        } else {
+            right = u;
+        }
+        next = slope > 0.0 ? u + short_ / slope : HUGE_VAL;
+        u = next >= left && next <= right ? next : 0.5 * (left + right);
+    }
+    return side->load[low] + u * h;
+}
+
+void table_energy(const struct side *side, const struct place *place, double load, double *energy, double *rate) {
+    uint32_t cell = cell_of(side->load, side->loads, load), i, j;
+    double of_deviation[MOST_LOADS], of_compliance[MOST_LOADS];
+    double h = side->load[cell + 1] - side->load[cell], u = (load - side->load[cell]) / h, u2 = u * u;
+    memset(of_deviation, 0, (cell + 2) * sizeof *of_deviation);
+    memset(of_compliance, 0, (cell + 2) * sizeof *of_compliance);
+    for (j = 0; j < cell; j++) {
+        double width = side->load[j + 1] - side->load[j];
+        of_deviation[j] += 0.5 * width;
+        of_deviation[j + 1] += 0.5 * width;
+        of_compliance[j] += width * width / 12.0;
+        of_compliance[j + 1] -= width * width / 12.0;
+    }
+    of_deviation[cell] += h * (u - u2 * u + 0.5 * u2 * u2);
+    of_deviation[cell + 1] += h * (u2 * u - 0.5 * u2 * u2);
+    of_compliance[cell] += h * h * (0.5 * u2 - 2.0 / 3.0 * u2 * u + 0.25 * u2 * u2);
+    of_compliance[cell + 1] += h * h * (0.25 * u2 * u2 - u2 * u / 3.0);
+    *energy = *rate = 0.0;
+    for (i = 0; i < 4; i++) {
+        const float *x = side->deviation + (size_t)place->node[i] * side->loads;
+        const float *c = side->compliance + (size_t)place->node[i] * side->loads;
+        double sum = 0.0;
+        for (j = 0; j < cell + 2; j++) {
+            sum += of_deviation[j] * (double)x[j] + of_compliance[j] * (double)c[j];
+        }
+        *energy += place->weight[i] * sum;
+        *rate += place->rate[i] * sum;
+    }
+}
+
+double table_pressure(const struct side *side, const struct place *told, double load) {
+    uint32_t loads = side->told_loads, j = cell_of(side->told_load, loads, load);
+    double u = (load - side->told_load[j]) / (side->told_load[j + 1] - side->told_load[j]);
+    double low = blend(side->pressure, loads, told, j, told->weight);
+    double high = blend(side->pressure, loads, told, j + 1, told->weight);
+    double square = (1.0 - u) * low + u * high;
+    return square > 0.0 ? sqrt(square) : 0.0;
+}
+
+int table_contact_count(const struct side *side, const struct place *told, double load) {
+    uint32_t loads = side->told_loads, j = cell_of(side->told_load, loads, load);
+    uint32_t nearest = 2.0 * load > side->told_load[j] + side->told_load[j + 1] || j == 0 ? j + 1 : j;
+    return side->contact_count[(size_t)told->node[told->share < 0.5 ? 1 : 2] * loads + nearest];
+}
+
+double table_rest_torque(const struct table *table, const struct place *place) {
+    double sum = 0.0;
+    int i;
+    for (i = 0; table->rest_torque != NULL && i < 4; i++) {
+        sum += place->weight[i] * table->rest_torque[place->node[i]];
+    }
+    return sum;
+}
+
+double table_rest_energy(const struct table *table, const struct place *place) {
+    double s = place->share, t, sum;
+    const double *c = table->rest_torque;
+    if (c == NULL) {
+        return 0.0;
+    }
+    t = 1.0 - s;
+    sum = (1.0 - t * t * t * t) * c[place->node[0]];
+    sum += (3.0 * s * s * s * s - 8.0 * s * s * s + 16.0 * s) * c[place->node[1]];
+    sum += (4.0 * s + 6.0 * s * s + 4.0 * s * s * s - 3.0 * s * s * s * s) * c[place->node[2]];
+    sum += s * s * s * s * c[place->node[3]];
+    return table->rest_energy[place->node[1]] + table->period / table->angles * sum / 24.0;
+}

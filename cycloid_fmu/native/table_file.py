@@ -1,0 +1,141 @@
+"""What the C of a native FMU and this package share: the file of tables, and the numbers of `constants.h`.
+
+The file, little endian: magic, version and CRC-32 of the rest; then the FMU's token, interface and variables; ratio,
+period, what stands before the drive, torques; and of each direction and load the deviation, its derivative by the load,
+the square of the largest pressure (each in whole steps) and the contact count.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import math
+import re
+import struct
+import zlib
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu.fmu import constants
+from cycloid_fmu.fmu.variables import ATTRIBUTES, Interface, Variable
+from cycloid_fmu.native.tables import Tables
+from cycloid_fmu.reducer.first_stage import FirstStage
+
+TABLE = "drive.table"  # in an FMU's resources
+HEAD = struct.Struct("<8sII")
+_MAGIC = "cycltab\n"
+_KINDS = ("real", "integer", "boolean")
+_CAUSALITIES = ("input", "output", "parameter", "independent", "local")
+_INTERFACES = ("kinematic", "compliant", "inertia")
+_FIELDS = (
+    "crank_angle", "crank_speed", "crank_torque", "output_angle", "output_speed", "torque", "transmission_error",
+    "backlash", "torsional_stiffness", "max_contact_pressure", "contact_count", "friction_torque", "series_compliance",
+    "power_loss", "backlash_on", "elastic_energy", "dissipated_energy", "mesh_damping", "largest_step",
+    "output_inertia", "time", "loss_table",
+)  # fmt: skip
+
+
+def constants_header() -> bytes:
+    """Return `constants.h`."""
+    numbers = re.findall(r"^([A-Z]\w*) = (\S+)  # (.+)$", inspect.getsource(constants), re.MULTILINE)
+    enums = {"kind": ("KIND_", _KINDS), "causality": ("CAUSALITY_", _CAUSALITIES),
+             "interface_kind": ("INTERFACE_", _INTERFACES), "field": ("", _FIELDS)}  # fmt: skip
+    lines = [
+        "/* Made of cycloid_fmu/fmu/constants.py and cycloid_fmu/native/table_file.py. */",
+        "#ifndef CYCLOID_CONSTANTS_H",
+        "#define CYCLOID_CONSTANTS_H",
+        "",
+        *(f"#define {name} {value} /* {meaning} */" for name, value, meaning in numbers),
+        f'#define TABLE_FILE "{TABLE}"',
+        '#define TABLE_MAGIC "{}"'.format(_MAGIC.replace("\n", "\\n")),
+        f"#define TABLE_HEAD {HEAD.size}",
+        *(f"enum {name} {{ {', '.join(f'{start}{v.upper()}' for v in values)} }};"
+          for name, (start, values) in enums.items()),
+        "",
+        "#endif",
+        "",
+    ]  # fmt: skip
+    return "\n".join(lines).encode()
+
+
+def write(
+    tables: Tables,
+    interface: Interface,
+    variables: Mapping[int, Variable],
+    token: str = "",
+    first_stage: FirstStage | None = None,
+) -> bytes:
+    """Return the file of tables.
+
+    Parameters
+    ----------
+    interface
+        What the FMU offers.
+    variables
+        The FMU's variables by value reference, which are 0, 1, 2, ….
+    token
+        The FMU's `guid` or `instantiationToken`.
+    first_stage
+        What makes the drive an RV reducer.
+
+    Raises
+    ------
+    ValueError
+        If neighbouring values differ by more steps than 16 bits count.
+    """
+    offered = 0 if interface.kind == "kinematic" else 1 if interface.output_inertia == 0.0 else 2
+    body = bytearray(_text(token) + struct.pack("<II", offered, len(variables)))
+    for v in variables.values():
+        limits = (-math.inf if v.least is None else v.least, math.inf if v.most is None else v.most)
+        body += _text(v.name) + struct.pack(
+            "<BBBBiddd", _KINDS.index(v.kind), _CAUSALITIES.index(v.causality), v.baked, v.variability == "fixed",
+            _field(v), *limits, v.start or 0.0,
+        )  # fmt: skip
+    sides = (tables.positive, tables.negative)
+    rest = tables.rest_torque if tables.rest_torque.any() else np.empty(0)
+    stage = (0.0, 0.0, 0.0, 0.0) if first_stage is None else dataclasses.astuple(first_stage)
+    counts = [count for s in sides for count in (s.load.size, s.told_load.size)]
+    body += struct.pack("<7d", tables.ratio, tables.period, tables.allowed, *stage)
+    body += struct.pack("<7I", tables.rest_torque.size, tables.positive.pressure.shape[1], rest.size, *counts)
+    for side in sides:
+        body += side.load.astype("<f8").tobytes() + side.told_load.astype("<f8").tobytes()
+        for values, step in zip((side.deviation, side.compliance, side.pressure), side.steps, strict=True):
+            body += _steps(values, step)
+        body += side.contact_count.astype("u1").tobytes()
+    return _headed(bytes(body + rest.astype("<f8").tobytes()))
+
+
+def named(file: bytes, token: str) -> bytes:
+    """Return a file written without a token with one."""
+    return _headed(_text(token) + file[HEAD.size + len(_text("")) :])
+
+
+def _headed(body: bytes) -> bytes:
+    return HEAD.pack(_MAGIC.encode(), constants.TABLE_VERSION, zlib.crc32(body)) + body
+
+
+def _text(text: str) -> bytes:
+    encoded = text.encode()
+    return struct.pack("<H", len(encoded)) + encoded
+
+
+def _field(variable: Variable) -> int:
+    """What a variable is in the C model; -1 where the tables have it in them."""
+    cell = re.fullmatch(r"loss_table\[(\d+),(\d+)\]", variable.name)
+    if cell:
+        return _FIELDS.index("loss_table") + (int(cell[1]) - 1) * constants.LOSS_COLUMNS + int(cell[2]) - 1
+    return -1 if variable.baked else _FIELDS.index(ATTRIBUTES.get(variable.name, variable.name))
+
+
+def _steps(values: NDArray[np.float64], step: NDArray[np.float64]) -> bytes:
+    """Return values, shape (loads, angles), in whole steps: the steps, the first of each load, then the differences.
+
+    Of differences from angle to angle the ZIP makes a third of what it makes of the numbers themselves.
+    """
+    whole = np.round(values / step[:, None])
+    changes = np.diff(whole, axis=1, prepend=whole[:, :1])
+    if np.abs(changes).max() >= 1 << 15:
+        raise ValueError("the accuracy is finer than a file of tables can store")
+    return bytes(step.astype("<f8").tobytes() + whole[:, 0].astype("<f8").tobytes() + changes.astype("<i2").tobytes())
