@@ -6,7 +6,7 @@ import functools
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,8 +21,7 @@ from cycloid_fmu.surfaces.surface import ErrorSurface, check_surface, stated_val
 if TYPE_CHECKING:
     import xarray as xr
 
-    from cycloid_fmu.fmu.description import Version
-    from cycloid_fmu.fmu.variables import Interface, InterfaceKind
+    from cycloid_fmu.fmu.variables import Interface
 
 Array = NDArray[np.float64]
 _FIELD_UNITS = {
@@ -183,29 +182,38 @@ class Drive:
     def build_fmu(
         self,
         path: str | os.PathLike[str],
-        interface: InterfaceKind | Interface = "kinematic",
+        interface: Literal["kinematic", "compliant"] | Interface = "kinematic",
         *,
-        fmi_version: Version = "2.0",
+        fmi_version: Literal["2.0", "3.0"] = "2.0",
+        native: bool = False,
     ) -> None:
-        """Write the drive's Co-Simulation FMU, which runs in a Python host.
+        """Build a Co-Simulation FMU of the drive, whole or not at all.
 
         Parameters
         ----------
         path
             The FMU file.
         interface
-            "kinematic", "compliant", or an `Interface` with output inertia or losses.
+            "kinematic" takes crank motion and load and gives the output's motion; "compliant" takes both motions and
+            gives both torques; an `Interface` states inertia and losses as well.
         fmi_version
             "2.0" or "3.0".
+        native
+            An FMU of C and tables that needs no Python, instead of the exact model; it takes the extra `native`.
 
         Raises
         ------
         edge.InputError
-            If the folder does not exist or the interface is none.
+            If the folder does not exist or the interface is none of this drive.
         """
-        from cycloid_fmu.fmu.build import build_fmu
+        if native:
+            from cycloid_fmu.native.build import build_native
 
-        build_fmu(self, path, interface=interface, fmi_version=fmi_version)
+            build_native(self, path, interface=interface, fmi_version=fmi_version, workers=os.cpu_count() or 1)
+        else:
+            from cycloid_fmu.fmu.build import build_fmu
+
+            build_fmu(self, path, interface=interface, fmi_version=fmi_version)
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the drive: a pair file (`.toml`) or an error surface (`.nc`), which holds form and wear as well.
@@ -277,6 +285,5 @@ def field_units(data: xr.Dataset) -> xr.Dataset:
         unit = str(data[name].attrs.get("units"))
         shown, factor = ("deg", 180.0 / math.pi) if name == "crank_angle" else _FIELD_UNITS.get(unit, (unit, 1.0))
         if shown != unit:
-            values = data[name].variable * factor
-            found[name] = values.assign_attrs({**data[name].attrs, "units": shown})
+            found[name] = (data[name].dims, data[name].values * factor, {**data[name].attrs, "units": shown})
     return found

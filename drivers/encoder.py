@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import abc
-import contextlib
+import dataclasses
 import importlib.metadata
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
 import pydantic
 
@@ -20,6 +20,7 @@ from drivers.recording_format import Channel, Event, Samples
 ENTRY_POINTS = "cycloid.encoders"
 
 
+Line = TypeVar("Line")
 _EPOCH = time.time() - time.monotonic()
 
 
@@ -107,32 +108,31 @@ class AngleConfig(ChannelConfig):
     zero: edge.Angle = 0.0
 
 
+@dataclasses.dataclass(frozen=True)
 class Wiring:
     """Buses and ports of a `BENCH.toml` by name, the folder that its file names are relative to, and its name."""
 
-    def __init__(
-        self, buses: Mapping[str, BusConfig], ports: Mapping[str, PortConfig], folder: Path, source: str
-    ) -> None:
-        self.buses, self.ports, self.folder, self.source = buses, ports, folder, source
+    buses: Mapping[str, BusConfig]
+    ports: Mapping[str, PortConfig]
+    folder: Path
+    source: str
 
     def bus(self, name: str, channel: str) -> BusConfig:
         """Return the bus of this name; an `edge.InputError` names the channel that wants it where there is none."""
-        found: BusConfig = _named(self.buses, name, "bus", channel, self.source)
-        return found
+        return self._named(self.buses, name, "bus", channel)
 
     def port(self, name: str, channel: str) -> PortConfig:
         """Return the port of this name; an `edge.InputError` names the channel that wants it where there is none."""
-        found: PortConfig = _named(self.ports, name, "port", channel, self.source)
-        return found
+        return self._named(self.ports, name, "port", channel)
 
-
-def _named(table: Mapping[str, Any], name: str, kind: str, channel: str, source: str) -> Any:
-    if name not in table:
-        there = ", ".join(f'"{k}"' for k in table) or "none"
-        raise edge.InputError(
-            f'{source}: [channel.{channel}] {kind} = "{name}": there is no [{kind}.{name}]; the file has {there}.'
-        )
-    return table[name]
+    def _named(self, table: Mapping[str, Line], name: str, kind: str, channel: str) -> Line:
+        if name not in table:
+            there = ", ".join(f'"{k}"' for k in table) or "none"
+            raise edge.InputError(
+                f'{self.source}: [channel.{channel}] {kind} = "{name}": there is no [{kind}.{name}]; '
+                f"the file has {there}."
+            )
+        return table[name]
 
 
 class Encoder(abc.ABC):
@@ -293,14 +293,3 @@ def encoder_class(protocol: object, channel: str, source: str) -> type[Encoder]:
         )
     loaded: type[Encoder] = known[protocol].load()
     return loaded
-
-
-@contextlib.contextmanager
-def opened(encoders: list[Encoder]) -> Iterator[list[Encoder]]:
-    """Open all encoders, then start all; close all at the end, whatever happens."""
-    with contextlib.ExitStack() as stack:
-        for encoder in encoders:
-            stack.enter_context(encoder)
-        for encoder in encoders:
-            encoder.start()
-        yield encoders

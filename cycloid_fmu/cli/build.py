@@ -58,22 +58,23 @@ def build(
     """
     from cycloid_fmu.fmu.build import build_fmu, read_losses
     from cycloid_fmu.fmu.variables import LOSSLESS, Interface
-    from cycloid_fmu.reducer.budget import Reducer, contradictions, read_buildable
+    from cycloid_fmu.reducer.drive_file import drive_of_file
 
     if platforms and not native:
         raise edge.InputError("--platform: only a --native FMU has platforms; one in Python runs where Python does.")
     offered = Interface(interface, output_inertia, LOSSLESS if losses is None else read_losses(losses))  # type: ignore[arg-type]
-    drive, surface = read_buildable(pair_file, surface_file)
-    for warning in contradictions(drive, str(pair_file)) if isinstance(drive, Reducer) else ():
+    drive, surface, warnings = drive_of_file(pair_file, surface_file)
+    for warning in warnings:
         typer.echo(warning, err=True)
     options: dict[str, Any] = {"interface": offered, "fmi_version": fmi_version}
     if not native:
         build_fmu(drive, output, surface, **options)
         return
+    from cycloid_fmu.geometry.pair import Pair
     from cycloid_fmu.native.build import build_native, platforms_of
     from cycloid_fmu.native.tables import LARGEST_LOAD, PROBES
 
-    pair = drive.stage if isinstance(drive, Reducer) else drive
+    pair = drive if isinstance(drive, Pair) else drive.stage
     if pair.rated_torque is None:
         raise edge.InputError(
             f"{pair_file}: [pair] rated_torque is missing; state it: the tables reach {LARGEST_LOAD:g} times as far."

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numpy as np
-from numba import njit
-from numba.extending import overload, register_jitable
+from numba import config, njit, types
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -21,10 +20,9 @@ _SOURCES = tuple(sorted((s.stat().st_mtime_ns, s.name) for s in Path(__file__).p
 def compiled(function: _Function) -> _Function:
     """Compile a kernel that Python calls, its type kept; other kernels may call it as well.
 
-    Inside another kernel it is a part of that one: it gets no entry from Python and no file in the cache. What numba
-    compiled for Python's calls is its `dispatcher`.
+    Inside another kernel it is a `part` of that one. What numba compiled for Python's calls is its `dispatcher`.
     """
-    entry = njit(cache=True, error_model="numpy", nogil=True)(function)
+    entry = njit(cache=True, error_model="numpy", nogil=True, no_cfunc_wrapper=True)(function)
     cache = getattr(entry, "_cache", None)  # none where numba only interprets
     if cache is not None:
         # numba looks at the file of the kernel alone; what it calls lies in others.
@@ -35,15 +33,27 @@ def compiled(function: _Function) -> _Function:
         return entry(*arguments)
 
     called.dispatcher = entry  # type: ignore[attr-defined]
-    overload(called, jit_options={"error_model": "numpy"}, strict=False)(lambda *arguments: function)
-    return cast(_Function, called)
+    return _within(cast(_Function, called), function)
 
 
 def part(function: _Function) -> _Function:
     """Make a function that kernels call; Python's own calls are interpreted."""
-    return cast(_Function, register_jitable(error_model="numpy")(function))
+    return _within(function, function)
 
 
 def inlined(function: _Function) -> _Function:
     """Make a `part` that the compiler puts where it is called."""
-    return cast(_Function, register_jitable(error_model="numpy", forceinline=True)(function))
+    return _within(function, function, forceinline=True)
+
+
+def _within(name: _Function, function: _Function, forceinline: bool = False) -> _Function:
+    """Let kernels that call `name` compile `function`, once, without an entry from Python or a file in the cache.
+
+    Such entries took most of the time: each holds all that the kernel calls, compiled once more.
+    """
+    if not config.DISABLE_JIT:
+        options = {"error_model": "numpy", "forceinline": forceinline}
+        kernel = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)(function)
+        name._numba_type_ = types.Dispatcher(kernel)  # type: ignore[attr-defined]
+        name._kernel = kernel  # type: ignore[attr-defined]  # the type holds no reference
+    return name

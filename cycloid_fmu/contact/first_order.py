@@ -90,15 +90,15 @@ def _sweep(
 ) -> None:  # fmt: skip
     contacts = contact.contact_rows(drive)
     pins = drive.teeth + 1
-    x, cold = 0.0, True
+    x = 0.0
     for i in range(thetas.size):
+        cold = i == 0
         if torque == 0.0:
             low, high, _ = contact.play(drive, thetas[i], x, contacts, cold)
             x = 0.0 if math.isnan(low) else 0.5 * (low + high)
         else:
             x, _ = contact.equilibrium(drive, thetas[i], torque, x, contacts, cold)
         contact.place(drive, thetas[i], x, contacts, cold, math.inf, reach)
-        cold = False
         deviation[i] = x
         number = 0
         for row in range(contacts.shape[0]):

@@ -66,12 +66,14 @@ def load_sharing(problem: Problem, contacts: Rows, pin_force: Array, pin_pressur
         pressure = 2.0 * force / (math.pi * _half_width(problem, contacts[row], pin) * problem.slice_width)
         pin_force[disc, pin] += force
         pin_pressure[disc, pin] = max(pin_pressure[disc, pin], pressure)
-    threshold = _COUNTED * pin_force.max()
+    largest_force = largest_pressure = 0.0
+    for disc, pin in np.ndindex(pin_force.shape):
+        largest_force = max(largest_force, float(pin_force[disc, pin]))
+        largest_pressure = max(largest_pressure, float(pin_pressure[disc, pin]))
     count = 0
-    for force in pin_force.flat:
-        if force > threshold:
-            count += 1
-    return count, pin_pressure.max()
+    for disc, pin in np.ndindex(pin_force.shape):
+        count += 1 if pin_force[disc, pin] > _COUNTED * largest_force else 0
+    return count, largest_pressure
 
 
 @inlined

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cycloid_fmu.contact.compiling import Array, compiled, part
+from cycloid_fmu.contact.compiling import Array, compiled
 from cycloid_fmu.contact.energy import crank_side
 from cycloid_fmu.contact.equilibrium import equilibrium, load, rotational_stiffness
 from cycloid_fmu.contact.load_sharing import ContactLines, load_sharing, write_contact_lines
@@ -69,7 +69,26 @@ def sweep(
     if with_play:
         sweep_play(problem, thetas, first, last, low, high, gap)
     for k in range(torques.size):
-        _sweep_load(problem, thetas, torques[k], first, last, found, lines, k)
+        contacts, torque = contact_rows(problem), torques[k]
+        deviation, stiffness = found.deviation[k], found.stiffness[k]
+        x = 0.0
+        for i in range(first, last):
+            cold = i == first
+            if torque == 0.0:
+                start, end, _ = play(problem, thetas[i], x, contacts, cold)
+                cold = False
+                if not math.isnan(start):
+                    x = 0.5 * (start + end)
+                    # What nothing presses stays as it was handed over: 0.
+                    deviation[i], stiffness[i], found.max_contact_pressure[k, i] = x, 0.0, 0.0
+                    continue
+            elif i > first + 1 and abs(thetas[i] - thetas[i - 1]) < 1.5 * abs(thetas[i - 1] - thetas[i - 2]):
+                x += (x - deviation[i - 2]) * (thetas[i] - thetas[i - 1]) / (thetas[i - 1] - thetas[i - 2])
+            x, stiffness[i] = equilibrium(problem, thetas[i], torque, x, contacts, cold)
+            deviation[i] = x
+            count, pressure = load_sharing(problem, contacts, found.pin_force[k, i], found.pin_pressure[k, i])
+            found.contact_count[k, i], found.max_contact_pressure[k, i] = count, pressure
+            write_contact_lines(problem, lines, k, i, thetas[i], x, contacts)
 
 
 @compiled
@@ -84,44 +103,10 @@ def sweep_play(problem: Problem, thetas: Array, first: int, last: int, low: Arra
         Overwritten from `first` to `last`, shape (angles,): ends of the play (rad) and interference (m), as `play`.
     """
     contacts = contact_rows(problem)
-    cold, x = True, 0.0
     for i in range(first, last):
+        cold = i == first or math.isnan(low[i - 1])
+        x = 0.0 if cold else 0.5 * (low[i - 1] + high[i - 1])
         low[i], high[i], gap[i] = play(problem, thetas[i], x, contacts, cold)
-        cold = math.isnan(low[i])
-        x = 0.0 if cold else 0.5 * (low[i] + high[i])
-
-
-@part
-def _sweep_load(
-    problem: Problem,
-    thetas: Array,
-    torque: float,
-    first: int,
-    last: int,
-    found: LoadedSweep,
-    lines: ContactLines | None,
-    k: int,
-) -> None:
-    contacts = contact_rows(problem)
-    deviation, stiffness = found.deviation[k], found.stiffness[k]
-    cold, x = True, 0.0
-    for i in range(first, last):
-        if torque == 0.0:
-            start, end, _ = play(problem, thetas[i], x, contacts, cold)
-            cold = False
-            if not math.isnan(start):
-                x = 0.5 * (start + end)
-                # What nothing presses stays as it was handed over: 0.
-                deviation[i], stiffness[i], found.max_contact_pressure[k, i] = x, 0.0, 0.0
-                continue
-        elif i > first + 1 and abs(thetas[i] - thetas[i - 1]) < 1.5 * abs(thetas[i - 1] - thetas[i - 2]):
-            x += (x - deviation[i - 2]) * (thetas[i] - thetas[i - 1]) / (thetas[i - 1] - thetas[i - 2])
-        x, stiffness[i] = equilibrium(problem, thetas[i], torque, x, contacts, cold)
-        cold = False
-        deviation[i] = x
-        count, pressure = load_sharing(problem, contacts, found.pin_force[k, i], found.pin_pressure[k, i])
-        found.contact_count[k, i], found.max_contact_pressure[k, i] = count, pressure
-        write_contact_lines(problem, lines, k, i, thetas[i], x, contacts)
 
 
 @compiled

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from cycloid_fmu.wear.progress import WearModel, WearRate, WearState
 
+
 def save(figure: Figure, path: str | os.PathLike[str]) -> None:
     """Write a figure as PNG or PDF by its name's ending, whole or not at all."""
     with edge.written_whole(edge.output_path(path, "path", edge.PICTURES)) as temporary:

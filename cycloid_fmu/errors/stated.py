@@ -42,7 +42,8 @@ def _orders(table: Mapping[Any, Any], kind: ErrorKind, in_file: bool) -> dict[in
         except ValueError as problem:
             raise ValueError(f"{key}: {problem}") from None
         found[int(match[1])] = (amplitude, phase)
-    return found
+    # In the order of their orders: what is summed in another order differs in its last bit.
+    return dict(sorted(found.items()))
 
 
 def _each(values: Any, kind: ErrorKind, in_file: bool) -> tuple[float, ...]:

@@ -161,7 +161,7 @@ class Pair(Config):
             errors = Errors(errors)
         if values.get("pins") is None and isinstance(values.get("gear_teeth"), int):
             values["pins"] = values["gear_teeth"] + 1
-        super().__init__(**values, errors=errors)
+        super().__init__(**{**values, "errors": errors})
         for table, sentence in _contradictions(self):
             raise ContradictionError(table, sentence)
 
@@ -183,7 +183,7 @@ class Pair(Config):
             changes["errors"] = Errors({**self.errors, **Errors(errors), **_zeros(errors)})
         return type(self)(**{**values, **changes})
 
-    @functools.cached_property
+    @property
     def nominal(self) -> Self:
         """The pair as drawn: without the errors that are stated of it."""
         return self.replace(errors=Errors()) if self.errors else self

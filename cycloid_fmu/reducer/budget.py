@@ -21,11 +21,10 @@ from cycloid_fmu import contact, edge
 from cycloid_fmu.contact.transmission import drive_of
 from cycloid_fmu.edge import ARCMIN, Angle, Config
 from cycloid_fmu.errors.kinds import LARGEST_DEVIATION
-from cycloid_fmu.geometry.pair import Pair, PositiveLength, pair_of_tables, read_pair
+from cycloid_fmu.geometry.pair import Pair, PositiveLength, pair_of_tables
 from cycloid_fmu.reducer.first_stage import FirstStage, sun_locked_share
-from cycloid_fmu.surfaces.files import read_surface
 from cycloid_fmu.surfaces.sampling import Distribution, error_stream, within_tolerance
-from cycloid_fmu.surfaces.surface import ErrorSurface, check_surface
+from cycloid_fmu.surfaces.surface import ErrorSurface
 
 Array = NDArray[np.float64]
 Variant = Literal["standard", "as_printed", "geometric", "geometric_sun_locked"]
@@ -510,25 +509,6 @@ def first_stage_of(reducer: Reducer) -> FirstStage:
         sun_play=max(0.0, float(outer["base_tangent_length"]) * reducer.ratio),
         bearing_play=max(0.0, float(outer["crank_bearing_clearance"])),
     )
-
-
-def read_buildable(
-    path: str | os.PathLike[str], surface_file: str | os.PathLike[str] | None = None
-) -> tuple[Pair | Reducer, ErrorSurface | None]:
-    """Return what an FMU is built from: a pair file or a reducer file, and the errors that a surface file states.
-
-    Raises
-    ------
-    edge.InputError
-        If a file can't be read, or the surface belongs to another pair.
-    """
-    drive = read_reducer(path) if edge.format_of(path) == FORMAT else read_pair(path)
-    if surface_file is None:
-        return drive, None
-    surface = read_surface(surface_file)
-    pair = drive.stage if isinstance(drive, Reducer) else drive
-    check_surface(pair, surface, str(path), str(surface_file))
-    return drive, surface
 
 
 def summed(terms: Mapping[str, Array]) -> dict[str, Array]:

@@ -40,6 +40,7 @@ _FIRST_AXES = (
     "eccentricity", "centre_distance_x", "centre_distance_y", "misalignment_xz", "misalignment_yz", "isometric",
     "offset",
 )  # fmt: skip
+_OTHERS = ("limits", "costs")
 # How far a pitch may go of what is allowed: rounding in the sums that make positions from it must not exceed the limit.
 _WITHIN = 1.0 - 1e-9
 # Times that each pitch is met: with ten no figure of 3000 circles differs from four hundred's by more than chance.
@@ -237,10 +238,9 @@ def _file_model(keys: tuple[str, ...]) -> type[Config]:
             return PitchErrors
         return AngleError if kind.unit == "rad" else LengthError
 
-    tables = {key: (model(kind) | None, None) for key, kind in _keys().items()}
-    others = {n: (Tolerances.__annotations__[n], Tolerances.model_fields[n]) for n in ("limits", "costs")}
-    made: type[Config] = pydantic.create_model("Tolerances", __base__=Config, **tables, **others)
-    return made
+    fields: dict[str, Any] = {key: (model(kind) | None, None) for key, kind in _keys().items()}
+    fields |= {name: (Tolerances.model_fields[name].annotation, Tolerances.model_fields[name]) for name in _OTHERS}
+    return pydantic.create_model("Tolerances", __base__=Config, **fields)
 
 
 def parse_tolerances(text: str, source: str) -> Tolerances:

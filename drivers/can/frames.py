@@ -115,7 +115,7 @@ class FrameReader:
         good = np.fromiter(map(len, frames.data), np.int64, n) == self.length
         if not good.all():
             wrong = frames.data[int(np.flatnonzero(~good)[0])]
-            self._skipped(~good, frames, f"{len(wrong)} bytes long (0x{wrong.hex()}), not {self.length}")
+            self._say_count(~good, frames, f"skipped: {len(wrong)} bytes long (0x{wrong.hex()}), not {self.length}")
             before[~good] |= GAP
         if self.sync_step is None:
             self._clocked(frames, before)
@@ -153,15 +153,15 @@ class FrameReader:
         sync = frames.sync
         previous = np.concatenate([[self._last_seen], sync[:-1]])
         self._last_seen = int(sync[-1])
-        self._skipped(sync < 0, frames, "before the first SYNC")
+        self._say_count(sync < 0, frames, "skipped: before the first SYNC")
         second = (sync >= 0) & (sync == previous)
         last = None if self._last is None else self._last[1]
         same = np.zeros(len(sync), bool)
         for i in np.flatnonzero(second):  # few: payloads are compared only where it matters
             same[i] = frames.data[i] == (frames.data[i - 1] if i else last)
         self._last = (0.0, frames.data[-1], frames.arrived)
-        self._skipped(second & same, frames, "a duplicate of the frame before, or without a SYNC of its own")
-        self._skipped(second & ~same, frames, "without a SYNC of its own, so its instant is unknown")
+        self._say_count(second & same, frames, "skipped: a duplicate of the frame before, or without a SYNC of its own")
+        self._say_count(second & ~same, frames, "skipped: without a SYNC of its own, so its instant is unknown")
         before[second] |= np.where(same, DUPLICATE, GAP)[second]
         return np.asarray((sync >= 0) & ~second)
 
@@ -203,10 +203,6 @@ class FrameReader:
                 )
                 before[gaps] |= GAP
         self._last = (float(times[-1]), frames.data[-1], frames.arrived)
-
-    def _skipped(self, which: npt.NDArray[np.bool_], frames: Frames, why: str) -> None:
-        """Say, once a block, that frames were left out."""
-        self._say_count(which, frames, f"skipped: {why}")
 
     def _say_count(self, which: npt.NDArray[np.bool_], frames: Frames, what: str) -> None:
         if which.any():

@@ -19,7 +19,6 @@ from drivers.encoder import (
     PortConfig,
     Wiring,
     encoder_class,
-    opened,
 )
 
 BENCH_FORMAT = "cycloid-bench/1"
@@ -127,7 +126,7 @@ def read_bench(path: str | os.PathLike[str]) -> Bench:
 
 @contextlib.contextmanager
 def open_encoders(bench: Bench | str | os.PathLike[str]) -> Iterator[list[Encoder]]:
-    """Open and start the encoders of a bench, or of the `BENCH.toml` of this path; close them at the end.
+    """Open all encoders of a bench, or of the `BENCH.toml` of this path, then start all; close all at the end.
 
     Raises
     ------
@@ -136,5 +135,10 @@ def open_encoders(bench: Bench | str | os.PathLike[str]) -> Iterator[list[Encode
     EncoderError
         If a bus, port or device does not answer.
     """
-    with opened((bench if isinstance(bench, Bench) else read_bench(bench)).encoders()) as encoders:
+    encoders = (bench if isinstance(bench, Bench) else read_bench(bench)).encoders()
+    with contextlib.ExitStack() as stack:
+        for encoder in encoders:
+            stack.enter_context(encoder)
+        for encoder in encoders:
+            encoder.start()
         yield encoders

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import threading
-from typing import Any, Self
 
 from cycloid_fmu import edge
 from drivers.encoder import Encoder, EncoderConnectionError, EncoderError, steady_time
@@ -13,7 +12,7 @@ from drivers.recording_format import GAP, RESET, Channel, Event, Samples
 RETRY_SECONDS = 0.5
 
 
-class Supervised(Encoder):
+class Supervised:
     """An encoder, open and started, that is opened anew whenever it fails.
 
     Its first sample afterwards is marked "gap before" and, where its zero is only good for one power cycle, "reset".
@@ -34,14 +33,6 @@ class Supervised(Encoder):
         self._stopping = threading.Event()
         self._reopened = threading.Event()
         self._thread: threading.Thread | None = None
-
-    @classmethod
-    def from_config(cls, name: str, config: Any, wiring: Any) -> Supervised:
-        """Supervised encoders are made from encoders."""
-        raise NotImplementedError
-
-    def __enter__(self) -> Self:
-        return self
 
     @property
     def waiting(self) -> int:

@@ -48,9 +48,10 @@ def _object_dictionary(node: int, identifier: int, counts_per_turn: int, timer: 
     """Return what a CiA 406 encoder answers by SDO, its TPDO1 sent on every SYNC or by a timer in ms."""
     dictionary = canopen.ObjectDictionary()
 
-    def variable(name: str, index: int, kind: int, value: int, sub: int = 0, access: str = "ro") -> ODVariable:
+    def variable(name: str, index: int, kind: int, value: int, sub: int = 0) -> ODVariable:
         made = ODVariable(name, index, sub)
-        made.data_type, made.default, made.access_type = kind, value, access
+        made.data_type, made.default = kind, value
+        made.access_type = "rw" if index == HEARTBEAT_TIME else "ro"
         return made
 
     def record(name: str, index: int, entries: Sequence[tuple[str, int, int]]) -> None:
@@ -60,9 +61,19 @@ def _object_dictionary(node: int, identifier: int, counts_per_turn: int, timer: 
             made.add_member(variable(entry, index, kind, value, sub))
         dictionary.add_object(made)
 
-    dictionary.add_object(variable("device type", 0x1000, UNSIGNED32, 0x00020196))
-    dictionary.add_object(variable("error register", 0x1001, UNSIGNED8, 0))
-    dictionary.add_object(variable("heartbeat time", 0x1017, UNSIGNED16, 0, access="rw"))
+    for name, index, kind, value in (
+        ("device type", 0x1000, UNSIGNED32, 0x00020196),
+        ("error register", 0x1001, UNSIGNED8, 0),
+        ("heartbeat time", HEARTBEAT_TIME, UNSIGNED16, 0),
+        ("operating parameters", 0x6000, UNSIGNED16, 0),
+        ("position", POSITION, UNSIGNED32, 0),
+        ("operating status", 0x6500, UNSIGNED16, 0),
+        ("counts per turn", COUNTS_PER_TURN, UNSIGNED32, counts_per_turn),
+        ("turns", TURNS, UNSIGNED16, _turns(counts_per_turn)),
+        ("profile and software", 0x6507, UNSIGNED32, 0x01000302),
+        ("encoder serial", 0x650B, UNSIGNED32, node),
+    ):
+        dictionary.add_object(variable(name, index, kind, value))
     who = [("vendor", 0), ("product", 0x406), ("revision", 1), ("serial", node)]
     record("identity", 0x1018, [(entry, UNSIGNED32, value) for entry, value in who])
     sent = [("identifier", UNSIGNED32, identifier), ("transmission type", UNSIGNED8, 1 if timer is None else 254)]
@@ -70,13 +81,6 @@ def _object_dictionary(node: int, identifier: int, counts_per_turn: int, timer: 
         sent += [("inhibit time", UNSIGNED16, 0), ("compatibility", UNSIGNED8, 0), ("event timer", UNSIGNED16, timer)]
     record("TPDO1", 0x1800, sent)
     record("TPDO1 mapping", 0x1A00, [("position", UNSIGNED32, POSITION << 16 | 32)])
-    dictionary.add_object(variable("operating parameters", 0x6000, UNSIGNED16, 0))
-    dictionary.add_object(variable("position", POSITION, UNSIGNED32, 0))
-    dictionary.add_object(variable("operating status", 0x6500, UNSIGNED16, 0))
-    dictionary.add_object(variable("counts per turn", COUNTS_PER_TURN, UNSIGNED32, counts_per_turn))
-    dictionary.add_object(variable("turns", TURNS, UNSIGNED16, _turns(counts_per_turn)))
-    dictionary.add_object(variable("profile and software", 0x6507, UNSIGNED32, 0x01000302))
-    dictionary.add_object(variable("encoder serial", 0x650B, UNSIGNED32, node))
     return dictionary
 
 

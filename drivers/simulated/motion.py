@@ -7,7 +7,6 @@ import math
 import os
 import shutil
 from collections.abc import Callable
-from ctypes import c_double, c_uint32
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -134,7 +133,7 @@ def fmu_output_angle(path: str | os.PathLike[str], step: float = 1e-3) -> Output
         If it is no such FMU.
     """
     from fmpy import extract, read_model_description
-    from fmpy.fmi2 import FMU2Slave, fmi2True
+    from fmpy.fmi2 import FMU2Slave
 
     edge.existing(path)
     try:
@@ -156,9 +155,8 @@ def fmu_output_angle(path: str | os.PathLike[str], step: float = 1e-3) -> Output
             modelIdentifier=description.coSimulation.modelIdentifier,
             instanceName="bench",
         )
-        inputs = (c_uint32 * 2)(references["flange_a.phi"], references["flange_b.tau"])
-        given, result = (c_double * 2)(), (c_double * 1)()
-        outputs = (c_uint32 * 1)(references["flange_b.phi"])
+        inputs = [references["flange_a.phi"], references["flange_b.tau"]]
+        outputs = [references["flange_b.phi"]]
         output = np.empty(len(angle))
         try:
             fmu.instantiate()
@@ -166,15 +164,12 @@ def fmu_output_angle(path: str | os.PathLike[str], step: float = 1e-3) -> Output
                 fmu.setupExperiment(startTime=0.0)
                 fmu.enterInitializationMode()
                 if len(angle):
-                    fmu.setReal(list(inputs), [float(angle[0]), float(torque[0])])
+                    fmu.setReal(inputs, [float(angle[0]), float(torque[0])])
                 fmu.exitInitializationMode()
-                component, set_real, do_step, get_real = fmu.component, fmu.fmi2SetReal, fmu.fmi2DoStep, fmu.fmi2GetReal
-                for i, (phi, tau) in enumerate(zip(angle.tolist(), torque.tolist(), strict=True)):
-                    given[0], given[1] = phi, tau
-                    set_real(component, inputs, 2, given)
-                    do_step(component, i * step, step, fmi2True)
-                    get_real(component, outputs, 1, result)
-                    output[i] = result[0]
+                for i, given in enumerate(zip(angle.tolist(), torque.tolist(), strict=True)):
+                    fmu.setReal(inputs, given)
+                    fmu.doStep(i * step, step)
+                    output[i] = fmu.getReal(outputs)[0]
                 fmu.terminate()
             finally:
                 fmu.freeInstance()

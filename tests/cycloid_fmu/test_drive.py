@@ -44,7 +44,7 @@ def stated_errors(draw):
 
 
 @given(stated_errors(), st.floats(-9e-5, 0.0), st.integers(1, 2), st.data())
-@settings(max_examples=60)
+@settings(max_examples=20)
 def test_the_same_values_are_the_same_drive_however_it_was_made(tmp_path_factory, errors, offset, discs, data):
     folder = tmp_path_factory.mktemp("drive")
     whole = cy.Drive(cy.Pair(**SIZES, discs=discs, modification={"offset": offset}, errors=errors))
@@ -72,7 +72,7 @@ def test_the_same_values_are_the_same_drive_however_it_was_made(tmp_path_factory
 
 
 @given(st.sampled_from(sorted(SIZES)), st.floats(1e-4, 2e-2), stated_errors())
-@settings(max_examples=60)
+@settings(max_examples=20)
 def test_another_drive_is_another_and_its_surface_is_refused(name, share, errors):
     drive = cy.Drive(cy.Pair(**SIZES, errors=errors))
     if name == "gear_teeth":
@@ -169,8 +169,9 @@ def test_files_of_the_first_version_are_read_and_match(tmp_path):
     first = read_surface(DATA / "first-version" / "surface.nc")
     pair = cy.read_pair(DATA / "first-version" / "pair.toml")
     check_surface(pair, first, "pair.toml", "surface.nc")
-    drive = cy.Drive(pair, first)
-    assert drive == cy.Drive(pair)
+    made = cy.Drive(pair, first).surface
+    for name, values in cy.Drive(pair).surface.errors.items():
+        assert made.errors[name] == pytest.approx(values, rel=1e-15, abs=0.0), name
     write_surface(first, tmp_path / "now.nc")
     assert read_surface(tmp_path / "now.nc") == first
 
