@@ -44,7 +44,9 @@ def test_every_public_name_has_a_runnable_example(door, name):
     if inspect.isclass(thing):
         texts += [inspect.getdoc(method) or "" for method in vars(thing).values() if inspect.isfunction(method)]
     examples = [text for text in texts if ">>>" in text or "An example is that of" in text]
-    assert examples or (inspect.isclass(thing) and issubclass(thing, Exception)), f"{door.__name__}.{name} has no example"
+    assert examples or (inspect.isclass(thing) and issubclass(thing, Exception)), (
+        f"{door.__name__}.{name} has no example"
+    )
 
 
 @pytest.mark.parametrize("door", DOORS, ids=lambda door: door.__name__)
