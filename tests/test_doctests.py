@@ -2,8 +2,10 @@
 
 import doctest
 import importlib
+import importlib.util
 import inspect
 import pkgutil
+from pathlib import Path
 
 import pytest
 
@@ -20,8 +22,8 @@ def modules():
     for package in DOORS:
         found = [package.__name__, *(m.name for m in pkgutil.walk_packages(package.__path__, f"{package.__name__}."))]
         for name in found:
-            spec = importlib.util.find_spec(name)
-            if spec.origin.endswith(".py") and ">>>" in open(spec.origin, encoding="utf-8").read():
+            file = Path(importlib.util.find_spec(name).origin)
+            if file.suffix == ".py" and ">>>" in file.read_text(encoding="utf-8"):
                 yield name
 
 
