@@ -79,3 +79,14 @@ def test_until_it_is_there(benchmark, words):
     benchmark.extra_info["seconds beyond Python's own start (processor)"] = shown(*beyond)
     benchmark.extra_info["NumPy (processor)"] = shown(*alone)
     benchmark.extra_info["times NumPy"] = round(beyond[1] / alone[1], 2)
+
+
+def test_kernels_of_an_analysis(benchmark, tmp_path, monkeypatch):
+    """The README's analysis from an empty cache of kernels and from a full one; at most 8 s of processor are asked."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    analyze = ("cycloid-fmu", "analyze", EXAMPLES / "drive-39-40.toml", "--torque", "181 N*m")
+    found = {}
+    benchmark.pedantic(lambda: found.update(compiled=spent(run, *analyze)), rounds=1)
+    found["cached"] = spent(run, *analyze)
+    found["import numba, xarray"] = spent(run, sys.executable, "-c", "import numba, xarray")
+    benchmark.extra_info.update({name: shown(*used) for name, used in found.items()})

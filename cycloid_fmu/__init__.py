@@ -12,33 +12,45 @@ from typing import TYPE_CHECKING, Any
 __version__ = version("cycloid-fmu")
 
 if TYPE_CHECKING:
+    from cycloid_fmu.draw.plots import plot
     from cycloid_fmu.drive import Drive, field_units, read_drive
     from cycloid_fmu.edge import ARCMIN, ARCSEC, InputError
-    from cycloid_fmu.errors.kinds import ErrorKind, register
-    from cycloid_fmu.geometry.pair import Material, Pair, read_pair
+    from cycloid_fmu.errors.kinds import ErrorKind, register_error_kind
+    from cycloid_fmu.fmu.run import simulate_fmu
+    from cycloid_fmu.geometry.pair import Material, Pair
+    from cycloid_fmu.reducer.budget import Reducer, budget, read_reducer
     from cycloid_fmu.surfaces.files import read_surface
     from cycloid_fmu.surfaces.sampling import Tolerances, read_tolerances
     from cycloid_fmu.surfaces.surface import ErrorSurface
 
-_HOME = {
-    "Pair": "geometry.pair", "Drive": "drive", "ErrorSurface": "surfaces.surface", "Material": "geometry.pair",
-    "Tolerances": "surfaces.sampling", "ErrorKind": "errors.kinds", "register": "errors.kinds", "InputError": "edge",
-    "read_drive": "drive", "read_pair": "geometry.pair", "read_surface": "surfaces.files",
-    "read_tolerances": "surfaces.sampling", "field_units": "drive", "ARCSEC": "edge", "ARCMIN": "edge",
-}  # fmt: skip
+_HOMES = {
+    "draw.plots": ("plot",),
+    "drive": ("Drive", "field_units", "read_drive"),
+    "edge": ("ARCMIN", "ARCSEC", "InputError"),
+    "errors.kinds": ("ErrorKind", "register_error_kind"),
+    "fmu.run": ("simulate_fmu",),
+    "geometry.pair": ("Material", "Pair"),
+    "reducer.budget": ("Reducer", "budget", "read_reducer"),
+    "surfaces.files": ("read_surface",),
+    "surfaces.sampling": ("Tolerances", "read_tolerances"),
+    "surfaces.surface": ("ErrorSurface",),
+}
+
 __all__ = [
-    "ARCMIN", "ARCSEC", "Drive", "ErrorKind", "ErrorSurface", "InputError", "Material", "Pair", "Tolerances",
-    "__version__", "field_units", "read_drive", "read_pair", "read_surface", "read_tolerances", "register",
+    "ARCMIN", "ARCSEC", "Drive", "ErrorKind", "ErrorSurface", "InputError", "Material", "Pair", "Reducer", "Tolerances",
+    "__version__", "budget", "field_units", "plot", "read_drive", "read_reducer", "read_surface", "read_tolerances",
+    "register_error_kind", "simulate_fmu",
 ]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOME:
+    home = next((home for home, names in _HOMES.items() if name in names), None)
+    if home is None:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+    value = getattr(importlib.import_module(f"{__name__}.{home}"), name)
     globals()[name] = value
     return value
 
 
 def __dir__() -> list[str]:
-    return __all__
+    return sorted({*globals(), *__all__})

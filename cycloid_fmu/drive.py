@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.errors.kinds import KINDS
+from cycloid_fmu.errors.kinds import KINDS, structured_names
 from cycloid_fmu.errors.stated import Errors
 from cycloid_fmu.geometry.pair import Pair, read_pair
 from cycloid_fmu.surfaces.provenance import drive_hash, drive_text, stating
@@ -22,11 +22,23 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from cycloid_fmu.fmu.variables import Interface
+    from cycloid_fmu.studies.yields import Findings
+    from cycloid_fmu.surfaces.sampling import Tolerances
+    from cycloid_fmu.wear.law import WearLaw
+    from cycloid_fmu.wear.life import WearRun
 
 Array = NDArray[np.float64]
 _FIELD_UNITS = {
     "rad": ("arcsec", edge.ARCSEC), "N*m/rad": ("N*m/arcmin", 1.0 / edge.ARCMIN), "Pa": ("MPa", 1e-6), "m": ("um", 1e6),
 }  # fmt: skip
+
+
+def _tolerances(given: Tolerances | str | os.PathLike[str]) -> Tolerances:
+    if isinstance(given, str | os.PathLike):
+        from cycloid_fmu.surfaces.sampling import read_tolerances
+
+        return read_tolerances(given)
+    return given
 
 
 class Drive:
@@ -179,6 +191,200 @@ class Drive:
             workers=workers or os.cpu_count() or 1, progress=progress,
         )  # fmt: skip
 
+    def sensitivity(
+        self,
+        torque: float | str,
+        errors: Sequence[str] | None = None,
+        *,
+        crank_angle: ArrayLike | None = None,
+        angles: int = 360,
+    ) -> xr.DataArray:
+        """Derivatives of the transmission error by the structured errors, at one load.
+
+        Parameters
+        ----------
+        torque
+            Of the environment on the output, N·m or text with a unit; not 0.
+        errors
+            Names: kinds of one number, `pin_radial_1_cos` and the like, `profile_deviation_1`; where not given the
+            kinds of one number and the waves of order 1 to 3.
+        crank_angle, angles
+            As of `analyze`.
+
+        Returns
+        -------
+        xarray.DataArray
+            Over `error` and `crank_angle`; rad/m, rad/rad for misalignments.
+
+        Raises
+        ------
+        edge.InputError
+            If the torque can't be carried.
+        ValueError
+            If a name is no structured error of this drive.
+
+        Examples
+        --------
+        >>> import cycloid_fmu as cy
+        >>> pair = cy.Pair(
+        ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm"
+        ... )
+        >>> by = cy.Drive(pair).sensitivity("181 N*m", ["eccentricity", "pin_radial_1_cos"], angles=45)
+        >>> by.dims, by.shape
+        (('error', 'crank_angle'), (2, 45))
+        """
+        import xarray as xr
+
+        from cycloid_fmu.contact.transmission import error_sensitivity, slices_needed
+
+        if crank_angle is None:
+            crank_angle = np.linspace(0.0, 2.0 * math.pi, angles, endpoint=False)
+        names = list(errors) if errors is not None else structured_names((1, 2, 3))
+        _, jacobian, _, _ = error_sensitivity(
+            self.pair, self.surface, edge.quantity(torque, "N*m"), crank_angle, names, slices_needed(self.surface)
+        )
+        units = {"units": "rad/m, rad/rad", "long_name": "derivative of the transmission error", "drive": self.hash}
+        places = {"error": names, "crank_angle": np.atleast_1d(crank_angle)}
+        return xr.DataArray(jacobian.T, places, ("error", "crank_angle"), "sensitivity", units)
+
+    def sample(self, tolerances: Tolerances | str | os.PathLike[str], seed: int) -> Self:
+        """Draw one drive that tolerances allow; the errors of this drive are not part of it.
+
+        Parameters
+        ----------
+        tolerances
+            The tolerances, or their file.
+        seed
+            The same seed draws the same drive.
+
+        Raises
+        ------
+        edge.InputError
+            If the file can't be read or the seed is out of range.
+
+        Examples
+        --------
+        >>> import cycloid_fmu as cy
+        >>> pair = cy.Pair(
+        ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm"
+        ... )
+        >>> made = cy.Drive(pair).sample(cy.Tolerances(pin_radius={"tolerance": "2 um"}), seed=1)
+        >>> abs(made.surface.pin_radius) <= 2e-6
+        True
+        """
+        from cycloid_fmu.surfaces.sampling import sample_surface
+
+        return type(self)(self.pair.nominal, sample_surface(self.pair, _tolerances(tolerances), seed))
+
+    def study(
+        self,
+        tolerances: Tolerances | str | os.PathLike[str],
+        torque: Sequence[float | str] | None = None,
+        *,
+        samples: int = 1000,
+        seed: int = 1,
+        angles: int = 360,
+        first_order: float | None = None,
+        workers: int | None = None,
+        progress: Callable[[int], None] = lambda drives: None,
+    ) -> Findings:
+        """Solve many drives within their tolerances: distributions and yields against limits.
+
+        Parameters
+        ----------
+        tolerances
+            The tolerances and limits, or their file.
+        torque
+            Loads on the output, N·m or text with a unit; plus and minus the rated torque where not given.
+        samples, seed, angles
+            Drives, the seed that decides them, and crank angles of each.
+        first_order
+            Solve to first order and confirm this share by the exact model.
+        workers, progress
+            Processes, one for each core where not given; called with the number of drives just finished.
+
+        Raises
+        ------
+        edge.InputError
+            If there is neither a torque nor a rated torque, or a tolerance can't be studied.
+
+        Examples
+        --------
+        >>> import cycloid_fmu as cy
+        >>> pair = cy.Pair(
+        ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm"
+        ... )
+        >>> tolerances = cy.Tolerances(pin_radius={"tolerance": "2 um"}, eccentricity={"tolerance": "3 um"})
+        >>> found = cy.Drive(pair).study(tolerances, ["100 N*m"], samples=4, angles=20, workers=1)
+        >>> len(found.result.sample)
+        4
+        """
+        from cycloid_fmu.studies import yields
+        from cycloid_fmu.studies.tolerance import Study
+
+        rated = self.pair.rated_torque
+        if torque is None and rated is None:
+            raise edge.ArgumentError("torque", "is missing; give it, or state the pair's rated torque")
+        loads = [rated, -rated] if torque is None and rated is not None else torque or ()
+        study = Study(
+            self.pair, _tolerances(tolerances), samples, seed, tuple(edge.quantity(t, "N*m") for t in loads),
+            angles=angles,
+        )  # fmt: skip
+        yields.check(study, "pair", "tolerances", to_first_order=first_order is not None)
+        return yields.conduct(study, first_order, workers=workers or os.cpu_count() or 1, progress=progress)
+
+    def wear(
+        self,
+        law: WearLaw | str | os.PathLike[str],
+        torque: float | str,
+        crank_turns: float,
+        *,
+        workers: int | None = None,
+        progress: Callable[[float], None] = lambda turns: None,
+    ) -> WearRun:
+        """Wear flanks and pins over a life at one load, with the profile updated as it wears.
+
+        Parameters
+        ----------
+        law
+            The wear law, or its file (cycloid-wear/1).
+        torque, crank_turns
+            Of the environment on the output, N·m or text with a unit; length of the life.
+        workers, progress
+            Threads, one for each core where not given; called with the crank turns that are done.
+
+        Returns
+        -------
+        WearRun
+            Its `surface` is the worn drive's: `Drive(drive.pair.nominal, run.surface)`.
+
+        Raises
+        ------
+        edge.InputError
+            If the law can't be read or the teeth would wear through.
+
+        Examples
+        --------
+        >>> import cycloid_fmu as cy
+        >>> from cycloid_fmu.wear.law import WearLaw
+        >>> pair = cy.Pair(
+        ...     gear_teeth=39, pin_circle_radius="66 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm"
+        ... ).replace(offset="-50 um", isometric="-30 um")
+        >>> run = cy.Drive(pair).wear(WearLaw(pins="free", coefficient="1e-20 m^2/N"), "-400 N*m", 1e5, workers=1)
+        >>> 0.0 < run.figures["updated"]["gear_depth_max"] < 1e-6
+        True
+        """
+        from cycloid_fmu.wear.law import Load, WearLaw, read_wear_law
+        from cycloid_fmu.wear.life import run_wear
+
+        source = "law" if isinstance(law, WearLaw) else str(law)
+        stated = law if isinstance(law, WearLaw) else read_wear_law(law)
+        loads = (Load(torque=edge.quantity(torque, "N*m"), crank_turns=1.0),)
+        return run_wear(
+            self.pair, self.surface, stated, loads, crank_turns, source, workers=workers or os.cpu_count() or 1,
+            progress=progress,
+        )  # fmt: skip
+
     def build_fmu(
         self,
         path: str | os.PathLike[str],
@@ -205,6 +411,19 @@ class Drive:
         ------
         edge.InputError
             If the folder does not exist or the interface is none of this drive.
+
+        Examples
+        --------
+        >>> import cycloid_fmu as cy
+        >>> pair = cy.Pair(
+        ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm"
+        ... )
+        >>> drive = cy.Drive(pair)
+        >>> drive.build_fmu("drive.fmu")
+        >>> run = cy.simulate_fmu("drive.fmu", crank_angle=[0.0, 0.1], torque=100.0)
+        >>> bool(abs(run["transmission_error"] - drive.analyze(100.0, crank_angle=[0.0, 0.1])
+        ...          .transmission_error.values[0]).max() < 1e-12)
+        True
         """
         if native:
             from cycloid_fmu.native.build import build_native

@@ -49,7 +49,7 @@ class EncoderConnectionError(EncoderError):
 
 
 class EncoderSetupError(EncoderConnectionError, edge.InputError):
-    """What the wiring says can't be: no such bus or port, no permission, a node that is taken, contradicting counts."""
+    """The wiring can't be: no such bus or port, no permission, a node that is taken, contradicting counts."""
 
 
 class BusConfig(edge.Config):
@@ -94,7 +94,7 @@ class PortConfig(edge.Config):
 
 
 class ChannelConfig(edge.Config):
-    """What every channel of a `BENCH.toml` says; the protocols add their keys."""
+    """What every channel of a `BENCH.toml` has; the protocols add their keys."""
 
     protocol: str
     direction: Literal[1, -1] = 1

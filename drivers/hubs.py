@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import abc
 import collections
 import errno
 import threading
 from collections.abc import Callable
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, Self, TypeVar
 
-from drivers.encoder import EncoderError
+from drivers.encoder import BusConfig, Encoder, EncoderError, PortConfig
 from drivers.recording_format import Event
 
 BLOCK_SECONDS = 0.05  # of a block, and so of what a kill can cost besides the batch being written
@@ -129,3 +130,54 @@ class SharedHubs(Generic[Hub]):
             if users[0] == 0:
                 del self._users[hub.config.place]
                 hub.close()
+
+
+class HubEncoder(Encoder, Generic[Hub]):
+    """An encoder on a bus or port that is shared: the hub, acquired and given back.
+
+    Parameters
+    ----------
+    name
+        Name of the channel.
+    config
+        The channel's table in the `BENCH.toml`.
+    line
+        The bus or port.
+    """
+
+    shared: SharedHubs[Any]
+
+    def __init__(self, name: str, config: Any, line: BusConfig | PortConfig) -> None:
+        self.name, self.config, self._line = name, config, line
+        self.hub: Hub | None = None
+
+    @abc.abstractmethod
+    def set_up(self, hub: Hub) -> None:
+        """Ask the device what it is, or whether it is there, and set `channel`.
+
+        Raises
+        ------
+        EncoderError
+            If it does not answer or answers nonsense.
+        """
+
+    @abc.abstractmethod
+    def leave(self, hub: Hub) -> None:
+        """Take back what `set_up` and `start` did, as far as they came."""
+
+    def __enter__(self) -> Self:
+        """Open the bus or port and set the device up; see `Encoder.__enter__`."""
+        self.hub = self.shared.acquire(self._line)
+        try:
+            self.set_up(self.hub)
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def close(self) -> None:
+        """Leave the device and give the bus or port back."""
+        hub, self.hub = self.hub, None
+        if hub is not None:
+            self.leave(hub)
+            self.shared.release(hub)

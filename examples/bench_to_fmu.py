@@ -13,7 +13,6 @@ import numpy as np
 import cycloid_fmu as cy
 import drivers
 import fitting
-from cycloid_fmu.fmu.run import follow
 
 HERE, OUT = Path(__file__).parent, Path("bench_to_fmu_out")
 
@@ -55,7 +54,7 @@ def main() -> None:
     found.drive.build_fmu(OUT / "identified.fmu")
     zero = found.bench["output_angle_offset"]
     simulated = [
-        follow(OUT / "identified.fmu", c.input_angle, c.torque, ("transmission_error",))["transmission_error"] + zero
+        cy.simulate_fmu(OUT / "identified.fmu", c.input_angle, c.torque)["transmission_error"] + zero
         for c in found.curves
     ]
     fitting.plot_comparison(found.curves, simulated, "simulated by the FMU").savefig(OUT / "comparison.png", dpi=150)

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from cycloid_fmu.draw.plots import new_figure, save
 from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.fmu.build import build_fmu
-from cycloid_fmu.fmu.run import follow
+from cycloid_fmu.fmu.run import simulate_fmu
 from cycloid_fmu.fmu.variables import Interface
 from cycloid_fmu.geometry.pair import Pair, read_pair
 from cycloid_fmu.surfaces.files import read_surface
@@ -95,7 +95,7 @@ def compensation(fmu: Path, load: float) -> dict[str, float]:
     """The largest orders of a drive's transmission error over one turn of its output, as the motor's parameters."""
     turns, samples = 39, 64
     crank = 2.0 * np.pi * np.arange(turns * samples) / samples
-    error = follow(fmu, crank, load, ("transmission_error",))["transmission_error"]
+    error = simulate_fmu(fmu, crank, load, ("transmission_error",))["transmission_error"]
     spectrum = np.fft.rfft(error)[: turns * 4] * 2.0 / error.size
     strongest = np.argsort(-np.abs(spectrum[1:]))[: Motor.ORDERS] + 1
     found = {}
@@ -130,7 +130,7 @@ def tip_error(fmu: Path, parameters: Mapping[str, float] | None) -> tuple[Array,
         crank = -39.0 * angle
         if parameters is not None:
             crank = crank + 39.0 * correction(parameters, crank)
-        reached.append(follow(fmu, crank, load, ("flange_b.phi",))["flange_b.phi"])
+        reached.append(simulate_fmu(fmu, crank, load, ("flange_b.phi",))["flange_b.phi"])
     first, second = reached[0], reached[0] + reached[1]
     tip = np.column_stack([upper * np.cos(first) + lower * np.cos(second),
                            upper * np.sin(first) + lower * np.sin(second)])  # fmt: skip

@@ -46,7 +46,7 @@ def test_each_import_rule_can_be_broken(tmp_path):
         ("cycloid_fmu/edge/files.py", "import fitting"),
         ("drivers/recorder/clock.py", "import cycloid_fmu.geometry.pair"),
         ("fitting/transmission_error/curve.py", "import drivers.recorder.clock"),
-        ("cycloid_fmu/contact.py", "import cycloid_fmu.geometry.pair"),
+        ("cycloid_fmu/errors/kinds.py", "import cycloid_fmu.geometry.pair"),
         ("fitting/recordings/recording.py", "import fitting.transmission_error.curve"),
         ("fitting/figures/metrics.py", "import cycloid_fmu.draw.plots"),
     ):

@@ -8,7 +8,7 @@ from common import EXAMPLES
 from pyssp_standard.ssp import SSP
 
 from cycloid_fmu.fmu.build import build_fmu
-from cycloid_fmu.fmu.run import follow
+from cycloid_fmu.fmu.run import simulate_fmu
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.surfaces.surface import surface_of_pair
 
@@ -38,7 +38,7 @@ def test_eight_orders_hold_nearly_all_of_the_transmission_error(example, tmp_pat
     build_fmu(AS_MADE, tmp_path / "drive.fmu")
     known = example.compensation(tmp_path / "drive.fmu", -30.0)
     crank = np.linspace(3.0, 200.0, 150)
-    error = follow(tmp_path / "drive.fmu", crank, -30.0, ("transmission_error",))["transmission_error"]
+    error = simulate_fmu(tmp_path / "drive.fmu", crank, -30.0, ("transmission_error",))["transmission_error"]
     left = error - example.correction(known, crank)
     assert error.std() * example.ARCSEC > 5.0
     assert left.std() < 0.15 * error.std()

@@ -41,7 +41,7 @@ def build(
             help="Losses: speed \\[rpm],eta_mf1 [1],eta_mf2 [1],tau_bf1 [N*m],tau_bf2 [N*m], as Modelica's LossyGear.",
         ),
     ] = None,
-    fmi: Annotated[str, commands.choice_option(("2.0", "3.0"), "FMI version.")] = "2.0",
+    fmi_version: Annotated[str, commands.choice_option(("2.0", "3.0"), "FMI version.", "--fmi")] = "2.0",
     native: Annotated[
         bool, typer.Option("--native", help="An FMU that needs no Python: C around tables of the contact model.")
     ] = False,
@@ -62,32 +62,28 @@ def build(
 
     if platforms and not native:
         raise edge.InputError("--platform: only a --native FMU has platforms; one in Python runs where Python does.")
-    rows = LOSSLESS if losses is None else read_losses(losses)
+    offered = Interface(interface, output_inertia, LOSSLESS if losses is None else read_losses(losses))  # type: ignore[arg-type]
     drive, surface, warnings = drive_of_file(pair_file, surface_file)
     for warning in warnings:
         typer.echo(warning, err=True)
-    offered = Interface(interface, output_inertia, rows)  # type: ignore[arg-type]
-    if native:
-        _build_native(pair_file, drive, surface, output, offered, fmi, platforms or [])
-    else:
-        build_fmu(drive, output, surface, interface=offered, fmi_version=fmi)  # type: ignore[arg-type]
-
-
-def _build_native(
-    pair_file: Path, drive: Any, surface: Any, output: Path, interface: Any, fmi: Any, platforms: list[str]
-) -> None:
-    """Build a native FMU with a progress bar, and print how good its tables are."""
+    options: dict[str, Any] = {"interface": offered, "fmi_version": fmi_version}
+    if not native:
+        build_fmu(drive, output, surface, **options)
+        return
+    from cycloid_fmu.geometry.pair import Pair
     from cycloid_fmu.native.build import build_native, platforms_of
     from cycloid_fmu.native.tables import LARGEST_LOAD, PROBES
 
-    if getattr(drive, "stage", drive).rated_torque is None:
+    pair = drive if isinstance(drive, Pair) else drive.stage
+    if pair.rated_torque is None:
         raise edge.InputError(
             f"{pair_file}: [pair] rated_torque is missing; state it: the tables reach {LARGEST_LOAD:g} times as far."
         )
-    with commands.Bar("compiling", len(platforms or platforms_of(fmi))) as bar:
+    names = platforms or platforms_of(fmi_version)  # type: ignore[arg-type]
+    with commands.Bar("compiling", len(names)) as bar:
         made = build_native(
-            drive, output, surface, interface=interface, fmi_version=fmi, platforms=platforms,
-            workers=os.cpu_count() or 1, compiled=lambda name: bar.advance(), progress=bar.advance,
+            drive, output, surface, **options, platforms=names, workers=os.cpu_count() or 1,
+            compiled=lambda name: bar.advance(), progress=bar.advance,
             total=lambda count: bar.update(completed=0, total=count, description="crank angles"),
         )  # fmt: skip
     typer.echo(

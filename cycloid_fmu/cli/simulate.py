@@ -44,7 +44,7 @@ def simulate(
     elif motion is not None:
         time, inputs = run.read_inputs(motion, fmu_file)
         with commands.progress("samples", time.size) as progress:
-            found = run.lead(fmu_file, inputs, list(run.units_of(fmu_file, "output")), time, progress=progress)
+            found = run.simulate(fmu_file, inputs, list(run.units_of(fmu_file, "output")), time, progress=progress)
         results = {"time": time, **inputs, **found}
     if output is not None:
         run.write_motion(output, results, fmu_file)

@@ -31,32 +31,8 @@ class Tangency(NamedTuple):
 @inlined
 def tangency(px: float, py: float, alpha: float, R: float, e: float, teeth: int) -> Tangency:
     """Tangency of the axis (px, py) and T at α."""
-    return _tangency_at(px, py, _directions(alpha, teeth), R, e, teeth)
-
-
-@inlined
-def _directions(alpha: float, teeth: int) -> tuple[float, float, float, float]:
-    """Cosine and sine of α and of z_c α."""
-    return math.cos(alpha), math.sin(alpha), math.cos(teeth * alpha), math.sin(teeth * alpha)
-
-
-@inlined
-def _turned(at: tuple[float, float, float, float], step: float, teeth: int) -> tuple[float, float, float, float]:
-    """`_directions` a small step of α on, z_c |step| < 1e-3: cheaper than anew, and exact to the last bits."""
-    ca, sa, c, s = at
-    along, aside = 1.0 - 0.5 * step * step, step * (1.0 - step * step / 6.0)
-    turn = teeth * step
-    square = turn * turn
-    ahead, across = 1.0 - square * (0.5 - square / 24.0), turn * (1.0 - square / 6.0)
-    return ca * along - sa * aside, sa * along + ca * aside, c * ahead - s * across, s * ahead + c * across
-
-
-@inlined
-def _tangency_at(
-    px: float, py: float, at: tuple[float, float, float, float], R: float, e: float, teeth: int
-) -> Tangency:
     pins = teeth + 1
-    ca, sa, c, s = at
+    ca, sa, c, s = math.cos(alpha), math.sin(alpha), math.cos(teeth * alpha), math.sin(teeth * alpha)
     qx, qy = px * ca + py * sa, py * ca - px * sa
     bx, by = R - e * pins * c, -e * pins * s
     dx, dy = qx - (R - e * c), qy + e * s
@@ -73,8 +49,7 @@ def foot(
     low, high = lower, upper
     low_known = high_known = False
     alpha = min(max(start, lower), upper)
-    at = _directions(alpha, teeth)
-    state = _tangency_at(px, py, at, R, e, teeth)
+    state = tangency(px, py, alpha, R, e, teeth)
     for _ in range(80):
         if state.slope < 0.0:
             step = -state.value / state.slope
@@ -88,14 +63,12 @@ def foot(
             high, high_known = alpha, True
         if low >= high:
             return False, alpha, state
-        last = alpha
         alpha += step
         if alpha <= low:
             alpha = 0.5 * (low + high) if low_known else lower
         elif alpha >= high:
             alpha = 0.5 * (low + high) if high_known else upper
-        at = _turned(at, alpha - last, teeth) if teeth * abs(alpha - last) < 1e-3 else _directions(alpha, teeth)
-        state = _tangency_at(px, py, at, R, e, teeth)
+        state = tangency(px, py, alpha, R, e, teeth)
     return True, alpha, state
 
 

@@ -72,7 +72,8 @@ def load_sharing(problem: Problem, contacts: Rows, pin_force: Array, pin_pressur
         largest_pressure = max(largest_pressure, float(pin_pressure[disc, pin]))
     count = 0
     for disc, pin in np.ndindex(pin_force.shape):
-        count += 1 if pin_force[disc, pin] > _COUNTED * largest_force else 0
+        if pin_force[disc, pin] > _COUNTED * largest_force:
+            count += 1
     return count, largest_pressure
 
 

@@ -20,6 +20,56 @@ if TYPE_CHECKING:
     from cycloid_fmu.wear.progress import WearModel, WearRate, WearState
 
 
+def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
+    """Draw a result, and write the picture where a path is given.
+
+    Parameters
+    ----------
+    result
+        What `Drive.analyze`, `study`, `wear` or `budget` returned, a drive or an error surface.
+    path
+        PNG or PDF by its ending.
+
+    Raises
+    ------
+    TypeError
+        If it is none of these.
+    edge.InputError
+        If the path has another ending.
+
+    Examples
+    --------
+    >>> import cycloid_fmu as cy, pathlib
+    >>> pair = cy.Pair(
+    ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm"
+    ... )
+    >>> _ = cy.plot(cy.Drive(pair).analyze(100.0, angles=45), "sweep.png")
+    >>> pathlib.Path("sweep.png").stat().st_size > 20000
+    True
+    """
+    import xarray as xr
+
+    from cycloid_fmu.studies.yields import Findings
+    from cycloid_fmu.surfaces.surface import ErrorSurface
+    from cycloid_fmu.wear.life import WearRun
+
+    if isinstance(result, xr.Dataset):
+        figure = plot_analysis(result)
+    elif isinstance(result, Findings):
+        figure = plot_tolerance(result.result)
+    elif isinstance(result, WearRun):
+        figure = plot_wear(result.model, result.states, result.new, result.figures)
+    elif isinstance(result, ErrorSurface) or isinstance(getattr(result, "surface", None), ErrorSurface):
+        figure = plot_surface(getattr(result, "surface", result))
+    elif isinstance(result, Mapping) and "standard" in result:
+        figure = plot_budget(result)
+    else:
+        raise TypeError(f"result is a {type(result).__name__}: there is no picture of it")
+    if path is not None:
+        save(figure, path)
+    return figure
+
+
 def save(figure: Figure, path: str | os.PathLike[str]) -> None:
     """Write a figure as PNG or PDF by its name's ending, whole or not at all."""
     with edge.written_whole(edge.output_path(path, "path", edge.PICTURES)) as temporary:

@@ -296,7 +296,8 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
         room = shutil.get_terminal_size().columns - sum(widths[:-1]) - 2 * len(widths[:-1])
         words = max(len(word) for line in lines for word in line[-1].split())
         widths[-1] = min(widths[-1], max(room, words, _WIDE))
-    textual = [not any(_is_number(line[k]) for line in lines[1:]) for k in range(len(widths))]
+    filled = [[line[k] for line in lines[1:] if line[k]] for k in range(len(widths))]
+    textual = [2 * sum(map(_is_number, column)) <= len(column) for column in filled]
 
     def printed(line: Sequence[str]) -> Iterator[str]:
         wrapped = textwrap.wrap(line[-1], widths[-1], break_long_words=False, break_on_hyphens=False) or [""]

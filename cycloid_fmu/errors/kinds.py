@@ -3,7 +3,8 @@
 A kind says what an error is called in files, datasets, FMUs and identifications, its unit, sign and limit, what it
 displaces, which parts it makes unlike, and how a tolerance names it. Everything else is made from that: the keys of a
 pair file's `[errors]`, the variables of an error surface, the contact problem, the columns of its sensitivities, the
-FMU's parameters, what a tolerance study samples and what an identification looks for. `register` adds a kind.
+FMU's parameters, what a tolerance study samples and what an identification looks for.
+`register_error_kind` adds a kind.
 """
 
 from __future__ import annotations
@@ -81,6 +82,12 @@ class ErrorKind:
         Whether its Fourier orders round the circle are structured errors, with a cosine and a sine part each.
     tolerance
         How a tolerance file names it, None where it has none.
+
+    Examples
+    --------
+    >>> from cycloid_fmu.errors.kinds import KINDS
+    >>> KINDS["pin_radius"].description, KINDS["pin_radius"].unit
+    ("error of all pins' radius, > 0 thicker", 'm')
     """
 
     name: str
@@ -131,13 +138,27 @@ KINDS: dict[str, ErrorKind] = {}
 """Every kind by its name, in the order of files and FMUs."""
 
 
-def register(kind: ErrorKind) -> ErrorKind:
+def register_error_kind(kind: ErrorKind) -> ErrorKind:
     """Add a kind of error; from then on files, surfaces, sensitivities, studies, FMUs and identifications know it.
 
     Raises
     ------
     ValueError
         If a kind of this name or key is there already, or it displaces what no contact problem has.
+
+    Examples
+    --------
+    >>> import cycloid_fmu as cy, numpy as np
+    >>> def three_lobes(pair, amount):
+    ...     return amount * np.cos(3 * 2 * np.pi * np.arange(pair.pins) / pair.pins)
+    >>> lobes = cy.ErrorKind("three_lobes", "ring held by three jaws", "> 0 outwards at pin 0", "drive",
+    ...                      {"pin_radial": three_lobes}, breaks="pins")
+    >>> _ = cy.register_error_kind(lobes)
+    >>> cy.Pair(gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm",
+    ...         errors={"three_lobes": "2 um"}).errors.three_lobes
+    2e-06
+    >>> from cycloid_fmu.errors.kinds import remove_error_kind
+    >>> remove_error_kind("three_lobes")
     """
     known = {*BODIES, *EACH_PIN, "tooth_turn"}
     if unknown := set(kind.displaces) - known:
@@ -150,7 +171,7 @@ def register(kind: ErrorKind) -> ErrorKind:
     return kind
 
 
-def unregister(name: str) -> None:
+def remove_error_kind(name: str) -> None:
     """Remove a kind that was added."""
     del KINDS[name]
     _wave_names.cache_clear()
@@ -248,7 +269,7 @@ for _kind in (
         tolerance=Tolerance("gear_pitch", "pitch"),
     ),
 ):  # fmt: skip
-    register(_kind)
+    register_error_kind(_kind)
 
 FIRST_KINDS = tuple(KINDS)
 """The kinds that every surface file holds; one that came later is zero where a file does not name it."""

@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from cycloid_fmu import __version__, edge
+from cycloid_fmu.edge import ArgumentError
 from cycloid_fmu.errors.kinds import KINDS
 from cycloid_fmu.fmu.core import NUMBERS, SURFACE
 from cycloid_fmu.fmu.description import Version
@@ -92,7 +93,7 @@ def build_fmu(
     pair, surface, first_stage = whole_drive(drive, surface)
     interface = checked_interface(interface, first_stage)
     if fmi_version not in _LIBRARIES:
-        raise edge.InputError(f"fmi_version = {fmi_version}: it must be 2.0 or 3.0.")
+        raise ArgumentError("fmi_version", "it must be 2.0 or 3.0", fmi_version)
     library = _LIBRARIES[fmi_version]
     with tempfile.TemporaryDirectory(prefix="cycloid-fmu-") as folder, edge.written_whole(path) as temporary:
         place = Path(folder)
@@ -124,13 +125,13 @@ def checked_interface(interface: InterfaceKind | Interface, first_stage: FirstSt
     """Return the interface as an FMU of this drive has it; an `InputError` says what does not go together."""
     interface = Interface(interface) if isinstance(interface, str) else interface
     if interface.kind not in INTERFACES:
-        raise edge.InputError(f"interface = {interface.kind}: it must be one of {', '.join(INTERFACES)}.")
+        raise ArgumentError("interface", f"it must be one of {', '.join(INTERFACES)}", interface.kind)
     if first_stage is not None and interface.kind == "compliant":
-        raise edge.InputError("interface = compliant: an RV reducer has the kinematic interface alone.")
+        raise ArgumentError("interface", "an RV reducer has the kinematic interface alone", interface.kind)
     if interface.output_inertia != 0.0 and interface.kind == "kinematic":
-        raise edge.InputError("output_inertia: the kinematic interface has none; use the compliant interface.")
+        raise ArgumentError("output_inertia", "is for the compliant interface; the kinematic one has none")
     if not 0.0 <= interface.output_inertia < math.inf:
-        raise edge.InputError(f"output_inertia = {interface.output_inertia:g} kg*m^2: it must not be below zero.")
+        raise ArgumentError("output_inertia", "it must be finite and not below zero (kg*m^2)", interface.output_inertia)
     try:
         check_losses(interface.losses)
     except ValueError as problem:

@@ -138,4 +138,4 @@ def write_archive(path: str | os.PathLike[str], contents: Mapping[str, bytes]) -
         for name, content in contents.items():
             entry = zipfile.ZipInfo(name)  # without the time of day
             entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
-            archive.writestr(entry, content, compresslevel=9)
+            archive.writestr(entry, content)

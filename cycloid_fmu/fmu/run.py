@@ -1,4 +1,4 @@
-"""Look into FMUs of drives, lead them through a motion and compare them, with fmpy; FMI 2.0 and 3.0 alike."""
+"""Look into FMUs of drives, run them through a motion and compare them, with fmpy; FMI 2.0 and 3.0 alike."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def _description(path: str | os.PathLike[str]) -> Any:
 
 
 class Fmu:
-    """One instance of a co-simulation FMU, its variables by name; made by `opened`.
+    """One instance of a co-simulation FMU, its variables by name; made by `open_fmu`.
 
     Attributes
     ----------
@@ -129,7 +129,7 @@ class Fmu:
 
 
 @contextmanager
-def opened(path: str | os.PathLike[str], inputs: Iterable[str] = (), outputs: Iterable[str] = ()) -> Iterator[Fmu]:
+def open_fmu(path: str | os.PathLike[str], inputs: Iterable[str] = (), outputs: Iterable[str] = ()) -> Iterator[Fmu]:
     """Instantiate an FMU, and terminate and free it afterwards.
 
     Parameters
@@ -183,7 +183,7 @@ def opened(path: str | os.PathLike[str], inputs: Iterable[str] = (), outputs: It
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def lead(
+def simulate(
     path: str | os.PathLike[str],
     inputs: Mapping[str, Array],
     outputs: Sequence[str],
@@ -192,7 +192,7 @@ def lead(
     parameters: Mapping[str, float] | None = None,
     progress: Callable[[int], None] = lambda done: None,
 ) -> dict[str, Array]:
-    """Lead an FMU through given values of its inputs and return outputs at each.
+    """Run an FMU through given values of its inputs and return outputs at each.
 
     An FMU that takes the angle of a flange whose speed is given too gets both at the start of each step, from which it
     moves on by itself; other inputs are those at the step's end.
@@ -214,7 +214,7 @@ def lead(
         {name: shape (samples,)}, SI.
     """
     found = np.empty((time.size, len(outputs)))
-    with opened(path, inputs, outputs) as fmu:
+    with open_fmu(path, inputs, outputs) as fmu:
         moving = "largest_step" in fmu.variables
         fmu.initialize({**(parameters or {}), **{n: float(v[0]) for n, v in inputs.items()}})
         put, get = fmu.writer(list(inputs)), fmu.reader(outputs)
@@ -228,7 +228,7 @@ def lead(
     return dict(zip(outputs, found.T, strict=True))
 
 
-def follow(
+def simulate_fmu(
     path: str | os.PathLike[str],
     crank_angle: ArrayLike,
     torque: ArrayLike,
@@ -237,7 +237,9 @@ def follow(
     crank_speed: float = 0.0,
     step: float = 1e-3,
 ) -> dict[str, Array]:
-    """Lead an FMU through given crank angles and torques and return its outputs at each.
+    """Run an FMU through given crank angles and torques and return its outputs at each.
+
+    An example is that of `Drive.build_fmu`.
 
     Parameters
     ----------
@@ -259,7 +261,7 @@ def follow(
     """
     angles, torques = (np.asarray(v, dtype=float) for v in np.broadcast_arrays(crank_angle, torque))
     given = {"flange_a.phi": angles, "flange_a.w": np.full(angles.size, crank_speed), "flange_b.tau": torques}
-    return lead(path, given, outputs, step * np.arange(angles.size, dtype=np.float64))
+    return simulate(path, given, outputs, step * np.arange(angles.size, dtype=np.float64))
 
 
 def turn_crank(
@@ -283,7 +285,7 @@ def turn_crank(
     angle = np.linspace(0.0, 2.0 * math.pi * turns, count)
     time = np.abs(angle) / crank_speed
     speed = math.copysign(crank_speed, turns)
-    results = follow(path, angle, torque, crank_speed=speed, step=float(time[1]))
+    results = simulate_fmu(path, angle, torque, crank_speed=speed, step=float(time[1]))
     given = {"flange_a.phi": angle, "flange_a.w": np.full(count, speed), "flange_b.tau": np.full(count, torque)}
     return {"time": time, **given, **results}
 
@@ -400,7 +402,7 @@ def compare(
         shared = [n for n in outputs if n in recorded]
         if not shared:
             raise edge.InputError(f"{other}: it has no column of an output of {Path(one).name}, such as output_angle.")
-        found = lead(one, given, shared, time, progress=progress)
+        found = simulate(one, given, shared, time, progress=progress)
         return time, {n: (found[n], recorded[n]) for n in shared}
     others = units_of(other, "input")
     for name in (*inputs, *others):
@@ -410,5 +412,5 @@ def compare(
     theirs = units_of(other, "output")
     shared = [n for n in outputs if n in theirs]
     time, given = read_inputs(motion, one)
-    found, second = (lead(path, given, shared, time, progress=progress) for path in (one, other))
+    found, second = (simulate(path, given, shared, time, progress=progress) for path in (one, other))
     return time, {n: (found[n], second[n]) for n in shared}

@@ -45,7 +45,14 @@ PositiveTorque = Annotated[edge.Torque, pydantic.AfterValidator(_positive)]
 
 
 class Material(Config):
-    """An elastic material; the default is bearing steel."""
+    """An elastic material; the default is bearing steel.
+
+    Examples
+    --------
+    >>> import cycloid_fmu as cy
+    >>> cy.Material(youngs_modulus="70 GPa").youngs_modulus
+    70000000000.0
+    """
 
     youngs_modulus: PositivePressure = 206e9
     poissons_ratio: float = pydantic.Field(default=0.3, ge=0.0, lt=0.5)
@@ -137,8 +144,8 @@ class Pair(Config):
     >>> pair.replace(eccentricity="1.7 mm")
     Traceback (most recent call last):
     ...
-    cycloid_fmu.edge...InputError: eccentricity = "1.7 mm": eccentricity x pins / pin circle radius is 1.0625; it must
-    stay below 1, so the eccentricity below "1.6 mm".
+    cycloid_fmu.geometry.pair.ContradictionError: eccentricity = "1.7 mm": eccentricity x pins / pin circle radius is
+    1.0625; it must stay below 1, so the eccentricity below "1.6 mm".
     """
 
     gear_teeth: int = pydantic.Field(ge=6, le=120, strict=True)

@@ -19,6 +19,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from cycloid_fmu import __version__, edge
+from cycloid_fmu.edge import ArgumentError
 from cycloid_fmu.fmu.build import AnyDrive, checked_interface, whole_drive
 from cycloid_fmu.fmu.constants import MOST_LOSS_ROWS
 from cycloid_fmu.fmu.description import Version, model_structure, model_variables, unit_definitions
@@ -89,7 +90,7 @@ def headers() -> Path:
 def _compiler(name: str) -> list[str]:
     """Command that compiles for a platform: zig; for this machine what CC names, or without zig the system's own."""
     if name not in PLATFORMS:
-        raise edge.InputError(f"platforms = {name}: this is none of {', '.join(PLATFORMS)}.")
+        raise ArgumentError("platforms", f"this is none of {', '.join(PLATFORMS)}", name)
     given = os.environ.get("CC", "")
     system = shutil.which(given or "cc")
     own = name == this_platform() and system is not None
@@ -97,9 +98,9 @@ def _compiler(name: str) -> list[str]:
         return [sys.executable, "-m", "ziglang", "cc", "-target", PLATFORMS[name].target]
     if own:
         return [str(system)]
-    raise edge.InputError(
-        f"platforms = {name}: to compile for it, install the extra: pip install 'cycloid-fmu[native]'"
-        f"{f' (or give {this_platform()} alone)' if system else ''}."
+    other = f" (or give {this_platform()} alone)" if system else ""
+    raise ArgumentError(
+        "platforms", f"to compile for it, install the extra: pip install 'cycloid-fmu[native]'{other}", name
     )
 
 
@@ -286,12 +287,12 @@ def build_native(
     pair, surface, first_stage = whole_drive(drive, surface)
     interface = checked_interface(interface, first_stage)
     if len(interface.losses) > MOST_LOSS_ROWS:
-        raise edge.InputError(f"losses: {len(interface.losses)} rows; a native FMU has {MOST_LOSS_ROWS} at most.")
+        raise ArgumentError("losses", f"has {len(interface.losses)} rows; a native FMU has {MOST_LOSS_ROWS} at most")
     names = tuple(dict.fromkeys(platforms)) or platforms_of(fmi_version)
     for name in names:
         _compiler(name)
         if name not in platforms_of(fmi_version):
-            raise edge.InputError(f"platforms = {name}: FMI {fmi_version} does not know it, FMI 3.0 does.")
+            raise ArgumentError("platforms", f"FMI {fmi_version} does not know it, FMI 3.0 does", name)
     with edge.written_whole(path) as temporary:
         libraries = _binaries(fmi_version, names, compiled)
         if made is None:

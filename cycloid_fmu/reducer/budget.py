@@ -183,15 +183,24 @@ class Reducer(Config):
     ----------
     stage
         The cycloid stage; its errors are those of `deviations`.
-    text
-        The file's text, which travels with every result.
+    involute, stated, deviations
+        The first stage, what is stated although it follows from the rest, and the deviations of both stages.
+
+    Examples
+    --------
+    >>> import cycloid_fmu as cy
+    >>> stage = cy.Pair(
+    ...     gear_teeth=39, pin_circle_radius="52 mm", pin_radius="2 mm", eccentricity="0.9 mm", face_width="14 mm"
+    ... )
+    >>> involute = {"sun_teeth": 12, "planet_teeth": 42, "module": "1.5 mm"}
+    >>> cy.Reducer(stage=stage, involute=involute).ratio
+    141.0
     """
 
     stage: Pair
     involute: Involute
     stated: Stated = Stated()
     deviations: Deviations = Deviations()
-    text: str = ""
 
     @property
     def ratio(self) -> float:
@@ -220,17 +229,27 @@ def parse_reducer(text: str, source: str) -> Reducer:
     """
     table = edge.toml_table(text, FORMAT, source)
     stage: dict[str, Any] = {k: table.pop(k) for k in ("pair", "modification", "material") if k in table}
-    for key in ("stage", "text"):
-        if key in table:
-            raise edge.InputError(f"{source}: {key} is not a key known here; check its spelling or remove it.")
+    if "stage" in table:
+        raise edge.InputError(f"{source}: stage is not a key known here; check its spelling or remove it.")
     pair = pair_of_tables(stage, source)
     if pair.output != "gear":
         raise edge.InputError(f'{source}: [pair] output = "ring": an RV reducer\'s pin ring is fixed; write "gear".')
-    return edge.validated(Reducer, {**table, "stage": pair, "text": text}, source)
+    return edge.validated(Reducer, {**table, "stage": pair}, source)
 
 
 def read_reducer(path: str | os.PathLike[str]) -> Reducer:
-    """Return the reducer of a file; an `edge.InputError` names what is wrong in it."""
+    """Return the reducer of a file; an `edge.InputError` names what is wrong in it.
+
+    Examples
+    --------
+    >>> import cycloid_fmu as cy, pathlib
+    >>> lines = ['format = "cycloid-reducer/1"', "[pair]", "gear_teeth = 39", 'pin_circle_radius = "52 mm"',
+    ...          'pin_radius = "2 mm"', 'eccentricity = "0.9 mm"', 'face_width = "14 mm"', "[involute]",
+    ...          "sun_teeth = 12", "planet_teeth = 42", 'module = "1.5 mm"']
+    >>> _ = pathlib.Path("rv.toml").write_text(chr(10).join(lines))
+    >>> cy.read_reducer("rv.toml").ratio
+    141.0
+    """
     return parse_reducer(edge.read_text(path), str(path))
 
 
@@ -519,7 +538,21 @@ def summed(terms: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def budget(reducer: Reducer) -> dict[str, dict[str, float]]:
-    """Return the lost motion budget in all `VARIANTS`: {variant: {term: rad, "involute", …, "total"}}."""
+    """Return the lost motion budget in all `VARIANTS`: {variant: {term: rad, "involute", …, "total"}}.
+
+    Examples
+    --------
+    >>> import cycloid_fmu as cy
+    >>> stage = cy.Pair(
+    ...     gear_teeth=39, pin_circle_radius="52 mm", pin_radius="2 mm", eccentricity="0.9 mm", face_width="14 mm"
+    ... )
+    >>> reducer = cy.Reducer(
+    ...     stage=stage, involute={"sun_teeth": 12, "planet_teeth": 42, "module": "1.5 mm"},
+    ...     deviations={"pin_radius": "-4 um"},
+    ... )
+    >>> round(cy.budget(reducer)["standard"]["total"] * cy.ARCMIN, 3)
+    0.784
+    """
     values = values_of(reducer)
     found = {}
     for variant, closed in (("standard", standard), ("as_printed", as_printed)):

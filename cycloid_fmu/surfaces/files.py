@@ -54,6 +54,17 @@ def read_surface(path: str | os.PathLike[str]) -> ErrorSurface:
     ------
     edge.InputError
         If it can't be read, is of another format, lacks a variable, holds a wrong unit, size or a value out of range.
+
+    Examples
+    --------
+    >>> import cycloid_fmu as cy
+    >>> pair = cy.Pair(
+    ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm"
+    ... )
+    >>> made = cy.Drive(pair).replace(errors={"pin_radius": "-1 um"})
+    >>> made.write("made.nc")
+    >>> cy.read_surface("made.nc") == made.surface
+    True
     """
     data = edge.netcdf(path, FORMAT)
     pair = parse_pair(data.attrs.get("pair", ""), f"{path} (its pair)")

@@ -177,6 +177,16 @@ class Tolerances(Config):
     ------
     edge.InputError
         One sentence for each key that is unknown and each value out of range.
+
+    Examples
+    --------
+    >>> import cycloid_fmu as cy
+    >>> tolerances = cy.Tolerances(
+    ...     pin_radius={"tolerance": "2 um"}, gear_pitch={"single": "4 um", "cumulative": "12 um"},
+    ...     limits={"backlash": "1 arcmin"},
+    ... )
+    >>> tolerances.factors
+    ('gear_pitch', 'pin_radius')
     """
 
     model_config = pydantic.ConfigDict(extra="allow")
@@ -259,7 +269,16 @@ def parse_tolerances(text: str, source: str) -> Tolerances:
 
 
 def read_tolerances(path: str | os.PathLike[str]) -> Tolerances:
-    """Return the tolerances of a file; an `edge.InputError` names what is wrong in it."""
+    """Return the tolerances of a file; an `edge.InputError` names what is wrong in it.
+
+    Examples
+    --------
+    >>> import cycloid_fmu as cy, pathlib
+    >>> lines = ['format = "cycloid-tolerances/1"', "[pin_radius]", 'tolerance = "2 um"']
+    >>> _ = pathlib.Path("tolerances.toml").write_text(chr(10).join(lines))
+    >>> cy.read_tolerances("tolerances.toml").pin_radius.tolerance
+    2e-06
+    """
     return parse_tolerances(edge.read_text(path), str(path))
 
 

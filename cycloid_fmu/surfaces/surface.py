@@ -116,7 +116,7 @@ class ErrorSurface:
     >>> surface.replace(pin_radial=[1e-6, 2e-6, 3e-6])
     Traceback (most recent call last):
     ...
-    cycloid_fmu.edge...InputError: pin_radial has the shape (3,); the pair needs (40,).
+    cycloid_fmu.edge.problems.InputError: pin_radial has the shape (3,); the pair needs (40,).
     """
 
     pair: Pair

@@ -2,53 +2,24 @@
 
 from __future__ import annotations
 
-import abc
-from typing import Any, Self
+from typing import Any
 
 from drivers.can.frames import FrameReader
 from drivers.can.hub import CanHub, hubs
-from drivers.encoder import BusConfig, Encoder
+from drivers.encoder import BusConfig
+from drivers.hubs import HubEncoder
 from drivers.recording_format import Event
 
 
-class CanEncoder(Encoder):
-    """A sensor on a CAN bus.
+class CanEncoder(HubEncoder[CanHub]):
+    """A sensor on a CAN bus, whose `set_up` makes the `reader`; see `HubEncoder`."""
 
-    Parameters
-    ----------
-    name
-        Name of the channel.
-    config
-        The channel's table in the `BENCH.toml`.
-    bus
-        The bus.
-    """
-
+    shared = hubs
     reader: FrameReader
 
     def __init__(self, name: str, config: Any, bus: BusConfig) -> None:
-        self.name, self.config, self.bus = name, config, bus
-        self.hub: CanHub | None = None
-
-    @abc.abstractmethod
-    def set_up(self, hub: CanHub) -> None:
-        """Find out what the sensor is and begin to read: set `channel` and `reader`.
-
-        Raises
-        ------
-        EncoderError
-            If it does not answer or answers nonsense.
-        """
-
-    def __enter__(self) -> Self:
-        """Open the bus and set the sensor up; see `Encoder.__enter__`."""
-        self.hub = hubs.acquire(self.bus)
-        try:
-            self.set_up(self.hub)
-        except BaseException:
-            self.close()
-            raise
-        return self
+        super().__init__(name, config, bus)
+        self.bus = bus
 
     def start(self) -> None:
         """Let the hub send SYNC, where the wiring has it do so."""
@@ -56,16 +27,9 @@ class CanEncoder(Encoder):
         self.hub.produce_sync()
 
     def leave(self, hub: CanHub) -> None:
-        """Take back what `set_up` did besides the reader."""
-
-    def close(self) -> None:
-        """Take no more frames and give the bus back."""
-        hub, self.hub = self.hub, None
-        if hub is not None:
-            if hasattr(self, "reader"):
-                self.reader.close()
-            self.leave(hub)
-            hubs.release(hub)
+        """Take no more frames."""
+        if hasattr(self, "reader"):
+            self.reader.close()
 
     @property
     def waiting(self) -> int:

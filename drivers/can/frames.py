@@ -122,7 +122,7 @@ class FrameReader:
         else:
             good &= self._synced(frames, before)
         kept = np.flatnonzero(good)
-        # What stands before a frame left out holds for the next one kept, be it in this block or a later one.
+        # What was noted before a frame left out holds for the next one kept, be it in this block or a later one.
         marks = np.zeros(len(kept) + 1, np.int64)
         noted = np.flatnonzero(before)
         np.bitwise_or.at(marks, np.searchsorted(kept, noted), before[noted])

@@ -73,7 +73,7 @@ class Amt21Encoder(PolledEncoder):
         return answer + ask(port, self._questions[1], 2) if self.config.multi_turn else answer
 
     def set_up(self, hub: PortHub) -> None:
-        """See `SerialEncoder.set_up`."""
+        """See `HubEncoder.set_up`."""
         counts_per_turn = device_counts(self.config, 1 << self.config.bits, self.where)
         self.asked_once(hub)
         turns = ", multi-turn" if self.config.multi_turn else ""

@@ -1,7 +1,7 @@
 """Counters and transducers that send lines of text, described by a line with fields: "{sequence};{time};{counts}".
 
 Fields: `{counts}` or `{value}` is what is measured (one of both must be there), `{time}` the device's own clock,
-`{sequence}` the line's running number, `{checksum}` two hexadecimal digits, `{skip}` anything else. What stands between
+`{sequence}` the line's running number, `{checksum}` two hexadecimal digits, `{skip}` anything else. What is between
 the fields must come as written; a line that differs is lost, counted and marked.
 """
 
@@ -104,11 +104,6 @@ def line_pattern(line: str) -> tuple[re.Pattern[bytes], list[str]]:
 class AsciiCounter(SerialEncoder):
     """One device that sends a line for each sample.
 
-    Parameters
-    ----------
-    name, config, port
-        See `SerialEncoder`.
-
     Raises
     ------
     edge.InputError
@@ -152,7 +147,7 @@ class AsciiCounter(SerialEncoder):
         return bytes(port.read(1)) + bytes(port.read(port.in_waiting))
 
     def set_up(self, hub: PortHub) -> None:
-        """Wait for a line that fits; see `SerialEncoder.set_up`."""
+        """Wait for a line that fits; see `HubEncoder.set_up`."""
         self._rest, self._skipping = b"", not self._request
         deadline = time.monotonic() + FIRST_LINE_SECONDS
         came = b""
@@ -257,7 +252,7 @@ class AsciiCounter(SerialEncoder):
         if self.config.time_modulus is not None:
             step = step % self.config.time_modulus
             step = np.where(step > self.config.time_modulus / 2, step - self.config.time_modulus, step)
-        # A line out of order goes back a little, a device that starts anew by all the time that it was on.
+        # A line out of order goes back a little, a device that starts again by all the time that it was on.
         reset = (ticks < before / 2) & (np.abs(step * self.config.time_unit - waited) > _RESET_SECONDS)
         reset |= (ticks < before / 2) & (step < 0)
         step = np.where(reset, ticks - before, step)
@@ -267,7 +262,7 @@ class AsciiCounter(SerialEncoder):
             device += ticks[0]
         self._device = float(device[-1])
         if reset.any():
-            self.say(times[np.flatnonzero(reset)[0]], "the device's clock went back: it started anew")
+            self.say(times[np.flatnonzero(reset)[0]], "the device's clock went back: it started again")
             status = status | reset * (RESET | GAP)
         return status, device * self.config.time_unit
 
@@ -276,7 +271,7 @@ class AsciiCounter(SerialEncoder):
         if "sequence" not in self._names:
             return status
         numbers = np.array([int(f["sequence"]) for f in fields], np.int64)
-        # Where the device started anew its numbers did too.
+        # Where the device started again its numbers did too.
         starts = [0, *(np.flatnonzero(status & RESET).tolist()), len(numbers)]
         for low, high in itertools.pairwise(starts):
             if low == high:

@@ -79,26 +79,11 @@ class CanopenConfig(AngleConfig):
 class CanopenEncoder(CanEncoder):
     """One node of CiA 406 with a TPDO that maps the position 0x6004 or the speed 0x6030.
 
-    Node or EDS say the identifier and mapping of its TPDO (0x1800 ff., 0x1A00 ff.), when it sends (transmission type 1
-    to 240: on every n-th SYNC, which then stamps the sample; 254, 255: at its own pace, stamped frame by frame, a gap
-    being more than its event timer), its counts per turn (0x6501) and turns (0x6502), at whose product the position
-    rolls over. A node that starts again is set operational again; one without heartbeat and frames is given up.
-
-    Parameters
-    ----------
-    name
-        Name of the channel.
-    config
-        Node, direction, zero.
-    bus
-        The bus.
-    dictionary
-        Object dictionary of the EDS, or None.
-
-    Raises
-    ------
-    edge.InputError
-        If `config.quantity` is "speed" and no `speed_unit` is given.
+    Node or EDS (`dictionary`) give the identifier and mapping of its TPDO (0x1800 ff., 0x1A00 ff.), when it sends
+    (transmission type 1 to 240: on every n-th SYNC, which then stamps the sample; 254, 255: at its own pace, stamped
+    frame by frame, a gap being more than its event timer), its counts per turn (0x6501) and turns (0x6502), at whose
+    product the position rolls over. A node that starts again is set operational again; one without heartbeat and frames
+    is given up.
     """
 
     configuration = CanopenConfig
@@ -128,7 +113,7 @@ class CanopenEncoder(CanEncoder):
         return f"{self.name}: node {self.config.node} on the CAN bus {self.bus.place}"
 
     def set_up(self, hub: CanHub) -> None:
-        """Ask the node what it is; see `CanEncoder.set_up`."""
+        """Ask the node what it is; see `HubEncoder.set_up`."""
         self._node = hub.node(self.config.node, self.config.quantity)
         vendor, product = self._object(0x1018, 1, 0), self._object(0x1018, 2, 0)
         serial = self._object(0x1018, 4, 0)
@@ -273,6 +258,7 @@ class CanopenEncoder(CanEncoder):
         if self._node is not None:
             hub.leave_node(self.config.node, self.config.quantity)
         self._node, self._started, self._listening = None, False, False
+        super().leave(hub)
 
     def read(self, timeout: float) -> Samples | None:
         """Return the positions or speeds that came; see `Encoder.read`."""

@@ -43,23 +43,12 @@ class DbcConfig(ChannelConfig):
 class DbcSensor(CanEncoder):
     """One signal of one frame.
 
-    Parameters
-    ----------
-    name
-        Name of the channel; it says the SI unit that the signal must have: "torque" N*m, the angles rad, others any.
-    config
-        File, message, signal.
-    bus
-        The bus.
-    folder
-        What `config.file` is relative to.
-    source
-        The `BENCH.toml`, for errors.
+    The channel's name gives the SI unit that the signal must have: "torque" N*m, the angles rad, others any.
 
     Raises
     ------
     edge.InputError
-        If file, message, signal or unit are not there or can't be used.
+        If file (relative to `folder`), message, signal or unit are not there or can't be used.
     """
 
     configuration = DbcConfig
@@ -104,7 +93,7 @@ class DbcSensor(CanEncoder):
         return cls(name, config, wiring.bus(config.bus, name), wiring.folder, wiring.source)
 
     def set_up(self, hub: CanHub) -> None:
-        """See `CanEncoder.set_up`."""
+        """See `HubEncoder.set_up`."""
         step = 1 if self.config.sync else None
         self.reader = FrameReader(hub, self._message.frame_id, self._message.length, step, self.name)
         self.channel = channel_of(

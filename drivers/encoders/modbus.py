@@ -71,7 +71,7 @@ class ModbusEncoder(PolledEncoder):
         return head + bytes(port.read(self.answer_bytes - 5))
 
     def set_up(self, hub: PortHub) -> None:
-        """See `SerialEncoder.set_up`."""
+        """See `HubEncoder.set_up`."""
         config = self.config
         if config.counts_per_turn is None:
             raise EncoderSetupError(f"{self.where}: counts_per_turn is missing: Modbus devices do not say it.")

@@ -68,11 +68,6 @@ def order_spectrum(input_angle: FloatArray, error: FloatArray) -> tuple[FloatArr
 class Watcher:
     """What the page shows, taken from a recording that may still be growing.
 
-    Parameters
-    ----------
-    path
-        The recording.
-
     Raises
     ------
     edge.InputError
@@ -171,18 +166,10 @@ class _Newest:
 
 
 class WatchServer(http.server.ThreadingHTTPServer):
-    """The page and its data over HTTP.
+    """The page and its data over HTTP; it serves from the beginning, and is a context manager that ends it.
 
-    Parameters
-    ----------
-    watcher
-        Where the data come from.
-    host, port
-        Where to listen; port 0 takes a free one.
-    token
-        What a client must show, None: only clients that call this machine by a local name are answered.
-
-    It serves from the beginning; a context manager that ends it.
+    Port 0 takes a free one. A client must show the `token`; None: only clients that call this machine by a local name
+    are answered.
     """
 
     daemon_threads = True

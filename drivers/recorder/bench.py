@@ -25,7 +25,7 @@ BENCH_FORMAT = "cycloid-bench/1"
 
 
 class Conditions(edge.Config):
-    """What a `[conditions]` says: load on the output (signed), crank speed, direction, temperature, a free note."""
+    """What a `[conditions]` holds: load on the output (signed), crank speed, direction, temperature, a free note."""
 
     load: edge.Torque | None = None
     speed: edge.Speed | None = None

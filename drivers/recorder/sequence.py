@@ -112,7 +112,7 @@ class Step:
 
     @property
     def conditions(self) -> dict[str, float | str]:
-        """What its recording says about it."""
+        """Conditions in the header of its recording."""
         return {"load": self.torque, "speed": self.speed, "direction": self.direction}
 
     def instruction(self) -> str:
@@ -126,7 +126,7 @@ class Step:
 
 @dataclasses.dataclass(frozen=True)
 class BenchSequence:
-    """A sequence that can be run: its file, its bench, its steps and where it lies."""
+    """A sequence that can be run: its file, its bench, its steps and its folder."""
 
     file: SequenceFile
     bench: Bench

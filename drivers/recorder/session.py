@@ -42,18 +42,12 @@ class ChannelState:
 
     Attributes
     ----------
-    samples
-        How many were written.
-    marks
-        How many samples carry each mark, by name.
-    rate
-        Samples a second over the last second or so.
-    waiting
-        Readings that came and are not written yet.
-    time, value
-        Of the newest sample: seconds since the start, SI; None before the first.
-    first
-        Value of the first sample.
+    samples, marks
+        How many were written, and how many of them carry each mark, by name.
+    rate, waiting
+        Samples a second over the last second or so; readings that came and are not written yet.
+    time, value, first
+        Of the newest sample: seconds since the start, SI; value of the first sample; None before the first.
     lowest, highest
         Values of the newest block.
     failure
@@ -74,19 +68,10 @@ class ChannelState:
 
 @dataclasses.dataclass
 class Live:
-    """A recording in progress, for whoever shows it.
+    """A recording in progress, for whoever shows it: state by channel, number of events, bytes left on the disk.
 
-    Attributes
-    ----------
-    channels
-        State of each channel by name.
-    events
-        How many events there were.
-    transmission_error
-        Newest TE, rad at the output, less the first one: output angle - input angle / ratio at one instant; None where
-        an angle or the ratio is missing.
-    disk_free
-        Bytes left where the recording is written.
+    `transmission_error` is the newest TE, rad at the output, minus the first one: output angle - input angle / ratio at
+    one instant; None where an angle or the ratio is missing.
     """
 
     channels: dict[str, ChannelState]
@@ -102,20 +87,9 @@ class Live:
 
 @dataclasses.dataclass(frozen=True)
 class Recorded:
-    """What a recording got.
+    """What a recording got: its path, the number of samples by channel, of marks by channel and name, and of events.
 
-    Attributes
-    ----------
-    path
-        The recording.
-    samples
-        Number of samples by channel.
-    marks
-        Number of samples by channel and mark; marks that no sample carries are absent.
-    events
-        Number of events.
-    failures
-        Why channels were out at the end.
+    Marks that no sample carries are absent; `failures` are why channels were out at the end.
     """
 
     path: Path
@@ -264,42 +238,17 @@ def record_encoders(
     stop: Callable[[], bool] | None = None,
     progress: Callable[[Live], None] | None = None,
 ) -> Recorded:
-    """Record open, started encoders until something says stop.
+    """Record open, started encoders until one of the ends comes; see `record` for the parameters and errors.
 
-    A channel that fails is said to, opened anew until it answers, and marked; the others go on. SIGINT and SIGTERM end
+    A channel that fails is noted, opened again until it answers, and marked; the others go on. SIGINT and SIGTERM end
     the recording with all that came, then raise KeyboardInterrupt. Memory does not grow with the recording. What is
-    written is safe from a kill within a block (`can_hub.BLOCK_SECONDS`) of its arrival and from a power cut within
-    `recording_format.FLUSH_SECONDS`.
-
-    Parameters
-    ----------
-    encoders
-        What to record, open and started.
-    path
-        New `.arrows` file.
-    ratio, pair, conditions
-        What the recording says about drive and test, see `Bench`.
-    duration
-        Seconds after which to stop.
-    samples
-        Stop when every channel has at least so many.
-    idle
-        Stop when no channel got a sample for so many seconds: how the end of a simulated bench is seen.
-    stop
-        Stop when it returns True; asked some twenty times a second.
-    progress
-        Called as often with how it stands.
+    written is safe from a kill within `hubs.BLOCK_SECONDS` of its arrival and from a power cut within
+    `recording_format.FLUSH_SECONDS`. `ratio`, `pair` and `conditions` go into the header, see `Bench`.
 
     Raises
     ------
-    edge.InputError
-        If the file exists or can't be created.
     EncoderError
         If every channel was out and none had got a sample; the file is closed.
-    RecordingError
-        If the disk takes no more; the file keeps all that came before.
-    KeyboardInterrupt
-        If interrupted; the file is closed and whole.
     """
     epoch = steady_time()
     start = datetime.datetime.fromtimestamp(epoch, datetime.UTC).isoformat()

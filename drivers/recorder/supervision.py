@@ -13,7 +13,7 @@ RETRY_SECONDS = 0.5
 
 
 class Supervised:
-    """An encoder, open and started, that is opened anew whenever it fails.
+    """An encoder, open and started, that is opened again whenever it fails.
 
     Its first sample afterwards is marked "gap before" and, where its zero is only good for one power cycle, "reset".
 
@@ -58,7 +58,7 @@ class Supervised:
         except EncoderError as problem:
             self.failure = problem
             if str(problem) != self._said:  # one that opens but never delivers is said once, not twice a second
-                self._say(f"failed and will be opened anew: {problem}")
+                self._say(f"failed and will be opened again: {problem}")
             self._said = str(problem)
             self._events += self.encoder.events()
             self._thread = threading.Thread(target=self._reopen, name=f"reopen {self.channel.name}", daemon=True)

@@ -24,7 +24,7 @@ class Clock:
     origin_device, origin_host
         A point of the line in the middle of the samples, s.
     drift
-        Relative rate of the host's clock to the device's, less one.
+        Relative rate of the host's clock to the device's, minus one.
     uncertainty
         Half width at 95 %, s, at the ends of the samples, of a band about the line.
     """
@@ -41,7 +41,7 @@ class Clock:
 
 
 def clock_event(time: float, channel: str, clock: Clock, restarts: int) -> Event:
-    """Return the event that says how a channel's own clock runs after so many restarts; see `read_clocks`."""
+    """Return the event that states how a channel's own clock runs after so many restarts; see `read_clocks`."""
     return Event(time, channel, _CLOCK + json.dumps({**dataclasses.asdict(clock), "restarts": restarts}))
 
 
@@ -57,7 +57,7 @@ def clocks_of(events: Iterable[Event]) -> dict[str, dict[int, Clock]]:
 
 
 def clock_restarts(samples: Samples, last: tuple[float, float] | None) -> npt.NDArray[np.bool_]:
-    """Return at which samples the device's clock starts anew, shape (n,).
+    """Return at which samples the device's clock starts again, shape (n,).
 
     Where they are marked reset, or the device's time goes back or ahead of the host's by more than `CLOCK_JUMP`.
     Arrivals that were held up and then come at once are no restart.

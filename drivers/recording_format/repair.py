@@ -32,16 +32,8 @@ class HeldChannel:
 class Repaired:
     """What can be trusted of a recording.
 
-    Attributes
-    ----------
-    header
-        Channels and conditions.
-    channels
-        What is held of each channel, by name.
-    batches, events
-        How many.
-    problems
-        One sentence for each thing wrong with the file; empty where it is whole.
+    It has the header, what is held of each of the channels by name, how many batches and events there are, and one
+    sentence for each of the problems; none where the file is whole.
     """
 
     header: Header

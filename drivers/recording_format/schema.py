@@ -1,6 +1,6 @@
 """The bench recording, `cycloid-recording/1`: an Arrow IPC stream that survives a kill at any byte.
 
-No bus library stands behind this module: it is what a recorder writes and an evaluation reads.
+No bus library is needed for this module: it is what a recorder writes and an evaluation reads.
 
 A file is a schema, record batches and an end mark. Every batch holds samples of one channel as they came, in the
 columns `channel` (dictionary of the channels' names), `time_host`, `time_device`, `counts`, `value` and `status`.
@@ -66,9 +66,9 @@ class Channel:
     zero_reference
         "absolute": the zero is the same in every recording; "incremental": each recording has its own.
     identity
-        What the device says it is; behind a semicolon its state when it was opened.
+        What the device reports to be; behind a semicolon its state when it was opened.
     time_source
-        What event `time_host` marks and whose clock it is: a hardware clock's device stands in brackets at the end.
+        What event `time_host` marks and whose clock it is: a hardware clock's device is in brackets at the end.
     """
 
     name: str

@@ -71,14 +71,7 @@ class RecordingWriter:
     """A recording being written: every batch is with the operating system when `write` returns.
 
     A kill loses at most the batch being written, a power cut at most the last `FLUSH_SECONDS`: that often the disk is
-    asked to hold all of it.
-
-    Parameters
-    ----------
-    path
-        New file; what is recorded is never overwritten.
-    header
-        Channels and conditions.
+    asked to hold all of it. The file is new: what is recorded is never overwritten.
 
     Raises
     ------

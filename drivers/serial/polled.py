@@ -12,36 +12,25 @@ import serial
 
 from cycloid_fmu import edge
 from drivers.encoder import (
-    Encoder,
     EncoderConnectionError,
     EncoderProtocolError,
     EncoderTimeout,
     PortConfig,
 )
-from drivers.hubs import BlockQueue, drained, reason
+from drivers.hubs import BlockQueue, HubEncoder, drained, reason
 from drivers.recording_format import CHECKSUM, GAP, Event, FloatArray, IntArray, Samples
 from drivers.serial.port import Exchange, PortHub, ports
 
 
-class SerialEncoder(Encoder):
-    """What all encoders on serial ports share: one question, put again and again, and its answers.
+class SerialEncoder(HubEncoder[PortHub]):
+    """What all encoders on serial ports share: one question, put again and again, and its answers."""
 
-    Parameters
-    ----------
-    name
-        Name of the channel.
-    config
-        The channel's table in the `BENCH.toml`.
-    port
-        The port.
-    """
-
+    shared = ports
     where: str
     asked = True  # False: the device sends by itself
 
     def __init__(self, name: str, config: Any, port: PortConfig) -> None:
-        self.name, self.config, self.port = name, config, port
-        self._hub: PortHub | None = None
+        super().__init__(name, config, port)
         self._answers: BlockQueue[list[Exchange]] = BlockQueue()
         self._events: collections.deque[Event] = collections.deque()
         self._pending = 0
@@ -59,41 +48,22 @@ class SerialEncoder(Encoder):
     def question(self, port: Any) -> bytes:
         """Put the question and return the answer; called by the port's thread, again and again."""
 
-    @abc.abstractmethod
-    def set_up(self, hub: PortHub) -> None:
-        """Ask the device whether it is there and say in `channel` what it is.
-
-        Raises
-        ------
-        EncoderError
-            If it does not answer or answers nonsense.
-        """
-
     def __enter__(self) -> Self:
         """Open the port and ask the device once; see `Encoder.__enter__`."""
-        self._hub = ports.acquire(self.port)
         try:
-            try:
-                self.set_up(self._hub)
-            except (serial.SerialException, OSError) as problem:
-                raise EncoderConnectionError(f"{self.where}: the port broke: {reason(problem, 'port')}.") from problem
-        except BaseException:
-            self.close()
-            raise
-        return self
+            return super().__enter__()
+        except (serial.SerialException, OSError) as problem:
+            raise EncoderConnectionError(f"{self.where}: the port broke: {reason(problem, 'port')}.") from problem
 
     def start(self) -> None:
         """Poll it from now on."""
-        assert self._hub is not None, "start() is for an encoder that is open"
+        assert self.hub is not None, "start() is for an encoder that is open"
         self._answers = BlockQueue()
-        self._hub.poll(self.question, self.asked, self._answers)
+        self.hub.poll(self.question, self.asked, self._answers)
 
-    def close(self) -> None:
-        """Poll it no more and release the port."""
-        hub, self._hub = self._hub, None
-        if hub is not None:
-            hub.stop_polling(self._answers)
-            ports.release(hub)
+    def leave(self, hub: PortHub) -> None:
+        """Poll it no more."""
+        hub.stop_polling(self._answers)
 
     @property
     def waiting(self) -> int:

@@ -20,7 +20,7 @@ from drivers.hubs import BLOCK_SECONDS, BlockQueue, SharedHubs, reason
 
 ANSWER_SECONDS = 0.1  # far above the encoders' microseconds: it covers a USB adapter and a busy machine
 
-MIDDLE = "host clock: middle of the serial exchange"  # where an answer's stamp lies
+MIDDLE = "host clock: middle of the serial exchange"  # where an answer's stamp is
 
 Exchange = tuple[float, bytes]
 Question = Callable[[Any], bytes]

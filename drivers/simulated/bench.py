@@ -18,15 +18,7 @@ from drivers.simulated.motion import Motion
 class SimulatedBench(abc.ABC):
     """A motion that a thread sends; a context manager, whose thread ends with it.
 
-    Parameters
-    ----------
-    motion
-        What to send.
-
-    Attributes
-    ----------
-    ratio, pair
-        Signed ratio and name of the drive for the wiring, where `write_wiring` is given none.
+    `ratio` and `pair` are the drive's in the wiring, where `write_wiring` is given none.
     """
 
     ratio: float | None = None

@@ -108,28 +108,21 @@ class _StampedNetwork(canopen.Network):  # type: ignore[misc]
 class SimulatedCanBench(SimulatedBench):
     """A bench on a CAN bus: two CiA 406 nodes, a torque transducer and, by default, a controller that sends SYNC.
 
-    Once both nodes are told to operate, a thread sends the motion; it ends with the motion or when
-    no node operates any more. A node that is not operational sends nothing. On the virtual bus the frames carry the
-    motion's own time.
+    Once both nodes are told to operate, a thread sends the motion; it ends with the motion or when no node operates any
+    more. A node that is not operational sends nothing. On the virtual bus the frames carry the motion's own time.
 
     Parameters
     ----------
-    motion
-        What to send.
-    interface, channel
-        The bus as python-can opens it; "udp_multicast" stays on this machine.
+    motion, interface, channel, speed_factor, faults
+        See `simulate_bench`.
     trigger
         "controller": the bench sends SYNC with counter; "sync": each SYNC of another, such as the recorder, is answered
         with the next sample; "timer": every node sends at its event timer, no SYNC.
     input_counts_per_turn, output_counts_per_turn
         Resolution, powers of two; the 32-bit position counts turns too and rolls over.
-    speed_factor
-        1: at the motion's own speed, 10: ten times as fast; None: as fast as the bus carries it without loss.
     clock_drift
         Virtual bus: its interface has a clock of its own, which counts from power-up and runs so much faster, relative,
         than the host's; then the motion's own speed is the default. None: it has none.
-    faults
-        What goes wrong, see `faults.Fault`.
     """
 
     def __init__(
@@ -226,7 +219,7 @@ class SimulatedCanBench(SimulatedBench):
         return (quantised(angle, resolution) % (resolution * _turns(resolution))).astype("<u4")
 
     def _frames(self) -> Iterator[list[Frame]]:
-        """Yield what to send at each sample: identifier, data and stamp less the start, faults included."""
+        """Yield what to send at each sample: identifier, data and stamp minus the start, faults included."""
         motion = self.motion
         payloads: dict[int, Any] = {
             0x180 + _INPUT_NODE: self._positions(_INPUT_NODE, motion.input_angle),

@@ -33,7 +33,7 @@ class Fault:
         Of a frame on CAN: "drop" it is not sent, "duplicate" it is sent twice, "swap" it comes after the next one,
         "short" its last byte is missing, "garbage" random bytes of another length take its place, "clock_jump" stamps
         jump by `by` seconds from here on (virtual bus), "reset" the counter starts again at 0. Of a node: "emergency"
-        it sends an EMCY, "reboot" it starts anew, "silence" neither frames nor heartbeat; "bus_off" of the bus.
+        it sends an EMCY, "reboot" it starts again, "silence" neither frames nor heartbeat; "bus_off" of the bus.
         On a serial line: "mute" no answer, "half" half of one, "corrupt" one with a flipped bit, "garbage" random
         bytes, "wrong_baud" one as it looks at three quarters of the baud rate, "pull" the cable is out.
     sample

@@ -1,4 +1,4 @@
-"""What moves on the simulated bench: a motion that a function or an FMU says."""
+"""What moves on the simulated bench: a motion that a function or an FMU gives."""
 
 from __future__ import annotations
 
@@ -19,26 +19,10 @@ OutputAngle: TypeAlias = Callable[[FloatArray, FloatArray], FloatArray]
 
 @dataclasses.dataclass(frozen=True)
 class SimulatedRun:
-    """One run of the bench at a constant torque.
+    """One run of the bench at a constant torque; its values, in SI units, as `simulate_bench` describes them.
 
-    Attributes
-    ----------
-    torque
-        What the environment puts on the output, N*m, counter-clockwise positive; keeps its sign in both directions.
-    turns
-        Crank turns.
-    samples_per_turn
-        Samples each crank turn, evenly from crank angle 0, end excluded.
-    direction
-        "forward": the crank angle grows; "backward": the same angles from the last to the first.
-    speed
-        Crank speed, rad/s: it gives the time.
-    noise, torque_noise
-        Standard deviation of each encoder's reading, rad, and of the torque's, N*m.
-    seed
-        Random seed of the noise.
-    lead_in
-        Samples before the first, at the same spacing, while the drive settles on its flank; recorded as all others.
+    `samples_per_turn` begin at crank angle 0, end excluded; "backward" takes the same angles from the last to the
+    first. The `lead_in` is so many samples before the first, at the same spacing, while the drive settles on its flank.
     """
 
     torque: float
@@ -118,19 +102,12 @@ def _measured(output_angle: OutputAngle, run: SimulatedRun, angle: FloatArray, t
 
 
 def fmu_output_angle(path: str | os.PathLike[str], step: float = 1e-3) -> OutputAngle:
-    """Return the output angle that an FMI 2.0 co-simulation FMU of a drive gives, one step of it a sample.
-
-    Parameters
-    ----------
-    path
-        The FMU: inputs `flange_a.phi`, `flange_b.tau`, output `flange_b.phi`.
-    step
-        Communication step, s.
+    """Return the output angle that an FMI 2.0 co-simulation FMU of a drive gives, one step of `step` seconds a sample.
 
     Raises
     ------
     edge.InputError
-        If it is no such FMU.
+        If it is no such FMU with the inputs `flange_a.phi`, `flange_b.tau` and the output `flange_b.phi`.
     """
     from fmpy import extract, read_model_description
     from fmpy.fmi2 import FMU2Slave

@@ -30,23 +30,9 @@ _BITS_PER_BYTE = 10  # with start and stop bit
 
 
 class _PtyBench(SimulatedBench):
-    """A thread behind a pseudo-terminal whose name stays when the cable is pulled and put back.
+    """A thread behind a pseudo-terminal, paced to its baud rate; its name stays when the cable is pulled and put back.
 
-    Parameters
-    ----------
-    motion
-        What moves.
-    speed_factor
-        Speed of time.
-    baud_rate
-        Pace of the bytes in both directions.
-    faults
-        What goes wrong, see `faults.Fault`.
-
-    Attributes
-    ----------
-    url
-        The port to record.
+    `url` is the port to record; `speed_factor` the speed of time; `faults` what goes wrong, see `faults.Fault`.
     """
 
     _protocol: ClassVar[str]
@@ -151,19 +137,15 @@ class _PtyBench(SimulatedBench):
 class SimulatedAmt21Bench(_PtyBench):
     """A bench of two AMT21 encoders on one RS-485 line, which is a pseudo-terminal: record `url`.
 
-    The motion begins with the first question and runs at its own speed times `speed_factor`; each
-    answer is the position at that moment. The torque is not on this line.
+    The motion begins with the first question and runs at its own speed times `speed_factor`; each answer is the
+    position at that moment. The torque is not on this line.
 
     Parameters
     ----------
     motion, speed_factor, baud_rate, faults
         See `_PtyBench`; a fault's `sample` is the number of the question, its `target` the address.
-    addresses
-        Address of the input's and the output's encoder.
-    bits
-        12 or 14.
-    multi_turn
-        Whether the encoders count turns.
+    addresses, bits, multi_turn
+        Address of the input's and the output's encoder; 12 or 14; whether they count turns.
 
     Attributes
     ----------
@@ -220,18 +202,9 @@ class SimulatedAmt21Bench(_PtyBench):
 class SimulatedModbusBench(_PtyBench):
     """A bench of two Modbus RTU encoders on one line, which is a pseudo-terminal: record `url`.
 
-    Each device holds its position, 32 bits that count turns too, in the holding registers 0 and 1,
-    high word first; any other request gets the exception "illegal data address". The motion begins with the first
-    question and runs at its own speed times `speed_factor`. The torque is not on this line.
-
-    Parameters
-    ----------
-    motion, speed_factor, baud_rate, faults
-        See `_PtyBench`; a fault's `sample` is the number of the question, its `target` the device.
-    devices
-        Address of the input's and the output's encoder.
-    counts_per_turn
-        Resolution.
+    Each of the `devices` (input's, output's address) holds its position, 32 bits that count turns too, in the holding
+    registers 0 and 1, high word first; any other request gets the exception "illegal data address". Motion and faults
+    are as those of `SimulatedAmt21Bench`.
     """
 
     _protocol = "modbus"
@@ -280,17 +253,9 @@ class SimulatedModbusBench(_PtyBench):
 class SimulatedAsciiBench(_PtyBench):
     """A counter that sends a line for each sample, "$sequence,time,counts*checksum", by itself: record `url`.
 
-    The motion begins when the port is opened. The time is the counter's own clock in microseconds,
-    32 bits, the checksum NMEA 0183's. Its counts are the output angle's.
-
-    Parameters
-    ----------
-    motion, speed_factor, baud_rate, faults
-        See `_PtyBench`; a fault's `sample` is the number of the line. "reset": clock, numbers and counts start at 0.
-    counts_per_turn
-        Resolution.
-    clock_drift
-        How much faster than the host's the counter's clock runs, relative.
+    The motion begins when the port is opened. The time is the counter's own clock in microseconds, 32 bits, which runs
+    faster than the host's by `clock_drift`, relative; the checksum is NMEA 0183's; the counts are the output angle's.
+    A fault's `sample` is the number of the line; "reset": clock, numbers and counts start at 0.
     """
 
     _protocol = "ascii"

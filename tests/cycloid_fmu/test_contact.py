@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cycloid_fmu import contact
+from cycloid_fmu.contact import compiling
 from cycloid_fmu.contact.deviations import Facing, added_curvature
 from cycloid_fmu.contact.transmission import drive_of, error_sensitivity, solve
 from cycloid_fmu.errors.kinds import structured_names
@@ -455,3 +456,21 @@ def test_views_of_angles_and_torques_do_not_compile_the_kernels_again():
     fixed = np.full(2, 50.0)
     fixed.flags.writeable = False
     assert compiled(angles[::2], torques[::-1], fixed) == before
+
+
+@pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
+def test_compiled_code_is_kept_until_a_file_of_the_room_changes(monkeypatch, tmp_path):
+    """A kernel holds what it calls in other files: of changed ones it would give the old numbers."""
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+
+    def twice(x):
+        return 2.0 * x
+
+    def loaded():
+        kernel = contact.compiled(twice)
+        assert kernel(3.0) == 6.0
+        return sum(kernel.dispatcher.stats.cache_hits.values())
+
+    assert [loaded(), loaded()] == [0, 1]
+    monkeypatch.setattr(compiling, "_SOURCES", (*compiling._SOURCES, (1, "changed.py")))
+    assert [loaded(), loaded()] == [0, 1]

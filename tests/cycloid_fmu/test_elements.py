@@ -17,7 +17,7 @@ from common import ARCSEC, CASES, PAIR, make_pair
 from cycloid_fmu import edge
 from cycloid_fmu.contact.transmission import Interrupted, analyze, solve, statistics
 from cycloid_fmu.fmu.build import build_fmu
-from cycloid_fmu.fmu.run import follow
+from cycloid_fmu.fmu.run import simulate_fmu
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
 from cycloid_fmu.surfaces.files import read_surface, write_surface
 from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
@@ -216,7 +216,7 @@ def test_the_fmu_has_the_elements(tmp_path):
     surface = dataclasses.replace(surface_of_pair(ERRORS), gear_deviation=rng.normal(0, 1e-6, (1, 39, 80, 2)))
     build_fmu(ERRORS, tmp_path / "d.fmu", surface)
     wanted = solve(ERRORS, surface, 100.0, ANGLES, 2).transmission_error[0]
-    found = follow(tmp_path / "d.fmu", ANGLES, 100.0, ("transmission_error",))["transmission_error"]
+    found = simulate_fmu(tmp_path / "d.fmu", ANGLES, 100.0, ("transmission_error",))["transmission_error"]
     assert found == pytest.approx(wanted, abs=1e-9)
 
 

@@ -25,20 +25,20 @@ ANGLES = np.linspace(0.0, 2.0 * np.pi, 41, endpoint=False)
 
 @pytest.fixture
 def new_kind():
-    kinds.register(RING_DISTORTION)
+    kinds.register_error_kind(RING_DISTORTION)
     yield RING_DISTORTION.name
-    kinds.unregister(RING_DISTORTION.name)
+    kinds.remove_error_kind(RING_DISTORTION.name)
 
 
 def test_an_unknown_kind_is_refused_and_a_known_one_not(new_kind):
     stated = CLEARANCE + '[errors]\nring_distortion = "3 um"\n'
     assert parse_pair(stated, "p").errors.ring_distortion == pytest.approx(3e-6)
-    kinds.unregister(new_kind)
+    kinds.remove_error_kind(new_kind)
     try:
         with pytest.raises(edge.InputError, match="ring_distortion is not a key known here"):
             parse_pair(stated, "p")
     finally:
-        kinds.register(RING_DISTORTION)
+        kinds.register_error_kind(RING_DISTORTION)
 
 
 def test_the_new_kind_is_the_pins_that_it_displaces(new_kind, tmp_path, command):
@@ -133,7 +133,7 @@ def test_files_surfaces_and_structured_errors_agree_on_each_kind(kind):
 
 def test_what_it_displaces_must_exist():
     with pytest.raises(ValueError, match="must be one of"):
-        kinds.register(kinds.ErrorKind("x", "x", "x", "drive", {"nothing": distortion}))
+        kinds.register_error_kind(kinds.ErrorKind("x", "x", "x", "drive", {"nothing": distortion}))
     with pytest.raises(ValueError, match="already"):
-        kinds.register(kinds.KINDS["pin_radius"])
+        kinds.register_error_kind(kinds.KINDS["pin_radius"])
     assert math.isclose(kinds.KINDS["misalignment_xz"].limit, 0.02)

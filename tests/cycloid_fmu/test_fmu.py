@@ -18,7 +18,7 @@ from fmpy.validation import validate_fmu
 
 from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.fmu.build import build_fmu
-from cycloid_fmu.fmu.run import follow
+from cycloid_fmu.fmu.run import simulate_fmu
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
 from cycloid_fmu.surfaces.files import write_surface
 from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
@@ -104,7 +104,7 @@ def test_it_says_what_the_independent_solver_says(case, tmp_path):
     build_fmu(pair, tmp_path / "d.fmu")
     wanted = json.loads((CASES / f"{case}.json").read_text())
     for result in wanted["results"]:
-        found = follow(tmp_path / "d.fmu", wanted["crank_angle"], result["torque"])
+        found = simulate_fmu(tmp_path / "d.fmu", wanted["crank_angle"], result["torque"])
         assert found["transmission_error"] == pytest.approx(result["transmission_error"], abs=0.01 / 206265)
         ideal = np.array(wanted["crank_angle"]) / pair.ratio
         assert found["flange_b.phi"] - ideal == pytest.approx(found["transmission_error"], abs=1e-12)

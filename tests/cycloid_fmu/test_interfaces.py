@@ -11,18 +11,20 @@ from xml.etree import ElementTree
 import fmpy
 import numpy as np
 import pytest
-from common import CASES, PAIR
+from common import CASES, EXAMPLES, PAIR
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Slave
 from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
 from lxml import etree
 
+import cycloid_fmu as cy
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.core import MAGIC, state_from_bytes, state_to_bytes
-from cycloid_fmu.fmu.run import lead, opened
+from cycloid_fmu.fmu.run import open_fmu, simulate
 from cycloid_fmu.fmu.variables import Interface, variables
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
+from cycloid_fmu.reducer.budget import read_reducer
 from cycloid_fmu.surfaces.surface import surface_of_pair
 
 ERRORS = read_pair(CASES / "errors-39-40.toml")
@@ -120,7 +122,7 @@ def test_both_versions_run_the_same_model(fmus):
         "flange_a.phi": 20.0 * time, "flange_a.w": np.full(time.size, 20.0), "flange_b.tau": 80.0 * np.cos(60.0 * time),
     }  # fmt: skip
     outputs = ("flange_b.phi", "flange_a.tau", "backlash", "power_loss", "max_contact_pressure")
-    old, new = (lead(fmus("kinematic", v), inputs, outputs, time) for v in ("2.0", "3.0"))
+    old, new = (simulate(fmus("kinematic", v), inputs, outputs, time) for v in ("2.0", "3.0"))
     for name in outputs:
         assert np.array_equal(old[name], new[name])
     assert new["power_loss"].min() > 0.0
@@ -195,7 +197,7 @@ def walk(fmu):
 """
     space = {}
     exec(walk, space)
-    with opened(fmus("inertia", "3.0")) as fmu:
+    with open_fmu(fmus("inertia", "3.0")) as fmu:
         fmu.initialize({"flange_b.tau": 10.0, "friction_torque": 1.0, "mesh_damping": 3.0, "pin_radial_1_cos": 2e-6})
         space["walk"](fmu)
         kept = fmu.slave.getFMUState()
@@ -208,8 +210,8 @@ def walk(fmu):
         walk
         + """
 import json, sys
-from cycloid_fmu.fmu.run import opened
-with opened(sys.argv[1]) as fmu:
+from cycloid_fmu.fmu.run import open_fmu
+with open_fmu(sys.argv[1]) as fmu:
     fmu.initialize()
     fmu.slave.setFMUState(fmu.slave.deserializeFMUState(open(sys.argv[2], "rb").read()))
     print(json.dumps(walk(fmu)))
@@ -323,7 +325,7 @@ def test_commands_lead_and_compare(command, tmp_path):
         (["simulate", "k.fmu", "--input", "none.csv"], "none.csv: No such file"),
         (["build", "pair.toml", "-o", "x.fmu", "--interface", "stiff"], "kinematic, compliant"),
         (["build", "pair.toml", "-o", "x.fmu", "--fmi", "1.0"], "2.0, 3.0"),
-        (["build", "pair.toml", "-o", "x.fmu", "--output-inertia", "1 kg*m^2"], "use the compliant interface"),
+        (["build", "pair.toml", "-o", "x.fmu", "--output-inertia", "1 kg*m^2"], "--output-inertia is for"),
         (["build", "pair.toml", "-o", "x.fmu", "--interface", "compliant", "--output-inertia", "1 kg"], "kg*m^2"),
     ):
         refused = command("cycloid-fmu", *words)
@@ -347,3 +349,33 @@ def test_an_fmu_compares_with_a_recording(command, tmp_path):
     found = json.loads(run.stdout)["flange_b.phi"]
     assert found["mean"] == pytest.approx(-np.radians(1.0), abs=1e-4)
     assert found["rms_about_mean"] < 1e-6
+
+
+def test_the_library_itself_tells_a_pair_a_drive_and_a_reducer_apart(tmp_path):
+    """The same pair gives the same file as a pair with its surface or as a drive; a reducer's input is the sun."""
+    drive = cy.Drive(ERRORS)
+    build_fmu(drive, tmp_path / "drive.fmu", fmi_version="3.0")
+    build_fmu(ERRORS, tmp_path / "pair.fmu", fmi_version="3.0")
+    drive.build_fmu(tmp_path / "method.fmu", "kinematic", fmi_version="3.0")
+    drive.build_fmu(tmp_path / "compliant.fmu", Interface("compliant", 0.5), fmi_version="3.0")
+    build_fmu(read_reducer(EXAMPLES / "rv-20e.toml"), tmp_path / "reducer.fmu", fmi_version="3.0")
+    inputs = {
+        path.stem: [v for v in fmpy.read_model_description(str(path)).modelVariables if v.causality == "input"]
+        for path in tmp_path.glob("*.fmu")
+    }
+    names = {stem: [v.name for v in found] for stem, found in inputs.items()}
+    assert names["drive"] == names["pair"] == names["method"] == names["reducer"] == names["compliant"]
+    assert {stem for stem, found in inputs.items() if found[0].description.startswith("sun")} == {"reducer"}
+    model = {stem: zipfile.ZipFile(tmp_path / f"{stem}.fmu").read("resources/pair.json") for stem in ("drive", "pair")}
+    assert model["drive"] == model["pair"]
+
+
+@pytest.mark.parametrize(
+    ("interface", "argument"),
+    [("stiff", "interface"), (Interface("kinematic", 1.0), "output_inertia"), (Interface("compliant", -1.0), "output_"),
+     (Interface(losses=((1.0, 1.0, 1.0, 0.0, 0.0),)), r"loss_table\[1,1\]")],
+)  # fmt: skip
+def test_errors_name_the_argument_and_leave_no_file(tmp_path, interface, argument):
+    with pytest.raises(cy.InputError, match=f"^{argument}"):
+        cy.Drive(ERRORS).build_fmu(tmp_path / "d.fmu", interface)
+    assert not list(tmp_path.iterdir())

@@ -11,7 +11,7 @@ from fmpy.validation import validate_fmu
 from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.reducer_model import ReducerModel
-from cycloid_fmu.fmu.run import described, follow
+from cycloid_fmu.fmu.run import described, simulate_fmu
 from cycloid_fmu.reducer import budget as rv
 from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.surfaces.surface import nominal_surface
@@ -172,7 +172,7 @@ def test_the_fmu_has_the_drive_s_interface(fmu):
 def test_the_fmu_moves_as_the_model(fmu):
     angles = np.linspace(0.0, 30.0, 40)
     torques = 80.0 * np.cos(angles)
-    found = follow(fmu, angles, torques, ("flange_b.phi", "flange_a.tau", "backlash"))
+    found = simulate_fmu(fmu, angles, torques, ("flange_b.phi", "flange_a.tau", "backlash"))
     model = fresh()
     for i, (angle, torque) in enumerate(zip(angles, torques, strict=True)):
         assert found["flange_b.phi"][i] == pytest.approx(at(model, angle, torque), abs=1e-12)

@@ -89,15 +89,15 @@ def test_the_lower_hull_is_that_of_qhull(points):
 
 
 @given(
-    at=st.lists(st.integers(1, 99), max_size=3, unique=True), anew=st.floats(-5.0, 0.4), cut=st.integers(0, 100),
+    at=st.lists(st.integers(1, 99), max_size=3, unique=True), again=st.floats(-5.0, 0.4), cut=st.integers(0, 100),
     stall=st.integers(0, 99), held=st.floats(0.0, 30.0),
 )  # fmt: skip
-def test_a_clock_that_starts_anew_is_told_from_arrivals_that_were_held_up(at, anew, cut, stall, held):
+def test_a_clock_that_starts_anew_is_told_from_arrivals_that_were_held_up(at, again, cut, stall, held):
     """A device restarts at any samples, with or without a mark; a stall of the line delivers many samples at once."""
     taken = 50.0 + np.arange(100) * 0.02
     device = taken.copy()
     for begin in at:
-        device[begin:] = taken[begin:] - taken[begin] + anew
+        device[begin:] = taken[begin:] - taken[begin] + again
     host = np.maximum(taken, np.where(np.arange(100) >= stall, min(taken[stall] + held, taken[-1] + held), 0.0))
     samples = Samples.checked("x", host, taken, time_device=device)
     both = np.flatnonzero(clock_restarts(samples, None)).tolist()

@@ -89,7 +89,7 @@ def test_cable_pulled_and_put_back(tmp_path):
     assert done.failures == ()
     for name in ("input_angle", "output_angle"):
         said = texts(recording, name)
-        assert any("failed and will be opened anew" in t and "broke" in t for t in said), said
+        assert any("failed and will be opened again" in t and "broke" in t for t in said), said
         assert "samples come again" in said
         samples = recording.samples[name]
         gap = np.argmax(np.diff(samples.time_host)) + 1
@@ -165,8 +165,8 @@ def test_counter_reset(tmp_path):
     assert done.marks["output_angle"]["resets"] == 1
     (reset,) = marked(samples, rf.RESET)
     assert samples.counts[reset] == 0
-    assert any("started anew" in t for t in texts(recording, "output_angle"))
-    # Its clock started anew as well: before and after, it is put on the host's by a line of its own.
+    assert any("started again" in t for t in texts(recording, "output_angle"))
+    # Its clock started again as well: before and after, it is put on the host's by a line of its own.
     clocks = read_clocks(tmp_path / "run.arrows", ["output_angle"])["output_angle"]
     assert clocks.keys() == {0, 1}
     late = samples.time_host - recording.aligned_time("output_angle")

@@ -172,8 +172,8 @@ def test_a_device_s_clock_is_told_each_ten_seconds_and_at_each_start_anew(tmp_pa
     """Its drift is found from what comes, before a restart and after it."""
     host = np.linspace(0.0, 12.0, 200)
     early, late = (host[:150], (1 + 1e-3) * host[:150] + 7.0), (host[150:], (1 + 1e-3) * host[150:] + 7.0)
-    anew = 13.0 + host[:150], (1 - 2e-3) * host[:150] + 1.0
-    script = [(t, np.zeros(len(t)), {"time_device": d}) for t, d in (early, late, anew)]
+    again = 13.0 + host[:150], (1 - 2e-3) * host[:150] + 1.0
+    script = [(t, np.zeros(len(t)), {"time_device": d}) for t, d in (early, late, again)]
     one = Scripted("input_angle", script)
     record_encoders([one], tmp_path / "a.arrows", stop=exhausted(one))
     found = clocks(tmp_path / "a.arrows", "input_angle")
@@ -211,7 +211,7 @@ def test_a_channel_that_is_out_is_named_and_the_others_go_on(tmp_path, monkeypat
     with pytest.raises(EncoderTimeout, match="does not answer"):
         record_encoders([alone], tmp_path / "b.arrows", stop=exhausted(alone))
     assert not [t for t in threading.enumerate() if t.name.startswith("reopen")], "nothing is tried any more"
-    assert any("failed and will be opened anew" in e.text for e in read_recording(tmp_path / "b.arrows").events)
+    assert any("failed and will be opened again" in e.text for e in read_recording(tmp_path / "b.arrows").events)
 
 
 def test_a_disk_that_takes_no_more_leaves_what_was_written(tmp_path, monkeypatch):

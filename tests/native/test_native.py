@@ -27,7 +27,7 @@ from cycloid_fmu.fmu import constants
 from cycloid_fmu.fmu.compliant_model import CompliantModel
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.reducer_model import ReducerModel
-from cycloid_fmu.fmu.run import opened
+from cycloid_fmu.fmu.run import open_fmu
 from cycloid_fmu.fmu.variables import Interface, from_tables, variables
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
 from cycloid_fmu.native import build as native_build
@@ -122,9 +122,9 @@ def against_the_exact_model(native, pair, surface, period, largest, probes):
     At random crank angles and torques: evenly, and evenly in the logarithm.
     """
     random = np.random.default_rng(7)
-    angle = np.sort(random.uniform(0.0, period, probes))
     size = np.where(random.random(probes) < 0.5, random.uniform(0.0, 1.0, probes), 10 ** random.uniform(-4, 0, probes))
     torque = largest * size * random.choice([-1.0, 1.0], probes)
+    angle = np.sort(random.uniform(0.0, period, probes))
     model, found = DriveModel(pair, surface), np.empty((2, probes, 3))
     for i in range(probes):
         model.crank_angle, model.torque = angle[i], torque[i]
@@ -180,7 +180,7 @@ def test_an_fmu_whose_table_is_damaged_says_so_when_it_is_opened(built, tmp_path
             if name.endswith(TABLE):
                 data[len(data) // 2] ^= 1
             archive.writestr(name, bytes(data))
-    with pytest.raises(edge.InputError, match=r"can't be instantiated: .* the table is damaged"), opened(damaged):
+    with pytest.raises(edge.InputError, match=r"can't be instantiated: .* the table is damaged"), open_fmu(damaged):
         pass
 
 
@@ -609,8 +609,7 @@ def test_many_random_steps(unpacked, host, kind, version):
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
 def test_the_library_is_clean_under_the_address_and_undefined_behaviour_sanitizers(unpacked, host, tmp_path, version):
     flags = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer")
-    native = HERE.parents[1] / "cycloid_fmu" / "fmu" / "native"
-    sources = [native / name for name in native_build.SOURCES]
+    sources = [unpacked("kinematic", version).folder / "sources" / name for name in native_build.SOURCES]
     library = compiled(tmp_path / "drive.so", sources, *flags, "-shared", "-fPIC")
     program = compiled(tmp_path / "host", [HERE / "host.c"], f"-DFMI={version[0]}", *flags)
     for kind in INTERFACES:
@@ -825,7 +824,7 @@ def test_each_platform_has_its_folder_and_macos_in_fmi_2_holds_both_processors(d
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--native", "--platform", "m68k-amiga"], "platforms = m68k-amiga: this is none of x86_64-linux, "),
+        (["--native", "--platform", "m68k-amiga"], '--platform = "m68k-amiga": this is none of x86_64-linux, '),
         (["--native", "--platform", "aarch64-linux", "--fmi", "2.0"], "FMI 2.0 does not know it, FMI 3.0 does"),
         (["--platform", "x86_64-linux"], "only a --native FMU has platforms"),
     ],
