@@ -153,19 +153,24 @@ def identify(
             raise edge.InputError(
                 f"{curve.source}: the mean torque is {curve.torque:g} N·m; the fit needs loaded curves."
             )
-    # The kernel's threads keep the processor busy; those of linear algebra would spin beside them.
-    with threadpool_limits(limits=1, user_api="blas"):
-        kept, start = kept_back(running) if held_out else (), None
-        predicted = None
-        if kept:
-            progress("fitting without the curves kept back")
-            rest = [*(c for i, c in enumerate(running) if i not in kept), *loops]
-            start = _fitted(rest, pair, None, prior, progress)
-            predicted = _predicted(pair, start, [running[i] for i in kept])
-            if predicted.residual > _MISPREDICTED * predicted.noise or is_uneven(start):
-                start = None
-        found = _fitted([*running, *loops], pair, start, prior, progress)
-        return result_of(pair, found, predicted, prior.scatter, profiled, bootstrap, _GAIN, progress)
+    try:
+        # The kernel's threads keep the processor busy; those of linear algebra would spin beside them.
+        with threadpool_limits(limits=1, user_api="blas"):
+            kept, start = kept_back(running) if held_out else (), None
+            predicted = None
+            if kept:
+                progress("fitting without the curves kept back")
+                rest = [*(c for i, c in enumerate(running) if i not in kept), *loops]
+                start = _fitted(rest, pair, None, prior, progress)
+                predicted = _predicted(pair, start, [running[i] for i in kept])
+                if predicted.residual > _MISPREDICTED * predicted.noise or is_uneven(start):
+                    start = None
+            found = _fitted([*running, *loops], pair, start, prior, progress)
+            return result_of(pair, found, predicted, prior.scatter, profiled, bootstrap, _GAIN, progress)
+    except np.linalg.LinAlgError:
+        raise edge.InputError(
+            "the equations of the fit are singular, as they are where curves have no noise; add some to simulated ones."
+        ) from None
 
 
 def kept_back(curves: Sequence[Curve]) -> tuple[int, ...]:

@@ -485,7 +485,7 @@ def read_lmfit_parameters(path: str | os.PathLike[str]) -> lmfit.Parameters:
 
     data = edge.json_table(path, FORMAT, "identification")
     if "lmfit_parameters" not in data:
-        raise edge.InputError(f"{path}: lmfit_parameters is missing; write the file again with cycloid-fit identify.")
+        raise edge.InputError(f"{path}: lmfit_parameters is missing; identify once more.")
     try:
         states = data["lmfit_parameters"]["params"]
         # lmfit would run an expression or a symbol of the file's; a fit of ours has neither.

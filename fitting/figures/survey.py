@@ -158,7 +158,7 @@ def survey(
         except edge.InputError as problem:
             notes.append(str(problem))
     elif loops is None and np.ptp(shortened.input_angle) > 0.0:
-        notes.append(f"{stream.source}: the input turns and no ratio is known; --pair or --ratio is needed.")
+        notes.append(f"{stream.source}: the input turns and no ratio is known; give the drive or its ratio.")
     duration = float(table["time"][-1] - table["time"][0])
     speed = float(np.abs(np.diff(table["output_angle"])).sum()) / duration if duration > 0.0 else 0.0
     return Surveyed(

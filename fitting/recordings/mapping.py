@@ -134,9 +134,7 @@ def own_names(file: BenchFile) -> FileMapping:
         if name not in channels:
             where = f'no column "{name} [{COLUMNS[name]}]" in the header' if not file.timed else f"no {name} channel"
             held = ", ".join(list(channels)[:8]) or "no channels"
-            raise edge.InputError(
-                f"{file.source}: there is {where} (it has {held}); `cycloid-fit inspect` proposes a mapping."
-            )
+            raise edge.InputError(f"{file.source}: there is {where} (it has {held}); inspect it for a mapping.")
         if not channels[name].unit:
             raise edge.InputError(
                 f'{file.source}: the column "{name}" has no unit; write "{name} [{COLUMNS[name]}]", or name it in a '

@@ -140,7 +140,7 @@ def spectra_panel(
     for _, orders in pairs:
         kept = np.where(orders.significant, orders.amplitude, 0.0)[: highest + 1]
         largest[: kept.size] = np.maximum(largest[: kept.size], kept * ARCSEC)
-    leading = np.array(_apart(largest), dtype=int)
+    leading = np.array(_well_spaced(largest), dtype=int)
     names = tuple(f"{k} {order_name(int(k), pairs[0][0].ratio, pair)}".strip() for k in leading)
     traces.append(Trace("", leading.astype(float), largest[leading], "points", -1, names))
     return Panel(
@@ -152,7 +152,7 @@ def spectra_panel(
     )  # fmt: skip
 
 
-def _apart(amplitude: Array) -> list[int]:
+def _well_spaced(amplitude: Array) -> list[int]:
     """Return the orders whose names have room: the largest, without those beside one that is nearly as large."""
     chosen: list[int] = []
     for order in np.argsort(-amplitude)[: np.count_nonzero(amplitude)]:

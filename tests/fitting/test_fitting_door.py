@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from common import BENCH
+from common import BENCH, EXAMPLES
 
 import fitting
 from cycloid_fmu import edge
@@ -66,3 +66,15 @@ def test_errors_name_the_argument(arguments, problem):
         fitting.metrics(run, **{"ratio": -39.0, **arguments})
     with pytest.raises(edge.InputError, match="torque has the shape"):
         fitting.Run(input_angle=0.0, output_angle=np.zeros(9), torque=np.zeros(8)).open()
+
+
+def test_simulated_runs_without_noise_are_refused_in_a_sentence():
+    drive = read_drive(EXAMPLES / "drive-39-40.toml").replace(gear_teeth=9, pins=10, eccentricity=0.003)
+    angle = np.linspace(0.0, 2 * np.pi * 9, 120)
+    error = drive.replace(errors={"eccentricity": "3 um"}).analyze([20.0, -20.0, 100.0, -100.0], crank_angle=angle)
+    runs = [
+        fitting.Run(input_angle=angle, output_angle=one - angle / 9, torque=load, common_zero=True, known_index=True)
+        for load, one in zip(error.torque.values, error.transmission_error.values, strict=True)
+    ]
+    with pytest.raises(edge.InputError, match="have no noise"):
+        fitting.identify(runs, drive, held_out=False)

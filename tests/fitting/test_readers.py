@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import tomllib
+from importlib import metadata
 
 import can
 import cantools
@@ -17,6 +18,7 @@ import fitting
 from cycloid_fmu import edge
 from drivers.recording_format import GAP
 from fitting.figures.survey import lag_of
+from fitting.recordings import formats
 from fitting.recordings.formats import PIECE, BenchFile, RawChannel, open_bench_file, unit_text
 from fitting.recordings.inspection import Inspection, Look, inspect, roles_of
 from fitting.recordings.mapping import read_mapping
@@ -471,3 +473,14 @@ def test_inspect_from_the_command_line(command, tmp_path):
     assert run.returncode == 2
     assert "Traceback" not in run.stderr
     assert len(run.stderr.splitlines()) == 1
+
+
+def test_another_package_adds_a_format_by_its_ending(tmp_path, monkeypatch):
+    own = metadata.EntryPoint("rig", "fitting.recordings.tables:CsvFile", formats.GROUP)
+    known = metadata.EntryPoints([own])
+    monkeypatch.setattr(formats.metadata, "entry_points", lambda **wanted: known.select(**wanted))
+    write_strange_table(tmp_path / "a.rig")
+    assert "Winkel 1" in {c.name for c in open_bench_file(tmp_path / "a.rig").channels}
+    (tmp_path / "a.rug").write_bytes(b"")
+    with pytest.raises(edge.InputError, match=r"must be one of \.arrows, .*\.rig, .*\.tdms"):
+        open_bench_file(tmp_path / "a.rug")
