@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 import cycloid_fmu as cy
 from cycloid_fmu import edge
 from cycloid_fmu.errors.kinds import KINDS
-from cycloid_fmu.geometry.pair import parse_pair
+from cycloid_fmu.geometry.pair import parse_pair, read_pair
 from cycloid_fmu.surfaces.files import read_surface, write_surface
 from cycloid_fmu.surfaces.surface import Life, check_surface
 
@@ -167,7 +167,7 @@ def test_surfaces_are_comparable_and_can_not_be_written_to():
 def test_files_of_the_first_version_are_read_and_match(tmp_path):
     """A surface file whose pair is the text of a file: comments, other units, errors of its own."""
     first = read_surface(DATA / "first-version" / "surface.nc")
-    pair = cy.read_pair(DATA / "first-version" / "pair.toml")
+    pair = read_pair(DATA / "first-version" / "pair.toml")
     check_surface(pair, first, "pair.toml", "surface.nc")
     made = cy.Drive(pair, first).surface
     for name, values in cy.Drive(pair).surface.errors.items():

@@ -108,7 +108,7 @@ def test_wear_volume_is_conserved(run):
     worn, _, new = run
     turns = 5e4
     surface = worn_surface(worn, new.depth * turns, new.half_width)
-    alpha = drive_of(worn.pair, surface).flank_alpha[1:-1]
+    alpha = drive_of(worn.pair, surface).deviations.flank_alpha[1:-1]
     base, normal = (np.array([1, 1j]) @ np.stack(f(worn.pair, alpha)) for f in (flank_points, flank_normals))
     round_ = np.exp(1j * np.pi * ((np.arange(200) + 0.5) / 200 - 0.5))
     for bodies, outline, deviation in (
