@@ -23,9 +23,9 @@ import numpy as np
 from cycloid_fmu import __version__
 from cycloid_fmu.fmu.compliant_model import CompliantModel
 from cycloid_fmu.fmu.description import Version
+from cycloid_fmu.fmu.mesh import StepError
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.reducer_model import ReducerModel
-from cycloid_fmu.fmu.teeth import StepError
 from cycloid_fmu.fmu.variables import ARRAYS, ATTRIBUTES, Interface, Variable, variables
 from cycloid_fmu.geometry.pair import Pair, parse_pair
 from cycloid_fmu.reducer.first_stage import FirstStage
