@@ -145,7 +145,7 @@ class SteppedModel(State):
             self._rebuild()
 
     def pin_errors(self, name: str) -> list[float]:
-        """Return the errors of each pin (m), one of `ARRAYS`, the structured errors set since included."""
+        """Return the errors of each pin (m), a kind that each pin has, the structured errors set since included."""
         values: list[float] = getattr(with_structured(self.pair, self.surface, self._changed()), name).tolist()
         return values
 
