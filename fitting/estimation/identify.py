@@ -97,8 +97,8 @@ def identify(
     Raises
     ------
     edge.InputError
-        If a recording can't be read, is of another drive or has no load, an argument is wrong, the data resolve no error, or there are too
-        few turns to draw from.
+        If a recording can't be read, is of another drive or has no load, an argument is wrong, the data resolve no
+        error, or there are too few turns to draw from.
 
     Examples
     --------

@@ -182,8 +182,8 @@ class RecordingStream:
         """Return columns of a block as a recording from this file, when all its blocks were taken."""
         return Recording(
             **columns, source=self.source, checksum=self.checksum, ratio=self.ratio, pair=self.pair,
-            common_zero=self.common_zero, known_index=self.known_index, notes=tuple(self.notes), alignment=self.alignment,
-            torque_alignment=self.torque_alignment,
+            common_zero=self.common_zero, known_index=self.known_index, notes=tuple(self.notes),
+            alignment=self.alignment, torque_alignment=self.torque_alignment,
         )  # fmt: skip
 
     def _clock_notes(self) -> list[str]:
