@@ -1,5 +1,6 @@
 """The main job, as the README's first command runs it."""
 
+import ast
 import json
 import re
 import runpy
@@ -27,7 +28,7 @@ def assert_page_agrees(section, rows, said):
 
 def cells_of(printed):
     """The cells of all tables in what an example printed, row by row."""
-    return [[c.strip() for c in line.strip("│").split("│")] for line in printed.splitlines() if line.startswith("│")]
+    return [[c.strip() for c in line.split("│")] for line in printed.splitlines() if "│" in line]
 
 
 def test_from_the_bench_to_the_fmu_and_back(tmp_path):
@@ -49,6 +50,37 @@ def test_from_the_bench_to_the_fmu_and_back(tmp_path):
     assert (out / "comparison.png").stat().st_size > 50000
     assert len(list(out.glob("*.arrows"))) == 4
     shutil.rmtree(out)
+
+
+DOORS = ("cycloid_fmu", "fitting", "drivers")
+EVERY = sorted(file.stem for file in EXAMPLES.glob("*.py"))
+BY_THE_DOOR = {"bench_to_fmu", "error_study", "record_can", "record_serial", "robot_joint"}
+
+
+def imported(name):
+    """What an example imports of the product: {module: names taken from it, none where it is imported whole}."""
+    found = {}
+    for node in ast.walk(ast.parse((EXAMPLES / f"{name}.py").read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {one.name: [] for one in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            found.setdefault(node.module, []).extend(one.name for one in node.names)
+    return {module: names for module, names in found.items() if module.split(".")[0] in DOORS}
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_an_example_imports_no_command_line_and_nothing_private(name):
+    modules = {f"{module}.{one}" for module, names in imported(name).items() for one in names} | set(imported(name))
+    for module in modules:
+        assert not {"cli", "commands"} & set(module.split(".")), module
+        assert not any(part.startswith("_") for part in module.split(".")), module
+
+
+@pytest.mark.parametrize("name", sorted(BY_THE_DOOR))
+def test_an_example_of_everyday_work_goes_through_the_front_doors(name):
+    """Whole packages alone, so that each name in them is one that the front door shows."""
+    assert imported(name)
+    assert all(module in DOORS and not names for module, names in imported(name).items())
 
 
 @pytest.fixture
@@ -92,7 +124,8 @@ def test_the_rv_paper_s_tables(tmp_path, example):
     """Table 10 can't be had from equation 21: its first row needs a cosine above 1, the others over 70 degrees."""
     said = example("lost_motion_study.py")
     cells = cells_of(said)
-    tilts = [row for row in cells if len(row) == 6]
+    head, *tilts = [row for row in cells if len(row) == 6]
+    assert head[2:4] == ["paper", "equation 21 at 20°"]
     assert [row[2] for row in tilts] == ["0.5462′", "0.5976′", "0.5982′", "0.6018′", "0.6029′", "0.6032′", "0.6063′"]
     assert {row[3] for row in tilts} == {"0.5488′"}
     assert tilts[0][5] == "none: cos α = 1.043"
