@@ -103,6 +103,7 @@ def main() -> None:
          ("PPB", cy.ARCSEC, "peak-to-peak backlash [″]"), ("MCS", 1e-6, "contact stress [MPa]")), strict=True,
     ):  # fmt: skip
         axis.barh(list(change), [c[name] * factor for c in change.values()])
+        axis.set_axisbelow(True)
         axis.grid(alpha=0.3)
         axis.set(xlabel=f"change of {label}")
         axis.invert_yaxis()

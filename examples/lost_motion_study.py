@@ -93,5 +93,6 @@ axes[2].set(ylabel="play [arcmin]", title="Tables 8 and 9: what each amount make
 axes[2].set_xticks(place, [n.replace("_", " ") for n in budget.TERMS], rotation=30, ha="right", fontsize=8)
 axes[2].legend(frameon=False)
 for axis in axes:
+    axis.set_axisbelow(True)
     axis.grid(alpha=0.3)
 figure.savefig("lost_motion_study.png", dpi=150)
