@@ -6,12 +6,11 @@ The names below are what a notebook needs; they are loaded when they are first u
 from __future__ import annotations
 
 import importlib
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
-__version__ = version("cycloid-fmu")
 
 if TYPE_CHECKING:
+    __version__: str
     from cycloid_fmu.draw.plots import plot
     from cycloid_fmu.drive import Drive, field_units, read_drive
     from cycloid_fmu.edge import ARCMIN, ARCSEC, InputError
@@ -46,6 +45,10 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("cycloid-fmu")
     home = next((home for home, names in _HOMES.items() if name in names), None)
     if home is None:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
