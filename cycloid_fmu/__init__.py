@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from cycloid_fmu.edge import ARCMIN, ARCSEC, InputError
     from cycloid_fmu.errors.kinds import ErrorKind, register_error_kind
     from cycloid_fmu.fmu.run import simulate_fmu
+    from cycloid_fmu.fmu.variables import Interface
     from cycloid_fmu.geometry.pair import Material, Pair
     from cycloid_fmu.reducer.budget import Reducer, budget, read_reducer
     from cycloid_fmu.surfaces.files import read_surface
@@ -28,6 +29,7 @@ _HOMES = {
     "edge": ("ARCMIN", "ARCSEC", "InputError"),
     "errors.kinds": ("ErrorKind", "register_error_kind"),
     "fmu.run": ("simulate_fmu",),
+    "fmu.variables": ("Interface",),
     "geometry.pair": ("Material", "Pair"),
     "reducer.budget": ("Reducer", "budget", "read_reducer"),
     "surfaces.files": ("read_surface",),
@@ -36,9 +38,9 @@ _HOMES = {
 }
 
 __all__ = [
-    "ARCMIN", "ARCSEC", "Drive", "ErrorKind", "ErrorSurface", "InputError", "Material", "Pair", "Reducer", "Tolerances",
-    "__version__", "budget", "field_units", "plot", "read_drive", "read_reducer", "read_surface", "read_tolerances",
-    "register_error_kind", "simulate_fmu",
+    "ARCMIN", "ARCSEC", "Drive", "ErrorKind", "ErrorSurface", "InputError", "Interface", "Material", "Pair", "Reducer",
+    "Tolerances", "__version__", "budget", "field_units", "plot", "read_drive", "read_reducer", "read_surface",
+    "read_tolerances", "register_error_kind", "simulate_fmu",
 ]  # fmt: skip
 
 

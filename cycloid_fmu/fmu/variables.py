@@ -67,6 +67,14 @@ class Interface:
         flows from a to b and from b to a (1), friction torque at flange_a in the same two cases (N·m).
     driven
         What `flange_a` is: "crank", or "sun" of an RV reducer.
+
+    Examples
+    --------
+    >>> import cycloid_fmu as cy
+    >>> pair = cy.Pair(
+    ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm"
+    ... )
+    >>> cy.Drive(pair).build_fmu("arm.fmu", interface=cy.Interface("compliant", output_inertia=2.0))
     """
 
     kind: InterfaceKind = "kinematic"
