@@ -15,8 +15,9 @@ from common import PAIR, make_pair
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact.transmission import drive_of, solve
+from cycloid_fmu.errors.kinds import KINDS, remove_error_kind
 from cycloid_fmu.surfaces.structured import with_structured
-from cycloid_fmu.surfaces.surface import nominal_surface
+from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
 from fitting.figures.figure import DEFINITIONS
 
 ROOT = Path(__file__).parent.parent
@@ -32,17 +33,14 @@ def names_in(text):
 
 
 def resolved(name):
-    """Import the longest module of a dotted name and follow what is left."""
-    parts = name.split(".")
-    for size in range(len(parts), 0, -1):
-        try:
-            found = importlib.import_module(".".join(parts[:size]))
-        except ModuleNotFoundError:
-            continue
-        for part in parts[size:]:
-            found = getattr(found, part)
-        return found
-    raise AttributeError(name)
+    """What a dotted name is: of a function and a module of one name the function, as in Python."""
+    first, *parts = name.split(".")
+    found = importlib.import_module(first)
+    for part in parts:
+        if not hasattr(found, part):
+            importlib.import_module(f"{found.__name__}.{part}")
+        found = getattr(found, part)
+    return found
 
 
 @pytest.mark.parametrize("page", PAGES)
@@ -86,6 +84,29 @@ def test_every_function_with_a_source_is_on_a_page(room):
     sourced = [f for f in public_functions(room) if A_SOURCE.search(inspect.getdoc(f) or "")]
     assert sourced
     assert not [f"{f.__module__}.{f.__name__}" for f in sourced if id(f) not in named]
+
+
+def test_the_table_of_error_kinds_is_that_of_their_definitions():
+    table = PAGES["errors"].split("(theory-kinds)=")[1].split("(theory-first-order)=")[0]
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines() if line[:3] == "| `"]
+    assert rows == [
+        [
+            f"`{k.name}`", k.of, ", ".join(f"`{d}`" for d in k.displaces), k.breaks or "–",
+            f"`{k.tolerance.key}`" if k.tolerance else "–",
+        ]
+        for k in KINDS.values()
+    ]  # fmt: skip
+
+
+def test_a_kind_is_added_as_the_page_does():
+    code = PAGES["errors"].split("```python\n")[1].split("```")[0]
+    try:
+        exec(code, {})
+        surface = surface_of_pair(make_pair().replace(errors={"three_lobes": "2 um"}))
+        assert surface.three_lobes == 2e-6
+        assert gaps(surface) != pytest.approx(gaps(nominal_surface(make_pair())), abs=1e-7)
+    finally:
+        remove_error_kind("three_lobes")
 
 
 def test_every_figure_of_the_bench_is_defined():
