@@ -3,31 +3,43 @@
 import inspect
 import json
 from pathlib import Path
+from typing import ClassVar
 
 import pydantic
 from numpydoc.docscrape import NumpyDocString
+from pydantic.json_schema import GenerateJsonSchema
+from pydantic_core.core_schema import CoreSchema, ModelSchema
 
-from cycloid_fmu import edge, reducer
+from cycloid_fmu import edge
+from cycloid_fmu.errors.kinds import KINDS, ErrorKind
 from cycloid_fmu.geometry import pair
+from cycloid_fmu.reducer import budget as reducer
 from cycloid_fmu.surfaces import sampling
 from cycloid_fmu.wear import law as wear_law
-from drivers import faults, recorder, sequence
 from drivers.encoder import protocols
+from drivers.recorder import bench, sequence
+from drivers.simulated import faults
 from fitting.recordings import mapping
 from fitting.recordings import read_head as coaxiality
 
-# title, format, class that reads it, top table (""), example
+# title, format, class that reads it, example
 FILES = (
-    ("Gear pair", pair.FORMAT, pair.Pair, "drive-39-40-as-made.toml"),
+    ("Gear pair", pair.FORMAT, pair._File, "drive-39-40-as-made.toml"),
     ("RV reducer", reducer.FORMAT, reducer.Reducer, "rv-20e.toml"),
-    ("Tolerances", sampling.FORMAT, sampling.Tolerances, "tolerances.toml"),
+    ("Tolerances", sampling.FORMAT, sampling.file_model(), "tolerances.toml"),
     ("Wear law", wear_law.FORMAT, wear_law._WearFile, "wear.toml"),
-    ("Bench wiring", recorder.BENCH_FORMAT, recorder._BenchFile, None),
+    ("Bench wiring", bench.BENCH_FORMAT, bench._BenchFile, None),
     ("Guided sequence", sequence.FORMAT, sequence.SequenceFile, None),
     ("Scripted faults", faults.FORMAT, faults._FaultFile, None),
     ("Mapping of a bench file", mapping.FORMAT, mapping.FileMapping, None),
     ("Read head", coaxiality.FORMAT, coaxiality._File, "rv-20e-read-head.toml"),
 )
+# Tables whose meaning another class states: a pair is one value in Python and three tables in its file.
+STATED_BY = {pair._Geometry: pair.Pair, pair._File: pair.Pair, sampling.file_model(): sampling.Tolerances}
+QUANTITIES = {
+    "m": "length", "rad": "angle", "N*m": "torque", "Pa": "pressure", "s": "time", "rad/s": "speed",
+    "K": "temperature", "1/Pa": "pressure viscosity", "m^2/N": "wear coefficient",
+}  # fmt: skip
 ELSEWHERE = ("stage",)  # a reducer's [pair], [modification] and [material] are those of a pair file
 INTRODUCTION = """# Files
 
@@ -36,6 +48,22 @@ file is its format. What the commands write is described by the units and names 
 curves, studies and wear, Arrow for recordings, JSON for identifications and figures.
 
 """
+
+
+class _Schema(GenerateJsonSchema):
+    """What a TOML file can hold; the keys' meanings are those of `STATED_BY`, and what it can't hold has no schema."""
+
+    ignored_warning_kinds: ClassVar = {"skipped-choice", "non-serializable-default"}
+
+    def handle_invalid_for_json_schema(self, schema: CoreSchema, error_info: str) -> dict:
+        return {}
+
+    def model_schema(self, schema: ModelSchema) -> dict:
+        found, stated = super().model_schema(schema), STATED_BY.get(schema["cls"])
+        if stated is not None:
+            own, (summary, *rest) = schema["cls"].__doc__, inspect.cleandoc(stated.__doc__ or "").split("\n\n")
+            found["description"] = "\n\n".join([own or summary, *rest])
+        return found
 
 
 def _first_paragraph(text: str) -> str:
@@ -54,7 +82,7 @@ def _meanings(text: str) -> dict[str, str]:
 def _kind(schema: dict, definitions: dict) -> str:
     """How a value is written."""
     if "quantity" in schema:
-        return f'`"{schema["quantity"]}"`'
+        return f'{QUANTITIES[schema["si"]]}, `"{schema["quantity"]}"`'
     if "anyOf" in schema:
         kinds = dict.fromkeys(_kind(s, definitions) for s in schema["anyOf"] if s.get("type") != "null")
         return " or ".join(kinds)
@@ -85,6 +113,7 @@ def _default(schema: dict) -> str:
     inner = next((s for s in (schema, *schema.get("anyOf", ())) if "quantity" in s), None)
     if inner is not None:
         unit = inner["quantity"].split(" ", 1)[1]
+        unit = "um" if inner["si"] == "m" and abs(default) < 1e-4 else "deg" if inner["si"] == "rad" else unit
         return "0" if default == 0.0 else f'`"{edge.format_quantity(default, inner["si"], unit)}"`'
     return f"`{json.dumps(default)}`"
 
@@ -133,8 +162,41 @@ def _told(schema: dict) -> list[str]:
     return lines
 
 
+def _limit(kind: ErrorKind) -> str:
+    return f"± {1e3 * kind.limit:g} {'mrad' if kind.unit == 'rad' else 'mm'}"
+
+
+def error_table() -> list[str]:
+    """The keys of `[errors]`, one for each kind."""
+    rows = ["| key | of | unit | limit | meaning and sign |", "| --- | --- | --- | --- | --- |"]
+    for kind in KINDS.values():
+        each = "the drive" if kind.of == "drive" else f"each {kind.of}"
+        rows.append(f"| `{kind.file_key}` | {each} | {kind.unit} | {_limit(kind)} | {kind.description} |")
+    return rows
+
+
+def _errors() -> list[str]:
+    return [
+        "**`[errors]`** What was really made, beyond the nominal; 0 where left out. An error of the drive is a "
+        "quantity; one of each pin or tooth is a list with a value for each, or its waves round the circle, "
+        '`{ order_2 = ["2.5 um", "40 deg"] }` for amplitude and phase.',
+        "", *error_table(), "",
+    ]  # fmt: skip
+
+
+def _toleranced() -> list[str]:
+    """Which error each table of a tolerance file limits."""
+    rows = ["| table | error that it limits |", "| --- | --- |"]
+    for kind in KINDS.values():
+        if kind.tolerance is not None:
+            share = "" if kind.tolerance.share == 1.0 else f", ± {kind.tolerance.share:g} of the tolerance"
+            rows.append(f"| `[{kind.tolerance.key}]` | {kind.text}{share} |")
+    return [*rows, "| `[gear_profile]`, `[pin_profile]` | form of the flanks, of the pins |", ""]
+
+
 def _section(title: str, written: str, model: type[pydantic.BaseModel], example: str | None) -> list[str]:
-    lines = [f"## {title}: `{written}`", "", *_told(model.model_json_schema())]
+    lines = [f"## {title}: `{written}`", "", *_told(model.model_json_schema(schema_generator=_Schema))]
+    lines += {pair.FORMAT: _errors, sampling.FORMAT: _toleranced}.get(written, list)()
     if example is not None:
         lines += [f"```{{literalinclude}} ../../examples/{example}", ":language: toml", "```", ""]
     return lines
@@ -145,9 +207,9 @@ def write(path: Path) -> None:
     lines = [INTRODUCTION]
     for title, written, model, example in FILES:
         lines += _section(title, written, model, example)
-        if model is recorder._BenchFile:
+        if model is bench._BenchFile:
             for name, entry in protocols().items():
                 protocol = entry.load()
-                said = _told(protocol.configuration.model_json_schema())
+                said = _told(protocol.configuration.model_json_schema(schema_generator=_Schema))
                 lines += [f'**`[channel.NAME]` with `protocol = "{name}"`** {said[0]}', *said[1:]]
     path.write_text("\n".join(lines), encoding="utf-8")

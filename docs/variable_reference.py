@@ -53,9 +53,10 @@ and of a drive worn for 10⁶ crank turns; the model description in every FMU ha
 def tables() -> Iterator[tuple[str, tuple[Variable, ...]]]:
     """(interface, its FMI 3.0 variables) of the example, worn so that nothing lacks."""
     pair = read_pair(Path(__file__).parent.parent / "examples" / EXAMPLE)
-    flanks, pins = (2, pair.discs, pair.gear_teeth, 1, 1), (2, pair.pins, 1, 1)
-    life = Life(np.array([0.0, 1e6]), np.zeros(flanks), np.zeros(pins), np.zeros(flanks), np.zeros(pins))
-    surface = nominal_surface(pair).replace(life=life)
+    flanks, pins = np.zeros((2, pair.discs, pair.gear_teeth, 1, 1)), np.zeros((2, pair.pins, 1, 1))
+    worn = {"gear_deviation": flanks, "pin_deviation": pins, "gear_curvature": flanks, "pin_curvature": pins}
+    life = Life(np.array([0.0, 1e6]), **worn)
+    surface = nominal_surface(pair).replace(life=life, **{name: states[-1] for name, states in worn.items()})
     for name, interface in INTERFACES.items():
         yield name, variables(pair, surface, interface, "3.0")
 

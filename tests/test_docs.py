@@ -14,8 +14,10 @@ from pathlib import Path
 import pytest
 from common import EXAMPLES
 
+from cycloid_fmu.errors.kinds import KINDS
 from cycloid_fmu.fmu.description import model_variables
 from cycloid_fmu.fmu.variables import from_tables
+from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.native.build import this_platform
 
 ROOT = EXAMPLES.parent
@@ -160,6 +162,28 @@ def test_a_page_s_commands_do_what_it_says(page, tmp_path, shell):
                 for long, short in SHORTER:
                     line = re.sub(long, short, line)
                 shell(line)
+
+
+def test_every_key_of_a_pair_file_has_its_own_meaning(tmp_path, monkeypatch):
+    """Signs that are easily taken the wrong way round are there, and each kind of error with its limit."""
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    import file_reference
+
+    file_reference.write(tmp_path / "files.md")
+    section = (tmp_path / "files.md").read_text(encoding="utf-8").split("\n## ")[1]
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in section.splitlines() if line[:3] == "| `"]
+    meanings = {cells[0]: cells[-1] for cells in rows if len(cells) == 4}
+    assert {f"`{name}`" for name in (*Pair.model_fields, "isometric", "offset")} - set(meanings) == {
+        "`modification`", "`material`", "`errors`"
+    }  # fmt: skip
+    assert all(meanings.values())
+    assert len(set(meanings.values())) == len(meanings)
+    assert "> 0 removes" in meanings["`isometric`"]
+    assert "< 0 removes" in meanings["`offset`"]
+    errors = {cells[0].strip("`"): cells[-2:] for cells in rows if len(cells) == 5}
+    assert list(errors) == [kind.file_key for kind in KINDS.values()]
+    assert errors["misalignment_xz"][0] == "± 20 mrad"
+    assert all(kind.sign in errors[kind.file_key][1] for kind in KINDS.values())
 
 
 def test_the_reference_has_every_variable_of_every_fmu(tmp_path, monkeypatch):

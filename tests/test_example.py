@@ -103,6 +103,41 @@ def example(tmp_path, monkeypatch, capsys):
     return run
 
 
+@pytest.mark.parametrize("name", ["use_from_python.py", "arrays_to_errors.py"])
+def test_the_pages_for_python_need_the_front_doors_alone(name):
+    text = (EXAMPLES / name).read_text(encoding="utf-8")
+    imported = re.findall(r"^(?:import|from) (\S+)", text, re.MULTILINE)
+    assert {"cycloid_fmu", "fitting"} <= set(imported)
+    assert set(imported) <= {"cycloid_fmu", "drivers", "fitting", "matplotlib.pyplot", "numpy", "pathlib"}
+
+
+def test_use_from_python(tmp_path, example):
+    """The notebook finds the errors of the drive that it made."""
+    said = example("use_from_python.py")
+    assert "the eccentricity below" in said, "an impossible pair is refused"
+    assert float(re.search(r"analysis differ by (\S+) arcsec", said)[1]) < 1e-5
+    for name, made in {
+        "eccentricity": 3.0,
+        "pin_radius": -1.0,
+        "pin_radial_2_cos": 1.915,
+        "pin_radial_2_sin": 1.607,
+    }.items():
+        low, high = (float(n) for n in re.search(rf"^{name} +(\S+) … (\S+) um", said, re.MULTILINE).groups())
+        assert low - 0.05 <= made <= high + 0.05, name
+    out = tmp_path / "use_from_python_out"
+    assert {p.name for p in out.glob("*.png")} == {"sweep.png", "as-made.png", "study.png", "identified.png"}
+    assert (out / "identified.fmu").exists()
+
+
+def test_arrays_to_errors(tmp_path, example):
+    """Intervals of 95 % around errors from arrays: at most two of some twenty miss the truth."""
+    said = example("arrays_to_errors.py")
+    inside, all_of = (int(n) for n in re.search(r"(\d+) of (\d+) intervals hold the truth", said).groups())
+    assert all_of >= 15
+    assert inside >= all_of - 2
+    assert "isometric is held: it moves the transmission errors as -1.00 pin_radius" in said
+
+
 def test_what_each_error_does(tmp_path, example):
     """The study of the error-surface paper: docs/theory/papers.md says which of its conclusions hold."""
     said = example("error_study.py")

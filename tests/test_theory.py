@@ -4,6 +4,7 @@ import ast
 import functools
 import importlib
 import inspect
+import pkgutil
 import re
 import types
 from pathlib import Path
@@ -14,14 +15,15 @@ from common import PAIR, make_pair
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact.transmission import drive_of, solve
+from cycloid_fmu.errors.kinds import KINDS, remove_error_kind
 from cycloid_fmu.surfaces.structured import with_structured
-from cycloid_fmu.surfaces.surface import nominal_surface
+from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
 from fitting.figures.figure import DEFINITIONS
 
 ROOT = Path(__file__).parent.parent
 PAGES = {page.stem: page.read_text(encoding="utf-8") for page in sorted((ROOT / "docs" / "theory").glob("*.md"))}
 MODIFIED = PAIR + '[modification]\noffset = "-70 um"\nisometric = "-25 um"\n'
-SOURCED = ("contact", "sliding", "tooth_contact", "wear", "reducer.budget")
+SOURCED = ("contact", "wear", "reducer")
 A_SOURCE = re.compile(r"paper|equations? \d|loaded-contact-wear|GB/T|Nabtesco|ISO \d|Modelica|\b(?:19|20)\d\d\b")
 
 
@@ -31,17 +33,14 @@ def names_in(text):
 
 
 def resolved(name):
-    """Import the longest module of a dotted name and follow what is left."""
-    parts = name.split(".")
-    for size in range(len(parts), 0, -1):
-        try:
-            found = importlib.import_module(".".join(parts[:size]))
-        except ModuleNotFoundError:
-            continue
-        for part in parts[size:]:
-            found = getattr(found, part)
-        return found
-    raise AttributeError(name)
+    """What a dotted name is: of a function and a module of one name the function, as in Python."""
+    first, *parts = name.split(".")
+    found = importlib.import_module(first)
+    for part in parts:
+        if not hasattr(found, part):
+            importlib.import_module(f"{found.__name__}.{part}")
+        found = getattr(found, part)
+    return found
 
 
 @pytest.mark.parametrize("page", PAGES)
@@ -69,21 +68,45 @@ def test_tests_and_examples_that_pages_name_exist():
         assert (ROOT / path).exists()
 
 
-def public_functions(module):
-    """Functions that a module or package defines."""
-    for name, value in vars(module).items():
-        of = getattr(value, "__module__", "")
-        if isinstance(value, types.FunctionType) and f"{of}.".startswith(f"{module.__name__}.") and name[0] != "_":
-            yield name, value
+def public_functions(room):
+    """Functions that the modules of a room define."""
+    package = importlib.import_module(f"cycloid_fmu.{room}")
+    for found in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
+        module = importlib.import_module(found.name)
+        for name, value in vars(module).items():
+            if isinstance(value, types.FunctionType) and value.__module__ == found.name and name[0] != "_":
+                yield value
 
 
-@pytest.mark.parametrize("name", SOURCED)
-def test_every_function_with_a_source_is_on_a_page(name):
-    named = set().union(*(names_in(text) for text in PAGES.values()))
-    module = importlib.import_module(f"cycloid_fmu.{name}")
-    sourced = {n for n, f in public_functions(module) if A_SOURCE.search(inspect.getdoc(f) or "")}
+@pytest.mark.parametrize("room", SOURCED)
+def test_every_function_with_a_source_is_on_a_page(room):
+    named = {id(resolved(name)) for name in set().union(*(names_in(text) for text in PAGES.values()))}
+    sourced = [f for f in public_functions(room) if A_SOURCE.search(inspect.getdoc(f) or "")]
     assert sourced
-    assert not {n for n in sourced if f"cycloid_fmu.{name}.{n}" not in named}
+    assert not [f"{f.__module__}.{f.__name__}" for f in sourced if id(f) not in named]
+
+
+def test_the_table_of_error_kinds_is_that_of_their_definitions():
+    table = PAGES["errors"].split("(theory-kinds)=")[1].split("(theory-first-order)=")[0]
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines() if line[:3] == "| `"]
+    assert rows == [
+        [
+            f"`{k.name}`", k.of, ", ".join(f"`{d}`" for d in k.displaces), k.breaks or "–",
+            f"`{k.tolerance.key}`" if k.tolerance else "–",
+        ]
+        for k in KINDS.values()
+    ]  # fmt: skip
+
+
+def test_a_kind_is_added_as_the_page_does():
+    code = PAGES["errors"].split("```python\n")[1].split("```")[0]
+    try:
+        exec(code, {})
+        surface = surface_of_pair(make_pair().replace(errors={"three_lobes": "2 um"}))
+        assert surface.three_lobes == 2e-6
+        assert gaps(surface) != pytest.approx(gaps(nominal_surface(make_pair())), abs=1e-7)
+    finally:
+        remove_error_kind("three_lobes")
 
 
 def test_every_figure_of_the_bench_is_defined():

@@ -47,6 +47,13 @@ PositiveTorque = Annotated[edge.Torque, pydantic.AfterValidator(_positive)]
 class Material(Config):
     """An elastic material; the default is bearing steel.
 
+    Attributes
+    ----------
+    youngs_modulus
+        Young's modulus E, Pa.
+    poissons_ratio
+        Poisson's ratio ν.
+
     Examples
     --------
     >>> import cycloid_fmu as cy
@@ -71,9 +78,14 @@ class Materials(Config):
 
 
 class Modification(Config):
-    """Profile modification of the gear with the papers' signs, m.
+    """Profile modification of the gear with the papers' signs, which are opposite, m.
 
-    Isometric > 0 is a larger generating pin (material removed), offset > 0 a larger generating circle (interference).
+    Attributes
+    ----------
+    isometric
+        ΔR_rp, added to the generating pin's radius: > 0 removes material, everywhere alike.
+    offset
+        ΔR_p, added to the generating circle's radius: < 0 removes material, > 0 adds it and makes the pair interfere.
     """
 
     isometric: Deviation = 0.0
@@ -81,7 +93,7 @@ class Modification(Config):
 
 
 class _Geometry(Config):
-    """The table `[pair]` of a pair file."""
+    """The geometry as drawn."""
 
     gear_teeth: int = pydantic.Field(ge=6, le=120, strict=True)
     pins: int | None = pydantic.Field(default=None, strict=True)
@@ -96,7 +108,7 @@ class _Geometry(Config):
 
 
 class _File(Config):
-    """A pair file's tables but `[errors]`, each number text with a unit."""
+    """A gear pair as drawn; `[errors]` states what was really made."""
 
     pair: _Geometry
     modification: Modification = Modification()
@@ -111,16 +123,24 @@ class Pair(Config):
 
     Attributes
     ----------
-    gear_teeth, pins
-        z_c; z_p = z_c + 1, which need not be given.
-    pin_circle_radius, pin_radius, eccentricity, face_width
-        R_p, R_rp, e, b, m.
+    gear_teeth
+        Teeth of the cycloid gear, z_c.
+    pins
+        Pins of the ring, z_p = z_c + 1; need not be given.
+    pin_circle_radius
+        Radius R_p of the circle on which the pins' axes are, m.
+    pin_radius
+        Radius R_rp of a pin, m.
+    eccentricity
+        Of the crank, e: distance of the gear's axis from the ring's, m.
+    face_width
+        Width b over which gear and pins touch, for each disc, m.
     discs
         Cycloid gears, evenly spread around the crank.
     output
         What turns: the gear in the fixed ring, or the ring round the gear that only orbits.
     rated_torque
-        At the output, for limits and loads that are parts of it, N·m.
+        At the output, N·m: the load where none is given, and what the loads of the lost motion are parts of.
     contact_law
         "capped" bounds the flank's curvature radius in Hertz's logarithm by the pin circle radius.
     modification, material

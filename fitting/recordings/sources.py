@@ -129,7 +129,7 @@ def read_recordings(
     Parameters
     ----------
     paths
-        A path, a pattern such as "*.arrows", or several of either.
+        A path, a pattern such as `*.arrows`, or several of either.
     mapping
         Which channel is what, or its file; None where the channels bear our names: time, input_angle, output_angle,
         torque.
