@@ -32,8 +32,10 @@ def drive(pair, seed):
     names = [n for n in errors_of(pair) if not n.startswith(("misalignment", "isometric", "offset", "pin_radial_1"))]
     values = dict(zip(names, generator.normal(0.0, 0.3, len(names)) * tolerances_of(names), strict=True))
     surface = with_structured(pair, surface_of_pair(pair), values)
-    for scattered in (surface.pin_radial, surface.pin_tangential):
-        scattered += generator.normal(0.0, 2e-6, pair.pins)
+    scattered = {
+        name: surface.errors[name] + generator.normal(0.0, 2e-6, pair.pins) for name in ("pin_radial", "pin_tangential")
+    }
+    surface = surface.replace(**scattered)
     angle = np.arange(720) * 2.0 * np.pi * 39 / 720
     curves = []
     for load in LOADS:

@@ -6,17 +6,17 @@ The names below are what a notebook needs; they are loaded when they are first u
 from __future__ import annotations
 
 import importlib
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
-__version__ = version("cycloid-fmu")
 
 if TYPE_CHECKING:
+    __version__: str
     from cycloid_fmu.draw.plots import plot
     from cycloid_fmu.drive import Drive, field_units, read_drive
     from cycloid_fmu.edge import ARCMIN, ARCSEC, InputError
     from cycloid_fmu.errors.kinds import ErrorKind, register_error_kind
     from cycloid_fmu.fmu.run import simulate_fmu
+    from cycloid_fmu.fmu.variables import Interface
     from cycloid_fmu.geometry.pair import Material, Pair
     from cycloid_fmu.reducer.budget import Reducer, budget, read_reducer
     from cycloid_fmu.surfaces.files import read_surface
@@ -29,6 +29,7 @@ _HOMES = {
     "edge": ("ARCMIN", "ARCSEC", "InputError"),
     "errors.kinds": ("ErrorKind", "register_error_kind"),
     "fmu.run": ("simulate_fmu",),
+    "fmu.variables": ("Interface",),
     "geometry.pair": ("Material", "Pair"),
     "reducer.budget": ("Reducer", "budget", "read_reducer"),
     "surfaces.files": ("read_surface",),
@@ -37,13 +38,17 @@ _HOMES = {
 }
 
 __all__ = [
-    "ARCMIN", "ARCSEC", "Drive", "ErrorKind", "ErrorSurface", "InputError", "Material", "Pair", "Reducer", "Tolerances",
-    "__version__", "budget", "field_units", "plot", "read_drive", "read_reducer", "read_surface", "read_tolerances",
-    "register_error_kind", "simulate_fmu",
+    "ARCMIN", "ARCSEC", "Drive", "ErrorKind", "ErrorSurface", "InputError", "Interface", "Material", "Pair", "Reducer",
+    "Tolerances", "__version__", "budget", "field_units", "plot", "read_drive", "read_reducer", "read_surface",
+    "read_tolerances", "register_error_kind", "simulate_fmu",
 ]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("cycloid-fmu")
     home = next((home for home, names in _HOMES.items() if name in names), None)
     if home is None:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

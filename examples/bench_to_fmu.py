@@ -25,14 +25,16 @@ def main() -> None:
     as_made.build_fmu(OUT / "as-made.fmu")
 
     print("2. The bench runs at two loads in both directions, and the recorder writes what its encoders send")
+    nominal = cy.read_drive(HERE / "drive-39-40.toml")
     recordings = []
     for load in (20.0, 200.0):
         for direction, sign in (("forward", 1.0), ("backward", -1.0)):  # a brake: the torque opposes the motion
             path = OUT / f"{load:g}Nm-{direction}.arrows"
             path.unlink(missing_ok=True)
             bench = drivers.simulate_bench(
-                OUT / "as-made.fmu", ratio=as_made.pair.ratio, torque=sign * load, direction=direction, turns=39,
-                samples_per_turn=48, noise="0.5 arcsec", torque_noise=0.2, seed=len(recordings), interface="virtual",
+                OUT / "as-made.fmu", ratio=nominal.pair.ratio, pair=nominal.pair.hash, torque=sign * load,
+                direction=direction, turns=39, samples_per_turn=48, noise="0.5 arcsec", torque_noise=0.2,
+                seed=len(recordings), interface="virtual",
             )  # fmt: skip
             with bench:
                 done = bench.record(path, wiring=OUT / "bench.toml")
@@ -40,7 +42,6 @@ def main() -> None:
             recordings.append(path)
 
     print("3. Transmission error curves, and the errors behind them")
-    nominal = cy.read_drive(HERE / "drive-39-40.toml")
     found = fitting.identify(fitting.read_recordings(recordings), nominal, progress=lambda step: print(f"   {step}"))
     found.write(OUT / "identification.json")
     fitting.report(found, OUT / "identification.html")

@@ -11,11 +11,10 @@ of equation 21 sees the tilt.
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from cycloid_fmu.draw.plots import new_figure, save
-from cycloid_fmu.edge import ARCMIN
-from cycloid_fmu.edge.commands import print_table
-from cycloid_fmu.reducer.budget import TERMS, as_printed, budget, read_reducer, shaft_tilt, summed, values_of
+import cycloid_fmu as cy
+from cycloid_fmu.reducer import budget
 
 HERE = Path(__file__).parent
 # Table 10: tilt of the output disk and of the input shaft, degrees, and the lost motion, arcmin.
@@ -27,50 +26,54 @@ TABLE_10 = np.array(
 )  # fmt: skip
 HEADLINE, OUTPUT_SHAFT, INPUT_SHAFT = 0.5467, 0.160, 0.120  # arcmin, m, m
 
-reducer = read_reducer(HERE / "rv-20e.toml")
+reducer = cy.read_reducer(HERE / "rv-20e.toml")
 _, torque, output_tilt, output_end, input_tilt, input_end = np.loadtxt(
     HERE / "rv-20e-tilt.csv", delimiter=",", skiprows=1, unpack=True
 )
 ours = [
-    np.degrees(shaft_tilt(end * 1e-3, length)) for end, length in ((output_end, OUTPUT_SHAFT), (input_end, INPUT_SHAFT))
+    np.degrees(budget.shaft_tilt(end * 1e-3, length))
+    for end, length in ((output_end, OUTPUT_SHAFT), (input_end, INPUT_SHAFT))
 ]
-found = budget(reducer)
+found = cy.budget(reducer)
 
 
 def printed_at(tilt: float) -> tuple[float, float]:
     """Equation 21 with the nominal pressure angle at a tilt of the input shaft (deg), and its first stage, arcmin."""
     involute = reducer.involute.replace(shaft_tilt=np.radians(tilt))
     tilted = reducer.replace(involute=involute)
-    plays = summed(as_printed(tilted, values_of(tilted)))
-    return float(plays["total"]) * ARCMIN, float(plays["involute"]) * ARCMIN
+    plays = budget.summed(budget.as_printed(tilted, budget.values_of(tilted)))
+    return float(plays["total"]) * cy.ARCMIN, float(plays["involute"]) * cy.ARCMIN
 
 
-rows, plays = [], []
+print("Table 5: tilt = arcsin(Y/L); largest deviation from the printed tilt")
+for shaft, own, printed in (("output", ours[0], output_tilt), ("input", ours[1], input_tilt)):
+    print(f"{shaft:6} │ {np.abs(own - printed).max():.1e}°")
+
+print("\nTable 10: lost motion over tilt")
+print("output disk │ input shaft │ paper   │ equation 21 at 20° │ difference │ pressure angle that it needs")
+plays = []
 for disk, tilt, paper in TABLE_10:
     total, involute = printed_at(tilt)
     plays.append(total)
     # The first stage's play is proportional to 1/cos α.
     cosine = np.cos(reducer.involute.pressure_angle) * involute / (paper - (total - involute))
     needed = f"{np.degrees(np.arccos(cosine)):.1f}°" if cosine <= 1.0 else f"none: cos α = {cosine:.3f}"
-    rows.append([f"{disk:g}°", f"{tilt:g}°", f"{paper:.4f}′", f"{total:.4f}′", f"{paper - total:+.4f}′", needed])
-print_table("Table 5: tilt = arcsin(Y/L)", ["shaft", "largest deviation from the printed tilt"], [
-    ["output", f"{np.abs(ours[0] - output_tilt).max():.1e}°"], ["input", f"{np.abs(ours[1] - input_tilt).max():.1e}°"],
-])  # fmt: skip
-print_table(
-    "Table 10: lost motion over tilt", ["output disk", "input shaft", "paper", "equation 21 at 20°", "difference",
-    "pressure angle that it needs"], rows,
-)  # fmt: skip
-print_table("Lost motion of tables 8 and 9", ["variant", "involute", "cycloid", "bearings", "total"], [
-    [name.replace("_", " "), *(f"{terms[k] * ARCMIN:.4f}′" for k in ("involute", "cycloid", "bearings", "total"))]
-    for name, terms in found.items()
-] + [["the paper's headline", "", "", "", f"{HEADLINE:.4f}′"]])  # fmt: skip
+    print(f"{disk:10g}° │ {tilt:10g}° │ {paper:.4f}′ │ {total:17.4f}′ │ {paper - total:+9.4f}′ │ {needed}")
+
+print("\nLost motion of tables 8 and 9")
+print("variant              │ involute │ cycloid │ bearings │ total")
+for name, terms in found.items():
+    involute, cycloid, bearings, total = (terms[k] * cy.ARCMIN for k in ("involute", "cycloid", "bearings", "total"))
+    print(f"{name.replace('_', ' '):20} │ {involute:7.4f}′ │ {cycloid:6.4f}′ │ {bearings:7.4f}′ │ {total:.4f}′")
+print(f"the paper's headline │ {'':8} │ {'':7} │ {'':8} │ {HEADLINE:.4f}′\n")
 moved = max(plays) - min(plays)
 print(
     f"The largest tilt of table 10 changes equation 21 by {moved:.1e}′, the paper's figure by "
     f"{np.ptp(TABLE_10[:, 2]):.4f}′: the rise is not the tilt's geometry."
 )
 
-figure, axes = new_figure(3)
+figure = Figure(figsize=(9.0, 8.0), layout="constrained")
+axes = figure.subplots(3)
 axes[0].plot(torque, output_tilt * 1e3, "o", label="printed")
 axes[0].plot(torque, ours[0] * 1e3, "-", lw=1, label="arcsin(Y/L)")
 axes[0].set(xlabel="torque at the output [N·m]", ylabel="tilt [10⁻³ deg]", title="Table 5: output shaft")
@@ -81,12 +84,15 @@ axes[1].set(
     xlabel="tilt of the output disk [10⁻³ deg]", ylabel="lost motion [arcmin]", title="Table 10", ylim=(0.5, 0.65)
 )
 axes[1].legend(frameon=False)
-place, height = np.arange(len(TERMS)), 0.27
+place, height = np.arange(len(budget.TERMS)), 0.27
 for k, (variant, label) in enumerate(
     (("standard", "standard"), ("as_printed", "equation 21 as printed"), ("geometric", "contact model, crank locked"))
 ):
-    axes[2].bar(place + (k - 1) * height, [found[variant][n] * ARCMIN for n in TERMS], height, label=label)
+    axes[2].bar(place + (k - 1) * height, [found[variant][n] * cy.ARCMIN for n in budget.TERMS], height, label=label)
 axes[2].set(ylabel="play [arcmin]", title="Tables 8 and 9: what each amount makes")
-axes[2].set_xticks(place, [n.replace("_", " ") for n in TERMS], rotation=30, ha="right", fontsize=8)
+axes[2].set_xticks(place, [n.replace("_", " ") for n in budget.TERMS], rotation=30, ha="right", fontsize=8)
 axes[2].legend(frameon=False)
-save(figure, "lost_motion_study.png")
+for axis in axes:
+    axis.set_axisbelow(True)
+    axis.grid(alpha=0.3)
+figure.savefig("lost_motion_study.png", dpi=150)

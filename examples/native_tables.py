@@ -8,42 +8,38 @@ The first drive is without errors, so that it repeats from pin to pin; in the se
 and it repeats with every turn of the crank.
 """
 
-import math
 import zlib
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator
 
-from cycloid_fmu.draw.plots import new_figure, save
-from cycloid_fmu.edge.commands import print_table
-from cycloid_fmu.fmu.variables import Interface, from_tables, variables
-from cycloid_fmu.geometry.pair import read_pair
-from cycloid_fmu.native import tables
-from cycloid_fmu.native.table_file import write
-from cycloid_fmu.surfaces.surface import nominal_surface
+import cycloid_fmu as cy
+from cycloid_fmu.fmu import variables
+from cycloid_fmu.native import table_file, tables
 
-ARCSEC = math.pi / 648000
-ASKED = (1.0, 0.3, 0.1, 0.05, 0.02)
+ASKED = (1.0, 0.3, 0.1, 0.05, 0.02)  # arcsec
 
-pair = read_pair(Path(__file__).parent / "drive-39-40.toml")
-nominal = nominal_surface(pair)
-radial = 2e-6 * np.random.default_rng(1).normal(size=pair.pins)
-drives = {"pins and teeth alike": nominal, "pins as made": nominal.replace(pin_radial=radial)}
+nominal = cy.read_drive(Path(__file__).parent / "drive-39-40.toml")
+radial = 2e-6 * np.random.default_rng(1).normal(size=nominal.pair.pins)
+drives = {"pins and teeth alike": nominal, "pins as made": nominal.replace(errors={"pin_radial": radial})}
 
-figure, (axes,) = new_figure()
-rows = []
-for name, surface in drives.items():
+figure = Figure(figsize=(9.0, 3.2), layout="constrained")
+axes = figure.subplots()
+interface = cy.Interface()
+print("drive                │ asked for │ largest error │ size   │ loads × crank angles")
+for name, drive in drives.items():
     sizes, errors = [], []
     for asked in ASKED:
-        made = tables.compute(pair, surface, accuracy=asked * ARCSEC)
-        file = write(made, Interface(), from_tables(variables(pair, surface, Interface(), "2.0")))
+        made = tables.compute(drive.pair, drive.surface, accuracy=asked / cy.ARCSEC)
+        every = variables.variables(drive.pair, drive.surface, interface, "2.0")
+        file = table_file.write(made, interface, variables.from_tables(every))
         sizes.append(len(zlib.compress(file)) / 1e3)
-        errors.append(made.largest_error / ARCSEC)
+        errors.append(made.largest_error * cy.ARCSEC)
         loads = made.positive.load.size + made.negative.load.size
-        rows.append(
-            [name, f"{asked:g}″", f"{errors[-1]:.4f}″", f"{sizes[-1]:.0f} kB", f"{loads} × {made.rest_torque.size}"]
-        )
+        size, angles = f"{sizes[-1]:.0f} kB", made.rest_torque.size
+        print(f"{name:20} │ {asked:8g}″ │ {errors[-1]:12.4f}″ │ {size:>6} │ {loads} × {angles}")
     axes.loglog(sizes, errors, "o-", label=name)
     for asked, size, error in zip(ASKED, sizes, errors, strict=True):
         axes.annotate(f"{asked:g}″", (size, error), xytext=(5, 4), textcoords="offset points", fontsize=8, color="0.3")
@@ -56,6 +52,6 @@ for axis, ticks in ((axes.xaxis, (1, 3, 10, 30, 100, 300, 1000)), (axes.yaxis, (
 axes.set_xlabel("tables in the FMU [kB]")
 axes.set_ylabel("largest error [arcsec]")
 axes.set_title("error of the transmission error; beside each point what was asked for", fontsize=10)
+axes.grid(alpha=0.3)
 axes.legend()
-print_table("tables", ["drive", "asked for", "largest error", "size", "loads × crank angles"], rows)
-save(figure, "native_tables.png")
+figure.savefig("native_tables.png", dpi=150)

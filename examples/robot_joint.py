@@ -21,19 +21,13 @@ import bench_to_fmu
 import numpy as np
 from fmpy import read_model_description
 from joint_parts import END, Motor, moved
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from cycloid_fmu.draw.plots import new_figure, save
-from cycloid_fmu.edge import ARCSEC
-from cycloid_fmu.fmu.build import build_fmu
-from cycloid_fmu.fmu.run import simulate_fmu
-from cycloid_fmu.fmu.variables import Interface
-from cycloid_fmu.geometry.pair import Pair, read_pair
-from cycloid_fmu.surfaces.files import read_surface
-from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
+import cycloid_fmu as cy
 
 HERE, OUT = Path(__file__).parent, Path("robot_joint_out")
-ARM = Interface("compliant", output_inertia=2.0)  # kg·m², the arm's, beside the stiff contacts
+ARM = cy.Interface("compliant", output_inertia=2.0)  # kg·m², the arm's, beside the stiff contacts
 COMPONENTS = {"motor": "Motor.fmu", "drive": "drive.fmu", "arm": "Arm.fmu"}
 CONNECTIONS = (
     ("motor", "flange.phi", "drive", "flange_a.phi"), ("motor", "flange.w", "drive", "flange_a.w"),
@@ -76,11 +70,11 @@ def write_ssp(path: Path, fmus: Path) -> None:
             archive.write(fmus / file, f"resources/{file}")
 
 
-def joint(pair: Pair, surface: ErrorSurface, path: Path) -> Path:
+def joint(drive: cy.Drive, path: Path) -> Path:
     """Build the joint's three FMUs and package them."""
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
-        build_fmu(pair, place / "drive.fmu", surface, interface=ARM)
+        drive.build_fmu(place / "drive.fmu", interface=ARM)
         for name in ("Motor", "Arm"):
             script = place / f"{name.lower()}_part.py"
             script.write_text(f"from joint_parts import {name} as Part\n\n\nclass {name}(Part):\n    pass\n")
@@ -95,7 +89,7 @@ def compensation(fmu: Path, load: float) -> dict[str, float]:
     """The largest orders of a drive's transmission error over one turn of its output, as the motor's parameters."""
     turns, samples = 39, 64
     crank = 2.0 * np.pi * np.arange(turns * samples) / samples
-    error = simulate_fmu(fmu, crank, load, ("transmission_error",))["transmission_error"]
+    error = cy.simulate_fmu(fmu, crank, load, ("transmission_error",))["transmission_error"]
     spectrum = np.fft.rfft(error)[: turns * 4] * 2.0 / error.size
     strongest = np.argsort(-np.abs(spectrum[1:]))[: Motor.ORDERS] + 1
     found = {}
@@ -130,7 +124,7 @@ def tip_error(fmu: Path, parameters: Mapping[str, float] | None) -> tuple[Array,
         crank = -39.0 * angle
         if parameters is not None:
             crank = crank + 39.0 * correction(parameters, crank)
-        reached.append(simulate_fmu(fmu, crank, load, ("flange_b.phi",))["flange_b.phi"])
+        reached.append(cy.simulate_fmu(fmu, crank, load, ("flange_b.phi",))["flange_b.phi"])
     first, second = reached[0], reached[0] + reached[1]
     tip = np.column_stack([upper * np.cos(first) + lower * np.cos(second),
                            upper * np.sin(first) + lower * np.sin(second)])  # fmt: skip
@@ -142,16 +136,15 @@ def main() -> None:
     identified = bench_to_fmu.OUT / "identified.nc"
     if not identified.exists():
         bench_to_fmu.main()
-    nominal, as_made = read_pair(HERE / "drive-39-40.toml"), read_pair(HERE / "drive-39-40-as-made.toml")
     drives = {
-        "as drawn": (nominal, surface_of_pair(nominal)),
-        "as identified": (nominal, read_surface(identified)),
-        "as made": (as_made, surface_of_pair(as_made)),
+        "as drawn": cy.read_drive(HERE / "drive-39-40.toml"),
+        "as identified": cy.read_drive(HERE / "drive-39-40.toml", identified),
+        "as made": cy.read_drive(HERE / "drive-39-40-as-made.toml"),
     }
     print("1. The joint as an SSP package, with each drive")
-    packages = {name: joint(*drive, OUT / f"joint-{name.replace(' ', '-')}.ssp") for name, drive in drives.items()}
-    for name, (pair, surface) in (("identified", drives["as identified"]), ("as-made", drives["as made"])):
-        build_fmu(pair, OUT / f"{name}.fmu", surface)
+    packages = {name: joint(drive, OUT / f"joint-{name.replace(' ', '-')}.ssp") for name, drive in drives.items()}
+    drives["as identified"].build_fmu(OUT / "identified.fmu")
+    drives["as made"].build_fmu(OUT / "as-made.fmu")
     known = compensation(OUT / "identified.fmu", -30.0)
 
     print("2. It moves by 90°")
@@ -165,15 +158,14 @@ def main() -> None:
     line, before = tip_error(OUT / "as-made.fmu", None)
     _, after = tip_error(OUT / "as-made.fmu", known)
 
-    figure, axes = new_figure(2)
+    figure = Figure(figsize=(9.0, 5.6), layout="constrained")
+    axes = figure.subplots(2)
     for name, (time, error) in runs.items():
         # What was identified lies on what was made: dashed, above it.
         style = {"ls": "--", "zorder": 3} if name == "as identified" else {}
-        axes[0].plot(time, error * ARCSEC, lw=1.0, label=name, **style)
-        moving = time > 0.1
-        print(
-            f"   {name}: path error {np.ptp(error[moving]) * ARCSEC:.1f}″ peak to peak, {error.std() * ARCSEC:.1f}″ rms"
-        )
+        axes[0].plot(time, error * cy.ARCSEC, lw=1.0, label=name, **style)
+        whole, rms = np.ptp(error[time > 0.1]) * cy.ARCSEC, error.std() * cy.ARCSEC
+        print(f"   {name}: path error {whole:.1f}″ peak to peak, {rms:.1f}″ rms")
     axes[0].set(xlabel="time [s]", ylabel="joint's path error [arcsec]")
     axes[0].legend(fontsize="small", ncols=4, frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     along = np.hypot(*(line - line[0]).T) * 1e3
@@ -183,7 +175,9 @@ def main() -> None:
         print(f"   tip error about its mean, {name}: {np.sqrt(np.mean(size**2)):.1f} µm rms")
     axes[1].set(xlabel="way along the line [mm]", ylabel="tip error [µm]")
     axes[1].legend(fontsize="small")
-    save(figure, OUT / "robot_joint.png")
+    for axis in axes:
+        axis.grid(alpha=0.3)
+    figure.savefig(OUT / "robot_joint.png", dpi=150)
     print(f"See {OUT / 'robot_joint.png'}.")
 
 

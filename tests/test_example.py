@@ -1,5 +1,7 @@
 """The main job, as the README's first command runs it."""
 
+import ast
+import importlib
 import json
 import re
 import runpy
@@ -27,7 +29,7 @@ def assert_page_agrees(section, rows, said):
 
 def cells_of(printed):
     """The cells of all tables in what an example printed, row by row."""
-    return [[c.strip() for c in line.strip("│").split("│")] for line in printed.splitlines() if line.startswith("│")]
+    return [[c.strip() for c in line.split("│")] for line in printed.splitlines() if "│" in line]
 
 
 def test_from_the_bench_to_the_fmu_and_back(tmp_path):
@@ -49,6 +51,41 @@ def test_from_the_bench_to_the_fmu_and_back(tmp_path):
     assert (out / "comparison.png").stat().st_size > 50000
     assert len(list(out.glob("*.arrows"))) == 4
     shutil.rmtree(out)
+
+
+DOORS = ("cycloid_fmu", "fitting", "drivers")
+EVERY = sorted(file.stem for file in EXAMPLES.glob("*.py"))
+BY_THE_DOOR = {"bench_to_fmu", "error_study", "record_can", "record_serial", "robot_joint"}
+
+
+def taken(name):
+    """What an example takes of the product, by its dotted name: imports, and attributes of a front door."""
+    tree = ast.parse((EXAMPLES / f"{name}.py").read_text(encoding="utf-8"))
+    found, doors = set(), {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            doors |= {one.asname or one.name: one.name for one in node.names if one.name in DOORS}
+            found |= {one.name for one in node.names if one.name not in DOORS}
+        elif isinstance(node, ast.ImportFrom):
+            found |= {f"{node.module}.{one.name}" for one in node.names}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in doors:
+            found.add(f"{doors[node.value.id]}.{node.attr}")
+    return {one for one in found if one.split(".")[0] in DOORS}
+
+
+@pytest.mark.parametrize("name", EVERY)
+def test_an_example_takes_nothing_private_and_no_command_line(name):
+    for one in taken(name):
+        assert not {"cli", "commands"} & set(one.split(".")), one
+        assert not any(part.startswith("_") for part in one.split(".")), one
+
+
+@pytest.mark.parametrize("name", sorted(BY_THE_DOOR))
+def test_an_example_of_everyday_work_goes_through_the_front_doors(name):
+    shown = {f"{door}.{one}" for door in DOORS for one in importlib.import_module(door).__all__}
+    assert taken(name)
+    assert taken(name) <= shown
 
 
 @pytest.fixture
@@ -127,7 +164,8 @@ def test_the_rv_paper_s_tables(tmp_path, example):
     """Table 10 can't be had from equation 21: its first row needs a cosine above 1, the others over 70 degrees."""
     said = example("lost_motion_study.py")
     cells = cells_of(said)
-    tilts = [row for row in cells if len(row) == 6]
+    head, *tilts = [row for row in cells if len(row) == 6]
+    assert head[2:4] == ["paper", "equation 21 at 20°"]
     assert [row[2] for row in tilts] == ["0.5462′", "0.5976′", "0.5982′", "0.6018′", "0.6029′", "0.6032′", "0.6063′"]
     assert {row[3] for row in tilts} == {"0.5488′"}
     assert tilts[0][5] == "none: cos α = 1.043"

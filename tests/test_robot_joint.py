@@ -7,12 +7,9 @@ import pytest
 from common import EXAMPLES
 from pyssp_standard.ssp import SSP
 
-from cycloid_fmu.fmu.build import build_fmu
-from cycloid_fmu.fmu.run import simulate_fmu
-from cycloid_fmu.geometry.pair import read_pair
-from cycloid_fmu.surfaces.surface import surface_of_pair
+import cycloid_fmu as cy
 
-AS_MADE = read_pair(EXAMPLES / "drive-39-40-as-made.toml")
+AS_MADE = cy.read_drive(EXAMPLES / "drive-39-40-as-made.toml")
 
 
 @pytest.fixture
@@ -26,7 +23,7 @@ def example(monkeypatch):
 
 
 def test_the_package_keeps_to_the_standard_and_every_connection_has_two_ends(example, tmp_path):
-    path = example.joint(AS_MADE, surface_of_pair(AS_MADE), tmp_path / "joint.ssp")
+    path = example.joint(AS_MADE, tmp_path / "joint.ssp")
     with SSP(path) as package, package.system_structure as structure:
         structure.check_compliance(structure.schemas[structure.identifier], structure.namespaces)
         assert structure.check_connections(unconnected_inputs=True, connector_not_in_system=True) == []
@@ -35,10 +32,10 @@ def test_the_package_keeps_to_the_standard_and_every_connection_has_two_ends(exa
 
 
 def test_eight_orders_hold_nearly_all_of_the_transmission_error(example, tmp_path):
-    build_fmu(AS_MADE, tmp_path / "drive.fmu")
+    AS_MADE.build_fmu(tmp_path / "drive.fmu")
     known = example.compensation(tmp_path / "drive.fmu", -30.0)
     crank = np.linspace(3.0, 200.0, 150)
-    error = simulate_fmu(tmp_path / "drive.fmu", crank, -30.0, ("transmission_error",))["transmission_error"]
+    error = cy.simulate_fmu(tmp_path / "drive.fmu", crank, -30.0, ("transmission_error",))["transmission_error"]
     left = error - example.correction(known, crank)
-    assert error.std() * example.ARCSEC > 5.0
+    assert error.std() * cy.ARCSEC > 5.0
     assert left.std() < 0.15 * error.std()

@@ -16,16 +16,20 @@ def inspect(fmu_file: FmuFile, as_json: commands.AsJson = False) -> None:
 
     Example: [cyan]cycloid-fmu inspect drive.fmu[/]
     """
-    from cycloid_fmu.fmu.run import described
+    from cycloid_fmu.fmu.run import described, stated_drive
 
     description, problems = described(fmu_file)
     if as_json:
-        commands.print_json({"variables": description, "problems": problems})
+        commands.print_json({"drive": stated_drive(fmu_file), "variables": description, "problems": problems})
     else:
         rows = [
             [v["name"], v["causality"], v["unit"], _shown(v["start"]), v["description"].strip()] for v in description
         ]
-        commands.print_table(fmu_file.name, ["variable", "causality", "unit", "start", "meaning"], rows)
+        commands.print_table(
+            f"{fmu_file.name}, drive {stated_drive(fmu_file)}",
+            ["variable", "causality", "unit", "start", "meaning"],
+            rows,
+        )
         typer.echo("\n".join(problems) or "fmpy's validation finds nothing to object to.")
     if problems:
         raise typer.Exit(edge.FAILED)

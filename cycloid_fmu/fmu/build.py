@@ -118,7 +118,7 @@ def build_fmu(
             if behind in contents:
                 contents[name] = (_FRONT / name.removeprefix("binaries/")).read_bytes()
         table = variables(pair, surface, interface, fmi_version)
-        write_archive(temporary, {**contents, **parts(pair, interface, table, fmi_version, [library])})
+        write_archive(temporary, {**contents, **parts(pair, surface, interface, table, fmi_version, [library])})
 
 
 def checked_interface(interface: InterfaceKind | Interface, first_stage: FirstStage | None) -> Interface:

@@ -27,9 +27,9 @@ from cycloid_fmu.fmu.constants import (
     SUB_STEP,
 )
 from cycloid_fmu.fmu.losses import loss_torque
+from cycloid_fmu.fmu.mesh import StepError
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.stepped_model import State, SteppedModel, state_fields
-from cycloid_fmu.fmu.teeth import StepError
 from cycloid_fmu.fmu.variables import LARGEST_STEP, LOSSLESS
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.surface import ErrorSurface

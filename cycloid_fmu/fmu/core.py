@@ -21,12 +21,13 @@ from typing import Any
 import numpy as np
 
 from cycloid_fmu import __version__
+from cycloid_fmu.errors.kinds import KINDS
 from cycloid_fmu.fmu.compliant_model import CompliantModel
 from cycloid_fmu.fmu.description import Version
+from cycloid_fmu.fmu.mesh import StepError
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.reducer_model import ReducerModel
-from cycloid_fmu.fmu.teeth import StepError
-from cycloid_fmu.fmu.variables import ARRAYS, ATTRIBUTES, Interface, Variable, variables
+from cycloid_fmu.fmu.variables import ATTRIBUTES, Interface, Variable, variables
 from cycloid_fmu.geometry.pair import Pair, parse_pair
 from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.surfaces.surface import ErrorSurface, Life
@@ -110,7 +111,7 @@ class Core:
             return (lambda: self.time), None
         if name in model.errors:
             return (lambda: model.errors[name]), functools.partial(model.set_error, name)
-        if name in ARRAYS:
+        if name in KINDS and KINDS[name].of == "pin":
             return (lambda: model.pin_errors(name)), functools.partial(model.set_pin_errors, name)
         if cell:
             i, j = int(cell[1]) - 1, int(cell[2]) - 1

@@ -11,8 +11,8 @@ import math
 from collections.abc import Sequence
 
 from cycloid_fmu.fmu.losses import loss_torque
+from cycloid_fmu.fmu.mesh import ContactTeeth, StepError
 from cycloid_fmu.fmu.stepped_model import State, SteppedModel, state_fields
-from cycloid_fmu.fmu.teeth import ContactTeeth, StepError
 from cycloid_fmu.fmu.variables import LOSSLESS
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.surface import ErrorSurface

@@ -16,8 +16,11 @@ from cycloid_fmu.fmu.description import Version
 from cycloid_fmu.fmu.variables import Interface, Variable
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.profile import flank_points
+from cycloid_fmu.surfaces.provenance import drive_hash, drive_text
+from cycloid_fmu.surfaces.surface import ErrorSurface
 
 _FLANGE = "Modelica.Mechanics.Rotational.Interfaces.Flange_"
+DRIVE = "documentation/drive.toml"  # the drive that the FMU was built from, as a pair file
 _PAGE = """<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><title>Cycloid drive</title>
 <style>body{font-family:sans-serif;max-width:60em;margin:2em auto;padding:0 1em}
@@ -111,19 +114,25 @@ def licences(packages: Sequence[str]) -> str:
 
 
 def parts(
-    pair: Pair, interface: Interface, table: Sequence[Variable], version: Version, packages: Sequence[str] = ()
+    pair: Pair,
+    surface: ErrorSurface,
+    interface: Interface,
+    table: Sequence[Variable],
+    version: Version,
+    packages: Sequence[str] = (),
 ) -> dict[str, bytes]:
     """Return the files to add to an FMU's archive: {path in the archive: content}.
 
     Parameters
     ----------
-    pair, interface, table, version
+    pair, surface, interface, table, version
         What the FMU is made of.
     packages
         Installed packages whose files lie in the FMU, for their licences.
     """
     found = {
         "documentation/index.html": documentation(pair, interface, table).encode(),
+        DRIVE: f"# drive {drive_hash(pair, surface)}\n{drive_text(pair, surface)}".encode(),
         "documentation/licenses/license.txt": licences(packages).encode(),
     }
     if version == "2.0":

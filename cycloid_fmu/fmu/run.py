@@ -6,6 +6,7 @@ import math
 import os
 import re
 import shutil
+import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -51,6 +52,22 @@ def described(path: str | os.PathLike[str]) -> tuple[list[dict[str, Any]], list[
         for v in description.modelVariables
     ]
     return variables, validate_fmu(str(path))
+
+
+def stated_drive(path: str | os.PathLike[str]) -> str:
+    """Return the fingerprint of the drive that an FMU was built from, empty where it states none.
+
+    Raises
+    ------
+    edge.InputError
+        If the file is no FMU.
+    """
+    from cycloid_fmu.fmu.parts import DRIVE
+
+    with zipfile.ZipFile(edge.zip_archive(path, "FMU")) as archive:
+        if DRIVE not in archive.namelist():
+            return ""
+        return archive.read(DRIVE).decode().split("\n", 1)[0].removeprefix("# drive ")
 
 
 def _description(path: str | os.PathLike[str]) -> Any:

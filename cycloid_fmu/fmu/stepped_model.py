@@ -14,7 +14,7 @@ import numpy as np
 from cycloid_fmu.contact.transmission import drive_of, slices_needed
 from cycloid_fmu.errors.kinds import structured_names
 from cycloid_fmu.fmu.losses import check_losses
-from cycloid_fmu.fmu.teeth import ContactTeeth, StepError
+from cycloid_fmu.fmu.mesh import ContactTeeth, StepError
 from cycloid_fmu.fmu.variables import LOSSLESS, ORDERS
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
@@ -145,7 +145,7 @@ class SteppedModel(State):
             self._rebuild()
 
     def pin_errors(self, name: str) -> list[float]:
-        """Return the errors of each pin (m), one of `ARRAYS`, the structured errors set since included."""
+        """Return the errors of each pin (m), a kind that each pin has, the structured errors set since included."""
         values: list[float] = getattr(with_structured(self.pair, self.surface, self._changed()), name).tolist()
         return values
 

@@ -22,7 +22,6 @@ from cycloid_fmu.surfaces.surface import ErrorSurface
 InterfaceKind = Literal["kinematic", "compliant"]
 INTERFACES: tuple[InterfaceKind, ...] = ("kinematic", "compliant")
 ORDERS = (1, 2, 3)
-ARRAYS = ("pin_radial", "pin_tangential", "pin_radius_deviation")
 LossRow = tuple[float, float, float, float, float]
 LOSSLESS: tuple[LossRow, ...] = ((0.0, 1.0, 1.0, 0.0, 0.0),)
 LARGEST_STEP = 1e-3  # s: default of `largest_step`
@@ -68,6 +67,14 @@ class Interface:
         flows from a to b and from b to a (1), friction torque at flange_a in the same two cases (N·m).
     driven
         What `flange_a` is: "crank", or "sun" of an RV reducer.
+
+    Examples
+    --------
+    >>> import cycloid_fmu as cy
+    >>> pair = cy.Pair(
+    ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm"
+    ... )
+    >>> cy.Drive(pair).build_fmu("arm.fmu", interface=cy.Interface("compliant", output_inertia=2.0))
     """
 
     kind: InterfaceKind = "kinematic"
@@ -252,12 +259,12 @@ def _arrays(pair: Pair, surface: ErrorSurface, placed: tuple[str, ...]) -> list[
     ):
         found.append(Variable(name, f"{text} (discs, pins)", "output", unit=unit, display=display, least=0.0,
                               nominal=nominal, depends=placed, dimensions=shape))  # fmt: skip
-    for name in ARRAYS:
-        kind = KINDS[name]
-        found.append(Variable(
-            name, kind.description, "parameter", "tunable", "m", "um", -kind.limit, kind.limit, 1e-6,
-            tuple(map(float, getattr(surface, name))), dimensions=(pair.pins,), baked=True,
-        ))  # fmt: skip
+    for kind in KINDS.values():
+        if kind.of == "pin":
+            found.append(Variable(
+                kind.name, kind.description, "parameter", "tunable", "m", "um", -kind.limit, kind.limit, 1e-6,
+                tuple(map(float, surface.errors[kind.name])), dimensions=(pair.pins,), baked=True,
+            ))  # fmt: skip
     return found
 
 

@@ -5,6 +5,8 @@ Gear frame, tooth 0 from the root at +x counter-clockwise; the papers' frame (cr
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -88,6 +90,7 @@ def _arc_length(pair: Pair, steps: int) -> tuple[Array, Array]:
     return edges, np.concatenate([[0.0], np.cumsum(np.hypot(*(np.diff(v) for v in flank_points(pair, edges))))])
 
 
+@functools.lru_cache(maxsize=16)  # a life of wear asks for the same ones at each step
 def equal_arc_parameters(pair: Pair, count: int) -> Array:
     """Profile parameters of the middles of `count` elements of equal arc length on tooth 0, shape (count,), rad.
 
@@ -95,4 +98,6 @@ def equal_arc_parameters(pair: Pair, count: int) -> Array:
     """
     edges, arc = _arc_length(pair, 200 * max(count, 20))
     middles = (np.arange(count) + 0.5) / count * arc[-1]
-    return np.asarray(np.interp(middles, arc, edges))
+    parameters = np.interp(middles, arc, edges)
+    parameters.flags.writeable = False
+    return parameters

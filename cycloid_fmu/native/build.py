@@ -305,7 +305,7 @@ def build_native(
             f"resources/{TABLE}": named(plain, token),
             **{f"sources/{name}": data for name, data in _source_files().items()},
             **libraries,
-            **parts(pair, interface, list(kept.values()), fmi_version, ()),
+            **parts(pair, surface, interface, list(kept.values()), fmi_version, ()),
         }
         if fmi_version == "3.0":
             contents["sources/buildDescription.xml"] = _xml(_build_description())

@@ -96,7 +96,7 @@ class Study:
     def identity(self) -> dict[str, Any]:
         """Return what tells this study from another, for a checkpoint."""
         return {
-            "pair": self.pair.text,
+            "pair": self.pair.nominal.text,
             "tolerances": self.tolerances.text,
             "design": self.design,
             "samples": self.samples,

@@ -21,6 +21,7 @@ def simulate_bench(
     *,
     torque: float | str,
     ratio: float | None = None,
+    pair: str = "",
     turns: int = 39,
     samples_per_turn: int = 96,
     direction: Literal["forward", "backward"] = "forward",
@@ -51,6 +52,8 @@ def simulate_bench(
         On the output, N*m, counter-clockwise positive in both directions, or text such as "20 N*m".
     ratio
         Signed ratio input/output, such as -39.
+    pair
+        Name or fingerprint of the gear pair, which the wiring and the recording state; the FMU's name where not given.
     turns, samples_per_turn
         Crank turns, and samples in each; with `hysteresis` loops.
     direction, speed
@@ -122,5 +125,5 @@ def simulate_bench(
     else:
         options: dict[str, Any] = {"clock_drift": clock_drift} if serial == "ascii" else {}
         bench = SERIAL_BENCHES[serial](motion, speed_factor=speed_factor or 1.0, faults=script, **options)
-    bench.ratio, bench.pair = ratio, name
+    bench.ratio, bench.pair = ratio, pair or name
     return bench

@@ -22,7 +22,7 @@ from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.sampling import Tolerances, read_tolerances
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
-from cycloid_fmu.surfaces.surface import surface_of_pair
+from cycloid_fmu.surfaces.surface import DEVIATIONS, surface_of_pair
 from fitting.estimation.fit import NO_SCATTER, OUTLYING, TURNS, Estimate, fit
 from fitting.estimation.result import HeldOut, Identification, is_uneven, result_of
 from fitting.model.identifiability import chosen_errors
@@ -77,7 +77,8 @@ def identify(
     Parameters
     ----------
     recordings
-        What `fitting.read_recordings` gave, `fitting.Run`, or curves that were made of them.
+        What `fitting.read_recordings` gave, `fitting.Run`, or curves that were made of them. One that states the
+        fingerprint of a drive as its `pair` must be of this drive, or of its nominal pair.
     drive
         The nominal drive; the errors that it states are the prior and start.
     tolerances
@@ -96,8 +97,8 @@ def identify(
     Raises
     ------
     edge.InputError
-        If a recording can't be read or has no load, an argument is wrong, the data resolve no error, or there are too
-        few turns to draw from.
+        If a recording can't be read, is of another drive or has no load, an argument is wrong, the data resolve no
+        error, or there are too few turns to draw from.
 
     Examples
     --------
@@ -120,7 +121,7 @@ def identify(
     """
     pair = drive.pair
     progress("reading")
-    curves = observed_curves(recordings, pair, keep_turns=bootstrap > 0)
+    curves = observed_curves(recordings, drive, keep_turns=bootstrap > 0)
     if isinstance(tolerances, str | os.PathLike):
         tolerances = read_tolerances(tolerances)
     prior = prior_of(pair, tolerances) if isinstance(tolerances, Tolerances) else tolerances or Prior()
@@ -166,11 +167,16 @@ def identify(
                 if predicted.residual > _MISPREDICTED * predicted.noise or is_uneven(start):
                     start = None
             found = _fitted([*running, *loops], pair, start, prior, progress)
-            return result_of(pair, found, predicted, prior.scatter, profiled, bootstrap, _GAIN, progress)
+            result = result_of(pair, found, predicted, prior.scatter, profiled, bootstrap, _GAIN, progress)
     except np.linalg.LinAlgError:
         raise edge.InputError(
             "the equations of the fit are singular, as they are where curves have no noise; add some to simulated ones."
         ) from None
+    form = [name for name in DEVIATIONS if getattr(drive.surface, name) is not None]
+    if form:
+        note = f"The drive's surface holds form of single elements ({', '.join(form)}); it is not part of the fit."
+        result = dataclasses.replace(result, notes=(*result.notes, note))
+    return result
 
 
 def kept_back(curves: Sequence[Curve]) -> tuple[int, ...]:

@@ -30,6 +30,14 @@ class Plan:
         {name: m or rad} of the errors that would be identified, the pins' and teeth's scatter allowed for.
     held
         {name: why} of the others.
+
+    Examples
+    --------
+    >>> import cycloid_fmu as cy, fitting
+    >>> pair = cy.Pair(gear_teeth=9, pin_circle_radius=0.04, pin_radius=0.004, eccentricity=0.002, face_width=0.01)
+    >>> *_, one = fitting.plan(cy.Drive(pair), torque=100.0, turns=1.0, samples=12)
+    >>> one.runs, one.held["misalignment_xz"]
+    ('100 N·m both ways', 'it does not move these transmission errors')
     """
 
     runs: str

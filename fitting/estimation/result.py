@@ -119,6 +119,10 @@ class Identification:
         The nominal pair.
     curves
         The curves that were fitted, the loops' branches apart.
+
+    Examples
+    --------
+    An example is that of `fitting.identify`.
     """
 
     parameters: tuple[Parameter, ...]
@@ -451,6 +455,8 @@ def as_json(result: Identification) -> dict[str, Any]:
     """Return an identification as the content of a `cycloid-identification/1` file (SI)."""
     return {
         "format": FORMAT,
+        "drive": result.drive.hash,
+        "pair": result.pair.nominal.text,
         "parameters": {p.name: _as_json(p) for p in result.parameters},
         **({"singles": {p.name: _as_json(p) for p in result.singles}} if result.singles else {}),
         "bench": result.bench,

@@ -46,6 +46,18 @@ class Figures:
         Of the notes, those on recordings that could not be read at all, and on an interrupt.
     interrupted
         Whether an interrupt left recordings out.
+
+    Examples
+    --------
+    >>> import numpy as np, fitting, pathlib
+    >>> torque = 100.0 * np.sin(np.linspace(0.0, 4.0 * np.pi, 4000))
+    >>> loop = fitting.Run(input_angle=0.0, output_angle=torque / 1e6, torque=torque)
+    >>> found = fitting.metrics(loop, ratio=-39.0)
+    >>> "lost_motion" in found.figures
+    True
+    >>> found.write("figures.json")
+    >>> pathlib.Path("figures.json").stat().st_size > 1000
+    True
     """
 
     figures: dict[str, Figure]

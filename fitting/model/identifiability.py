@@ -13,7 +13,8 @@ from fitting.model.prior import tolerances_of
 
 Array = NDArray[np.float64]
 
-# Of each set of errors that move the transmission error alike the first is fitted (docs/theory/errors.md).
+# Of each set of errors that move the transmission error alike the first is fitted (docs/theory/errors.md); errors that
+# are not named here come last.
 PREFERENCE = (
     "centre_distance_x", "centre_distance_y", "pin_radius", "pin_circle_radius", "eccentricity",
     *(f"{p}_{k}_{w}" for k in (2, 3) for p in ("pin_radial", "pin_tangential") for w in ("cos", "sin")),
@@ -38,12 +39,11 @@ def choose(information: Array, names: Sequence[str]) -> list[str]:
     Returns
     -------
     names
-        In the order of `PREFERENCE`: each was added where all errors chosen stay known to `KNOWN` of their tolerance.
+        In the order of `PREFERENCE`, then of `names`: each was added where all errors chosen stay known to `KNOWN` of
+        their tolerance.
     """
     chosen: list[int] = []
-    for name in PREFERENCE:
-        if name not in names:
-            continue
+    for name in (*(n for n in PREFERENCE if n in names), *(n for n in names if n not in PREFERENCE)):
         trial = [*chosen, list(names).index(name)]
         block = information[np.ix_(trial, trial)]
         size = np.sqrt(np.maximum(np.diag(block), 0.0))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.contact.transmission import error_sensitivity, solve
+from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD, Pair
 from cycloid_fmu.surfaces.surface import ErrorSurface
 from fitting.figures.hysteresis import FRICTION, FRICTION_NEAR, LOCKED, Lobe, LoopData, branch_line
@@ -69,20 +71,34 @@ def is_locked(stream: Recording | RecordingStream) -> bool:
     return True
 
 
+def _checked_drive(stream: Recording | RecordingStream, drive: Drive) -> Recording | RecordingStream:
+    """Return a recording; one that states the fingerprint of another drive is refused."""
+    nominal = drive.pair.nominal
+    if re.fullmatch("[0-9a-f]{16}", stream.pair) and stream.pair not in (
+        drive.hash, nominal.hash, Drive(nominal).hash
+    ):  # fmt: skip
+        raise edge.InputError(
+            f"{stream.source}: it was recorded of the drive {stream.pair}; this one is {drive.hash}, its nominal pair "
+            f"{nominal.hash}."
+        )
+    return stream
+
+
 def observed_curves(
-    recordings: Source | Curve | Iterable[Source | Curve], pair: Pair, *, keep_turns: bool = False
+    recordings: Source | Curve | Iterable[Source | Curve], drive: Drive, *, keep_turns: bool = False
 ) -> list[Curve]:
     """Return the curves of recordings, and behind them the branches of those whose input stands still, which are loops.
 
     Raises
     ------
     edge.InputError
-        If a recording can't be read, or gives neither.
+        If a recording can't be read, is of another drive, or gives neither.
     """
+    pair = drive.pair
     given = [recordings] if isinstance(recordings, Source | Curve) else list(recordings)
     found = [one for one in given if isinstance(one, Curve)]
     sources = [one for one in given if not isinstance(one, Curve)]
-    locked = [is_locked(open_source(one)) for one in sources]
+    locked = [is_locked(_checked_drive(open_source(one), drive)) for one in sources]
     found += curves(
         [one for one, still in zip(sources, locked, strict=True) if not still], pair.ratio, keep_turns=keep_turns
     )

@@ -78,6 +78,8 @@ class BenchFile(abc.ABC):
         Whether its channels bring their time with them; else one of them is the time.
     ratio
         Signed ratio of the drive, where the file says it.
+    pair
+        Name or fingerprint of the gear pair, where the file states it.
     problems
         One sentence for each thing found wrong with the file; complete when all pieces were taken.
     clocks
@@ -88,6 +90,7 @@ class BenchFile(abc.ABC):
     channels: tuple[RawChannel, ...] = ()
     timed: bool = False
     ratio: float | None = None
+    pair: str = ""
     problems: list[str] = field(default_factory=list)
     clocks: dict[str, Clock] = field(default_factory=dict)
 

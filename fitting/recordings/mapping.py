@@ -98,6 +98,20 @@ def read_mapping(path: str | os.PathLike[str]) -> FileMapping:
     ------
     edge.InputError
         With one sentence for each thing wrong in it.
+
+    Examples
+    --------
+    >>> import fitting, pathlib
+    >>> _ = pathlib.Path("map.toml").write_text('''
+    ... format = "cycloid-mapping/1"
+    ... ratio = -39
+    ... time = {rate = 1000}
+    ... input_angle = {column = "Motor", unit = "deg"}
+    ... output_angle = {column = "Flange", unit = "deg", direction = -1}
+    ... torque = {column = "Md", unit = "N*m"}
+    ... ''')
+    >>> fitting.read_mapping("map.toml").output_angle.direction
+    -1
     """
     source = str(path)
     table = edge.toml_table(edge.read_text(path), FORMAT, source)

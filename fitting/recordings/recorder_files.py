@@ -18,7 +18,7 @@ class RecorderFile(BenchFile):
         with RecordingReader(source) as reader:
             header = reader.header
         channels = [RawChannel(c.name, c.unit, c.zero_reference) for c in header.channels]
-        super().__init__(source, tuple(channels), timed=True, ratio=header.ratio)
+        super().__init__(source, tuple(channels), timed=True, ratio=header.ratio, pair=header.pair)
 
     def pieces(self, names: Sequence[str]) -> Iterator[Piece]:
         """Yield pieces of these channels in the order of time."""

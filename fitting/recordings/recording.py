@@ -41,6 +41,8 @@ class Recording(Block):
         The file's name and its SHA-256.
     ratio
         Signed ratio of the drive, where the recording states it.
+    pair
+        Name or fingerprint of the gear pair, where the recording states it.
     common_zero
         Whether the output encoder's zero is the same in every recording of the bench (an absolute encoder).
     known_index
@@ -55,6 +57,7 @@ class Recording(Block):
     source: str
     checksum: str
     ratio: float | None = None
+    pair: str = ""
     common_zero: bool = False
     known_index: bool = False
     notes: tuple[str, ...] = ()
@@ -82,7 +85,7 @@ class RecordingStream:
 
     Attributes
     ----------
-    source, ratio, common_zero, known_index
+    source, ratio, pair, common_zero, known_index
         As in `Recording`.
     notes, alignment, torque_alignment
         As in `Recording`; complete when all blocks were taken.
@@ -99,6 +102,7 @@ class RecordingStream:
         self._mapping = own_names(self._file) if mapping is None else mapping
         self._scales = scales_of(self._file, self._mapping)
         self.ratio = self._mapping.ratio if self._mapping.ratio is not None else self._file.ratio
+        self.pair = self._file.pair
         self.common_zero = self._zero_reference("output_angle") == "absolute"
         self.known_index = self._zero_reference("input_angle") == "absolute"
         self.notes: list[str] = []
@@ -177,9 +181,9 @@ class RecordingStream:
     def recording(self, columns: Mapping[str, NDArray[Any]]) -> Recording:
         """Return columns of a block as a recording from this file, when all its blocks were taken."""
         return Recording(
-            **columns, source=self.source, checksum=self.checksum, ratio=self.ratio, common_zero=self.common_zero,
-            known_index=self.known_index, notes=tuple(self.notes), alignment=self.alignment,
-            torque_alignment=self.torque_alignment,
+            **columns, source=self.source, checksum=self.checksum, ratio=self.ratio, pair=self.pair,
+            common_zero=self.common_zero, known_index=self.known_index, notes=tuple(self.notes),
+            alignment=self.alignment, torque_alignment=self.torque_alignment,
         )  # fmt: skip
 
     def _clock_notes(self) -> list[str]:

@@ -171,6 +171,15 @@ def plot_comparison(
         What the simulation is called in the legend.
     crank_turns
         How much of the upper axis is shown; the residual below shows the whole output turn.
+
+    Examples
+    --------
+    >>> import numpy as np, fitting
+    >>> angle = np.linspace(0.0, 2.0 * np.pi * 39, 2000)
+    >>> run = fitting.Run(input_angle=angle, output_angle=-angle / 39 + 1e-5 * np.cos(angle), torque=20.0)
+    >>> (curve,) = fitting.curves(run, -39.0)
+    >>> len(fitting.plot_comparison([curve], [1e-5 * np.cos(curve.input_angle)], "simulated").axes)
+    2
     """
     figure, axes = new_figure(2)
     for number, (curve, model) in enumerate(zip(curves, simulated, strict=True)):

@@ -61,6 +61,17 @@ class Curve:
     branch
         "" of a curve over the turn. Of a loop with the input locked: which of its branches; the points then lie over
         the torque, and the direction is that of a crank which would carry the output the way the torque takes it.
+
+    Examples
+    --------
+    >>> import numpy as np, fitting
+    >>> angle = np.linspace(0.0, -2.0 * np.pi * 39, 2000)
+    >>> run = fitting.Run(input_angle=angle, output_angle=-angle / 39 + 1e-5 * np.cos(angle), torque=20.0)
+    >>> (curve,) = fitting.curves(run, -39.0)
+    >>> curve.direction, curve.torque
+    (-1, 20.0)
+    >>> curve.transmission_error.shape == curve.input_angle.shape
+    True
     """
 
     input_angle: Array
@@ -153,6 +164,16 @@ def curves_json(curves: Sequence[Curve]) -> dict[str, Any]:
 
 
 def write_curves(curves: Sequence[Curve], path: str | os.PathLike[str]) -> None:
-    """Write curves to a netCDF file, whole or not at all."""
+    """Write curves to a netCDF file, whole or not at all.
+
+    Examples
+    --------
+    >>> import numpy as np, fitting, xarray as xr
+    >>> angle = np.linspace(0.0, 2.0 * np.pi * 39, 2000)
+    >>> run = fitting.Run(input_angle=angle, output_angle=-angle / 39 + 1e-5 * np.cos(angle), torque=20.0)
+    >>> fitting.write_curves(fitting.curves(run, -39.0), "curves.nc")
+    >>> xr.load_dataset("curves.nc").torque.values.tolist()
+    [20.0]
+    """
     with edge.written_whole(path) as temporary:
         curves_dataset(curves).to_netcdf(temporary, engine="h5netcdf")

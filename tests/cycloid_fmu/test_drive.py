@@ -1,6 +1,8 @@
 """A drive is its values: however it was made, changed, written and read, it is the same drive or refused."""
 
+import json
 import pickle
+import zipfile
 
 import numpy as np
 import pytest
@@ -183,3 +185,14 @@ def test_a_drive_and_its_canonical_text_are_solved_alike(case):
     assert again.hash == drive.hash
     one, two = (d.analyze(100.0, angles=3, turns=1) for d in (drive, again))
     assert (one.transmission_error.values == two.transmission_error.values).all()
+
+
+def test_an_fmu_states_the_drive_that_it_was_built_from(tmp_path, command):
+    drive = cy.read_drive(CASES / "errors-39-40.toml").replace(errors={"eccentricity": "2 um"})
+    drive.build_fmu(tmp_path / "d.fmu")
+    said = command("cycloid-fmu", "inspect", "d.fmu", "--json")
+    assert json.loads(said.stdout)["drive"] == drive.hash
+    assert drive.hash in command("cycloid-fmu", "inspect", "d.fmu").stdout
+    with zipfile.ZipFile(tmp_path / "d.fmu") as archive:
+        text = archive.read("documentation/drive.toml").decode()
+    assert cy.Drive(parse_pair(text, "d.fmu")) == drive

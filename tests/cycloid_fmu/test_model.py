@@ -9,10 +9,10 @@ from common import CASES, EXAMPLES, PAIR, make_pair
 
 from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.fmu.compliant_model import CompliantModel, CompliantState
+from cycloid_fmu.fmu.mesh import StepError
 from cycloid_fmu.fmu.model import DriveModel, DriveState
 from cycloid_fmu.fmu.reducer_model import ReducerModel, ReducerState
 from cycloid_fmu.fmu.stepped_model import state_fields
-from cycloid_fmu.fmu.teeth import StepError
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
 from cycloid_fmu.reducer import budget as rv
 from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair

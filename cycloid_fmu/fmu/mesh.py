@@ -98,9 +98,14 @@ class ContactTeeth:
         self._rows, self._play_rows = contact.contact_rows(drive), contact.contact_rows(drive)
         self._cold = self._play_cold = True
         self._pin_force, self._pin_pressure = np.zeros(pins), np.zeros(pins)
-        self._spare, self._play_spare = self._rows.copy(), self._rows.copy()
+        self._view_bytes()
+        self._spare, self._play_spare = self._bytes.copy(), self._play_bytes.copy()
         self._before = (True, True)
         self._moved = self._play_moved = True
+
+    def _view_bytes(self) -> None:
+        """See the rows as bytes, which NumPy copies ten times as fast as records."""
+        self._bytes, self._play_bytes = self._rows.view(np.uint8), self._play_rows.view(np.uint8)
 
     def play(self, theta: float, x: float) -> tuple[float, float, float]:
         """Return the ends of the free rotation (rad), and above 0 that there is none (m)."""
@@ -111,7 +116,7 @@ class ContactTeeth:
 
     def _keep_play(self) -> None:
         if not self._play_moved:
-            np.copyto(self._play_spare, self._play_rows)
+            np.copyto(self._play_spare, self._play_bytes)
             self._play_moved = True
 
     def touch_rate(self, theta: float, x: float, side: float) -> float:
@@ -122,7 +127,7 @@ class ContactTeeth:
     def _start(self) -> bool:
         """Keep the rows before the first solution of a step; whether they hold nothing yet."""
         if not self._moved:
-            np.copyto(self._spare, self._rows)
+            np.copyto(self._spare, self._bytes)
             self._moved = True
         cold, self._cold = self._cold, False
         return cold
@@ -184,15 +189,16 @@ class ContactTeeth:
         """Return to how all stood at `begin`."""
         self._cold, self._play_cold = self._before
         if self._moved:
-            np.copyto(self._rows, self._spare)
+            np.copyto(self._bytes, self._spare)
         if self._play_moved:
-            np.copyto(self._play_rows, self._play_spare)
+            np.copyto(self._play_bytes, self._play_spare)
 
     def copy(self) -> Self:
         """Return teeth that stand alike and move by themselves."""
         other = copy.copy(self)
         for name in (*_ARRAYS, "_spare", "_play_spare"):
             setattr(other, name, getattr(self, name).copy())
+        other._view_bytes()
         return other
 
     def state(self) -> dict[str, Any]:
