@@ -8,7 +8,6 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-
 if TYPE_CHECKING:
     __version__: str
     from cycloid_fmu.draw.plots import plot
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
     from cycloid_fmu.fmu.run import simulate_fmu
     from cycloid_fmu.fmu.variables import Interface
     from cycloid_fmu.geometry.pair import Material, Pair
-    from cycloid_fmu.reducer.budget import Reducer, budget, read_reducer
+    from cycloid_fmu.reducer.lost_motion import Reducer, budget, read_reducer
     from cycloid_fmu.surfaces.files import read_surface
     from cycloid_fmu.surfaces.sampling import Tolerances, read_tolerances
     from cycloid_fmu.surfaces.surface import ErrorSurface
@@ -31,7 +30,7 @@ _HOMES = {
     "fmu.run": ("simulate_fmu",),
     "fmu.variables": ("Interface",),
     "geometry.pair": ("Material", "Pair"),
-    "reducer.budget": ("Reducer", "budget", "read_reducer"),
+    "reducer.lost_motion": ("Reducer", "budget", "read_reducer"),
     "surfaces.files": ("read_surface",),
     "surfaces.sampling": ("Tolerances", "read_tolerances"),
     "surfaces.surface": ("ErrorSurface",),

@@ -13,7 +13,7 @@ from pydantic_core.core_schema import CoreSchema, ModelSchema
 from cycloid_fmu import edge
 from cycloid_fmu.errors.kinds import KINDS, ErrorKind
 from cycloid_fmu.geometry import pair
-from cycloid_fmu.reducer import budget as reducer
+from cycloid_fmu.reducer import lost_motion as reducer
 from cycloid_fmu.surfaces import sampling
 from cycloid_fmu.wear import law as wear_law
 from drivers.encoder import protocols

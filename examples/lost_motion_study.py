@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import cycloid_fmu as cy
-from cycloid_fmu.reducer import budget
+from cycloid_fmu.reducer import lost_motion
 
 HERE = Path(__file__).parent
 # Table 10: tilt of the output disk and of the input shaft, degrees, and the lost motion, arcmin.
@@ -31,7 +31,7 @@ _, torque, output_tilt, output_end, input_tilt, input_end = np.loadtxt(
     HERE / "rv-20e-tilt.csv", delimiter=",", skiprows=1, unpack=True
 )
 ours = [
-    np.degrees(budget.shaft_tilt(end * 1e-3, length))
+    np.degrees(lost_motion.shaft_tilt(end * 1e-3, length))
     for end, length in ((output_end, OUTPUT_SHAFT), (input_end, INPUT_SHAFT))
 ]
 found = cy.budget(reducer)
@@ -41,7 +41,7 @@ def printed_at(tilt: float) -> tuple[float, float]:
     """Equation 21 with the nominal pressure angle at a tilt of the input shaft (deg), and its first stage, arcmin."""
     involute = reducer.involute.replace(shaft_tilt=np.radians(tilt))
     tilted = reducer.replace(involute=involute)
-    plays = budget.summed(budget.as_printed(tilted, budget.values_of(tilted)))
+    plays = lost_motion.summed(lost_motion.as_printed(tilted, lost_motion.values_of(tilted)))
     return float(plays["total"]) * cy.ARCMIN, float(plays["involute"]) * cy.ARCMIN
 
 
@@ -84,13 +84,15 @@ axes[1].set(
     xlabel="tilt of the output disk [10⁻³ deg]", ylabel="lost motion [arcmin]", title="Table 10", ylim=(0.5, 0.65)
 )
 axes[1].legend(frameon=False)
-place, height = np.arange(len(budget.TERMS)), 0.27
+place, height = np.arange(len(lost_motion.TERMS)), 0.27
 for k, (variant, label) in enumerate(
     (("standard", "standard"), ("as_printed", "equation 21 as printed"), ("geometric", "contact model, crank locked"))
 ):
-    axes[2].bar(place + (k - 1) * height, [found[variant][n] * cy.ARCMIN for n in budget.TERMS], height, label=label)
+    axes[2].bar(
+        place + (k - 1) * height, [found[variant][n] * cy.ARCMIN for n in lost_motion.TERMS], height, label=label
+    )
 axes[2].set(ylabel="play [arcmin]", title="Tables 8 and 9: what each amount makes")
-axes[2].set_xticks(place, [n.replace("_", " ") for n in budget.TERMS], rotation=30, ha="right", fontsize=8)
+axes[2].set_xticks(place, [n.replace("_", " ") for n in lost_motion.TERMS], rotation=30, ha="right", fontsize=8)
 axes[2].legend(frameon=False)
 for axis in axes:
     axis.set_axisbelow(True)

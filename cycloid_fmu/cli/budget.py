@@ -11,7 +11,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.edge import commands
 
 if TYPE_CHECKING:
-    from cycloid_fmu.reducer.budget import Stack
+    from cycloid_fmu.reducer.stack import Stack
 
 
 def budget(
@@ -25,20 +25,22 @@ def budget(
 
     Example: [cyan]cycloid-fmu budget rv.toml --plot budget.png[/]
     """
-    from cycloid_fmu.reducer import budget as rv
+    from cycloid_fmu.reducer import lost_motion as rv
+    from cycloid_fmu.reducer.stack import stack as scattered
+    from cycloid_fmu.reducer.stack import stack_summary
 
     reducer = rv.read_reducer(reducer_file)
     warnings = rv.contradictions(reducer, str(reducer_file))
     found = rv.budget(reducer)
     remarks = rv.remarks(reducer, found)
     with commands.progress("reducers", samples) as progress:
-        stack = rv.stack(reducer, samples, seed, progress)
+        stack = scattered(reducer, samples, seed, progress)
     if plot is not None:
         from cycloid_fmu.draw import plots
 
         plots.save(plots.plot_budget(found, stack), plot)
     if as_json:
-        scatter = None if stack is None else rv.stack_summary(stack)
+        scatter = None if stack is None else stack_summary(stack)
         commands.print_json(
             {**found, "ratio": reducer.ratio, "stack": scatter, "remarks": remarks, "warnings": warnings}
         )
@@ -69,7 +71,7 @@ def budget(
 
 
 def _print_stack(stack: Stack, samples: int) -> None:
-    from cycloid_fmu.reducer.budget import stack_summary
+    from cycloid_fmu.reducer.stack import stack_summary
 
     shown = stack_summary(stack)
     rows = []

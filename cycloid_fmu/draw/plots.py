@@ -202,7 +202,8 @@ def plot_budget(found: Mapping[str, Mapping[str, float]], stack: object = None) 
 
     The line is the closed form's cumulative share of all terms' amounts; `stack` is a `reducer.Stack` or None.
     """
-    from cycloid_fmu.reducer.budget import TERMS, Stack
+    from cycloid_fmu.reducer.lost_motion import TERMS
+    from cycloid_fmu.reducer.stack import Stack
 
     closed, exact = found["standard"], found["geometric_sun_locked"]
     names = sorted(TERMS, key=lambda n: -abs(closed[n]))

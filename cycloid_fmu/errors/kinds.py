@@ -13,16 +13,35 @@ import functools
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from cycloid_fmu.geometry.pair import Pair
-
 Array = NDArray[np.float64]
-Displacement = Callable[["Pair", Array], Array]
+
+
+class Sizes(Protocol):
+    """What a kind of error needs to know of a pair."""
+
+    @property
+    def gear_teeth(self) -> int:
+        """z_c."""
+
+    @property
+    def pins(self) -> int:
+        """z_p."""
+
+    @property
+    def discs(self) -> int:
+        """Cycloid gears."""
+
+    @property
+    def pin_circle_radius(self) -> float:
+        """R_p, m."""
+
+
+Displacement = Callable[[Sizes, Array], Array]
 
 LARGEST_DEVIATION = 1e-3
 LARGEST_MISALIGNMENT = 0.02
@@ -116,21 +135,21 @@ class ErrorKind:
         """Meaning and sign in one phrase."""
         return f"{self.text}, {self.sign}"
 
-    def shape(self, pair: Pair) -> tuple[int, ...]:
+    def shape(self, pair: Sizes) -> tuple[int, ...]:
         """Shape of its values for a pair: (), (pins,) or (discs, teeth)."""
         shapes = {"drive": (), "pin": (pair.pins,), "tooth": (pair.discs, pair.gear_teeth)}
         return shapes[self.of]
 
 
-def _same(pair: Pair, value: Array) -> Array:
+def _same(pair: Sizes, value: Array) -> Array:
     return value
 
 
-def _all_pins(pair: Pair, value: Array) -> Array:
+def _all_pins(pair: Sizes, value: Array) -> Array:
     return np.full(pair.pins, value)
 
 
-def _turn(pair: Pair, value: Array) -> Array:
+def _turn(pair: Sizes, value: Array) -> Array:
     return value / pair.pin_circle_radius
 
 

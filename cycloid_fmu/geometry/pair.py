@@ -243,7 +243,7 @@ class Pair(Config):
 
     @property
     def generating_pin_radius(self) -> float:
-        """r = R_rp + ΔR_rp of the nominal flank, m."""
+        """R = R_rp + ΔR_rp of the nominal flank, m."""
         return self.pin_radius + self.modification.isometric
 
     @property

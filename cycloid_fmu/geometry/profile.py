@@ -98,6 +98,6 @@ def equal_arc_parameters(pair: Pair, count: int) -> Array:
     """
     edges, arc = _arc_length(pair, 200 * max(count, 20))
     middles = (np.arange(count) + 0.5) / count * arc[-1]
-    parameters = np.interp(middles, arc, edges)
+    parameters: Array = np.asarray(np.interp(middles, arc, edges))
     parameters.flags.writeable = False
     return parameters

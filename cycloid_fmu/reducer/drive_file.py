@@ -6,7 +6,7 @@ import os
 
 from cycloid_fmu import edge
 from cycloid_fmu.geometry.pair import Pair, read_pair
-from cycloid_fmu.reducer.budget import FORMAT, Reducer, contradictions, read_reducer
+from cycloid_fmu.reducer.lost_motion import FORMAT, Reducer, contradictions, read_reducer
 from cycloid_fmu.surfaces.files import read_surface
 from cycloid_fmu.surfaces.surface import ErrorSurface, check_surface
 

@@ -14,7 +14,7 @@ from cycloid_fmu.fmu.model import DriveModel, DriveState
 from cycloid_fmu.fmu.reducer_model import ReducerModel, ReducerState
 from cycloid_fmu.fmu.stepped_model import state_fields
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
-from cycloid_fmu.reducer import budget as rv
+from cycloid_fmu.reducer import lost_motion as rv
 from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
 
 PLAY = parse_pair(PAIR + '[modification]\noffset = "-40 um"\nisometric = "-15 um"\n', "play.toml")

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from cycloid_fmu import edge
 from cycloid_fmu.edge import ARCMIN
-from cycloid_fmu.reducer.budget import (
+from cycloid_fmu.reducer.lost_motion import (
     STAGES,
     TERMS,
     budget,
@@ -22,12 +22,12 @@ from cycloid_fmu.reducer.budget import (
     read_reducer,
     runout_error,
     shaft_tilt,
-    stack,
     standard,
     summed,
     surface_of_reducer,
     values_of,
 )
+from cycloid_fmu.reducer.stack import stack
 
 RV = read_reducer(EXAMPLES / "rv-20e.toml")
 TEXT = (EXAMPLES / "rv-20e.toml").read_text()

@@ -12,7 +12,7 @@ from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.reducer_model import ReducerModel
 from cycloid_fmu.fmu.run import described, simulate_fmu
-from cycloid_fmu.reducer import budget as rv
+from cycloid_fmu.reducer import lost_motion as rv
 from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.surfaces.surface import nominal_surface
 

@@ -33,7 +33,7 @@ from cycloid_fmu.geometry.pair import parse_pair, read_pair
 from cycloid_fmu.native import build as native_build
 from cycloid_fmu.native import tables
 from cycloid_fmu.native.table_file import HEAD, TABLE, constants_header, write
-from cycloid_fmu.reducer import budget as rv
+from cycloid_fmu.reducer import lost_motion as rv
 from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
 
 ARM = Path("/usr/aarch64-linux-gnu")  # Debian's libc6-arm64-cross

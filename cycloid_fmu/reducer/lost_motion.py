@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -23,7 +23,7 @@ from cycloid_fmu.edge import ARCMIN, Angle, Config
 from cycloid_fmu.errors.kinds import LARGEST_DEVIATION
 from cycloid_fmu.geometry.pair import Pair, PositiveLength, pair_of_tables
 from cycloid_fmu.reducer.first_stage import FirstStage, sun_locked_share
-from cycloid_fmu.surfaces.sampling import Distribution, error_stream, within_tolerance
+from cycloid_fmu.surfaces.sampling import Distribution
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
 Array = NDArray[np.float64]
@@ -308,7 +308,7 @@ def _shortening(reducer: Reducer) -> float:
     return reducer.stated.shortening or g.eccentricity * g.pins / g.pin_circle_radius
 
 
-def _outer_stages(reducer: Reducer, values: Mapping[str, ArrayLike], sun_radius: float) -> dict[str, Array]:
+def outer_stages(reducer: Reducer, values: Mapping[str, ArrayLike], sun_radius: float) -> dict[str, Array]:
     """Play of the first stage for a common normal off by E_w, and of the crank bearings (RV paper, 5 and 20)."""
     involute = reducer.involute
     lever = involute.crank_circle_radius + involute.shaft_displacement
@@ -355,7 +355,7 @@ def standard(reducer: Reducer, values: Mapping[str, ArrayLike]) -> dict[str, Arr
         * (v["offset_modification"])
     )
     return {
-        **_outer_stages(reducer, values, _stated_base_radius(reducer)),
+        **outer_stages(reducer, values, _stated_base_radius(reducer)),
         **{name: factor * v[name] / d for name, factor in _factors(k, s).items()},
         "eccentricity": -2.0 * moving * v["eccentricity"],
     }
@@ -393,7 +393,7 @@ def as_printed(reducer: Reducer, values: Mapping[str, ArrayLike]) -> dict[str, A
     moving = mm["isometric_modification"] / (e * d)
     moving = moving - (g.gear_teeth / (e * circle**2 * s) + s / d) * mm["offset_modification"]
     return {
-        **_outer_stages(reducer, values, _stated_base_radius(reducer)),
+        **outer_stages(reducer, values, _stated_base_radius(reducer)),
         **{name: factor * mm[name] / ARCMIN for name, factor in {**rooted, **bare}.items()},
         "eccentricity": -2.0 * moving * mm["eccentricity"] / ARCMIN,
     }
@@ -487,7 +487,7 @@ def geometric(reducer: Reducer) -> dict[str, float]:
     mean = [float(p.backlash.mean()) for p in plays]
     terms = dict.fromkeys(names, 0.0) | {n: mean[0] - m for n, m in zip(without, mean[1:], strict=True)}
     cycloid = float(whole.backlash.mean())
-    bearings = float(_outer_stages(reducer, values, reducer.involute.sun_base_radius)["crank_bearing_clearance"])
+    bearings = float(outer_stages(reducer, values, reducer.involute.sun_base_radius)["crank_bearing_clearance"])
     middle = whole.transmission_error[~np.isnan(whole.transmission_error)]
     return {
         "base_tangent_length": 0.0,
@@ -514,14 +514,14 @@ def with_sun_locked(reducer: Reducer, crank_locked: Mapping[str, float]) -> dict
     """
     kept = ("transmission_error", "interference", "interfering")
     found = {n: v if n in kept else reducer.sun_locked * v for n, v in crank_locked.items()}
-    play = float(_outer_stages(reducer, values_of(reducer), reducer.involute.sun_base_radius)["base_tangent_length"])
+    play = float(outer_stages(reducer, values_of(reducer), reducer.involute.sun_base_radius)["base_tangent_length"])
     found.update(base_tangent_length=play, involute=play, total=found["total"] + play)
     return found
 
 
 def first_stage_of(reducer: Reducer) -> FirstStage:
     """Return what the FMU puts around the cycloid stage: the teeth, and the plays that the deviations make."""
-    outer = _outer_stages(reducer, values_of(reducer), reducer.involute.sun_base_radius)
+    outer = outer_stages(reducer, values_of(reducer), reducer.involute.sun_base_radius)
     return FirstStage(
         sun_teeth=reducer.involute.sun_teeth,
         planet_teeth=reducer.involute.planet_teeth,
@@ -618,98 +618,3 @@ def runout_error(reducer: Reducer, runout: float) -> float:
     amounts = dict.fromkeys(TERMS, 0.0) | {"gear_runout": runout, "pin_radius": -20e-6}
     play = contact_play(alone, surface_of_reducer(alone, amounts), 10 * one.gear_teeth + 1)
     return float(np.ptp(play.transmission_error))
-
-
-@dataclasses.dataclass(frozen=True)
-class Stack:
-    """How the play scatters within the tolerances.
-
-    Attributes
-    ----------
-    worst_case, root_sum_square
-        Total play, lowest and highest, rad; by the closed form, linear in the tolerances.
-    samples
-        Total plays drawn: {"standard": rad, "geometric": rad (sun locked)}, shape (samples,).
-    interfering
-        {variant: share of samples whose cycloid stage interferes}: by the closed form a play below zero, by the contact
-        model no free position at a crank angle.
-    interval
-        {variant: Clopper-Pearson interval of that share at 95 %}.
-    """
-
-    worst_case: tuple[float, float]
-    root_sum_square: tuple[float, float]
-    samples: dict[str, Array]
-    interfering: dict[str, float]
-    interval: dict[str, tuple[float, float]]
-
-
-def stack(
-    reducer: Reducer, samples: int, seed: int, progress: Callable[[int], None] = lambda samples: None
-) -> Stack | None:
-    """Return worst case, root sum square and Monte Carlo of the total play; None where nothing has a tolerance.
-
-    Parameters
-    ----------
-    samples, seed
-        Reducers drawn within the tolerances, each deviation from a stream of its own.
-    progress
-        Told how many samples were just finished.
-    """
-    from scipy.stats import binomtest
-
-    values = values_of(reducer)
-    free = {n: d for n in Deviations.model_fields if (d := getattr(reducer.deviations, n)).tolerance > 0.0}
-    if not free:
-        return None
-    nominal = float(summed(standard(reducer, values))["total"])
-    half = []
-    for name, deviation in free.items():
-        ends = values[name] + np.array([-1.0, 1.0]) * deviation.tolerance
-        half.append(0.5 * float(np.ptp(summed(standard(reducer, {**values, name: ends}))["total"])))
-    drawn = {
-        name: d.value + within_tolerance(error_stream(seed, name).random(samples), d.tolerance, d.distribution)
-        for name, d in free.items()
-    }
-    closed = summed(standard(reducer, {**{n: np.full(samples, v) for n, v in values.items()}, **drawn}))
-    exact, pressed = np.empty(samples), np.empty(samples, dtype=bool)
-    angles = reducer.stage.gear_teeth + 2
-    for i in range(samples):
-        one = values | {n: float(v[i]) for n, v in drawn.items()}
-        play = contact_play(reducer, surface_of_reducer(reducer, one), angles)
-        outer = _outer_stages(reducer, one, reducer.involute.sun_base_radius)
-        exact[i] = float(outer["base_tangent_length"]) + reducer.sun_locked * (
-            float(outer["crank_bearing_clearance"]) + float(play.backlash.mean())
-        )
-        pressed[i] = play.interference.max() > 0.0
-        progress(1)
-    counts = {"standard": int(np.count_nonzero(closed["cycloid"] < 0.0)), "geometric": int(np.count_nonzero(pressed))}
-    intervals = {v: binomtest(c, samples).proportion_ci() for v, c in counts.items()}
-    worst, root = sum(half), math.hypot(*half)
-    return Stack(
-        worst_case=(nominal - worst, nominal + worst),
-        root_sum_square=(nominal - root, nominal + root),
-        samples={"standard": closed["total"], "geometric": exact},
-        interfering={v: c / samples for v, c in counts.items()},
-        interval={v: (float(i.low), float(i.high)) for v, i in intervals.items()},
-    )
-
-
-def stack_summary(stack: Stack) -> dict[str, Any]:
-    """Return a stack's figures as plain numbers, rad; `central` is where the middle 99.73 % of the samples lie."""
-    drawn = {
-        variant: {
-            "mean": float(total.mean()),
-            "standard_deviation": float(total.std()),
-            "central": np.quantile(total, [0.00135, 0.99865]).tolist(),
-            "interfering": stack.interfering[variant],
-            "interval": list(stack.interval[variant]),
-        }
-        for variant, total in stack.samples.items()
-    }
-    return {
-        "worst_case": list(stack.worst_case),
-        "root_sum_square": list(stack.root_sum_square),
-        "samples": int(stack.samples["standard"].size),
-        "monte_carlo": drawn,
-    }
