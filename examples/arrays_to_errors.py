@@ -35,8 +35,9 @@ print(f"ratio {nominal.pair.ratio:g}")
 # -------------------
 #
 # Two loads, one low and one high, each in both directions: a low load shows the play and the single pins, a high one
-# the stiffness. Here a motor at the output gives the torque, so that both signs occur. The output's encoder has an
-# unknown zero, noise of 0.5 arcsec, and is mounted 0.2 µm off-centre on a radius of 100 mm.
+# the stiffness. Here a brake gives the torque: it opposes the output, which turns against the crank, so its sign is
+# that of the crank's motion. The output's encoder has an unknown zero, noise of 0.5 arcsec, and is mounted 0.2 µm
+# off-centre on a radius of 100 mm.
 
 truth = {"centre_distance_x": 4e-6, "centre_distance_y": -3e-6, "eccentricity": 2e-6, "pin_radius": -1e-6}
 made = nominal.replace(errors=truth)

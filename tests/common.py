@@ -1,5 +1,6 @@
 """What several tests share: the data, the 39/40 pair and field units."""
 
+import importlib
 import json
 from pathlib import Path
 
@@ -34,3 +35,14 @@ def make_pair(text=PAIR, **keys):
         lines = [line for line in lines if not line.startswith(f"{key} =")]
         lines.insert(at, f"{key} = {json.dumps(value)}")
     return parse_pair("\n".join(lines) + "\n", "test.toml")
+
+
+def resolved(name):
+    """What a dotted name is: of a function and a module of one name the function, as in Python."""
+    first, *parts = name.split(".")
+    found = importlib.import_module(first)
+    for part in parts:
+        if not hasattr(found, part):
+            importlib.import_module(f"{found.__name__}.{part}")
+        found = getattr(found, part)
+    return found

@@ -1,5 +1,6 @@
 """Every code block of README and docs, run or read as what it is, page by page from top to bottom."""
 
+import importlib
 import itertools
 import json
 import os
@@ -12,7 +13,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from common import EXAMPLES
+from common import EXAMPLES, resolved
 
 from cycloid_fmu.errors.kinds import KINDS
 from cycloid_fmu.fmu.description import model_variables
@@ -162,6 +163,22 @@ def test_a_page_s_commands_do_what_it_says(page, tmp_path, shell):
                 for long, short in SHORTER:
                     line = re.sub(long, short, line)
                 shell(line)
+
+
+def test_the_api_reference_has_every_public_name_and_every_room():
+    page = (ROOT / "docs" / "reference" / "api.md").read_text(encoding="utf-8")
+    listed = set(re.findall(r"^   ([a-z]\w+\.[\w.]+)$", page, re.MULTILINE))
+    for door in ("cycloid_fmu", "fitting", "drivers"):
+        names = {f"{door}.{name}" for name in importlib.import_module(door).__all__ if name != "__version__"}
+        assert names <= listed
+        for room in (p.parent for p in (ROOT / door).glob("*/__init__.py") if p.parent.name != "cli"):
+            assert f"**`{door}.{room.name}`**" in page
+            if f"{door}.{room.name}" not in listed:  # it does not list its names itself
+                modules = {f"{door}.{room.name}.{p.stem}" for p in room.glob("*.py") if p.stem != "__init__"}
+                # What runs inside an FMU is no module to import.
+                assert {m for m in modules - listed if "cycloid_drive" not in m} == set()
+    for name in listed:
+        resolved(name)
 
 
 def test_every_key_of_a_pair_file_has_its_own_meaning(tmp_path, monkeypatch):

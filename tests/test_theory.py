@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from common import PAIR, make_pair
+from common import PAIR, make_pair, resolved
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact.transmission import drive_of, solve
@@ -30,17 +30,6 @@ A_SOURCE = re.compile(r"paper|equations? \d|loaded-contact-wear|GB/T|Nabtesco|IS
 def names_in(text):
     """Whatever of the packages a page names in backticks, with its module."""
     return set(re.findall(r"`~?((?:cycloid_fmu|fitting|drivers)(?:\.\w+)+)`", text))
-
-
-def resolved(name):
-    """What a dotted name is: of a function and a module of one name the function, as in Python."""
-    first, *parts = name.split(".")
-    found = importlib.import_module(first)
-    for part in parts:
-        if not hasattr(found, part):
-            importlib.import_module(f"{found.__name__}.{part}")
-        found = getattr(found, part)
-    return found
 
 
 @pytest.mark.parametrize("page", PAGES)
