@@ -16,7 +16,7 @@ import numpy as np
 from cycloid_fmu import __version__, edge
 from cycloid_fmu.edge import ArgumentError
 from cycloid_fmu.errors.kinds import KINDS
-from cycloid_fmu.fmu.core import NUMBERS, SURFACE
+from cycloid_fmu.fmu.core import FORMAT, NUMBERS, SURFACE
 from cycloid_fmu.fmu.description import Version
 from cycloid_fmu.fmu.losses import check_losses
 from cycloid_fmu.fmu.parts import parts, write_archive
@@ -98,8 +98,11 @@ def build_fmu(
     with tempfile.TemporaryDirectory(prefix="cycloid-fmu-") as folder, edge.written_whole(path) as temporary:
         place = Path(folder)
         numbers: dict[str, object] = {
-            "package_version": __version__, "pair": pair.nominal.text, "interface": dataclasses.asdict(interface),
-        }  # fmt: skip
+            "format": FORMAT,
+            "package_version": __version__,
+            "pair": pair.nominal.text,
+            "interface": dataclasses.asdict(interface),
+        }
         if first_stage is not None:
             numbers["first_stage"] = dataclasses.asdict(first_stage)
         (place / NUMBERS).write_text(json.dumps(numbers, indent=1), encoding="utf-8")

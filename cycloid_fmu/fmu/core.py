@@ -33,6 +33,7 @@ from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.surfaces.surface import ErrorSurface, Life
 
 NUMBERS, SURFACE = "pair.json", "surface.npz"
+FORMAT = 2  # of these files; 1 had the pair as numbers instead of its text
 MAGIC, STATE_VERSION = b"cycloid state\0\0\0", 4
 _LARGEST = sys.float_info.max
 _HEAD = struct.Struct("<16sII32sQ")  # magic, version, checksum, hash of the resources, length
@@ -82,6 +83,8 @@ class Core:
                 f"this FMU was built with cycloid-fmu {numbers['package_version']}, installed is {__version__}; build "
                 "the FMU again or install that version"
             )
+        if numbers.get("format") != FORMAT:
+            raise RuntimeError("this FMU was built with an earlier cycloid-fmu of the same version; build it again")
         with np.load(resources / SURFACE) as arrays:
             values: dict[str, Any] = {n: arrays[n] if arrays[n].shape else float(arrays[n]) for n in arrays.files}
             states = {n.removeprefix("life_"): values.pop(n) for n in arrays.files if n.startswith("life_")}

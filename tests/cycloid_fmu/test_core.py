@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import shutil
 import zipfile
 
 import numpy as np
@@ -141,3 +142,12 @@ def test_states_taken_and_restored_at_random_reproduce_bit_by_bit(resources, kin
             random.bit_generator.state = choices
             assert walk(core, moves) == first
             assert state_to_bytes(core.state()) == later
+
+
+def test_an_fmu_of_an_earlier_format_is_refused_with_a_sentence(resources, tmp_path):
+    """Its version may be the installed one's all the same."""
+    shutil.copytree(resources("kinematic"), tmp_path / "resources")
+    numbers = json.loads((tmp_path / "resources" / "pair.json").read_text())
+    (tmp_path / "resources" / "pair.json").write_text(json.dumps({**numbers, "format": 1, "pair": {"pair": {}}}))
+    with pytest.raises(RuntimeError, match="built with an earlier cycloid-fmu.*build it again"):
+        Core(tmp_path / "resources", "2.0")
