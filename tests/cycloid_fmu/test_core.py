@@ -149,5 +149,5 @@ def test_an_fmu_of_an_earlier_format_is_refused_with_a_sentence(resources, tmp_p
     shutil.copytree(resources("kinematic"), tmp_path / "resources")
     numbers = json.loads((tmp_path / "resources" / "pair.json").read_text())
     (tmp_path / "resources" / "pair.json").write_text(json.dumps({**numbers, "format": 1, "pair": {"pair": {}}}))
-    with pytest.raises(RuntimeError, match="built with an earlier cycloid-fmu.*build it again"):
+    with pytest.raises(RuntimeError, match="build it again"):
         Core(tmp_path / "resources", "2.0")
