@@ -74,9 +74,8 @@ def is_locked(stream: Recording | RecordingStream) -> bool:
 def _checked_drive(stream: Recording | RecordingStream, drive: Drive) -> Recording | RecordingStream:
     """Return a recording; one that states the fingerprint of another drive is refused."""
     nominal = drive.pair.nominal
-    if re.fullmatch("[0-9a-f]{16}", stream.pair) and stream.pair not in (
-        drive.hash, nominal.hash, Drive(nominal).hash
-    ):  # fmt: skip
+    known = (drive.hash, nominal.hash, Drive(nominal).hash)
+    if re.fullmatch("[0-9a-f]{16}", stream.pair) and stream.pair not in known:
         raise edge.InputError(
             f"{stream.source}: it was recorded of the drive {stream.pair}; this one is {drive.hash}, its nominal pair "
             f"{nominal.hash}."
