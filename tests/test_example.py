@@ -105,14 +105,6 @@ def example(tmp_path, monkeypatch, capsys):
     return run
 
 
-@pytest.mark.parametrize("name", ["use_from_python.py", "arrays_to_errors.py"])
-def test_the_pages_for_python_need_the_front_doors_alone(name):
-    text = (EXAMPLES / name).read_text(encoding="utf-8")
-    imported = re.findall(r"^(?:import|from) (\S+)", text, re.MULTILINE)
-    assert {"cycloid_fmu", "fitting"} <= set(imported)
-    assert set(imported) <= {"cycloid_fmu", "drivers", "fitting", "matplotlib.pyplot", "numpy", "pathlib"}
-
-
 def test_use_from_python(tmp_path, example):
     """The notebook finds the errors of the drive that it made."""
     said = example("use_from_python.py")
