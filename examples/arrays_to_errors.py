@@ -61,9 +61,9 @@ print("shapes of one run:", [array.shape for array in arrays[20.0, 1]])
 # Recordings
 # ----------
 #
-# A `fitting.Run` is a recording made of arrays; a single number holds for all samples. The two flags say what the
-# encoders know: `common_zero` that the output's zero was the same in all runs, `known_index` that crank angle 0 is the
-# crank at pin 0. Leave them out if you are not sure: then both are fitted.
+# A ``fitting.Run`` is a recording made of arrays; a single number holds for all samples. The two flags say what the
+# encoders know: ``common_zero`` that the output's zero was the same in all runs, ``known_index`` that crank angle 0 is
+# the crank at pin 0. Leave them out if you are not sure: then both are fitted.
 
 runs = [
     fitting.Run(
@@ -112,7 +112,7 @@ axis.legend(loc="lower left")
 figure.savefig(OUT / "intervals.png", dpi=150)
 
 # %%
-# The drive goes on from here like any other, into an FMU for example: `result.drive.build_fmu("drive.fmu")`.
+# The drive goes on from here like any other, into an FMU for example: ``result.drive.build_fmu("drive.fmu")``.
 
 inside = sum(one.interval[0] <= truth.get(one.name, 0.0) <= one.interval[1] for one in fitted)
 print(f"{inside} of {len(fitted)} intervals hold the truth")

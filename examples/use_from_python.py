@@ -2,7 +2,7 @@
 ===============
 
 The whole way as a notebook: a pair, its errors, a crank sweep, what a tolerance does, an FMU, and back from a bench
-run to the errors. Three imports are enough: `cycloid_fmu` knows the drive, `drivers` the encoders, `fitting` the
+run to the errors. Three imports are enough: ``cycloid_fmu`` knows the drive, ``drivers`` the encoders, ``fitting`` the
 measurements. Quantities are SI numbers or text with a unit everywhere; an impossible value is refused with a sentence
 that gives the reason.
 """
@@ -24,11 +24,12 @@ OUT.mkdir(exist_ok=True)
 # ----------------------
 #
 # A pair is what is drawn; a drive is a pair and what was really made of it. Both are values: they do not change, they
-# are equal where their numbers are, and `replace` makes another, checked like a new one.
+# are equal where their numbers are, and ``replace`` makes another, checked like a new one.
 
 pair = cy.Pair(
-    gear_teeth=39, pin_circle_radius="64 mm", pin_radius=0.003, eccentricity="1.3 mm", face_width=0.010,
-    rated_torque="181 N*m", modification={"isometric": "-15 um", "offset": "-40 um"},
+    gear_teeth=39, pin_circle_radius="64 mm", pin_radius=0.003,
+    eccentricity="1.3 mm", face_width=0.010, rated_torque="181 N*m",
+    modification={"isometric": "-15 um", "offset": "-40 um"},
 )  # fmt: skip
 nominal = cy.Drive(pair)
 made = nominal.replace(errors={"eccentricity": "3 um", "pin_radius": -1e-6, "pin_radial": {2: ("2.5 um", "40 deg")}})
@@ -44,7 +45,7 @@ except cy.InputError as problem:
 # A crank sweep
 # -------------
 #
-# `analyze` returns an xarray dataset over torque and crank angle, in SI units. `field_units` converts it to arcsec,
+# ``analyze`` returns an xarray dataset over torque and crank angle, in SI units. ``field_units`` converts it to arcsec,
 # N·m/arcmin, MPa, µm and degrees.
 
 data = made.analyze(torque=[20, "200 N*m"])
@@ -52,7 +53,7 @@ shown = cy.field_units(data)
 print(shown)
 
 # %%
-# The picture that `cycloid-fmu analyze --plot` draws, and one of your own:
+# The picture that ``cycloid-fmu analyze --plot`` draws, and one of your own:
 
 cy.plot(data, OUT / "sweep.png")
 
@@ -81,8 +82,8 @@ for name, row in zip(slope.error.values, slope.values * cy.ARCSEC * 1e-6, strict
 # Tolerances
 # ----------
 #
-# `sample` draws one drive that the tolerances allow, `study` solves many and sets them against limits. The 64 drives
-# here are few, so the yield's 95 % interval is wide.
+# ``sample`` draws one drive that the tolerances allow, ``study`` solves many and sets them against limits. The 64
+# drives here are few, so the yield's 95 % interval is wide.
 
 tolerances = cy.Tolerances(
     pin_radius={"tolerance": "2 um"}, eccentricity={"tolerance": "3 um"},
@@ -98,8 +99,8 @@ cy.plot(found, OUT / "study.png")
 # An FMU
 # ------
 #
-# The FMU is the same model: at the same angles it gives the same numbers. `interface="compliant"` gives torques instead
-# of motion, `native=True` an FMU that needs no Python.
+# The FMU is the same model: at the same angles it gives the same numbers. ``interface="compliant"`` gives torques
+# instead of motion, ``native=True`` an FMU that needs no Python.
 
 made.build_fmu(OUT / "made.fmu")
 angle = np.linspace(0.0, 2.0 * np.pi, 90)
@@ -112,7 +113,7 @@ print(f"FMU and analysis differ by {difference * cy.ARCSEC:.1e} arcsec at most")
 # -----------
 #
 # A simulated bench stands in for yours: it turns the FMU and sends CANopen encoder frames over a virtual bus. A real
-# bench is recorded by `drivers.record("bench.toml", "run.arrows")`.
+# bench is recorded by ``drivers.record("bench.toml", "run.arrows")``.
 
 recordings = []
 for seed, (load, direction) in enumerate([(20, "forward"), (-20, "backward"), (200, "forward"), (-200, "backward")]):
@@ -130,7 +131,7 @@ for seed, (load, direction) in enumerate([(20, "forward"), (-20, "backward"), (2
 # From the bench run to the errors
 # --------------------------------
 #
-# `identify` makes the transmission error curves, chooses the errors that the data resolve, fits them, and keeps one
+# ``identify`` makes the transmission error curves, chooses the errors that the data resolve, fits them, and keeps one
 # load back to predict it. Errors that the data can't resolve are held, each with the reason.
 
 result = fitting.identify(fitting.read_recordings(recordings), nominal)
@@ -142,7 +143,7 @@ print(f"kept back: {result.held_out.loads}: {result.held_out.residual * cy.ARCSE
 fitting.plot(result, OUT / "identified.png")
 
 # %%
-# `result.drive` is a drive like any other: it is analysed, sampled, written and built into an FMU.
+# ``result.drive`` is a drive like any other: it is analysed, sampled, written and built into an FMU.
 
 print(result.drive)
 print(f"eccentricity {result.drive.surface.eccentricity * 1e6:.2f} um; it was made 3 um too long")

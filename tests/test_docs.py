@@ -170,7 +170,7 @@ def test_the_api_reference_has_every_public_name_and_every_room():
     listed = set(re.findall(r"^   ([a-z]\w+\.[\w.]+)$", page, re.MULTILINE))
     for door in ("cycloid_fmu", "fitting", "drivers"):
         names = {f"{door}.{name}" for name in importlib.import_module(door).__all__ if name != "__version__"}
-        assert names <= listed
+        assert {name for name in names - listed if f"`{name}`" not in page} == set()
         for room in (p.parent for p in (ROOT / door).glob("*/__init__.py") if p.parent.name != "cli"):
             assert f"**`{door}.{room.name}`**" in page
             if f"{door}.{room.name}" not in listed:  # it does not list its names itself
