@@ -113,7 +113,7 @@ def test_the_changelog_keeps_its_form():
     versions = [block.splitlines() for block in re.split(r"^## ", text, flags=re.M)[1:]]
     assert versions[0][0] == "[Unreleased]"
     assert all(re.fullmatch(r"\[\d+\.\d+\.\d+\] - \d{4}-\d\d-\d\d", lines[0]) for lines in versions[1:])
-    users = ["End to end", "The system modeller", "The test-bench engineer", "The gear designer"]
+    users = ["End to end", "From Python", "The system modeller", "The test-bench engineer", "The gear designer"]
     for lines in versions:
         found, entries = {}, []
         for line in lines[1:]:
