@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.errors.kinds import KINDS, structured_names
+from cycloid_fmu.errors.kinds import KINDS, kind_of, structured_names
 from cycloid_fmu.errors.stated import Errors
 from cycloid_fmu.geometry.pair import Pair, read_pair
 from cycloid_fmu.surfaces.provenance import drive_hash, drive_text, stating
+from cycloid_fmu.surfaces.structured import profile_wave
 from cycloid_fmu.surfaces.surface import ErrorSurface, check_surface, stated_values, surface_of_pair
 
 if TYPE_CHECKING:
@@ -31,6 +32,13 @@ Array = NDArray[np.float64]
 _FIELD_UNITS = {
     "rad": ("arcsec", edge.ARCSEC), "N*m/rad": ("N*m/arcmin", 1.0 / edge.ARCMIN), "Pa": ("MPa", 1e-6), "m": ("um", 1e6),
 }  # fmt: skip
+
+
+def _torque(given: float | str) -> float:
+    try:
+        return edge.quantity(given, "N*m")
+    except ValueError as problem:
+        raise edge.ArgumentError("torque", str(problem), given) from None
 
 
 def _tolerances(given: Tolerances | str | os.PathLike[str]) -> Tolerances:
@@ -186,7 +194,7 @@ class Drive:
             crank_angle = np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False)
         given = [torque] if isinstance(torque, str) or np.ndim(torque) == 0 else list(torque)  # type: ignore[arg-type]
         return analyze(
-            self.pair, self.surface, [edge.quantity(t, "N*m") for t in given], crank_angle,
+            self.pair, self.surface, [_torque(t) for t in given], crank_angle,
             slices or slices_needed(self.surface), with_elements=slices is not None,
             workers=workers or os.cpu_count() or 1, progress=progress,
         )  # fmt: skip
@@ -219,9 +227,7 @@ class Drive:
         Raises
         ------
         edge.InputError
-            If the torque can't be carried.
-        ValueError
-            If a name is no structured error of this drive.
+            If the torque can't be carried, or a name is no structured error.
 
         Examples
         --------
@@ -239,9 +245,13 @@ class Drive:
 
         if crank_angle is None:
             crank_angle = np.linspace(0.0, 2.0 * math.pi, angles, endpoint=False)
-        names = list(errors) if errors is not None else structured_names((1, 2, 3))
+        known = structured_names((1, 2, 3))
+        names = list(errors) if errors is not None else known
+        for name in names:
+            if kind_of(name) is None and profile_wave(name, 1) is None:
+                raise edge.ArgumentError("errors", f"no structured error; {edge.did_you_mean(name, known)}", name)
         _, jacobian, _, _ = error_sensitivity(
-            self.pair, self.surface, edge.quantity(torque, "N*m"), crank_angle, names, slices_needed(self.surface)
+            self.pair, self.surface, _torque(torque), crank_angle, names, slices_needed(self.surface)
         )
         units = {"units": "rad/m, rad/rad", "long_name": "derivative of the transmission error", "drive": self.hash}
         places = {"error": names, "crank_angle": np.atleast_1d(crank_angle)}
@@ -327,7 +337,7 @@ class Drive:
             raise edge.ArgumentError("torque", "is missing; give it, or state the pair's rated torque")
         loads = [rated, -rated] if torque is None and rated is not None else torque or ()
         study = Study(
-            self.pair, _tolerances(tolerances), samples, seed, tuple(edge.quantity(t, "N*m") for t in loads),
+            self.pair, _tolerances(tolerances), samples, seed, tuple(_torque(t) for t in loads),
             angles=angles,
         )  # fmt: skip
         yields.check(study, "pair", "tolerances", to_first_order=first_order is not None)
@@ -379,7 +389,7 @@ class Drive:
 
         source = "law" if isinstance(law, WearLaw) else str(law)
         stated = law if isinstance(law, WearLaw) else read_wear_law(law)
-        loads = (Load(torque=edge.quantity(torque, "N*m"), crank_turns=1.0),)
+        loads = (Load(torque=_torque(torque), crank_turns=1.0),)
         return run_wear(
             self.pair, self.surface, stated, loads, crank_turns, source, workers=workers or os.cpu_count() or 1,
             progress=progress,

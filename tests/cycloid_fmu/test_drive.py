@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import re
 import zipfile
 
 import numpy as np
@@ -116,6 +117,17 @@ def test_values_are_validated_the_same_in_python_and_in_files():
         pair.replace(offset="-30 kg")
     with pytest.raises(AttributeError):
         cy.Drive(pair).pair = pair
+    drive = cy.Drive(pair)
+    for call, said in (
+        (lambda: drive.analyze("20 kg"), 'torque = "20 kg": the unit "kg" measures something else'),
+        (lambda: drive.analyze([20, float("nan")]), "torque = nan: give a finite number"),
+        (lambda: drive.sensitivity(100, ["pin_radus"]), 'errors = "pin_radus": no structured error; did you mean'),
+        (lambda: drive.study(cy.Tolerances(pin_radius={"tolerance": "1 um"})), "torque is missing"),
+        (lambda: drive.write("drive.csv"), "path = drive.csv: the name must end in .toml or .nc"),
+        (lambda: drive.build_fmu("d.fmu", interface="stiff"), 'interface = "stiff": it must be one of'),
+    ):
+        with pytest.raises(edge.InputError, match=re.escape(said)):
+            call()
 
 
 def test_a_dataset_states_the_drive_that_was_computed():
