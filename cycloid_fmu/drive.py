@@ -34,7 +34,7 @@ _FIELD_UNITS = {
 }  # fmt: skip
 
 
-def _torque(given: float | str) -> float:
+def _torque(given: Any) -> float:
     try:
         return edge.quantity(given, "N*m")
     except ValueError as problem:
