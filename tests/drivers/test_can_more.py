@@ -76,7 +76,11 @@ def test_an_interface_s_own_clock_is_put_on_the_host_s(tmp_path, bus_name):
     stamps = angle.time_device - angle.time_device[0]
     np.testing.assert_allclose(stamps, (motion.time - motion.time[0])[: len(stamps)] * (1 + 300e-6), atol=1e-6)
     reach = clock.uncertainty / stamps[-1]
-    assert clock.drift == pytest.approx(-300e-6, abs=2 * reach + 20e-6)
+    # The least delay of each third, known because the true drift is: where a busy machine lets it grow along the run
+    # (0.2 ms were seen, 70 ppm), no estimate from arrivals can tell that from a drift.
+    delays = angle.time_host - angle.time_host[0] - stamps / (1 + 300e-6)
+    swing = np.ptp([third.min() for third in np.array_split(delays, 3)]) / (stamps[-1] / 3)
+    assert clock.drift == pytest.approx(-300e-6, abs=2 * reach + swing + 20e-6)
     late = angle.time_host - recording.aligned_time("input_angle")
     assert late.min() > -clock.uncertainty
     (emergency,) = (e for e in recording.events if e.text.startswith("EMCY"))
