@@ -51,7 +51,6 @@ from cycloid_fmu.edge.quantities import (
     ARCSEC,
     format_quantity,
     parse_quantity,
-    quantity_option,
     unit_scale,
     units,
 )
@@ -89,7 +88,6 @@ __all__ = [
     "output_path",
     "parse_quantity",
     "quantity",
-    "quantity_option",
     "read_text",
     "shown",
     "toml_table",

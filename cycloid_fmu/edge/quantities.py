@@ -8,8 +8,6 @@ import re
 from decimal import Decimal
 from typing import TYPE_CHECKING, Any
 
-from cycloid_fmu.edge.problems import InputError, shown
-
 if TYPE_CHECKING:
     import pint
 
@@ -122,11 +120,3 @@ def format_quantity(value: float, si: str, unit: str) -> str:
     '64 mm'
     """
     return f"{value / unit_scale(unit, si):.15g} {unit}"
-
-
-def quantity_option(text: str, si: str, name: str) -> float:
-    """Return a quantity typed on the command line in SI units; an `InputError` names the option."""
-    try:
-        return parse_quantity(text, si)
-    except ValueError as problem:
-        raise InputError(f"{name} = {shown(text)}: {problem}.") from None

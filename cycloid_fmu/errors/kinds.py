@@ -202,9 +202,9 @@ def _wave_names() -> re.Pattern[str]:
     return re.compile(rf"({names})_([1-9]\d*)_(cos|sin)")
 
 
-def numbers() -> tuple[str, ...]:
-    """Return the names of the kinds that are one number for a drive."""
-    return tuple(k.name for k in KINDS.values() if k.of == "drive")
+def by_file_key() -> dict[str, ErrorKind]:
+    """Return every kind by its key in a pair file's `[errors]`."""
+    return {kind.file_key: kind for kind in KINDS.values()}
 
 
 def structured_names(orders: Collection[int]) -> list[str]:

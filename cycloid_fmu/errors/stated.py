@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.errors.kinds import KINDS, ErrorKind
+from cycloid_fmu.errors.kinds import ErrorKind, by_file_key
 
 _ORDER = re.compile(r"order_([1-9]\d*)")
 
@@ -96,7 +96,7 @@ class Errors(Mapping[str, Any]):
     __slots__ = ("_values",)
 
     def __init__(self, stated: Mapping[str, Any] | None = None, source: str | None = None) -> None:
-        kinds = {kind.file_key: kind for kind in KINDS.values()}
+        kinds = by_file_key()
         where = f"{source}: [errors] " if source is not None else "errors: "
         values, problems = {}, []
         for key, given in (stated or {}).items():
@@ -124,7 +124,7 @@ class Errors(Mapping[str, Any]):
         return len(self._values)
 
     def __getattr__(self, key: str) -> Any:
-        kinds = {kind.file_key: kind for kind in KINDS.values()}
+        kinds = by_file_key()
         if key.startswith("_") or key not in kinds:
             raise AttributeError(key)
         return self._values.get(key, 0.0 if kinds[key].of == "drive" else ())

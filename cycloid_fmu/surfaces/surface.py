@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.errors.kinds import KINDS, ErrorKind
+from cycloid_fmu.errors.kinds import KINDS, ErrorKind, by_file_key
 from cycloid_fmu.errors.stated import Errors, values_of
 from cycloid_fmu.geometry.pair import Pair
 
@@ -331,7 +331,7 @@ def surface_of_pair(pair: Pair) -> ErrorSurface:
 
 def stated_values(pair: Pair, errors: Errors) -> dict[str, Any]:
     """Return the values of the stated errors by their kinds' names, m or rad, in the shapes of the pair."""
-    kinds = {kind.file_key: kind for kind in KINDS.values()}
+    kinds = by_file_key()
     return {kinds[key].name: values_of(kinds[key], stated, kinds[key].shape(pair)) for key, stated in errors.items()}
 
 
@@ -380,7 +380,7 @@ def alike(surface: ErrorSurface) -> tuple[bool, bool]:
     return parts["teeth"], parts["pins"]
 
 
-def shown(value: Any) -> str:
+def _shown(value: Any) -> str:
     """Return a value of a pair's field as a sentence shows it."""
     return f"{value:.9g}" if isinstance(value, float) else str(value)
 
@@ -412,6 +412,6 @@ def check_surface(pair: Pair, surface: ErrorSurface, pair_source: str, surface_s
         field, one, other = _difference(f"[pair] {name}", getattr(mine, name), getattr(theirs, name)) or ("", 0, 0)
         if field and name not in ("rated_torque", "contact_law"):
             raise edge.InputError(
-                f"{surface_source}: this surface belongs to another pair: {field} is {shown(other)} there and "
-                f"{shown(one)} in {pair_source}."
+                f"{surface_source}: this surface belongs to another pair: {field} is {_shown(other)} there and "
+                f"{_shown(one)} in {pair_source}."
             )
