@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
-_SOURCES = tuple(sorted((s.stat().st_mtime_ns, s.name) for s in Path(__file__).parent.glob("*.py")))
+_ROOMS = [Path(__file__).parent, Path(__file__).parents[1] / "supports"]
+_SOURCES = tuple(sorted((s.stat().st_mtime_ns, s.name) for room in _ROOMS for s in room.glob("*.py")))
 
 
 def compiled(function: _Function) -> _Function:

@@ -64,8 +64,8 @@ def move_to_deviations(
         number = int(tooth) % teeth
         base = tooth * pitch
         # The pin's axis, and the direction from it to the pin circle's centre, on tooth 0.
-        ux = problem.eccentricity * math.cos(crank) + problem.centre_x[slice_]
-        uy = problem.eccentricity * math.sin(crank) + problem.centre_y[slice_]
+        ux = problem.eccentricity * math.cos(crank) + problem.centre_x[slice_] + problem.shift_x[disc]
+        uy = problem.eccentricity * math.sin(crank) + problem.centre_y[slice_] + problem.shift_y[disc]
         cg, sg = math.cos(gear), math.sin(gear)
         ox, oy = ux * cg + uy * sg, uy * cg - ux * sg
         turned = ring - gear

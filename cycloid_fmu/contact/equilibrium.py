@@ -29,7 +29,7 @@ def load(problem: Problem, theta: float, x: float, contacts: Rows) -> tuple[floa
     torque = stiffness = 0.0
     for row in range(contacts.shape[0]):
         contact = contacts[row]
-        gap, last = contact.gap, contact.force
+        gap, last = contact.gap + problem.seat_gap, contact.force
         contact.force = contact.stiffness = 0.0
         if gap >= 0.0 or not is_solved_at(contact, theta, x):
             continue
@@ -37,6 +37,7 @@ def load(problem: Problem, theta: float, x: float, contacts: Rows) -> tuple[floa
         force, k, by_curvature = hertz(
             -gap, contact.curvature, problem.pin_radius[pin], problem.slice_width,
             problem.compliance_gear, problem.compliance_pin, problem.largest_log_radius, last,
+            problem.seat_compliance,
         )  # fmt: skip
         contact.force, contact.stiffness, contact.force_by_curvature = force, k, by_curvature
         torque += force * contact.arm

@@ -26,6 +26,7 @@ def hertz(
     compliance_pin: float,
     largest_log_radius: float,
     guess: float = 0.0,
+    seat_compliance: float = 0.0,
 ) -> tuple[float, float, float]:
     """Force and stiffness of Hertz's line contact at a given approach.
 
@@ -46,6 +47,8 @@ def hertz(
         |ρ_c| in the logarithm is at most this, m.
     guess
         A force to start from, N; 0 where there is none.
+    seat_compliance
+        Of a linear spring in series, m/N, whose way is part of the approach.
 
     Returns
     -------
@@ -63,11 +66,13 @@ def hertz(
         - 1.0
         - math.log(4.0 * equivalent * kappa)
     )
+    # A spring in series adds to H.
+    series = seat_compliance / kappa
     target = approach / kappa
-    force = target / max(h - math.log(target) + 2.0, 2.0) if guess <= 0.0 else guess
+    force = target / (max(h - math.log(target) + 2.0, 2.0) + series) if guess <= 0.0 else guess
     q = change = start = 0.0
     for _ in range(30):
-        q = max(h - math.log(force), 1.5)
+        q = max(h - math.log(force), 1.5) + series
         following = (target - force) / (q - 1.0)
         if following <= 0.0:
             following = 0.5 * force
@@ -79,10 +84,10 @@ def hertz(
     # ln F of the last step, whose square is nothing.
     q -= (force - start) / force
     # Beyond H - ln F = 2 (half width near the radii) the law bends over; it is continued along its tangent there.
-    limit = math.exp(h - 2.0) if q < 3.0 or change > 1e-5 * force else math.inf
-    if target >= 2.0 * limit:
-        force = target - limit
-        return force, 1.0 / kappa, 0.0
+    limit = math.exp(h - 2.0) if q < 3.0 + series or change > 1e-5 * force else math.inf
+    if target >= (2.0 + series) * limit:
+        force = (target - limit) / (1.0 + series)
+        return force, 1.0 / (kappa * (1.0 + series)), 0.0
     bending = 1.0 / (1.0 / pin_radius + curvature)
     if log_radius < largest_log_radius:
         bending -= 2.0 * share / curvature

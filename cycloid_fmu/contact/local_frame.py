@@ -50,8 +50,8 @@ def local_frame(problem: Problem, theta: float, x: float, contacts: Rows, row: i
     cr, sr = math.cos(ring), math.sin(ring)
     lx = problem.pin_x[pin] * cr - problem.pin_y[pin] * sr
     ly = problem.pin_x[pin] * sr + problem.pin_y[pin] * cr
-    gx = lx - problem.eccentricity * math.cos(crank) - problem.centre_x[slice_]
-    gy = ly - problem.eccentricity * math.sin(crank) - problem.centre_y[slice_]
+    gx = lx - problem.eccentricity * math.cos(crank) - problem.centre_x[slice_] - problem.shift_x[disc]
+    gy = ly - problem.eccentricity * math.sin(crank) - problem.centre_y[slice_] - problem.shift_y[disc]
     sign = 1.0
     if not problem.ring:
         lx, ly, sign = gx, gy, -1.0

@@ -57,6 +57,7 @@ def place(problem: Problem, theta: float, x: float, contacts: Rows, cold: bool, 
         cg, sg = math.cos(gear), math.sin(gear)
         ox, oy = problem.eccentricity * math.cos(crank), problem.eccentricity * math.sin(crank)
         crank_x, crank_y = ox * cg + oy * sg, oy * cg - ox * sg
+        ox, oy = ox + problem.shift_x[disc], oy + problem.shift_y[disc]
         shift = (crank - ring) / teeth
         for pin in range(pins):
             first = disc * slices * stride + 2 * pin

@@ -60,6 +60,9 @@ class Problem(NamedTuple):
         Angle of each disc's crank ahead of disc 0's, shape (discs,), rad.
     centre_x, centre_y
         Offset of the gear's centre in each slice, shape (slices,), m.
+    shift_x, shift_y, turn
+        Where each disc stands off its place on a rigid crank: its centre (m) and its rotation beyond x (rad), shape
+        (discs,). Zeros, unless bearings hold it (`cycloid_fmu.supports` writes them as it solves).
     slice_z
         Distance of each slice's middle from mid-width, shape (slices,), m.
     slice_width
@@ -70,6 +73,8 @@ class Problem(NamedTuple):
         Limit of the flank's curvature radius in Hertz's logarithm, m; infinite for the law as printed.
     stray
         How far modifications and errors can take a pin's axis from the flank's generating path, m.
+    seat_gap, seat_compliance
+        Gap (m) and compliance (m/N, of one slice) of a pin in its seat; zeros where it is rigid.
     root_phase
         Phase from a root within which both its teeth are tried, rad.
     root_margin
@@ -91,12 +96,17 @@ class Problem(NamedTuple):
     crank_phase: Array
     centre_x: Array
     centre_y: Array
+    shift_x: Array
+    shift_y: Array
+    turn: Array
     slice_z: Array
     slice_width: float
     compliance_gear: float
     compliance_pin: float
     largest_log_radius: float
     stray: float
+    seat_gap: float
+    seat_compliance: float
     root_phase: float
     root_margin: float
     deviations: Deviations | None
@@ -108,4 +118,4 @@ def poses(problem: Problem, theta: float, x: float, disc: int) -> tuple[float, f
     phase = problem.crank_phase[disc]
     if problem.ring:
         return theta + phase, theta / (problem.teeth + 1) + x, -phase / problem.teeth
-    return theta + phase, 0.0, x - (theta + phase) / problem.teeth
+    return theta + phase, 0.0, x + problem.turn[disc] - (theta + phase) / problem.teeth

@@ -1,0 +1,439 @@
+"""Balance of discs, cranks and carrier on their bearings, by Newton's method on all unknowns.
+
+The unknowns q are deviations from the ideal place, in axes that do not turn: the carrier's rotation x and its centre,
+then of each disc the shift (u, v) of its centre and its rotation y, then the shift of each crank's axis from its place
+in the carrier. Forces and moments balance where the energy of all laws less the work of the torque is stationary.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from cycloid_fmu import contact
+from cycloid_fmu.contact import Array, Problem, Rows, part
+from cycloid_fmu.contact.equilibrium import equilibrium, load
+from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
+from cycloid_fmu.supports.assembly import Assembly
+from cycloid_fmu.supports.bearing import CENTRING, Bearing, push
+
+_FIRST_DISC = 3
+_BALANCED = 1e-7  # N: what is left of a balance
+_LONGEST = 25e-6  # m: a step is no longer than this
+_REACH = 4e-6  # m: pins nearer than this are solved at every step, the others once the discs have moved as far
+_HELD = 1e-3  # N/m: keeps a rotation in reach that nothing holds yet; it pulls to where the step began
+_ITERATIONS = 60
+
+
+class Work(NamedTuple):
+    """Arrays that solving overwrites.
+
+    Attributes
+    ----------
+    residual, step, before
+        Shape (unknowns,).
+    jacobian
+        Shape (unknowns, unknowns).
+    bearing
+        Derivatives of one bearing's displacement by its unknowns, shape (2, 8).
+    at
+        Which unknowns those are, shape (8,).
+    pose, moved
+        Where each disc was when it was last placed (discs, 3), and how far discs have moved since all pins were solved,
+        shape (1,), m.
+    """
+
+    residual: Array
+    step: Array
+    before: Array
+    jacobian: Array
+    bearing: Array
+    at: Array
+    pose: Array
+    moved: Array
+
+
+@part
+def unknowns(problem: Problem, assembly: Assembly) -> int:
+    """Return how many unknowns there are."""
+    shafts = assembly.place_x.size if assembly.cranks else 1
+    return 3 + 3 * problem.shift_x.size + 2 * shafts
+
+
+@part
+def work_of(problem: Problem, assembly: Assembly) -> Work:
+    """Return empty arrays to solve in."""
+    n, discs = unknowns(problem, assembly), problem.shift_x.size
+    return Work(
+        np.zeros(n), np.zeros(n), np.zeros(n), np.zeros((n, n)), np.zeros((2, 8)), np.zeros(8), np.zeros((discs, 3)),
+        np.full(1, np.inf),
+    )  # fmt: skip
+
+
+@part
+def _place_discs(problem: Problem, assembly: Assembly, theta: float, q: Array, contacts: Rows, work: Work) -> None:
+    """Put the discs where q says and solve the gaps that this can close."""
+    x = q[0]
+    furthest = 0.0
+    for disc in range(problem.shift_x.size):
+        at = _FIRST_DISC + 3 * disc
+        problem.shift_x[disc], problem.shift_y[disc], problem.turn[disc] = q[at], q[at + 1], q[at + 2] - x
+        pose = work.pose[disc]
+        shifted = math.hypot(q[at] - pose[0], q[at + 1] - pose[1])
+        furthest = max(furthest, shifted + assembly.rotation_scale * abs(problem.turn[disc] - pose[2]))
+        pose[0], pose[1], pose[2] = q[at], q[at + 1], problem.turn[disc]
+    cold = work.moved[0] == math.inf
+    work.moved[0] += furthest
+    clear = _REACH
+    if not work.moved[0] < _REACH - CLEAR:
+        clear, work.moved[0] = math.inf, 0.0
+    place(problem, theta, x, contacts, cold, clear, BOUNDED)
+
+
+@part
+def _add_mesh(problem: Problem, theta: float, x: float, contacts: Rows, work: Work) -> None:
+    """Add the pins' forces on the discs and their derivatives."""
+    residual, jacobian = work.residual, work.jacobian
+    for row in range(contacts.shape[0]):
+        contact_ = contacts[row]
+        force = contact_.force
+        if force <= 0.0:
+            continue
+        disc, _, _ = contact.disc_slice_pin(problem, row)
+        local = contact.local_frame(problem, theta, x, contacts, row)
+        nx, ny, px, py = local.normal_x, local.normal_y, local.gear_x, local.gear_y
+        # The gap's derivatives by u, v, y, and the slide of the pin's axis along the flank for each.
+        du, dv, dy = -nx, -ny, nx * py - ny * px
+        au, av, ay = ny, -nx, -(nx * px + ny * py)
+        k, bend = contact_.stiffness, local.bend
+        curved = contact_.force_by_curvature * contact_.curvature_rate * local.foot
+        at = _FIRST_DISC + 3 * disc
+        residual[at] -= force * du
+        residual[at + 1] -= force * dv
+        residual[at + 2] -= force * dy
+        for i in range(3):
+            di = du if i == 0 else (dv if i == 1 else dy)
+            ai = au if i == 0 else (av if i == 1 else ay)
+            for j in range(3):
+                dj = du if j == 0 else (dv if j == 1 else dy)
+                aj = au if j == 0 else (av if j == 1 else ay)
+                jacobian[at + i, at + j] += k * di * dj - force * bend * ai * aj - curved * di * aj
+        jacobian[at, at + 2] -= force * ny
+        jacobian[at + 2, at] -= force * ny
+        jacobian[at + 1, at + 2] += force * nx
+        jacobian[at + 2, at + 1] += force * nx
+        jacobian[at + 2, at + 2] -= force * ay
+
+
+@part
+def _add_bearing(
+    work: Work, count: int, dx: float, dy: float, force: float, stiffness: float, r: float
+) -> None:
+    """Add a bearing displaced by d, |d| = r, whose derivatives by `count` unknowns are in `work`."""
+    residual, jacobian, by, at = work.residual, work.jacobian, work.bearing, work.at
+    if r > 0.0:
+        nx, ny, across = dx / r, dy / r, force / r
+    else:
+        nx, ny, across = 1.0, 0.0, stiffness
+    kxx = stiffness * nx * nx + across * ny * ny
+    kyy = stiffness * ny * ny + across * nx * nx
+    kxy = (stiffness - across) * nx * ny
+    for i in range(count):
+        bx, by_ = by[0, i], by[1, i]
+        row = int(at[i])
+        residual[row] += force * (nx * bx + ny * by_)
+        kx, ky = kxx * bx + kxy * by_, kxy * bx + kyy * by_
+        for j in range(count):
+            jacobian[row, int(at[j])] += kx * by[0, j] + ky * by[1, j]
+
+
+@part
+def _spring(bearing: Bearing, r: float, centring: float) -> tuple[float, float]:
+    force, stiffness = push(bearing, r)
+    return force + centring * r, stiffness + centring
+
+
+@part
+def _shift(work: Work, first: int, sign: float, column: int) -> None:
+    """Say that two unknowns shift the displacement directly."""
+    work.at[column], work.at[column + 1] = first, first + 1
+    work.bearing[0, column], work.bearing[1, column] = sign, 0.0
+    work.bearing[0, column + 1], work.bearing[1, column + 1] = 0.0, sign
+
+
+@part
+def eccentric(assembly: Assembly, crank: float, disc: int, k: int) -> tuple[float, float]:
+    """e u(A) less the eccentric that was made, (e + de) u(A + dψ), computed from small terms, m."""
+    phase, throw = assembly.phase[disc, k], assembly.throw[disc, k]
+    half = 2.0 * assembly.eccentricity * math.sin(0.5 * phase)
+    between, made = crank + 0.5 * phase, crank + phase
+    return (
+        half * math.sin(between) - throw * math.cos(made),
+        -half * math.cos(between) - throw * math.sin(made),
+    )
+
+
+@part
+def crank_displacement(
+    assembly: Assembly, carrier: float, theta: float, phase: float, q: Array, disc: int, k: int
+) -> tuple[float, float, float, float, float, float]:
+    """Displacement of a crank's eccentric in its disc's hole, and the arms of disc and carrier there, m.
+
+    `carrier` is the carrier's ideal rotation γ.
+    """
+    at, shaft = _FIRST_DISC + 3 * disc, _FIRST_DISC + 3 * assembly.hole_x.shape[0] + 2 * k
+    x, y = q[0], q[at + 2]
+    cx, sx, cy, sy = math.cos(carrier + x), math.sin(carrier + x), math.cos(carrier + y), math.sin(carrier + y)
+    px, py = assembly.place_x[k], assembly.place_y[k]
+    ax, ay = px + assembly.crank_x[k], py + assembly.crank_y[k]
+    hx, hy = px + assembly.hole_x[disc, k], py + assembly.hole_y[disc, k]
+    # Both places turned; R(γ + y) p - R(γ + x) p as a turn about their mean.
+    turn, mean = 2.0 * math.sin(0.5 * (y - x)), carrier + 0.5 * (x + y)
+    cm, sm = math.cos(mean), math.sin(mean)
+    dx = turn * (-sm * px - cm * py) + cy * assembly.hole_x[disc, k] - sy * assembly.hole_y[disc, k]
+    dy = turn * (cm * px - sm * py) + sy * assembly.hole_x[disc, k] + cy * assembly.hole_y[disc, k]
+    dx += -cx * assembly.crank_x[k] + sx * assembly.crank_y[k] + q[at] - q[1] - q[shaft]
+    dy += -sx * assembly.crank_x[k] - cx * assembly.crank_y[k] + q[at + 1] - q[2] - q[shaft + 1]
+    ex, ey = eccentric(assembly, theta + phase, disc, k)
+    return dx + ex, dy + ey, cy * hx - sy * hy, sy * hx + cy * hy, cx * ax - sx * ay, sx * ax + cx * ay
+
+
+@part
+def _add_cranks(problem: Problem, assembly: Assembly, theta: float, q: Array, centring: float, work: Work) -> None:
+    residual, jacobian = work.residual, work.jacobian
+    discs = problem.shift_x.size
+    carrier = -theta / problem.teeth
+    for k in range(assembly.place_x.size):
+        shaft = _FIRST_DISC + 3 * discs + 2 * k
+        for disc in range(discs):
+            dx, dy, hx, hy, ax, ay = crank_displacement(
+                assembly, carrier, theta, problem.crank_phase[disc], q, disc, k
+            )
+            at = _FIRST_DISC + 3 * disc
+            _shift(work, at, 1.0, 0)
+            _shift(work, 1, -1.0, 2)
+            _shift(work, shaft, -1.0, 4)
+            work.at[6], work.bearing[0, 6], work.bearing[1, 6] = at + 2, -hy, hx
+            work.at[7], work.bearing[0, 7], work.bearing[1, 7] = 0, ay, -ax
+            r = math.hypot(dx, dy)
+            force, stiffness = _spring(assembly.turning_arm, r, centring)
+            _add_bearing(work, 8, dx, dy, force, stiffness, r)
+            if r > 0.0:
+                jacobian[at + 2, at + 2] -= force * (dx * hx + dy * hy) / r
+                jacobian[0, 0] += force * (dx * ax + dy * ay) / r
+        sx, sy = q[shaft], q[shaft + 1]
+        r = math.hypot(sx, sy)
+        force, stiffness = _spring(assembly.crank_shaft, r, centring)
+        _shift(work, shaft, 1.0, 0)
+        _add_bearing(work, 2, sx, sy, force, stiffness, r)
+    _ = residual
+
+
+@part
+def roller_displacement(
+    assembly: Assembly, carrier: float, crank: float, q: Array, disc: int, i: int
+) -> tuple[float, float, float, float, float, float, float]:
+    """Place of a hole from its output roller, and the arms of disc and carrier there; last, by how much it is beyond e."""
+    at = _FIRST_DISC + 3 * disc
+    x, y = q[0], q[at + 2]
+    cx, sx, cy, sy = math.cos(carrier + x), math.sin(carrier + x), math.cos(carrier + y), math.sin(carrier + y)
+    px, py = assembly.place_x[i], assembly.place_y[i]
+    ax, ay = px + assembly.crank_x[i], py + assembly.crank_y[i]
+    hx, hy = px + assembly.hole_x[disc, i], py + assembly.hole_y[disc, i]
+    turn, mean = 2.0 * math.sin(0.5 * (y - x)), carrier + 0.5 * (x + y)
+    cm, sm = math.cos(mean), math.sin(mean)
+    dx = turn * (-sm * px - cm * py) + cy * assembly.hole_x[disc, i] - sy * assembly.hole_y[disc, i]
+    dy = turn * (cm * px - sm * py) + sy * assembly.hole_x[disc, i] + cy * assembly.hole_y[disc, i]
+    dx += -cx * assembly.crank_x[i] + sx * assembly.crank_y[i] + q[at] - q[1]
+    dy += -sx * assembly.crank_x[i] - cx * assembly.crank_y[i] + q[at + 1] - q[2]
+    e = assembly.eccentricity
+    ox, oy = e * math.cos(crank), e * math.sin(crank)
+    wx, wy = ox + dx, oy + dy
+    beyond = (2.0 * (ox * dx + oy * dy) + dx * dx + dy * dy) / (math.hypot(wx, wy) + e)
+    return wx, wy, cy * hx - sy * hy, sy * hx + cy * hy, cx * ax - sx * ay, sx * ax + cx * ay, beyond
+
+
+@part
+def _add_rollers(problem: Problem, assembly: Assembly, theta: float, q: Array, centring: float, work: Work) -> None:
+    jacobian = work.jacobian
+    discs = problem.shift_x.size
+    carrier = -theta / problem.teeth
+    shaft = _FIRST_DISC + 3 * discs
+    for disc in range(discs):
+        crank, at = theta + problem.crank_phase[disc], _FIRST_DISC + 3 * disc
+        ex, ey = eccentric(assembly, crank, disc, 0)
+        dx, dy = q[at] - q[shaft] + ex, q[at + 1] - q[shaft + 1] + ey
+        _shift(work, at, 1.0, 0)
+        _shift(work, shaft, -1.0, 2)
+        r = math.hypot(dx, dy)
+        force, stiffness = _spring(assembly.turning_arm, r, centring)
+        _add_bearing(work, 4, dx, dy, force, stiffness, r)
+        for i in range(assembly.place_x.size):
+            wx, wy, hx, hy, ax, ay, beyond = roller_displacement(assembly, carrier, crank, q, disc, i)
+            beyond -= assembly.hole_play[disc, i]
+            if beyond <= 0.0:
+                continue
+            _shift(work, at, 1.0, 0)
+            _shift(work, 1, -1.0, 2)
+            work.at[4], work.bearing[0, 4], work.bearing[1, 4] = at + 2, -hy, hx
+            work.at[5], work.bearing[0, 5], work.bearing[1, 5] = 0, ay, -ax
+            r, force = math.hypot(wx, wy), assembly.output_roller * beyond
+            _add_bearing(work, 6, wx, wy, force, assembly.output_roller, r)
+            jacobian[at + 2, at + 2] -= force * (wx * hx + wy * hy) / r
+            jacobian[0, 0] += force * (wx * ax + wy * ay) / r
+    sx, sy = q[shaft] - assembly.seat_x, q[shaft + 1] - assembly.seat_y
+    r = math.hypot(sx, sy)
+    force, stiffness = _spring(assembly.crank_shaft, r, centring)
+    _shift(work, shaft, 1.0, 0)
+    _add_bearing(work, 2, sx, sy, force, stiffness, r)
+
+
+@part
+def _assemble(
+    problem: Problem, assembly: Assembly, theta: float, torque: float, centring: float, q: Array, contacts: Rows,
+    work: Work,
+) -> None:  # fmt: skip
+    """Write what does not balance at q, and its derivatives."""
+    _place_discs(problem, assembly, theta, q, contacts, work)
+    load(problem, theta, q[0], contacts)
+    work.residual[:] = 0.0
+    work.jacobian[:] = 0.0
+    _add_mesh(problem, theta, q[0], contacts, work)
+    if assembly.cranks:
+        _add_cranks(problem, assembly, theta, q, centring, work)
+    else:
+        _add_rollers(problem, assembly, theta, q, centring, work)
+    mx, my = q[1] - assembly.seat_x, q[2] - assembly.seat_y
+    r = math.hypot(mx, my)
+    force, stiffness = _spring(assembly.main, r, centring)
+    _shift(work, 1, 1.0, 0)
+    _add_bearing(work, 2, mx, my, force, stiffness, r)
+    work.residual[0] -= torque
+
+
+@part
+def solve_linear(matrix: Array, right: Array) -> bool:
+    """Solve matrix · x = right by elimination with row pivots, both overwritten, x in `right`; whether it could be."""
+    n = right.size
+    for k in range(n):
+        best = k
+        for i in range(k + 1, n):
+            if abs(matrix[i, k]) > abs(matrix[best, k]):
+                best = i
+        if matrix[best, k] == 0.0:
+            return False
+        if best != k:
+            for j in range(k, n):
+                matrix[k, j], matrix[best, j] = matrix[best, j], matrix[k, j]
+            right[k], right[best] = right[best], right[k]
+        for i in range(k + 1, n):
+            if matrix[i, k] != 0.0:
+                factor = matrix[i, k] / matrix[k, k]
+                for j in range(k + 1, n):
+                    matrix[i, j] -= factor * matrix[k, j]
+                right[i] -= factor * right[k]
+    for k in range(n - 1, -1, -1):
+        value = right[k]
+        for j in range(k + 1, n):
+            value -= matrix[k, j] * right[j]
+        right[k] = value / matrix[k, k]
+    return True
+
+
+@part
+def _longest(problem: Problem, assembly: Assembly, step: Array, power: float) -> float:
+    """Longest displacement of a step, m (power 1), or largest force of a residual, N (-1)."""
+    scale = assembly.rotation_scale**power
+    longest = 0.0
+    last = _FIRST_DISC + 3 * problem.shift_x.size
+    for i in range(step.size):
+        rotation = i == 0 or (_FIRST_DISC <= i < last and (i - _FIRST_DISC) % 3 == 2)
+        longest = max(longest, abs(step[i]) * (scale if rotation else 1.0))
+    return longest
+
+
+@part
+def balance(
+    problem: Problem, assembly: Assembly, theta: float, torque: float, centring: float, q: Array, contacts: Rows,
+    work: Work, careful: bool,
+) -> int:  # fmt: skip
+    """Solve the balance from q, which is overwritten; returns the number of steps, 0 where it was not found.
+
+    Whole steps find which bearings and pins touch; `careful` shortens a step along which the work turned round.
+    """
+    held = _HELD * assembly.rotation_scale * assembly.rotation_scale
+    _assemble(problem, assembly, theta, torque, centring, q, contacts, work)
+    for iteration in range(_ITERATIONS):
+        left = _longest(problem, assembly, work.residual, -1.0)
+        if left < _BALANCED + 1e-12 * abs(torque) / assembly.rotation_scale:
+            return iteration + 1
+        step = work.step
+        for i in range(step.size):
+            step[i] = -work.residual[i]
+        work.jacobian[0, 0] += held
+        for disc in range(problem.shift_x.size):
+            at = _FIRST_DISC + 3 * disc + 2
+            work.jacobian[at, at] += held
+        if not solve_linear(work.jacobian, step):
+            return 0
+        longest = _longest(problem, assembly, step, 1.0)
+        share = min(1.0, _LONGEST / longest)
+        downhill = 0.0
+        for i in range(step.size):
+            work.before[i] = q[i]
+            downhill += step[i] * work.residual[i]
+        for _ in range(12):
+            for i in range(step.size):
+                q[i] = work.before[i] + share * step[i]
+            _assemble(problem, assembly, theta, torque, centring, q, contacts, work)
+            if not careful or downhill >= 0.0:
+                break
+            now = 0.0
+            for i in range(step.size):
+                now += step[i] * work.residual[i]
+            if now <= -0.5 * downhill:
+                break
+            share *= min(max(downhill / (downhill - now), 0.1), 0.5)
+    return 0
+
+
+@part
+def _begin(problem: Problem, assembly: Assembly, theta: float, torque: float, q: Array, contacts: Rows) -> None:
+    """Write the rigid drive's place: flanks that press hold the discs."""
+    problem.shift_x[:] = 0.0
+    problem.shift_y[:] = 0.0
+    problem.turn[:] = 0.0
+    q[:] = 0.0
+    q[0], _ = equilibrium(problem, theta, torque, 0.0, contacts, True)
+    for disc in range(problem.shift_x.size):
+        q[_FIRST_DISC + 3 * disc + 2] = q[0]
+
+
+@part
+def settle(
+    problem: Problem, assembly: Assembly, theta: float, torque: float, q: Array, contacts: Rows, work: Work, cold: bool
+) -> int:
+    """Solve the balance from q or, `cold` or not found, from the rigid drive's place, with springs that grow softer.
+
+    Returns the number of steps, 0 where none balances.
+    """
+    total = 0
+    if not cold:
+        found = balance(problem, assembly, theta, torque, CENTRING, q, contacts, work, False)
+        if found > 0:
+            return found
+        total = _ITERATIONS
+    for stiffest in (CENTRING, 1e8):
+        _begin(problem, assembly, theta, torque, q, contacts)
+        work.moved[0] = math.inf
+        spring = stiffest
+        found = 0
+        while spring >= CENTRING:
+            found = balance(problem, assembly, theta, torque, spring, q, contacts, work, stiffest > CENTRING)
+            total += found if found > 0 else _ITERATIONS
+            spring *= 0.1
+        if found > 0:
+            return total
+    return 0

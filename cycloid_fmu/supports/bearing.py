@@ -1,0 +1,107 @@
+"""How a bearing pushes back: linear or a continuum of rollers, beyond its clearance."""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.polynomial import Chebyshev
+from numpy.typing import NDArray
+
+from cycloid_fmu.contact import part
+
+Array = NDArray[np.float64]
+RIGID = 1e15  # N/m: what stands for a bearing without compliance; it turns a drive by some 1e-4″
+CENTRING = 10.0  # N/m: holds what clearance leaves free where its energy is least
+_EXPONENT = 10.0 / 9.0  # of a roller's load over its approach (Palmgren)
+_ORDER = 24
+
+
+class Bearing(NamedTuple):
+    """A radial bearing: a force F(r) along the displacement r of its inner ring.
+
+    Attributes
+    ----------
+    half_clearance
+        Half of the diametral clearance, m.
+    stiffness
+        N/m, or of rollers Z K_l/(2π), N/m^(10/9).
+    rollers
+        Whether rollers carry it, else a linear spring.
+    factor
+        Of rollers: coefficients of g(s) in `_roller_factor`.
+    """
+
+    half_clearance: float
+    stiffness: float
+    rollers: bool
+    factor: Array
+
+
+def linear(stiffness: float, clearance: float = 0.0) -> Bearing:
+    """Return a bearing that is a spring (N/m) beyond its diametral clearance (m)."""
+    return Bearing(0.5 * clearance, float(stiffness), False, _roller_factor())
+
+
+def rollers(number: int, length: float, clearance: float = 0.0) -> Bearing:
+    """Return a roller bearing of steel: number of rollers, their effective length and the diametral clearance, m.
+
+    A line contact carries 8.06e4 N/mm^(10/9) (l/mm)^(8/9) δ^(10/9) (Palmgren, Grundlagen der Wälzlagertechnik, for
+    steel); a roller stands between two of them.
+    """
+    each = 8.06e4 / 2.0**_EXPONENT * (1e3 * length) ** (8.0 / 9.0) * 1e3**_EXPONENT
+    return Bearing(0.5 * clearance, number * each / (2.0 * math.pi), True, _roller_factor())
+
+
+@functools.cache
+def _roller_factor() -> Array:
+    """Coefficients of g(s) in ∫ max(cos ψ - s, 0)^(10/9) cos ψ dψ = (1 - s)^(29/18) g(s) for s from 0 to 1, by powers.
+
+    The integral's ends are Gauss-Jacobi's weight, so g is smooth and its Chebyshev series exact to 1e-14.
+    """
+    from scipy.special import roots_jacobi
+
+    nodes, weights = roots_jacobi(60, _EXPONENT, _EXPONENT)
+
+    def smooth(s: Array) -> Array:
+        share = np.asarray(s)[:, None]
+        end = np.arccos(share)
+        psi = end * nodes
+        # cos ψ - s as a product, over 1 - t².
+        inside = 2.0 * np.sin(0.5 * end * (1.0 + nodes)) * np.sin(0.5 * end * (1.0 - nodes)) / (1.0 - nodes**2)
+        integral = end[:, 0] * (weights * inside**_EXPONENT * np.cos(psi)).sum(axis=1)
+        return np.asarray(integral / (1.0 - share[:, 0]) ** (_EXPONENT + 0.5))
+
+    series = Chebyshev.interpolate(smooth, _ORDER, domain=[0.0, 1.0])
+    coefficients = np.array(series.coef)
+    coefficients.flags.writeable = True
+    return coefficients
+
+
+@part
+def _chebyshev(coefficients: Array, s: float) -> tuple[float, float]:
+    """Value and derivative of a Chebyshev series on 0 to 1 (Clenshaw)."""
+    y = 2.0 * s - 1.0
+    b1 = b2 = d1 = d2 = 0.0
+    for k in range(coefficients.size - 1, 0, -1):
+        b1, b2, d1, d2 = coefficients[k] + 2.0 * y * b1 - b2, b1, 2.0 * b1 + 2.0 * y * d1 - d2, d1
+    return coefficients[0] + y * b1 - b2, 2.0 * (b1 + y * d1 - d2)
+
+
+@part
+def push(bearing: Bearing, r: float) -> tuple[float, float]:
+    """Force (N) and stiffness dF/dr (N/m) of a bearing displaced by r ≥ 0 (m)."""
+    beyond = r - bearing.half_clearance
+    if beyond <= 0.0:
+        return 0.0, 0.0
+    if not bearing.rollers:
+        return bearing.stiffness * beyond, bearing.stiffness
+    s = bearing.half_clearance / r
+    value, rise = _chebyshev(bearing.factor, s)
+    root = bearing.stiffness * r ** (1.0 / 9.0)
+    narrow = (1.0 - s) ** (11.0 / 18.0)
+    whole = (1.0 - s) * narrow * value
+    by_share = narrow * ((1.0 - s) * rise - 29.0 / 18.0 * value)
+    return root * r * whole, root * (10.0 / 9.0 * whole - s * by_share)

@@ -1,0 +1,122 @@
+"""Sweeps of a drive on bearings over crank angles."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu import contact
+from cycloid_fmu.contact import Array, Problem, Rows, compiled, part
+from cycloid_fmu.contact.equilibrium import equilibrium
+from cycloid_fmu.supports.assembly import Assembly
+from cycloid_fmu.supports.balance import (
+    _FIRST_DISC,
+    Work,
+    _assemble,
+    crank_displacement,
+    eccentric,
+    roller_displacement,
+    settle,
+    solve_linear,
+    unknowns,
+    work_of,
+)
+from cycloid_fmu.supports.bearing import CENTRING, push
+
+_NEIGHBOUR = 0.1  # rad: from farther a place says little
+
+
+class Found(NamedTuple):
+    """Results of a sweep: shapes (angles, ...)."""
+
+    steps: NDArray[np.int64]
+    place: Array
+    stiffness: Array
+    crank_torque: Array
+    contact_count: NDArray[np.int64]
+    max_contact_pressure: Array
+    pin_force: Array
+    pin_pressure: Array
+    turning_arm: Array
+    crank_bearing: Array
+    main_bearing: Array
+    output_roller: Array
+
+
+@part
+def _forces(
+    problem: Problem, assembly: Assembly, theta: float, q: Array, found: Found, i: int
+) -> float:
+    """Write every bearing's force; returns the crank torque."""
+    discs = problem.shift_x.size
+    carrier = -theta / problem.teeth
+    crank_torque = 0.0
+    first = _FIRST_DISC + 3 * discs
+    for disc in range(discs):
+        crank = theta + problem.crank_phase[disc]
+        for k in range(assembly.throw.shape[1]):
+            if assembly.cranks:
+                dx, dy, _, _, _, _ = crank_displacement(
+                    assembly, carrier, theta, problem.crank_phase[disc], q, disc, k
+                )
+            else:
+                at = _FIRST_DISC + 3 * disc
+                ex, ey = eccentric(assembly, crank, disc, 0)
+                dx, dy = q[at] - q[first] + ex, q[at + 1] - q[first + 1] + ey
+            r = math.hypot(dx, dy)
+            force, _ = push(assembly.turning_arm, r)
+            found.turning_arm[i, disc, k] = force
+            if force > 0.0:
+                throw, angle = assembly.eccentricity + assembly.throw[disc, k], crank + assembly.phase[disc, k]
+                crank_torque -= throw * force * (math.cos(angle) * dy - math.sin(angle) * dx) / r
+        if not assembly.cranks:
+            for k in range(assembly.place_x.size):
+                _, _, _, _, _, _, beyond = roller_displacement(assembly, carrier, crank, q, disc, k)
+                beyond -= assembly.hole_play[disc, k]
+                found.output_roller[i, disc, k] = assembly.output_roller * max(beyond, 0.0)
+    for k in range(found.crank_bearing.shape[1]):
+        sx, sy = q[first + 2 * k], q[first + 2 * k + 1]
+        if not assembly.cranks:
+            sx, sy = sx - assembly.seat_x, sy - assembly.seat_y
+        found.crank_bearing[i, k], _ = push(assembly.crank_shaft, math.hypot(sx, sy))
+    found.main_bearing[i], _ = push(assembly.main, math.hypot(q[1] - assembly.seat_x, q[2] - assembly.seat_y))
+    return crank_torque
+
+
+@part
+def _stiffness(
+    problem: Problem, assembly: Assembly, theta: float, torque: float, q: Array, contacts: Rows, work: Work
+) -> float:
+    """dT/dx where q balances."""
+    work.step[:] = 0.0
+    work.step[0] = 1.0
+    if not solve_linear(work.jacobian, work.step):
+        return 0.0
+    return 1.0 / work.step[0]
+
+
+@compiled
+def sweep_supported(
+    problem: Problem, assembly: Assembly, thetas: Array, torque: float, with_forces: bool, found: Found
+) -> None:
+    """Solve crank angles at one torque, each from its neighbours."""
+    contacts = contact.contact_rows(problem)
+    work = work_of(problem, assembly)
+    q = np.zeros(unknowns(problem, assembly))
+    for i in range(thetas.size):
+        theta = thetas[i]
+        step = abs(theta - thetas[i - 1]) if i > 0 else math.inf
+        if i > 1 and step < 1.5 * abs(thetas[i - 1] - thetas[i - 2]) < _NEIGHBOUR:
+            share = (theta - thetas[i - 1]) / (thetas[i - 1] - thetas[i - 2])
+            for k in range(q.size):
+                q[k] += share * (q[k] - found.place[i - 2, k])
+        found.steps[i] = settle(problem, assembly, theta, torque, q, contacts, work, not step < _NEIGHBOUR)
+        found.place[i] = q
+        found.stiffness[i] = _stiffness(problem, assembly, theta, torque, q, contacts, work)
+        if with_forces:
+            found.crank_torque[i] = _forces(problem, assembly, theta, q, found, i)
+            count, pressure = contact.load_sharing(problem, contacts, found.pin_force[i], found.pin_pressure[i])
+            found.contact_count[i], found.max_contact_pressure[i] = count, pressure
