@@ -34,7 +34,7 @@ class Work(NamedTuple):
     ----------
     residual, step, before
         Shape (unknowns,).
-    jacobian
+    jacobian, matrix
         Shape (unknowns, unknowns).
     bearing
         Derivatives of one bearing's displacement by its unknowns, shape (2, 8).
@@ -49,6 +49,7 @@ class Work(NamedTuple):
     step: Array
     before: Array
     jacobian: Array
+    matrix: Array
     bearing: Array
     at: Array
     pose: Array
@@ -67,7 +68,7 @@ def work_of(problem: Problem, assembly: Assembly) -> Work:
     """Return empty arrays to solve in."""
     n, discs = unknowns(problem, assembly), problem.shift_x.size
     return Work(
-        np.zeros(n), np.zeros(n), np.zeros(n), np.zeros((n, n)), np.zeros((2, 8)), np.zeros(8), np.zeros((discs, 3)),
+        np.zeros(n), np.zeros(n), np.zeros(n), np.zeros((n, n)), np.zeros((n, n)), np.zeros((2, 8)), np.zeros(8), np.zeros((discs, 3)),
         np.full(1, np.inf),
     )  # fmt: skip
 
@@ -128,9 +129,7 @@ def _add_mesh(problem: Problem, theta: float, x: float, contacts: Rows, work: Wo
 
 
 @part
-def _add_bearing(
-    work: Work, count: int, dx: float, dy: float, force: float, stiffness: float, r: float
-) -> None:
+def _add_bearing(work: Work, count: int, dx: float, dy: float, force: float, stiffness: float, r: float) -> None:
     """Add a bearing displaced by d, |d| = r, whose derivatives by `count` unknowns are in `work`."""
     residual, jacobian, by, at = work.residual, work.jacobian, work.bearing, work.at
     if r > 0.0:
@@ -208,9 +207,7 @@ def _add_cranks(problem: Problem, assembly: Assembly, theta: float, q: Array, ce
     for k in range(assembly.place_x.size):
         shaft = _FIRST_DISC + 3 * discs + 2 * k
         for disc in range(discs):
-            dx, dy, hx, hy, ax, ay = crank_displacement(
-                assembly, carrier, theta, problem.crank_phase[disc], q, disc, k
-            )
+            dx, dy, hx, hy, ax, ay = crank_displacement(assembly, carrier, theta, problem.crank_phase[disc], q, disc, k)
             at = _FIRST_DISC + 3 * disc
             _shift(work, at, 1.0, 0)
             _shift(work, 1, -1.0, 2)
@@ -347,11 +344,56 @@ def _longest(problem: Problem, assembly: Assembly, step: Array, power: float) ->
     """Longest displacement of a step, m (power 1), or largest force of a residual, N (-1)."""
     scale = assembly.rotation_scale**power
     longest = 0.0
-    last = _FIRST_DISC + 3 * problem.shift_x.size
     for i in range(step.size):
-        rotation = i == 0 or (_FIRST_DISC <= i < last and (i - _FIRST_DISC) % 3 == 2)
-        longest = max(longest, abs(step[i]) * (scale if rotation else 1.0))
+        longest = max(longest, abs(step[i]) * (scale if _is_rotation(problem, i) else 1.0))
     return longest
+
+
+@part
+def _is_rotation(problem: Problem, i: int) -> bool:
+    last = _FIRST_DISC + 3 * problem.shift_x.size
+    return i == 0 or (_FIRST_DISC <= i < last and (i - _FIRST_DISC) % 3 == 2)
+
+
+@part
+def _hold(problem: Problem, assembly: Assembly, work: Work, held: float) -> None:
+    """Write the derivatives with springs (N/m) that hold rotations and, above `_HELD`, everything."""
+    for i in range(work.step.size):
+        for j in range(work.step.size):
+            work.matrix[i, j] = work.jacobian[i, j]
+        if _is_rotation(problem, i):
+            work.matrix[i, i] += held * assembly.rotation_scale * assembly.rotation_scale
+        elif held > _HELD:
+            work.matrix[i, i] += held
+
+
+@part
+def torsional_stiffness(problem: Problem, assembly: Assembly, work: Work) -> float:
+    """dT/dx = 1/(H⁻¹)_xx where the torque balances, N·m/rad; NaN where nothing holds."""
+    _hold(problem, assembly, work, _HELD)
+    work.step[:] = 0.0
+    work.step[0] = 1.0
+    return 1.0 / work.step[0] if solve_linear(work.matrix, work.step) else math.nan
+
+
+@part
+def _direction(problem: Problem, assembly: Assembly, work: Work) -> float:
+    """Write Newton's step, held back where it is no way down or too long; returns the share of it to go, 0 for none."""
+    step, matrix, n = work.step, work.matrix, work.step.size
+    held = _HELD
+    while held < 1e12:
+        for i in range(n):
+            step[i] = -work.residual[i]
+        _hold(problem, assembly, work, held)
+        if solve_linear(matrix, step):
+            downhill = 0.0
+            for i in range(n):
+                downhill += step[i] * work.residual[i]
+            longest = _longest(problem, assembly, step, 1.0)
+            if downhill < 0.0 and longest < 1e3 * _LONGEST:
+                return min(1.0, _LONGEST / longest)
+        held *= 1e3
+    return 0.0
 
 
 @part
@@ -363,23 +405,15 @@ def balance(
 
     Whole steps find which bearings and pins touch; `careful` shortens a step along which the work turned round.
     """
-    held = _HELD * assembly.rotation_scale * assembly.rotation_scale
     _assemble(problem, assembly, theta, torque, centring, q, contacts, work)
     for iteration in range(_ITERATIONS):
         left = _longest(problem, assembly, work.residual, -1.0)
         if left < _BALANCED + 1e-12 * abs(torque) / assembly.rotation_scale:
             return iteration + 1
-        step = work.step
-        for i in range(step.size):
-            step[i] = -work.residual[i]
-        work.jacobian[0, 0] += held
-        for disc in range(problem.shift_x.size):
-            at = _FIRST_DISC + 3 * disc + 2
-            work.jacobian[at, at] += held
-        if not solve_linear(work.jacobian, step):
+        share = _direction(problem, assembly, work)
+        if share == 0.0:
             return 0
-        longest = _longest(problem, assembly, step, 1.0)
-        share = min(1.0, _LONGEST / longest)
+        step = work.step
         downhill = 0.0
         for i in range(step.size):
             work.before[i] = q[i]
@@ -421,19 +455,20 @@ def settle(
     """
     total = 0
     if not cold:
-        found = balance(problem, assembly, theta, torque, CENTRING, q, contacts, work, False)
+        found = balance(problem, assembly, theta, torque, CENTRING, q, contacts, work, True)
         if found > 0:
             return found
         total = _ITERATIONS
     for stiffest in (CENTRING, 1e8):
         _begin(problem, assembly, theta, torque, q, contacts)
         work.moved[0] = math.inf
-        spring = stiffest
-        found = 0
-        while spring >= CENTRING:
-            found = balance(problem, assembly, theta, torque, spring, q, contacts, work, stiffest > CENTRING)
+        spring, found = stiffest, 0
+        while True:
+            found = balance(problem, assembly, theta, torque, spring, q, contacts, work, True)
             total += found if found > 0 else _ITERATIONS
-            spring *= 0.1
+            if spring == CENTRING:
+                break
+            spring = max(0.1 * spring, CENTRING)
         if found > 0:
             return total
     return 0

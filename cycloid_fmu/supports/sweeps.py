@@ -10,21 +10,18 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled, part
-from cycloid_fmu.contact.equilibrium import equilibrium
 from cycloid_fmu.supports.assembly import Assembly
 from cycloid_fmu.supports.balance import (
     _FIRST_DISC,
-    Work,
-    _assemble,
     crank_displacement,
     eccentric,
     roller_displacement,
     settle,
-    solve_linear,
+    torsional_stiffness,
     unknowns,
     work_of,
 )
-from cycloid_fmu.supports.bearing import CENTRING, push
+from cycloid_fmu.supports.bearing import push
 
 _NEIGHBOUR = 0.1  # rad: from farther a place says little
 
@@ -47,9 +44,7 @@ class Found(NamedTuple):
 
 
 @part
-def _forces(
-    problem: Problem, assembly: Assembly, theta: float, q: Array, found: Found, i: int
-) -> float:
+def _forces(problem: Problem, assembly: Assembly, theta: float, q: Array, found: Found, i: int) -> float:
     """Write every bearing's force; returns the crank torque."""
     discs = problem.shift_x.size
     carrier = -theta / problem.teeth
@@ -59,9 +54,7 @@ def _forces(
         crank = theta + problem.crank_phase[disc]
         for k in range(assembly.throw.shape[1]):
             if assembly.cranks:
-                dx, dy, _, _, _, _ = crank_displacement(
-                    assembly, carrier, theta, problem.crank_phase[disc], q, disc, k
-                )
+                dx, dy, _, _, _, _ = crank_displacement(assembly, carrier, theta, problem.crank_phase[disc], q, disc, k)
             else:
                 at = _FIRST_DISC + 3 * disc
                 ex, ey = eccentric(assembly, crank, disc, 0)
@@ -86,18 +79,6 @@ def _forces(
     return crank_torque
 
 
-@part
-def _stiffness(
-    problem: Problem, assembly: Assembly, theta: float, torque: float, q: Array, contacts: Rows, work: Work
-) -> float:
-    """dT/dx where q balances."""
-    work.step[:] = 0.0
-    work.step[0] = 1.0
-    if not solve_linear(work.jacobian, work.step):
-        return 0.0
-    return 1.0 / work.step[0]
-
-
 @compiled
 def sweep_supported(
     problem: Problem, assembly: Assembly, thetas: Array, torque: float, with_forces: bool, found: Found
@@ -115,7 +96,7 @@ def sweep_supported(
                 q[k] += share * (q[k] - found.place[i - 2, k])
         found.steps[i] = settle(problem, assembly, theta, torque, q, contacts, work, not step < _NEIGHBOUR)
         found.place[i] = q
-        found.stiffness[i] = _stiffness(problem, assembly, theta, torque, q, contacts, work)
+        found.stiffness[i] = torsional_stiffness(problem, assembly, work)
         if with_forces:
             found.crank_torque[i] = _forces(problem, assembly, theta, q, found, i)
             count, pressure = contact.load_sharing(problem, contacts, found.pin_force[i], found.pin_pressure[i])
