@@ -188,7 +188,8 @@ class Drive:
         edge.InputError
             If a torque can't be carried.
         """
-        from cycloid_fmu.contact.transmission import analyze, slices_needed
+        from cycloid_fmu.contact.transmission import slices_needed
+        from cycloid_fmu.supports.transmission import analyze
 
         if crank_angle is None:
             crank_angle = np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False)

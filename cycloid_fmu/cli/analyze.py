@@ -40,11 +40,12 @@ def analyze(
     """
     import numpy as np
 
-    from cycloid_fmu.contact import transmission
+    from cycloid_fmu.contact.transmission import Interrupted, slices_needed
     from cycloid_fmu.drive import read_drive
+    from cycloid_fmu.supports import transmission
 
     drive = read_drive(pair_file, surface_file)
-    used = slices or transmission.slices_needed(drive.surface)
+    used = slices or slices_needed(drive.surface)
     angle = np.linspace(0.0, 2.0 * np.pi * turns, angles, endpoint=False)
     with commands.progress("crank angles", angles * len(torque)) as progress:
         try:
@@ -52,7 +53,7 @@ def analyze(
                 drive.pair, drive.surface, torque, angle, used, with_elements=slices is not None,
                 workers=os.cpu_count() or 1, progress=progress,
             )  # fmt: skip
-        except transmission.Interrupted as interrupted:
+        except Interrupted as interrupted:
             found = interrupted.result
     finished = found.crank_angle.size
     if finished < angles:

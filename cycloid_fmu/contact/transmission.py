@@ -94,7 +94,22 @@ def drive_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> contact.Prob
         The nominal pair and its errors.
     slices
         Slices across the face width, each independent and taken at its middle; 1 where nothing varies across it.
+
+    Raises
+    ------
+    edge.InputError
+        If the pair has supports: a drive on bearings is more than its contacts.
     """
+    if pair.supports is not None:
+        raise edge.InputError(
+            "the pair has [supports], which this does not take into account yet; analyze does. Remove the table for a "
+            "drive on rigid bearings."
+        )
+    return mesh_of(pair, surface, slices)
+
+
+def mesh_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> contact.Problem:
+    """Return the contact problem of gear and pins alone, whatever holds them; parameters are those of `drive_of`."""
     direction = 2.0 * np.pi * np.arange(pair.pins) / pair.pins
     made = displacements(pair, surface, {
         "crank_throw": pair.eccentricity, "generating_pin_radius": pair.generating_pin_radius,
@@ -279,7 +294,8 @@ def _lines(
     )  # fmt: skip
 
 
-def _no_lines(torques: int) -> contact.ContactLines:
+def no_lines(torques: int) -> contact.ContactLines:
+    """Return what stands for contact lines where none are kept."""
     slices, elements = np.zeros((torques, 0, 0, 0, 0), np.float32), np.zeros((torques, 0, 0, 0, 0))
     none = np.empty(0)
     return contact.ContactLines(slices, slices, elements, elements.reshape(torques, 0, 0, 0), none, none, none)
@@ -353,7 +369,7 @@ def solve(
         return last - first
 
     def result(done: slice) -> Transmission:
-        kept = lines or _no_lines(torques.size)
+        kept = lines or no_lines(torques.size)
         return Transmission(
             torques, angles[done], deviation[:, done], stiffness[:, done], found.contact_count[:, done],
             pressure[:, done], found.pin_force[:, done], found.pin_pressure[:, done], low[done], high[done], gap[done],

@@ -25,16 +25,12 @@ class Sizes(Protocol):
     """What a kind of error needs to know of a pair."""
 
     @property
-    def gear_teeth(self) -> int:
-        """z_c."""
-
-    @property
     def pins(self) -> int:
         """z_p."""
 
     @property
-    def discs(self) -> int:
-        """Cycloid gears."""
+    def places(self) -> Mapping[str, tuple[int, ...]]:
+        """Shape of what has one value each, by the words of `ErrorKind.of`; what the pair has not is not in it."""
 
     @property
     def pin_circle_radius(self) -> float:
@@ -42,6 +38,8 @@ class Sizes(Protocol):
 
 
 Displacement = Callable[[Sizes, Array], Array]
+
+Of = Literal["drive", "pin", "tooth", "hole", "crank", "eccentric", "roller", "roller_hole"]
 
 LARGEST_DEVIATION = 1e-3
 LARGEST_MISALIGNMENT = 0.02
@@ -53,6 +51,13 @@ and radius and circle radius of the generating pin, from which the flank is made
 EACH_PIN = ("pin_radial", "pin_tangential", "pin_radius")
 """What is displaced of each pin: its place outwards and counter-clockwise, as arc at the pin circle radius, and its
 radius, m. Behind these, the turn of each tooth about the gear's centre, `tooth_turn`, rad."""
+EACH_SUPPORT = {
+    "hole_x": "hole", "hole_y": "hole", "carrier_x": "support", "carrier_y": "support", "eccentric_throw": "eccentric",
+    "eccentric_phase": "eccentric", "hole_play": "roller_hole",
+}  # fmt: skip
+"""What is displaced of each part that holds discs and carrier, with its places: holes in the disc's axes, cranks or
+rollers in the carrier's, throw and phase of each eccentric, and by how much a hole leaves its roller free; m, phases
+rad. They come last."""
 
 
 @dataclass(frozen=True)
@@ -86,10 +91,12 @@ class ErrorKind:
     text, sign
         What it is, and what a value above zero means.
     of
-        What has one value: the drive, each pin or each tooth of each disc.
+        What has one value: the drive, each pin, each tooth of each disc; with supports each hole of each disc, each
+        crank (cranks) or roller (output rollers) in the carrier, each eccentric and each output roller's hole of each
+        disc.
     displaces
-        By the names of `BODIES`, `EACH_PIN` and "tooth_turn": the displacement (m, or rad for tilts and turns) as a
-        linear function of the pair and the error's values, shape () or (pins,) or (..., teeth).
+        By the names of `BODIES`, `EACH_PIN`, "tooth_turn" and `EACH_SUPPORT`: the displacement (m, or rad for tilts and
+        turns) as a linear function of the pair and the error's values, shape () or (pins,) or (..., teeth).
     breaks
         Which parts are unlike each other when it is not zero ("frame": the parts that stand still) or not the same for
         all ("pins", "teeth"); "" where all stay alike.
@@ -112,7 +119,7 @@ class ErrorKind:
     name: str
     text: str
     sign: str
-    of: Literal["drive", "pin", "tooth"]
+    of: Of
     displaces: Mapping[str, Displacement]
     breaks: Literal["", "frame", "pins", "teeth"] = ""
     unit: Literal["m", "rad"] = "m"
@@ -136,9 +143,13 @@ class ErrorKind:
         return f"{self.text}, {self.sign}"
 
     def shape(self, pair: Sizes) -> tuple[int, ...]:
-        """Shape of its values for a pair: (), (pins,) or (discs, teeth)."""
-        shapes = {"drive": (), "pin": (pair.pins,), "tooth": (pair.discs, pair.gear_teeth)}
-        return shapes[self.of]
+        """Shape of its values for a pair that has what it is of: (), (pins,), (discs, teeth)…."""
+        return pair.places[self.of]
+
+    @property
+    def of_supports(self) -> bool:
+        """Whether it is an error of what holds discs and carrier, in a pair file's `[errors.supports]`."""
+        return self.of not in ("drive", "pin", "tooth")
 
 
 def _same(pair: Sizes, value: Array) -> Array:
@@ -179,7 +190,7 @@ def register_error_kind(kind: ErrorKind) -> ErrorKind:
     >>> from cycloid_fmu.errors.kinds import remove_error_kind
     >>> remove_error_kind("three_lobes")
     """
-    known = {*BODIES, *EACH_PIN, "tooth_turn"}
+    known = {*BODIES, *EACH_PIN, "tooth_turn", *EACH_SUPPORT}
     if unknown := set(kind.displaces) - known:
         raise ValueError(f'displaces = "{sorted(unknown)[0]}": it must be one of {", ".join(sorted(known))}')
     for other in KINDS.values():
@@ -205,6 +216,12 @@ def _wave_names() -> re.Pattern[str]:
 def by_file_key() -> dict[str, ErrorKind]:
     """Return every kind by its key in a pair file's `[errors]`."""
     return {kind.file_key: kind for kind in KINDS.values()}
+
+
+def kinds_of(pair: Sizes) -> dict[str, ErrorKind]:
+    """Return the kinds that a pair can have, by their names."""
+    places = pair.places
+    return {name: kind for name, kind in KINDS.items() if kind.of in places}
 
 
 def structured_names(orders: Collection[int]) -> list[str]:
@@ -292,3 +309,43 @@ for _kind in (
 
 FIRST_KINDS = tuple(KINDS)
 """The kinds that every surface file holds; one that came later is zero where a file does not name it."""
+
+for _kind in (
+    ErrorKind(
+        "hole_x", "place of each disc's hole for a crank or output roller", "> 0 along +x of the disc at crank angle 0",
+        "hole", {"hole_x": _same}, tolerance=Tolerance("hole_x"),
+    ),
+    ErrorKind(
+        "hole_y", "place of each disc's hole for a crank or output roller", "> 0 along +y of the disc at crank angle 0",
+        "hole", {"hole_y": _same}, tolerance=Tolerance("hole_y"),
+    ),
+    ErrorKind(
+        "crank_x", "place of each crank's bearings in the carrier", "> 0 along +x of the carrier at crank angle 0",
+        "crank", {"carrier_x": _same}, tolerance=Tolerance("crank_x"),
+    ),
+    ErrorKind(
+        "crank_y", "place of each crank's bearings in the carrier", "> 0 along +y of the carrier at crank angle 0",
+        "crank", {"carrier_y": _same}, tolerance=Tolerance("crank_y"),
+    ),
+    ErrorKind(
+        "roller_x", "place of each output roller in the carrier", "> 0 along +x of the carrier at crank angle 0",
+        "roller", {"carrier_x": _same}, tolerance=Tolerance("roller_x"),
+    ),
+    ErrorKind(
+        "roller_y", "place of each output roller in the carrier", "> 0 along +y of the carrier at crank angle 0",
+        "roller", {"carrier_y": _same}, tolerance=Tolerance("roller_y"),
+    ),
+    ErrorKind(
+        "crank_throw", "throw of each crank's eccentric for each disc", "> 0 longer", "eccentric",
+        {"eccentric_throw": _same}, tolerance=Tolerance("crank_throw"),
+    ),
+    ErrorKind(
+        "crank_phase", "phase of each crank's eccentric for each disc", "> 0 counter-clockwise", "eccentric",
+        {"eccentric_phase": _same}, unit="rad", tolerance=Tolerance("crank_phase"),
+    ),
+    ErrorKind(
+        "hole_radius", "radius of each output roller's hole beyond the roller's", "> 0 larger", "roller_hole",
+        {"hole_play": _same}, tolerance=Tolerance("hole_radius"),
+    ),
+):  # fmt: skip
+    register_error_kind(_kind)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from cycloid_fmu import edge
 from cycloid_fmu.errors.kinds import ErrorKind, by_file_key
 
+_EACH_DISC = ("tooth", "hole", "eccentric", "roller_hole")
 _ORDER = re.compile(r"order_([1-9]\d*)")
 
 
@@ -60,17 +61,25 @@ def _value(given: Any, kind: ErrorKind, in_file: bool) -> Any:
     """Check one error as it was stated: a number, {order: (amplitude, phase)}, one value each, or lists for discs."""
     if kind.of == "drive":
         return limited(_quantity(given, kind.unit, in_file), kind)
-    if isinstance(given, Mapping):
+    if isinstance(given, Mapping) and not kind.of_supports:
         return _orders(given, kind, in_file)
     if isinstance(given, np.ndarray):
         given = given.tolist()
     if isinstance(given, list | tuple):
         lists = [isinstance(v, list | tuple) for v in given]
-        if kind.of == "tooth" and lists and all(lists):
+        if kind.of in _EACH_DISC and lists and all(lists):
             return tuple(_each(v, kind, in_file) for v in given)
-        if not any(lists):
+        if not any(lists) and kind.of not in _EACH_DISC[1:]:
             return _each(given, kind, in_file)
+    if kind.of_supports:
+        where = "a list a disc" if kind.of in _EACH_DISC else "a list"
+        raise ValueError(f"write {where}, with one {'angle' if kind.unit == 'rad' else 'length'} each")
     raise ValueError('write a list of lengths or orders such as { order_1 = ["3 um", "40 deg"] }')
+
+
+def _is_none(stated: Any) -> bool:
+    """Whether lists for discs hold nothing but zeros."""
+    return isinstance(stated, tuple) and all(isinstance(row, tuple) and not any(row) for row in stated)
 
 
 class Errors(Mapping[str, Any]):
@@ -99,7 +108,18 @@ class Errors(Mapping[str, Any]):
         kinds = by_file_key()
         where = f"{source}: [errors] " if source is not None else "errors: "
         values, problems = {}, []
-        for key, given in (stated or {}).items():
+        flat = dict(stated or {})
+        held = flat.pop("supports", {})
+        if not isinstance(held, Mapping):
+            raise edge.InputError(f"{where}supports = {edge.shown(held)}: it must be a table, [errors.supports].")
+        for key in (*held, *flat):
+            in_supports = key in kinds and kinds[key].of_supports
+            if (key in held and key in kinds and not in_supports) or (
+                source is not None and key in flat and in_supports
+            ):
+                table = "[errors.supports]" if in_supports else "[errors]"
+                problems.append(f"{where}{key} belongs in {table}.")
+        for key, given in ({} if problems else {**flat, **held}).items():
             if key not in kinds:
                 hint = edge.did_you_mean(str(key), kinds) or "check its spelling or remove it."
                 problems.append(f"{where}{key} is not a key known here; {hint}")
@@ -111,7 +131,11 @@ class Errors(Mapping[str, Any]):
         if problems:
             raise edge.InputError("\n".join(problems))
         # Zero and nothing are the same drive as what is not stated, and -0 is 0.
-        kept = {key: values[key] for key in kinds if key in values and values[key] not in (0.0, (), {})}
+        kept = {
+            key: values[key]
+            for key in kinds
+            if key in values and values[key] not in (0.0, (), {}) and not _is_none(values[key])
+        }
         object.__setattr__(self, "_values", kept)
 
     def __getitem__(self, key: str) -> Any:
@@ -146,7 +170,7 @@ def values_of(kind: ErrorKind, stated: Any, shape: tuple[int, ...]) -> NDArray[n
     """Return the values of a kind that is stated as `Errors` has it, in the shape that a pair gives it, m or rad."""
     if kind.of == "drive":
         return float(stated)
-    if kind.of == "tooth" and isinstance(stated, tuple) and stated and isinstance(stated[0], tuple):
+    if kind.of in _EACH_DISC and isinstance(stated, tuple) and stated and isinstance(stated[0], tuple):
         return np.array(stated, dtype=float)
     return np.broadcast_to(_one_circle(stated, shape[-1]), shape).copy()
 

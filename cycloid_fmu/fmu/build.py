@@ -15,7 +15,6 @@ import numpy as np
 
 from cycloid_fmu import __version__, edge
 from cycloid_fmu.edge import ArgumentError
-from cycloid_fmu.errors.kinds import KINDS
 from cycloid_fmu.fmu.core import FORMAT, NUMBERS, SURFACE
 from cycloid_fmu.fmu.description import Version
 from cycloid_fmu.fmu.losses import check_losses
@@ -107,7 +106,7 @@ def build_fmu(
             numbers["first_stage"] = dataclasses.asdict(first_stage)
         (place / NUMBERS).write_text(json.dumps(numbers, indent=1), encoding="utf-8")
         with (place / SURFACE).open("wb") as file:
-            arrays = {name: getattr(surface, name) for name in (*KINDS, *DEVIATIONS)}
+            arrays = {**surface.errors, **{name: getattr(surface, name) for name in DEVIATIONS}}
             if surface.life is not None:
                 arrays.update({f"life_{n}": a for n, a in vars(surface.life).items()})
             np.savez(file, allow_pickle=False, **{n: a for n, a in arrays.items() if a is not None})

@@ -17,8 +17,9 @@ import pydantic
 
 from cycloid_fmu import edge
 from cycloid_fmu.edge import Config, Length
-from cycloid_fmu.errors.kinds import KINDS, LARGEST_DEVIATION
+from cycloid_fmu.errors.kinds import KINDS, LARGEST_DEVIATION, kinds_of
 from cycloid_fmu.errors.stated import Errors
+from cycloid_fmu.geometry.supports import Supports
 
 FORMAT = "cycloid-pair/1"
 LOST_MOTION_LOAD = 0.03  # of the rated torque (GB/T 40731)
@@ -113,6 +114,7 @@ class _File(Config):
     pair: _Geometry
     modification: Modification = Modification()
     material: Materials = Materials()
+    supports: Supports | None = None
 
 
 class Pair(Config):
@@ -145,6 +147,8 @@ class Pair(Config):
         "capped" bounds the flank's curvature radius in Hertz's logarithm by the pin circle radius.
     modification, material
         Profile modification of the gear and the materials of both flanks.
+    supports
+        What holds discs and carrier; None for rigid bearings.
     errors
         What is stated of how it was really made, by the keys of a pair file's `[errors]`.
 
@@ -180,6 +184,7 @@ class Pair(Config):
     contact_law: Literal["capped", "as_printed"] = "capped"
     modification: Modification = Modification()
     material: Materials = Materials()
+    supports: Supports | None = None
     errors: pydantic.InstanceOf[Errors] = Errors()
 
     def __init__(self, /, **values: Any) -> None:
@@ -209,6 +214,22 @@ class Pair(Config):
         if isinstance(errors := changes.get("errors"), Mapping) and not isinstance(errors, Errors):
             changes["errors"] = Errors({**self.errors, **Errors(errors), **_zeros(errors)})
         return type(self)(**{**values, **changes})
+
+    @functools.cached_property
+    def places(self) -> dict[str, tuple[int, ...]]:
+        """Shape of what has one value each, by the words of `ErrorKind.of`: {"pin": (40,), …}."""
+        found: dict[str, tuple[int, ...]] = {
+            "drive": (), "pin": (self.pins,), "tooth": (self.discs, self.gear_teeth)
+        }  # fmt: skip
+        if self.supports is not None:
+            count = self.supports.count
+            found |= {"hole": (self.discs, count), "support": (count,)}
+            found["eccentric"] = (self.discs, self.supports.cranks)
+            if self.supports.kind == "cranks":
+                found["crank"] = (count,)
+            else:
+                found |= {"roller": (count,), "roller_hole": (self.discs, count)}
+        return found
 
     @property
     def nominal(self) -> Self:
@@ -289,9 +310,15 @@ def _contradictions(pair: Pair) -> list[tuple[str, str]]:
         sentence = f"neighbouring pins overlap; it must stay below {_mm(gap / 2)}"
         return [("pair", f"pin_radius = {_mm(pair.pin_radius)}: {sentence}")]
     found = []
+    found += _contradictions_of_supports(pair)
+    possible = kinds_of(pair)
     for kind in KINDS.values():
         stated = getattr(pair.errors, kind.file_key)
         if not isinstance(stated, tuple) or not stated:
+            continue
+        if kind.name not in possible:
+            has = "no [supports]" if pair.supports is None else f'supports of kind = "{pair.supports.kind}"'
+            found.append(("errors.supports", f"{kind.file_key} is stated, but the pair has {has}"))
             continue
         rows = stated if isinstance(stated[0], tuple) else (stated,)
         if isinstance(stated[0], tuple) and len(stated) != pair.discs:
@@ -299,8 +326,33 @@ def _contradictions(pair: Pair) -> list[tuple[str, str]]:
         count = kind.shape(pair)[-1]
         for row in rows:
             if len(row) != count:
-                sentence = f"{kind.file_key} has {len(row)} values; it needs one a {kind.of}, {count}"
+                sentence = f"{kind.file_key} has {len(row)} values; it needs one a {kind.of.replace('_', ' ')}, {count}"
                 found.append(("errors", sentence))
+    return found
+
+
+def _contradictions_of_supports(pair: Pair) -> list[tuple[str, str]]:
+    supports, errors = pair.supports, pair.errors
+    if supports is None:
+        return []
+    found = []
+    if pair.output == "ring":
+        found.append(("supports", 'output = "ring": supports hold a drive whose carrier turns; give output = "gear"'))
+    for name in ("misalignment_xz", "misalignment_yz"):
+        if getattr(errors, name) != 0.0:
+            found.append(("errors", f"{name}: a drive with supports is plane; it has no misalignment"))
+    cranks = supports.kind == "cranks"
+    if cranks and supports.turning_arm.is_rigid:
+        stated = [k for k in ("hole_x", "hole_y", "crank_x", "crank_y", "crank_throw", "crank_phase") if k in errors]
+        if stated:
+            sentence = f"turning_arm is rigid, so cranks and holes with an error ({stated[0]}) don't go together"
+            found.append(("supports", f"{sentence}; state its stiffness or rollers"))
+    if not cranks and (supports.output_roller is None or supports.output_roller.stiffness is None):
+        stated = [k for k in ("eccentricity", "crank_throw", "crank_phase", "hole_x", "hole_y", "roller_x", "roller_y",
+                              "hole_radius") if k in errors]  # fmt: skip
+        if stated:
+            sentence = f"output_roller is rigid, so rollers and holes don't go together with {stated[0]}"
+            found.append(("supports", f"{sentence}; state its stiffness"))
     return found
 
 
@@ -329,7 +381,7 @@ def smallest_convex_radius(circle_radius: float, eccentricity: float, pins: int)
     return min(radii, default=math.inf)
 
 
-_SHOWN_UNITS = {"m": ("mm", "um"), "Pa": ("GPa",), "N*m": (), "rad": ("mrad",)}
+_SHOWN_UNITS = {"m": ("mm", "um"), "Pa": ("GPa",), "N*m": (), "rad": ("mrad",), "N/m": ("N/um",)}
 
 
 def _written(value: float, si: str) -> str:
@@ -360,21 +412,34 @@ def _error_toml(stated: Any, unit: str) -> str:
     return _toml(stated, unit)
 
 
+def _table_lines(title: str, table: Config, model: type[Config]) -> list[str]:
+    lines = [f"[{title}]"]
+    for name, field in model.model_fields.items():
+        value = getattr(table, name)
+        if not (value is None or value is False or isinstance(value, Config)):
+            lines.append(f"{name} = {_toml(value, edge.unit_of_field(field))}")
+    return lines
+
+
 def _text_of(pair: Pair) -> str:
     lines = [f'format = "{FORMAT}"']
     tables: dict[str, Config] = {
         "modification": pair.modification, "material.gear": pair.material.gear, "material.pin": pair.material.pin,
     }  # fmt: skip
     for title, table in {"pair": pair, **tables}.items():
-        lines.append(f"[{title}]")
-        for name, field in (_Geometry if table is pair else type(table)).model_fields.items():
-            value = getattr(table, name)
-            if value is not None:
-                lines.append(f"{name} = {_toml(value, edge.unit_of_field(field))}")
-    if pair.errors:
-        lines.append("[errors]")
-        units = {kind.file_key: kind.unit for kind in KINDS.values()}
-        lines += [f"{key} = {_error_toml(stated, units[key])}" for key, stated in pair.errors.items()]
+        lines += _table_lines(title, table, _Geometry if table is pair else type(table))
+    if pair.supports is not None:
+        lines += _table_lines("supports", pair.supports, Supports)
+        for name in Supports.model_fields:
+            table = getattr(pair.supports, name)
+            if isinstance(table, Config) and table != type(table)():
+                lines += _table_lines(f"supports.{name}", table, type(table))
+    kinds = {kind.file_key: kind for kind in KINDS.values()}
+    for title, of_supports in (("errors", False), ("errors.supports", True)):
+        stated = {key: value for key, value in pair.errors.items() if kinds[key].of_supports == of_supports}
+        if stated:
+            lines.append(f"[{title}]")
+            lines += [f"{key} = {_error_toml(value, kinds[key].unit)}" for key, value in stated.items()]
     return "\n".join(lines) + "\n"
 
 
@@ -405,7 +470,9 @@ def pair_of_tables(tables: Mapping[str, Any], source: str) -> Pair:
     file, errors = edge.validated(_File, tables, source), Errors(stated, source)
     geometry = {name: getattr(file.pair, name) for name in _Geometry.model_fields}
     try:
-        return Pair(**geometry, modification=file.modification, material=file.material, errors=errors)
+        return Pair(
+            **geometry, modification=file.modification, material=file.material, supports=file.supports, errors=errors
+        )
     except ContradictionError as problem:
         raise edge.InputError(f"{source}: [{problem.table}] {problem}") from None
 

@@ -164,7 +164,7 @@ def _shift(work: Work, first: int, sign: float, column: int) -> None:
 
 @part
 def eccentric(assembly: Assembly, crank: float, disc: int, k: int) -> tuple[float, float]:
-    """e u(A) less the eccentric that was made, (e + de) u(A + dψ), computed from small terms, m."""
+    """E u(A) less the eccentric that was made, (e + de) u(A + dψ), computed from small terms, m."""
     phase, throw = assembly.phase[disc, k], assembly.throw[disc, k]
     half = 2.0 * assembly.eccentricity * math.sin(0.5 * phase)
     between, made = crank + 0.5 * phase, crank + phase

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact import Array, Problem, Rows, compiled, part
+from cycloid_fmu.contact import Array, Problem, compiled, part
 from cycloid_fmu.supports.assembly import Assembly
 from cycloid_fmu.supports.balance import (
     _FIRST_DISC,

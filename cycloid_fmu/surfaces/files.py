@@ -14,14 +14,17 @@ from cycloid_fmu.surfaces.structured import unit_of
 from cycloid_fmu.surfaces.surface import DEVIATION_TEXTS, DEVIATIONS, ErrorSurface, Life
 
 FORMAT = "cycloid-surface/1"
-_DIMENSIONS = {"drive": (), "pin": ("pin",), "tooth": ("disc", "tooth")}
+_DIMENSIONS = {
+    "drive": (), "pin": ("pin",), "tooth": ("disc", "tooth"), "hole": ("disc", "support"), "crank": ("support",),
+    "roller": ("support",), "eccentric": ("disc", "crank"), "roller_hole": ("disc", "support"),
+}  # fmt: skip
 
 
 def write_surface(surface: ErrorSurface, path: str | os.PathLike[str]) -> None:
     """Write a surface file (netCDF, `cycloid-surface/1`), whole or not at all."""
     import xarray as xr
 
-    data: dict[str, Any] = {name: (_DIMENSIONS[kind.of], surface.errors[name]) for name, kind in KINDS.items()}
+    data: dict[str, Any] = {name: (_DIMENSIONS[KINDS[name].of], values) for name, values in surface.errors.items()}
     for name, dimensions in DEVIATIONS.items():
         if (elements := getattr(surface, name)) is not None:
             data[name] = (dimensions, elements)

@@ -6,7 +6,7 @@ import hashlib
 
 import numpy as np
 
-from cycloid_fmu.errors.kinds import KINDS
+from cycloid_fmu.errors.kinds import kinds_of
 from cycloid_fmu.errors.stated import Errors
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.surface import ErrorSurface
@@ -14,7 +14,7 @@ from cycloid_fmu.surfaces.surface import ErrorSurface
 
 def stating(pair: Pair, surface: ErrorSurface) -> Pair:
     """Return the pair with the errors of a surface stated one by one; form and wear of elements can't be."""
-    values = {kind.file_key: np.asarray(surface.errors[name]) for name, kind in KINDS.items()}
+    values = {kind.file_key: np.asarray(surface.errors[name]) for name, kind in kinds_of(pair).items()}
     return pair.replace(errors=Errors({key: value.tolist() for key, value in values.items() if value.any()}))
 
 

@@ -7,6 +7,7 @@ and of the flank the low orders of a profile deviation that all teeth share.
 from __future__ import annotations
 
 import functools
+import math
 import re
 from collections.abc import Collection, Iterable, Mapping
 from typing import Any
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cycloid_fmu.errors.kinds import BODIES, EACH_PIN, KINDS, ErrorKind, kind_of, wave_of
+from cycloid_fmu.errors.kinds import BODIES, EACH_PIN, EACH_SUPPORT, KINDS, ErrorKind, kind_of, kinds_of, wave_of
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
@@ -106,27 +107,36 @@ def with_structured(pair: Pair, surface: ErrorSurface, values: Mapping[str, floa
 
 
 def displacement_layout(pair: Pair) -> dict[str, slice]:
-    """Return where each displacement stands in a vector of all: those of `BODIES`, of each pin, of each tooth."""
+    """Return where each displacement stands in a vector of all: of `BODIES`, pins, teeth, and what supports have."""
     found = {name: slice(i, i + 1) for i, name in enumerate(BODIES)}
     start = len(BODIES)
     for name in EACH_PIN:
         found[name] = slice(start, start + pair.pins)
         start += pair.pins
-    return {**found, "tooth_turn": slice(start, start + pair.discs * pair.gear_teeth)}
+    teeth = pair.discs * pair.gear_teeth
+    found["tooth_turn"] = slice(start, start + teeth)
+    start += teeth
+    for name, place in EACH_SUPPORT.items():
+        if place in pair.places:
+            size = math.prod(pair.places[place])
+            found[name] = slice(start, start + size)
+            start += size
+    return found
 
 
 def displacements(pair: Pair, surface: ErrorSurface, nominal: Mapping[str, Any]) -> dict[str, Any]:
     """Return what all errors of a surface displace, added to nominal values by the displacements' names.
 
-    The result has a value for every name of `BODIES`, an array (pins,) for each of `EACH_PIN`, and `tooth_turn`
-    (discs, teeth), in m and rad.
+    The result has a value for every name of `BODIES`, an array (pins,) for each of `EACH_PIN`, `tooth_turn`
+    (discs, teeth) and, of a pair with supports, an array for each of `EACH_SUPPORT`, in m and rad.
     """
     found: dict[str, Any] = dict.fromkeys(BODIES, 0.0)
     found |= dict.fromkeys(EACH_PIN, np.zeros(pair.pins))
     found["tooth_turn"] = np.zeros((pair.discs, pair.gear_teeth))
+    found |= {name: np.zeros(pair.places[place]) for name, place in EACH_SUPPORT.items() if place in pair.places}
     for name, value in nominal.items():
         found[name] = value + found[name] if np.ndim(found[name]) else value
-    for name, kind in KINDS.items():
+    for name, kind in kinds_of(pair).items():
         for displaced, displacement in kind.displaces.items():
             found[displaced] = found[displaced] + displacement(pair, surface.errors[name])
     return found
@@ -148,7 +158,7 @@ def displacement_columns(pair: Pair, names: Iterable[str]) -> Array:
 @functools.lru_cache(maxsize=16)
 def _columns_of(pair: Pair, names: tuple[str, ...]) -> Array:
     layout = displacement_layout(pair)
-    columns = np.zeros((layout["tooth_turn"].stop, len(names)))
+    columns = np.zeros((max(place.stop for place in layout.values()), len(names)))
     for column, name in zip(columns.T, names, strict=True):
         if _is_number(name):
             kind, shape = KINDS[name], np.asarray(1.0)

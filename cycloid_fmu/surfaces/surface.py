@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.errors.kinds import KINDS, ErrorKind, by_file_key
+from cycloid_fmu.errors.kinds import KINDS, ErrorKind, by_file_key, kinds_of
 from cycloid_fmu.errors.stated import Errors, values_of
 from cycloid_fmu.geometry.pair import Pair
 
@@ -152,7 +152,11 @@ class ErrorSurface:
             if name not in KINDS:
                 raise edge.InputError(_unknown(name))
         self._set("pair", pair.nominal)
-        values = {n: _checked(k, given[n], pair) if n in given else _zero(k, pair) for n, k in KINDS.items()}
+        possible = kinds_of(pair)
+        for name in given:
+            if name not in possible:
+                raise edge.InputError(f"{name}: the pair has no supports that can have this error.")
+        values = {n: _checked(k, given[n], pair) if n in given else _zero(k, pair) for n, k in possible.items()}
         self._set("errors", types.MappingProxyType(values))
         for name, array in zip(DEVIATIONS, (gear_deviation, pin_deviation, gear_curvature, pin_curvature), strict=True):
             self._set(name, _checked_deviation(name, array, pair))
@@ -366,8 +370,8 @@ def alike(surface: ErrorSurface) -> tuple[bool, bool]:
     teeth with the ring. Where both are alike everything repeats from pin to pin.
     """
     parts = {"pins": True, "teeth": True, "frame": True}
-    for name, kind in KINDS.items():
-        values = surface.errors[name]
+    for name, values in surface.errors.items():
+        kind = KINDS[name]
         if kind.breaks:
             # One number makes parts unlike wherever it is not zero, many where they are not the same.
             parts[kind.breaks] &= not np.any(values if kind.of == "drive" else np.ptp(values, axis=-1))

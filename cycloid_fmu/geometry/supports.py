@@ -1,0 +1,172 @@
+"""What holds the discs and the carrier: bearings, cranks or output rollers, as a pair file's `[supports]` states them."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal
+
+import pydantic
+
+from cycloid_fmu import edge
+from cycloid_fmu.edge import Angle, Config, Length
+
+
+def _positive(value: float) -> float:
+    if not value > 0.0:
+        raise ValueError("it must be above zero")
+    return value
+
+
+def _clearance(value: float) -> float:
+    if not 0.0 <= value <= LARGEST_CLEARANCE:
+        raise ValueError("a clearance lies between 0 and 0.2 mm")
+    return value
+
+
+LARGEST_CLEARANCE = 2e-4
+PositiveLength = Annotated[Length, pydantic.AfterValidator(_positive)]
+Clearance = Annotated[Length, pydantic.AfterValidator(_clearance)]
+Stiffness = Annotated[edge.Stiffness, pydantic.AfterValidator(_positive)]
+StiffnessPerWidth = Annotated[edge.Pressure, pydantic.AfterValidator(_positive)]
+
+
+class Bearing(Config):
+    """A bearing: rigid, a linear spring, or steel rollers.
+
+    Attributes
+    ----------
+    stiffness
+        Radial stiffness of a spring, N/m.
+    rollers, roller_length
+        Number of rollers and their effective length, m.
+    rigid
+        Whether it does not give way at all, as a bearing that states nothing.
+    clearance
+        Diametral: the radial displacement begins to press at half of it, m.
+
+    Examples
+    --------
+    >>> import cycloid_fmu as cy
+    >>> cy.Bearing(rollers=15, roller_length="9 mm", clearance="8 um").clearance
+    8e-06
+    """
+
+    stiffness: Stiffness | None = None
+    rollers: int | None = pydantic.Field(default=None, ge=3, le=500, strict=True)
+    roller_length: PositiveLength | None = None
+    rigid: bool = pydantic.Field(default=False, strict=True)
+    clearance: Clearance = 0.0
+
+    @property
+    def is_rigid(self) -> bool:
+        """Whether it does not give way."""
+        return self.stiffness is None and self.rollers is None
+
+    @pydantic.model_validator(mode="after")
+    def _one_law(self) -> Bearing:
+        if (self.rollers is None) != (self.roller_length is None):
+            raise ValueError("rollers and roller_length belong together")
+        stated = [n for n in ("stiffness", "rollers") if getattr(self, n) is not None] + ["rigid"] * self.rigid
+        if len(stated) > 1:
+            raise ValueError(f"it is stated by {' and '.join(stated)}; state one of stiffness, rollers, rigid = true")
+        if self.is_rigid and self.clearance > 0.0:
+            raise ValueError("a clearance needs a stiffness or rollers; a rigid bearing has none")
+        return self
+
+
+class OutputRoller(Config):
+    """Output rollers in the discs' holes, each a linear contact.
+
+    Attributes
+    ----------
+    stiffness
+        Of one roller in one disc's hole, N/m; None where it is rigid.
+    clearance
+        Twice what the hole's radius is larger than the roller's and the eccentricity, m.
+    """
+
+    stiffness: Stiffness | None = None
+    rigid: bool = pydantic.Field(default=False, strict=True)
+    clearance: Clearance = 0.0
+
+    @pydantic.model_validator(mode="after")
+    def _one_law(self) -> OutputRoller:
+        if self.stiffness is not None and self.rigid:
+            raise ValueError("it is stated by stiffness and rigid; state one of them")
+        if self.stiffness is None and self.clearance > 0.0:
+            raise ValueError("a clearance needs a stiffness; a rigid roller has none")
+        return self
+
+
+class PinSeat(Config):
+    """How the ring holds each pin.
+
+    Attributes
+    ----------
+    stiffness_per_width
+        Of a pin in its seat, N/m for each m of face width; None where it is rigid.
+    clearance
+        Diametral, m.
+    """
+
+    stiffness_per_width: StiffnessPerWidth | None = None
+    clearance: Clearance = 0.0
+
+
+class Supports(Config):
+    """What holds discs and carrier (docs/theory/supports.md); what is not stated is rigid.
+
+    Attributes
+    ----------
+    kind
+        "cranks": cranks in the carrier hold the discs and turn it (RV reducers); "output_rollers": one eccentric holds
+        the discs, and rollers of the carrier in their holes take the load.
+    count
+        Cranks, or output rollers.
+    circle_radius
+        Of the circle on which they stand, a, m.
+    first_angle
+        Of the first one from +x at crank angle 0, ψ_0, rad.
+    turning_arm
+        Each crank's bearing in each disc; with output rollers the eccentric's in each disc.
+    crank_shaft
+        Each crank's bearings in the carrier; with output rollers the central crank's in the housing.
+    main
+        The carrier's bearing in the ring.
+    output_roller
+        With output rollers.
+    pin_seat
+        The pins in the ring.
+
+    Examples
+    --------
+    >>> import cycloid_fmu as cy
+    >>> supports = cy.Supports(kind="cranks", count=3, circle_radius="36 mm", main={"stiffness": "1200 N/um"})
+    >>> supports.main.stiffness
+    1200000000.0
+    """
+
+    kind: Literal["cranks", "output_rollers"]
+    count: int = pydantic.Field(ge=2, le=40, strict=True)
+    circle_radius: PositiveLength
+    first_angle: Angle = 0.0
+    turning_arm: Bearing = Bearing()
+    crank_shaft: Bearing = Bearing()
+    main: Bearing = Bearing()
+    output_roller: OutputRoller | None = None
+    pin_seat: PinSeat = PinSeat()
+
+    @pydantic.model_validator(mode="after")
+    def _one_kind(self) -> Supports:
+        if self.kind == "cranks" and self.output_roller is not None:
+            raise ValueError('output_roller belongs to kind = "output_rollers"; cranks have none')
+        if self.kind == "output_rollers" and self.count < 3:
+            raise ValueError(f"count = {self.count}: output rollers are at least 3")
+        if not math.isfinite(self.first_angle):
+            raise ValueError("first_angle must be finite")
+        return self
+
+    @property
+    def cranks(self) -> int:
+        """Crank shafts: the count of them, or the one of output rollers."""
+        return self.count if self.kind == "cranks" else 1

@@ -1,0 +1,293 @@
+"""A drive on its bearings over crank angles: what its bodies do, what every bearing carries, and a labelled dataset."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cycloid_fmu import edge
+from cycloid_fmu.contact import Problem, transmission
+from cycloid_fmu.contact.transmission import Interrupted, Transmission
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.geometry.supports import Bearing
+from cycloid_fmu.supports import bearing
+from cycloid_fmu.supports.assembly import Assembly
+from cycloid_fmu.supports.sweeps import Found, sweep_supported
+from cycloid_fmu.surfaces.structured import displacements
+from cycloid_fmu.surfaces.surface import ErrorSurface
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+Array = NDArray[np.float64]
+PLAY_LOAD = 1e-3  # of the rated torque: what leaves the play between its two directions
+_PART = 64  # crank angles that one thread solves at a time
+
+_LABELS = {
+    "disc_shift_x": (("disc",), "m", "shift of each disc's centre from its ideal place along x"),
+    "disc_shift_y": (("disc",), "m", "shift of each disc's centre from its ideal place along y"),
+    "turning_arm_force": (("disc", "crank"), "N", "force of each crank's, or the eccentric's, bearing in each disc"),
+    "crank_bearing_force": (("crank",), "N", "force of each crank's bearings in carrier or housing"),
+    "main_bearing_force": ((), "N", "force of the carrier's bearing in the ring"),
+    "output_roller_force": (("disc", "roller"), "N", "force of each output roller in each disc's hole"),
+    "crank_torque": ((), "N*m", "torque of the environment on the crank"),
+}
+
+
+def _law(stated: Bearing) -> bearing.Bearing:
+    if stated.rollers is not None and stated.roller_length is not None:
+        return bearing.rollers(stated.rollers, stated.roller_length, stated.clearance)
+    return bearing.linear(bearing.RIGID if stated.stiffness is None else stated.stiffness, stated.clearance)
+
+
+def assembly_of(pair: Pair, surface: ErrorSurface) -> Assembly:
+    """Return what holds the discs of a pair with supports, as numbers and arrays."""
+    supports = pair.supports
+    assert supports is not None
+    made = displacements(pair, surface, {})
+    angle = supports.first_angle + 2.0 * np.pi * np.arange(supports.count) / supports.count
+    roller = supports.output_roller
+    play = np.zeros((pair.discs, supports.count)) if roller is None else made["hole_play"] + 0.5 * roller.clearance
+    stiffness = 0.0 if supports.kind == "cranks" else bearing.RIGID
+    if roller is not None and roller.stiffness is not None:
+        stiffness = roller.stiffness
+    return Assembly(
+        cranks=supports.kind == "cranks",
+        eccentricity=pair.eccentricity,
+        place_x=supports.circle_radius * np.cos(angle),
+        place_y=supports.circle_radius * np.sin(angle),
+        crank_x=made["carrier_x"],
+        crank_y=made["carrier_y"],
+        hole_x=made["hole_x"],
+        hole_y=made["hole_y"],
+        hole_play=play,
+        throw=made["eccentric_throw"] + made["crank_throw"],
+        phase=made["eccentric_phase"],
+        seat_x=float(made["centre_x"]),
+        seat_y=float(made["centre_y"]),
+        turning_arm=_law(supports.turning_arm),
+        crank_shaft=_law(supports.crank_shaft),
+        main=_law(supports.main),
+        output_roller=stiffness,
+        rotation_scale=pair.pin_circle_radius,
+    )
+
+
+def problem_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> Problem:
+    """Return the mesh of a pair with supports: its discs stand where bearings let them, its pins give in their seats."""
+    supports = pair.supports
+    assert supports is not None
+    mesh = transmission.mesh_of(pair, surface, slices)
+    seat = supports.pin_seat
+    compliance = 0.0 if seat.stiffness_per_width is None else 1.0 / (seat.stiffness_per_width * mesh.slice_width)
+    none = np.zeros(slices)
+    return mesh._replace(
+        eccentricity=pair.eccentricity, centre_x=none, centre_y=none.copy(), seat_gap=0.5 * seat.clearance,
+        seat_compliance=compliance,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class OnBearings(Transmission):
+    """Results of a crank sweep of a drive on its bearings, SI: those of `Transmission`, and what the bodies do.
+
+    The play is what `PLAY_LOAD` of the rated torque leaves, either way, at no torque; there is no interference.
+
+    Attributes
+    ----------
+    disc_shift_x, disc_shift_y
+        Shape (torques, angles, discs): shift of each disc's centre from its ideal place, m.
+    turning_arm_force
+        Shape (torques, angles, discs, cranks), N; one crank with output rollers.
+    crank_bearing_force
+        Shape (torques, angles, cranks), N.
+    main_bearing_force, crank_torque
+        Shape (torques, angles): N, N·m.
+    output_roller_force
+        Shape (torques, angles, discs, rollers), N; none with cranks.
+    """
+
+    disc_shift_x: Array
+    disc_shift_y: Array
+    turning_arm_force: Array
+    crank_bearing_force: Array
+    main_bearing_force: Array
+    output_roller_force: Array
+    crank_torque: Array
+
+
+def _empty(pair: Pair, loads: int, angles: int) -> Found:
+    supports = pair.supports
+    assert supports is not None
+    discs, cranks, rollers = pair.discs, supports.cranks, supports.count if supports.kind == "output_rollers" else 0
+    grid = (loads, angles)
+    pins = (*grid, discs, pair.pins)
+    return Found(
+        steps=np.zeros(grid, dtype=np.int64),
+        place=np.zeros((*grid, 3 + 3 * discs + 2 * cranks)),
+        stiffness=np.zeros(grid),
+        crank_torque=np.zeros(grid),
+        contact_count=np.zeros(grid, dtype=np.int64),
+        max_contact_pressure=np.zeros(grid),
+        pin_force=np.zeros(pins),
+        pin_pressure=np.zeros(pins),
+        turning_arm=np.zeros((*grid, discs, cranks)),
+        crank_bearing=np.zeros((*grid, cranks)),
+        main_bearing=np.zeros(grid),
+        output_roller=np.zeros((*grid, discs, rollers)),
+    )
+
+
+def solve(
+    pair: Pair,
+    surface: ErrorSurface,
+    torque: ArrayLike,
+    crank_angle: ArrayLike,
+    slices: int = 1,
+    *,
+    with_play: bool = True,
+    with_elements: bool = False,
+    workers: int = 1,
+    progress: Callable[[int], None] = lambda angles: None,
+) -> Transmission:
+    """Solve a drive at every torque and crank angle, on rigid bearings or on those that the pair states.
+
+    Parameters and errors are those of `contact.transmission.solve`.
+
+    Returns
+    -------
+    Transmission
+        An `OnBearings` of a pair with supports.
+
+    Raises
+    ------
+    edge.InputError
+        If a torque can't be carried, or contact lines are asked for with supports.
+    """
+    if pair.supports is None:
+        return transmission.solve(
+            pair, surface, torque, crank_angle, slices, with_play=with_play, with_elements=with_elements,
+            workers=workers, progress=progress,
+        )  # fmt: skip
+    if with_elements:
+        raise edge.ArgumentError("slices", "contact lines and element pressures are not known with supports", slices)
+    torques, angles = np.array(torque, dtype=float, ndmin=1), np.array(crank_angle, dtype=float, ndmin=1)
+    if not (np.isfinite(torques).all() and np.isfinite(angles).all()):
+        raise ValueError("torque and crank_angle must be finite")
+    loads = np.concatenate([_play_loads(pair) if with_play or 0.0 in torques else [], torques])
+    found, assembly = _empty(pair, loads.size, angles.size), assembly_of(pair, surface)
+
+    def part(first: int) -> int:
+        last = min(first + _PART, angles.size)
+        # Each thread moves discs of its own.
+        problem = problem_of(pair, surface, slices)
+        for k, load in enumerate(loads):
+            if load != 0.0:
+                here = Found(*(a[k, first:last] for a in found))
+                sweep_supported(problem, assembly, angles[first:last], load, k >= loads.size - torques.size, here)
+        return last - first
+
+    def result(done: slice) -> OnBearings:
+        return _result(pair, torques, angles[done], loads, Found(*(a[:, done] for a in found)))
+
+    finished = 0
+    with ThreadPoolExecutor(workers) if workers > 1 else contextlib.nullcontext() as pool:
+        parts = range(0, angles.size, _PART)
+        try:
+            for size in map(part, parts) if pool is None else pool.map(part, parts):
+                finished += size
+                progress(size * torques.size)
+        except KeyboardInterrupt:
+            if pool is not None:
+                pool.shutdown(cancel_futures=True)
+            raise Interrupted(result(slice(0, finished))) from None
+    lost = np.argwhere((found.steps == 0) & (loads[:, None] != 0.0))
+    if lost.size:
+        load, angle = loads[lost[0][0]], angles[lost[0][1]]
+        raise edge.InputError(
+            f"torque = {load:g} N*m: nothing balances it at a crank angle of {angle:.6g} rad; give one that the drive "
+            "can carry."
+        )
+    return result(slice(None))
+
+
+def _play_loads(pair: Pair) -> list[float]:
+    if pair.rated_torque is None:
+        raise edge.InputError(
+            f"rated_torque is missing; with [supports] the play is what {PLAY_LOAD:g} of it leaves at no torque."
+        )
+    return [-PLAY_LOAD * pair.rated_torque, PLAY_LOAD * pair.rated_torque]
+
+
+def _result(pair: Pair, torques: Array, angles: Array, loads: Array, found: Found) -> OnBearings:
+    """Return what was found at `loads`, the play's two before the torques."""
+    deviation, first = found.place[..., 0], loads.size - torques.size
+    low = high = np.full(angles.size, np.nan)
+    if first:
+        # Where the tangents at a small torque either way meet no torque: without clearance but with errors no place is
+        # without energy, yet the output swings.
+        ends = deviation[:2] - loads[:2, None] / found.stiffness[:2]
+        middle = ends.mean(axis=0)
+        low, high = np.minimum(ends[0], middle), np.maximum(ends[1], middle)
+        deviation = np.where(loads[:, None] == 0.0, middle, deviation)
+    kept = Found(*(a[first:] for a in found))
+    discs = pair.discs
+    return OnBearings(
+        torques, angles, deviation[first:], kept.stiffness, kept.contact_count, kept.max_contact_pressure,
+        kept.pin_force, kept.pin_pressure, low, high, np.zeros(angles.size),
+        *transmission.no_lines(torques.size)[:4],
+        disc_shift_x=kept.place[..., 3 : 3 + 3 * discs : 3],
+        disc_shift_y=kept.place[..., 4 : 3 + 3 * discs : 3],
+        turning_arm_force=kept.turning_arm,
+        crank_bearing_force=kept.crank_bearing,
+        main_bearing_force=kept.main_bearing,
+        output_roller_force=kept.output_roller,
+        crank_torque=kept.crank_torque,
+    )  # fmt: skip
+
+
+def labelled(pair: Pair, surface: ErrorSurface, found: Transmission, slices: int, *, complete: bool) -> xr.Dataset:
+    """Return results as a dataset (format `cycloid-analysis/1`), with what `OnBearings` has besides."""
+    data = transmission.labelled(pair, surface, found, slices, complete=complete)
+    if isinstance(found, OnBearings):
+        for name, (dimensions, unit, text) in _LABELS.items():
+            values = getattr(found, name)
+            if values.shape[-1] > 0:
+                each = ("torque", "crank_angle", *dimensions)
+                # Output rollers have one crank.
+                one = "crank" in dimensions and pair.supports is not None and pair.supports.kind == "output_rollers"
+                data[name] = (each[:-1], values[..., 0]) if one else (each, values)
+                data[name].attrs.update(units=unit, long_name=text)
+        data["backlash"].attrs["long_name"] = f"play: what {PLAY_LOAD:g} of the rated torque leaves at no torque"
+    return data
+
+
+def analyze(
+    pair: Pair,
+    surface: ErrorSurface,
+    torque: ArrayLike,
+    crank_angle: ArrayLike,
+    slices: int = 1,
+    *,
+    with_elements: bool = False,
+    workers: int = 1,
+    progress: Callable[[int], None] = lambda angles: None,
+) -> xr.Dataset:
+    """Return the labelled dataset of `solve`.
+
+    Interrupted, it returns the crank angles that were finished, and the attribute `complete` is 0.
+    """
+    complete = True
+    try:
+        found = solve(
+            pair, surface, torque, crank_angle, slices, with_elements=with_elements, workers=workers, progress=progress
+        )
+    except Interrupted as interrupted:
+        found, complete = interrupted.result, False
+    return labelled(pair, surface, found, slices, complete=complete)
