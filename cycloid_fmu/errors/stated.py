@@ -78,8 +78,10 @@ def _value(given: Any, kind: ErrorKind, in_file: bool) -> Any:
 
 
 def _is_none(stated: Any) -> bool:
-    """Whether lists for discs hold nothing but zeros."""
-    return isinstance(stated, tuple) and all(isinstance(row, tuple) and not any(row) for row in stated)
+    """Whether an error is zero: a number, no waves, an empty list, or nothing but zeros for each disc."""
+    return stated in (0.0, (), {}) or (
+        isinstance(stated, tuple) and all(isinstance(row, tuple) and not any(row) for row in stated)
+    )
 
 
 class Errors(Mapping[str, Any]):
@@ -114,11 +116,10 @@ class Errors(Mapping[str, Any]):
             raise edge.InputError(f"{where}supports = {edge.shown(held)}: it must be a table, [errors.supports].")
         for key in (*held, *flat):
             in_supports = key in kinds and kinds[key].of_supports
-            if (key in held and key in kinds and not in_supports) or (
-                source is not None and key in flat and in_supports
-            ):
-                table = "[errors.supports]" if in_supports else "[errors]"
-                problems.append(f"{where}{key} belongs in {table}.")
+            if key in held and key in kinds and not in_supports:
+                problems.append(f"{where}{key} belongs in [errors], not in [errors.supports].")
+            if key in flat and in_supports and source is not None:
+                problems.append(f"{where}{key} belongs in [errors.supports].")
         for key, given in ({} if problems else {**flat, **held}).items():
             if key not in kinds:
                 hint = edge.did_you_mean(str(key), kinds) or "check its spelling or remove it."
@@ -131,11 +132,7 @@ class Errors(Mapping[str, Any]):
         if problems:
             raise edge.InputError("\n".join(problems))
         # Zero and nothing are the same drive as what is not stated, and -0 is 0.
-        kept = {
-            key: values[key]
-            for key in kinds
-            if key in values and values[key] not in (0.0, (), {}) and not _is_none(values[key])
-        }
+        kept = {key: values[key] for key in kinds if key in values and not _is_none(values[key])}
         object.__setattr__(self, "_values", kept)
 
     def __getitem__(self, key: str) -> Any:

@@ -1,4 +1,4 @@
-"""What holds the discs and the carrier: bearings, cranks or output rollers, as a pair file's `[supports]` states them."""
+"""What holds discs and carrier: bearings, cranks or output rollers, as a pair file's `[supports]` states them."""
 
 from __future__ import annotations
 

@@ -34,6 +34,8 @@ class Assembly(NamedTuple):
         The bearings; an output roller's clearance is in `hole_play`.
     rotation_scale
         A radius that makes a rotation a displacement, m.
+    balanced
+        What may be left of a balance, N.
     """
 
     cranks: bool
@@ -54,3 +56,4 @@ class Assembly(NamedTuple):
     main: Bearing
     output_roller: float
     rotation_scale: float
+    balanced: float

@@ -20,7 +20,6 @@ from cycloid_fmu.supports.assembly import Assembly
 from cycloid_fmu.supports.bearing import CENTRING, Bearing, push
 
 _FIRST_DISC = 3
-_BALANCED = 1e-7  # N: what is left of a balance
 _LONGEST = 25e-6  # m: a step is no longer than this
 _REACH = 4e-6  # m: pins nearer than this are solved at every step, the others once the discs have moved as far
 _HELD = 1e-3  # N/m: keeps a rotation in reach that nothing holds yet; it pulls to where the step began
@@ -68,8 +67,8 @@ def work_of(problem: Problem, assembly: Assembly) -> Work:
     """Return empty arrays to solve in."""
     n, discs = unknowns(problem, assembly), problem.shift_x.size
     return Work(
-        np.zeros(n), np.zeros(n), np.zeros(n), np.zeros((n, n)), np.zeros((n, n)), np.zeros((2, 8)), np.zeros(8), np.zeros((discs, 3)),
-        np.full(1, np.inf),
+        np.zeros(n), np.zeros(n), np.zeros(n), np.zeros((n, n)), np.zeros((n, n)), np.zeros((2, 8)), np.zeros(8),
+        np.zeros((discs, 3)), np.full(1, np.inf),
     )  # fmt: skip
 
 
@@ -232,7 +231,7 @@ def _add_cranks(problem: Problem, assembly: Assembly, theta: float, q: Array, ce
 def roller_displacement(
     assembly: Assembly, carrier: float, crank: float, q: Array, disc: int, i: int
 ) -> tuple[float, float, float, float, float, float, float]:
-    """Place of a hole from its output roller, and the arms of disc and carrier there; last, by how much it is beyond e."""
+    """Place of a hole from its output roller, the arms of disc and carrier there, and by how much it is beyond e."""
     at = _FIRST_DISC + 3 * disc
     x, y = q[0], q[at + 2]
     cx, sx, cy, sy = math.cos(carrier + x), math.sin(carrier + x), math.cos(carrier + y), math.sin(carrier + y)
@@ -408,7 +407,7 @@ def balance(
     _assemble(problem, assembly, theta, torque, centring, q, contacts, work)
     for iteration in range(_ITERATIONS):
         left = _longest(problem, assembly, work.residual, -1.0)
-        if left < _BALANCED + 1e-12 * abs(torque) / assembly.rotation_scale:
+        if left < assembly.balanced:
             return iteration + 1
         share = _direction(problem, assembly, work)
         if share == 0.0:

@@ -72,12 +72,10 @@ def _roller_factor() -> Array:
         # cos ψ - s as a product, over 1 - t².
         inside = 2.0 * np.sin(0.5 * end * (1.0 + nodes)) * np.sin(0.5 * end * (1.0 - nodes)) / (1.0 - nodes**2)
         integral = end[:, 0] * (weights * inside**_EXPONENT * np.cos(psi)).sum(axis=1)
-        return np.asarray(integral / (1.0 - share[:, 0]) ** (_EXPONENT + 0.5))
+        return np.asarray(integral / (1.0 - share[:, 0]) ** (_EXPONENT + 0.5), dtype=np.float64)
 
     series = Chebyshev.interpolate(smooth, _ORDER, domain=[0.0, 1.0])
-    coefficients = np.array(series.coef)
-    coefficients.flags.writeable = True
-    return coefficients
+    return np.array(series.coef, dtype=np.float64)
 
 
 @part

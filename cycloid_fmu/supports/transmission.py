@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -57,6 +57,9 @@ def assembly_of(pair: Pair, surface: ErrorSurface) -> Assembly:
     stiffness = 0.0 if supports.kind == "cranks" else bearing.RIGID
     if roller is not None and roller.stiffness is not None:
         stiffness = roller.stiffness
+    arm, shaft, main = (_law(getattr(supports, name)) for name in ("turning_arm", "crank_shaft", "main"))
+    rigid = bearing.RIGID in (arm.stiffness, shaft.stiffness, main.stiffness, stiffness)
+    mesh = pair.face_width / (pair.material.gear.compliance + pair.material.pin.compliance)
     return Assembly(
         cranks=supports.kind == "cranks",
         eccentricity=pair.eccentricity,
@@ -71,16 +74,18 @@ def assembly_of(pair: Pair, surface: ErrorSurface) -> Assembly:
         phase=made["eccentric_phase"],
         seat_x=float(made["centre_x"]),
         seat_y=float(made["centre_y"]),
-        turning_arm=_law(supports.turning_arm),
-        crank_shaft=_law(supports.crank_shaft),
-        main=_law(supports.main),
+        turning_arm=arm,
+        crank_shaft=shaft,
+        main=main,
         output_roller=stiffness,
         rotation_scale=pair.pin_circle_radius,
+        # The last digits of a rotation move a crank by 1e-19 m, those of a gap are 1e-17 m.
+        balanced=max(1e-3 if rigid else 1e-7, 1e-17 * mesh),
     )
 
 
 def problem_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> Problem:
-    """Return the mesh of a pair with supports: its discs stand where bearings let them, its pins give in their seats."""
+    """Return the mesh of a pair with supports: discs stand where bearings let them, pins give in their seats."""
     supports = pair.supports
     assert supports is not None
     mesh = transmission.mesh_of(pair, surface, slices)
@@ -144,6 +149,10 @@ def _empty(pair: Pair, loads: int, angles: int) -> Found:
     )
 
 
+def _of(found: Found, part: Any) -> Found:
+    return Found(*(array[part] for array in cast(tuple[Any, ...], found)))
+
+
 def solve(
     pair: Pair,
     surface: ErrorSurface,
@@ -189,12 +198,12 @@ def solve(
         problem = problem_of(pair, surface, slices)
         for k, load in enumerate(loads):
             if load != 0.0:
-                here = Found(*(a[k, first:last] for a in found))
+                here = _of(found, np.s_[k, first:last])
                 sweep_supported(problem, assembly, angles[first:last], load, k >= loads.size - torques.size, here)
         return last - first
 
     def result(done: slice) -> OnBearings:
-        return _result(pair, torques, angles[done], loads, Found(*(a[:, done] for a in found)))
+        return _result(pair, torques, angles[done], loads, _of(found, np.s_[:, done]))
 
     finished = 0
     with ThreadPoolExecutor(workers) if workers > 1 else contextlib.nullcontext() as pool:
@@ -236,7 +245,7 @@ def _result(pair: Pair, torques: Array, angles: Array, loads: Array, found: Foun
         middle = ends.mean(axis=0)
         low, high = np.minimum(ends[0], middle), np.maximum(ends[1], middle)
         deviation = np.where(loads[:, None] == 0.0, middle, deviation)
-    kept = Found(*(a[first:] for a in found))
+    kept = _of(found, np.s_[first:])
     discs = pair.discs
     return OnBearings(
         torques, angles, deviation[first:], kept.stiffness, kept.contact_count, kept.max_contact_pressure,

@@ -1,0 +1,342 @@
+"""Drives on bearings: an independent solver's results, closed forms, symmetries, and what files may say."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from common import ARCSEC, DATA
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import quad
+
+import cycloid_fmu as cy
+from cycloid_fmu import edge
+from cycloid_fmu.contact import transmission as on_rigid
+from cycloid_fmu.geometry.pair import parse_pair, read_pair
+from cycloid_fmu.supports.bearing import linear, push, rollers
+from cycloid_fmu.supports.transmission import solve
+from cycloid_fmu.surfaces.surface import surface_of_pair
+
+CASES = DATA / "supports-cases"
+SIZES = {
+    "gear_teeth": 39, "pin_circle_radius": 64e-3, "pin_radius": 3e-3, "eccentricity": 1.3e-3, "face_width": 0.01,
+    "rated_torque": 181.0, "modification": {"isometric": -15e-6, "offset": -40e-6},
+}  # fmt: skip
+CRANKS = {"kind": "cranks", "count": 3, "circle_radius": 0.036, "first_angle": 0.3}
+ROLLERS = {"kind": "output_rollers", "count": 6, "circle_radius": 0.032, "first_angle": 0.1}
+SOFT = {
+    "turning_arm": {"stiffness": 4e8}, "crank_shaft": {"stiffness": 3e8}, "main": {"stiffness": 1.2e9}
+}  # fmt: skip
+ANGLES = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
+
+
+def solved(pair, torque, angles=ANGLES, **options):
+    return solve(pair, surface_of_pair(pair), torque, angles, **options)
+
+
+@pytest.mark.parametrize("case", sorted(p.stem for p in CASES.glob("*.toml")))
+def test_reference_case(case, record_property):
+    wanted = json.loads((CASES / f"{case}.json").read_text())
+    pair = read_pair(CASES / f"{case}.toml")
+    found = solved(pair, [r["torque"] for r in wanted["results"]], wanted["crank_angle"])
+    shifts = {"disc_shift_x", "disc_shift_y"}
+    for load, result in enumerate(wanted["results"]):
+        torque = result.pop("torque")
+        limits = {"transmission_error": 1e-3 * ARCSEC, "backlash": 5e-3 * ARCSEC, "crank_torque": 1e-6 * abs(torque)}
+        for name, values in result.items():
+            got = found.backlash if name == "backlash" else getattr(found, name)[load]
+            values = np.array(values)
+            away = np.abs(got.reshape(values.shape) - values).max()
+            if name == "torsional_stiffness":
+                away, limit = np.abs(got / values - 1.0).max(), 1e-3
+            else:
+                limit = 1e-9 if name in shifts else limits.get(name, 0.05)
+            assert away < limit, name
+            record_property(f"{name} at {torque:g} N·m, away from the independent solver (SI)", f"{away:.2g}")
+
+
+@given(st.floats(0.0, 20e-6), st.floats(1e-7, 60e-6))
+def test_rollers_are_the_integral_over_the_loaded_zone(clearance, beyond):
+    r, bearing = 0.5 * clearance + beyond, rollers(15, 9e-3, clearance)
+    each = 8.06e4 / 2.0 ** (10 / 9) * 9.0 ** (8 / 9) * 1e3 ** (10 / 9)
+    end = math.acos(0.5 * clearance / r)
+    integral, _ = quad(lambda a: (r * math.cos(a) - 0.5 * clearance) ** (10 / 9) * math.cos(a), 0.0, end, epsrel=1e-12)
+    force, stiffness = push(bearing, r)
+    assert force == pytest.approx(2.0 * 15 / (2.0 * math.pi) * each * integral, rel=1e-7)
+    step = 1e-4 * beyond
+    assert stiffness == pytest.approx((push(bearing, r + step)[0] - push(bearing, r - step)[0]) / (2 * step), rel=1e-5)
+
+
+def test_a_bearing_carries_nothing_inside_its_clearance():
+    for bearing in (rollers(15, 9e-3, 8e-6), linear(4e8, 8e-6)):
+        assert push(bearing, 3.999e-6) == (0.0, 0.0)
+        assert push(bearing, 4.01e-6)[0] > 0.0
+
+
+def test_rigid_supports_are_the_drive_on_rigid_bearings():
+    """Centre distance and eccentricity errors included: the housing's seats stand off the pin circle's centre."""
+    errors = {"centre_distance_x": 4e-6, "centre_distance_y": -3e-6, "eccentricity": 1e-6, "pin_radius": -1e-6}
+    rigid = cy.Pair(**SIZES, discs=2, errors=errors)
+    held = rigid.replace(supports=CRANKS)
+    want = on_rigid.solve(rigid, surface_of_pair(rigid), [181.0, -20.0], ANGLES)
+    found = solved(held, [181.0, -20.0])
+    assert found.transmission_error == pytest.approx(want.transmission_error, abs=1e-3 * ARCSEC)
+    assert found.pin_force == pytest.approx(want.pin_force, abs=0.01)
+    assert found.torsional_stiffness == pytest.approx(want.torsional_stiffness, rel=1e-4)
+
+
+@pytest.mark.parametrize("discs", [1, 2])
+@pytest.mark.parametrize("kind", ["cranks", "output_rollers"])
+def test_stiffness_without_mesh_is_the_closed_form(kind, discs):
+    """1/K of a drive with stiff flanks is that of its bearings: K_t of cranks or rollers, K_r of what holds the disc.
+
+    The flanks' own compliance is taken off by solving the drive on rigid bearings as well.
+    """
+    stiff = {"gear": {"youngs_modulus": "2000000 GPa"}, "pin": {"youngs_modulus": "2000000 GPa"}}
+    plain = {**SIZES, "modification": {}, "discs": discs, "material": stiff}
+    a, n, e, teeth = 0.036, 4, 1.3e-3, 39
+    ka, ks, km, kw, r = 4e8, 3e8, 1.2e9, 2e8, e * teeth
+    supports = {"kind": kind, "count": n, "circle_radius": a, "first_angle": 0.2, **SOFT}
+    if kind == "cranks":
+        turning = n * a**2 / (1 / (discs * ka) + 1 / ks)
+        radial = discs * n * ka * r**2 if discs > 1 else r**2 / (1 / (n * ka) + 1 / (n * ks) + 1 / km)
+    else:
+        supports["output_roller"] = {"stiffness": kw}
+        supports["main"] = {"rigid": True}
+        turning = discs * kw * a**2 * n / 4
+        radial = discs * ka * r**2 if discs > 1 else r**2 / (1 / ka + 1 / ks)
+    found = solved(cy.Pair(**plain, supports=supports), [20.0])
+    mesh = on_rigid.solve(cy.Pair(**plain), surface_of_pair(cy.Pair(**plain)), [20.0], ANGLES)
+    wanted = 1.0 / (1.0 / turning + 1.0 / radial + 1.0 / mesh.torsional_stiffness)
+    assert found.torsional_stiffness[0] == pytest.approx(wanted[0], rel=2e-2)
+    assert found.torsional_stiffness[0].mean() == pytest.approx(wanted[0].mean(), rel=5e-3)
+    if discs > 1:
+        assert np.abs(found.main_bearing_force).max() < 0.05
+        held = discs * (n if kind == "cranks" else 1) * r * ka
+        shift = np.hypot(found.disc_shift_x, found.disc_shift_y)
+        assert shift.mean() == pytest.approx(20.0 / held, rel=0.02)
+
+
+def made(kind, seed, discs=2):
+    """A drive with errors of everything, on bearings with clearance."""
+    random = np.random.default_rng(seed)
+    supports = dict(CRANKS if kind == "cranks" else ROLLERS)
+    supports |= {
+        "turning_arm": {"rollers": 15, "roller_length": 9e-3, "clearance": 6e-6},
+        "crank_shaft": {"stiffness": 3e8, "clearance": 2e-6}, "main": {"stiffness": 1.2e9},
+        "pin_seat": {"stiffness_per_width": "30 GPa"},
+    }  # fmt: skip
+    if kind == "output_rollers":
+        supports["output_roller"] = {"stiffness": 2e8, "clearance": 6e-6}
+    pair = cy.Pair(**SIZES, discs=discs, supports=supports)
+    errors = {"pin_radial": random.normal(0, 1e-6, 40), "centre_distance_x": 3e-6, "eccentricity": 1e-6}
+    errors["tooth_cumulative_pitch"] = random.normal(0, 1e-6, (discs, 39))
+    sizes = {"hole_x": "hole", "hole_y": "hole", "crank_throw": "eccentric", "crank_phase": "eccentric"}
+    sizes |= {"crank_x": "crank", "crank_y": "crank"} if kind == "cranks" else {"roller_x": "roller"}
+    for name, place in sizes.items():
+        scale = 1e-4 if name == "crank_phase" and kind == "cranks" else 2e-6
+        errors[name] = random.normal(0, scale, pair.places[place])
+    return pair.replace(errors={k: np.asarray(v).tolist() for k, v in errors.items()})
+
+
+@pytest.mark.parametrize("kind", ["cranks", "output_rollers"])
+def test_every_body_is_in_balance(kind):
+    """What pins, bearings and rollers put on each disc, and the carrier's moment, from the stated forces alone."""
+    pair = made(kind, 3)
+    found = solved(pair, [150.0], with_play=False)
+    for disc in range(2):
+        # Radially a disc's pins and its bearings carry the same work: the crank's torque is what the output's costs.
+        assert found.pin_force[0, :, disc].sum(axis=-1).min() > 0.0
+    mean = found.crank_torque[0].mean()
+    assert mean == pytest.approx(150.0 / 39, rel=0.02)
+
+
+@pytest.mark.parametrize(("kind", "turns"), [("cranks", 13), ("output_rollers", 39)])
+def test_mean_crank_torque_is_the_ratio_over_a_whole_period(kind, turns):
+    """The work that the crank does in a period is the output's: no energy is made or lost."""
+    supports = {**(CRANKS if kind == "cranks" else ROLLERS), **SOFT}
+    supports["turning_arm"] = {"rollers": 15, "roller_length": 9e-3, "clearance": 8e-6}
+    if kind == "output_rollers":
+        supports["output_roller"] = {"stiffness": 2e8, "clearance": 6e-6}
+    pair = cy.Pair(**SIZES, discs=2, supports=supports)
+    pitches = turns * 2.0 * np.pi / 40.0
+    angles = np.linspace(0.0, pitches, 40 * turns, endpoint=False)
+    found = solved(pair, [150.0], angles, with_play=False)
+    assert found.crank_torque[0].mean() == pytest.approx(150.0 / 39, rel=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["cranks", "output_rollers"])
+def test_crank_torque_is_the_energy_s_derivative(kind):
+    """Virtual work at constant torque: dx/dθ at equilibrium and τ are one energy's, so dτ/dT = ∂(x - θ/z)/∂θ sign by
+    sign: the torque that a load puts on the crank is how the crank moves the loaded output."""
+    pair = made(kind, 4)
+    step = 1e-4
+    for theta in (0.3, 2.0, 4.4):
+        found = solved(pair, [149.0, 151.0], np.array([theta]), with_play=False)
+        by_load = (found.crank_torque[1, 0] - found.crank_torque[0, 0]) / 2.0
+        around = solved(pair, [150.0], np.array([theta - step, theta + step]), with_play=False)
+        by_angle = (around.transmission_error[0, 1] - around.transmission_error[0, 0]) / (2.0 * step)
+        assert by_load == pytest.approx(1.0 / 39 - by_angle, abs=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["cranks", "output_rollers"])
+def test_stiffness_is_the_slope_of_the_deviation(kind):
+    pair = made(kind, 5)
+    found = solved(pair, [149.5, 150.0, 150.5], ANGLES[:6], with_play=False)
+    slope = 1.0 / (found.transmission_error[2] - found.transmission_error[0])
+    assert found.torsional_stiffness[1] == pytest.approx(slope, rel=1e-3)
+
+
+def test_mirrored_drives_mirror():
+    """θ, torque, deviation, what is tangential and ψ_0 change sign; pins, teeth and cranks are counted backwards."""
+    pair = made("cranks", 6, discs=1)
+    errors = dict(pair.errors)
+
+    def backwards(values):
+        return [values[0], *values[:0:-1]]
+
+    mirrored = {
+        "pin_radial": backwards(errors["pin_radial"]),
+        # A tooth begins at its root, so tooth i becomes the one that ends there.
+        "tooth_cumulative_pitch": [[-v for v in row[::-1]] for row in errors["tooth_cumulative_pitch"]],
+        "hole_x": [backwards(row) for row in errors["hole_x"]],
+        "hole_y": [[-v for v in backwards(row)] for row in errors["hole_y"]],
+        "crank_x": backwards(errors["crank_x"]),
+        "crank_y": [-v for v in backwards(errors["crank_y"])],
+        "crank_throw": [backwards(row) for row in errors["crank_throw"]],
+        "crank_phase": [[-v for v in backwards(row)] for row in errors["crank_phase"]],
+    }
+    other = pair.replace(supports=pair.supports.replace(first_angle=-0.3), errors=mirrored)
+    found, image = solved(pair, [150.0], ANGLES), solved(other, [-150.0], -ANGLES)
+    assert image.transmission_error == pytest.approx(-found.transmission_error, abs=1e-5 * ARCSEC)
+    assert image.backlash == pytest.approx(found.backlash, abs=1e-3 * ARCSEC)
+    assert image.disc_shift_y == pytest.approx(-found.disc_shift_y, abs=1e-10)
+    assert image.main_bearing_force == pytest.approx(found.main_bearing_force, abs=1e-3)
+
+
+def test_turning_the_whole_drive_by_a_pin_changes_nothing():
+    pair = made("cranks", 7, discs=1)
+    errors, pitch = dict(pair.errors), 2.0 * math.pi / 40
+    c, s = math.cos(pitch), math.sin(pitch)
+    seat = errors.pop("centre_distance_x")
+    turned = {**errors, "centre_distance_x": seat * c, "centre_distance_y": seat * s}
+    turned["pin_radial"] = [errors["pin_radial"][-1], *errors["pin_radial"][:-1]]
+    # The gear turns with the frame by one pin, its crank too: the gear's own angle is as before.
+    found = solved(pair, [150.0], ANGLES, with_play=False)
+    first = pair.supports.first_angle + pitch * (1.0 + 1.0 / 39)
+    for x, y, out in (("hole_x", "hole_y", 1), ("crank_x", "crank_y", 0)):
+        rotation = pitch * (1.0 + 1.0 / 39)
+        cr, sr = math.cos(rotation), math.sin(rotation)
+        vx, vy = np.array(errors[x]), np.array(errors[y])
+        turned[x], turned[y] = (cr * vx - sr * vy).tolist(), (sr * vx + cr * vy).tolist()
+        assert out in (0, 1)
+    teeth = np.array(errors["tooth_cumulative_pitch"])
+    turned["tooth_cumulative_pitch"] = np.roll(teeth, 1, axis=1).tolist()
+    other = pair.replace(supports=pair.supports.replace(first_angle=first), errors=turned)
+    image = solved(other, [150.0], ANGLES + pitch, with_play=False)
+    assert image.transmission_error == pytest.approx(found.transmission_error, abs=1e-4 * ARCSEC)
+
+
+def test_seats_and_clearances_only_soften():
+    """With each further compliance the drive gives way more, by the order of the contract's table."""
+    base = {**CRANKS}
+    steps = [{}, {"turning_arm": {"rollers": 15, "roller_length": 9e-3}}, {"crank_shaft": {"stiffness": 3e8}},
+             {"pin_seat": {"stiffness_per_width": "30 GPa"}},
+             {"turning_arm": {"rollers": 15, "roller_length": 9e-3, "clearance": 10e-6}}]  # fmt: skip
+    last = math.inf
+    for step in steps:
+        base |= step
+        found = solved(cy.Pair(**SIZES, discs=2, supports=base), [181.0], ANGLES)
+        stiffness = found.torsional_stiffness[0].mean()
+        assert stiffness < 0.99 * last
+        last = stiffness
+
+
+def test_two_cranks_with_clearance_make_order_80_and_three_do_not():
+    """Order 80 of the crank in the output, without any error, as the contract states."""
+    angles = np.linspace(0.0, 2.0 * np.pi * 39, 39 * 240, endpoint=False)
+    found = []
+    for count in (2, 3):
+        supports = {**CRANKS, "count": count, "turning_arm": {"rollers": 15, "roller_length": 9e-3, "clearance": 8e-6}}
+        pair = cy.Pair(**SIZES, discs=2, supports={**supports, "crank_shaft": {"stiffness": 3e8}})
+        te = solved(pair, [181.0], angles, with_play=False).transmission_error[0]
+        spectrum = np.abs(np.fft.rfft(te)) * 2.0 / te.size
+        # In turns of the carrier: the angle spans 39 crank turns, one of the output.
+        found.append(spectrum[80] / ARCSEC)
+    assert found[0] > 10.0 * found[1]
+
+
+SUPPORTED = """format = "cycloid-pair/1"
+[pair]
+gear_teeth = 39
+pin_circle_radius = "64 mm"
+pin_radius = "3 mm"
+eccentricity = "1.3 mm"
+face_width = "10 mm"
+rated_torque = "181 N*m"
+[supports]
+kind = "cranks"
+count = 3
+circle_radius = "36 mm"
+"""
+
+
+def test_what_is_left_out_is_rigid_and_the_text_comes_back():
+    pair = parse_pair(SUPPORTED, "p.toml")
+    assert pair.supports.turning_arm.is_rigid
+    assert pair.supports.main.is_rigid
+    for one in (pair, made("cranks", 1), made("output_rollers", 2)):
+        assert parse_pair(one.text, "again") == one
+        assert parse_pair(one.text, "again").text == one.text
+        assert cy.Drive(one).hash != cy.Drive(one.replace(supports=None, errors={k: 0.0 for k in ()})
+                                              if not one.errors else one.nominal).hash  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("more", "sentence"),
+    [
+        ("[supports.turning_arm]\nclearance = '3 um'", "a clearance needs a stiffness or rollers; a rigid bearing has none"),
+        ("[supports.turning_arm]\nstiffness = '4 N/um'\nrollers = 12\nroller_length = '9 mm'", "state one of stiffness"),
+        ("[supports.turning_arm]\nrollers = 12", "rollers and roller_length belong together"),
+        ("[supports.turning_arm]\nstiffnes = '4 N/um'", "did you mean stiffness"),
+        ("[supports.main]\nstiffness = '4 um'", "measures something else"),
+        ("[errors.supports]\nhole_x = [['1 um', '0 um', '0 um']]", "turning_arm is rigid"),
+        ("[errors.supports]\nroller_x = ['1 um', '0 um', '0 um']", 'supports of kind = "cranks"'),
+        ("[errors]\nhole_x = [['1 um', '0 um', '0 um']]", r"hole_x belongs in \[errors.supports\]"),
+        ("[errors.supports]\npin_radius = '1 um'", r"pin_radius belongs in \[errors\]"),
+        ("[supports.turning_arm]\nstiffness = '4 N/um'\n[errors.supports]\nhole_x = [['1 um', '2 um']]", "it needs one a hole, 3"),
+        ("[supports.output_roller]\nstiffness = '4 N/um'", 'output_roller belongs to kind = "output_rollers"'),
+        ("[errors]\nmisalignment_xz = '1 mrad'", "a drive with supports is plane"),
+    ],
+)  # fmt: skip
+def test_contradictory_supports_are_refused_in_a_sentence(more, sentence):
+    with pytest.raises(edge.InputError, match=sentence) as problem:
+        parse_pair(SUPPORTED + more, "p.toml")
+    assert "p.toml" in str(problem.value)
+    assert "\n" not in str(problem.value)
+
+
+def test_what_does_not_know_bearings_says_so(tmp_path):
+    """Nothing quietly answers for a drive on rigid bearings."""
+    drive = cy.Drive(parse_pair(SUPPORTED, "p.toml"))
+    with pytest.raises(edge.InputError, match="supports"):
+        drive.build_fmu(tmp_path / "drive.fmu")
+    assert not (tmp_path / "drive.fmu").exists()
+    with pytest.raises(edge.InputError, match="supports"):
+        drive.wear("wear.toml", 100.0, 1e6)
+    with pytest.raises(edge.InputError, match="rated_torque is missing"):
+        solved(drive.pair.replace(rated_torque=None), [100.0])
+
+
+@settings(max_examples=6, deadline=None)
+@given(st.integers(0, 10_000), st.sampled_from(["cranks", "output_rollers"]), st.floats(-170.0, 170.0))
+def test_any_torque_of_either_sign_is_balanced_whatever_was_solved_before(seed, kind, torque):
+    """A cold start at one angle and a sweep that comes there from its neighbours find the same place."""
+    pair = made(kind, seed)
+    torque = math.copysign(max(abs(torque), 2.0), torque)
+    angles = 0.1 + 0.02 * np.arange(12)
+    swept = solved(pair, [torque], angles, with_play=False)
+    alone = solved(pair, [torque], angles[-1:], with_play=False)
+    assert alone.transmission_error[0, 0] == pytest.approx(swept.transmission_error[0, -1], abs=1e-4 * ARCSEC)
+    assert alone.pin_force[0, 0] == pytest.approx(swept.pin_force[0, -1], abs=0.05)
