@@ -216,7 +216,8 @@ class Drive:
             Of the environment on the output, N·m or text with a unit; not 0.
         errors
             Names: kinds of one number, `pin_radial_1_cos` and the like, `profile_deviation_1`; where not given the
-            kinds of one number and the waves of order 1 to 3.
+            kinds of one number and the waves of order 1 to 3. A drive with supports has its bearings too:
+            `turning_arm_stiffness` (by its logarithm, rad), `turning_arm_clearance` (rad/m) and so on.
         crank_angle, angles
             As of `analyze`.
 
@@ -242,16 +243,17 @@ class Drive:
         """
         import xarray as xr
 
-        from cycloid_fmu.contact.transmission import error_sensitivity, slices_needed
+        from cycloid_fmu.contact.transmission import slices_needed
+        from cycloid_fmu.supports.transmission import LAWS, error_sensitivity
 
         if crank_angle is None:
             crank_angle = np.linspace(0.0, 2.0 * math.pi, angles, endpoint=False)
-        known = structured_names((1, 2, 3))
+        known = structured_names((1, 2, 3)) + (list(LAWS) if self.pair.supports is not None else [])
         names = list(errors) if errors is not None else known
         for name in names:
-            if kind_of(name) is None and profile_wave(name, 1) is None:
+            if name not in known and kind_of(name) is None and profile_wave(name, 1) is None:
                 raise edge.ArgumentError("errors", f"no structured error; {edge.did_you_mean(name, known)}", name)
-        _, jacobian, _, _ = error_sensitivity(
+        _, jacobian = error_sensitivity(
             self.pair, self.surface, _torque(torque), crank_angle, names, slices_needed(self.surface)
         )
         units = {"units": "rad/m, rad/rad", "long_name": "derivative of the transmission error", "drive": self.hash}

@@ -17,8 +17,11 @@ CENTRE_X, CENTRE_Y, TILT_X, TILT_Y, CRANK_THROW, PIN_GENERATING, CIRCLE_GENERATI
 
 
 @inlined
-def _larger_circle(problem: Problem, contact: np.record, pin: int, local: LocalFrame) -> float:
-    """Change of the contact's torque with R: the flank moves along the foot's radius, its foot and curvature change."""
+def larger_circle(problem: Problem, contact: np.record, pin: int, local: LocalFrame) -> tuple[float, float]:
+    """Change of the contact's force and turn of its normal with R.
+
+    The flank moves along the foot's radius, its foot and curvature change. N/m and rad/m, the turn > 0 as slides are.
+    """
     R, teeth, speed = problem.circle_radius, problem.teeth, local.speed
     ez = problem.generating_eccentricity * (teeth + 1)
     along = R - speed * local.facing  # e z_p cos(z_c α)
@@ -29,7 +32,7 @@ def _larger_circle(problem: Problem, contact: np.record, pin: int, local: LocalF
     flank = 1.0 / (1.0 - problem.generating_radius * bend / speed**3)
     curvature = path * flank * flank + contact.curvature_rate * foot
     force = contact.stiffness * local.facing + contact.force_by_curvature * curvature
-    return float(force * contact.arm - contact.force * local.leaning * local.turning * local.slide)
+    return float(force), float(local.leaning * local.turning)
 
 
 @compiled
@@ -84,7 +87,8 @@ def sensitivities(problem: Problem, theta: float, x: float, contacts: Rows, out:
         thicker = contact.stiffness * contact.arm
         out[radius + pin] += thicker
         out[PIN_GENERATING] -= thicker
-        out[CIRCLE_GENERATING] += _larger_circle(problem, contact, pin, local)
+        pressed, turned = larger_circle(problem, contact, pin, local)
+        out[CIRCLE_GENERATING] += pressed * contact.arm - contact.force * turned * local.slide
         foot = pin * 2.0 * math.pi / pins + (crank - ring) / problem.teeth + contact.foot
         tooth = math.floor(foot * problem.teeth / (2.0 * math.pi)) % problem.teeth
         wx, wy = (local.lever_x, local.lever_y) if problem.ring else (-local.gear_x, -local.gear_y)

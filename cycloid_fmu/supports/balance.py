@@ -19,7 +19,8 @@ from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
 from cycloid_fmu.supports.assembly import Assembly
 from cycloid_fmu.supports.bearing import CENTRING, Bearing, push
 
-_FIRST_DISC = 3
+FIRST_DISC = 3
+NEIGHBOUR = 0.1  # rad: from farther a place says little
 _LONGEST = 25e-6  # m: a step is no longer than this
 _REACH = 4e-6  # m: pins nearer than this are solved at every step, the others once the discs have moved as far
 _HELD = 1e-3  # N/m: keeps a rotation in reach that nothing holds yet; it pulls to where the step began
@@ -78,7 +79,7 @@ def _place_discs(problem: Problem, assembly: Assembly, theta: float, q: Array, c
     x = q[0]
     furthest = 0.0
     for disc in range(problem.shift_x.size):
-        at = _FIRST_DISC + 3 * disc
+        at = FIRST_DISC + 3 * disc
         problem.shift_x[disc], problem.shift_y[disc], problem.turn[disc] = q[at], q[at + 1], q[at + 2] - x
         pose = work.pose[disc]
         shifted = math.hypot(q[at] - pose[0], q[at + 1] - pose[1])
@@ -109,7 +110,7 @@ def _add_mesh(problem: Problem, theta: float, x: float, contacts: Rows, work: Wo
         au, av, ay = ny, -nx, -(nx * px + ny * py)
         k, bend = contact_.stiffness, local.bend
         curved = contact_.force_by_curvature * contact_.curvature_rate * local.foot
-        at = _FIRST_DISC + 3 * disc
+        at = FIRST_DISC + 3 * disc
         residual[at] -= force * du
         residual[at + 1] -= force * dv
         residual[at + 2] -= force * dy
@@ -181,7 +182,7 @@ def crank_displacement(
 
     `carrier` is the carrier's ideal rotation γ.
     """
-    at, shaft = _FIRST_DISC + 3 * disc, _FIRST_DISC + 3 * assembly.hole_x.shape[0] + 2 * k
+    at, shaft = FIRST_DISC + 3 * disc, FIRST_DISC + 3 * assembly.hole_x.shape[0] + 2 * k
     x, y = q[0], q[at + 2]
     cx, sx, cy, sy = math.cos(carrier + x), math.sin(carrier + x), math.cos(carrier + y), math.sin(carrier + y)
     px, py = assembly.place_x[k], assembly.place_y[k]
@@ -204,10 +205,10 @@ def _add_cranks(problem: Problem, assembly: Assembly, theta: float, q: Array, ce
     discs = problem.shift_x.size
     carrier = -theta / problem.teeth
     for k in range(assembly.place_x.size):
-        shaft = _FIRST_DISC + 3 * discs + 2 * k
+        shaft = FIRST_DISC + 3 * discs + 2 * k
         for disc in range(discs):
             dx, dy, hx, hy, ax, ay = crank_displacement(assembly, carrier, theta, problem.crank_phase[disc], q, disc, k)
-            at = _FIRST_DISC + 3 * disc
+            at = FIRST_DISC + 3 * disc
             _shift(work, at, 1.0, 0)
             _shift(work, 1, -1.0, 2)
             _shift(work, shaft, -1.0, 4)
@@ -232,7 +233,7 @@ def roller_displacement(
     assembly: Assembly, carrier: float, crank: float, q: Array, disc: int, i: int
 ) -> tuple[float, float, float, float, float, float, float]:
     """Place of a hole from its output roller, the arms of disc and carrier there, and by how much it is beyond e."""
-    at = _FIRST_DISC + 3 * disc
+    at = FIRST_DISC + 3 * disc
     x, y = q[0], q[at + 2]
     cx, sx, cy, sy = math.cos(carrier + x), math.sin(carrier + x), math.cos(carrier + y), math.sin(carrier + y)
     px, py = assembly.place_x[i], assembly.place_y[i]
@@ -256,9 +257,9 @@ def _add_rollers(problem: Problem, assembly: Assembly, theta: float, q: Array, c
     jacobian = work.jacobian
     discs = problem.shift_x.size
     carrier = -theta / problem.teeth
-    shaft = _FIRST_DISC + 3 * discs
+    shaft = FIRST_DISC + 3 * discs
     for disc in range(discs):
-        crank, at = theta + problem.crank_phase[disc], _FIRST_DISC + 3 * disc
+        crank, at = theta + problem.crank_phase[disc], FIRST_DISC + 3 * disc
         ex, ey = eccentric(assembly, crank, disc, 0)
         dx, dy = q[at] - q[shaft] + ex, q[at + 1] - q[shaft + 1] + ey
         _shift(work, at, 1.0, 0)
@@ -350,12 +351,12 @@ def _longest(problem: Problem, assembly: Assembly, step: Array, power: float) ->
 
 @part
 def _is_rotation(problem: Problem, i: int) -> bool:
-    last = _FIRST_DISC + 3 * problem.shift_x.size
-    return i == 0 or (_FIRST_DISC <= i < last and (i - _FIRST_DISC) % 3 == 2)
+    last = FIRST_DISC + 3 * problem.shift_x.size
+    return i == 0 or (FIRST_DISC <= i < last and (i - FIRST_DISC) % 3 == 2)
 
 
 @part
-def _hold(problem: Problem, assembly: Assembly, work: Work, held: float) -> None:
+def hold(problem: Problem, assembly: Assembly, work: Work, held: float) -> None:
     """Write the derivatives with springs (N/m) that hold rotations and, above `_HELD`, everything."""
     for i in range(work.step.size):
         for j in range(work.step.size):
@@ -369,7 +370,7 @@ def _hold(problem: Problem, assembly: Assembly, work: Work, held: float) -> None
 @part
 def torsional_stiffness(problem: Problem, assembly: Assembly, work: Work) -> float:
     """dT/dx = 1/(H⁻¹)_xx where the torque balances, N·m/rad; NaN where nothing holds."""
-    _hold(problem, assembly, work, _HELD)
+    hold(problem, assembly, work, _HELD)
     work.step[:] = 0.0
     work.step[0] = 1.0
     return 1.0 / work.step[0] if solve_linear(work.matrix, work.step) else math.nan
@@ -383,7 +384,7 @@ def _direction(problem: Problem, assembly: Assembly, work: Work) -> float:
     while held < 1e12:
         for i in range(n):
             step[i] = -work.residual[i]
-        _hold(problem, assembly, work, held)
+        hold(problem, assembly, work, held)
         if solve_linear(matrix, step):
             downhill = 0.0
             for i in range(n):
@@ -441,7 +442,7 @@ def _begin(problem: Problem, assembly: Assembly, theta: float, torque: float, q:
     q[:] = 0.0
     q[0], _ = equilibrium(problem, theta, torque, 0.0, contacts, True)
     for disc in range(problem.shift_x.size):
-        q[_FIRST_DISC + 3 * disc + 2] = q[0]
+        q[FIRST_DISC + 3 * disc + 2] = q[0]
 
 
 @part

@@ -103,3 +103,16 @@ def push(bearing: Bearing, r: float) -> tuple[float, float]:
     whole = (1.0 - s) * narrow * value
     by_share = narrow * ((1.0 - s) * rise - 29.0 / 18.0 * value)
     return root * r * whole, root * (10.0 / 9.0 * whole - s * by_share)
+
+
+@part
+def by_clearance(bearing: Bearing, r: float) -> float:
+    """Derivative of a bearing's force by its diametral clearance, N/m."""
+    if r <= bearing.half_clearance:
+        return 0.0
+    if not bearing.rollers:
+        return -0.5 * bearing.stiffness
+    s = bearing.half_clearance / r
+    value, rise = _chebyshev(bearing.factor, s)
+    by_share = (1.0 - s) ** (11.0 / 18.0) * ((1.0 - s) * rise - 29.0 / 18.0 * value)
+    return float(0.5 * bearing.stiffness * r ** (1.0 / 9.0) * by_share)

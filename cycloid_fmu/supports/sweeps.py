@@ -12,7 +12,8 @@ from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, compiled, part
 from cycloid_fmu.supports.assembly import Assembly
 from cycloid_fmu.supports.balance import (
-    _FIRST_DISC,
+    FIRST_DISC,
+    NEIGHBOUR,
     crank_displacement,
     eccentric,
     roller_displacement,
@@ -22,8 +23,6 @@ from cycloid_fmu.supports.balance import (
     work_of,
 )
 from cycloid_fmu.supports.bearing import push
-
-_NEIGHBOUR = 0.1  # rad: from farther a place says little
 
 
 class Found(NamedTuple):
@@ -49,14 +48,14 @@ def _forces(problem: Problem, assembly: Assembly, theta: float, q: Array, found:
     discs = problem.shift_x.size
     carrier = -theta / problem.teeth
     crank_torque = 0.0
-    first = _FIRST_DISC + 3 * discs
+    first = FIRST_DISC + 3 * discs
     for disc in range(discs):
         crank = theta + problem.crank_phase[disc]
         for k in range(assembly.throw.shape[1]):
             if assembly.cranks:
                 dx, dy, _, _, _, _ = crank_displacement(assembly, carrier, theta, problem.crank_phase[disc], q, disc, k)
             else:
-                at = _FIRST_DISC + 3 * disc
+                at = FIRST_DISC + 3 * disc
                 ex, ey = eccentric(assembly, crank, disc, 0)
                 dx, dy = q[at] - q[first] + ex, q[at + 1] - q[first + 1] + ey
             r = math.hypot(dx, dy)
@@ -90,11 +89,11 @@ def sweep_supported(
     for i in range(thetas.size):
         theta = thetas[i]
         step = abs(theta - thetas[i - 1]) if i > 0 else math.inf
-        if i > 1 and step < 1.5 * abs(thetas[i - 1] - thetas[i - 2]) < _NEIGHBOUR:
+        if i > 1 and step < 1.5 * abs(thetas[i - 1] - thetas[i - 2]) < NEIGHBOUR:
             share = (theta - thetas[i - 1]) / (thetas[i - 1] - thetas[i - 2])
             for k in range(q.size):
                 q[k] += share * (q[k] - found.place[i - 2, k])
-        found.steps[i] = settle(problem, assembly, theta, torque, q, contacts, work, not step < _NEIGHBOUR)
+        found.steps[i] = settle(problem, assembly, theta, torque, q, contacts, work, not step < NEIGHBOUR)
         found.place[i] = q
         found.stiffness[i] = torsional_stiffness(problem, assembly, work)
         if with_forces:

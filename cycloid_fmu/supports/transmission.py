@@ -18,8 +18,9 @@ from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.supports import Bearing
 from cycloid_fmu.supports import bearing
 from cycloid_fmu.supports.assembly import Assembly
+from cycloid_fmu.supports.sensitivity import sweep_supported_sensitivities
 from cycloid_fmu.supports.sweeps import Found, sweep_supported
-from cycloid_fmu.surfaces.structured import displacements
+from cycloid_fmu.surfaces.structured import displacement_columns, displacement_layout, displacements, profile_wave
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
 if TYPE_CHECKING:
@@ -259,6 +260,87 @@ def _result(pair: Pair, torques: Array, angles: Array, loads: Array, found: Foun
         output_roller_force=kept.output_roller,
         crank_torque=kept.crank_torque,
     )  # fmt: skip
+
+
+LAWS = tuple(
+    f"{bearing_}_{what}"
+    for bearing_ in ("turning_arm", "crank_shaft", "main", "output_roller")
+    for what in ("stiffness", "clearance")
+)
+"""Columns of a sensitivity by bearings: by the logarithm of a stiffness (rad), by a clearance (rad/m)."""
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """Transmission error of a drive on its bearings, with its derivatives.
+
+    Attributes
+    ----------
+    transmission_error
+        Shape (angles,), rad.
+    by_displacement
+        By everything that errors displace, `structured.displacement_layout`, shape (angles, displacements), rad/m.
+    by_bearing
+        By `LAWS`, shape (angles, 8).
+    by_crank_angle, by_torque
+        Shape (angles,): 1 and rad/(N·m).
+    """
+
+    transmission_error: Array
+    by_displacement: Array
+    by_bearing: Array
+    by_crank_angle: Array
+    by_torque: Array
+
+
+def sensitivity(
+    pair: Pair, surface: ErrorSurface, torque: ArrayLike, crank_angle: ArrayLike, slices: int = 1
+) -> Sensitivity:
+    """Return the transmission error of a drive on its bearings at one torque, or one for each angle, differentiated.
+
+    Raises
+    ------
+    edge.InputError
+        If a torque can't be carried.
+    """
+    angles = np.array(crank_angle, dtype=float, ndmin=1)
+    torques = np.array(np.broadcast_to(torque, angles.shape), dtype=float)
+    size = max(place.stop for place in displacement_layout(pair).values())
+    each, laws = np.empty((angles.size, size)), np.empty((angles.size, len(LAWS)))
+    deviation, by_angle, by_torque = (np.empty(angles.size) for _ in range(3))
+    if not sweep_supported_sensitivities(
+        problem_of(pair, surface, slices), assembly_of(pair, surface), angles, torques, deviation, each, laws,
+        by_angle, by_torque,
+    ):  # fmt: skip
+        raise edge.InputError(f"torque = {torques[0]:g} N*m: nothing balances it; give one that the drive can carry.")
+    return Sensitivity(deviation, each, laws, by_angle, by_torque)
+
+
+def error_sensitivity(
+    pair: Pair, surface: ErrorSurface, torque: ArrayLike, crank_angle: ArrayLike, names: list[str], slices: int = 1
+) -> tuple[Array, Array]:
+    """Return the transmission error at one torque, and its derivatives by named errors or bearings (`LAWS`).
+
+    Returns
+    -------
+    transmission_error, jacobian
+        Shapes (angles,) and (angles, names): rad; rad/m, rad/rad for angles, rad for logarithms of stiffness.
+
+    Raises
+    ------
+    edge.InputError
+        If a torque can't be carried, or a profile deviation is asked for with supports.
+    """
+    if pair.supports is None:
+        return transmission.error_sensitivity(pair, surface, torque, crank_angle, names, slices)[:2]
+    for name in names:
+        if profile_wave(name, 1) is not None:
+            raise edge.ArgumentError("errors", "the flanks' profile has no derivatives with supports yet", name)
+    found = sensitivity(pair, surface, torque, crank_angle, slices)
+    errors = [name for name in names if name not in LAWS]
+    columns = dict(zip(errors, (found.by_displacement @ displacement_columns(pair, errors)).T, strict=True))
+    columns |= {name: found.by_bearing[:, LAWS.index(name)] for name in names if name in LAWS}
+    return found.transmission_error, np.array([columns[name] for name in names]).T
 
 
 def labelled(pair: Pair, surface: ErrorSurface, found: Transmission, slices: int, *, complete: bool) -> xr.Dataset:

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from common import ARCSEC, DATA
+from common import ARCSEC, DATA, EXAMPLES
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
@@ -15,7 +15,9 @@ from cycloid_fmu import edge
 from cycloid_fmu.contact import transmission as on_rigid
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
 from cycloid_fmu.supports.bearing import linear, push, rollers
-from cycloid_fmu.supports.transmission import solve
+from cycloid_fmu.supports.sensitivity import sweep_supported_sensitivities
+from cycloid_fmu.supports.transmission import assembly_of, problem_of, sensitivity, solve
+from cycloid_fmu.surfaces.structured import displacement_layout
 from cycloid_fmu.surfaces.surface import surface_of_pair
 
 CASES = DATA / "supports-cases"
@@ -163,7 +165,7 @@ def test_mean_crank_torque_is_the_ratio_over_a_whole_period(kind, turns):
     pitches = turns * 2.0 * np.pi / 40.0
     angles = np.linspace(0.0, pitches, 40 * turns, endpoint=False)
     found = solved(pair, [150.0], angles, with_play=False)
-    assert found.crank_torque[0].mean() == pytest.approx(150.0 / 39, rel=1e-4)
+    assert found.crank_torque[0].mean() == pytest.approx(150.0 / 39, rel=2e-4)
 
 
 @pytest.mark.parametrize("kind", ["cranks", "output_rollers"])
@@ -296,8 +298,8 @@ def test_what_is_left_out_is_rigid_and_the_text_comes_back():
 @pytest.mark.parametrize(
     ("more", "sentence"),
     [
-        ("[supports.turning_arm]\nclearance = '3 um'", "a clearance needs a stiffness or rollers; a rigid bearing has none"),
-        ("[supports.turning_arm]\nstiffness = '4 N/um'\nrollers = 12\nroller_length = '9 mm'", "state one of stiffness"),
+        ("[supports.turning_arm]\nclearance = '3 um'", "a clearance needs a stiffness or rollers"),
+        ("[supports.turning_arm]\nstiffness = '4 N/um'\nrollers = 12\nroller_length = '9 mm'", "state one of"),
         ("[supports.turning_arm]\nrollers = 12", "rollers and roller_length belong together"),
         ("[supports.turning_arm]\nstiffnes = '4 N/um'", "did you mean stiffness"),
         ("[supports.main]\nstiffness = '4 um'", "measures something else"),
@@ -305,7 +307,7 @@ def test_what_is_left_out_is_rigid_and_the_text_comes_back():
         ("[errors.supports]\nroller_x = ['1 um', '0 um', '0 um']", 'supports of kind = "cranks"'),
         ("[errors]\nhole_x = [['1 um', '0 um', '0 um']]", r"hole_x belongs in \[errors.supports\]"),
         ("[errors.supports]\npin_radius = '1 um'", r"pin_radius belongs in \[errors\]"),
-        ("[supports.turning_arm]\nstiffness = '4 N/um'\n[errors.supports]\nhole_x = [['1 um', '2 um']]", "it needs one a hole, 3"),
+        ("[supports.turning_arm]\nrigid = false\n[errors.supports]\nhole_x = [['1 um']]", "one a hole, 3"),
         ("[supports.output_roller]\nstiffness = '4 N/um'", 'output_roller belongs to kind = "output_rollers"'),
         ("[errors]\nmisalignment_xz = '1 mrad'", "a drive with supports is plane"),
     ],
@@ -324,7 +326,7 @@ def test_what_does_not_know_bearings_says_so(tmp_path):
         drive.build_fmu(tmp_path / "drive.fmu")
     assert not (tmp_path / "drive.fmu").exists()
     with pytest.raises(edge.InputError, match="supports"):
-        drive.wear("wear.toml", 100.0, 1e6)
+        drive.wear(EXAMPLES / "wear.toml", 100.0, 1e6)
     with pytest.raises(edge.InputError, match="rated_torque is missing"):
         solved(drive.pair.replace(rated_torque=None), [100.0])
 
@@ -340,3 +342,104 @@ def test_any_torque_of_either_sign_is_balanced_whatever_was_solved_before(seed, 
     alone = solved(pair, [torque], angles[-1:], with_play=False)
     assert alone.transmission_error[0, 0] == pytest.approx(swept.transmission_error[0, -1], abs=1e-4 * ARCSEC)
     assert alone.pin_force[0, 0] == pytest.approx(swept.pin_force[0, -1], abs=0.05)
+
+
+@pytest.mark.parametrize("kind", ["cranks", "output_rollers"])
+def test_sensitivities_are_differences(kind):
+    """Every displacement and every bearing, against the drive solved with a little of it."""
+    pair = made(kind, 11)
+    angles, step = np.array([0.4, 0.42, 3.0]), 2e-9
+    surface = surface_of_pair(pair)
+    found = sensitivity(pair, surface, 150.0, angles)
+    problem, assembly = problem_of(pair, surface), assembly_of(pair, surface)
+
+    def te(problem, assembly, torque=150.0, at=angles):
+        place = np.empty(at.size)
+        rest = [np.empty((at.size, n)) for n in (found.by_displacement.shape[1], 8)]
+        torques = np.full(at.size, torque)
+        sweep_supported_sensitivities(
+            problem, assembly, at, torques, place, *rest, np.empty(at.size), np.empty(at.size)
+        )
+        return place
+
+    def check(by, plus, minus, scale=step):
+        differences = (plus - minus) / (2.0 * scale)
+        assert by == pytest.approx(differences, rel=2e-3, abs=2e-3 * np.abs(differences).max() + 1e-4)
+
+    layout = displacement_layout(pair)
+    assert found.transmission_error == pytest.approx(te(problem, assembly))
+    for name, field in (
+        ("hole_x", "hole_x"), ("hole_y", "hole_y"), ("carrier_x", "crank_x"), ("carrier_y", "crank_y"),
+        ("eccentric_throw", "throw"), ("eccentric_phase", "phase"), ("hole_play", "hole_play"),
+    ):  # fmt: skip
+        if name not in layout:
+            continue
+        values = getattr(assembly, field)
+        columns = found.by_displacement[:, layout[name]].reshape(angles.size, *values.shape)
+        # The place that matters most.
+        most = np.unravel_index(np.abs(columns).max(axis=0).argmax(), values.shape)
+        ends = []
+        scale = 1e-6 if field == "phase" else step
+        for sign in (1.0, -1.0):
+            moved = values.copy()
+            moved[most] += sign * scale
+            ends.append(te(problem, assembly._replace(**{field: moved})))
+        check(columns[(slice(None), *most)], *ends, scale)
+    for name, field in (("centre_x", "seat_x"), ("centre_y", "seat_y")):
+        ends = [te(problem, assembly._replace(**{field: getattr(assembly, field) + d})) for d in (step, -step)]
+        check(found.by_displacement[:, layout[name]][:, 0], *ends)
+    ends = [te(problem, assembly._replace(throw=assembly.throw + d)) for d in (step, -step)]
+    check(found.by_displacement[:, layout["crank_throw"]][:, 0], *ends)
+    for name in ("pin_radial", "pin_tangential", "pin_radius"):
+        columns = found.by_displacement[:, layout[name]]
+        pin = np.abs(columns).max(axis=0).argmax()
+        direction = 2.0 * np.pi * pin / 40
+        ends = []
+        for d in (step, -step):
+            x, y, radius = problem.pin_x.copy(), problem.pin_y.copy(), problem.pin_radius.copy()
+            if name == "pin_radius":
+                radius[pin] += d
+            else:
+                turn = direction + (0.0 if name == "pin_radial" else np.pi / 2)
+                x[pin], y[pin] = x[pin] + d * np.cos(turn), y[pin] + d * np.sin(turn)
+            ends.append(te(problem._replace(pin_x=x, pin_y=y, pin_radius=radius), assembly))
+        check(columns[:, pin], *ends)
+    columns = found.by_displacement[:, layout["tooth_turn"]]
+    tooth = np.abs(columns).max(axis=0).argmax()
+    ends = []
+    for d in (step, -step):
+        turned = problem.tooth_turn.copy()
+        turned.reshape(-1)[tooth] += d / 0.064
+        ends.append(te(problem._replace(tooth_turn=turned), assembly))
+    check(columns[:, tooth], *ends, step / 0.064)
+    ends = [te(problem._replace(circle_radius=problem.circle_radius + d), assembly) for d in (step, -step)]
+    check(found.by_displacement[:, layout["generating_circle_radius"]][:, 0], *ends)
+    check(found.by_torque, te(problem, assembly, 150.01), te(problem, assembly, 149.99), 0.01)
+    check(found.by_crank_angle, te(problem, assembly, at=angles + 1e-6), te(problem, assembly, at=angles - 1e-6), 1e-6)
+    for at, field in enumerate(("turning_arm", "crank_shaft", "main", "output_roller")):
+        law = getattr(assembly, field)
+        if field == "output_roller":
+            if kind == "cranks":
+                continue
+            ends = [te(problem, assembly._replace(output_roller=law * math.exp(d))) for d in (1e-3, -1e-3)]
+            wider = [te(problem, assembly._replace(hole_play=assembly.hole_play + 0.5 * d)) for d in (step, -step)]
+        else:
+            ends = [te(problem, assembly._replace(**{field: law._replace(stiffness=law.stiffness * math.exp(d))}))
+                    for d in (1e-3, -1e-3)]  # fmt: skip
+            moved = [law._replace(half_clearance=law.half_clearance + 0.5 * d) for d in (step, -step)]
+            wider = [te(problem, assembly._replace(**{field: one})) for one in moved]
+        check(found.by_bearing[:, 2 * at], *ends, 1e-3)
+        if field != "main":
+            check(found.by_bearing[:, 2 * at + 1], *wider)
+
+
+def test_a_drive_s_sensitivity_knows_its_bearings():
+    drive = cy.Drive(made("cranks", 11))
+    by = drive.sensitivity(150.0, ["pin_circle_radius", "turning_arm_clearance"], angles=24)
+    wider = drive.pair.supports.turning_arm.replace(clearance=6.02e-6)
+    other = drive.replace(supports=drive.pair.supports.replace(turning_arm=wider))
+    angles = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    change = [solved(d.pair, [150.0], angles, with_play=False).transmission_error[0] for d in (drive, other)]
+    assert by.sel(error="turning_arm_clearance").values == pytest.approx((change[1] - change[0]) / 2e-8, rel=0.05)
+    with pytest.raises(edge.ArgumentError, match="profile"):
+        drive.sensitivity(150.0, ["profile_deviation_1"])

@@ -1,0 +1,309 @@
+"""Derivatives of the transmission error of a drive on its bearings, by everything that can be displaced.
+
+Where r(q, p) = 0 is the balance, dx/dp = -λ·∂r/∂p with λ the row of (∂r/∂q)⁻¹ that belongs to the carrier's rotation:
+one linear solution a crank angle, whatever the number of errors (docs/theory/supports.md).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from cycloid_fmu import contact
+from cycloid_fmu.contact import Array, Problem, Rows, compiled, part
+from cycloid_fmu.contact.sensitivity import (
+    BODY_COUNT,
+    CENTRE_X,
+    CENTRE_Y,
+    CIRCLE_GENERATING,
+    CRANK_THROW,
+    PIN_GENERATING,
+    larger_circle,
+)
+from cycloid_fmu.supports.assembly import Assembly
+from cycloid_fmu.supports.balance import (
+    FIRST_DISC,
+    NEIGHBOUR,
+    Work,
+    crank_displacement,
+    eccentric,
+    hold,
+    roller_displacement,
+    settle,
+    solve_linear,
+    unknowns,
+    work_of,
+)
+from cycloid_fmu.supports.bearing import Bearing, by_clearance, push
+
+# Beyond the errors' columns: logarithm of each bearing's stiffness and its clearance, then crank angle and torque.
+TURNING_ARM, CRANK_SHAFT, MAIN, OUTPUT_ROLLER, LAW_COUNT = range(5)
+
+
+@part
+def _row_of_rotation(problem: Problem, assembly: Assembly, work: Work) -> bool:
+    """Write λ into `work.step`."""
+    hold(problem, assembly, work, 0.0)
+    matrix, n = work.matrix, work.step.size
+    for i in range(n):
+        for j in range(i):
+            matrix[i, j], matrix[j, i] = matrix[j, i], matrix[i, j]
+    work.step[:] = 0.0
+    work.step[0] = 1.0
+    return solve_linear(matrix, work.step)
+
+
+@part
+def _add_mesh(
+    problem: Problem, theta: float, x: float, contacts: Rows, row: Array, out: Array, by_angle: Array
+) -> None:
+    """Subtract λ·∂r/∂p of the pins' and flanks' displacements, and of the crank angle."""
+    teeth = problem.teeth
+    pins = teeth + 1
+    radial, tangential, radius = BODY_COUNT, BODY_COUNT + pins, BODY_COUNT + 2 * pins
+    pitch = BODY_COUNT + 3 * pins
+    e = problem.eccentricity
+    for number in range(contacts.shape[0]):
+        contact_ = contacts[number]
+        force = contact_.force
+        if force <= 0.0:
+            continue
+        disc, _, pin = contact.disc_slice_pin(problem, number)
+        local = contact.local_frame(problem, theta, x, contacts, number)
+        nx, ny, px, py = local.normal_x, local.normal_y, local.gear_x, local.gear_y
+        at = FIRST_DISC + 3 * disc
+        lu, lv, ly = row[at], row[at + 1], row[at + 2]
+        turn, slide = nx * py - ny * px, -(nx * px + ny * py)
+        # What λ does to the gap, and to the pin's slide along the flank.
+        along, across = -nx * lu - ny * lv + turn * ly, ny * lu - nx * lv + slide * ly
+        k, bend = contact_.stiffness, local.bend
+        curved = contact_.force_by_curvature * contact_.curvature_rate * local.foot
+        crank, ring, _ = contact.poses(problem, theta, x, disc)
+        direction = pin * 2.0 * math.pi / pins + ring
+        c, s = math.cos(direction), math.sin(direction)
+        out[radial + pin] += _displaced(force, k, curved, bend, along, across, ly, nx, ny, c, s)
+        out[tangential + pin] += _displaced(force, k, curved, bend, along, across, ly, nx, ny, -s, c)
+        out[radius + pin] += k * along
+        out[PIN_GENERATING] -= k * along
+        pressed, turned = larger_circle(problem, contact_, pin, local)
+        out[CIRCLE_GENERATING] += pressed * along + force * turned * across
+        # A flank that is turned or shifted is the disc turned or shifted: λ·∂r/∂(u, v, y) of this contact.
+        by_u = -k * nx * along - force * bend * ny * across - curved * ny * along - force * ny * ly
+        by_v = -k * ny * along + force * bend * nx * across + curved * nx * along + force * nx * ly
+        by_y = k * turn * along - force * bend * slide * across - curved * slide * along
+        by_y += -force * ny * lu + force * nx * lv - force * slide * ly
+        foot = pin * 2.0 * math.pi / pins + (crank - ring) / teeth + contact_.foot
+        tooth = math.floor(foot * teeth / (2.0 * math.pi)) % teeth
+        out[pitch + disc * teeth + tooth] -= by_y
+        by_angle[0] -= -e * math.sin(crank) * by_u + e * math.cos(crank) * by_v - by_y / teeth
+
+
+@part
+def _displaced(
+    force: float, k: float, curved: float, bend: float, along: float, across: float, turn: float, nx: float, ny: float,
+    vx: float, vy: float,
+) -> float:  # fmt: skip
+    """-λ·∂r of a pin's axis that moves by v."""
+    normal, tangent = vx * nx + vy * ny, vy * nx - vx * ny
+    pressed = curved * tangent - k * normal
+    return pressed * along + force * (bend * tangent * across + turn * (nx * vy - ny * vx))
+
+
+@part
+def _stiff(force: float, stiffness: float, dx: float, dy: float, r: float, vx: float, vy: float) -> tuple[float, float]:
+    """Change of a bearing's force where its displacement d changes by v."""
+    if r == 0.0:
+        return stiffness * vx, stiffness * vy
+    nx, ny, across = dx / r, dy / r, force / r
+    normal = (stiffness - across) * (nx * vx + ny * vy)
+    return normal * nx + across * vx, normal * ny + across * vy
+
+
+@part
+def _law_columns(bearing: Bearing, r: float, along: float, law: int, out: Array) -> None:
+    """Subtract λ·∂r/∂p of a bearing's stiffness (its logarithm) and clearance; `along` is λ·∂r by its force."""
+    force, _ = push(bearing, r)
+    out[2 * law] -= force * along
+    out[2 * law + 1] -= by_clearance(bearing, r) * along
+
+
+@part
+def _add_cranks(
+    problem: Problem, assembly: Assembly, theta: float, q: Array, row: Array, out: Array, first: int, laws: Array,
+    by_angle: Array,
+) -> None:  # fmt: skip
+    discs, count, teeth = problem.shift_x.size, assembly.place_x.size, problem.teeth
+    hole_x, hole_y = first, first + discs * count
+    carrier_x = hole_y + discs * count
+    carrier_y, throw = carrier_x + count, carrier_x + 2 * count
+    phase = throw + discs * count
+    carrier = -theta / teeth
+    x = q[0]
+    cx, sx = math.cos(carrier + x), math.sin(carrier + x)
+    for k in range(count):
+        shaft = FIRST_DISC + 3 * discs + 2 * k
+        for disc in range(discs):
+            at, one = FIRST_DISC + 3 * disc, disc * count + k
+            crank = theta + problem.crank_phase[disc]
+            dx, dy, hx, hy, ax, ay = crank_displacement(assembly, carrier, theta, problem.crank_phase[disc], q, disc, k)
+            r = math.hypot(dx, dy)
+            force, stiffness = push(assembly.turning_arm, r)
+            fx, fy = (force * dx / r, force * dy / r) if r > 0.0 else (0.0, 0.0)
+            # λ·∂d/∂q: what λ does to the displacement.
+            lx = row[at] - row[1] - row[shaft] - hy * row[at + 2] + ay * row[0]
+            ly = row[at + 1] - row[2] - row[shaft + 1] + hx * row[at + 2] - ax * row[0]
+            cy, sy = math.cos(carrier + q[at + 2]), math.sin(carrier + q[at + 2])
+            for axis in range(2):
+                vx, vy = (cy, sy) if axis == 0 else (-sy, cy)
+                gx, gy = _stiff(force, stiffness, dx, dy, r, vx, vy)
+                column = (hole_x if axis == 0 else hole_y) + one
+                out[column] -= gx * lx + gy * ly + (fy * vx - fx * vy) * row[at + 2]
+                vx, vy = (cx, sx) if axis == 0 else (-sx, cx)
+                gx, gy = _stiff(force, stiffness, dx, dy, r, -vx, -vy)
+                column = (carrier_x if axis == 0 else carrier_y) + k
+                out[column] -= gx * lx + gy * ly - (fy * vx - fx * vy) * row[0]
+            angle, length = crank + assembly.phase[disc, k], assembly.eccentricity + assembly.throw[disc, k]
+            ux, uy = math.cos(angle), math.sin(angle)
+            gx, gy = _stiff(force, stiffness, dx, dy, r, -ux, -uy)
+            out[throw + one] -= gx * lx + gy * ly
+            out[CRANK_THROW] -= gx * lx + gy * ly
+            gx, gy = _stiff(force, stiffness, dx, dy, r, length * uy, -length * ux)
+            out[phase + one] -= gx * lx + gy * ly
+            e = assembly.eccentricity
+            vx = -e * math.sin(crank) + length * uy + (hy - ay) / teeth
+            vy = e * math.cos(crank) - length * ux - (hx - ax) / teeth
+            gx, gy = _stiff(force, stiffness, dx, dy, r, vx, vy)
+            by_angle[0] -= gx * lx + gy * ly
+            by_angle[0] -= ((fx * hx + fy * hy) * row[at + 2] - (fx * ax + fy * ay) * row[0]) / teeth
+            if r > 0.0:
+                _law_columns(assembly.turning_arm, r, (dx * lx + dy * ly) / r, TURNING_ARM, laws)
+        r = math.hypot(q[shaft], q[shaft + 1])
+        if r > 0.0:
+            along = (q[shaft] * row[shaft] + q[shaft + 1] * row[shaft + 1]) / r
+            _law_columns(assembly.crank_shaft, r, along, CRANK_SHAFT, laws)
+
+
+@part
+def _add_rollers(
+    problem: Problem, assembly: Assembly, theta: float, q: Array, row: Array, out: Array, first: int, laws: Array,
+    by_angle: Array,
+) -> None:  # fmt: skip
+    discs, count, teeth = problem.shift_x.size, assembly.place_x.size, problem.teeth
+    hole_x, hole_y = first, first + discs * count
+    carrier_x = hole_y + discs * count
+    carrier_y, throw = carrier_x + count, carrier_x + 2 * count
+    phase = throw + discs
+    play = phase + discs
+    carrier = -theta / teeth
+    shaft = FIRST_DISC + 3 * discs
+    e, kw = assembly.eccentricity, assembly.output_roller
+    cx, sx = math.cos(carrier + q[0]), math.sin(carrier + q[0])
+    for disc in range(discs):
+        at = FIRST_DISC + 3 * disc
+        crank = theta + problem.crank_phase[disc]
+        ex, ey = eccentric(assembly, crank, disc, 0)
+        dx, dy = q[at] - q[shaft] + ex, q[at + 1] - q[shaft + 1] + ey
+        r = math.hypot(dx, dy)
+        force, stiffness = push(assembly.turning_arm, r)
+        lx, ly = row[at] - row[shaft], row[at + 1] - row[shaft + 1]
+        angle, length = crank + assembly.phase[disc, 0], e + assembly.throw[disc, 0]
+        ux, uy = math.cos(angle), math.sin(angle)
+        gx, gy = _stiff(force, stiffness, dx, dy, r, -ux, -uy)
+        out[throw + disc] -= gx * lx + gy * ly
+        out[CRANK_THROW] -= gx * lx + gy * ly
+        gx, gy = _stiff(force, stiffness, dx, dy, r, length * uy, -length * ux)
+        out[phase + disc] -= gx * lx + gy * ly
+        vx, vy = length * uy - e * math.sin(crank), e * math.cos(crank) - length * ux
+        gx, gy = _stiff(force, stiffness, dx, dy, r, vx, vy)
+        by_angle[0] -= gx * lx + gy * ly
+        if r > 0.0:
+            _law_columns(assembly.turning_arm, r, (dx * lx + dy * ly) / r, TURNING_ARM, laws)
+        cy, sy = math.cos(carrier + q[at + 2]), math.sin(carrier + q[at + 2])
+        for i in range(count):
+            wx, wy, hx, hy, ax, ay, beyond = roller_displacement(assembly, carrier, crank, q, disc, i)
+            beyond -= assembly.hole_play[disc, i]
+            if beyond <= 0.0:
+                continue
+            one = disc * count + i
+            r = math.hypot(wx, wy)
+            force = kw * beyond
+            fx, fy = force * wx / r, force * wy / r
+            lx = row[at] - row[1] - hy * row[at + 2] + ay * row[0]
+            ly = row[at + 1] - row[2] + hx * row[at + 2] - ax * row[0]
+            along = (wx * lx + wy * ly) / r
+            for axis in range(2):
+                vx, vy = (cy, sy) if axis == 0 else (-sy, cy)
+                gx, gy = _stiff(force, kw, wx, wy, r, vx, vy)
+                column = (hole_x if axis == 0 else hole_y) + one
+                out[column] -= gx * lx + gy * ly + (fy * vx - fx * vy) * row[at + 2]
+                vx, vy = (cx, sx) if axis == 0 else (-sx, cx)
+                gx, gy = _stiff(force, kw, wx, wy, r, -vx, -vy)
+                column = (carrier_x if axis == 0 else carrier_y) + i
+                out[column] -= gx * lx + gy * ly - (fy * vx - fx * vy) * row[0]
+            out[play + one] += kw * along
+            vx = -e * math.sin(crank) + (hy - ay) / teeth
+            vy = e * math.cos(crank) - (hx - ax) / teeth
+            gx, gy = _stiff(force, kw, wx, wy, r, vx, vy)
+            by_angle[0] -= gx * lx + gy * ly
+            by_angle[0] -= ((fx * hx + fy * hy) * row[at + 2] - (fx * ax + fy * ay) * row[0]) / teeth
+            laws[2 * OUTPUT_ROLLER] -= force * along
+            laws[2 * OUTPUT_ROLLER + 1] += 0.5 * kw * along
+    _add_seat(assembly, assembly.crank_shaft, q, row, shaft, CRANK_SHAFT, out, laws)
+
+
+@part
+def _add_seat(
+    assembly: Assembly, bearing: Bearing, q: Array, row: Array, at: int, law: int, out: Array, laws: Array
+) -> None:
+    """Subtract λ·∂r/∂p of a bearing that stands in the housing's seat."""
+    dx, dy = q[at] - assembly.seat_x, q[at + 1] - assembly.seat_y
+    r = math.hypot(dx, dy)
+    force, stiffness = push(bearing, r)
+    for axis in range(2):
+        gx, gy = _stiff(force, stiffness, dx, dy, r, -1.0 if axis == 0 else 0.0, 0.0 if axis == 0 else -1.0)
+        out[CENTRE_X if axis == 0 else CENTRE_Y] -= gx * row[at] + gy * row[at + 1]
+    if r > 0.0:
+        _law_columns(bearing, r, (dx * row[at] + dy * row[at + 1]) / r, law, laws)
+
+
+@compiled
+def sweep_supported_sensitivities(
+    problem: Problem, assembly: Assembly, thetas: Array, torques: Array, deviation: Array, errors: Array, laws: Array,
+    by_angle: Array, by_torque: Array,
+) -> bool:  # fmt: skip
+    """Solve every crank angle at its torque, with the derivatives of the deviation; returns whether all were found.
+
+    Parameters
+    ----------
+    thetas, torques
+        Shape (angles,), rad and N·m.
+    deviation, errors, laws, by_angle, by_torque
+        Overwritten: x (rad), shape (angles,); its derivatives by every displacement, in the order of
+        `surfaces.structured.displacement_layout`, shape (angles, displacements), and by each bearing's logarithm of
+        stiffness (rad) and clearance (rad/m), shape (angles, 8); by crank angle (1) and torque (rad/(N·m)), (angles,).
+    """
+    contacts = contact.contact_rows(problem)
+    work = work_of(problem, assembly)
+    q = np.zeros(unknowns(problem, assembly))
+    first = BODY_COUNT + 3 * problem.pin_x.size + problem.tooth_turn.size
+    errors[:] = 0.0
+    laws[:] = 0.0
+    by_angle[:] = 0.0
+    for i in range(thetas.size):
+        theta = thetas[i]
+        near = i > 0 and abs(theta - thetas[i - 1]) < NEIGHBOUR
+        if settle(problem, assembly, theta, torques[i], q, contacts, work, not near) == 0:
+            return False
+        deviation[i] = q[0]
+        if not _row_of_rotation(problem, assembly, work):
+            return False
+        row = work.step
+        by_torque[i] = row[0]
+        _add_mesh(problem, theta, q[0], contacts, row, errors[i], by_angle[i : i + 1])
+        if assembly.cranks:
+            _add_cranks(problem, assembly, theta, q, row, errors[i], first, laws[i], by_angle[i : i + 1])
+        else:
+            _add_rollers(problem, assembly, theta, q, row, errors[i], first, laws[i], by_angle[i : i + 1])
+        _add_seat(assembly, assembly.main, q, row, 1, MAIN, errors[i], laws[i])
+    return True
