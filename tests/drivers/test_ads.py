@@ -1,0 +1,239 @@
+"""A PLC's ring of samples by ADS: real AMS/TCP frames between pyads' client and its server."""
+
+import contextlib
+import math
+import os
+import re
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from common import EXAMPLES
+from hypothesis import given
+from hypothesis import strategies as st
+
+import drivers
+from cycloid_fmu import edge
+from drivers.ads import ring
+from drivers.encoder import EncoderError
+from drivers.recording_format import GAP, RESET
+from drivers.simulated.ads_bench import RING, SimulatedAdsBench
+from drivers.simulated.faults import Fault
+from drivers.simulated.motion import SimulatedRun, simulate_motion
+
+pytest.importorskip("pyads")
+RATE = 2000.0
+
+
+@pytest.fixture
+def host():
+    """An address of this machine that no other test process has: ADS has one port."""
+    own = os.getpid() % 60_000 + 300
+    return f"127.0.{own >> 8}.{own & 255}"
+
+
+def motion(samples):
+    run = SimulatedRun(torque=20.0, turns=1, samples_per_turn=samples, speed=2 * math.pi * RATE / samples)
+    return simulate_motion(lambda a, t: a / -39, run)
+
+
+def record(tmp_path, bench):
+    done = bench.record(tmp_path / "run.arrows")
+    return done, drivers.read_recording(done.path)
+
+
+def told(recording):
+    return [e.text for e in recording.events if not e.text.startswith("clock: ")]
+
+
+def test_every_sample_of_all_columns_at_one_instant(tmp_path, host):
+    moved = motion(800)
+    with SimulatedAdsBench(moved, host=host, clock_drift=1e-3) as bench:
+        done, recording = record(tmp_path, bench)
+    assert set(done.samples.values()) == {800}
+    first, second, third = (recording.samples[n] for n in ("input_angle", "output_angle", "torque"))
+    assert first.value == pytest.approx(moved.input_angle, abs=math.pi / (1 << 22))
+    assert second.value == pytest.approx(moved.output_angle, abs=math.pi / (1 << 25))
+    assert third.value == pytest.approx(moved.torque, abs=1e-12)
+    assert (first.time_host == second.time_host).all()
+    assert (first.time_host == third.time_host).all()
+    assert first.time_device == pytest.approx(moved.time * 1.001, abs=1e-9)
+    assert (np.diff(first.time_host) > 0).all()
+    assert not first.status.any()
+    assert told(recording) == []
+
+
+def test_what_the_plc_overwrote_is_counted_to_the_sample_and_marked(tmp_path, host):
+    moved = motion(2000)
+    with SimulatedAdsBench(moved, host=host, length=32) as bench:  # it holds 16 ms, and is read every 50
+        read, wiring = [], bench.write_wiring(tmp_path / "BENCH.toml")
+        drivers.record(wiring, tmp_path / "run.arrows", stop=lambda: bench.wait(0.0), progress=read.append)
+    recording = drivers.read_recording(tmp_path / "run.arrows")
+    for samples in recording.samples.values():
+        number = np.rint(samples.time_device * RATE).astype(int)
+        assert 100 < len(number) < 1500
+        holes = np.diff(number, prepend=number[0] - 1) > 1
+        assert ((samples.status & GAP != 0) == holes).all()
+        lost = [
+            int(e.text.split()[0]) for e in recording.events if e.channel == samples.channel and "missing" in e.text
+        ]
+        assert sum(lost) == number[-1] - number[0] + 1 - len(number)
+
+
+def test_a_cut_shorter_than_the_ring_loses_nothing(tmp_path, host):
+    moved = motion(3000)
+    with SimulatedAdsBench(moved, host=host, faults=[Fault("pull", 400, by=0.2)]) as bench:
+        done, recording = record(tmp_path, bench)
+    assert set(done.samples.values()) == {3000}
+    assert recording.samples["input_angle"].value == pytest.approx(moved.input_angle, abs=1e-6)
+    assert any("broke" in text for text in told(recording))
+    assert not any("missing" in text for text in told(recording))
+
+
+def test_a_program_that_starts_again_is_marked_reset(tmp_path, host):
+    moved = motion(1000)
+    with SimulatedAdsBench(moved, host=host, faults=[Fault("reset", 500)]) as bench:
+        wiring = bench.write_wiring(tmp_path / "BENCH.toml")
+        done = drivers.record(wiring, tmp_path / "run.arrows", stop=lambda: bench.wait(0.0))
+    recording = drivers.read_recording(done.path)
+    samples = recording.samples["output_angle"]
+    (again,) = np.flatnonzero(samples.status & RESET)
+    assert samples.counts[again] == 0  # incremental: the zero is another
+    assert samples.time_device[again] == 0.0
+    assert sum("started again" in text for text in told(recording)) == 3
+    assert done.samples["output_angle"] >= 850  # those before it that were not read yet are gone
+
+
+def test_a_sample_found_half_written_is_left_out(tmp_path, host):
+    with SimulatedAdsBench(motion(600), host=host, faults=[Fault("corrupt", 300, count=2)]) as bench:
+        wiring = bench.write_wiring(tmp_path / "BENCH.toml")
+        drivers.record(wiring, tmp_path / "run.arrows", stop=lambda: bench.wait(0.0))
+    recording = drivers.read_recording(tmp_path / "run.arrows")
+    torque = recording.samples["torque"]
+    assert len(torque) == 598
+    assert np.flatnonzero(torque.status).tolist() == [300]
+    assert torque.status[300] == GAP
+    assert sum(text.startswith("2 samples missing by their number") for text in told(recording)) == 3
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes", "said"),
+    [
+        (f'ring = "{RING}"', 'ring = "Recorder.Rang"', 'has no variable "Recorder.Rang"'),
+        ("column = 3", "column = 4", "the ring has 3 columns"),
+        ("column = 3", "column = 0", "column"),
+        ('plc = "plc1"', 'plc = "plc2"', 'there is no \\[plc.plc2\\]; the file has "plc1"'),
+        ("torque_per_count", "counts_per_turn = 4\ntorque_per_count", "one of counts_per_turn"),
+        ('host = "127', 'host = "127.255', "host|does not answer"),
+    ],
+)
+def test_a_wiring_that_cannot_be_is_one_sentence(tmp_path, host, was, becomes, said):
+    with SimulatedAdsBench(motion(100), host=host) as bench:
+        wiring = bench.write_wiring(tmp_path / "BENCH.toml")
+        wiring.write_text(wiring.read_text().replace(was, becomes))
+        with pytest.raises((edge.InputError, EncoderError), match=said) as problem:
+            drivers.record(wiring, tmp_path / "run.arrows", samples=1)
+    assert "\n" not in str(problem.value)
+    assert not (tmp_path / "run.arrows").exists()
+
+
+def test_a_variable_that_is_no_ring_is_said(tmp_path, host, monkeypatch):
+    monkeypatch.setattr(ring.Head, "pack", lambda self: bytes(32))
+    with (
+        SimulatedAdsBench(motion(100), host=host) as bench,
+        pytest.raises(EncoderError, match=r"no ring of samples: it begins with 16#00000000"),
+    ):
+        drivers.record(bench.write_wiring(tmp_path / "BENCH.toml"), tmp_path / "run.arrows", samples=1)
+
+
+def test_without_pyads_the_extra_is_named(tmp_path, host, monkeypatch):
+    with SimulatedAdsBench(motion(100), host=host) as bench:
+        wiring = bench.write_wiring(tmp_path / "BENCH.toml")
+        monkeypatch.setitem(sys.modules, "pyads", None)
+        with pytest.raises(edge.InputError, match=r"needs the package pyads: pip install 'cycloid-fmu\[ads\]'"):
+            drivers.record(wiring, tmp_path / "run.arrows", samples=1)
+
+
+def test_simulate_from_the_command_line(command, tmp_path, host):
+    words = "--torque", "20 N*m", "--ratio", "-39", "--turns", "1", "--plc", host, "-o", "run.arrows"
+    run = command("cycloid-bench", "simulate", *words)
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.startswith("run.arrows: 96 input_angle, 96 output_angle, 96 torque")
+
+
+@given(st.integers(2, 50), st.integers(1, 8), st.integers(1, 300), st.data())
+def test_any_stretch_of_a_ring_is_read_back(length, columns, newest, data):
+    head = ring.Head(columns, length, 7, newest)
+    memory = np.zeros(length, ring.sample_type(columns))
+    for number in range(1, newest + 1):
+        memory[(number - 1) % length] = (number, 1000 * number, range(number, number + columns), number)
+    raw = head.pack() + memory.tobytes()
+    assert ring.read_head(raw) == head
+    assert len(raw) == head.ring_bytes
+    oldest = max(1, newest - length + 1)
+    first = data.draw(st.integers(oldest, newest))
+    most = data.draw(st.integers(1, 2000))
+    found, number = [], first
+    for offset, count in ring.spans(first, newest, head, most):
+        assert count <= max(most, head.sample_bytes)
+        part = ring.whole_samples(raw[offset : offset + count], number, columns)
+        number += count // head.sample_bytes
+        found += part["number"].tolist()
+        assert (part["values"][:, -1] == part["number"] + columns - 1).all()
+    assert found == list(range(first, newest + 1))
+
+
+def test_the_plc_program_of_the_docs_lays_out_the_ring():
+    text = (EXAMPLES.parent / "docs" / "bench.md").read_text(encoding="utf-8")
+    program = re.search(r"<!-- plc -->\n```iecst\n(.*?)```", text, re.S)[1]
+    program = re.sub(r"//.*", "", program)
+    kinds = {"ULINT": "<u8", "UDINT": "<u4", "LINT": "<i8"}
+    sizes = {}
+    for name, members in re.findall(r"TYPE (\w+) :\nSTRUCT\n(.*?)END_STRUCT", program, re.S):
+        fields = []
+        for member, low, high, kind in re.findall(r"(\w+)\s*: (?:ARRAY \[(\d+)\.\.(\d+)\] OF )?(\w+)", members):
+            shape = (int(high) - int(low) + 1,) if low else ()
+            fields.append((member.lower(), kinds.get(kind) or sizes[kind], shape))
+        sizes[name] = np.dtype(fields)
+    assert sizes["ST_Sample"] == ring.sample_type(3)
+    laid = sizes["ST_Ring"]
+    head = np.zeros((), laid)
+    for member, value in re.findall(r"(\w+)\s*: \w+ := ([#\w]+);", program):
+        head[member.lower()] = int(value.removeprefix("16#"), 16 if "#" in value else 10)
+    head["started"], head["newest"] = 5, 6
+    read = ring.read_head(head.tobytes()[: ring.HEAD_BYTES])
+    assert read == ring.Head(3, laid["samples"].shape[0], 5, 6)
+    assert read.ring_bytes == laid.itemsize
+    order = re.findall(r"\.(Check|Number|Time|Values|Newest)\S* := ", program)
+    assert (order[0], order[-2:]) == ("Check", ["Check", "Newest"])
+
+
+@given(st.binary(max_size=48))
+def test_any_bytes_are_a_head_or_a_sentence(data):
+    with contextlib.suppress(ValueError):
+        assert ring.read_head(data).pack() == data[: ring.HEAD_BYTES]
+
+
+@given(st.binary(min_size=32, max_size=320), st.integers(1, 1 << 40))
+def test_only_samples_with_the_number_that_is_due_are_taken(data, first):
+    size = ring.Head(1, 2, 0, 0).sample_bytes
+    found = ring.whole_samples(data[: len(data) // size * size], first, 1)
+    assert (found["number"] == found["check"]).all()
+
+
+def test_a_writer_is_seen_wherever_it_is_met():
+    """The PLC writes while a reading goes from low to high addresses: each cut of both is either whole or seen."""
+    old, new = (np.array((n, 10 * n, [n, n], n), ring.sample_type(2)).tobytes() for n in (1, 3))
+    words = [slice(8 * i, 8 * i + 8) for i in range(5)]
+    steps = [(words[4], bytes(8)), *((words[i], new[words[i]]) for i in range(5))]
+    stages = [bytearray(old)]
+    for place, word in steps:
+        stages.append(bytearray(stages[-1]))
+        stages[-1][place] = word
+    for begun in range(len(stages)):
+        for pace in range(1, 8):
+            seen = b"".join(bytes(stages[min(begun + i * pace // 2, len(stages) - 1)][words[i]]) for i in range(5))
+            for number, whole in ((1, old), (3, new)):
+                found = ring.whole_samples(seen, number, 2)
+                assert len(found) == 0 or found.tobytes() == whole, SimpleNamespace(begun=begun, pace=pace)
