@@ -309,7 +309,13 @@ def protocols() -> dict[str, importlib.metadata.EntryPoint]:
 
 
 def encoder_class(protocol: object, channel: str, source: str) -> type[Encoder]:
-    """Return the class that speaks a protocol; an `edge.InputError` names channel and file where none does."""
+    """Return the class that speaks a protocol: this package's own or another installed one's.
+
+    Raises
+    ------
+    edge.InputError
+        Naming channel and file, if no installed package has the protocol, two have it, or its class does not load.
+    """
     known = protocols()
     if protocol is None:
         raise edge.InputError(
@@ -320,5 +326,16 @@ def encoder_class(protocol: object, channel: str, source: str) -> type[Encoder]:
             f'{source}: [channel.{channel}] protocol = "{protocol}": no such protocol is installed; '
             f"there are {', '.join(sorted(known)) or 'none'}."
         )
-    loaded: type[Encoder] = known[protocol].load()
+    where = f'{source}: [channel.{channel}] protocol = "{protocol}"'
+    owners = {e.dist.name for e in importlib.metadata.entry_points(group=ENTRY_POINTS, name=protocol) if e.dist}
+    if len(owners) > 1:
+        raise edge.InputError(f"{where}: the packages {' and '.join(sorted(owners))} both have it; remove one.")
+    owner = "".join(owners) or known[protocol].value
+    try:
+        loaded = known[protocol].load()
+    except Exception as problem:  # a plug-in's module may raise anything
+        said = str(problem).rstrip(".") or type(problem).__name__
+        raise edge.InputError(f"{where}: the package {owner} that has it does not load: {said}.") from problem
+    if not (isinstance(loaded, type) and issubclass(loaded, Encoder) and hasattr(loaded, "configuration")):
+        raise edge.InputError(f"{where}: the package {owner} gives no encoder with a configuration, but {loaded!r}.")
     return loaded
