@@ -30,11 +30,11 @@ def lower_hull(x: FloatArray, y: FloatArray) -> npt.NDArray[np.intp]:
     order = order[np.diff(x[order], prepend=-np.inf) > 0]
     # A point on or above the chord between its neighbours is none of the hull's: most go so, many at a time.
     while len(order) > _FEW:
-        a, b, c = order[:-2], order[1:-1], order[2:]
-        below = (x[b] - x[a]) * (y[c] - y[a]) > (y[b] - y[a]) * (x[c] - x[a])
+        before, at, after = order[:-2], order[1:-1], order[2:]
+        below = (x[at] - x[before]) * (y[after] - y[before]) > (y[at] - y[before]) * (x[after] - x[before])
         if np.count_nonzero(below) > 0.9 * len(below):
             break
-        order = np.concatenate([order[:1], b[below], order[-1:]])
+        order = np.concatenate([order[:1], at[below], order[-1:]])
     kept: list[int] = []
     for i in order.tolist():
         while len(kept) > 1:

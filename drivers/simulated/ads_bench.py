@@ -80,6 +80,11 @@ class SimulatedAdsBench(SimulatedBench):
         counts = [quantised(a, n) for a, n in zip(angles, self.counts_per_turn, strict=True)]
         self._values = np.column_stack([*counts, np.rint(motion.torque / _TORQUE).astype(np.int64)])
 
+    @property
+    def written(self) -> int:
+        """Samples of the motion that the PLC has written so far."""
+        return self._written
+
     def _open(self) -> None:
         self._plug()
 
