@@ -134,6 +134,10 @@ class PlcHub:
         with self._lock:
             if head.started != self.head.started:  # the PLC's program began anew, and so did the numbers
                 self._next, self._arrived = 1, None
+            elif head.newest < self.head.newest:
+                raise EncoderProtocolError(
+                    f"{self._where}: its newest number went back from {self.head.newest} to {head.newest}."
+                )
             self.head = head
             assert self._next is not None, "follow() says where to begin"
             first = max(self._next, head.newest - head.length + 1)

@@ -27,6 +27,7 @@ LAYOUT = int.from_bytes(b"CYC1", "little")
 _HEAD = struct.Struct("<IIQQQ")
 HEAD_BYTES = _HEAD.size
 MOST_COLUMNS, MOST_SAMPLES = 64, 1 << 24
+_MOST_NUMBERS = 1 << 62
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,6 +73,8 @@ def read_head(data: bytes) -> Head:
             f"it has {head.columns} columns and {head.length} samples; "
             f"1 to {MOST_COLUMNS} and 2 to {MOST_SAMPLES} are allowed"
         )
+    if head.newest > _MOST_NUMBERS:
+        raise ValueError(f"its newest sample has the number {head.newest}; no task comes that far")
     return head
 
 

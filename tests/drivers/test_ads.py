@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,7 +20,9 @@ from hypothesis import strategies as st
 import drivers
 from cycloid_fmu import edge
 from drivers.ads import ring
-from drivers.encoder import EncoderError
+from drivers.ads.plc import plcs
+from drivers.encoder import EncoderError, PlcConfig
+from drivers.hubs import BlockQueue
 from drivers.recording_format import GAP, RESET
 from drivers.simulated.ads_bench import RING, SimulatedAdsBench
 from drivers.simulated.faults import Fault
@@ -48,6 +51,11 @@ def record(tmp_path, bench):
 
 def told(recording):
     return [e.text for e in recording.events if not e.text.startswith("clock: ")]
+
+
+def take_all(blocks):
+    while blocks.take(5.0):
+        pass
 
 
 def test_every_sample_of_all_columns_at_one_instant(tmp_path, host):
@@ -148,6 +156,27 @@ def test_a_variable_that_is_no_ring_is_said(tmp_path, host, monkeypatch):
         pytest.raises(EncoderError, match=r"no ring of samples: it begins with 16#00000000"),
     ):
         drivers.record(bench.write_wiring(tmp_path / "BENCH.toml"), tmp_path / "run.arrows", samples=1)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda head: replace(head, newest=head.newest - 1), r"its newest number went back from \d+ to \d+"),
+        (lambda head: ring.read_head(replace(head, newest=1 << 63).pack()), "no task comes that far"),
+        (lambda head: replace(head, columns=2), "its ring is another than it was"),
+    ],
+)
+def test_a_ring_that_becomes_another_is_opened_again(host, change, said):
+    with SimulatedAdsBench(motion(4000), host=host) as bench:
+        hub = plcs.acquire(PlcConfig(net_id=bench.net_id, host=host, ring=RING))
+        blocks = BlockQueue()
+        hub.follow(blocks, None)
+        assert blocks.take(5.0)
+        hub._read_head = lambda: change(hub.head)
+        with pytest.raises(EncoderError, match=said):
+            take_all(blocks)
+        assert hub.broken
+        plcs.release(hub)
 
 
 def test_without_pyads_the_extra_is_named(tmp_path, host, monkeypatch):
