@@ -44,7 +44,7 @@ class PlcHub:
                 f"The PLC {config.place} needs TwinCAT's ADS router on this machine ({problem})."
             ) from None
         self._ads = pyads
-        self._lock = threading.Lock()
+        self._lock, self._reading = threading.Lock(), threading.Lock()
         self._stopping, self._following = threading.Event(), threading.Event()
         self._queues: tuple[BlockQueue[Block], ...] = ()
         self._next: int | None = None
@@ -125,8 +125,12 @@ class PlcHub:
         with contextlib.suppress(Exception):
             self.connection.close()
 
+    def take(self) -> None:
+        """Read the samples that are new and hand them on; the thread does so every `hubs.BLOCK_SECONDS`."""
+        with self._reading:
+            self._take()
+
     def _take(self) -> None:
-        """Read the samples that are new and hand them on."""
         head = self._read_head()
         came = steady_time()
         if (head.columns, head.length) != (self.head.columns, self.head.length):
@@ -168,7 +172,7 @@ class PlcHub:
         self._following.wait()
         try:
             while not self._stopping.wait(BLOCK_SECONDS):
-                self._take()
+                self.take()
         except Exception as problem:  # the reader must say why it ends: nobody else sees it
             said = str(problem).removeprefix("ADSError: ").strip().rstrip(".")
             own = isinstance(problem, EncoderProtocolError)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import collections
+import contextlib
 from typing import Annotated, Any, Self
 
 import numpy as np
@@ -55,6 +56,7 @@ class AdsEncoder(HubEncoder[PlcHub]):
         self._events: collections.deque[Event] = collections.deque()
         self._last: tuple[int, int] | None = None
         self._counts: int | None = None
+        self._lost = 0
 
     @classmethod
     def from_config(cls, name: str, config: Any, wiring: Any) -> Self:
@@ -93,6 +95,17 @@ class AdsEncoder(HubEncoder[PlcHub]):
         """Samples that came and are not yet read."""
         return self._blocks.waiting
 
+    @property
+    def lost(self) -> int:
+        """Samples that are known to be missing since the encoder was made."""
+        return self._lost
+
+    def drain(self) -> None:
+        """Take in what the ring holds by now, so that the next `read` gives it."""
+        if self.hub is not None and not self.hub.broken:
+            with contextlib.suppress(Exception):  # the hub's thread meets it too, and says it
+                self.hub.take()
+
     def events(self) -> list[Event]:
         """Return missing samples and restarts; see `Encoder.events`."""
         return drained(self._events)
@@ -120,6 +133,7 @@ class AdsEncoder(HubEncoder[PlcHub]):
         missing = np.diff(numbers, prepend=after) - 1
         if missing.any():
             status[missing > 0] |= GAP
+            self._lost += int(missing.sum())
             where = float(host[np.flatnonzero(missing)[0]])
             text = f"{int(missing.sum())} samples missing by their number: overwritten before they were read"
             self._events.append(Event(where, self.name, text))

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import io
 import itertools
+import json
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -19,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from cycloid_fmu import edge
-from fitting.recordings.formats import BenchFile, Piece, RawChannel, first_line, unique
+from fitting.recordings.formats import BenchFile, Piece, RawChannel, unique
 from fitting.recordings.tables import CsvFile, decoded_start
 
 _ROWS = 1 << 15  # of a piece
@@ -178,11 +179,11 @@ class ScopeFile(BenchFile):
                     null_values=["", " "], decimal_point=self._decimal,
                 ),
             )  # fmt: skip
-        except pa.ArrowException as problem:
-            raise edge.InputError(f"{self.source}: {self._bad_cell(padded, number, wanted, problem)}") from None
+        except pa.ArrowException:
+            raise edge.InputError(f"{self.source}: {self._bad_cell(padded, number, wanted)}") from None
         return {i: table.column(str(i)).to_numpy(zero_copy_only=False) for i in wanted}
 
-    def _bad_cell(self, rows: list[str], number: int, wanted: Sequence[int], problem: Exception) -> str:
+    def _bad_cell(self, rows: list[str], number: int, wanted: Sequence[int]) -> str:
         names = {i: n for n, (_, i) in self._places.items()}
         word = "point" if self._decimal == "." else "comma"
         for i, row in enumerate(rows):
@@ -191,5 +192,6 @@ class ScopeFile(BenchFile):
                 cell = cells[column].strip()
                 if cell and not re.fullmatch(rf"[+-]?\d*\{self._decimal}?\d*([eE][+-]?\d+)?", cell):
                     what = names.get(column, "the time")
-                    return f'line {number + i + 1}: {what} is "{cell}"; it must be a number with a decimal {word}.'
-        return f"it is not a table of numbers ({first_line(problem)})."
+                    given = json.dumps(cell[:40], ensure_ascii=False)
+                    return f"line {number + i + 1}: {what} is {given}; it must be a number with a decimal {word}."
+        return f"lines {number + 1} to {number + len(rows)} are no table of numbers."

@@ -23,6 +23,7 @@ from drivers.ads import ring
 from drivers.ads.plc import plcs
 from drivers.encoder import EncoderError, PlcConfig
 from drivers.hubs import BlockQueue
+from drivers.recorder.bench import open_encoders
 from drivers.recording_format import GAP, RESET
 from drivers.simulated.ads_bench import RING, SimulatedAdsBench
 from drivers.simulated.faults import Fault
@@ -90,6 +91,20 @@ def test_what_the_plc_overwrote_is_counted_to_the_sample_and_marked(tmp_path, ho
             int(e.text.split()[0]) for e in recording.events if e.channel == samples.channel and "missing" in e.text
         ]
         assert sum(lost) == number[-1] - number[0] + 1 - len(number)
+
+
+def test_what_the_ring_holds_is_taken_when_asked_and_what_is_lost_is_counted(tmp_path, host):
+    with SimulatedAdsBench(motion(4000), host=host, length=32) as bench:
+        wiring = bench.write_wiring(tmp_path / "BENCH.toml")
+        with open_encoders(wiring) as encoders:
+            first = encoders[0]
+            got = [first.read(1.0)]
+            before = bench.written
+            first.drain()
+            got.append(first.read(0.0))
+    times = np.concatenate([block.time_device for block in got])
+    assert round(times[-1] * RATE) >= before - 1
+    assert first.lost == round((times[-1] - times[0]) * RATE) + 1 - len(times)
 
 
 def test_a_cut_shorter_than_the_ring_loses_nothing(tmp_path, host):
