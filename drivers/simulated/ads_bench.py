@@ -73,7 +73,7 @@ class SimulatedAdsBench(SimulatedBench):
         self._lock = threading.Lock()
         self._begun: float | None = None
         self._written = self._restarted_at = 0
-        self._served_all = False
+        self._last_head: Head | None = None
         self._head = Head(_COLUMNS, length, 800_000_000_000_000_000, 0)
         self._samples = np.zeros(length, sample_type(_COLUMNS))
         angles = (motion.input_angle, motion.output_angle)
@@ -136,7 +136,7 @@ class SimulatedAdsBench(SimulatedBench):
 
     def _run(self) -> None:
         pulls = sorted((f for f in self._faults if f.kind == "pull"), key=lambda f: f.sample)
-        while not self._stopping.wait(0.005) and not self._served_all:
+        while not self._stopping.wait(0.005) and not self._done.is_set():
             if pulls and self._written > pulls[0].sample:
                 self._unplug()
                 self._stopping.wait(pulls.pop(0).by)
@@ -180,11 +180,13 @@ class SimulatedAdsBench(SimulatedBench):
                 self._begun = time.monotonic()
                 head = self._head
             else:
-                head = self._head
                 self._write()
                 if offset == _OFFSET:
-                    self._served_all = head.newest + self._restarted_at >= len(self._times)
-                    head = self._head
+                    # Whoever asks for the last head a second time has read its samples.
+                    if self._written >= len(self._times) and self._last_head == self._head:
+                        self._done.set()
+                    self._last_head = self._head
+                head = self._head
             memory = np.concatenate([np.frombuffer(head.pack(), np.uint8), self._samples.view(np.uint8)])
         return memory[offset - _OFFSET :][:count]
 
