@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import collections
 import contextlib
+import socket
+import socketserver
 import struct
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +29,14 @@ _COLUMNS = 3
 _TORQUE = 1e-4  # N*m of one count
 _READ_DEVICE_INFO, _READ, _READ_STATE, _READ_WRITE = 1, 2, 4, 9
 _SERVICE_NOT_SUPPORTED, _BAD_SIZE = 0x701, 0x705
+_AMS = struct.Struct("<8s8sHHIII")  # target, source, command, state flags, bytes of data, error, number of the request
+_RESPONSE = 1  # of the state flags
 
 
 class SimulatedAdsBench(SimulatedBench):
     """A PLC with a ring of samples: both angles and the torque, in the columns 1 to 3.
 
-    It speaks ADS over TCP on its port 48898 by pyads' own test server. The motion begins when the ring is first read;
+    It speaks ADS over TCP on its port 48898. The motion begins when the ring is first read;
     the PLC goes on whether anybody reads or not, and overwrites what was not read in time.
 
     Parameters
@@ -93,32 +96,17 @@ class SimulatedAdsBench(SimulatedBench):
 
     def _plug(self) -> None:
         try:
-            from pyads.testserver import AdsTestServer
-            from pyads.testserver.handler import AbstractHandler, AmsResponseData
-        except ImportError:
-            raise EncoderSetupError(
-                "The simulated PLC needs the package pyads: pip install 'cycloid-fmu[ads]'."
-            ) from None
-        bench = self
-
-        class Handler(AbstractHandler):  # type: ignore[misc]
-            def handle_request(self, request: Any) -> Any:
-                code, data = bench._answer(request.ams_header)
-                flags = struct.pack("<H", struct.unpack("<H", request.ams_header.state_flags)[0] | 1)
-                return AmsResponseData(flags, bytes(4), struct.pack("<I", code) + data)
-
-        try:
-            self._server = AdsTestServer(Handler(), self.host, ADS_TCP_PORT, logging=False)
+            self._server = _AdsServer((self.host, ADS_TCP_PORT), self._answer)
         except OSError as problem:
             raise EncoderSetupError(
                 f"The simulated PLC can't listen on {self.host}, port {ADS_TCP_PORT}: {problem.strerror}."
             ) from problem
-        self._server.request_history = collections.deque(maxlen=1)  # type: ignore[assignment]
-        self._server.start()
+        threading.Thread(target=self._server.serve_forever, args=(0.05,), name="ADS", daemon=True).start()
 
     def _unplug(self) -> None:
-        self._server.close()
-        self._server.join()
+        self._server.shutdown()
+        self._server.server_close()
+        self._server.disconnect()
 
     def _connections(self, folder: Path) -> str:
         keys = (
@@ -190,21 +178,20 @@ class SimulatedAdsBench(SimulatedBench):
             memory = np.concatenate([np.frombuffer(head.pack(), np.uint8), self._samples.view(np.uint8)])
         return memory[offset - _OFFSET :][:count]
 
-    def _answer(self, request: Any) -> tuple[int, bytes]:
+    def _answer(self, command: int, request: bytes) -> tuple[int, bytes]:
         """Return error code and data that a PLC answers to a request."""
-        command = struct.unpack("<H", request.command_id)[0]
         if command == _READ_DEVICE_INFO:
             return 0, struct.pack("<BBH16s", 3, 1, 4024, b"simulated bench")
         if command == _READ_STATE:
             return 0, struct.pack("<HH", 5, 0)
         with contextlib.suppress(struct.error):
-            group, offset, count = struct.unpack_from("<III", request.data)
+            group, offset, count = struct.unpack_from("<III", request)
             if command == _READ and group == _GROUP:
                 memory = self._memory(offset, count)
                 return (_BAD_SIZE, b"") if memory is None else (0, struct.pack("<I", count) + memory.tobytes())
             if command == _READ_WRITE and group == SYMBOL_INFORMATION:
-                (written,) = struct.unpack_from("<I", request.data, 12)
-                name = request.data[16 : 16 + written].rstrip(b"\0").decode("ascii", "replace")
+                (written,) = struct.unpack_from("<I", request, 12)
+                name = request[16 : 16 + written].rstrip(b"\0").decode("ascii", "replace")
                 if name.lower() != RING.lower():
                     return SYMBOL_NOT_FOUND, bytes(4)
                 texts = [RING.encode(), b"ST_Ring", b""]
@@ -215,3 +202,43 @@ class SimulatedAdsBench(SimulatedBench):
                 )
                 return 0, struct.pack("<I", length) + entry + body
         return _SERVICE_NOT_SUPPORTED, b""
+
+
+class _AdsServer(socketserver.ThreadingTCPServer):
+    """ADS over TCP: frames of a 6-byte AMS/TCP header, a 32-byte AMS header and data (Beckhoff, TE1000 ADS)."""
+
+    allow_reuse_address = True
+    daemon_threads = True
+
+    def __init__(self, address: tuple[str, int], answer: Callable[[int, bytes], tuple[int, bytes]]) -> None:
+        self.answer = answer
+        self._connections: list[socket.socket] = []
+        super().__init__(address, _AdsConnection)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Remember the connection and serve it in a thread of its own."""
+        self._connections.append(request)
+        super().process_request(request, client_address)
+
+    def disconnect(self) -> None:
+        """Cut all connections."""
+        for connection in self._connections:
+            with contextlib.suppress(OSError):
+                connection.shutdown(socket.SHUT_RDWR)
+
+
+class _AdsConnection(socketserver.StreamRequestHandler):
+    server: _AdsServer
+
+    def handle(self) -> None:
+        """Answer requests until the client goes."""
+        with contextlib.suppress(OSError):
+            while len(start := self.rfile.read(6)) == 6:
+                frame = self.rfile.read(struct.unpack("<2xI", start)[0])
+                if len(frame) < _AMS.size:
+                    return
+                target, source, command, flags, _, _, invoked = _AMS.unpack_from(frame)
+                code, data = self.server.answer(command, frame[_AMS.size :])
+                data = struct.pack("<I", code) + data
+                head = _AMS.pack(source, target, command, flags | _RESPONSE, len(data), 0, invoked)
+                self.wfile.write(struct.pack("<2xI", len(head) + len(data)) + head + data)

@@ -72,7 +72,8 @@ def simulate_bench(
     serial
         Encoders on a pseudo-terminal instead of CAN.
     plc
-        A Beckhoff PLC on this address of this machine instead of CAN, such as "127.0.0.1"; needs the extra `ads`.
+        A Beckhoff PLC on this address of this machine instead of CAN, such as "127.0.0.1"; recording it needs the
+        extra `ads`.
     clock_drift
         How much faster than the host's the clock of the ASCII counter, the virtual bus or the PLC runs, relative, such
         as 50e-6.

@@ -1,4 +1,4 @@
-"""A PLC's ring of samples by ADS: real AMS/TCP frames between pyads' client and its server."""
+"""A PLC's ring of samples by ADS: real AMS/TCP frames between Beckhoff's own client, which pyads brings, and a PLC."""
 
 import contextlib
 import math
@@ -84,7 +84,7 @@ def test_what_the_plc_overwrote_is_counted_to_the_sample_and_marked(tmp_path, ho
     recording = drivers.read_recording(tmp_path / "run.arrows")
     for samples in recording.samples.values():
         number = np.rint(samples.time_device * RATE).astype(int)
-        assert 50 < len(number) < 900
+        assert 0 < len(number) < 900
         holes = np.diff(number, prepend=number[0] - 1) > 1
         assert ((samples.status & GAP != 0) == holes).all()
         lost = [
@@ -99,7 +99,9 @@ def test_what_the_ring_holds_is_taken_when_asked_and_what_is_lost_is_counted(tmp
         with open_encoders(wiring) as encoders:
             first = encoders[0]
             got = [first.read(1.0)]
-            before = bench.written
+            begun = bench.written
+            while (before := bench.written) < begun + 5:
+                time.sleep(0.001)
             first.drain()
             got.append(first.read(0.0))
     times = np.concatenate([block.time_device for block in got])
@@ -118,8 +120,7 @@ def test_a_cut_shorter_than_the_ring_loses_nothing(tmp_path, host):
 
 
 def test_a_program_that_starts_again_is_marked_reset(tmp_path, host):
-    moved = motion(1000)
-    with SimulatedAdsBench(moved, host=host, faults=[Fault("reset", 500)]) as bench:
+    with SimulatedAdsBench(motion(1600), host=host, faults=[Fault("reset", 1200)]) as bench:
         wiring = bench.write_wiring(tmp_path / "BENCH.toml")
         done = drivers.record(wiring, tmp_path / "run.arrows", stop=lambda: bench.wait(0.0))
     recording = drivers.read_recording(done.path)
@@ -128,7 +129,7 @@ def test_a_program_that_starts_again_is_marked_reset(tmp_path, host):
     assert samples.counts[again] == 0  # incremental: the zero is another
     assert samples.time_device[again] == 0.0
     assert sum("started again" in text for text in told(recording)) == 3
-    assert done.samples["output_angle"] >= 850  # those before it that were not read yet are gone
+    assert len(samples) - again == 400  # those before it that were not read yet are gone
 
 
 def test_a_sample_found_half_written_is_left_out(tmp_path, host):
