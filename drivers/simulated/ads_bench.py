@@ -30,14 +30,16 @@ _TORQUE = 1e-4  # N*m of one count
 _READ_DEVICE_INFO, _READ, _READ_STATE, _READ_WRITE = 1, 2, 4, 9
 _SERVICE_NOT_SUPPORTED, _BAD_SIZE = 0x701, 0x705
 _AMS = struct.Struct("<8s8sHHIII")  # target, source, command, state flags, bytes of data, error, number of the request
+_END_SECONDS = 5.0  # without a client, once the motion is over: then nobody reads any more
 _RESPONSE = 1  # of the state flags
 
 
 class SimulatedAdsBench(SimulatedBench):
     """A PLC with a ring of samples: both angles and the torque, in the columns 1 to 3.
 
-    It speaks ADS over TCP on its port 48898. The motion begins when the ring is first read;
-    the PLC goes on whether anybody reads or not, and overwrites what was not read in time.
+    It speaks ADS over TCP on its port 48898. The motion begins when the ring is first read; the PLC goes on whether
+    anybody reads or not, and overwrites what was not read in time. It ends when the last samples were read, or with the
+    motion where no client is there any more.
 
     Parameters
     ----------
@@ -124,6 +126,7 @@ class SimulatedAdsBench(SimulatedBench):
 
     def _run(self) -> None:
         pulls = sorted((f for f in self._faults if f.kind == "pull"), key=lambda f: f.sample)
+        alone = 0.0
         while not self._stopping.wait(0.005) and not self._done.is_set():
             if pulls and self._written > pulls[0].sample:
                 self._unplug()
@@ -131,6 +134,9 @@ class SimulatedAdsBench(SimulatedBench):
                 self._plug()
             with self._lock:
                 self._write()
+            alone = 0.0 if self._server.connections else alone + 0.005
+            if alone > _END_SECONDS and self._written >= len(self._times):
+                return
 
     def _write(self) -> None:
         """Write the samples that are due since the last call, as the PLC does each cycle."""
@@ -212,17 +218,22 @@ class _AdsServer(socketserver.ThreadingTCPServer):
 
     def __init__(self, address: tuple[str, int], answer: Callable[[int, bytes], tuple[int, bytes]]) -> None:
         self.answer = answer
-        self._connections: list[socket.socket] = []
+        self.connections: list[socket.socket] = []
         super().__init__(address, _AdsConnection)
 
     def process_request(self, request: Any, client_address: Any) -> None:
         """Remember the connection and serve it in a thread of its own."""
-        self._connections.append(request)
+        self.connections.append(request)
         super().process_request(request, client_address)
+
+    def shutdown_request(self, request: Any) -> None:
+        """Forget a connection that ended, and close it."""
+        self.connections.remove(request)
+        super().shutdown_request(request)
 
     def disconnect(self) -> None:
         """Cut all connections."""
-        for connection in self._connections:
+        for connection in list(self.connections):
             with contextlib.suppress(OSError):
                 connection.shutdown(socket.SHUT_RDWR)
 
