@@ -22,9 +22,10 @@ from cycloid_fmu import edge
 from drivers.ads import ring
 from drivers.ads.plc import plcs
 from drivers.encoder import EncoderError, PlcConfig
+from drivers.encoders.ads import AdsConfig, AdsEncoder
 from drivers.hubs import BlockQueue
 from drivers.recorder.bench import open_encoders
-from drivers.recording_format import GAP, RESET
+from drivers.recording_format import GAP, RESET, ROLLOVER
 from drivers.simulated.ads_bench import RING, SimulatedAdsBench
 from drivers.simulated.faults import Fault
 from drivers.simulated.motion import SimulatedRun, simulate_motion
@@ -60,10 +61,10 @@ def take_all(blocks):
 
 
 def test_every_sample_of_all_columns_at_one_instant(tmp_path, host):
-    moved = motion(800)
+    moved = motion(600)
     with SimulatedAdsBench(moved, host=host, clock_drift=1e-3) as bench:
         done, recording = record(tmp_path, bench)
-    assert set(done.samples.values()) == {800}
+    assert set(done.samples.values()) == {600}
     first, second, third = (recording.samples[n] for n in ("input_angle", "output_angle", "torque"))
     assert first.value == pytest.approx(moved.input_angle, abs=math.pi / (1 << 22))
     assert second.value == pytest.approx(moved.output_angle, abs=math.pi / (1 << 25))
@@ -109,11 +110,12 @@ def test_what_the_ring_holds_is_taken_when_asked_and_what_is_lost_is_counted(tmp
     assert first.lost == round((times[-1] - times[0]) * RATE) + 1 - len(times)
 
 
-def test_a_cut_shorter_than_the_ring_loses_nothing(tmp_path, host):
-    moved = motion(3000)
+def test_a_cut_shorter_than_the_ring_loses_nothing(tmp_path, host, monkeypatch):
+    monkeypatch.setattr("drivers.ads.plc._ANSWER_SECONDS", 0.2)
+    moved = motion(1600)
     with SimulatedAdsBench(moved, host=host, faults=[Fault("pull", 400, by=0.2)]) as bench:
         done, recording = record(tmp_path, bench)
-    assert set(done.samples.values()) == {3000}
+    assert set(done.samples.values()) == {1600}
     assert recording.samples["input_angle"].value == pytest.approx(moved.input_angle, abs=1e-6)
     assert any("broke" in text for text in told(recording))
     assert not any("missing" in text for text in told(recording))
@@ -253,6 +255,48 @@ def test_simulate_from_the_command_line(command, tmp_path, host):
     run = command("cycloid-bench", "simulate", *words)
     assert run.returncode == 0, run.stderr
     assert run.stdout.startswith("run.arrows: 96 input_angle, 96 output_angle, 96 torque")
+
+
+def test_a_counter_that_rolls_over_and_runs_backwards(tmp_path, host):
+    moved = motion(300)
+    with SimulatedAdsBench(moved, host=host) as bench:
+        wiring = bench.write_wiring(tmp_path / "BENCH.toml")
+        keys = f'counts_per_turn = {1 << 22}\ncounts_modulus = {1 << 20}\ndirection = -1\nzero = "1 rad"'
+        wiring.write_text(wiring.read_text().replace(f"counts_per_turn = {1 << 22}", keys))
+        drivers.record(wiring, tmp_path / "run.arrows", samples=300, idle=5.0)
+    samples = drivers.read_recording(tmp_path / "run.arrows").samples["input_angle"]
+    assert samples.value == pytest.approx(-moved.input_angle - 1.0, abs=math.pi / (1 << 22))
+    assert np.flatnonzero(samples.status).tolist() == [75, 150, 225]
+    assert set(samples.status) == {0, ROLLOVER}
+
+
+@given(
+    st.lists(
+        st.tuples(st.booleans(), st.lists(st.integers(1, 6), min_size=1, max_size=20), st.integers(0, 10)), max_size=12
+    )
+)
+def test_holes_repeats_and_restarts_are_judged_by_the_numbers(blocks):
+    """Each block: whether the program began anew, the steps of its numbers, how many of the last ones come again."""
+    config = AdsConfig(protocol="ads", plc="p", column=1, counts_per_turn=100)
+    encoder = AdsEncoder("input_angle", config, PlcConfig(net_id="1.2.3.4.1.1", ring="R"))
+    started, last, lost, first = 1, 40, 0, True
+    for anew, steps, again in blocks:
+        if anew and not first:
+            started, last, again = started + 1, 0, 0
+        new = last + np.cumsum(steps)
+        numbers = np.concatenate([np.arange(max(1, last + 1 - again), last + 1), new]) if not first else new
+        block = ring.Block(started, numbers, numbers * 0.1, numbers * 0.1, numbers[:, None])
+        got = encoder._samples(block)
+        assert got.counts.tolist() == new.tolist()
+        holes = np.diff(new, prepend=new[0] - 1 if first else last) - 1
+        restarted = anew and not first
+        expected = (holes > 0) * GAP
+        expected[0] |= (RESET | GAP) * restarted
+        assert got.status.tolist() == expected.tolist()
+        lost += int(holes.sum())
+        assert encoder.lost == lost
+        last, first = int(new[-1]), False
+    assert sum(int(e.text.split()[0]) for e in encoder.events() if "missing" in e.text) == lost
 
 
 @given(st.integers(2, 50), st.integers(1, 8), st.integers(1, 300), st.data())
