@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from cycloid_fmu.fmu.variables import Interface
     from cycloid_fmu.studies.yields import Findings
+    from cycloid_fmu.supports.figures import BearingLoad, Share
     from cycloid_fmu.surfaces.sampling import Tolerances
     from cycloid_fmu.wear.law import WearLaw
     from cycloid_fmu.wear.life import WearRun
@@ -199,6 +200,56 @@ class Drive:
             slices or slices_needed(self.surface), with_elements=slices is not None,
             workers=workers or os.cpu_count() or 1, progress=progress,
         )  # fmt: skip
+
+    def compliance(self, *, progress: Callable[[int], None] = lambda parts: None) -> list[Share]:
+        """Where the compliance and the lost motion of the drive as drawn come from: mesh, bearings, seats, clearances.
+
+        Parameters
+        ----------
+        progress
+            Told after each part.
+
+        Raises
+        ------
+        edge.InputError
+            If the pair has no supports or no rated torque.
+
+        Examples
+        --------
+        >>> import cycloid_fmu as cy
+        >>> pair = cy.Pair(
+        ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm",
+        ...     rated_torque="181 N*m", modification={"isometric": "-15 um", "offset": "-40 um"},
+        ...     supports={"kind": "cranks", "count": 3, "circle_radius": "36 mm", "main": {"stiffness": "900 N/um"}},
+        ... )
+        >>> [share.part for share in cy.Drive(pair).compliance()]
+        ['mesh', 'main bearing']
+        """
+        from cycloid_fmu.supports.figures import compliance
+
+        return compliance(self.pair, progress=progress)
+
+    def bearing_loads(self, torque: float | str, *, angles: int = 360, turns: int = 1) -> list[BearingLoad]:
+        """Largest and equivalent load of every bearing over whole crank turns, and its basic rating life (ISO 281).
+
+        Parameters
+        ----------
+        torque
+            Of the environment on the output, N·m or text with a unit.
+        angles, turns
+            Crank angles, and the turns that they span.
+
+        Raises
+        ------
+        edge.InputError
+            If the pair has no supports or the torque can't be carried.
+        """
+        from cycloid_fmu.supports.figures import bearing_loads
+        from cycloid_fmu.supports.transmission import solve
+
+        crank_angle = np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False)
+        found = solve(self.pair, self.surface, [_torque(torque)], crank_angle, with_play=False)
+        return bearing_loads(self.pair, found)
 
     def sensitivity(
         self,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,6 +15,7 @@ from cycloid_fmu.edge import commands
 
 if TYPE_CHECKING:
     from cycloid_fmu.contact.transmission import Transmission
+    from cycloid_fmu.drive import Drive
 
 
 def analyze(
@@ -69,6 +71,10 @@ def analyze(
         if plot is not None:
             from cycloid_fmu.draw import plots
 
+            if drive.pair.supports is not None:
+                shares = drive.compliance() if drive.pair.rated_torque is not None else []
+                plots.save(plots.plot_bearings(data, drive.pair, shares), plot.with_stem(f"{plot.stem}-bearings"))
+
             plots.save(plots.plot_analysis(data), plot)
             if slices is not None:
                 plots.save(plots.plot_lines(data), plot.with_stem(f"{plot.stem}-lines"))
@@ -76,6 +82,8 @@ def analyze(
             commands.print_json({str(k): v.values for k, v in {**data.coords, **data.data_vars}.items()})
     if not as_json:
         _print(found, f"{pair_file.name}, {finished} crank angles over {turns} turn(s)")
+        if drive.pair.supports is not None:
+            _print_bearings(drive, found)
     if finished < angles:
         raise typer.Exit(edge.INTERRUPTED)
 
@@ -97,3 +105,32 @@ def _print(found: Transmission, title: str) -> None:
         )  # fmt: skip
     commands.print_table(title, ["torque", "MTE", "PPTE", "MB", "PPB", "MCS", "pins"], rows)
     typer.echo("Mean and peak-to-peak transmission error and backlash, largest contact pressure, pins in contact.")
+
+
+def _print_bearings(drive: Drive, found: Transmission) -> None:
+    from cycloid_fmu.supports import figures
+
+    for k, load in enumerate(found.torque):
+        rows = [
+            [one.bearing, f"{one.largest:.0f} N", f"{one.equivalent:.0f} N",
+             "-" if math.isnan(one.life) else f"{one.life:.3g}"]
+            for one in figures.bearing_loads(drive.pair, found, k)
+        ]  # fmt: skip
+        commands.print_table(
+            f"Bearings at {load:g} N·m", ["bearing", "largest", "equivalent", "L10, crank turns (ISO 281)"], rows
+        )
+    if drive.pair.rated_torque is None or drive.pair.supports is None:
+        return
+    shares = drive.compliance()
+    whole, rows = 0.0, []
+    for share in shares:
+        whole += share.compliance
+        rows.append([share.part, f"{share.compliance * 1e6:.4f}", f"{1.0 / whole / edge.ARCMIN:.1f}",
+                     f"{share.lost_motion * edge.ARCMIN:.3f}′"])  # fmt: skip
+    left = figures.remaining(drive.pair.supports, shares)
+    if not math.isnan(left):
+        rows.append(["left to the catalogue's", f"{left * 1e6:.4f}", f"{1.0 / (whole + left) / edge.ARCMIN:.1f}", ""])
+    commands.print_table(
+        "Where compliance and lost motion come from, as drawn",
+        ["part", "compliance, µrad/(N·m)", "stiffness with it, N·m/arcmin", "lost motion"], rows,
+    )  # fmt: skip

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from cycloid_fmu.geometry.pair import Pair
+    from cycloid_fmu.supports.figures import Share
     from cycloid_fmu.wear.progress import WearModel, WearRate, WearState
 
 
@@ -92,6 +94,38 @@ def new_figure(rows: int = 1, columns: int = 1, *, sharex: bool = False) -> tupl
 def show_legend(axis: Axes, **options: Any) -> None:
     """Show what the lines are, on a ground that keeps it readable where they pass below it."""
     axis.legend(**{"fontsize": 8, "framealpha": 0.85, "edgecolor": "none", **options})
+
+
+def plot_bearings(data: xr.Dataset, pair: Pair, shares: Sequence[Share]) -> Figure:
+    """Forces of the bearings and shifts of the discs over the crank, and where compliance and lost motion come from."""
+    figure, axes = new_figure(3, 2)
+    angle = np.degrees(data["crank_angle"].values)
+    first = data.isel(torque=0)
+    arms = first["turning_arm_force"].values.reshape(angle.size, -1)
+    shafts = first["crank_bearing_force"].values.reshape(angle.size, -1)
+    arm = "turning arms" if pair.supports is not None and pair.supports.kind == "cranks" else "eccentric bearings"
+    main = first["main_bearing_force"].values[:, None]
+    panels = ((axes[0], arms, arm), (axes[1], shafts, "crank bearings"), (axes[2], main, "main bearing"))
+    for axis, values, name in panels:
+        axis.plot(angle, values, lw=1.0)
+        axis.set(xlabel="crank angle [°]", ylabel="force [N]", title=f"{name}, {float(first['torque']):g} N·m")
+    for disc in data["disc"].values:
+        one = first.sel(disc=disc)
+        axes[3].plot(one["disc_shift_x"] * 1e6, one["disc_shift_y"] * 1e6, lw=1.0, label=f"disc {disc}")
+    axes[3].set(xlabel="x [µm]", ylabel="y [µm]", title="shift of each disc's centre")
+    axes[3].set_aspect("equal", "datalim")
+    show_legend(axes[3])
+    parts = [share.part for share in shares]
+    for axis, lengths, label in (
+        (axes[4], [share.compliance * 1e6 for share in shares], "compliance [µrad/(N·m)]"),
+        (axes[5], [share.lost_motion * ARCMIN for share in shares], "lost motion [arcmin]"),
+    ):
+        axis.barh(parts, lengths, color="#4c78a8")
+        axis.invert_yaxis()
+        axis.set(xlabel=label, title="as drawn, part by part")
+        if not parts:
+            axis.text(0.5, 0.5, "needs a rated torque", ha="center", transform=axis.transAxes)
+    return figure
 
 
 def plot_analysis(data: xr.Dataset) -> Figure:

@@ -21,7 +21,7 @@ _NEWTON_METRE = re.compile(r"\b([mkM]?)N(m|mm|cm)\b")
 EXAMPLES = {
     "m": "64 mm", "rad": "0.5 arcmin", "N": "5 N", "N*m": "181 N*m", "Pa": "206 GPa", "s": "10 ms", "rad/s": "15 rpm",
     "K": "300 K", "rad/(N*m)": "0.02 arcsec/(N*m)", "1/Pa": "2.2e-8 1/Pa", "m^2/N": "1e-18 m^2/N",
-    "kg*m^2": "0.05 kg*m^2", "N/m": "400 N/um",
+    "kg*m^2": "0.05 kg*m^2", "N/m": "400 N/um", "N*m/rad": "49 N*m/arcmin",
 }  # fmt: skip
 # The usual units, so that reading them takes no half a second to load pint; a test compares each with pint.
 USUAL = {
@@ -42,6 +42,9 @@ USUAL = {
     "1/Pa": {"1/Pa": 1.0},
     "m^2/N": {"m^2/N": 1.0},
     "kg*m^2": {"kg*m^2": 1.0},
+    "N*m/rad": {
+        "N*m/rad": 1.0, "N*m/arcmin": 3437.746770784939, "Nm/arcmin": 3437.746770784939, "kN*m/rad": 1e3,
+    },
     "N/m": {"N/m": 1.0, "N/mm": 1e3, "N/um": 1e6, "N/µm": 1e6, "kN/mm": 1e6},
 }  # fmt: skip
 

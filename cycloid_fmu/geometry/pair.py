@@ -381,7 +381,15 @@ def smallest_convex_radius(circle_radius: float, eccentricity: float, pins: int)
     return min(radii, default=math.inf)
 
 
-_SHOWN_UNITS = {"m": ("mm", "um"), "Pa": ("GPa",), "N*m": (), "rad": ("mrad",), "N/m": ("N/um",)}
+_SHOWN_UNITS = {
+    "m": ("mm", "um"),
+    "Pa": ("GPa",),
+    "N*m": (),
+    "rad": ("mrad",),
+    "N/m": ("N/um",),
+    "N*m/rad": ("N*m/arcmin",),
+    "N": ("kN",),
+}
 
 
 def _written(value: float, si: str) -> str:

@@ -26,6 +26,8 @@ def _clearance(value: float) -> float:
 LARGEST_CLEARANCE = 2e-4
 PositiveLength = Annotated[Length, pydantic.AfterValidator(_positive)]
 Clearance = Annotated[Length, pydantic.AfterValidator(_clearance)]
+PositiveForce = Annotated[edge.Force, pydantic.AfterValidator(_positive)]
+TorsionalStiffness = Annotated[edge.TorsionalStiffness, pydantic.AfterValidator(_positive)]
 Stiffness = Annotated[edge.Stiffness, pydantic.AfterValidator(_positive)]
 StiffnessPerWidth = Annotated[edge.Pressure, pydantic.AfterValidator(_positive)]
 
@@ -43,6 +45,8 @@ class Bearing(Config):
         Whether it does not give way at all, as a bearing that states nothing.
     clearance
         Diametral: the radial displacement begins to press at half of it, m.
+    dynamic_capacity
+        Basic dynamic radial load rating C of ISO 281, N, for its life; None where no one asks.
 
     Examples
     --------
@@ -56,6 +60,7 @@ class Bearing(Config):
     roller_length: PositiveLength | None = None
     rigid: bool = pydantic.Field(default=False, strict=True)
     clearance: Clearance = 0.0
+    dynamic_capacity: PositiveForce | None = None
 
     @property
     def is_rigid(self) -> bool:
@@ -137,6 +142,9 @@ class Supports(Config):
         With output rollers.
     pin_seat
         The pins in the ring.
+    catalogue_stiffness
+        Torsional stiffness at the output that a catalogue or a bench states, N·m/rad: shown beside the model's, which
+        leaves out how shafts, bodies and housing bend. Not part of the model.
 
     Examples
     --------
@@ -155,6 +163,7 @@ class Supports(Config):
     main: Bearing = Bearing()
     output_roller: OutputRoller | None = None
     pin_seat: PinSeat = PinSeat()
+    catalogue_stiffness: TorsionalStiffness | None = None
 
     @pydantic.model_validator(mode="after")
     def _one_kind(self) -> Supports:

@@ -399,11 +399,11 @@ def _direction(problem: Problem, assembly: Assembly, work: Work) -> float:
 @part
 def balance(
     problem: Problem, assembly: Assembly, theta: float, torque: float, centring: float, q: Array, contacts: Rows,
-    work: Work, careful: bool,
+    work: Work,
 ) -> int:  # fmt: skip
     """Solve the balance from q, which is overwritten; returns the number of steps, 0 where it was not found.
 
-    Whole steps find which bearings and pins touch; `careful` shortens a step along which the work turned round.
+    A step is shortened where the work along it has turned round: energies are convex but for small turns.
     """
     _assemble(problem, assembly, theta, torque, centring, q, contacts, work)
     for iteration in range(_ITERATIONS):
@@ -422,8 +422,6 @@ def balance(
             for i in range(step.size):
                 q[i] = work.before[i] + share * step[i]
             _assemble(problem, assembly, theta, torque, centring, q, contacts, work)
-            if not careful or downhill >= 0.0:
-                break
             now = 0.0
             for i in range(step.size):
                 now += step[i] * work.residual[i]
@@ -455,7 +453,7 @@ def settle(
     """
     total = 0
     if not cold:
-        found = balance(problem, assembly, theta, torque, CENTRING, q, contacts, work, True)
+        found = balance(problem, assembly, theta, torque, CENTRING, q, contacts, work)
         if found > 0:
             return found
         total = _ITERATIONS
@@ -464,7 +462,7 @@ def settle(
         work.moved[0] = math.inf
         spring, found = stiffest, 0
         while True:
-            found = balance(problem, assembly, theta, torque, spring, q, contacts, work, True)
+            found = balance(problem, assembly, theta, torque, spring, q, contacts, work)
             total += found if found > 0 else _ITERATIONS
             if spring == CENTRING:
                 break

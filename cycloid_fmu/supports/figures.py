@@ -1,0 +1,188 @@
+"""What a designer asks of a drive on bearings: where its compliance and lost motion come from, and bearing lives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cycloid_fmu import edge
+from cycloid_fmu.contact.transmission import Transmission
+from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD, Pair
+from cycloid_fmu.geometry.supports import Bearing, OutputRoller, PinSeat, Supports
+from cycloid_fmu.supports.transmission import OnBearings, solve
+from cycloid_fmu.surfaces.surface import nominal_surface
+
+Array = NDArray[np.float64]
+LIFE_EXPONENT = 10.0 / 3.0  # roller bearings (ISO 281)
+LOADS = (0.5, 1.0)  # of the rated torque: between them the stiffness of a catalogue is taken
+_ANGLES = 90
+
+
+@dataclass(frozen=True)
+class Share:
+    """What one part adds to the drive's compliance and lost motion.
+
+    Attributes
+    ----------
+    part
+        "mesh", "turning arms" and so on; "clearances" come last.
+    compliance
+        Added between half and all of the rated torque, rad/(N·m), mean over the crank angles.
+    lost_motion
+        Added to the lost motion (GB/T 40731), rad, mean over the crank angles.
+    """
+
+    part: str
+    compliance: float
+    lost_motion: float
+
+
+def remaining(supports: Supports, shares: Sequence[Share]) -> float:
+    """Return what is left of the catalogue's compliance for what the model takes as rigid, rad/(N·m).
+
+    Below zero where the model gives way more than the catalogue says; NaN without a catalogue's stiffness.
+    """
+    if supports.catalogue_stiffness is None:
+        return math.nan
+    return 1.0 / supports.catalogue_stiffness - sum(share.compliance for share in shares)
+
+
+def _stages(supports: Supports) -> list[tuple[str, Supports]]:
+    """Return the supports with one part after the other giving way, first without any clearance."""
+    tight = {
+        name: value.replace(clearance=0.0)
+        for name, value in ((n, getattr(supports, n)) for n in Supports.model_fields)
+        if isinstance(value, Bearing | OutputRoller | PinSeat)
+    }
+    rigid = {"turning_arm": Bearing(), "crank_shaft": Bearing(), "main": Bearing(), "pin_seat": PinSeat()}
+    if supports.output_roller is not None:
+        rigid["output_roller"] = OutputRoller()
+    names = {
+        "turning_arm": "turning arms" if supports.kind == "cranks" else "eccentric bearing",
+        "crank_shaft": "crank bearings", "main": "main bearing", "output_roller": "output rollers",
+        "pin_seat": "pin seats",
+    }  # fmt: skip
+    stages, now = [], supports.replace(**rigid)
+    for part, name in names.items():
+        if part in rigid:
+            if tight[part] == rigid[part]:
+                continue
+            now = now.replace(**{part: tight[part]})
+            stages.append((name, now))
+    if now != supports:
+        stages.append(("clearances", supports))
+    return stages
+
+
+def compliance(pair: Pair, *, progress: Callable[[int], None] = lambda stages: None) -> list[Share]:
+    """Return where the compliance and the lost motion of a drive as drawn come from.
+
+    One part after the other is given its stiffness, from the mesh between rigid bodies outwards; the clearances last.
+
+    Parameters
+    ----------
+    pair
+        With supports and rated torque; errors that it states are left out.
+    progress
+        Told after each part.
+
+    Returns
+    -------
+    list of Share
+        Their sums are the compliance and lost motion of the drive.
+
+    Raises
+    ------
+    edge.InputError
+        If the pair has no supports or no rated torque, or it can't be carried.
+    """
+    pair = pair.nominal
+    if pair.supports is None:
+        raise edge.InputError("the pair has no [supports]: its compliance is that of the mesh alone, rigid bodies.")
+    if pair.rated_torque is None:
+        raise edge.InputError("rated_torque is missing; the compliance is taken between half of it and all.")
+    angles = np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False)
+    loads = [share * pair.rated_torque for share in (*LOADS, LOST_MOTION_LOAD, -LOST_MOTION_LOAD)]
+    shares, soft, lost = [], 0.0, 0.0
+    for name, supports in [("mesh", None), *_stages(pair.supports)]:
+        one = pair.replace(supports=supports)
+        place = solve(one, nominal_surface(one), loads, angles, with_play=False).transmission_error.mean(axis=1)
+        now_soft, now_lost = float((place[1] - place[0]) / (loads[1] - loads[0])), float(place[2] - place[3])
+        shares.append(Share(name, now_soft - soft, now_lost - lost))
+        soft, lost = now_soft, now_lost
+        progress(1)
+    return shares
+
+
+@dataclass(frozen=True)
+class BearingLoad:
+    """Load of one bearing over a crank sweep.
+
+    Attributes
+    ----------
+    bearing
+        "turning arm, disc 0, crank 1" and so on.
+    largest, equivalent
+        Largest force and the constant one of the same life, N.
+    life
+        Basic rating life L10 in crank turns (ISO 281), infinite where nothing loads it; NaN without a capacity.
+    """
+
+    bearing: str
+    largest: float
+    equivalent: float
+    life: float
+
+
+def equivalent_load(force: ArrayLike) -> Array:
+    """Return the constant load of the same life as forces over equal steps of the crank (first axis), N.
+
+    The mean of F^p to the power 1/p with p = 10/3 of roller bearings (ISO 281, with a bearing that turns evenly).
+    """
+    return np.asarray(np.mean(np.asarray(force) ** LIFE_EXPONENT, axis=0) ** (1.0 / LIFE_EXPONENT))
+
+
+def bearing_loads(pair: Pair, found: Transmission, load: int = 0) -> list[BearingLoad]:
+    """Return loads and lives of every bearing at one torque of a sweep over whole crank turns.
+
+    Parameters
+    ----------
+    pair
+        With supports; each bearing's `dynamic_capacity` gives its life.
+    found
+        Of `solve`.
+    load
+        Which of its torques.
+    """
+    supports = pair.supports
+    if supports is None:
+        raise edge.InputError("the pair has no [supports]: it has no bearings whose load could be told.")
+    assert isinstance(found, OnBearings)
+    # Turns of the inner ring against the outer for each turn of the crank.
+    in_disc = 1.0 + 1.0 / pair.gear_teeth
+    at_shaft = in_disc if supports.kind == "cranks" else 1.0
+    arm = "turning arm" if supports.kind == "cranks" else "eccentric bearing"
+    rows = []
+
+    def add(name: str, force: Array, bearing: Bearing, turns: float) -> None:
+        equivalent = float(equivalent_load(force))
+        life = math.nan
+        if bearing.dynamic_capacity is not None:
+            share = bearing.dynamic_capacity / equivalent if equivalent > 0.0 else math.inf
+            life = 1e6 * share**LIFE_EXPONENT / turns
+        rows.append(BearingLoad(name, float(force.max()), equivalent, life))
+
+    for disc in range(pair.discs):
+        for crank in range(supports.cranks):
+            where = f", crank {crank}" if supports.kind == "cranks" else ""
+            force = found.turning_arm_force[load, :, disc, crank]
+            add(f"{arm}, disc {disc}{where}", force, supports.turning_arm, in_disc)
+    for crank in range(supports.cranks):
+        where = f", crank {crank}" if supports.kind == "cranks" else ""
+        add(f"crank bearing{where}", found.crank_bearing_force[load, :, crank], supports.crank_shaft, at_shaft)
+    add("main bearing", found.main_bearing_force[load], supports.main, 1.0 / pair.gear_teeth)
+    return rows
