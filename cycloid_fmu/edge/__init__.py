@@ -33,6 +33,7 @@ from cycloid_fmu.edge.files import (
     read_text,
     toml_table,
     unit_columns,
+    writable,
     written_whole,
     zip_archive,
 )
@@ -51,6 +52,7 @@ from cycloid_fmu.edge.quantities import (
     ARCSEC,
     format_quantity,
     parse_quantity,
+    parse_unit,
     unit_scale,
     units,
 )
@@ -87,6 +89,7 @@ __all__ = [
     "number_rows",
     "output_path",
     "parse_quantity",
+    "parse_unit",
     "quantity",
     "read_text",
     "shown",
@@ -96,6 +99,7 @@ __all__ = [
     "unit_scale",
     "units",
     "validated",
+    "writable",
     "written_whole",
     "zip_archive",
 ]
