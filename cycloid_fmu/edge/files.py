@@ -15,7 +15,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from cycloid_fmu.edge.problems import ArgumentError, InputError, shown
+from cycloid_fmu.edge.problems import ArgumentError, InputError, parsed_by_others, shown
 from cycloid_fmu.edge.quantities import unit_scale
 
 if TYPE_CHECKING:
@@ -35,10 +35,8 @@ def check_format(given: object, wanted: str, source: str) -> None:
 
 def toml_table(text: str, wanted_format: str, source: str) -> dict[str, Any]:
     """Return the table of a TOML text of the wanted format, without its `format` key."""
-    try:
+    with parsed_by_others(source, "this is not TOML"):
         table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as problem:
-        raise InputError(f"{source}: this is not TOML: {problem}.") from None
     check_format(table.pop("format", None), wanted_format, source)
     return table
 
@@ -51,10 +49,9 @@ def json_table(path: str | os.PathLike[str], wanted_format: str, what: str) -> d
     InputError
         If it can't be read, is no JSON or no table, or is of another format.
     """
-    try:
-        data = json.loads(read_text(path))
-    except json.JSONDecodeError as problem:
-        raise InputError(f"{path}: this is not JSON: {problem}.") from None
+    text = read_text(path)
+    with parsed_by_others(path, "this is not JSON"):
+        data = json.loads(text)
     if not isinstance(data, dict):
         raise InputError(f"{path}: it holds no {what}; it must be a JSON object.")
     check_format(data.get("format"), wanted_format, str(path))
@@ -72,20 +69,19 @@ def netcdf(path: str | os.PathLike[str], wanted_format: str) -> xr.Dataset:
     import xarray as xr
 
     existing(path)
-    try:
+    with parsed_by_others(path, "this is not a netCDF file, or it is damaged"):
         with xr.open_dataset(path, engine="h5netcdf") as opened:
             data = opened.load()
-    except Exception as problem:
-        raise InputError(f"{path}: this is not a netCDF file ({type(problem).__name__}).") from None
     check_format(data.attrs.get("format"), wanted_format, str(path))
     return data
 
 
 def format_of(path: str | os.PathLike[str]) -> object:
     """Return the `format` of a TOML file, None where it has none or is no TOML (its reader then says so)."""
+    text = read_text(path)
     try:
-        return tomllib.loads(read_text(path)).get("format")
-    except tomllib.TOMLDecodeError:
+        return tomllib.loads(text).get("format")
+    except (tomllib.TOMLDecodeError, RecursionError):
         return None
 
 
@@ -95,8 +91,8 @@ def read_text(path: str | os.PathLike[str]) -> str:
         return Path(path).read_text(encoding="utf-8")
     except UnicodeDecodeError:
         raise InputError(f"{path}: this is not a UTF-8 text file.") from None
-    except OSError as problem:
-        raise InputError(f"{path}: {problem.strerror or problem}.") from None
+    except (OSError, ValueError) as problem:  # a name may hold a zero byte
+        raise InputError(f"{path}: {getattr(problem, 'strerror', None) or problem}.") from None
 
 
 def existing(path: str | os.PathLike[str]) -> Path:
@@ -104,8 +100,8 @@ def existing(path: str | os.PathLike[str]) -> Path:
     try:
         with Path(path).open("rb"):
             return Path(path)
-    except OSError as problem:
-        raise InputError(f"{path}: {problem.strerror or problem}.") from None
+    except (OSError, ValueError) as problem:  # a name may hold a zero byte
+        raise InputError(f"{path}: {getattr(problem, 'strerror', None) or problem}.") from None
 
 
 def unit_columns(
@@ -137,7 +133,7 @@ def unit_columns(
         if name not in units:
             continue
         if not bracket or not unit.endswith("]"):
-            raise InputError(f'{source}: the column "{cell.strip()}" has no unit; write "{name} [{units[name]}]".')
+            raise InputError(f'{source}: the column {shown(cell.strip())} has no unit; write "{name} [{units[name]}]".')
         try:
             found[name] = (position, unit_scale(unit[:-1].strip(), units[name]))
         except ValueError as problem:
@@ -155,8 +151,19 @@ def finite(cell: str, field: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise InputError(f'{field} = "{cell}": it must be a finite number with a decimal point.')
+        raise InputError(f"{field} = {shown(cell)}: it must be a finite number with a decimal point.")
     return value
+
+
+def csv_rows(path: str | os.PathLike[str]) -> Iterator[list[str]]:
+    """Yield the cells of a CSV file's lines; an `InputError` where it can't be read."""
+    rows = csv.reader(read_text(path).splitlines())
+    while True:
+        with parsed_by_others(path, "this is not a CSV table"):
+            row = next(rows, None)
+        if row is None:
+            return
+        yield row
 
 
 def number_rows(
@@ -176,7 +183,7 @@ def number_rows(
     InputError
         If it can't be read, a column or its unit is missing, or a cell is no finite number; it names the line.
     """
-    lines = csv.reader(read_text(path).splitlines())
+    lines = csv_rows(path)
     columns = unit_columns(next(lines, []), wanted, str(path), optional)
     for number, row in enumerate(lines, start=2):
         if row:

@@ -360,8 +360,11 @@ def _content(line: str) -> dict[str, Any] | None:
     check, _, text = line.partition(" ")
     if check != f"{zlib.crc32(text.encode()):08x}":
         return None
-    record: dict[str, Any] = json.loads(text)
-    return record
+    try:
+        record = json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+    return record if isinstance(record, dict) else None
 
 
 def _connected(scheduler: str) -> Any:

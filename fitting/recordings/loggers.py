@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cycloid_fmu import edge
-from fitting.recordings.formats import PIECE, BenchFile, Piece, RawChannel, first_line, in_order, unique
+from fitting.recordings.formats import PIECE, BenchFile, Piece, RawChannel, in_order, unique
 
 
 def _extra(package: str, extra: str, source: str) -> edge.InputError:
@@ -39,7 +39,7 @@ class MdfFile(BenchFile):
         try:
             self._mdf = MDF(source)
         except Exception as problem:  # asammdf raises whatever its parser meets
-            reason = first_line(problem)
+            reason = edge.first_line(problem)
             _drop(problem)
             raise edge.InputError(f"{source}: this is not an MDF file, or it is cut or damaged ({reason}).") from None
         channels, self._places = [], []
@@ -71,7 +71,7 @@ class MdfFile(BenchFile):
                 got = min(len(s.timestamps) for s in signals)
             except Exception as problem:
                 self.problems.append(
-                    f"{self.source}: it is cut or damaged after {begin} of {total} samples ({first_line(problem)})."
+                    f"{self.source}: it is cut or damaged after {begin} of {total} samples ({edge.first_line(problem)})."
                 )
                 return
             if got:
@@ -91,13 +91,8 @@ class TdmsFile(BenchFile):
             from nptdms import TdmsFile
         except ImportError:
             raise _extra("npTDMS", "bench-files", source) from None
-        try:
-            self._file = TdmsFile.open(source)
-            found = [c for g in self._file.groups() for c in g.channels() if c.dtype is not None]
-        except Exception as problem:
-            raise edge.InputError(
-                f"{source}: this is not a TDMS file, or it is cut or damaged ({first_line(problem)})."
-            ) from None
+        self._file = TdmsFile.open(source)
+        found = [c for g in self._file.groups() for c in g.channels() if c.dtype is not None]
         self._found = [c for c in found if np.issubdtype(c.dtype, np.number)]
         units = [str(c.properties.get("unit_string", c.properties.get("unit", ""))) for c in self._found]
         channels = [RawChannel(c.name, u) for c, u in zip(self._found, units, strict=True)]
