@@ -47,13 +47,13 @@ from tests.drivers.test_sequence import SEQUENCE
 from tests.fitting.test_readers import CAN_MAP, DBC
 
 MUTATIONS = int(float(os.environ.get("CYCLOID_MUTATIONS", "1e6"))) // 50
-SAMPLES = 60
+SAMPLES = 24
 TIME = np.arange(SAMPLES) * 1e-2
 OWN = {
     "time": ("s", TIME), "input_angle": ("rad", 20.0 * TIME), "output_angle": ("rad", -20.0 * TIME / 39),
     "torque": ("N*m", 20.0 + np.sin(TIME)),
 }  # fmt: skip
-SMALL = make_pair(gear_teeth=12, pins=13, pin_circle_radius="40 mm", eccentricity="1.5 mm", pin_radius="4 mm")
+SMALL = make_pair(gear_teeth=6, pins=7, pin_circle_radius="40 mm", eccentricity="2.5 mm", pin_radius="6 mm")
 ERRORS = """[errors]
 centre_distance_x = "5 um"
 pin_radial = { order_1 = ["3 um", "40 deg"] }
@@ -81,7 +81,8 @@ eds = "encoder.eds"
 protocol = "amt21"
 port = "usb"
 address = 84
-[channel.torque]
+"""
+SENSOR = """[channel.torque]
 protocol = "dbc"
 bus = "can0"
 file = "bench.dbc"
@@ -185,9 +186,9 @@ def recording(folder):
     units = {n: u for n, (u, _) in OWN.items()}
     channels = tuple(dataclasses.replace(c, unit=units[c.name]) for c in HEADER.channels)
     with RecordingWriter(folder / "run.arrows", dataclasses.replace(HEADER, channels=channels)) as writer:
-        for begin in range(0, SAMPLES, 20):
+        for begin in range(0, SAMPLES, 8):
             for channel in channels:
-                part = slice(begin, begin + 20)
+                part = slice(begin, begin + 8)
                 writer.write(Samples.checked(channel.name, TIME[part], OWN[channel.name][1][part]))
     return folder / "run.arrows"
 
@@ -204,7 +205,12 @@ def fmu(folder):
 def bench(folder):
     (folder / "encoder.eds").write_text(EDS)
     (folder / "bench.dbc").write_text(DBC)
-    return text_file("BENCH.toml", BENCH)(folder)
+    return text_file("BENCH.toml", BENCH + SENSOR)(folder)
+
+
+def sensor(folder):
+    (folder / "bench.dbc").write_text(DBC)
+    return text_file("BENCH.toml", BENCH[: BENCH.index("[channel")] + SENSOR)(folder)
 
 
 def beside(make, name):
@@ -263,7 +269,7 @@ READERS = {
     "checkpoint that is signed": (checkpoint, read_signed_checkpoint),
     "bench": (bench, read_bench),
     "EDS": (beside(bench, "encoder.eds"), lambda path: read_bench(path.with_name("BENCH.toml"))),
-    "DBC": (beside(bench, "bench.dbc"), lambda path: read_bench(path.with_name("BENCH.toml"))),
+    "DBC": (beside(sensor, "bench.dbc"), lambda path: read_bench(path.with_name("BENCH.toml"))),
     "sequence": (lambda f: (bench(f), text_file("sequence.toml", SEQUENCE)(f))[1], read_sequence),
     "faults": (
         text_file("f.toml", 'format = "cycloid-faults/1"\n[[fault]]\nkind = "pull"\nsample = 3\nby = "200 ms"\n'), read_faults,

@@ -35,8 +35,10 @@ def check_format(given: object, wanted: str, source: str) -> None:
 
 def toml_table(text: str, wanted_format: str, source: str) -> dict[str, Any]:
     """Return the table of a TOML text of the wanted format, without its `format` key."""
-    with parsed_by_others(source, "this is not TOML"):
+    try:
         table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as problem:
+        raise InputError(f"{source}: this is not TOML: {problem}.") from None
     check_format(table.pop("format", None), wanted_format, source)
     return table
 
@@ -49,9 +51,10 @@ def json_table(path: str | os.PathLike[str], wanted_format: str, what: str) -> d
     InputError
         If it can't be read, is no JSON or no table, or is of another format.
     """
-    text = read_text(path)
-    with parsed_by_others(path, "this is not JSON"):
-        data = json.loads(text)
+    try:
+        data = json.loads(read_text(path))
+    except json.JSONDecodeError as problem:
+        raise InputError(f"{path}: this is not JSON: {problem}.") from None
     if not isinstance(data, dict):
         raise InputError(f"{path}: it holds no {what}; it must be a JSON object.")
     check_format(data.get("format"), wanted_format, str(path))
@@ -78,10 +81,9 @@ def netcdf(path: str | os.PathLike[str], wanted_format: str) -> xr.Dataset:
 
 def format_of(path: str | os.PathLike[str]) -> object:
     """Return the `format` of a TOML file, None where it has none or is no TOML (its reader then says so)."""
-    text = read_text(path)
     try:
-        return tomllib.loads(text).get("format")
-    except (tomllib.TOMLDecodeError, RecursionError):
+        return tomllib.loads(read_text(path)).get("format")
+    except tomllib.TOMLDecodeError:
         return None
 
 
@@ -91,8 +93,8 @@ def read_text(path: str | os.PathLike[str]) -> str:
         return Path(path).read_text(encoding="utf-8")
     except UnicodeDecodeError:
         raise InputError(f"{path}: this is not a UTF-8 text file.") from None
-    except (OSError, ValueError) as problem:  # a name may hold a zero byte
-        raise InputError(f"{path}: {getattr(problem, 'strerror', None) or problem}.") from None
+    except OSError as problem:
+        raise InputError(f"{path}: {problem.strerror or problem}.") from None
 
 
 def existing(path: str | os.PathLike[str]) -> Path:
@@ -100,8 +102,8 @@ def existing(path: str | os.PathLike[str]) -> Path:
     try:
         with Path(path).open("rb"):
             return Path(path)
-    except (OSError, ValueError) as problem:  # a name may hold a zero byte
-        raise InputError(f"{path}: {getattr(problem, 'strerror', None) or problem}.") from None
+    except OSError as problem:
+        raise InputError(f"{path}: {problem.strerror or problem}.") from None
 
 
 def unit_columns(

@@ -331,7 +331,7 @@ class Checkpoint:
             raise edge.InputError(f"{self.path}: this is not a checkpoint of a tolerance study; move it away.")
         edge.check_format(header.get("format"), CHECKPOINT_FORMAT, str(self.path))
         for name, mine in identity.items():
-            theirs = header["study"].get(name)
+            theirs = dict(header.get("study") or ()).get(name)
             if theirs != mine:
                 values = "" if isinstance(mine, str | dict) and name != "design" else f": {theirs} there, {mine} here"
                 raise edge.InputError(
@@ -341,7 +341,8 @@ class Checkpoint:
         for line in lines[1:]:
             record = _content(line)
             if record is not None:
-                self.done[record["first"]] = np.array(record["values"])
+                with edge.parsed_by_others(self.path, "this checkpoint is damaged; move it away"):
+                    self.done[int(record["first"])] = np.array(record["values"], dtype=float)
 
     def add(self, first: int, values: Array) -> None:
         """Keep the figures of the samples from `first` on."""

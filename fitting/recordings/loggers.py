@@ -23,7 +23,7 @@ def _drop(problem: BaseException | None) -> None:
     try:
         while problem is not None:
             problem.__traceback__, problem = None, problem.__context__
-        gc.collect()
+        gc.collect(1)  # what was made a moment ago is young
     finally:
         sys.unraisablehook = hook
 
