@@ -34,6 +34,7 @@ from cycloid_fmu.edge.files import (
     read_text,
     toml_table,
     unit_columns,
+    writable,
     written_whole,
     zip_archive,
 )
@@ -54,6 +55,7 @@ from cycloid_fmu.edge.quantities import (
     ARCSEC,
     format_quantity,
     parse_quantity,
+    parse_unit,
     unit_scale,
     units,
 )
@@ -93,6 +95,7 @@ __all__ = [
     "output_path",
     "parse_quantity",
     "parsed_by_others",
+    "parse_unit",
     "quantity",
     "read_text",
     "shown",
@@ -102,6 +105,7 @@ __all__ = [
     "unit_scale",
     "units",
     "validated",
+    "writable",
     "written_whole",
     "zip_archive",
 ]

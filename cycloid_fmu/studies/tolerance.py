@@ -318,7 +318,7 @@ class Checkpoint:
         self.path = path
         self.done: dict[int, Array] = {}
         identity = study.identity()
-        if path.exists():
+        if edge.writable(path).exists():
             self._read(identity)
         else:
             with edge.written_whole(path) as temporary:
@@ -347,7 +347,7 @@ class Checkpoint:
     def add(self, first: int, values: Array) -> None:
         """Keep the figures of the samples from `first` on."""
         # A newline first: a line that a kill cut short must not spoil this one.
-        with self.path.open("a", encoding="utf-8") as file:
+        with edge.writable(self.path).open("a", encoding="utf-8") as file:
             file.write("\n" + _line({"first": first, "values": values.tolist()}))
 
 

@@ -8,13 +8,13 @@ from typing import Annotated
 import typer
 
 import drivers
-from cycloid_fmu.edge.commands import quantity_option
+from cycloid_fmu.edge.commands import output_option, quantity_option
 from drivers.cli.shown import LiveLine, failures, report
 
 
 def record(
     bench: Annotated[Path, typer.Argument(metavar="BENCH.toml", help="The wiring: buses, ports and channels.")],
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="RUN.arrows", help="New file to record to.")],
+    output: Annotated[Path, output_option((".arrows",), "RUN.arrows", "New file to record to.")],
     duration: Annotated[float | None, quantity_option("s", "Stop after this time.")] = None,
     idle: Annotated[float | None, quantity_option("s", "Stop when nothing came for this time.")] = None,
 ) -> None:

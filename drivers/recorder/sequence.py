@@ -403,14 +403,14 @@ def run_sequence(
         path = made.folder / f"{step.name}.arrows"
         if note is not None:
             note(step, None)
-        while not path.exists():
+        while not edge.writable(path).exists():
             if made.file.drive is None and ready is not None:
                 ready(step)
             trials = (made.folder / f"{step.name}.trial-{number}.arrows" for number in itertools.count(1))
-            trial = next(t for t in trials if not t.exists())
+            trial = next(t for t in trials if not edge.writable(t).exists())
             short = _run_step(made, step, trial, progress or (lambda _: None))
             if not short:
-                trial.rename(path)
+                trial.rename(edge.writable(path))
             elif again is None or not again(step, trial, short):
                 missed[step.name] = short
                 break

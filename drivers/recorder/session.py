@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cycloid_fmu import edge
 from drivers import recording_format as rf
 from drivers.arguments import in_si
 from drivers.encoder import (
@@ -348,7 +349,7 @@ def record(
     wired = bench if isinstance(bench, Bench) else read_bench(bench)
     duration = None if duration is None else in_si(duration, "s", "duration", above=0.0)
     idle = None if idle is None else in_si(idle, "s", "idle", above=0.0)
-    check_new(path)  # before any device is set going
+    check_new(edge.output_path(path, "path", (".arrows",)))  # before any device is set going
     with open_encoders(wired) as encoders:
         return record_encoders(
             encoders, path, ratio=wired.ratio, pair=wired.pair, conditions=wired.conditions, duration=duration,

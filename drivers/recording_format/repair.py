@@ -9,13 +9,14 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from cycloid_fmu import edge
 from drivers.recording_format.export import Progress, batches
 from drivers.recording_format.reader import RecordingReader
 from drivers.recording_format.schema import (
     GAP,
     Header,
 )
-from drivers.recording_format.writer import RecordingWriter
+from drivers.recording_format.writer import RecordingWriter, check_new
 
 
 @dataclasses.dataclass
@@ -74,6 +75,8 @@ def repair(
     >>> kept.channels["torque"].samples, kept.problems
     (96, ())
     """
+    if output is not None:
+        check_new(edge.output_path(output, "output", (".arrows",)))
     with contextlib.ExitStack() as stack:
         reader = stack.enter_context(RecordingReader(recording))
         channels = {c.name: HeldChannel() for c in reader.header.channels}

@@ -8,7 +8,6 @@ import json
 import os
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
@@ -25,8 +24,8 @@ END_OF_STREAM = MESSAGE + b"\x00\x00\x00\x00"
 
 
 def check_new(path: str | os.PathLike[str]) -> None:
-    """Refuse, with an `edge.InputError`, a path at which there is something already: no recording is overwritten."""
-    if Path(path).exists():
+    """Refuse, with an `edge.InputError`, a path at which there is something already, a link that leads nowhere too."""
+    if edge.writable(path).exists():
         raise edge.InputError(f"{path}: this file exists and recordings are not overwritten; name another.")
 
 

@@ -48,6 +48,7 @@ class SimulatedBench(abc.ABC):
 
     def write_wiring(self, path: str | os.PathLike[str], *, ratio: float | None = None, pair: str = "") -> Path:
         """Write the `BENCH.toml` that records this bench, and the files it names beside it; return its path."""
+        target = edge.output_path(path, "path", (".toml",))
         ratio, run = self.ratio if ratio is None else ratio, self.motion.run
         head = "" if ratio is None else f"ratio = {float(ratio)!r}\n"
         text = (
@@ -55,9 +56,9 @@ class SimulatedBench(abc.ABC):
             f'[conditions]\nload = "{edge.format_quantity(run.torque, "N*m", "N*m")}"\n'
             f'speed = "{edge.format_quantity(run.speed, "rad/s", "rad/s")}"\ndirection = "{run.direction}"\n\n'
         )
-        with edge.written_whole(path) as temporary:
-            temporary.write_text(text + self._connections(Path(path).parent), encoding="utf-8")
-        return Path(path)
+        with edge.written_whole(target) as temporary:
+            temporary.write_text(text + self._connections(target.parent), encoding="utf-8")
+        return target
 
     def record(
         self,

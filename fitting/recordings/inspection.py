@@ -90,8 +90,8 @@ def _measures(unit: str, kind: str) -> bool:
     if not unit:
         return False
     try:
-        return bool(edge.units().Unit(unit_text(unit)).is_compatible_with(_KINDS[kind]))
-    except Exception:  # pint raises many for what is no unit
+        return bool(edge.parse_unit(unit_text(unit)).is_compatible_with(_KINDS[kind]))
+    except ValueError:
         return False
 
 

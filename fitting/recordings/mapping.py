@@ -170,7 +170,7 @@ def _affine(unit: str, si: str) -> tuple[float, float]:
     if si != "K":
         return edge.unit_scale(unit, si), 0.0
     try:
-        zero, one = (edge.units().Quantity(x, unit).to("K").magnitude for x in (0.0, 1.0))
+        zero, one = (edge.units().Quantity(x, edge.parse_unit(unit)).to("K").magnitude for x in (0.0, 1.0))
     except Exception:
         raise ValueError(f'the unit "{unit}" is no temperature; use degC or K') from None
     return float(one - zero), float(zero)

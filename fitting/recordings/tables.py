@@ -127,8 +127,8 @@ def _looks_like_unit(cell: str) -> bool:
     if not text:
         return False
     try:
-        edge.units().Unit(text)
-    except Exception:
+        edge.parse_unit(text)
+    except ValueError:
         return False
     return True
 
