@@ -5,6 +5,7 @@ What it says is the package's own error, with the name of the file.
 
 import contextlib
 import dataclasses
+import functools
 import json
 import os
 import signal
@@ -19,13 +20,11 @@ from common import EXAMPLES, damaged, make_pair
 from pyarrow import parquet
 
 import cycloid_fmu as cy
-import fitting
 from cycloid_fmu import edge
 from cycloid_fmu.fmu.build import build_fmu, read_losses
 from cycloid_fmu.fmu.run import read_motion, stated_drive, units_of
 from cycloid_fmu.reducer.lost_motion import read_reducer
-from cycloid_fmu.studies.tolerance import Checkpoint
-from cycloid_fmu.studies.yields import read_study
+from cycloid_fmu.studies.tolerance import Checkpoint, Study
 from cycloid_fmu.surfaces.measuring import measured_surface, read_points
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from cycloid_fmu.wear.law import read_duty_cycle, read_wear_law
@@ -46,7 +45,7 @@ from tests.drivers.test_recording_format import HEADER
 from tests.drivers.test_sequence import SEQUENCE
 from tests.fitting.test_readers import CAN_MAP, DBC
 
-MUTATIONS = int(float(os.environ.get("CYCLOID_MUTATIONS", "1e6"))) // 50
+COUNT = int(float(os.environ.get("CYCLOID_DAMAGED_FILES", "2e4")))
 SAMPLES = 24
 TIME = np.arange(SAMPLES) * 1e-2
 OWN = {
@@ -218,14 +217,14 @@ def beside(make, name):
     return lambda folder: make(folder).with_name(name)
 
 
-def study(folder):
-    (folder / "pair.toml").write_text(SMALL.text)
-    return read_study(folder / "pair.toml", EXAMPLES / "tolerances.toml", (20.0,), samples=8, seed=1)
+@functools.cache
+def study():
+    return Study(SMALL, cy.read_tolerances(EXAMPLES / "tolerances.toml"), torque=(20.0,), samples=8, seed=1)
 
 
 def checkpoint(folder):
     path = folder / "study.checkpoint"
-    Checkpoint(path, study(folder)).add(0, np.zeros((2, 3)))
+    Checkpoint(path, study()).add(0, np.zeros((2, 3)))
     return path
 
 
@@ -238,12 +237,14 @@ def signed(line):
 def read_signed_checkpoint(path):
     text = path.read_bytes().decode("utf-8", "replace")
     path.write_text("\n".join(signed(line) if line else "" for line in text.split("\n")), encoding="utf-8")
-    Checkpoint(path, study(path.parent))
+    Checkpoint(path, study())
 
 
 def read_run(path):
     """As `cycloid-fit` takes a recording."""
-    RecordingStream(path, read_mapping(path.with_name("map.toml")) if path.with_name("map.toml").exists() else None).read()
+    RecordingStream(
+        path, read_mapping(path.with_name("map.toml")) if path.with_name("map.toml").exists() else None
+    ).read()
 
 
 def inspected(path):
@@ -258,21 +259,22 @@ READERS = {
     "wear": (example("wear.toml"), read_wear_law),
     "duty cycle": (text_file("duty.csv", "torque [N*m],crank_turns [1]\n20,1e6\n-200,2.5e5\n"), read_duty_cycle),
     "losses": (
-        text_file("l.csv", "speed [rpm],eta_mf1 [1],eta_mf2 [1],tau_bf1 [N*m],tau_bf2 [N*m]\n0,.9,.8,.1,.2\n9,1,1,0,0\n"),
+        text_file("l.csv", "speed [rpm],eta_mf1 [1],eta_mf2 [1],tau_bf1 [N*m],tau_bf2 [N*m]\n0,.9,.8,.1,.2\n9,1,1,0,0"),
         read_losses,
     ),
     "surface": (surface, cy.read_surface),
     "points": (points, lambda path: measured_surface(SMALL, read_points(path))),
     "motion": (table, lambda path: read_motion(path, {"flange_a.phi": "rad", "flange_b.phi": "rad"})),
     "FMU": (fmu, lambda path: (stated_drive(path), units_of(path, "output"))),
-    "checkpoint": (checkpoint, lambda path: Checkpoint(path, study(path.parent))),
+    "checkpoint": (checkpoint, lambda path: Checkpoint(path, study())),
     "checkpoint that is signed": (checkpoint, read_signed_checkpoint),
     "bench": (bench, read_bench),
     "EDS": (beside(bench, "encoder.eds"), lambda path: read_bench(path.with_name("BENCH.toml"))),
     "DBC": (beside(sensor, "bench.dbc"), lambda path: read_bench(path.with_name("BENCH.toml"))),
     "sequence": (lambda f: (bench(f), text_file("sequence.toml", SEQUENCE)(f))[1], read_sequence),
     "faults": (
-        text_file("f.toml", 'format = "cycloid-faults/1"\n[[fault]]\nkind = "pull"\nsample = 3\nby = "200 ms"\n'), read_faults,
+        text_file("f.toml", 'format = "cycloid-faults/1"\n[[fault]]\nkind = "pull"\nsample = 3\nby = "200 ms"\n'),
+        read_faults,
     ),
     "recording": (recording, read_run),
     "repair": (recording, repair),
@@ -294,7 +296,8 @@ READERS = {
         lambda path: read_read_head(path.with_name("rv-20e-read-head.toml")),
     ),
     "figures": (
-        text_file("f.json", json.dumps({"format": "cycloid-figures/1", "angular_transmission_error": FIGURE})), read_figures,
+        text_file("f.json", json.dumps({"format": "cycloid-figures/1", "angular_transmission_error": FIGURE})),
+        read_figures,
     ),
     "identification": (
         text_file(
@@ -323,7 +326,9 @@ def within(seconds):
         signal.signal(signal.SIGALRM, before)
 
 
-@pytest.mark.parametrize("count", [15, pytest.param(MUTATIONS, marks=pytest.mark.slow(30))])
+# What a library's constructor leaves behind that failed complains when it is freed.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning", "ignore::RuntimeWarning")
+@pytest.mark.parametrize("count", [15, pytest.param(COUNT, marks=pytest.mark.slow(10))])
 @pytest.mark.parametrize("name", READERS)
 def test_a_damaged_file_is_read_or_refused_in_one_sentence(tmp_path, name, count):
     make, read = READERS[name]
@@ -331,18 +336,17 @@ def test_a_damaged_file_is_read_or_refused_in_one_sentence(tmp_path, name, count
     read(path)
     whole, kept = path.read_bytes(), tmp_path / "wrong"
     random = np.random.default_rng([zlib.crc32(name.encode()), count])
-    said = 0
-    for n in range(count):
+    said = []
+    for _ in range(count):
         data = damaged(random, whole)
         path.write_bytes(data)
         try:
             with within(20.0):
                 read(path)
         except edge.InputError as refused:
-            said += 1
-            for line in str(refused).splitlines():  # a sentence a problem
-                assert str(tmp_path) in line, (n, str(refused))
+            said += str(refused).splitlines()  # a sentence a problem
         except BaseException:
             kept.write_bytes(data)
             raise
-    assert 0 < said
+    assert said
+    assert [sentence for sentence in said if str(tmp_path) not in sentence or len(sentence) > 600] == []

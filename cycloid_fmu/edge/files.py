@@ -77,12 +77,15 @@ def netcdf(path: str | os.PathLike[str], wanted_format: str) -> xr.Dataset:
     InputError
         If it can't be read, is no netCDF, or is of another format.
     """
+    import h5netcdf
     import xarray as xr
+    from xarray.backends import H5NetCDFStore
 
     existing(path)
-    with parsed_by_others(path, "this is not a netCDF file, or it is damaged"):
-        with xr.open_dataset(path, engine="h5netcdf") as opened:
-            data = opened.load()
+    # Python alone reads it: in a damaged file HDF5's own library may never come to an end, or crash.
+    refusing = parsed_by_others(path, "this is not a netCDF file, or it is damaged")
+    with refusing, h5netcdf.File(str(path), "r", backend="pyfive") as file:
+        data = xr.open_dataset(H5NetCDFStore(file)).load()
     check_format(data.attrs.get("format"), wanted_format, str(path))
     return data
 

@@ -70,9 +70,8 @@ class MdfFile(BenchFile):
                 )  # fmt: skip
                 got = min(len(s.timestamps) for s in signals)
             except Exception as problem:
-                self.problems.append(
-                    f"{self.source}: it is cut or damaged after {begin} of {total} samples ({edge.first_line(problem)})."
-                )
+                why = edge.first_line(problem)
+                self.problems.append(f"{self.source}: it is cut or damaged after {begin} of {total} samples ({why}).")
                 return
             if got:
                 values = {n: np.asarray(s.samples[:got], float) for n, s in zip(names, signals, strict=True)}

@@ -198,8 +198,8 @@ class CsvFile(BenchFile):
                         if cell is None or (d.decimal == "," and "." in cell):
                             raise ValueError
                     except ValueError:
-                        word = "point" if d.decimal == "." else "comma"
-                        return f"line {number}: {name} is {edge.shown(cell or '')}; it must be a number with a decimal {word}."
+                        word, given = "point" if d.decimal == "." else "comma", edge.shown(cell or "")
+                        return f"line {number}: {name} is {given}; it must be a number with a decimal {word}."
                 if len(row) != len(self.channels):
                     return f"line {number}: it has {len(row)} cells, the header {len(self.channels)}."
         return f"it is not a table of numbers ({edge.first_line(problem)})."
