@@ -22,6 +22,7 @@ from cycloid_fmu.edge.config import (
 from cycloid_fmu.edge.files import (
     PICTURES,
     check_format,
+    csv_rows,
     existing,
     finite,
     format_of,
@@ -45,6 +46,8 @@ from cycloid_fmu.edge.problems import (
     ArgumentError,
     InputError,
     did_you_mean,
+    first_line,
+    parsed_by_others,
     shown,
 )
 from cycloid_fmu.edge.quantities import (
@@ -78,9 +81,11 @@ __all__ = [
     "Torque",
     "WearCoefficient",
     "check_format",
+    "csv_rows",
     "did_you_mean",
     "existing",
     "finite",
+    "first_line",
     "format_of",
     "format_quantity",
     "json_table",
@@ -90,6 +95,7 @@ __all__ = [
     "output_path",
     "parse_quantity",
     "parse_unit",
+    "parsed_by_others",
     "quantity",
     "read_text",
     "shown",

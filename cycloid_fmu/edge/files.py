@@ -19,7 +19,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from cycloid_fmu.edge.problems import ArgumentError, InputError, shown
+from cycloid_fmu.edge.problems import ArgumentError, InputError, parsed_by_others, shown
 from cycloid_fmu.edge.quantities import unit_scale
 
 if TYPE_CHECKING:
@@ -77,14 +77,15 @@ def netcdf(path: str | os.PathLike[str], wanted_format: str) -> xr.Dataset:
     InputError
         If it can't be read, is no netCDF, or is of another format.
     """
+    import h5netcdf
     import xarray as xr
+    from xarray.backends import H5NetCDFStore
 
     existing(path)
-    try:
-        with xr.open_dataset(path, engine="h5netcdf") as opened:
-            data = opened.load()
-    except Exception as problem:
-        raise InputError(f"{path}: this is not a netCDF file ({type(problem).__name__}).") from None
+    # Python alone reads it: in a damaged file HDF5's own library may never come to an end, or crash.
+    refusing = parsed_by_others(path, "this is not a netCDF file, or it is damaged")
+    with refusing, h5netcdf.File(str(path), "r", backend="pyfive") as file:
+        data = xr.open_dataset(H5NetCDFStore(file)).load()
     check_format(data.attrs.get("format"), wanted_format, str(path))
     return data
 
@@ -160,7 +161,7 @@ def unit_columns(
         if name not in units:
             continue
         if not bracket or not unit.endswith("]"):
-            raise InputError(f'{source}: the column "{cell.strip()}" has no unit; write "{name} [{units[name]}]".')
+            raise InputError(f'{source}: the column {shown(cell.strip())} has no unit; write "{name} [{units[name]}]".')
         try:
             found[name] = (position, unit_scale(unit[:-1].strip(), units[name]))
         except ValueError as problem:
@@ -178,8 +179,19 @@ def finite(cell: str, field: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise InputError(f'{field} = "{cell}": it must be a finite number with a decimal point.')
+        raise InputError(f"{field} = {shown(cell)}: it must be a finite number with a decimal point.")
     return value
+
+
+def csv_rows(path: str | os.PathLike[str]) -> Iterator[list[str]]:
+    """Yield the cells of a CSV file's lines; an `InputError` where it can't be read."""
+    rows = csv.reader(read_text(path).splitlines())
+    while True:
+        with parsed_by_others(path, "this is not a CSV table"):
+            row = next(rows, None)
+        if row is None:
+            return
+        yield row
 
 
 def number_rows(
@@ -199,7 +211,7 @@ def number_rows(
     InputError
         If it can't be read, a column or its unit is missing, or a cell is no finite number; it names the line.
     """
-    lines = csv.reader(read_text(path).splitlines())
+    lines = csv_rows(path)
     columns = unit_columns(next(lines, []), wanted, str(path), optional)
     for number, row in enumerate(lines, start=2):
         if row:

@@ -133,8 +133,32 @@ def open_bench_file(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | 
         known = sorted({*READERS, *(e.name for e in metadata.entry_points(group=GROUP))})
         raise edge.InputError(f"{path}: the ending must be one of {', '.join('.' + one for one in known)}.")
     module, name = reader.split(":")
-    opened: BenchFile = getattr(importlib.import_module(module), name)(str(path), dbc)
+    kind = getattr(importlib.import_module(module), name)
+    with edge.parsed_by_others(path, f"this is not a .{ending} file, or it is cut or damaged"):
+        opened: BenchFile = kind(str(path), dbc)
     return opened
+
+
+def pieces_of(file: BenchFile, names: Sequence[str]) -> Iterator[Piece]:
+    """Yield a file's pieces of these channels; where its library fails on the way, they end and the file says so.
+
+    Raises
+    ------
+    edge.InputError
+        If the reader refuses the file, or its library fails before the first piece.
+    """
+    taken = 0
+    try:
+        for piece in file.pieces(names):
+            taken += max(map(len, piece.values.values()))
+            yield piece
+    except edge.InputError:
+        raise
+    except Exception as problem:  # as in `edge.parsed_by_others`
+        sentence = f"{file.source}: it is cut or damaged after {taken} samples ({edge.first_line(problem)})."
+        if not taken:
+            raise edge.InputError(sentence) from None
+        file.problems.append(sentence)
 
 
 def name_and_unit(text: str) -> tuple[str, str]:
@@ -144,11 +168,6 @@ def name_and_unit(text: str) -> tuple[str, str]:
     if match is None:
         return text, ""
     return match[1].strip(), next((g for g in match.groups()[1:] if g is not None), "").strip()
-
-
-def first_line(problem: Exception) -> str:
-    """What a library's error says, in one line."""
-    return (str(problem).strip() or type(problem).__name__).splitlines()[0].rstrip(".")
 
 
 def unique(channels: Sequence[RawChannel]) -> tuple[RawChannel, ...]:

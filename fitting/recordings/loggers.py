@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cycloid_fmu import edge
-from fitting.recordings.formats import PIECE, Array, BenchFile, Piece, RawChannel, first_line, in_order, unique
+from fitting.recordings.formats import PIECE, Array, BenchFile, Piece, RawChannel, in_order, unique
 from fitting.recordings.formulas import Formula
 
 
@@ -24,7 +24,7 @@ def _drop(problem: BaseException | None) -> None:
     try:
         while problem is not None:
             problem.__traceback__, problem = None, problem.__context__
-        gc.collect()
+        gc.collect(1)  # what was made a moment ago is young
     finally:
         sys.unraisablehook = hook
 
@@ -41,7 +41,7 @@ class MdfFile(BenchFile):
             # What is attached to a file is not looked at: it may name other files.
             self._mdf = MDF(source, process_bus_logging=False)
         except Exception as problem:  # asammdf raises whatever its parser meets
-            reason = first_line(problem)
+            reason = edge.first_line(problem)
             _drop(problem)
             raise edge.InputError(f"{source}: this is not an MDF file, or it is cut or damaged ({reason}).") from None
         channels, self._places, refused = [], [], []
@@ -101,9 +101,8 @@ class MdfFile(BenchFile):
                 values = {n: self._converted(places[n], s.samples[:got]) for n, s in zip(names, signals, strict=True)}
                 time = np.asarray(signals[0].timestamps[:got], float) if got else np.zeros(0)
             except Exception as problem:
-                self.problems.append(
-                    f"{self.source}: it is cut or damaged after {begin} of {total} samples ({first_line(problem)})."
-                )
+                why = edge.first_line(problem)
+                self.problems.append(f"{self.source}: it is cut or damaged after {begin} of {total} samples ({why}).")
                 return
             if got:
                 yield Piece(self._masters[index](time) if index in self._masters else time, values)
@@ -180,13 +179,8 @@ class TdmsFile(BenchFile):
             from nptdms import TdmsFile
         except ImportError:
             raise _extra("npTDMS", "bench-files", source) from None
-        try:
-            self._file = TdmsFile.open(source)
-            found = [c for g in self._file.groups() for c in g.channels() if c.dtype is not None]
-        except Exception as problem:
-            raise edge.InputError(
-                f"{source}: this is not a TDMS file, or it is cut or damaged ({first_line(problem)})."
-            ) from None
+        self._file = TdmsFile.open(source)
+        found = [c for g in self._file.groups() for c in g.channels() if c.dtype is not None]
         self._found = [c for c in found if np.issubdtype(c.dtype, np.number)]
         units = [str(c.properties.get("unit_string", c.properties.get("unit", ""))) for c in self._found]
         channels = [RawChannel(c.name, u) for c, u in zip(self._found, units, strict=True)]
