@@ -49,6 +49,7 @@ from cycloid_fmu.edge.problems import (
     first_line,
     parsed_by_others,
     shown,
+    without_controls,
 )
 from cycloid_fmu.edge.quantities import (
     ARCMIN,
@@ -105,6 +106,7 @@ __all__ = [
     "unit_scale",
     "units",
     "validated",
+    "without_controls",
     "writable",
     "written_whole",
     "zip_archive",

@@ -55,6 +55,8 @@ class _BenchFile(edge.Config):
     def _some(cls, value: dict[str, Any]) -> dict[str, Any]:
         if not value:
             raise ValueError("write at least one table [channel.input_angle]")
+        if any(not name.isprintable() for name in value):
+            raise ValueError("a channel's name must be printable")
         return value
 
 

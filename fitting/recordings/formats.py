@@ -175,9 +175,10 @@ def unique(channels: Sequence[RawChannel]) -> tuple[RawChannel, ...]:
     seen: dict[str, int] = {}
     found = []
     for c in channels:
-        seen[c.name] = seen.get(c.name, 0) + 1
-        name = c.name if seen[c.name] == 1 else f"{c.name} #{seen[c.name]}"
-        found.append(RawChannel(name, c.unit, c.zero_reference))
+        name = edge.without_controls(c.name)
+        seen[name] = seen.get(name, 0) + 1
+        name = name if seen[name] == 1 else f"{name} #{seen[name]}"
+        found.append(RawChannel(name, edge.without_controls(c.unit), c.zero_reference))
     return tuple(found)
 
 

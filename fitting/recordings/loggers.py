@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import gc
+import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -111,7 +112,6 @@ class MdfFile(BenchFile):
                 self.problems.append(f"{self.source}: it is cut after {begin} of {total} samples.")
                 return
 
-
     def _converted(self, place: tuple[str, int, int], raw: Any) -> Array:
         return np.asarray(self._conversions[place[1:]](raw), float)
 
@@ -171,6 +171,30 @@ def _conversion(channel: Any) -> Callable[[Any], Any]:
     return convert
 
 
+# Scales that npTDMS computes; where it meets another it gives the raw numbers.
+_SCALES = frozenset(
+    {
+        "Add", "AdvancedAPI", "Linear", "Polynomial", "RTD", "Strain", "Subtract", "Table", "Thermistor",
+        "Thermocouple",
+    }
+)  # fmt: skip
+_SCALE_TYPE = re.compile(r"NI_Scale\[\d+\]_Scale_Type")
+_MOST_SCALES = 100
+
+
+def _unknown_scale(*properties: Mapping[str, Any]) -> str:
+    """Return the first scale of a TDMS channel, its group or file that nobody can compute, "" where there is none."""
+    for stated in properties:
+        if stated.get("NI_Scaling_Status") == "scaled":
+            continue
+        if int(stated.get("NI_Number_Of_Scales", 0)) > _MOST_SCALES:
+            return f"{stated['NI_Number_Of_Scales']} scales"
+        for key, kind in stated.items():
+            if _SCALE_TYPE.fullmatch(key) and kind not in _SCALES:
+                return f"the scale {edge.shown(kind)}"
+    return ""
+
+
 class TdmsFile(BenchFile):
     """A LabVIEW TDMS file."""
 
@@ -180,12 +204,18 @@ class TdmsFile(BenchFile):
         except ImportError:
             raise _extra("npTDMS", "bench-files", source) from None
         self._file = TdmsFile.open(source)
-        found = [c for g in self._file.groups() for c in g.channels() if c.dtype is not None]
-        self._found = [c for c in found if np.issubdtype(c.dtype, np.number)]
+        self._found, refused = [], []
+        for group in self._file.groups():
+            for channel in group.channels():
+                if kind := _unknown_scale(channel.properties, group.properties, self._file.properties):
+                    refused.append(f'{source}: the channel "{channel.name}" is left out: {kind} is not known here.')
+                elif channel.dtype is not None and np.issubdtype(channel.dtype, np.number):
+                    self._found.append(channel)
         units = [str(c.properties.get("unit_string", c.properties.get("unit", ""))) for c in self._found]
         channels = [RawChannel(c.name, u) for c, u in zip(self._found, units, strict=True)]
         timed = bool(self._found) and all(c.properties.get("wf_increment") for c in self._found)
         super().__init__(source, unique(channels), timed=timed)
+        self.problems += refused
         status = getattr(self._file, "file_status", None)
         if status is not None and status.incomplete_final_segment:
             self.problems.append(f"{source}: it is cut; its last segment is not complete and what it holds was read.")
