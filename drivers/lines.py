@@ -15,10 +15,27 @@ if TYPE_CHECKING:
 # Interfaces of python-can that open a piece of hardware or a multicast group by their channel, and nothing else.
 BUSES = frozenset(
     {
-        "canalystii", "cantact", "etas", "gs_usb", "iscan", "ixxat", "kvaser", "loopback", "neousys", "neovi", "nican",
-        "nixnet", "pcan", "socketcan", "systec", "udp_multicast", "usb2can", "vector", "virtual",
+        "canalystii",
+        "cantact",
+        "etas",
+        "gs_usb",
+        "iscan",
+        "ixxat",
+        "kvaser",
+        "loopback",
+        "neousys",
+        "neovi",
+        "nican",
+        "nixnet",
+        "pcan",
+        "socketcan",
+        "systec",
+        "udp_multicast",
+        "usb2can",
+        "vector",
+        "virtual",
     }
-)  # fmt: skip
+)
 # Those that are a serial port, which pyserial opens: whatever their channel says.
 SERIAL_BUSES = frozenset({"robotell", "seeedstudio", "serial", "slcan"})
 _DEVICE = re.compile(r"(\\\\\.\\)?[A-Z]{3,5}\d{1,3}|/[^\0-\x1f]+")
