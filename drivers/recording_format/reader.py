@@ -99,6 +99,8 @@ def _header(metadata: Mapping[bytes, bytes] | None, source: str) -> tuple[Header
             text["pair"],
             text["start"],
         )
+        if not all(isinstance(c.name, str) and c.name.isprintable() for c in header.channels):
+            raise ValueError("a channel's name must be printable")
     except (KeyError, TypeError, ValueError) as problem:
         raise edge.InputError(f"{source}: the recording's header can't be understood ({problem}).") from None
     # Without its checksum it is one of the first recordings, unless a damaged key stands in the place.
