@@ -170,6 +170,8 @@ def test_what_a_file_names_is_not_opened_where_it_is_no_file(tmp_path, command):
         for name, kind in (("pipe.toml", "a pipe"), ("socket.dbc", "a socket"), ("zero.dbc", "a device")):
             with pytest.raises(edge.InputError, match=f"{name}: this is {kind}; only files are read"):
                 edge.read_text(tmp_path / name)
+    with pytest.raises(edge.InputError, match="only files are read"):
+        edge.existing("/proc/self/status")
     with pytest.raises(edge.InputError, match="a pipe"):
         read_pair(tmp_path / "pipe.toml")
     (tmp_path / "map.toml").write_text(
