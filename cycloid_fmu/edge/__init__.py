@@ -28,7 +28,7 @@ from cycloid_fmu.edge.files import (
     format_of,
     json_table,
     json_text,
-    netcdf,
+    naming,
     number_rows,
     output_path,
     read_text,
@@ -38,6 +38,7 @@ from cycloid_fmu.edge.files import (
     written_whole,
     zip_archive,
 )
+from cycloid_fmu.edge.netcdf_files import hdf5_target, netcdf, write_netcdf
 from cycloid_fmu.edge.problems import (
     BAD_INPUT,
     DONE,
@@ -47,6 +48,7 @@ from cycloid_fmu.edge.problems import (
     InputError,
     did_you_mean,
     first_line,
+    listed,
     parsed_by_others,
     shown,
 )
@@ -88,8 +90,11 @@ __all__ = [
     "first_line",
     "format_of",
     "format_quantity",
+    "hdf5_target",
     "json_table",
     "json_text",
+    "listed",
+    "naming",
     "netcdf",
     "number_rows",
     "output_path",
@@ -106,6 +111,7 @@ __all__ = [
     "units",
     "validated",
     "writable",
+    "write_netcdf",
     "written_whole",
     "zip_archive",
 ]

@@ -7,6 +7,7 @@ A command line is a package with one module a command; each module has one funct
 from __future__ import annotations
 
 import importlib
+import logging
 import os
 import shutil
 import signal
@@ -161,6 +162,9 @@ def run(app: typer.Typer) -> NoReturn:
     """Run a command line: bad input exits 2 with its sentence, an interrupt 130, a failure in the middle 1."""
     debug = bool(os.environ.get("CYCLOID_TRACEBACK"))
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    if not debug:  # what libraries log, and what their half-made objects complain of, is in our own sentence
+        logging.disable(logging.CRITICAL)
+        sys.unraisablehook = lambda complaint: None
     try:
         code = app(prog_name=app.info.name, standalone_mode=False)
     except InputError as problem:
@@ -179,7 +183,10 @@ def run(app: typer.Typer) -> NoReturn:
     except Exception as problem:
         if debug:
             raise
-        _say(f"Failed: {type(problem).__name__}: {problem} (CYCLOID_TRACEBACK=1 shows where)")
+        if isinstance(problem, OSError) and problem.filename is not None and problem.strerror is not None:
+            _say(f"{problem.filename}: {problem.strerror}.")
+        else:
+            _say(f"Failed: {type(problem).__name__}: {problem} (CYCLOID_TRACEBACK=1 shows where)")
         sys.exit(FAILED)
     sys.exit(code if isinstance(code, int) else DONE)
 

@@ -1,4 +1,4 @@
-"""Files: text, TOML, JSON, tables with units and netCDF that are read, and files that appear whole or not at all."""
+"""Files: text, TOML, JSON, tables with units that are read, and files that appear whole or not at all."""
 
 from __future__ import annotations
 
@@ -17,13 +17,10 @@ import zipfile
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cycloid_fmu.edge.problems import ArgumentError, InputError, parsed_by_others, shown
 from cycloid_fmu.edge.quantities import unit_scale
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 PICTURES = (".png", ".pdf")
 """Endings of files with a plot."""
@@ -66,27 +63,6 @@ def json_table(path: str | os.PathLike[str], wanted_format: str, what: str) -> d
     if not isinstance(data, dict):
         raise InputError(f"{path}: it holds no {what}; it must be a JSON object.")
     check_format(data.get("format"), wanted_format, str(path))
-    return data
-
-
-def netcdf(path: str | os.PathLike[str], wanted_format: str) -> xr.Dataset:
-    """Return the variables of a netCDF file of the wanted format, loaded.
-
-    Raises
-    ------
-    InputError
-        If it can't be read, is no netCDF, or is of another format.
-    """
-    import h5netcdf
-    import xarray as xr
-    from xarray.backends import H5NetCDFStore
-
-    existing(path)
-    # Python alone reads it: in a damaged file HDF5's own library may never come to an end, or crash.
-    refusing = parsed_by_others(path, "this is not a netCDF file, or it is damaged")
-    with refusing, h5netcdf.File(str(path), "r", backend="pyfive") as file:
-        data = xr.open_dataset(H5NetCDFStore(file)).load()
-    check_format(data.attrs.get("format"), wanted_format, str(path))
     return data
 
 
@@ -257,6 +233,17 @@ def writable(path: str | os.PathLike[str]) -> Path:
 
 
 @contextlib.contextmanager
+def naming(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Have an `OSError` of a file being written name that file: those of a write name none."""
+    try:
+        yield
+    except OSError as problem:
+        if problem.errno is None or problem.filename is not None:
+            raise
+        raise OSError(problem.errno, os.strerror(problem.errno), str(path)) from problem
+
+
+@contextlib.contextmanager
 def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Give a temporary path beside `path` and rename it to `path` on success: readers see all of it or nothing.
 
@@ -266,6 +253,8 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     ------
     InputError
         If the folder does not exist or takes no file, or what has the name is no plain file.
+    OSError
+        If the disk takes no more; it names the file.
     """
     target = writable(path)
     try:
@@ -275,7 +264,8 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise InputError(f"{path}: this can't be written: {problem.strerror or problem}.") from None
     temporary = folder / target.name
     try:
-        yield temporary
+        with naming(path):
+            yield temporary
         umask = os.umask(0)
         os.umask(umask)
         temporary.chmod(0o666 & ~umask)
