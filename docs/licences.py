@@ -6,7 +6,7 @@ from pathlib import Path
 
 from packaging.requirements import Requirement
 
-EXTRAS = ("bench-files", "distributed", "native", "sensitivity")
+OURS = {"docs", "measure", "test"}  # extras of whoever works on the package
 # What a package says in words, as SPDX names it. The Python Package Index does not tell which BSD licence it is.
 SPDX = {
     "Apache License 2.0": "Apache-2.0", "Apache Software License": "Apache-2.0", "BSD License": "BSD-3-Clause",
@@ -73,7 +73,7 @@ def needed() -> dict[str, str]:
     own = metadata.requires("cycloid-fmu") or []
     seen: set[tuple[str, ...]] = set()
     add(own, "", frozenset({""}))
-    for extra in EXTRAS:
+    for extra in sorted({*metadata.metadata("cycloid-fmu").get_all("Provides-Extra", [])} - OURS):
         add([one for one in own if "extra ==" in one], extra, frozenset({extra}))
     return dict(sorted(found.items()))
 
