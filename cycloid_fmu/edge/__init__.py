@@ -51,6 +51,7 @@ from cycloid_fmu.edge.problems import (
     listed,
     parsed_by_others,
     shown,
+    without_controls,
 )
 from cycloid_fmu.edge.quantities import (
     ARCMIN,
@@ -110,6 +111,7 @@ __all__ = [
     "unit_scale",
     "units",
     "validated",
+    "without_controls",
     "writable",
     "write_netcdf",
     "written_whole",

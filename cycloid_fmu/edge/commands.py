@@ -33,6 +33,7 @@ from cycloid_fmu.edge.problems import (
     InputError,
     did_you_mean,
     shown,
+    without_controls,
 )
 from cycloid_fmu.edge.quantities import EXAMPLES, parse_quantity
 
@@ -210,7 +211,7 @@ def _usage(problem: Any) -> str:
 
 def _say(text: str) -> None:
     sys.stdout.flush()
-    print(text, file=sys.stderr, flush=True)
+    print(without_controls(text), file=sys.stderr, flush=True)
 
 
 class _Refused(typer.BadParameter):
@@ -297,7 +298,7 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
 
     Sentences in the last column are wrapped at blanks where a terminal is too narrow for them.
     """
-    lines = [[str(cell) for cell in row] for row in (columns, *rows)]
+    lines = [[without_controls(str(cell)) for cell in row] for row in (columns, *rows)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     if sys.stdout.isatty() and widths[-1] > _WIDE:
         room = shutil.get_terminal_size().columns - sum(widths[:-1]) - 2 * len(widths[:-1])

@@ -13,6 +13,7 @@ import stat
 import sys
 import tempfile
 import tomllib
+import xml.parsers.expat
 import zipfile
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -22,6 +23,8 @@ from typing import Any
 from cycloid_fmu.edge.problems import ArgumentError, InputError, parsed_by_others, shown
 from cycloid_fmu.edge.quantities import unit_scale
 
+MOST_BYTES = 4 << 30  # of what is unpacked or loaded as a whole
+_LONGEST_XML = 64 << 20
 PICTURES = (".png", ".pdf")
 """Endings of files with a plot."""
 
@@ -336,11 +339,44 @@ def _locked(descriptor: int) -> bool | None:
     return True
 
 
-def zip_archive(path: str | os.PathLike[str], what: str) -> Path:
-    """Return the path of a file that is a ZIP archive; an `InputError` says that it is no `what`, such as "FMU"."""
+def zip_archive(path: str | os.PathLike[str], what: str, description: str | None = None) -> Path:
+    """Return the path of a file that is a ZIP archive and may be unpacked.
+
+    Parameters
+    ----------
+    path
+        The file.
+    what
+        What it should be, for messages, such as "FMU".
+    description
+        Name in it of an XML file that is going to be read.
+
+    Raises
+    ------
+    InputError
+        If it is no archive, unpacks to more than 4 GiB, or its XML file is longer than 64 MiB or has a document type,
+        whose entities can grow without end or stand for other files.
+    """
     if not zipfile.is_zipfile(existing(path)):
         raise InputError(f"{path}: this is not an {what}: it must be a ZIP archive.")
+    with parsed_by_others(path, f"this is not an {what}, or it is damaged"), zipfile.ZipFile(path) as archive:
+        if sum(member.file_size for member in archive.infolist()) > MOST_BYTES:
+            raise InputError(f"{path}: it unpacks to more than {MOST_BYTES >> 30} GiB.")
+        if description is not None and description in archive.namelist():
+            if archive.getinfo(description).file_size > _LONGEST_XML:
+                raise InputError(f"{path}: its {description} is longer than {_LONGEST_XML >> 20} MiB.")
+            _check_xml(archive.read(description), f"{path}: its {description}")
     return Path(path)
+
+
+def _check_xml(data: bytes, what: str) -> None:
+    def refuse(*_: object) -> None:
+        raise InputError(f"{what} has a document type (DOCTYPE); such a file needs none.")
+
+    parser = xml.parsers.expat.ParserCreate()
+    parser.StartDoctypeDeclHandler = refuse
+    with contextlib.suppress(xml.parsers.expat.ExpatError):  # who reads it says what is wrong
+        parser.Parse(data, True)
 
 
 def json_text(data: Any) -> str:

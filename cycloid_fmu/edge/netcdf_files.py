@@ -5,15 +5,17 @@ from __future__ import annotations
 import contextlib
 import io
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cycloid_fmu.edge.files import check_format, existing, written_whole
-from cycloid_fmu.edge.problems import parsed_by_others
+from cycloid_fmu.edge.files import MOST_BYTES, check_format, existing, written_whole
+from cycloid_fmu.edge.problems import InputError, parsed_by_others
 
 if TYPE_CHECKING:
     import xarray as xr
+
+_CONTIGUOUS, _NOWHERE = 1, (1 << 64) - 1  # HDF5's number of that layout, and its address of nothing
 
 
 def netcdf(path: str | os.PathLike[str], wanted_format: str) -> xr.Dataset:
@@ -32,9 +34,25 @@ def netcdf(path: str | os.PathLike[str], wanted_format: str) -> xr.Dataset:
     # Python alone reads it: in a damaged file HDF5's own library may never come to an end, or crash.
     refusing = parsed_by_others(path, "this is not a netCDF file, or it is damaged")
     with refusing, h5netcdf.File(str(path), "r", backend="pyfive") as file:
+        _check_contained(Path(path), file.variables)
         data = xr.open_dataset(H5NetCDFStore(file)).load()
     check_format(data.attrs.get("format"), wanted_format, str(path))
     return data
+
+
+def _check_contained(path: Path, names: Collection[str]) -> None:
+    """Refuse variables whose data the file does not hold, to be read as zeros, and more data than can be meant."""
+    import pyfive
+
+    total = 0
+    with pyfive.File(str(path)) as file:
+        for name in names:
+            stored = file[name]
+            if stored.size and stored.id.layout_class == _CONTIGUOUS and stored.id.data_offset == _NOWHERE:
+                raise InputError(f"{path}: it holds no data of {name}; they must not be in another file.")
+            total += stored.size * stored.dtype.itemsize
+    if total > MOST_BYTES:
+        raise InputError(f"{path}: its variables are longer than {MOST_BYTES >> 30} GiB.")
 
 
 def write_netcdf(

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 _NOTHING = object()
+_CONTROLS = frozenset([*range(0x20), *range(0x7F, 0xA0), *range(0x202A, 0x202F), *range(0x2066, 0x206A)])
 
 
 class InputError(ValueError):
@@ -90,6 +91,11 @@ def shown(value: object) -> str:
     if isinstance(value, os.PathLike):
         return str(value)
     return _cut(f'"{value}"' if isinstance(value, str) else str(value), 60)
+
+
+def without_controls(text: str) -> str:
+    """Return a text without what makes a terminal act, such as the escape sequences in a name of a file; lines stay."""
+    return "".join(c if c == "\n" or ord(c) not in _CONTROLS else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

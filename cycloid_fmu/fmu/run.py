@@ -74,7 +74,7 @@ def stated_drive(path: str | os.PathLike[str]) -> str:
 def _description(path: str | os.PathLike[str]) -> Any:
     import fmpy
 
-    edge.existing(path)
+    edge.zip_archive(path, "FMU", "modelDescription.xml")
     with edge.parsed_by_others(path, "this is not an FMU"):
         return fmpy.read_model_description(str(path), validate=False)
 

@@ -304,6 +304,8 @@ class CanopenEncoder(CanEncoder):
 
 def _read_eds(path: Path, node: int) -> Any:
     edge.existing(path)
+    if path.suffix.lower() not in (".eds", ".dcf"):
+        raise edge.InputError(f"{path}: the ending must be .eds or .dcf.")
     with edge.parsed_by_others(path, "this is not an EDS file"):
         dictionary = canopen.import_od(str(path), node)
     if 0x1A00 not in dictionary:

@@ -23,6 +23,7 @@ class SimulatedBench(abc.ABC):
 
     ratio: float | None = None
     pair = ""
+    allow: tuple[str, ...] = ()  # of its own bus, see `read_bench`
 
     def __init__(self, motion: Motion) -> None:
         self.motion = motion
@@ -79,7 +80,7 @@ class SimulatedBench(abc.ABC):
             See `drivers.record`.
         """
         written = self.write_wiring(Path(path).with_name("BENCH.toml") if wiring is None else wiring)
-        return record(written, path, progress=progress, **self._end())
+        return record(written, path, progress=progress, allow=self.allow, **self._end())
 
     @abc.abstractmethod
     def _connections(self, folder: Path) -> str:

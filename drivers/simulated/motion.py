@@ -112,7 +112,7 @@ def fmu_output_angle(path: str | os.PathLike[str], step: float = 1e-3) -> Output
     from fmpy import extract, read_model_description
     from fmpy.fmi2 import FMU2Slave
 
-    edge.existing(path)
+    edge.zip_archive(path, "FMU", "modelDescription.xml")
     with edge.parsed_by_others(path, "this is not an FMU"):
         description = read_model_description(str(path))
     references = {v.name: v.valueReference for v in description.modelVariables}

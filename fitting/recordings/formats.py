@@ -23,6 +23,7 @@ from drivers.recording_format import Clock
 
 Array = NDArray[np.float64]
 
+LONGEST_NAME = 200  # characters of a channel's name that are kept; to look for words in a longer one takes for ever
 PIECE = 1 << 17  # samples of a piece: its arrays stay within a processor's cache
 
 
@@ -163,7 +164,7 @@ def pieces_of(file: BenchFile, names: Sequence[str]) -> Iterator[Piece]:
 
 def name_and_unit(text: str) -> tuple[str, str]:
     """Split a column's name from its unit: `angle [deg]`, `angle (deg)` or `angle / deg`."""
-    text = text.strip()
+    text = text.strip()[:LONGEST_NAME]
     match = re.fullmatch(r"(.*?)\s*(?:\[([^\]]*)\]|\(([^)]*)\)|\s/\s(.+))", text)
     if match is None:
         return text, ""
@@ -175,9 +176,10 @@ def unique(channels: Sequence[RawChannel]) -> tuple[RawChannel, ...]:
     seen: dict[str, int] = {}
     found = []
     for c in channels:
-        seen[c.name] = seen.get(c.name, 0) + 1
-        name = c.name if seen[c.name] == 1 else f"{c.name} #{seen[c.name]}"
-        found.append(RawChannel(name, c.unit, c.zero_reference))
+        name = edge.without_controls(c.name[:LONGEST_NAME])
+        seen[name] = seen.get(name, 0) + 1
+        name = name if seen[name] == 1 else f"{name} #{seen[name]}"
+        found.append(RawChannel(name, edge.without_controls(c.unit[:LONGEST_NAME]), c.zero_reference))
     return tuple(found)
 
 

@@ -146,6 +146,7 @@ def own_names(file: BenchFile) -> FileMapping:
     wanted = [n for n in COLUMNS if n != "time" or not file.timed]
     for name in wanted:
         if name not in channels:
+            _refuse_left_out(file, name)
             where = f'no column "{name} [{COLUMNS[name]}]" in the header' if not file.timed else f"no {name} channel"
             held = edge.listed(list(channels)[:8]) or "no channels"
             raise edge.InputError(f"{file.source}: there is {where} (it has {held}); inspect it for a mapping.")
@@ -163,6 +164,13 @@ def own_names(file: BenchFile) -> FileMapping:
         torque=ChannelMapping(column="torque"),
         **{name: ChannelMapping(column=name) for name in OPTIONAL if name in channels},
     )
+
+
+def _refuse_left_out(file: BenchFile, channel: str) -> None:
+    """Say why the file's reader left a channel out, where it did."""
+    for problem in file.problems:
+        if f'"{channel}" is left out' in problem:
+            raise edge.InputError(problem)
 
 
 def _affine(unit: str, si: str) -> tuple[float, float]:
@@ -199,6 +207,7 @@ def scales_of(file: BenchFile, mapping: FileMapping) -> dict[str, tuple[str, flo
         if channel is None or channel.column is None:
             continue
         if channel.column not in channels:
+            _refuse_left_out(file, channel.column)
             held, wanted = edge.listed(channels), edge.shown(channel.column)
             raise edge.InputError(f"{file.source}: there is no column {wanted} for {role}; it has {held}.")
         si = {**COLUMNS, **OPTIONAL}[role]

@@ -218,8 +218,9 @@ class ParquetFile(BenchFile):
             if not (pa.types.is_floating(part.type) or pa.types.is_integer(part.type)):
                 continue
             name, unit = name_and_unit(part.name)
-            metadata = {k.decode(): v.decode() for k, v in (part.metadata or {}).items()}
-            channels.append(RawChannel(name, unit or metadata.get("unit", metadata.get("units", ""))))
+            metadata = part.metadata or {}
+            stated = metadata.get(b"unit", metadata.get(b"units", b"")).decode("utf-8", "replace")
+            channels.append(RawChannel(name, unit or stated))
             self._names[number] = part.name
         super().__init__(source, unique(channels))
 
