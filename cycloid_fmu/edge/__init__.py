@@ -28,7 +28,7 @@ from cycloid_fmu.edge.files import (
     format_of,
     json_table,
     json_text,
-    netcdf,
+    naming,
     number_rows,
     output_path,
     read_text,
@@ -38,6 +38,7 @@ from cycloid_fmu.edge.files import (
     written_whole,
     zip_archive,
 )
+from cycloid_fmu.edge.netcdf_files import hdf5_target, netcdf, write_netcdf
 from cycloid_fmu.edge.problems import (
     BAD_INPUT,
     DONE,
@@ -47,6 +48,7 @@ from cycloid_fmu.edge.problems import (
     InputError,
     did_you_mean,
     first_line,
+    listed,
     parsed_by_others,
     shown,
     without_controls,
@@ -89,8 +91,11 @@ __all__ = [
     "first_line",
     "format_of",
     "format_quantity",
+    "hdf5_target",
     "json_table",
     "json_text",
+    "listed",
+    "naming",
     "netcdf",
     "number_rows",
     "output_path",
@@ -108,6 +113,7 @@ __all__ = [
     "validated",
     "without_controls",
     "writable",
+    "write_netcdf",
     "written_whole",
     "zip_archive",
 ]

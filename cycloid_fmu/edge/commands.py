@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gc
 import importlib
+import logging
 import os
 import shutil
 import signal
@@ -165,6 +166,9 @@ def run(app: typer.Typer) -> NoReturn:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     # What modules make when they are loaded stays: looking through it for garbage took a tenth of a short command.
     gc.set_threshold(100_000)
+    if not debug:  # what libraries log, and what their half-made objects complain of, is in our own sentence
+        logging.disable(logging.CRITICAL)
+        sys.unraisablehook = lambda complaint: None
     try:
         code = app(prog_name=app.info.name, standalone_mode=False)
     except InputError as problem:
@@ -183,7 +187,10 @@ def run(app: typer.Typer) -> NoReturn:
     except Exception as problem:
         if debug:
             raise
-        _say(f"Failed: {type(problem).__name__}: {problem} (CYCLOID_TRACEBACK=1 shows where)")
+        if isinstance(problem, OSError) and problem.filename is not None and problem.strerror is not None:
+            _say(f"{problem.filename}: {problem.strerror}.")
+        else:
+            _say(f"Failed: {type(problem).__name__}: {problem} (CYCLOID_TRACEBACK=1 shows where)")
         sys.exit(FAILED)
     sys.exit(code if isinstance(code, int) else DONE)
 

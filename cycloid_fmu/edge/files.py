@@ -1,4 +1,4 @@
-"""Files: text, TOML, JSON, tables with units and netCDF that are read, and files that appear whole or not at all."""
+"""Files: text, TOML, JSON, tables with units that are read, and files that appear whole or not at all."""
 
 from __future__ import annotations
 
@@ -18,17 +18,13 @@ import zipfile
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cycloid_fmu.edge.problems import ArgumentError, InputError, parsed_by_others, shown
 from cycloid_fmu.edge.quantities import unit_scale
 
-if TYPE_CHECKING:
-    import xarray as xr
-
-_MOST_BYTES = 4 << 30  # of what is unpacked or loaded as a whole
+MOST_BYTES = 4 << 30  # of what is unpacked or loaded as a whole
 _LONGEST_XML = 64 << 20
-_CONTIGUOUS, _NOWHERE = 1, (1 << 64) - 1  # HDF5's number of that layout, and its address of nothing
 PICTURES = (".png", ".pdf")
 """Endings of files with a plot."""
 
@@ -71,43 +67,6 @@ def json_table(path: str | os.PathLike[str], wanted_format: str, what: str) -> d
         raise InputError(f"{path}: it holds no {what}; it must be a JSON object.")
     check_format(data.get("format"), wanted_format, str(path))
     return data
-
-
-def netcdf(path: str | os.PathLike[str], wanted_format: str) -> xr.Dataset:
-    """Return the variables of a netCDF file of the wanted format, loaded.
-
-    Raises
-    ------
-    InputError
-        If it can't be read, is no netCDF, or is of another format.
-    """
-    import h5netcdf
-    import xarray as xr
-    from xarray.backends import H5NetCDFStore
-
-    existing(path)
-    # Python alone reads it: in a damaged file HDF5's own library may never come to an end, or crash.
-    refusing = parsed_by_others(path, "this is not a netCDF file, or it is damaged")
-    with refusing, h5netcdf.File(str(path), "r", backend="pyfive") as file:
-        _check_contained(Path(path), file.variables)
-        data = xr.open_dataset(H5NetCDFStore(file)).load()
-    check_format(data.attrs.get("format"), wanted_format, str(path))
-    return data
-
-
-def _check_contained(path: Path, names: Collection[str]) -> None:
-    """Refuse variables whose data the file does not hold, to be read as zeros, and more data than can be meant."""
-    import pyfive
-
-    total = 0
-    with pyfive.File(str(path)) as file:
-        for name in names:
-            stored = file[name]
-            if stored.size and stored.id.layout_class == _CONTIGUOUS and stored.id.data_offset == _NOWHERE:
-                raise InputError(f"{path}: it holds no data of {name}; they must not be in another file.")
-            total += stored.size * stored.dtype.itemsize
-    if total > _MOST_BYTES:
-        raise InputError(f"{path}: its variables are longer than {_MOST_BYTES >> 30} GiB.")
 
 
 def format_of(path: str | os.PathLike[str]) -> object:
@@ -279,6 +238,17 @@ def writable(path: str | os.PathLike[str]) -> Path:
 
 
 @contextlib.contextmanager
+def naming(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Have an `OSError` of a file being written name that file: those of a write name none."""
+    try:
+        yield
+    except OSError as problem:
+        if problem.errno is None or problem.filename is not None:
+            raise
+        raise OSError(problem.errno, os.strerror(problem.errno), str(path)) from problem
+
+
+@contextlib.contextmanager
 def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Give a temporary path beside `path` and rename it to `path` on success: readers see all of it or nothing.
 
@@ -288,6 +258,8 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     ------
     InputError
         If the folder does not exist or takes no file, or what has the name is no plain file.
+    OSError
+        If the disk takes no more; it names the file.
     """
     target = writable(path)
     try:
@@ -297,7 +269,8 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise InputError(f"{path}: this can't be written: {problem.strerror or problem}.") from None
     temporary = folder / target.name
     try:
-        yield temporary
+        with naming(path):
+            yield temporary
         umask = os.umask(0)
         os.umask(umask)
         temporary.chmod(0o666 & ~umask)
@@ -389,8 +362,8 @@ def zip_archive(path: str | os.PathLike[str], what: str, description: str | None
     if not zipfile.is_zipfile(existing(path)):
         raise InputError(f"{path}: this is not an {what}: it must be a ZIP archive.")
     with parsed_by_others(path, f"this is not an {what}, or it is damaged"), zipfile.ZipFile(path) as archive:
-        if sum(member.file_size for member in archive.infolist()) > _MOST_BYTES:
-            raise InputError(f"{path}: it unpacks to more than {_MOST_BYTES >> 30} GiB.")
+        if sum(member.file_size for member in archive.infolist()) > MOST_BYTES:
+            raise InputError(f"{path}: it unpacks to more than {MOST_BYTES >> 30} GiB.")
         if description is not None and description in archive.namelist():
             if archive.getinfo(description).file_size > _LONGEST_XML:
                 raise InputError(f"{path}: its {description} is longer than {_LONGEST_XML >> 20} MiB.")

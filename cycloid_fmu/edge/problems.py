@@ -76,6 +76,11 @@ def first_line(problem: BaseException) -> str:
     return _cut(said, 200)
 
 
+def listed(names: Iterable[str]) -> str:
+    """Return names as they are listed in a sentence, cut where they are many."""
+    return _cut(", ".join(names), 300)
+
+
 def _cut(text: str, length: int) -> str:
     plain = "".join(c if c.isprintable() else " " for c in text)
     return plain if len(plain) <= length else plain[: length - 3] + "..."

@@ -337,11 +337,7 @@ class Checkpoint:
         for name, mine in identity.items():
             theirs = stated.get(name)
             if theirs != mine:
-                values = (
-                    ""
-                    if isinstance(mine, str | dict) and name != "design"
-                    else f": {edge.shown(theirs)} there, {mine} here"
-                )
+                values = "" if isinstance(mine, str | dict) and name != "design" else f": {theirs} there, {mine} here"
                 raise edge.InputError(
                     f"{self.path}: this checkpoint belongs to another study, its {name} differs{values}; finish that "
                     "study, or remove the file to start anew."
@@ -350,7 +346,7 @@ class Checkpoint:
     def add(self, first: int, values: Array) -> None:
         """Keep the figures of the samples from `first` on."""
         # A newline first: a line that a kill cut short must not spoil this one.
-        with edge.writable(self.path).open("a", encoding="utf-8") as file:
+        with edge.naming(self.path), edge.writable(self.path).open("a", encoding="utf-8") as file:
             file.write("\n" + _line({"first": first, "values": values.tolist()}))
 
 

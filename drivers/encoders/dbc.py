@@ -63,7 +63,7 @@ class DbcSensor(CanEncoder):
         messages = {m.name: m for m in database.messages}
         if config.message not in messages:
             raise edge.InputError(
-                f'{where} message = "{config.message}": {path} has no such message; it has {", ".join(messages)}.'
+                f'{where} message = "{config.message}": {path} has no such message; it has {edge.listed(messages)}.'
             )
         self._message = messages[config.message]
         signals = {s.name: s for s in self._message.signals}
@@ -72,7 +72,7 @@ class DbcSensor(CanEncoder):
             if wanted is not None and wanted not in signals:
                 raise edge.InputError(
                     f'{where} {key} = "{wanted}": the message {config.message} of {path} has no such signal; '
-                    f"it has {', '.join(signals)}."
+                    f"it has {edge.listed(signals)}."
                 )
         self._counter = signals[config.counter] if config.counter is not None else None
         self._newest: int | None = None
@@ -83,7 +83,7 @@ class DbcSensor(CanEncoder):
             self._si = 1.0 if self._unit == unit else edge.unit_scale(unit, self._unit)
         except ValueError as problem:
             said = f"{where} unit" if config.unit else f"{path}: the unit of {config.signal}"
-            raise edge.InputError(f'{said} = "{unit}": {problem}.') from None
+            raise edge.InputError(f"{said} = {edge.shown(unit)}: {problem}.") from None
 
     @classmethod
     def from_config(cls, name: str, config: Any, wiring: Wiring) -> DbcSensor:

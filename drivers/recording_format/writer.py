@@ -76,6 +76,8 @@ class RecordingWriter:
     ------
     edge.InputError
         If the file exists or can't be created.
+    OSError
+        If the disk does not take the header; it names the file, of which nothing is left.
     """
 
     def __init__(self, path: str | os.PathLike[str], header: Header) -> None:
@@ -90,7 +92,13 @@ class RecordingWriter:
             raise
         except OSError as problem:
             raise edge.InputError(f"{path}: {problem.strerror or problem}.") from None
-        self._sink = _Sink(self._descriptor, self._schema)
+        try:
+            with edge.naming(path):
+                self._sink = _Sink(self._descriptor, self._schema)
+        except OSError:  # not even the header: what is left is no recording
+            os.close(self._descriptor)
+            os.unlink(path)
+            raise
         self._stream = pa.ipc.new_stream(pa.PythonFile(self._sink, "w"), self._schema)
         self._end, self._flushed = os.lseek(self._descriptor, 0, os.SEEK_CUR), time.monotonic()
 

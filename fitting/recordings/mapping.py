@@ -148,7 +148,7 @@ def own_names(file: BenchFile) -> FileMapping:
         if name not in channels:
             _refuse_left_out(file, name)
             where = f'no column "{name} [{COLUMNS[name]}]" in the header' if not file.timed else f"no {name} channel"
-            held = ", ".join(list(channels)[:8]) or "no channels"
+            held = edge.listed(list(channels)[:8]) or "no channels"
             raise edge.InputError(f"{file.source}: there is {where} (it has {held}); inspect it for a mapping.")
         if not channels[name].unit:
             raise edge.InputError(
@@ -208,9 +208,8 @@ def scales_of(file: BenchFile, mapping: FileMapping) -> dict[str, tuple[str, flo
             continue
         if channel.column not in channels:
             _refuse_left_out(file, channel.column)
-            held = ", ".join(channels)
-            held = held if len(held) < 300 else held[:297] + "..."
-            raise edge.InputError(f'{file.source}: there is no column "{channel.column}" for {role}; it has {held}.')
+            held, wanted = edge.listed(channels), edge.shown(channel.column)
+            raise edge.InputError(f"{file.source}: there is no column {wanted} for {role}; it has {held}.")
         si = {**COLUMNS, **OPTIONAL}[role]
         if isinstance(channel, ChannelMapping) and channel.counts_per_turn is not None:
             scale, offset = _TURN / channel.counts_per_turn, 0.0
