@@ -613,7 +613,7 @@ def test_an_fmu_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
     with zipfile.ZipFile(tmp_path / "a.fmu", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("modelDescription.xml", "<a/>")
         archive.writestr("resources/zeros", bytes(1 << 20))
-    monkeypatch.setattr("cycloid_fmu.edge.files._MOST_BYTES", 1 << 19)
+    monkeypatch.setattr("cycloid_fmu.edge.files.MOST_BYTES", 1 << 19)
     with pytest.raises(edge.InputError, match="it unpacks to more than"):
         edge.zip_archive(tmp_path / "a.fmu", "FMU")
 
