@@ -40,6 +40,7 @@ from drivers.serial.port import PortHub
 from fitting.estimation.result import FORMAT as RESULT
 from fitting.estimation.result import read_lmfit_parameters
 from fitting.recordings.formats import open_bench_file
+from fitting.recordings.formulas import Formula
 from fitting.recordings.inspection import inspect
 from fitting.recordings.mapping import read_mapping
 from fitting.recordings.recording import RecordingStream
@@ -428,6 +429,19 @@ def test_no_formula_of_an_mdf_file_is_evaluated(tmp_path, asammdf, monkeypatch, 
     left_out = [name for name, (_, expected) in FORMULAS.items() if expected is None]
     assert [re.search('"(.*?)" is left out: its conversion, the formula', p)[1] for p in file.problems] == left_out
     assert not Path("acted").exists()
+
+
+@tries("ASAM MDF")
+@settings(max_examples=150)
+@given(st.text(st.sampled_from("X1 +-*/()^,.eE9sincoqrtpow_'[]"), max_size=60) | st.text(max_size=400))
+@example("X" + "**9" * 99)
+@example("(" * 300)
+@example("abs(" * 70)
+def test_any_text_is_a_formula_or_is_refused_at_once(text):
+    begun = time.perf_counter()
+    with contextlib.suppress(ValueError):
+        assert Formula(text)(np.linspace(-1.0, 1.0, 1000)).shape == (1000,)
+    assert time.perf_counter() - begun < 5.0
 
 
 @tries("ASAM MDF")
