@@ -38,7 +38,7 @@ FILES = (
 STATED_BY = {pair._Geometry: pair.Pair, pair._File: pair.Pair, sampling.file_model(): sampling.Tolerances}
 QUANTITIES = {
     "m": "length", "rad": "angle", "N*m": "torque", "Pa": "pressure", "s": "time", "rad/s": "speed",
-    "K": "temperature", "1/Pa": "pressure viscosity", "m^2/N": "wear coefficient",
+    "K": "temperature", "N": "force", "N/m": "stiffness", "N*m/rad": "torsional stiffness", "1/Pa": "pressure viscosity", "m^2/N": "wear coefficient",
 }  # fmt: skip
 ELSEWHERE = ("stage",)  # a reducer's [pair], [modification] and [material] are those of a pair file
 INTRODUCTION = """# Files
@@ -170,7 +170,7 @@ def error_table() -> list[str]:
     """The keys of `[errors]`, one for each kind."""
     rows = ["| key | of | unit | limit | meaning and sign |", "| --- | --- | --- | --- | --- |"]
     for kind in KINDS.values():
-        each = "the drive" if kind.of == "drive" else f"each {kind.of}"
+        each = "the drive" if kind.of == "drive" else f"each {kind.of.replace('_', ' ')}"
         rows.append(f"| `{kind.file_key}` | {each} | {kind.unit} | {_limit(kind)} | {kind.description} |")
     return rows
 
@@ -179,7 +179,8 @@ def _errors() -> list[str]:
     return [
         "**`[errors]`** What was really made, beyond the nominal; 0 where left out. An error of the drive is a "
         "quantity; one of each pin or tooth is a list with a value for each, or its waves round the circle, "
-        '`{ order_2 = ["2.5 um", "40 deg"] }` for amplitude and phase.',
+        '`{ order_2 = ["2.5 um", "40 deg"] }` for amplitude and phase. Errors of holes, cranks, rollers and eccentrics '
+        'stand in **`[errors.supports]`**, as a list, of holes and eccentrics a list for each disc.',
         "", *error_table(), "",
     ]  # fmt: skip
 

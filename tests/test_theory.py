@@ -23,7 +23,7 @@ from fitting.figures.figure import DEFINITIONS
 ROOT = Path(__file__).parent.parent
 PAGES = {page.stem: page.read_text(encoding="utf-8") for page in sorted((ROOT / "docs" / "theory").glob("*.md"))}
 MODIFIED = PAIR + '[modification]\noffset = "-70 um"\nisometric = "-25 um"\n'
-SOURCED = ("contact", "wear", "reducer")
+SOURCED = ("contact", "wear", "reducer", "supports")
 A_SOURCE = re.compile(r"paper|equations? \d|loaded-contact-wear|GB/T|Nabtesco|ISO \d|Modelica|\b(?:19|20)\d\d\b")
 
 

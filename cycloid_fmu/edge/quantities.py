@@ -49,7 +49,7 @@ USUAL = {
     "m^2/N": {"m^2/N": 1.0},
     "kg*m^2": {"kg*m^2": 1.0},
     "N*m/rad": {
-        "N*m/rad": 1.0, "N*m/arcmin": 3437.746770784939, "Nm/arcmin": 3437.746770784939, "kN*m/rad": 1e3,
+        "N*m/rad": 1.0, "N*m/arcmin": 3437.7467707849396, "kN*m/rad": 1e3,
     },
     "N/m": {"N/m": 1.0, "N/mm": 1e3, "N/um": 1e6, "N/µm": 1e6, "kN/mm": 1e6},
 }  # fmt: skip

@@ -39,8 +39,10 @@ class Bearing(Config):
     ----------
     stiffness
         Radial stiffness of a spring, N/m.
-    rollers, roller_length
-        Number of rollers and their effective length, m.
+    rollers
+        Number of rollers.
+    roller_length
+        Their effective length, m.
     rigid
         Whether it does not give way at all, as a bearing that states nothing.
     clearance
@@ -50,8 +52,8 @@ class Bearing(Config):
 
     Examples
     --------
-    >>> import cycloid_fmu as cy
-    >>> cy.Bearing(rollers=15, roller_length="9 mm", clearance="8 um").clearance
+    >>> from cycloid_fmu.geometry.supports import Bearing
+    >>> Bearing(rollers=15, roller_length="9 mm", clearance="8 um").clearance
     8e-06
     """
 
@@ -85,7 +87,9 @@ class OutputRoller(Config):
     Attributes
     ----------
     stiffness
-        Of one roller in one disc's hole, N/m; None where it is rigid.
+        Of one roller in one disc's hole, N/m.
+    rigid
+        Whether it does not give way, as one that states no stiffness.
     clearance
         Twice what the hole's radius is larger than the roller's and the eccentricity, m.
     """
@@ -148,8 +152,8 @@ class Supports(Config):
 
     Examples
     --------
-    >>> import cycloid_fmu as cy
-    >>> supports = cy.Supports(kind="cranks", count=3, circle_radius="36 mm", main={"stiffness": "1200 N/um"})
+    >>> from cycloid_fmu.geometry.supports import Supports
+    >>> supports = Supports(kind="cranks", count=3, circle_radius="36 mm", main={"stiffness": "1200 N/um"})
     >>> supports.main.stiffness
     1200000000.0
     """

@@ -477,6 +477,8 @@ def _drawn(
         assert kind is not None
         assert kind.tolerance is not None
         assert error is not None
+        if kind.of not in pair.places:
+            raise edge.InputError(f"[{name}]: the pair has no supports that can have this error.")
         shape = kind.shape(pair)
         if isinstance(error, PitchErrors):
             circles = [sample_pitch(streams[name], shape[-1], error) for _ in range(math.prod(shape[:-1]))]
