@@ -288,7 +288,7 @@ def _add_rollers(problem: Problem, assembly: Assembly, theta: float, q: Array, c
 
 
 @part
-def _assemble(
+def assemble(
     problem: Problem, assembly: Assembly, theta: float, torque: float, centring: float, q: Array, contacts: Rows,
     work: Work,
 ) -> None:  # fmt: skip
@@ -405,7 +405,7 @@ def balance(
 
     A step is shortened where the work along it has turned round: energies are convex but for small turns.
     """
-    _assemble(problem, assembly, theta, torque, centring, q, contacts, work)
+    assemble(problem, assembly, theta, torque, centring, q, contacts, work)
     for iteration in range(_ITERATIONS):
         left = _longest(problem, assembly, work.residual, -1.0)
         if left < assembly.balanced:
@@ -421,7 +421,7 @@ def balance(
         for _ in range(12):
             for i in range(step.size):
                 q[i] = work.before[i] + share * step[i]
-            _assemble(problem, assembly, theta, torque, centring, q, contacts, work)
+            assemble(problem, assembly, theta, torque, centring, q, contacts, work)
             now = 0.0
             for i in range(step.size):
                 now += step[i] * work.residual[i]

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, compiled, part
 from cycloid_fmu.contact.sensitivity import (
@@ -24,18 +22,16 @@ from cycloid_fmu.contact.sensitivity import (
 from cycloid_fmu.supports.assembly import Assembly
 from cycloid_fmu.supports.balance import (
     FIRST_DISC,
-    NEIGHBOUR,
     Work,
+    assemble,
     crank_displacement,
     eccentric,
     hold,
     roller_displacement,
-    settle,
     solve_linear,
-    unknowns,
     work_of,
 )
-from cycloid_fmu.supports.bearing import Bearing, by_clearance, push
+from cycloid_fmu.supports.bearing import CENTRING, Bearing, by_clearance, push
 
 # Beyond the errors' columns: logarithm of each bearing's stiffness and its clearance, then crank angle and torque.
 TURNING_ARM, CRANK_SHAFT, MAIN, OUTPUT_ROLLER, LAW_COUNT = range(5)
@@ -269,33 +265,31 @@ def _add_seat(
 
 @compiled
 def sweep_supported_sensitivities(
-    problem: Problem, assembly: Assembly, thetas: Array, torques: Array, deviation: Array, errors: Array, laws: Array,
+    problem: Problem, assembly: Assembly, thetas: Array, torque: float, places: Array, errors: Array, laws: Array,
     by_angle: Array, by_torque: Array,
 ) -> bool:  # fmt: skip
-    """Solve every crank angle at its torque, with the derivatives of the deviation; returns whether all were found.
+    """Write the derivatives of the deviation at places that balance; returns whether there are any.
 
     Parameters
     ----------
-    thetas, torques
-        Shape (angles,), rad and N·m.
-    deviation, errors, laws, by_angle, by_torque
-        Overwritten: x (rad), shape (angles,); its derivatives by every displacement, in the order of
+    thetas, torque, places
+        Crank angles (rad), shape (angles,); torque (N·m); the unknowns there, shape (angles, unknowns).
+    errors, laws, by_angle, by_torque
+        Overwritten: derivatives of x by every displacement, in the order of
         `surfaces.structured.displacement_layout`, shape (angles, displacements), and by each bearing's logarithm of
         stiffness (rad) and clearance (rad/m), shape (angles, 8); by crank angle (1) and torque (rad/(N·m)), (angles,).
     """
     contacts = contact.contact_rows(problem)
     work = work_of(problem, assembly)
-    q = np.zeros(unknowns(problem, assembly))
     first = BODY_COUNT + 3 * problem.pin_x.size + problem.tooth_turn.size
     errors[:] = 0.0
     laws[:] = 0.0
     by_angle[:] = 0.0
     for i in range(thetas.size):
         theta = thetas[i]
-        near = i > 0 and abs(theta - thetas[i - 1]) < NEIGHBOUR
-        if settle(problem, assembly, theta, torques[i], q, contacts, work, not near) == 0:
-            return False
-        deviation[i] = q[0]
+        q = places[i]
+        work.moved[0] = math.inf
+        assemble(problem, assembly, theta, torque, CENTRING, q, contacts, work)
         if not _row_of_rotation(problem, assembly, work):
             return False
         row = work.step

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
@@ -191,20 +191,42 @@ def solve(
     if not (np.isfinite(torques).all() and np.isfinite(angles).all()):
         raise ValueError("torque and crank_angle must be finite")
     loads = np.concatenate([_play_loads(pair) if with_play or 0.0 in torques else [], torques])
-    found, assembly = _empty(pair, loads.size, angles.size), assembly_of(pair, surface)
+    first = loads.size - torques.size
 
-    def part(first: int) -> int:
-        last = min(first + _PART, angles.size)
+    def result(found: Found, done: slice) -> OnBearings:
+        return _result(pair, torques, angles[done], loads, _of(found, np.s_[:, done]))
+
+    try:
+        found = _solved(
+            pair, surface, loads, angles, slices, first, workers, lambda size: progress(size * torques.size)
+        )
+    except _Stopped as stopped:
+        raise Interrupted(result(stopped.found, slice(0, stopped.finished))) from None
+    return result(found, slice(None))
+
+
+class _Stopped(KeyboardInterrupt):
+    def __init__(self, found: Found, finished: int) -> None:
+        super().__init__()
+        self.found, self.finished = found, finished
+
+
+def _solved(
+    pair: Pair, surface: ErrorSurface, loads: Sequence[float] | Array, angles: Array, slices: int, first: int = 0,
+    workers: int = 1, progress: Callable[[int], None] = lambda angles: None,
+) -> Found:  # fmt: skip
+    """Return places at every load but 0 and crank angle, and from the load `first` on forces; told parts of angles."""
+    found, assembly = _empty(pair, len(loads), angles.size), assembly_of(pair, surface)
+
+    def part(start: int) -> int:
+        last = min(start + _PART, angles.size)
         # Each thread moves discs of its own.
         problem = problem_of(pair, surface, slices)
         for k, load in enumerate(loads):
             if load != 0.0:
-                here = _of(found, np.s_[k, first:last])
-                sweep_supported(problem, assembly, angles[first:last], load, k >= loads.size - torques.size, here)
-        return last - first
-
-    def result(done: slice) -> OnBearings:
-        return _result(pair, torques, angles[done], loads, _of(found, np.s_[:, done]))
+                here = _of(found, np.s_[k, start:last])
+                sweep_supported(problem, assembly, angles[start:last], float(load), k >= first, here)
+        return last - start
 
     finished = 0
     with ThreadPoolExecutor(workers) if workers > 1 else contextlib.nullcontext() as pool:
@@ -212,19 +234,22 @@ def solve(
         try:
             for size in map(part, parts) if pool is None else pool.map(part, parts):
                 finished += size
-                progress(size * torques.size)
+                progress(size)
         except KeyboardInterrupt:
             if pool is not None:
                 pool.shutdown(cancel_futures=True)
-            raise Interrupted(result(slice(0, finished))) from None
-    lost = np.argwhere((found.steps == 0) & (loads[:, None] != 0.0))
-    if lost.size:
-        load, angle = loads[lost[0][0]], angles[lost[0][1]]
-        raise edge.InputError(
-            f"torque = {load:g} N*m: nothing balances it at a crank angle of {angle:.6g} rad; give one that the drive "
-            "can carry."
-        )
-    return result(slice(None))
+            raise _Stopped(found, finished) from None
+    for k, load in enumerate(loads):
+        if load != 0.0 and not found.steps[k].all():
+            raise _unbalanced(load, angles[np.argmin(found.steps[k])])
+    return found
+
+
+def _unbalanced(torque: float, crank_angle: float) -> edge.InputError:
+    return edge.InputError(
+        f"torque = {torque:g} N*m: nothing balances it at a crank angle of {crank_angle:.6g} rad; give one that the "
+        "drive can carry."
+    )
 
 
 def _play_loads(pair: Pair) -> list[float]:
@@ -294,9 +319,9 @@ class Sensitivity:
 
 
 def sensitivity(
-    pair: Pair, surface: ErrorSurface, torque: ArrayLike, crank_angle: ArrayLike, slices: int = 1
+    pair: Pair, surface: ErrorSurface, torque: float, crank_angle: ArrayLike, slices: int = 1
 ) -> Sensitivity:
-    """Return the transmission error of a drive on its bearings at one torque, or one for each angle, differentiated.
+    """Return the transmission error of a drive on its bearings at one torque, differentiated.
 
     Raises
     ------
@@ -304,20 +329,20 @@ def sensitivity(
         If a torque can't be carried.
     """
     angles = np.array(crank_angle, dtype=float, ndmin=1)
-    torques = np.array(np.broadcast_to(torque, angles.shape), dtype=float)
+    found = _solved(pair, surface, [torque], angles, slices)
     size = max(place.stop for place in displacement_layout(pair).values())
     each, laws = np.empty((angles.size, size)), np.empty((angles.size, len(LAWS)))
-    deviation, by_angle, by_torque = (np.empty(angles.size) for _ in range(3))
+    by_angle, by_torque = (np.empty(angles.size) for _ in range(2))
     if not sweep_supported_sensitivities(
-        problem_of(pair, surface, slices), assembly_of(pair, surface), angles, torques, deviation, each, laws,
+        problem_of(pair, surface, slices), assembly_of(pair, surface), angles, torque, found.place[0], each, laws,
         by_angle, by_torque,
     ):  # fmt: skip
-        raise edge.InputError(f"torque = {torques[0]:g} N*m: nothing balances it; give one that the drive can carry.")
-    return Sensitivity(deviation, each, laws, by_angle, by_torque)
+        raise _unbalanced(torque, angles[0])
+    return Sensitivity(found.place[0, :, 0].copy(), each, laws, by_angle, by_torque)
 
 
 def error_sensitivity(
-    pair: Pair, surface: ErrorSurface, torque: ArrayLike, crank_angle: ArrayLike, names: list[str], slices: int = 1
+    pair: Pair, surface: ErrorSurface, torque: float, crank_angle: ArrayLike, names: list[str], slices: int = 1
 ) -> tuple[Array, Array]:
     """Return the transmission error at one torque, and its derivatives by named errors or bearings (`LAWS`).
 

@@ -15,8 +15,8 @@ from cycloid_fmu import edge
 from cycloid_fmu.contact import transmission as on_rigid
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
 from cycloid_fmu.supports.bearing import linear, push, rollers
-from cycloid_fmu.supports.sensitivity import sweep_supported_sensitivities
-from cycloid_fmu.supports.transmission import assembly_of, problem_of, sensitivity, solve
+from cycloid_fmu.supports.sweeps import sweep_supported
+from cycloid_fmu.supports.transmission import _empty, assembly_of, problem_of, sensitivity, solve
 from cycloid_fmu.surfaces.structured import displacement_layout
 from cycloid_fmu.surfaces.surface import surface_of_pair
 
@@ -354,13 +354,10 @@ def test_sensitivities_are_differences(kind):
     problem, assembly = problem_of(pair, surface), assembly_of(pair, surface)
 
     def te(problem, assembly, torque=150.0, at=angles):
-        place = np.empty(at.size)
-        rest = [np.empty((at.size, n)) for n in (found.by_displacement.shape[1], 8)]
-        torques = np.full(at.size, torque)
-        sweep_supported_sensitivities(
-            problem, assembly, at, torques, place, *rest, np.empty(at.size), np.empty(at.size)
-        )
-        return place
+        found = _empty(pair, 1, at.size)
+        here = type(found)(*(array[0] for array in found))
+        sweep_supported(problem, assembly, at, torque, False, here)
+        return here.place[:, 0]
 
     def check(by, plus, minus, scale=step):
         differences = (plus - minus) / (2.0 * scale)
