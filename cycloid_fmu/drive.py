@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from cycloid_fmu import edge
 from cycloid_fmu.errors.kinds import KINDS, kind_of, structured_names
 from cycloid_fmu.errors.stated import Errors
-from cycloid_fmu.geometry.pair import Pair, read_pair
+from cycloid_fmu.geometry.pair import ANGLES, Pair, read_pair
 from cycloid_fmu.surfaces.provenance import drive_hash, drive_text, stating
 from cycloid_fmu.surfaces.structured import profile_wave
 from cycloid_fmu.surfaces.surface import ErrorSurface, check_surface, stated_values, surface_of_pair
@@ -156,7 +156,7 @@ class Drive:
         torque: ArrayLike | str | Sequence[float | str],
         *,
         crank_angle: ArrayLike | None = None,
-        angles: int = 360,
+        angles: int = ANGLES,
         turns: int = 1,
         slices: int | None = None,
         workers: int | None = None,
@@ -229,7 +229,7 @@ class Drive:
 
         return compliance(self.pair, progress=progress)
 
-    def bearing_loads(self, torque: float | str, *, angles: int = 360, turns: int = 1) -> list[BearingLoad]:
+    def bearing_loads(self, torque: float | str, *, angles: int = ANGLES, turns: int = 1) -> list[BearingLoad]:
         """Largest and equivalent load of every bearing over whole crank turns, and its basic rating life (ISO 281).
 
         Parameters
@@ -257,7 +257,7 @@ class Drive:
         errors: Sequence[str] | None = None,
         *,
         crank_angle: ArrayLike | None = None,
-        angles: int = 360,
+        angles: int = ANGLES,
     ) -> xr.DataArray:
         """Derivatives of the transmission error by the structured errors, at one load.
 
@@ -347,7 +347,7 @@ class Drive:
         *,
         samples: int = 1000,
         seed: int = 1,
-        angles: int = 360,
+        angles: int = ANGLES,
         first_order: float | None = None,
         workers: int | None = None,
         progress: Callable[[int], None] = lambda drives: None,

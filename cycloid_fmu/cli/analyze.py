@@ -12,6 +12,7 @@ import typer
 from cycloid_fmu import edge
 from cycloid_fmu.cli.shared import PairFile, SurfaceFile
 from cycloid_fmu.edge import commands
+from cycloid_fmu.geometry.pair import ANGLES
 
 if TYPE_CHECKING:
     from cycloid_fmu.contact.transmission import Transmission
@@ -25,7 +26,7 @@ def analyze(
     ],
     output: Annotated[Path | None, commands.output_option((".nc",), "OUT.nc", "Write the dataset (netCDF).")] = None,
     surface_file: SurfaceFile = None,
-    angles: Annotated[int, typer.Option(min=1, help="Crank angles, evenly from 0, end excluded.")] = 360,
+    angles: Annotated[int, typer.Option(min=1, help="Crank angles, evenly from 0, end excluded.")] = ANGLES,
     turns: Annotated[int, typer.Option(min=1, help="Crank turns that they span.")] = 1,
     slices: Annotated[
         int | None,
@@ -42,7 +43,7 @@ def analyze(
     """
     import numpy as np
 
-    from cycloid_fmu.contact.transmission import Interrupted, slices_needed
+    from cycloid_fmu.contact.transmission import Interrupted, notes, slices_needed
     from cycloid_fmu.drive import read_drive
     from cycloid_fmu.supports import transmission
 
@@ -83,6 +84,8 @@ def analyze(
         _print(found, f"{pair_file.name}, {finished} crank angles over {turns} turn(s)")
         if drive.pair.supports is not None:
             _print_bearings(drive, found)
+    for note in notes(drive.pair, found):
+        typer.echo(f"Note: {note}", err=True)
     if finished < angles:
         raise typer.Exit(edge.INTERRUPTED)
 

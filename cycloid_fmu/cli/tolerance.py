@@ -11,6 +11,7 @@ import typer
 
 from cycloid_fmu.cli.shared import PairFile, TolerancesFile
 from cycloid_fmu.edge import commands
+from cycloid_fmu.geometry.pair import ANGLES
 
 if TYPE_CHECKING:
     from cycloid_fmu.studies.allocation import Allocation
@@ -32,7 +33,7 @@ def tolerance(
             ("sobol", "latin-hypercube", "saltelli"), "How drives are drawn; saltelli gives Sobol indices as well."
         ),
     ] = "sobol",
-    angles: Annotated[int, typer.Option(min=20, help="Crank angles, evenly from 0, end excluded.")] = 360,
+    angles: Annotated[int, typer.Option(min=20, help="Crank angles, evenly from 0, end excluded.")] = ANGLES,
     turns: Annotated[int, typer.Option(min=1, help="Crank turns that they span.")] = 1,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = os.cpu_count() or 1,
     scheduler: Annotated[

@@ -136,9 +136,9 @@ def _balance(
             low = x
         else:
             high = x
-        if slope > 0.0:
-            step = short / slope
-        else:
+        step = short / slope if slope > 0.0 else math.inf
+        # A load against the torque is on the wrong flanks, however little is short of a tiny torque.
+        if slope <= 0.0 or (hold == 0.0 and balance * torque < 0.0 and abs(step) < _LINEAR_STEP):
             direction = math.copysign(1.0, short)
             step = direction * (max(to_touch(contacts, theta, x, direction), 0.0) + 1e-6)
         step = min(max(step, -1e-3), 1e-3)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import contact, edge
-from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.geometry.pair import Pair, smallest_convex_radius
 from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_normals, flank_points
 from cycloid_fmu.surfaces.provenance import provenance
 from cycloid_fmu.surfaces.structured import PROFILE_POINTS, displacement_columns, displacements, profile_wave
@@ -116,6 +116,7 @@ def mesh_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> contact.Probl
         "generating_circle_radius": pair.generating_circle_radius, "pin_radial": pair.pin_circle_radius,
         "pin_radius": pair.pin_radius,
     })  # fmt: skip
+    _check_made(pair, made)
     angle = direction + made["pin_tangential"] / pair.pin_circle_radius
     z = pair.face_width * ((np.arange(slices) + 0.5) / slices - 0.5)
     stray = _stray(pair, surface)
@@ -148,6 +149,31 @@ def mesh_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> contact.Probl
         root_margin=1e-6 + 1.5 * pair.pin_circle_radius * float(np.ptp(made["tooth_turn"], axis=1).max()),
         deviations=_deviations(pair, surface, z),
     )
+
+
+def _check_made(pair: Pair, made: Mapping[str, Any]) -> None:
+    """Refuse a drive that can't have been made: what a pair is checked for as drawn, with its errors."""
+    circle, pin = float(made["generating_circle_radius"]), float(made["generating_pin_radius"])
+    why = ""
+    if not made["crank_throw"] > 0.0:
+        why = f"the eccentricity is {made['crank_throw'] * 1e3:.6g} mm; it must stay above zero"
+    elif pair.eccentricity * pair.pins >= circle:
+        why = f"the generating circle's radius is {circle * 1e3:.6g} mm; it must stay above eccentricity x pins"
+    elif not 0.0 < pin < (smallest := smallest_convex_radius(circle, pair.eccentricity, pair.pins)):
+        why = f"the flank's generating pin radius is {pin * 1e3:.6g} mm"
+        why += "; it must stay above zero" if pin <= 0.0 else f"; the flank is undercut from {smallest * 1e3:.6g} mm on"
+    elif not made["pin_radius"].min() > 0.0:
+        why = f"a pin's radius is {made['pin_radius'].min() * 1e3:.6g} mm; it must stay above zero"
+    else:
+        place = made["pin_radial"] * np.exp(
+            1j * (2.0 * np.pi * np.arange(pair.pins) / pair.pins + made["pin_tangential"] / pair.pin_circle_radius)
+        )
+        room = np.abs(place - np.roll(place, -1)) - made["pin_radius"] - np.roll(made["pin_radius"], -1)
+        if not room.min() > 0.0:
+            first = int(room.argmin())
+            why = f"pins {first} and {(first + 1) % pair.pins} overlap by {-room.min() * 1e6:.6g} um"
+    if why:
+        raise edge.InputError(f"errors: with these {why}.")
 
 
 def _deviations(pair: Pair, surface: ErrorSurface, z: Array) -> contact.Deviations | None:
@@ -443,6 +469,48 @@ def error_sensitivity(
     return deviation, jacobian, each, np.stack([by_angle - 1.0 / pair.ratio, by_torque], axis=1)
 
 
+LARGEST_PRESSURE = 4e9
+"""Pa: contact stress at which rolling bodies of bearing steel are permanently deformed (ISO 76, static rating)."""
+_LARGEST_HALF_WIDTH = 0.25  # of the pin's radius: Hertz's half space ends there
+
+
+def notes(pair: Pair, found: Transmission) -> list[str]:
+    """Return where results lie outside what the model is made for, one sentence each, none where all is well.
+
+    Parameters
+    ----------
+    pair
+        Its `pressure_limit`, or `LARGEST_PRESSURE`, and its rated torque are what results are held against.
+    found
+        Of `solve`.
+    """
+    said = []
+    limit = LARGEST_PRESSURE if pair.pressure_limit is None else pair.pressure_limit
+    largest = found.max_contact_pressure.max(initial=0.0)
+    if largest > limit:
+        said.append(
+            f"The contact pressure reaches {largest * 1e-6:.0f} MPa, above {limit * 1e-6:.0f} MPa"
+            + (" (ISO 76)" if pair.pressure_limit is None else "")
+            + ": real flanks and pins deform for good there, and the model does not."
+        )
+    pressed = found.pin_pressure > 0.0
+    half = 2.0 * found.pin_force[pressed] / (math.pi * pair.face_width * found.pin_pressure[pressed])
+    if half.max(initial=0.0) > _LARGEST_HALF_WIDTH * pair.pin_radius:
+        said.append(
+            f"The contact's half width reaches {half.max() * 1e3:.3g} mm beside a pin radius of "
+            f"{pair.pin_radius * 1e3:.3g} mm: Hertz's law takes it for small."
+        )
+    if pair.rated_torque is not None and np.abs(found.torque).max(initial=0.0) > pair.rated_torque:
+        torque = found.torque[np.abs(found.torque).argmax()]
+        said.append(f"The torque {torque:g} N*m is above the rated torque, {pair.rated_torque:g} N*m.")
+    if found.interference.max(initial=0.0) > 0.0:
+        said.append(
+            f"Without load the pair interferes by up to {found.interference.max() * 1e6:.3g} um: it has no play there. "
+            "A modification that removes material is an isometric above zero or an offset below zero."
+        )
+    return said
+
+
 _LABELS = {
     "transmission_error": ("rad", "transmission error at the output"),
     "backlash": ("rad", "backlash: free rotation of the output with the crank locked"),
@@ -494,6 +562,9 @@ def labelled(pair: Pair, surface: ErrorSurface, result: Transmission, slices: in
     """Return results as `analyze` does: a dataset that states the drive, its slices and whether it is complete."""
     data = dataset_of(pair, result)
     data.attrs.update(provenance(pair, surface), slices=slices, complete=int(complete))
+    data.attrs["notes"] = "\n".join(notes(pair, result))
+    if pair.supports is None:
+        data["torsional_stiffness"].attrs["long_name"] += ", mesh alone, rigid bodies"
     return data
 
 

@@ -22,6 +22,7 @@ from cycloid_fmu.errors.stated import Errors
 from cycloid_fmu.geometry.supports import Supports
 
 FORMAT = "cycloid-pair/1"
+ANGLES = 367  # of a sweep over a crank turn where no one says: a prime, so that no number of pins is in step with it
 LOST_MOTION_LOAD = 0.03  # of the rated torque (GB/T 40731)
 _SHARE = f"{100.0 * LOST_MOTION_LOAD:g} %"
 LOST_MOTION = f"output angle at +{_SHARE} of the rated torque less that at -{_SHARE} (GB/T 40731)"
@@ -106,6 +107,7 @@ class _Geometry(Config):
     output: Literal["gear", "ring"] = "gear"
     rated_torque: PositiveTorque | None = None
     contact_law: Literal["capped", "as_printed"] = "capped"
+    pressure_limit: PositivePressure | None = None
 
 
 class _File(Config):
@@ -145,6 +147,8 @@ class Pair(Config):
         At the output, N·m: the load where none is given, and what the loads of the lost motion are parts of.
     contact_law
         "capped" bounds the flank's curvature radius in Hertz's logarithm by the pin circle radius.
+    pressure_limit
+        Contact pressure above which results carry a note, Pa; 4 GPa (ISO 76) where left out.
     modification, material
         Profile modification of the gear and the materials of both flanks.
     supports
@@ -182,6 +186,7 @@ class Pair(Config):
     output: Literal["gear", "ring"] = "gear"
     rated_torque: PositiveTorque | None = None
     contact_law: Literal["capped", "as_printed"] = "capped"
+    pressure_limit: PositivePressure | None = None
     modification: Modification = Modification()
     material: Materials = Materials()
     supports: Supports | None = None

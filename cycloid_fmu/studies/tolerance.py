@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from cycloid_fmu import edge
 from cycloid_fmu.contact.first_order import Screen
 from cycloid_fmu.contact.transmission import SLICES_MISALIGNED, slices_needed, solve
-from cycloid_fmu.geometry.pair import LOST_MOTION, Pair
+from cycloid_fmu.geometry.pair import ANGLES, LOST_MOTION, Pair
 from cycloid_fmu.surfaces.sampling import LARGEST_SEED, AngleError, Tolerances, surface_at
 from cycloid_fmu.surfaces.structured import displacement_vector
 from cycloid_fmu.surfaces.surface import Elements, ErrorSurface
@@ -77,7 +77,7 @@ class Study:
     seed: int
     torque: tuple[float, ...]
     design: Design = "sobol"
-    angles: int = 360
+    angles: int = ANGLES
     turns: int = 1
 
     @property

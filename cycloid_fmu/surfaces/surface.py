@@ -212,7 +212,8 @@ class ErrorSurface:
     @functools.cached_property
     def hash(self) -> str:
         """Fingerprint of the values: the first 16 hexadecimal digits of SHA-256 over pair, errors and deviations."""
-        digest = hashlib.sha256(self.pair.replace(rated_torque=None, contact_law="capped").text.encode())
+        made = self.pair.replace(**dict.fromkeys(("rated_torque", "pressure_limit")), contact_law="capped")
+        digest = hashlib.sha256(made.text.encode())
         for name, value in self._values().items():
             # An error that is zero everywhere is the same drive as one that no one spoke of.
             if value is not None and (name in DEVIATIONS or np.any(value)):
@@ -414,7 +415,7 @@ def check_surface(pair: Pair, surface: ErrorSurface, pair_source: str, surface_s
     mine, theirs = pair.nominal, surface.pair
     for name in type(pair).model_fields:
         field, one, other = _difference(f"[pair] {name}", getattr(mine, name), getattr(theirs, name)) or ("", 0, 0)
-        if field and name not in ("rated_torque", "contact_law"):
+        if field and name not in ("rated_torque", "contact_law", "pressure_limit"):
             raise edge.InputError(
                 f"{surface_source}: this surface belongs to another pair: {field} is {_shown(other)} there and "
                 f"{_shown(one)} in {pair_source}."

@@ -4,16 +4,16 @@ import math
 import numba
 import numpy as np
 import pytest
-from common import CASES, PAIR, make_pair
+from common import ARCSEC, CASES, PAIR, make_pair
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cycloid_fmu import contact
+from cycloid_fmu import contact, edge
 from cycloid_fmu.contact import compiling
 from cycloid_fmu.contact.deviations import Facing, added_curvature
-from cycloid_fmu.contact.transmission import drive_of, error_sensitivity, solve
+from cycloid_fmu.contact.transmission import drive_of, error_sensitivity, notes, solve
 from cycloid_fmu.errors.kinds import structured_names
-from cycloid_fmu.geometry.pair import parse_pair, read_pair
+from cycloid_fmu.geometry.pair import ANGLES, parse_pair, read_pair
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
 
@@ -474,3 +474,49 @@ def test_compiled_code_is_kept_until_a_file_of_the_room_changes(monkeypatch, tmp
     assert [loaded(), loaded()] == [0, 1]
     monkeypatch.setattr(compiling, "_SOURCES", (*compiling._SOURCES, (1, "changed.py")))
     assert [loaded(), loaded()] == [0, 1]
+
+
+def test_a_tiny_torque_rests_on_its_own_flank():
+    """The balance of 1e-6 N·m is the limit of small torques, at each crank angle alone and after a load against it."""
+    pair = make_pair().replace(offset=-70e-6, isometric=-25e-6, errors={"centre_distance_x": 30e-6})
+    surface, angles = surface_of_pair(pair), np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
+    limit = solve(pair, surface, [1e-2], angles).transmission_error[0]
+    for torque in (1e-6, 1e-5, 1e-4):
+        swept = solve(pair, surface, [-10.0, torque], angles).transmission_error[1]
+        alone = [solve(pair, surface, [torque], [angle]).transmission_error[0, 0] for angle in angles[::6]]
+        assert swept == pytest.approx(limit, abs=0.01 * ARCSEC)
+        assert alone == pytest.approx(limit[::6], abs=0.01 * ARCSEC)
+
+
+@pytest.mark.parametrize(
+    ("errors", "sentence"),
+    [
+        ({"isometric": 9e-4, "offset": -9e-4}, "the flank is undercut from"),
+        ({"eccentricity": -1e-3}, "the eccentricity is -0.01 mm"),
+        ({"pin_tangential": {20: (1e-3, 0.0)}}, "pins .* overlap by"),
+        ({"pin_radius": 9.9e-4}, "overlap"),
+    ],
+)
+def test_a_drive_that_can_not_have_been_made_is_refused(errors, sentence):
+    """As drawn it can be made, with its errors it can't: files, Python and surfaces are all held to it."""
+    pair = make_pair().replace(eccentricity=0.99e-3, pin_radius="4.2 mm")
+    if "isometric" in errors:
+        pair = make_pair().replace(pin_radius="4.4 mm")
+    with pytest.raises(edge.InputError, match=sentence):
+        drive_of(pair, surface_of_pair(pair.replace(errors=errors)))
+
+
+def test_results_outside_the_model_say_so():
+    pair = make_pair().replace(rated_torque=181.0)
+    angles = np.linspace(0.0, 0.2, 4)
+    assert notes(pair, solve(pair, surface_of_pair(pair), [150.0], angles)) == []
+    said = notes(pair, solve(pair, surface_of_pair(pair), [1e5], angles))
+    assert [word in one for word, one in zip(("MPa", "half width", "rated"), said, strict=True)] == [True] * 3
+    limited = pair.replace(pressure_limit="300 MPa")
+    assert "above 300 MPa" in notes(limited, solve(limited, surface_of_pair(pair), [150.0], angles))[0]
+    wrong = make_pair().replace(offset=40e-6)
+    assert "no play" in notes(wrong, solve(wrong, surface_of_pair(wrong), [10.0], angles))[-1]
+
+
+def test_default_crank_angles_are_out_of_step_with_any_pins():
+    assert all(ANGLES % pins for pins in range(2, 122))
