@@ -20,7 +20,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from cycloid_fmu.edge.problems import ArgumentError, InputError, parsed_by_others, shown
+from cycloid_fmu.edge.problems import ArgumentError, InputError, cut, parsed_by_others, shown
 from cycloid_fmu.edge.quantities import unit_scale
 
 MOST_BYTES = 4 << 30  # of what is unpacked or loaded as a whole
@@ -101,7 +101,7 @@ def existing(path: str | os.PathLike[str]) -> Path:
             with Path(path).open("rb"):
                 return Path(path)
     except (OSError, ValueError) as problem:  # a ValueError where a name holds a zero byte
-        raise InputError(f"{path}: {getattr(problem, 'strerror', None) or problem}.") from None
+        raise InputError(f"{cut(str(path), 300)}: {getattr(problem, 'strerror', None) or problem}.") from None
     raise InputError(f"{path}: this is {_kind(mode)}; only files are read.")
 
 

@@ -73,15 +73,16 @@ def parsed_by_others(source: object, problem: str) -> Iterator[None]:
 def first_line(problem: BaseException) -> str:
     """What a library's error says, in one line and cut where it is long."""
     said = (str(problem).strip() or type(problem).__name__).splitlines()[0].rstrip(".")
-    return _cut(said, 200)
+    return cut(said, 200)
 
 
 def listed(names: Iterable[str]) -> str:
     """Return names as they are listed in a sentence, cut where they are many."""
-    return _cut(", ".join(names), 300)
+    return cut(", ".join(names), 300)
 
 
-def _cut(text: str, length: int) -> str:
+def cut(text: str, length: int) -> str:
+    """Return text in one line, with dots at its end where it is longer."""
     plain = "".join(c if c.isprintable() else " " for c in text)
     return plain if len(plain) <= length else plain[: length - 3] + "..."
 
@@ -90,7 +91,7 @@ def shown(value: object) -> str:
     """Return a value as it is written in a sentence: in one line, text in quotes, anything long but a path cut."""
     if isinstance(value, os.PathLike):
         return str(value)
-    return _cut(f'"{value}"' if isinstance(value, str) else str(value), 60)
+    return cut(f'"{value}"' if isinstance(value, str) else str(value), 60)
 
 
 def without_controls(text: str) -> str:
