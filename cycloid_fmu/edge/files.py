@@ -97,12 +97,14 @@ def existing(path: str | os.PathLike[str]) -> Path:
     """
     try:
         mode = Path(path).stat().st_mode
-        if stat.S_ISREG(mode) or stat.S_ISDIR(mode):
+        kernels = os.name == "posix" and Path(path).resolve().parts[1:2] in (("proc",), ("sys",))
+        if stat.S_ISDIR(mode) or (stat.S_ISREG(mode) and not kernels):
             with Path(path).open("rb"):
                 return Path(path)
     except (OSError, ValueError) as problem:  # a ValueError where a name holds a zero byte
         raise InputError(f"{cut(str(path), 300)}: {getattr(problem, 'strerror', None) or problem}.") from None
-    raise InputError(f"{path}: this is {_kind(mode)}; only files are read.")
+    kind = "a part of the kernel" if stat.S_ISREG(mode) else _kind(mode)
+    raise InputError(f"{path}: this is {kind}; only files are read.")
 
 
 def _kind(mode: int) -> str:

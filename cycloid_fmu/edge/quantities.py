@@ -143,10 +143,10 @@ def unit_scale(unit: str, si: str) -> float:
     usual = USUAL.get(si, {}).get(unit)
     if usual is not None:
         return usual
-    example = EXAMPLES.get(si, f"1 {si}").split(" ", 1)[1]
+    example = EXAMPLES[si].split(" ", 1)[1] if si in EXAMPLES else shown(si).strip('"')
     try:
-        parsed = parse_unit(unit)
-        zero, one = (float(units().Quantity(x, parsed).to(si).magnitude) for x in (0.0, 1.0))
+        parsed, wanted = parse_unit(unit), parse_unit(si)  # FMUs and encoders' tables say both
+        zero, one = (float(units().Quantity(x, parsed).to(wanted).magnitude) for x in (0.0, 1.0))
     except Exception as problem:
         reason = "measures something else" if "convert" in str(problem) else "is not a unit known here"
         raise ValueError(f"the unit {shown(unit)} {reason}; use one such as {example}") from None

@@ -94,6 +94,8 @@ def _header(metadata: Mapping[bytes, bytes] | None, source: str) -> tuple[Header
     with edge.parsed_by_others(source, "the recording's header can't be understood"):
         said = {name: json.loads(text[name]) for name in ("channels", "conditions", "ratio")}
         header = pydantic.TypeAdapter(Header).validate_python({**said, "pair": text["pair"], "start": text["start"]})
+        if not all(channel.name.isprintable() for channel in header.channels):
+            raise ValueError("a channel's name must be printable")
     # Without its checksum it is one of the first recordings, unless a damaged key stands in the place.
     unknown = text.keys() - recording_metadata(header).keys() - {HEADER_CRC}
     if not unknown and text.get(HEADER_CRC) in (None, header_checksum(text)):

@@ -75,7 +75,7 @@ def test_blocks_make_no_difference_and_memory_does_not_grow():
     assert max(sizes) < 100
 
 
-@given(st.lists(st.tuples(st.integers(-1000, 1000), st.integers(-1000, 1000)), min_size=3, max_size=60, unique=True))
+@given(st.lists(st.tuples(st.integers(-1000, 1000), st.integers(-1000, 1000)), min_size=3, max_size=150, unique=True))
 def test_the_lower_hull_is_that_of_qhull(points):
     x, y = np.array(points, float).T
     if np.ptp(x) == 0 or np.linalg.matrix_rank(np.column_stack([x - x[0], y - y[0]])) < 2:

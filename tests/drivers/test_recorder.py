@@ -250,7 +250,7 @@ def test_an_interrupted_recording_is_whole_and_the_second_signal_ends_at_once(tm
 
 
 BENCH = (
-    'format = "cycloid-bench/1"\n{}[port.a]\nurl = "/dev/ttyUSB0"\n[channel.input_angle]\nprotocol = "amt21"\nport = "a"\n'
+    'format = "cycloid-bench/1"\n{}[port.a]\nurl = "COM1"\n[channel.input_angle]\nprotocol = "amt21"\nport = "a"\n'
 )
 
 
