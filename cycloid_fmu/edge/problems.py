@@ -9,11 +9,18 @@ from collections.abc import Iterable, Iterator
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 _NOTHING = object()
+_LONGEST = 2000  # characters of a sentence
 _CONTROLS = frozenset([*range(0x20), *range(0x7F, 0xA0), *range(0x202A, 0x202F), *range(0x2066, 0x206A)])
 
 
 class InputError(ValueError):
-    """What a user gave can't be used; the text is one sentence that says where, what and what is allowed."""
+    """What a user gave can't be used; the text is one sentence that says where, what and what is allowed.
+
+    Several problems are a line each; one that what was given makes longer than anybody reads is cut.
+    """
+
+    def __init__(self, text: str = "") -> None:
+        super().__init__("\n".join(cut(line, _LONGEST) for line in text.split("\n")))
 
 
 class ArgumentError(InputError):
