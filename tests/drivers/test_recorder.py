@@ -249,9 +249,7 @@ def test_an_interrupted_recording_is_whole_and_the_second_signal_ends_at_once(tm
         record_encoders([one], tmp_path / "b.arrows", progress=twice)
 
 
-BENCH = (
-    'format = "cycloid-bench/1"\n{}[port.a]\nurl = "COM1"\n[channel.input_angle]\nprotocol = "amt21"\nport = "a"\n'
-)
+BENCH = 'format = "cycloid-bench/1"\n{}[port.a]\nurl = "COM1"\n[channel.input_angle]\nprotocol = "amt21"\nport = "a"\n'
 
 
 def test_a_bench_file_says_drive_conditions_and_wiring(tmp_path):
