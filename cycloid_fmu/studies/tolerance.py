@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.contact.first_order import Screen
-from cycloid_fmu.contact.transmission import SLICES_MISALIGNED, slices_needed, solve
+from cycloid_fmu.contact.transmission import SLICES_MISALIGNED, slices_needed
 from cycloid_fmu.geometry.pair import ANGLES, LOST_MOTION, Pair
+from cycloid_fmu.supports.transmission import solve
 from cycloid_fmu.surfaces.sampling import LARGEST_SEED, AngleError, Tolerances, surface_at
 from cycloid_fmu.surfaces.structured import displacement_vector
 from cycloid_fmu.surfaces.surface import Elements, ErrorSurface
