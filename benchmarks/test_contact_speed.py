@@ -9,11 +9,12 @@ import time
 import brute_force
 import numpy as np
 import pytest
-from common import ARCSEC, CASES
+from common import ARCSEC, CASES, DATA
 from element_pairs import solve_elements
 
 from cycloid_fmu.contact.transmission import error_sensitivity, solve
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
+from cycloid_fmu.supports.transmission import solve as on_bearings
 from cycloid_fmu.surfaces.surface import surface_of_pair
 
 ANGLES = np.linspace(0.0, 2 * np.pi, 3600, endpoint=False)
@@ -80,3 +81,21 @@ def test_against_the_paper_s_element_pairs(benchmark):
     small = solve_elements(pair, surface, 1.7, -120.0, 1, 50, 50, pairs="all", with_play=False)
     scaled = small["seconds"] * (800 / 50) * (800 / 50) * 100
     benchmark.extra_info["times faster than the paper's search, scaled"] = round(scaled / mine)
+
+
+@pytest.mark.parametrize("case", ["cranks-linear", "cranks-rollers-clearance", "rollers"])
+def test_on_bearings(benchmark, case):
+    """A loaded crank angle of two discs on their bearings: 60 µs are asked for; beside the same drive on rigid ones."""
+    pair = read_pair(DATA / "supports-cases" / f"{case}.toml")
+    surface, torque = surface_of_pair(pair), pair.rated_torque
+    rigid = pair.nominal.replace(supports=None)
+    none = surface_of_pair(rigid)
+    for one, errors in ((pair, surface), (rigid, none)):
+        on_bearings(one, errors, torque, ANGLES[:3], with_play=False)
+    begin = time.perf_counter()
+    on_bearings(rigid, none, torque, ANGLES, with_play=False)
+    plain = (time.perf_counter() - begin) / ANGLES.size
+    benchmark(on_bearings, pair, surface, torque, ANGLES, with_play=False)
+    each = benchmark.stats.stats.median / ANGLES.size
+    benchmark.extra_info["µs a crank angle"] = round(each * 1e6, 2)
+    benchmark.extra_info["times rigid bearings"] = round(each / plain, 2)

@@ -139,6 +139,8 @@ def plot_analysis(data: xr.Dataset) -> Figure:
         "max_contact_pressure": ("largest pressure [MPa]", 1e-6),
         "torsional_stiffness": ("stiffness [N·m/arcmin]", 1.0 / ARCMIN),
     }
+    if "turning_arm_force" not in data:
+        panels = {**panels, "torsional_stiffness": ("mesh stiffness, rigid bodies\n[N·m/arcmin]", 1.0 / ARCMIN)}
     single = ("backlash",)
     for axis, (name, (label, factor)) in zip(axes, panels.items(), strict=False):
         for torque in data["torque"].values[: 1 if name in single else None]:

@@ -171,8 +171,8 @@ def _flanges(interface: Interface) -> list[Variable]:
                  display="arcsec", nominal=1e-4, depends=shape),
         Variable("backlash", f"free rotation of the output with the {driven} locked; 0 where there is none", "output",
                  unit="rad", display="arcsec", least=0.0, nominal=1e-4, depends=crank),
-        Variable("torsional_stiffness", "torsional stiffness at the output", "output", unit="N.m/rad",
-                 display="N.m/arcmin", least=0.0, nominal=1e5, depends=shape),
+        Variable("torsional_stiffness", "torsional stiffness at the output, mesh alone, rigid bodies", "output",
+                 unit="N.m/rad", display="N.m/arcmin", least=0.0, nominal=1e5, depends=shape),
         Variable("max_contact_pressure", "largest contact pressure", "output", unit="Pa", display="MPa", least=0.0,
                  nominal=1e9, depends=shape),
     ]  # fmt: skip

@@ -217,11 +217,13 @@ def _solved(
 ) -> Found:  # fmt: skip
     """Return places at every load but 0 and crank angle, and from the load `first` on forces; told parts of angles."""
     found, assembly = _empty(pair, len(loads), angles.size), assembly_of(pair, surface)
+    mesh = problem_of(pair, surface, slices)
 
     def part(start: int) -> int:
         last = min(start + _PART, angles.size)
         # Each thread moves discs of its own.
-        problem = problem_of(pair, surface, slices)
+        shift_x, shift_y, turn = (np.zeros(pair.discs) for _ in range(3))
+        problem = mesh._replace(shift_x=shift_x, shift_y=shift_y, turn=turn)
         for k, load in enumerate(loads):
             if load != 0.0:
                 here = _of(found, np.s_[k, start:last])
