@@ -21,6 +21,7 @@ ENTRY_POINTS = "cycloid.encoders"
 
 
 Line = TypeVar("Line")
+_LONGEST_STEP = 0.1  # s: twice what a recorder waits for a sample
 _EPOCH = time.time() - time.monotonic()
 
 
@@ -209,6 +210,17 @@ class Encoder(abc.ABC):
     def events(self) -> list[Event]:
         """Return what happened since the last call, `time` in seconds since 1970, and forget it."""
 
+    def drain(self) -> None:  # noqa: B027
+        """Take in what waits on bus or port by now, so that the next `read` gives it; sampling goes on."""
+
+    def finish(self) -> None:  # noqa: B027
+        """Note as events and in `lost` what the last sample leaves missing; called once, after the last `read`."""
+
+    @property
+    def lost(self) -> int:
+        """Readings that are known to be lost since the encoder was made."""
+        return 0
+
     @property
     def measuring_range(self) -> tuple[float, float] | None:
         """Smallest and largest value that the sensor can measure, SI, where it is known."""
@@ -272,6 +284,24 @@ def channel_of(
 def steady_time() -> float:
     """Return the host's time in seconds since 1970 that runs on evenly when the calendar clock is set."""
     return _EPOCH + time.monotonic()
+
+
+class ListeningTime:
+    """Seconds that this process was there to listen: a stop of it, by a signal or a busy machine, hardly counts.
+
+    What is overdue is judged by it: silence while nobody listened says nothing of a device.
+    """
+
+    def __init__(self) -> None:
+        self._last = time.monotonic()
+        self.seconds = 0.0
+
+    def __call__(self) -> float:
+        """Go on to now and return the seconds; to be called more often than every `_LONGEST_STEP`."""
+        now = time.monotonic()
+        self.seconds += min(now - self._last, _LONGEST_STEP)
+        self._last = now
+        return self.seconds
 
 
 def protocols() -> dict[str, importlib.metadata.EntryPoint]:

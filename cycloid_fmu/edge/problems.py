@@ -6,7 +6,7 @@ import difflib
 import os
 from collections.abc import Iterable
 
-DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+DONE, FAILED, BAD_INPUT, SILENT, INTERRUPTED = 0, 1, 2, 3, 130
 _NOTHING = object()
 
 

@@ -10,7 +10,7 @@ import typer
 import drivers
 from cycloid_fmu import edge
 from cycloid_fmu.edge.commands import choice_option, quantity_option
-from drivers.cli.shown import LiveLine, failures, report
+from drivers.cli.shown import LiveLine, recording, report
 
 _BUS = "CAN interface of python-can; loopback: other processes of this machine."
 
@@ -67,7 +67,7 @@ def simulate(
         channel=channel, trigger=trigger, serial=serial, clock_drift=clock_drift, faults=faults,
         speed_factor=speed_factor,
     )  # fmt: skip
-    with failures(), bench:
+    with recording(), bench:
         if output is not None:
             with LiveLine() as progress:
                 done = bench.record(output, wiring=write_bench, progress=progress)
