@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import collections
 import math
 
 import numpy as np
 import numpy.typing as npt
 
 from drivers import recording_format as rf
+
+_PACE_KEPT, _PACE_LEAST = 512, 8
 
 
 def unwrap(
@@ -89,8 +92,61 @@ def extract_bits(
     return (words >> np.uint64(64 - length)).view(np.int64)
 
 
+def wraps(step: npt.NDArray[np.int64], modulus: int, expected: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
+    """Return how often running numbers went round unseen, by the time that passed.
+
+    Parameters
+    ----------
+    step
+        Steps of the numbers, each known modulo `modulus` only, shape (n,).
+    modulus
+        Numbers after which they start again.
+    expected
+        How many numbers the time makes, shape (n,); NaN where that is not known.
+    """
+    rounds = np.rint((np.nan_to_num(expected) - step) / modulus)
+    return np.maximum(rounds, 0).astype(np.int64)
+
+
+class Pace:
+    """The usual time between readings, from the last `_PACE_KEPT` steps in which none was lost."""
+
+    def __init__(self) -> None:
+        self._steps: collections.deque[float] = collections.deque(maxlen=_PACE_KEPT)
+        self._new = 0
+        self._found: tuple[float | None, bool] = None, False
+
+    def add(self, *steps: float) -> None:
+        """Take in steps, s."""
+        self._steps.extend(steps)
+        self._new += len(steps)
+
+    def _look(self) -> tuple[float | None, bool]:
+        if self._new and len(self._steps) >= _PACE_LEAST and (self._new >= _PACE_KEPT // 8 or self._found[0] is None):
+            steps = np.array(self._steps)
+            middle, mean = float(np.median(steps)), float(np.mean(steps))
+            # The mean is the better one, unless a pause is in it.
+            period = mean if abs(mean - middle) <= 0.2 * middle else middle
+            regular = np.mean(np.abs(steps - middle) <= 0.5 * middle) >= 0.8
+            self._found, self._new = (period if period > 0 else None, bool(regular)), 0
+        return self._found
+
+    @property
+    def period(self) -> float | None:
+        """Seconds between readings; None where too few came."""
+        return self._look()[0]
+
+    @property
+    def regular(self) -> bool:
+        """Whether nearly all steps are near it, so that a longer one is a gap."""
+        return self._look()[1]
+
+
 def judge_sequence(
-    numbers: npt.NDArray[np.int64], modulus: int, newest: int | None
+    numbers: npt.NDArray[np.int64],
+    modulus: int,
+    newest: int | None,
+    expected: npt.NDArray[np.float64] | None = None,
 ) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64], int]:
     """Tell from their running numbers which samples are missing, duplicate or out of order.
 
@@ -102,6 +158,9 @@ def judge_sequence(
         Numbers after which they start again from 0.
     newest
         Highest continuous number so far, None at the beginning.
+    expected
+        How many numbers the time since the reading before makes, shape (n,), NaN where that is not known: numbers that
+        went round unseen are counted by it.
 
     Returns
     -------
@@ -110,6 +169,9 @@ def judge_sequence(
         count of numbers left out before each, shape (n,) both; and the highest continuous number now.
     """
     continuous, _ = unwrap(numbers, modulus, newest)
+    if expected is not None:
+        step = np.diff(continuous, prepend=continuous[0] - 1 if newest is None else newest)
+        continuous = continuous + modulus * np.cumsum(wraps(step, modulus, expected))
     before = np.concatenate([[continuous[0] - 1 if newest is None else newest], continuous[:-1]])
     before = np.maximum.accumulate(before)
     missing = np.maximum(continuous - before - 1, 0)

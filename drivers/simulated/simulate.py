@@ -70,7 +70,7 @@ def simulate_bench(
     serial
         Encoders on a pseudo-terminal instead of CAN.
     clock_drift
-        How much faster than the host's the ASCII counter's or the virtual bus's clock runs, relative, such as 50e-6.
+        How much faster than the host's the ASCII counter's or the bus's clock runs, relative, such as 50e-6.
     faults
         Script of what goes wrong and when, `cycloid-faults/1`.
     speed_factor
@@ -97,8 +97,9 @@ def simulate_bench(
         raise edge.ArgumentError("speed_factor", "the factor must be above zero", speed_factor)
     if serial is not None and serial not in SERIAL_BENCHES:
         raise edge.ArgumentError("serial", f"it must be one of {', '.join(SERIAL_BENCHES)}", serial)
-    if clock_drift and not (serial == "ascii" or (serial is None and interface == "virtual")):
-        raise edge.ArgumentError("clock_drift", 'only serial "ascii" and the "virtual" bus have a clock', clock_drift)
+    if clock_drift and not (serial == "ascii" or (serial is None and interface in ("virtual", "loopback"))):
+        said = 'only serial "ascii" and the buses "virtual" and "loopback" have a clock'
+        raise edge.ArgumentError("clock_drift", said, clock_drift)
     run = SimulatedRun(
         torque=in_si(torque, "N*m", "torque"),
         turns=turns,

@@ -105,6 +105,8 @@ def test_frames(count):
     random = np.random.default_rng(4)
 
     class Hub:
+        gaps, tells_drops = 0, True
+
         def subscribe(self, identifier):
             return BlockQueue()
 
@@ -121,6 +123,7 @@ def test_frames(count):
             np.where(random.random(1000) < 0.99, numbers, -1), numbers * 0.01,
             numbers * 0.01 + random.normal(0, 1, 1000),
             [bytearray(mutated(random, i.to_bytes(4, "little"))) for i in range(1000)],
+            np.zeros(1000), np.zeros(1000, int),
         )  # fmt: skip
         reader._blocks.put(frames, 1000)
         judged = reader.read(0.0)
