@@ -13,7 +13,7 @@ from drivers.can.bus import frame_name
 from drivers.can.hub import BEHIND_GAP, NO_SYNC, CanHub, Frames, joined_frames
 from drivers.counts import Pace, judge_sequence
 from drivers.hubs import drained
-from drivers.recording_format import CLOCK_JUMP, DUPLICATE, GAP, OUT_OF_ORDER, Event, FloatArray, IntArray
+from drivers.recording_format import DUPLICATE, GAP, OUT_OF_ORDER, ClockJumps, Event, FloatArray, IntArray
 
 
 _LOOK_AHEAD = 16  # frames over which late ones may catch up
@@ -79,7 +79,7 @@ class FrameReader:
         self._last_seen = -1
         self._newest: int | None = None
         self._last: tuple[float, bytearray, float] | None = None
-        self._floor = np.inf  # smallest time so far from a frame's stamp to its arrival
+        self._jumps = ClockJumps()
         self._pace, self._name = Pace(), frame_name(identifier)
         self._gap = hub.gaps
         self._marks: collections.deque[int] = collections.deque()
@@ -218,7 +218,7 @@ class FrameReader:
         for i in np.flatnonzero(step == 0):
             copies[i] = frames.data[i] == (frames.data[i - 1] if i else last_data)
         copies[0] &= not first
-        jumps = self._jumps(step, frames.arrived - times)
+        jumps = self._jumps(times, frames.arrived)
         waited = np.diff(frames.arrived, prepend=arrived)
         for i in np.flatnonzero(jumps):
             self.say(frames.time[i], f"the clock of {self._name} jumped by {step[i] - waited[i]:+.3f} s")
@@ -242,23 +242,6 @@ class FrameReader:
         self._pace.add(*step[plain].tolist())
         self._last = (float(times[-1]), frames.data[-1], float(frames.arrived[-1]))
         return jumps
-
-    def _jumps(self, step: FloatArray, delay: FloatArray) -> npt.NDArray[np.bool_]:
-        """Return at which frames the clock of the stamps jumped, shape (n,).
-
-        Where it goes back, or where a frame would have arrived before it was stamped. Frames that waited and then come
-        at once, gaps among them, are none: `delay`, from stamp to arrival, only falls back to its usual value.
-        """
-        back = step < -CLOCK_JUMP
-        jumps = np.zeros(len(step), bool)
-        for part in np.split(np.arange(len(step)), np.flatnonzero(back)):
-            if not len(part):
-                continue
-            floor = np.inf if back[part[0]] else self._floor
-            floors = np.minimum.accumulate(np.concatenate([[floor], delay[part]]))
-            jumps[part] = np.isfinite(floors[:-1]) & (delay[part] < floors[:-1] - CLOCK_JUMP)
-            self._floor = float(floors[-1])
-        return jumps | back
 
     def _missing(
         self, times: FloatArray, step: FloatArray, jumps: npt.NDArray[np.bool_], behind: npt.NDArray[np.bool_]

@@ -354,7 +354,7 @@ class CanHub:
     def _on_sync(self, data: bytearray, host: float, stamp: float, arrived: float) -> None:
         """Count a SYNC, with those that are missing before it."""
         elapsed = stamp - self._sync_device
-        # As in FrameReader._jumps: the clock goes back, or a stamp is later than its arrival.
+        # As ClockJumps, frame by frame: the clock goes back, or a stamp is later than its arrival.
         jumped = self.sync >= 0 and (elapsed < -CLOCK_JUMP or arrived - stamp < self._floor - CLOCK_JUMP)
         self._floor = arrived - stamp if jumped else min(self._floor, arrived - stamp)
         if jumped:

@@ -3,7 +3,7 @@
 No bus library is needed for it. `schema` defines the format; `export` and `repair` are the tools for finished files.
 """
 
-from drivers.recording_format.clocks import CLOCK_JUMP, Alignment, Clock, clock_event, clock_restarts
+from drivers.recording_format.clocks import CLOCK_JUMP, Alignment, Clock, ClockJumps, clock_event
 from drivers.recording_format.reader import Recording, RecordingReader, read_clocks, read_recording
 from drivers.recording_format.schema import (
     CHECKSUM,
@@ -40,6 +40,7 @@ __all__ = [
     "Alignment",
     "Channel",
     "Clock",
+    "ClockJumps",
     "Event",
     "FloatArray",
     "Header",
@@ -50,7 +51,6 @@ __all__ = [
     "Samples",
     "check_new",
     "clock_event",
-    "clock_restarts",
     "joined",
     "read_clocks",
     "read_recording",
