@@ -11,6 +11,7 @@ import numpy.typing as npt
 from drivers import recording_format as rf
 
 _PACE_KEPT, _PACE_LEAST = 512, 8
+_LOOK_AHEAD = 16  # readings over which late ones may catch up
 
 
 def unwrap(
@@ -106,6 +107,29 @@ def wraps(step: npt.NDArray[np.int64], modulus: int, expected: npt.NDArray[np.fl
     """
     rounds = np.rint((np.nan_to_num(expected) - step) / modulus)
     return np.maximum(rounds, 0).astype(np.int64)
+
+
+def missing_by_pace(
+    times: npt.NDArray[np.float64], steps: npt.NDArray[np.float64], gaps: npt.NDArray[np.bool_], period: float
+) -> npt.NDArray[np.int64]:
+    """Return how many readings are missing before each, by the time that passed, shape (n,).
+
+    Readings that only came late are followed by others early; what is lost stays missing.
+
+    Parameters
+    ----------
+    times, steps
+        Times of the readings, s, and each one's step from the one before, shape (n,).
+    gaps
+        Where readings may be missing, shape (n,).
+    period
+        Usual time between readings, s.
+    """
+    missing = np.zeros(len(times), np.int64)
+    for i in np.flatnonzero(gaps):
+        ahead = times[i : i + _LOOK_AHEAD] - (times[i] - steps[i])
+        missing[i] = max(int(np.min(np.rint(ahead / period) - np.arange(1, len(ahead) + 1))), 0)
+    return missing
 
 
 class Pace:

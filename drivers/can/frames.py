@@ -11,12 +11,9 @@ import numpy.typing as npt
 
 from drivers.can.bus import frame_name
 from drivers.can.hub import BEHIND_GAP, NO_SYNC, CanHub, Frames, joined_frames
-from drivers.counts import Pace, judge_sequence
+from drivers.counts import Pace, judge_sequence, missing_by_pace
 from drivers.hubs import drained
 from drivers.recording_format import DUPLICATE, GAP, OUT_OF_ORDER, ClockJumps, Event, FloatArray, IntArray
-
-
-_LOOK_AHEAD = 16  # frames over which late ones may catch up
 
 
 def payload_array(data: list[bytearray], length: int) -> npt.NDArray[np.uint8]:
@@ -247,17 +244,12 @@ class FrameReader:
         self, times: FloatArray, step: FloatArray, jumps: npt.NDArray[np.bool_], behind: npt.NDArray[np.bool_]
     ) -> IntArray:
         """Return how many frames are missing before each, by their timer or their usual pace, shape (n,)."""
-        missing = np.zeros(len(step), np.int64)
         period = self.period or self._pace.period
         if period is None:
-            return missing
+            return np.zeros(len(step), np.int64)
         timed = self.period is not None or (not self.hub.tells_drops and self._pace.regular)
         gaps = behind | (timed & (step > 1.5 * period))
-        for i in np.flatnonzero(gaps & ~jumps):
-            # Frames that only come late are followed by others early: what is lost stays missing.
-            ahead = times[i : i + _LOOK_AHEAD] - (times[i] - step[i])
-            missing[i] = max(int(np.min(np.rint(ahead / period) - np.arange(1, len(ahead) + 1))), 0)
-        return missing
+        return missing_by_pace(times, step, gaps & ~jumps, period)
 
     def _say_count(self, which: npt.NDArray[np.bool_], frames: Frames, what: str) -> None:
         if which.any():

@@ -75,7 +75,7 @@ class ModbusEncoder(PolledEncoder):
         config = self.config
         if config.counts_per_turn is None:
             raise EncoderSetupError(f"{self.where}: counts_per_turn is missing: Modbus devices do not say it.")
-        _, answer = hub.exchange(self.question, self.asked)
+        answer = hub.exchange(self.question, self.asked).answer
         if len(answer) == 5 and answer[1] & 0x80 and _right(answer):
             raise EncoderProtocolError(
                 f"{self.where} refuses register {config.register_} of the {config.table} table: exception {answer[2]}."

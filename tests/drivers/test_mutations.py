@@ -14,6 +14,7 @@ from drivers.encoders.ascii import AsciiConfig, AsciiCounter
 from drivers.encoders.modbus import ModbusConfig, ModbusEncoder
 from drivers.hubs import BlockQueue
 from drivers.recording_format import read_recording
+from drivers.serial.port import Exchange
 from tests.drivers.test_recording_format import NAMES, block, write
 from tests.drivers.test_serial_encoders import CONFIG, nmea
 
@@ -46,7 +47,7 @@ def odd(answer):
 
 
 def polled(encoder, answers):
-    encoder._answers.put([(float(i), a) for i, a in enumerate(answers)], len(answers))
+    encoder._answers.put([Exchange(float(i), a) for i, a in enumerate(answers)], len(answers))
     samples = encoder.read(0.0)
     encoder.events()
     return samples
