@@ -11,6 +11,7 @@ import numpy.typing as npt
 from drivers import recording_format as rf
 
 _PACE_KEPT, _PACE_LEAST = 512, 8
+_SPEED_SECONDS = 0.02  # of readings without a gap, from which a speed is known
 _LOOK_AHEAD = 16  # readings over which late ones may catch up
 
 
@@ -45,6 +46,50 @@ def unwrap(
     half = modulus // 2
     short = (step + half) % modulus - half
     return previous + np.cumsum(short), short != step
+
+
+class UnseenTurns:
+    """Counts on over gaps in which a position rolled over unseen, as often as the speed before the gap says.
+
+    Parameters
+    ----------
+    modulus
+        Counts at which the position starts again from 0.
+    """
+
+    def __init__(self, modulus: int) -> None:
+        self._modulus = modulus
+        self._last: tuple[float, int] | None = None
+        self._speed: float | None = None
+
+    def __call__(
+        self, times: npt.NDArray[np.float64], counts: npt.NDArray[np.int64], gaps: npt.NDArray[np.bool_]
+    ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+        """Return the counts and at which of them rollovers may have been unseen, both of shape (n,).
+
+        Parameters
+        ----------
+        times, counts
+            Of the readings, s and each step the short way round, shape (n,).
+        gaps
+            Before which readings others are missing, shape (n,).
+        """
+        counts, unseen = counts.copy(), np.zeros(len(counts), np.bool_)
+        for part in np.split(np.arange(len(counts)), np.flatnonzero(gaps)):
+            if not len(part):
+                continue
+            i = int(part[0])
+            if gaps[i] and self._last is not None and self._speed is not None:
+                turned = self._speed * (times[i] - self._last[0])
+                unseen[i] = abs(turned) >= self._modulus / 2
+                if unseen[i]:
+                    rounds = round((turned - float(counts[i] - self._last[1])) / self._modulus)
+                    counts[i:] += rounds * self._modulus
+            lasts = float(times[part[-1]] - times[i])
+            if lasts > _SPEED_SECONDS:
+                self._speed = float(counts[part[-1]] - counts[i]) / lasts
+            self._last = float(times[part[-1]]), int(counts[part[-1]])
+        return counts, unseen
 
 
 def counts_to_value(
@@ -138,21 +183,22 @@ class Pace:
     def __init__(self) -> None:
         self._steps: collections.deque[float] = collections.deque(maxlen=_PACE_KEPT)
         self._new = 0
-        self._found: tuple[float | None, bool] = None, False
+        self._found: tuple[float | None, float] = None, math.inf
 
     def add(self, *steps: float) -> None:
         """Take in steps, s."""
         self._steps.extend(steps)
         self._new += len(steps)
 
-    def _look(self) -> tuple[float | None, bool]:
+    def _look(self) -> tuple[float | None, float]:
         if self._new and len(self._steps) >= _PACE_LEAST and (self._new >= _PACE_KEPT // 8 or self._found[0] is None):
             steps = np.array(self._steps)
-            middle, mean = float(np.median(steps)), float(np.mean(steps))
-            # The mean is the better one, unless a pause is in it.
-            period = mean if abs(mean - middle) <= 0.2 * middle else middle
-            regular = np.mean(np.abs(steps - middle) <= 0.5 * middle) >= 0.8
-            self._found, self._new = (period if period > 0 else None, bool(regular)), 0
+            middle, mean, late = (float(x) for x in (np.median(steps), np.mean(steps), np.quantile(steps, 0.98)))
+            # The mean is the better one, unless a pause is in it; readings that come together have no middle.
+            period = mean if abs(mean - middle) <= 0.2 * middle or middle == 0 else middle
+            even = np.mean(np.abs(steps - middle) <= 0.5 * middle) >= 0.8
+            longest = max(late, period) + 0.5 * period if even else math.inf
+            self._found, self._new = (period if period > 0 else None, longest), 0
         return self._found
 
     @property
@@ -161,8 +207,8 @@ class Pace:
         return self._look()[0]
 
     @property
-    def regular(self) -> bool:
-        """Whether nearly all steps are near it, so that a longer one is a gap."""
+    def longest(self) -> float:
+        """Seconds between readings of which one more is a gap; infinite where they come at no even pace."""
         return self._look()[1]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import collections
 import dataclasses
+import math
 import time
 
 import numpy as np
@@ -247,8 +248,8 @@ class FrameReader:
         period = self.period or self._pace.period
         if period is None:
             return np.zeros(len(step), np.int64)
-        timed = self.period is not None or (not self.hub.tells_drops and self._pace.regular)
-        gaps = behind | (timed & (step > 1.5 * period))
+        longest = math.inf if self.hub.tells_drops else self._pace.longest
+        gaps = behind | (step > (1.5 * self.period if self.period is not None else longest))
         return missing_by_pace(times, step, gaps & ~jumps, period)
 
     def _say_count(self, which: npt.NDArray[np.bool_], frames: Frames, what: str) -> None:

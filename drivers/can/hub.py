@@ -247,7 +247,7 @@ class CanHub:
                 message = receive(max(0.0, end - time.monotonic()))
                 if message is None:
                     return
-            if own_clock is None:
+            if own_clock is None and message.is_rx:
                 # Some interfaces count from power-up: theirs is a clock of its own.
                 own_clock = self._own_clock = abs(time.time() - message.timestamp) > 3600
             if drops is not None and drops.total != self._dropped:
@@ -288,7 +288,7 @@ class CanHub:
             gaps = [(int(np.searchsorted(kept, place)), lost) for place, lost in gaps]
             block, arrivals = [block[i] for i in kept], [arrivals[i] for i in kept] if arrivals else []
         if block or gaps:
-            self._publish(block, arrivals, gaps)
+            self._publish(block, arrivals, gaps, time.monotonic())
         for what, count in self._odd.items():
             if count:
                 self._events.append(Event(time.time(), "", f"{count} {what} on the CAN bus {self.config.place}"))
@@ -306,9 +306,10 @@ class CanHub:
                 kept.append(place)
         return kept
 
-    def _publish(self, block: list[can.Message], arrivals: list[float], gaps: list[tuple[int, int]]) -> None:
+    def _publish(
+        self, block: list[can.Message], arrivals: list[float], gaps: list[tuple[int, int]], arrived: float
+    ) -> None:
         """Put the frames of a block into their queues, gaps being places before which some were lost, and how many."""
-        arrived = time.monotonic()
         keys = np.array([m.arbitration_id | m.is_extended_id << 29 | m.is_fd << 30 for m in block], np.int64)
         stamps = np.array([m.timestamp for m in block])
         host = np.array(arrivals) if arrivals else stamps
@@ -371,7 +372,7 @@ class CanHub:
             pass
         elif counter and self._counter:
             step = self._counter_step(counter, expected)
-        elif expected is not None:
+        elif expected is not None and (self._in_gap or elapsed > min(self._pace.longest, _PAUSE)):
             step = max(1, round(expected))
         if step > 1:
             how = f" (counter {counter})" if counter else ""

@@ -140,6 +140,7 @@ class AsciiCounter(SerialEncoder):
                 self._scale = edge.unit_scale(config.unit or self._unit, self._unit)
             except ValueError as problem:
                 raise edge.InputError(f'unit = "{config.unit}": {problem}.') from None
+        self._told = not {"sequence", "time"}.isdisjoint(self._names)  # which tell what is missing
         self._request = (config.request or "").encode()
         self.asked = bool(self._request)
         self._forget()
@@ -242,10 +243,10 @@ class AsciiCounter(SerialEncoder):
                 first = int(np.flatnonzero(which)[0])
                 shown = lines[first].text[:40].decode("ascii", "backslashreplace")
                 self.say(lines[first].time, f'{int(which.sum())} line lost: {what} ("{shown}")')
-        told = "sequence" in self._names or "time" in self._names
+        told = self._told
         noted = np.array([line.noted and not told for line in lines])
         right &= ~late
-        if not told:
+        if not told and (self.asked or self._pace.period is None):
             self._lost += int(np.count_nonzero(~right))
         kept = np.flatnonzero(right)
         status = self.marked(kept, ~there | late | noted, wrong)
@@ -273,9 +274,13 @@ class AsciiCounter(SerialEncoder):
         The status with resets of it, and gaps where nothing else tells them; its times, s, made continuous, and how
         many lines have passed since the one before, NaN where that is not known; both None where it has no clock.
         """
-        if "time" not in self._names:
-            return status, None, None
         first = self._ticks is None
+        if "time" not in self._names:
+            if not (self._told or self.asked):
+                step = np.diff(times, prepend=times[0] if self._ticks is None else self._ticks[1])
+                self._ticks = 0.0, float(times[-1])
+                self._paced(times, times, step, status & GAP > 0, first)
+            return status, None, None
         ticks = np.array([float(f["time"]) for f in fields])
         last, arrived = self._ticks or (ticks[0], times[0])
         before = np.concatenate([[last], ticks[:-1]])
@@ -299,19 +304,28 @@ class AsciiCounter(SerialEncoder):
         device, step = device * self.config.time_unit, step * self.config.time_unit
         period = self._pace.period
         expected = np.where(reset, np.nan, step / (period or math.nan))
-        plain = (step > 0) & ~reset & (status == 0) & ~(expected > 3)
-        plain[0] &= not first
-        if "sequence" not in self._names and period is not None:
-            gaps = (expected > 1.5) & (self._pace.regular or status & GAP > 0)
-            missing = missing_by_pace(device, step, gaps, period)
-            if missing.any():
-                plain &= missing == 0
-                status = status | (missing > 0) * GAP
-                self._lost += int(missing.sum())
-                where = times[np.flatnonzero(missing)[0]]
-                self.say(where, f"{int(missing.sum())} line missing by the usual time between them")
-        self._pace.add(*step[plain].tolist())
+        gaps = ~reset & ((step > self._pace.longest) | (status & GAP > 0))
+        if "sequence" in self._names:  # which tells more surely
+            gaps[:] = False
+        missing = self._paced(times, device, step, gaps, first, reset | (expected > 3))
+        status = status | (missing > 0) * GAP
         return status, device, expected
+
+    def _paced(self, arrived: Any, times: Any, step: Any, gaps: Any, first: bool, odd: Any = False) -> Any:
+        """Return how many lines are missing at the gaps by the usual time between lines, which goes on being learned.
+
+        `first`: the first line has none before it; `odd`: steps that are not usual ones.
+        """
+        period = self._pace.period
+        missing = np.zeros(len(times), np.int64) if period is None else missing_by_pace(times, step, gaps, period)
+        if missing.any():
+            self._lost += int(missing.sum())
+            where = arrived[np.flatnonzero(missing)[0]]
+            self.say(where, f"{int(missing.sum())} line missing by the usual time between them")
+        plain = (step >= 0) & ~gaps & ~np.asarray(odd)
+        plain[0] &= not first
+        self._pace.add(*step[plain].tolist())
+        return missing
 
     def _numbered(self, fields: list[dict[str, str]], times: Any, status: Any, expected: Any) -> Any:
         """Return the status with what the running numbers tell, going round as often as the time says."""

@@ -11,6 +11,7 @@ import numpy.typing as npt
 import serial
 
 from cycloid_fmu import edge
+from drivers.counts import UnseenTurns
 from drivers.encoder import (
     EncoderConnectionError,
     EncoderProtocolError,
@@ -18,7 +19,7 @@ from drivers.encoder import (
     PortConfig,
 )
 from drivers.hubs import BlockQueue, HubEncoder, drained, reason
-from drivers.recording_format import CHECKSUM, GAP, Event, FloatArray, IntArray, Samples
+from drivers.recording_format import CHECKSUM, GAP, RESET, Event, FloatArray, IntArray, Samples
 from drivers.serial.port import Exchange, PortHub, ports
 
 
@@ -150,6 +151,20 @@ class PolledEncoder(SerialEncoder):
         if len(answer) < self.answer_bytes or not self.checked([answer]).all():
             raise EncoderProtocolError(f"{self.where} answers 0x{answer.hex()}, whose {self.checksum_name} wrong.")
         return answer
+
+    def over_gaps(self, unseen: UnseenTurns, times: FloatArray, counts: IntArray, status: IntArray) -> IntArray:
+        """Return counts as `unseen` gives them; where turns may have been unseen is an event, a gap and a reset.
+
+        Parameters
+        ----------
+        times, counts, status
+            Of the readings, shape (k,); `status` gets the marks.
+        """
+        counts, turned = unseen(times, counts, status & GAP > 0)
+        status |= turned * (GAP | RESET)
+        for i in np.flatnonzero(turned):
+            self.say(times[i], "it may have turned unseen by half a range and more: counted on by the speed before")
+        return counts
 
     @abc.abstractmethod
     def samples(self, times: FloatArray, answers: list[bytes], status: IntArray) -> Samples:
