@@ -231,7 +231,8 @@ class FrameReader:
             by = "by the event timer" if self.period is not None else "by the usual time between them"
             gaps = np.flatnonzero(missing)
             self.say(
-                frames.time[gaps[0]], f"{int(missing.sum())} {self._name} missing {by}, in {len(gaps)} gaps from here on"
+                frames.time[gaps[0]],
+                f"{int(missing.sum())} {self._name} missing {by}, in {len(gaps)} gaps from here on",
             )
             before[gaps] |= GAP
         self.lost += int(np.maximum(missing, unread).sum())

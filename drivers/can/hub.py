@@ -376,9 +376,7 @@ class CanHub:
             step = max(1, round(expected))
         if step > 1:
             how = f" (counter {counter})" if counter else ""
-            self._events.append(
-                Event(host, "", f"{step - 1} SYNC missing on the CAN bus {self.config.place}{how}")
-            )
+            self._events.append(Event(host, "", f"{step - 1} SYNC missing on the CAN bus {self.config.place}{how}"))
         elif self.sync >= 0 and not self._in_gap and not jumped:
             self._pace.add(elapsed)
         self.sync, self._counter, self._in_gap = max(self.sync, -1) + step, counter, False

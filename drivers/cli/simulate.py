@@ -37,7 +37,8 @@ def simulate(
         Any, choice_option(("amt21", "modbus", "ascii"), "Encoders on a pseudo-terminal instead of CAN.")
     ] = None,
     clock_drift: Annotated[
-        float, typer.Option(help="Of the ASCII counter's or the virtual or loopback bus's clock, relative, such as 50e-6.")
+        float,
+        typer.Option(help="Of the ASCII counter's or the virtual or loopback bus's clock, relative, such as 50e-6."),
     ] = 0.0,
     hysteresis: Annotated[
         bool, typer.Option("--hysteresis", help="Lock the input; the torque goes 0, +T, 0, -T, 0, as often as --turns.")

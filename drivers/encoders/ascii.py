@@ -279,7 +279,8 @@ class AsciiCounter(SerialEncoder):
             if not (self._told or self.asked):
                 step = np.diff(times, prepend=times[0] if self._ticks is None else self._ticks[1])
                 self._ticks = 0.0, float(times[-1])
-                self._paced(times, times, step, status & GAP > 0, first)
+                gaps = status & GAP > 0
+                self._paced(times, times, step, gaps, first, gaps)
             return status, None, None
         ticks = np.array([float(f["time"]) for f in fields])
         last, arrived = self._ticks or (ticks[0], times[0])
@@ -307,7 +308,7 @@ class AsciiCounter(SerialEncoder):
         gaps = ~reset & ((step > self._pace.longest) | (status & GAP > 0))
         if "sequence" in self._names:  # which tells more surely
             gaps[:] = False
-        missing = self._paced(times, device, step, gaps, first, reset | (expected > 3))
+        missing = self._paced(times, device, step, gaps, first, reset | (status & GAP > 0) | (expected > 30))
         status = status | (missing > 0) * GAP
         return status, device, expected
 
@@ -322,7 +323,7 @@ class AsciiCounter(SerialEncoder):
             self._lost += int(missing.sum())
             where = arrived[np.flatnonzero(missing)[0]]
             self.say(where, f"{int(missing.sum())} line missing by the usual time between them")
-        plain = (step >= 0) & ~gaps & ~np.asarray(odd)
+        plain = (step >= 0) & (missing == 0) & ~np.asarray(odd)  # late ones too: those behind them come early
         plain[0] &= not first
         self._pace.add(*step[plain].tolist())
         return missing

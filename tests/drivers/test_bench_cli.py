@@ -110,7 +110,9 @@ def test_a_bench_in_another_process_is_recorded_without_loss(tmp_path):
 
 
 @needs_multicast
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129), (signal.SIGKILL, -9)])
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129), (signal.SIGKILL, -9)]
+)
 def test_a_recorder_that_is_stopped_keeps_what_came(tmp_path, number, code):
     simulation = start(
         tmp_path, "simulate", "--ratio", "-39", "--torque", "20 N*m", "--turns", 4000, "--channel", GROUP,

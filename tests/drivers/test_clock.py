@@ -107,7 +107,6 @@ def test_a_clock_that_starts_anew_is_told_from_arrivals_that_were_held_up(at, ag
         assert both == at
     status = np.zeros(100, np.uint8)
     status[at] = RESET
-    marked = Samples.checked("x", host, taken, time_device=device, status=status)
     assert np.flatnonzero(ClockJumps()(device, host, status != 0)).tolist() == sorted(at)
     # Block by block it is the same, and each stretch is put on the host's clock by its own line.
     starts = [0, *sorted(at)]

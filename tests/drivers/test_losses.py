@@ -144,7 +144,7 @@ def test_what_is_missing_behind_the_last_sample_is_said(hub):
 
 
 def test_frames_in_another_format_are_other_frames(tmp_path, bus_name):
-    """29 bits of the same number, CAN FD with the same number: neither is a sample; a description says which it means."""
+    """29 bits of the same number, or CAN FD: neither is a sample; a description says which frames it means."""
     motion = simulate_motion(lambda a, t: -a / 39, SimulatedRun(torque=5.0, turns=1))
     with SimulatedCanBench(motion, channel=bus_name) as bench:
         toml = bench.write_wiring(tmp_path / "BENCH.toml")
@@ -167,7 +167,7 @@ def test_frames_in_another_format_are_other_frames(tmp_path, bus_name):
 
 @linux
 def test_socketcan_frames_are_read_with_what_the_kernel_dropped_before_them(monkeypatch):
-    """The bytes of struct can_frame and canfd_frame over UDP: their queue, stamps and counts are those of any socket."""
+    """The bytes of struct can_frame and canfd_frame over UDP: queue, stamps and counts are those of any socket."""
     monkeypatch.setattr(drops, "RECEIVE_BUFFER", 4096)
     receiver, sender = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
     receiver.bind(("127.0.0.1", 0))

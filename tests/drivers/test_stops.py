@@ -45,7 +45,9 @@ except RecordingInterrupted as interrupt:
 
 def motion(rate):
     """Long enough at so many samples a second, one crank turn in each."""
-    return simulate_motion(lambda angle, torque: -angle / 39, SimulatedRun(torque=5.0, turns=1000, samples_per_turn=rate))
+    return simulate_motion(
+        lambda angle, torque: -angle / 39, SimulatedRun(torque=5.0, turns=1000, samples_per_turn=rate)
+    )
 
 
 def recorded_over_stops(folder, bench, stops, seed, told="told"):
