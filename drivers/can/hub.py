@@ -18,7 +18,7 @@ import can
 import canopen
 import numpy as np
 
-from drivers.can.bus import SYNC_ID, frame_key, open_bus
+from drivers.can.bus import SYNC_ID, open_bus
 from drivers.counts import Pace, wraps
 from drivers.encoder import BusConfig, EncoderConnectionError, EncoderSetupError
 from drivers.hubs import BLOCK_SECONDS, BlockQueue, SharedHubs, drained, reason
@@ -261,9 +261,12 @@ class CanHub:
                 if own_clock:
                     arrivals.append(time.time())
             else:
-                if message.is_error_frame and message.arbitration_id & _CONTROLLER and message.data[1:2]:
-                    if message.data[1] & _OVERRUN:
-                        self._block_gaps.append((len(block), 0))
+                if (
+                    message.is_error_frame
+                    and message.arbitration_id & _CONTROLLER
+                    and _OVERRUN & sum(message.data[1:2])
+                ):
+                    self._block_gaps.append((len(block), 0))
                 self._serve(message, key)
 
     def _serve(self, message: can.Message, key: int) -> None:
@@ -389,9 +392,8 @@ class CanHub:
         if counter > modulus or self._counter > modulus:
             modulus = self._counter_max = SYNC_COUNTER_MAX
             step = (counter - self._counter) % modulus or modulus
-        elif counter == 1 and self._counter < modulus and expected is not None and not self._in_gap:
-            if abs(expected - 1) < abs(expected - step):
-                step, self._counter_max = 1, self._counter
+        elif counter == 1 and not self._in_gap and (expected is None or abs(expected - 1) < abs(expected - step)):
+            step, self._counter_max = 1, self._counter  # it is nearer to the next SYNC than to one of 240
         if expected is not None and (self._in_gap or not self.tells_drops):
             step += modulus * int(wraps(np.array([step]), modulus, np.array([expected]))[0])
         return step

@@ -52,8 +52,9 @@ class Amt21Config(AngleConfig):
 class Amt21Encoder(PolledEncoder):
     """One encoder at one address of a port.
 
-    A single-turn encoder's turns are counted here; over a gap in which it may turn by half a turn and more they are those
-    of the speed before it, and marked as reset. A multi-turn encoder counts them itself: turns that readings missed are an event and a mark, and the angle is right.
+    A single-turn encoder's turns are counted here; over a gap in which it may turn by half a turn and more they are
+    those of the speed before it, and marked as reset. A multi-turn encoder counts them itself: turns that readings
+    missed are an event and a mark, and the angle is right.
     """
 
     configuration = Amt21Config

@@ -116,8 +116,8 @@ class SimulatedCanBench(SimulatedBench):
     motion, interface, channel, speed_factor, faults
         See `simulate_bench`.
     trigger
-        "controller": the bench sends SYNC, with counter unless `sync_counter` is False; "sync": each SYNC of another, such as the recorder, is answered
-        with the next sample; "timer": every node sends at its event timer, no SYNC.
+        "controller": the bench sends SYNC, with counter unless `sync_counter` is False; "sync": each SYNC of another,
+        such as the recorder, is answered with the next sample; "timer": every node sends at its event timer, no SYNC.
     input_counts_per_turn, output_counts_per_turn
         Resolution, powers of two; the 32-bit position counts turns too and rolls over.
     clock_drift

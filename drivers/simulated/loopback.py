@@ -26,8 +26,8 @@ _MULTICAST_ALL = 49  # Linux: of no group but those joined here
 class LoopbackBus(can.BusABC):  # type: ignore[misc]
     """The bus of all who open it with the same group; it is never sent to a network.
 
-    It sends from a port of its own, so its own frames that come back have `is_rx` False. `drops` tell of the frames that
-    nobody took in time.
+    It sends from a port of its own, so its own frames that come back have `is_rx` False. `drops` tell of the frames
+    that nobody took in time.
 
     Parameters
     ----------
