@@ -193,9 +193,10 @@ class Pace:
     def _look(self) -> tuple[float | None, float]:
         if self._new and len(self._steps) >= _PACE_LEAST and (self._new >= _PACE_KEPT // 8 or self._found[0] is None):
             steps = np.array(self._steps)
-            middle, mean, late = (float(x) for x in (np.median(steps), np.mean(steps), np.quantile(steps, 0.98)))
-            # The mean is the better one, unless a pause is in it; readings that come together have no middle.
-            period = mean if abs(mean - middle) <= 0.2 * middle or middle == 0 else middle
+            middle, late = (float(x) for x in np.quantile(steps, (0.5, 0.98)))
+            # The mean without pauses: late readings are followed by others early, or several come together.
+            total = float(np.sum(steps))
+            period = float(np.mean(steps[steps <= max(0.1, _PACE_LEAST / len(steps)) * total]))
             even = np.mean(np.abs(steps - middle) <= 0.5 * middle) >= 0.8
             longest = max(late, period) + 0.5 * period if even else math.inf
             self._found, self._new = (period if period > 0 else None, longest), 0

@@ -17,6 +17,7 @@ from collections.abc import Callable
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 import pydantic
 
 from cycloid_fmu import edge
@@ -153,7 +154,7 @@ class AsciiCounter(SerialEncoder):
         self._device = 0.0  # the device's clock, continuous, in its own unit
         self._device_start: float | None = None
         self._ticks: tuple[float, float] | None = None
-        self._noted = False
+        self._noted = self._doubtful = False
         self._pace = Pace()
 
     def question(self, port: Any) -> bytes:
@@ -254,7 +255,11 @@ class AsciiCounter(SerialEncoder):
             return None
         fields = [parsed[i] or {} for i in kept]
         times = np.array([lines[i].time for i in kept])
-        status, device, expected = self._clocked(fields, times, status)
+        # Where lines waited or the port said so, some are easily lost; so too between them and the next one.
+        doubtful = np.array([self._doubtful, *(line.late or line.noted for line in lines)])
+        self._doubtful = bool(doubtful[-1])
+        doubtful = (doubtful[1:] | doubtful[:-1])[kept]
+        status, device, expected = self._clocked(fields, times, status, doubtful)
         status = self._numbered(fields, times, status, expected)
         if "value" in self._names:
             value = self.config.direction * self._scale * np.array([float(f["value"]) for f in fields])
@@ -268,7 +273,9 @@ class AsciiCounter(SerialEncoder):
         value = counts_to_value(counts, self.config.counts_per_turn, self.config.direction, self.config.zero)
         return Samples.checked(self.name, times, value, time_device=device, counts=counts, status=status)
 
-    def _clocked(self, fields: list[dict[str, str]], times: Any, status: Any) -> tuple[Any, Any, Any]:
+    def _clocked(
+        self, fields: list[dict[str, str]], times: Any, status: Any, doubtful: npt.NDArray[np.bool_]
+    ) -> tuple[Any, Any, Any]:
         """Return what the device's clock tells, shape (n,) each.
 
         The status with resets of it, and gaps where nothing else tells them; its times, s, made continuous, and how
@@ -305,7 +312,7 @@ class AsciiCounter(SerialEncoder):
         device, step = device * self.config.time_unit, step * self.config.time_unit
         period = self._pace.period
         expected = np.where(reset, np.nan, step / (period or math.nan))
-        gaps = ~reset & ((step > self._pace.longest) | (status & GAP > 0))
+        gaps = ~reset & ((step > self._pace.longest) | (status & GAP > 0) | (doubtful & (expected > 1.5)))
         if "sequence" in self._names:  # which tells more surely
             gaps[:] = False
         missing = self._paced(times, device, step, gaps, first, reset | (status & GAP > 0) | (expected > 30))

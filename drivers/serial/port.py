@@ -24,6 +24,7 @@ ANSWER_SECONDS = 0.1  # far above the encoders' microseconds: it covers a USB ad
 
 MIDDLE = "host clock: middle of the serial exchange"  # where an answer's stamp is
 
+_FEW_BYTES, _FRESH = 256, 2  # found on a port so often in turn, nothing of them can have waited long
 _SILENT_ANSWERS = 2.5  # ANSWER_SECONDS that an exchange of two questions may take where nothing answers
 _DRAIN_SECONDS = 1.0  # a line that sends without a pause is never empty
 _BUFFER_FULL = 4095  # bytes that Linux holds for a reader of a terminal: more may be lost
@@ -183,6 +184,7 @@ class PortHub:
         blocks: dict[BlockQueue[list[Exchange]], list[Exchange]] = {}
         notes: dict[BlockQueue[list[Exchange]], str] = {}
         ended: float | None = None
+        fresh = _FRESH
         try:
             while not self._stopping.is_set():
                 queues = self._queues
@@ -194,9 +196,12 @@ class PortHub:
                         with self._lock:
                             if asked:
                                 self._put_back(newest)
-                            elif self.port.in_waiting >= _BUFFER_FULL:
+                            elif (ready := self.port.in_waiting) >= _BUFFER_FULL:
                                 notes[answers] = "the port's buffer was full: bytes may be lost"
                             done, stood = self._exchange(question, asked, ended)
+                            if not asked:  # behind what waited more may come that did: the driver passes it on in parts
+                                fresh = 0 if done.late or (fresh < _FRESH and ready > _FEW_BYTES) else fresh + 1
+                                done = done._replace(late=fresh < _FRESH)
                         ended = steady_time()
                         if stood:
                             said = f"no reading for {stood:.3f} s: the recorder was held up"

@@ -46,7 +46,7 @@ def test_the_recorder_produces_sync_and_each_sample_answers_one(tmp_path, bus_na
     # On a busy machine SYNC times are missed and left out.
     assert len(angle) > 40
     # Both were latched by one SYNC, whatever the load: so they lie on the drive's line to half a count.
-    common, i, j = np.intersect1d(angle.time_host, output.time_host, return_indices=True)
+    _, i, j = np.intersect1d(angle.time_host, output.time_host, return_indices=True)
     # A busy machine's simulated node answers later than the next SYNC now and then: what it skipped is a gap.
     clean = (angle.status[i] | output.status[j]) & rf.GAP == 0
     assert clean.sum() > 30
