@@ -36,6 +36,7 @@ class SerialEncoder(HubEncoder[PortHub]):
         self._events: collections.deque[Event] = collections.deque()
         self._pending = 0
         self._lost = 0
+        self._started = False
 
     @classmethod
     def from_config(cls, name: str, config: Any, wiring: Any) -> Self:
@@ -60,6 +61,9 @@ class SerialEncoder(HubEncoder[PortHub]):
     def start(self) -> None:
         """Poll it from now on."""
         assert self.hub is not None, "start() is for an encoder that is open"
+        if self._started:  # before: while the port was out, readings were missed
+            self._pending |= GAP
+        self._started = True
         self._answers = BlockQueue()
         self.hub.poll(self.question, self.asked, self._answers)
 

@@ -24,6 +24,7 @@ ANSWER_SECONDS = 0.1  # far above the encoders' microseconds: it covers a USB ad
 
 MIDDLE = "host clock: middle of the serial exchange"  # where an answer's stamp is
 
+_WRITE_SECONDS = 1.0  # that a question may take to go out
 _FEW_BYTES, _FRESH = 256, 2  # found on a port so often in turn, nothing of them can have waited long
 _SILENT_ANSWERS = 2.5  # ANSWER_SECONDS that an exchange of two questions may take where nothing answers
 _DRAIN_SECONDS = 1.0  # a line that sends without a pause is never empty
@@ -51,7 +52,13 @@ Question = Callable[[Any], bytes]
 
 def ask(port: Any, question: bytes, length: int) -> bytes:
     """Write a question and return the answer: `length` bytes, fewer where they do not come in time."""
-    port.write(question)
+    begun = time.monotonic()
+    try:
+        port.write(question)
+    except serial.SerialTimeoutException:
+        # A line that takes nothing ends the wait in time; later it ends only where this process stood still meanwhile.
+        if time.monotonic() - begun < 1.25 * _WRITE_SECONDS:
+            raise
     answer: bytes = port.read(length)
     return answer
 
@@ -83,7 +90,7 @@ class PortHub:
                 stopbits=config.stop_bits,
                 timeout=ANSWER_SECONDS,
                 # pyserial's RFC 2217 client has its own and refuses any other.
-                write_timeout=None if config.url.startswith("rfc2217:") else 1.0,
+                write_timeout=None if config.url.startswith("rfc2217:") else _WRITE_SECONDS,
             )
         except (serial.SerialException, ValueError, OSError) as problem:
             raise EncoderSetupError(
@@ -111,8 +118,8 @@ class PortHub:
             done = self._exchange(question, asked, None)[0]
             return done._replace(answer=done.answer + self._surplus()) if asked and done.answer else done
 
-    def _exchange(self, question: Question, asked: bool, ended: float | None) -> tuple[Exchange, float]:
-        """Ask once; return also the seconds in which this thread stood still since the exchange before `ended`, or 0.
+    def _exchange(self, question: Question, asked: bool, ended: float | None) -> tuple[Exchange, float, float]:
+        """Ask once; return also for how long this thread stood still since the one before `ended`, or 0, and the end.
 
         An exchange that takes half of `ANSWER_SECONDS` has no instant that is known well enough.
         """
@@ -123,11 +130,11 @@ class PortHub:
         if asked:
             late = took > longest and bool(answer)
             stood = apart if apart > longest else took if took > _SILENT_ANSWERS * ANSWER_SECONDS else 0.0
-            return Exchange((before + after) / 2, answer, late=late), stood
+            return Exchange((before + after) / 2, answer, late=late), stood, after
         # Reading ends with the first byte, or after ANSWER_SECONDS without one.
         stood = apart + took if apart + took > 1.5 * ANSWER_SECONDS else 0.0
         late = bool(stood) or (apart + took > longest and answer.count(b"\n") > 1)
-        return Exchange(after, answer, late=late), stood
+        return Exchange(after, answer, late=late), stood, after
 
     def _surplus(self) -> bytes:
         """Take bytes that nobody waits for off the line: they must not be taken for the next answer."""
@@ -198,11 +205,10 @@ class PortHub:
                                 self._put_back(newest)
                             elif (ready := self.port.in_waiting) >= _BUFFER_FULL:
                                 notes[answers] = "the port's buffer was full: bytes may be lost"
-                            done, stood = self._exchange(question, asked, ended)
+                            done, stood, ended = self._exchange(question, asked, ended)
                             if not asked:  # behind what waited more may come that did: the driver passes it on in parts
                                 fresh = 0 if done.late or (fresh < _FRESH and ready > _FEW_BYTES) else fresh + 1
                                 done = done._replace(late=fresh < _FRESH)
-                        ended = steady_time()
                         if stood:
                             said = f"no reading for {stood:.3f} s: the recorder was held up"
                             notes.update(dict.fromkeys(queues, said))
