@@ -42,9 +42,7 @@ def write_surface(surface: ErrorSurface, path: str | os.PathLike[str]) -> None:
     if surface.life is not None:
         dataset["life_crank_turns"].attrs.update(units="1", long_name="crank turns since new")
     dataset.attrs.update(surface.attributes, format=FORMAT, origin=surface.origin, pair=surface.pair.text)
-    with edge.written_whole(path) as temporary:
-        packed = {n: {"zlib": True} for n in dataset.data_vars if str(n).startswith("life_")}
-        dataset.to_netcdf(temporary, engine="h5netcdf", encoding=packed)
+    edge.write_netcdf(dataset, path, {str(n): {"zlib": True} for n in dataset.data_vars if str(n).startswith("life_")})
 
 
 def read_surface(path: str | os.PathLike[str]) -> ErrorSurface:
@@ -74,7 +72,7 @@ def read_surface(path: str | os.PathLike[str]) -> ErrorSurface:
             raise edge.InputError(f"{path}: the variable {name} is missing.")
     for name in (*KINDS, *DEVIATIONS):
         if name in data and (unit := data[name].attrs.get("units")) != unit_of(name):
-            raise edge.InputError(f'{path}: {name} has the unit "{unit}"; it must be "{unit_of(name)}".')
+            raise edge.InputError(f'{path}: {name} has the unit {edge.shown(unit)}; it must be "{unit_of(name)}".')
     for name, dimensions in DEVIATIONS.items():
         if name in data and data[name].dims != dimensions:
             raise edge.InputError(f"{path}: {name} has the dimensions {data[name].dims}; it must have {dimensions}.")
