@@ -224,6 +224,7 @@ class CanHub:
         begun, number = time.monotonic(), 0
         try:
             while not self._stopping.wait(max(0.0, begun + number * period - time.monotonic())):
+                number = max(number, int((time.monotonic() - begun) / period))  # it may be late by some
                 self._produced.append((number, time.time()))
                 self.bus.send(message)
                 number = max(number + 1, int((time.monotonic() - begun) / period))
@@ -370,7 +371,7 @@ class CanHub:
         expected = elapsed / usual if usual else None
         step = 1
         if self._produced:
-            self._say_held_up(host)
+            self._say_held_up(host, elapsed)
         elif self.sync < 0:
             pass
         elif counter and self._counter:
@@ -398,15 +399,21 @@ class CanHub:
             step += modulus * int(wraps(np.array([step]), modulus, np.array([expected]))[0])
         return step
 
-    def _say_held_up(self, host: float) -> None:
+    def _say_held_up(self, host: float, elapsed: float) -> None:
         """Say which of its own SYNC this recorder left out before the one that has come: the samples have a gap."""
+        assert self.config.sync_period is not None, "it sends SYNC"
         number, _ = self._produced.popleft()
         while not self._own_clock and self._produced and self._produced[0][1] <= host:  # an echo that was lost
             number, _ = self._produced.popleft()
         before, self._produced_last = self._produced_last, number
-        if before is not None and number > before + 1 and not self._in_gap:
+        if before is None or self._in_gap:
+            return
+        missed = number - before - 1
+        if elapsed > 3 * self.config.sync_period:  # held up between taking the number and sending
+            missed = max(missed, round(elapsed / self.config.sync_period) - 1)
+        if missed:
             self.gaps += 1
-            said = f"{number - before - 1} SYNC not sent in time on the CAN bus {self.config.place}"
+            said = f"{missed} SYNC not sent in time on the CAN bus {self.config.place}"
             self._events.append(Event(host, "", f"{said}: the recorder was held up"))
 
 
