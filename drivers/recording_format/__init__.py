@@ -4,12 +4,21 @@ No bus library is needed for it. `schema` defines the format; `export` and `repa
 """
 
 from drivers.recording_format.clocks import CLOCK_JUMP, Alignment, Clock, clock_event, clock_restarts
+from drivers.recording_format.plausibility import (
+    LARGEST_DEVIATION_KEY,
+    Finding,
+    Limits,
+    Plausibility,
+    limits_of,
+)
 from drivers.recording_format.reader import Recording, RecordingReader, read_clocks, read_recording
 from drivers.recording_format.schema import (
+    ANGLES,
     CHECKSUM,
     DUPLICATE,
     FORMAT,
     GAP,
+    IMPLAUSIBLE,
     MARKS,
     OUT_OF_ORDER,
     RESET,
@@ -26,12 +35,15 @@ from drivers.recording_format.schema import (
 from drivers.recording_format.writer import FLUSH_SECONDS, RecordingWriter, check_new
 
 __all__ = [
+    "ANGLES",
     "CHECKSUM",
     "CLOCK_JUMP",
     "DUPLICATE",
     "FLUSH_SECONDS",
     "FORMAT",
     "GAP",
+    "IMPLAUSIBLE",
+    "LARGEST_DEVIATION_KEY",
     "MARKS",
     "OUT_OF_ORDER",
     "RESET",
@@ -41,9 +53,12 @@ __all__ = [
     "Channel",
     "Clock",
     "Event",
+    "Finding",
     "FloatArray",
     "Header",
     "IntArray",
+    "Limits",
+    "Plausibility",
     "Recording",
     "RecordingReader",
     "RecordingWriter",
@@ -52,6 +67,7 @@ __all__ = [
     "clock_event",
     "clock_restarts",
     "joined",
+    "limits_of",
     "read_clocks",
     "read_recording",
 ]
