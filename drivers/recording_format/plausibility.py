@@ -40,6 +40,7 @@ _STAMPS = 0.01  # s: one angle may be later than the other by so much (a filter,
 _SEEN = 8  # samples that make a line
 _ESTABLISHED = 4.0  # deviations of way over which a line has held
 _LOCKED = 4.0  # deviations that an input which never moved may be away: a loop with the input locked
+_SMALL = 0.02  # of the deviation: a jump that moves the angles less from the line does not show in it
 _EQUAL = 3  # samples that stand still
 _WAITING = 1 << 16  # samples of one angle that wait for the other
 STAMP_SECONDS = 0.1  # by which the stamps of angles that share no instants may be late on a busy host
@@ -233,7 +234,10 @@ class _Away:
 
 @dataclasses.dataclass
 class _Last:
-    """The sample before: time, angles, deviation, that of the one before it, and the rates of both, rad/s, output's."""
+    """The sample before: time, angles, deviation, that of the one before it, and the rates of both, rad/s, output's.
+
+    `returned`: it was the first back on the line.
+    """
 
     time: float
     turning: float
@@ -242,6 +246,7 @@ class _Last:
     earlier: float
     turning_rate: float
     driven_rate: float
+    returned: bool
 
 
 @dataclasses.dataclass
@@ -279,7 +284,7 @@ class Line:
         self._moved = False
         self._last: _Last | None = None
         self._travel = 0.0
-        self._low, self._high = math.inf, -math.inf
+        self._low, self._high, self._span = math.inf, -math.inf, (math.inf, -math.inf)
         self._seen, self._held, self._ranges = 0, False, [(math.inf, -math.inf)] * 2
         self._away: _Away | None = None
 
@@ -335,6 +340,9 @@ class Line:
         wide = np.where(moved, self._wide, _LOCKED * self._wide)
         speed = np.maximum(np.abs(turned), np.abs(driven)) / lasts
         usual = np.minimum(speed, 4.0 * np.median(speed)) if size > 2 else speed
+        if before is not None and before.returned and (given.turning_jumps[0] or given.driven_jumps[0]):
+            given.turning_jumps[0] = given.driven_jumps[0] = False  # it was back to where it belongs
+            returned[0] = True
         sudden, whose, rates = self._sudden(turned, driven, lasts, usual, given, before)
         was = np.concatenate([[off[0] if before is None else before.off], off[:-1]])
         at = 0
@@ -365,19 +373,19 @@ class Line:
                 break
             if sudden[end]:
                 yield self._leap(end, given, off, was, int(whose[end]), marks)
+                at, sudden[end] = end + 1, False
             elif (found := self._departure(end, given, off, runs, marks)) is not None:
                 yield found
-            if self._away is None:  # there was no line yet that it departs from
+            else:  # there is no line yet that it departs from
                 self._begin(keep=False)
                 self._low = self._high = float(off[end])
-                sudden[end] = False
         self._moved = bool(moved[-1])
         for place, run in enumerate(runs):
             if run[-1] < size:
                 begun = size - 1 - int(run[-1])
                 self._stood[place] = float(time[begun]), float(off[begun])
         angles = float(given.turning[-1]), float(given.driven[-1])
-        self._last = _Last(float(time[-1]), *angles, float(off[-1]), float(was[-1]), *rates)
+        self._last = _Last(float(time[-1]), *angles, float(off[-1]), float(was[-1]), *rates, bool(returned[-1]))
 
     def _recount(self, off: float) -> None:
         """Take whole turns of the input that passed unseen in a gap for what they are."""
@@ -448,9 +456,11 @@ class Line:
         if at == 0 and self._last is not None and abs(off[at] - before) < abs(off[at] - self._last.earlier):
             before = self._last.earlier  # a jump of the newest sample shows with the next
         by = float(off[at]) - before
-        if self._seen >= _SEEN:
+        if self._seen >= _SEEN and abs(by) > _SMALL * self._wide:
             half = min(0.5 * abs(by), 2.0 * self._wide)
             self._away = _Away(before - half, before + half, (role,), before)
+        elif self._seen < _SEEN:
+            self._begin(keep=False)
         marks[role][at] = True
         value = math.degrees(by * (-self._ratio if whose == 0 else 1.0))
         return Finding(float(given.time[at]), (role,), f"{role} jumps by {value:.4g} deg")
@@ -478,9 +488,12 @@ class Line:
             return Finding(float(since), (role,), text)
         if not self._held:
             return None
+        low, high = self._span
         middle = 0.5 * (self._low + self._high)
+        if high - low > 2.0 * self._wide:  # a line that has run away slowly is where it is now
+            low = high = middle
         by = math.degrees(float(off[at]) - middle)
-        self._away = _Away(middle - 0.5 * self._wide, middle + 0.5 * self._wide, ANGLES, middle)
+        self._away = _Away(min(low, high - self._wide), max(high, low + self._wide), ANGLES, middle)
         text = f"the angles are off the line of the ratio {self._ratio:g} by {by:.3g} deg of the output"
         return Finding(float(given.time[at]), ANGLES, text)
 
@@ -497,6 +510,7 @@ class Line:
         if not line.size:
             return
         self._low, self._high, self._travel = float(low[-1]), float(high[-1]), float(travel[-1])
+        self._span = min(self._span[0], float(off.min())), max(self._span[1], float(off.max()))
         self._seen += line.size
         if self._held:
             return
@@ -512,7 +526,7 @@ class Line:
 
     def _begin(self, *, keep: bool) -> None:
         """Begin a line anew; `keep` what is known of how well the one before held."""
-        self._low, self._high, self._travel = math.inf, -math.inf, 0.0
+        self._low, self._high, self._travel, self._span = math.inf, -math.inf, 0.0, (math.inf, -math.inf)
         if not keep:
             self._seen, self._held, self._ranges = 0, False, [(math.inf, -math.inf)] * 2
 
