@@ -221,6 +221,9 @@ class Encoder(abc.ABC):
     def events(self) -> list[Event]:
         """Return what happened since the last call, `time` in seconds since 1970, and forget it."""
 
+    def rest(self) -> None:  # noqa: B027
+        """Tell the device to send no more, though it was not opened here: a process that was killed set it going."""
+
     def drain(self) -> None:  # noqa: B027
         """Take in what waits on bus or port by now, so that the next `read` gives it; sampling goes on."""
 
