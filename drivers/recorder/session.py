@@ -214,7 +214,9 @@ class _Session:
             if block is not None and role in marks and marks[role].any():
                 block = dataclasses.replace(block, status=block.status | marks[role] * np.uint8(rf.IMPLAUSIBLE))
             name = encoder.channel.name
-            said = [Event(one.time, name, f"implausible: {one.text}") for one in found if one.roles[0] == role]
+            mine = [one for one in found if one.roles[0] == role]
+            more = f" ({len(mine) - 1} more faults in {_WAIT:g} s)" if len(mine) > 1 else ""
+            said = [Event(one.time, name, f"implausible: {one.text}{more}") for one in mine[:1]]
             yield encoder, block, [*events, *said]
 
     def _events(self, encoder: Supervised) -> list[Event]:

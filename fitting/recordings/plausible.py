@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from collections.abc import Iterator
 
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from cycloid_fmu import edge
 from drivers.recording_format import ANGLES, GAP, IMPLAUSIBLE, Finding, Limits, Plausibility, Samples
 from fitting.recordings.cleaning import Block
+from fitting.recordings.formats import PIECE
 from fitting.recordings.recording import Recording, RecordingStream
 
 _SAID = 3  # findings that a note names
@@ -39,6 +39,7 @@ class PlausibleBlocks:
     def __init__(self, stream: Recording | RecordingStream, ratio: float | None) -> None:
         self._stream, self._ratio = stream, ratio
         self._found: list[Finding] = []
+        self._faults = 0
         self._marked = 0
         self._mark_next = False
         self.count = self.samples = 0
@@ -53,7 +54,7 @@ class PlausibleBlocks:
         """
         judge: Plausibility | None = None
         before: tuple[Block, NDArray[np.bool_]] | None = None
-        for block in self._stream.blocks():
+        for block in (piece for whole in self._stream.blocks() for piece in _pieces(whole)):
             if judge is None:
                 judge = Plausibility(self._ratio, _with_resolution(self._stream.limits, block))
             marks, found = judge.add({
@@ -62,7 +63,8 @@ class PlausibleBlocks:
             implausible = marks["input_angle"] | marks["output_angle"]
             already = block.status & IMPLAUSIBLE != 0
             self._marked += int(np.count_nonzero(already & ~implausible))
-            self._found += found
+            self._found += found[: _SAID - len(self._found)]
+            self._faults += len(found)
             if before is not None:
                 for one in found:
                     before[1][before[0].time >= one.time] = True
@@ -77,8 +79,9 @@ class PlausibleBlocks:
         self.samples += block.time.size
         if not implausible.any():
             if self._mark_next and block.time.size:
-                block.status[0] |= GAP
-                self._mark_next = False
+                status = block.status.copy()
+                status[0] |= GAP
+                block, self._mark_next = dataclasses.replace(block, status=status), False
             yield block
             return
         self.count += int(np.count_nonzero(implausible))
@@ -96,15 +99,26 @@ class PlausibleBlocks:
         """Return one sentence that says what was left out, where anything was."""
         if not self.count:
             return []
-        said = [f"{one.text} (from {one.time:.6g} s)" for one in itertools.islice(self._found, _SAID)]
-        if len(self._found) > _SAID:
-            said.append(f"{len(self._found) - _SAID} more such faults")
+        said = [f"{one.text} (from {one.time:.6g} s)" for one in self._found]
+        if self._faults > _SAID:
+            said.append(f"{self._faults - _SAID} more such faults")
         if self._marked:
             said.append(f"{self._marked} were marked in the file")
         return [
             f"{self._stream.source}: {self.count} of {self.samples} samples are implausible and were left out: "
             f"{'; '.join(said)}."
         ]
+
+
+def _pieces(block: Block) -> Iterator[Block]:
+    """Yield a block piece by piece, each small enough for a processor's cache."""
+    if block.time.size <= PIECE:
+        yield block
+        return
+    columns = {f.name: getattr(block, f.name) for f in dataclasses.fields(Block)}
+    for begin in range(0, block.time.size, PIECE):
+        part = slice(begin, begin + PIECE)
+        yield Block(**{n: None if v is None else v[part] for n, v in columns.items()})  # type: ignore[arg-type]
 
 
 def _with_resolution(limits: Limits, block: Block) -> Limits:
