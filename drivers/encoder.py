@@ -94,6 +94,30 @@ class PortConfig(edge.Config):
         return f'"{self.url}"'
 
 
+class PlcConfig(edge.Config):
+    """A Beckhoff PLC that keeps a ring of samples, as ADS reaches it.
+
+    Attributes
+    ----------
+    net_id, port
+        AMS address: the PLC's net id, such as "5.12.82.20.1.1", and its run-time's port.
+    host
+        Its IP address or name; absent: the first four numbers of the net id.
+    ring
+        The variable that holds the ring, such as "Recorder.Ring".
+    """
+
+    net_id: Annotated[str, pydantic.Field(pattern=r"^\d{1,3}(\.\d{1,3}){5}$")]
+    port: Annotated[int, pydantic.Field(ge=1, le=65535)] = 851
+    host: Annotated[str, pydantic.Field(pattern=r"^[A-Za-z0-9.:-]+$")] | None = None
+    ring: Annotated[str, pydantic.Field(pattern=r"^[\w.\[\]]+$")]
+
+    @property
+    def place(self) -> str:
+        """Net id, port and ring, for messages: the PLC's ring is one by them."""
+        return f'{self.net_id}:{self.port} "{self.ring}"'
+
+
 class ChannelConfig(edge.Config):
     """What every channel of a `BENCH.toml` has; the protocols add their keys."""
 
@@ -122,12 +146,13 @@ class AngleConfig(ChannelConfig):
 
 @dataclasses.dataclass(frozen=True)
 class Wiring:
-    """Buses and ports of a `BENCH.toml` by name, the folder that its file names are relative to, and its name."""
+    """Buses, ports and PLCs of a `BENCH.toml` by name, the folder its file names are relative to, and its name."""
 
     buses: Mapping[str, BusConfig]
     ports: Mapping[str, PortConfig]
     folder: Path
     source: str
+    plcs: Mapping[str, PlcConfig] = dataclasses.field(default_factory=dict)
 
     def bus(self, name: str, channel: str) -> BusConfig:
         """Return the bus of this name; an `edge.InputError` names the channel that wants it where there is none."""
@@ -136,6 +161,10 @@ class Wiring:
     def port(self, name: str, channel: str) -> PortConfig:
         """Return the port of this name; an `edge.InputError` names the channel that wants it where there is none."""
         return self._named(self.ports, name, "port", channel)
+
+    def plc(self, name: str, channel: str) -> PlcConfig:
+        """Return the PLC of this name; an `edge.InputError` names the channel that wants it where there is none."""
+        return self._named(self.plcs, name, "plc", channel)
 
     def _named(self, table: Mapping[str, Line], name: str, kind: str, channel: str) -> Line:
         if name not in table:
@@ -325,7 +354,13 @@ def protocols() -> dict[str, importlib.metadata.EntryPoint]:
 
 
 def encoder_class(protocol: object, channel: str, source: str) -> type[Encoder]:
-    """Return the class that speaks a protocol; an `edge.InputError` names channel and file where none does."""
+    """Return the class that speaks a protocol: this package's own or another installed one's.
+
+    Raises
+    ------
+    edge.InputError
+        Naming channel and file, if no installed package has the protocol, two have it, or its class does not load.
+    """
     known = protocols()
     if protocol is None:
         raise edge.InputError(
@@ -336,5 +371,16 @@ def encoder_class(protocol: object, channel: str, source: str) -> type[Encoder]:
             f'{source}: [channel.{channel}] protocol = "{protocol}": no such protocol is installed; '
             f"there are {', '.join(sorted(known)) or 'none'}."
         )
-    loaded: type[Encoder] = known[protocol].load()
+    where = f'{source}: [channel.{channel}] protocol = "{protocol}"'
+    owners = {e.dist.name for e in importlib.metadata.entry_points(group=ENTRY_POINTS, name=protocol) if e.dist}
+    if len(owners) > 1:
+        raise edge.InputError(f"{where}: the packages {' and '.join(sorted(owners))} both have it; remove one.")
+    owner = "".join(owners) or known[protocol].value
+    try:
+        loaded = known[protocol].load()
+    except Exception as problem:  # a plug-in's module may raise anything
+        said = str(problem).rstrip(".") or type(problem).__name__
+        raise edge.InputError(f"{where}: the package {owner} that has it does not load: {said}.") from problem
+    if not (isinstance(loaded, type) and issubclass(loaded, Encoder) and hasattr(loaded, "configuration")):
+        raise edge.InputError(f"{where}: the package {owner} gives no encoder with a configuration, but {loaded!r}.")
     return loaded

@@ -1,4 +1,4 @@
-"""What the threads that read CAN buses and serial ports have in common."""
+"""What the threads that read CAN buses, serial ports and PLCs have in common."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable
 from typing import Any, Generic, Protocol, Self, TypeVar
 
-from drivers.encoder import BusConfig, Encoder, EncoderError, PortConfig
+from drivers.encoder import BusConfig, Encoder, EncoderError, PlcConfig, PortConfig
 from drivers.recording_format import Event
 
 BLOCK_SECONDS = 0.05  # of a block, and so of what a kill can cost besides the batch being written
@@ -142,12 +142,12 @@ class HubEncoder(Encoder, Generic[Hub]):
     config
         The channel's table in the `BENCH.toml`.
     line
-        The bus or port.
+        The bus, port or PLC.
     """
 
     shared: SharedHubs[Any]
 
-    def __init__(self, name: str, config: Any, line: BusConfig | PortConfig) -> None:
+    def __init__(self, name: str, config: Any, line: BusConfig | PortConfig | PlcConfig) -> None:
         self.name, self.config, self._line = name, config, line
         self.hub: Hub | None = None
 

@@ -116,4 +116,4 @@ def test_the_wheel_alone_runs_the_three_commands(published, python, tmp_path):
 
     curves = run("cycloid-fit", "curve", BENCH / "30Nm-forward.csv", "--pair", BENCH / "pair.toml", "--json")
     assert json.loads(curves)
-    assert run("cycloid-bench", "list").startswith("protocols: amt21, ascii, canopen, dbc, modbus\n")
+    assert run("cycloid-bench", "list").startswith("protocols: ads, amt21, ascii, canopen, dbc, modbus\n")

@@ -27,7 +27,7 @@ from cycloid_fmu.contact.sensitivity import (
     TILT_X,
     TILT_Y,
 )  # fmt: skip
-from cycloid_fmu.contact.transmission import drive_of
+from cycloid_fmu.contact.transmission import drive_of, solve
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.surface import ErrorSurface, nominal_surface
 
@@ -78,28 +78,21 @@ def contacts_of(
     """
     drive = drive_of(pair, surface, slices)
     kept = np.zeros((crank_angle.size, contact.contact_rows(drive).size, _COLUMNS))
-    count, deviation = np.zeros(crank_angle.size, dtype=np.int64), np.zeros(crank_angle.size)
-    _sweep(drive, np.ascontiguousarray(crank_angle), float(torque), reach, kept, count, deviation)
+    count = np.zeros(crank_angle.size, dtype=np.int64)
+    deviation = solve(pair, surface, [torque], crank_angle, slices, with_play=False).transmission_error[0]
+    _near(drive, np.ascontiguousarray(crank_angle), deviation, reach, kept, count)
     return Contacts(np.ascontiguousarray(kept[:, : max(int(count.max()), 1)]), count, deviation, float(torque))
 
 
 @compiled
-def _sweep(
-    drive: contact.Problem, thetas: Array, torque: float, reach: float, kept: Array, count: NDArray[np.int64],
-    deviation: Array,
-) -> None:  # fmt: skip
+def _near(
+    drive: contact.Problem, thetas: Array, deviation: Array, reach: float, kept: Array, count: NDArray[np.int64]
+) -> None:
     contacts = contact.contact_rows(drive)
     pins = drive.teeth + 1
-    x = 0.0
     for i in range(thetas.size):
-        cold = i == 0
-        if torque == 0.0:
-            low, high, _ = contact.play(drive, thetas[i], x, contacts, cold)
-            x = 0.0 if math.isnan(low) else 0.5 * (low + high)
-        else:
-            x, _ = contact.equilibrium(drive, thetas[i], torque, x, contacts, cold)
-        contact.place(drive, thetas[i], x, contacts, cold, math.inf, reach)
-        deviation[i] = x
+        x = deviation[i]
+        contact.place(drive, thetas[i], x, contacts, i == 0, math.inf, reach)
         number = 0
         for row in range(contacts.shape[0]):
             if not contacts[row].gap < reach:

@@ -36,8 +36,12 @@ def simulate(
     serial: Annotated[
         Any, choice_option(("amt21", "modbus", "ascii"), "Encoders on a pseudo-terminal instead of CAN.")
     ] = None,
+    plc: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="A Beckhoff PLC on this address, such as 127.0.0.1.")
+    ] = None,
     clock_drift: Annotated[
-        float, typer.Option(help="Of the ASCII counter's or the virtual bus's clock, relative, such as 50e-6.")
+        float,
+        typer.Option(help="Of the clock of ASCII counter, CAN bus or PLC, relative, such as 50e-6."),
     ] = 0.0,
     hysteresis: Annotated[
         bool, typer.Option("--hysteresis", help="Lock the input; the torque goes 0, +T, 0, -T, 0, as often as --turns.")
@@ -57,14 +61,14 @@ def simulate(
     and in a second terminal [cyan]cycloid-bench record BENCH.toml -o run.arrows --idle "2 s"[/].
     The virtual bus ends at its process: with [cyan]--bus virtual[/] add [cyan]-o run.arrows[/].
     """
-    if interface == "virtual" and output is None and serial is None:
+    if interface == "virtual" and output is None and serial is None and plc is None:
         raise edge.ArgumentError(
             "interface", "this bus ends at its process; add -o RUN.arrows or use loopback", interface
         )
     bench = drivers.simulate_bench(
         drive, torque=torque, ratio=ratio, turns=turns, samples_per_turn=samples_per_turn, direction=direction,
         speed=speed, noise=noise, torque_noise=torque_noise, seed=seed, hysteresis=hysteresis, interface=interface,
-        channel=channel, trigger=trigger, serial=serial, clock_drift=clock_drift, faults=faults,
+        channel=channel, trigger=trigger, serial=serial, plc=plc, clock_drift=clock_drift, faults=faults,
         speed_factor=speed_factor,
     )  # fmt: skip
     with recording(), bench:

@@ -1,4 +1,4 @@
-"""The `BENCH.toml`: which channels there are, on which buses and ports."""
+"""The `BENCH.toml`: which channels there are, on which buses, ports and PLCs."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from drivers.encoder import (
     BusConfig,
     ChannelConfig,
     Encoder,
+    PlcConfig,
     PortConfig,
     Wiring,
     encoder_class,
@@ -42,6 +43,7 @@ class _BenchFile(edge.Config):
     conditions: Conditions = Conditions()
     bus: dict[str, BusConfig] = pydantic.Field(default_factory=dict)
     port: dict[str, PortConfig] = pydantic.Field(default_factory=dict)
+    plc: dict[str, PlcConfig] = pydantic.Field(default_factory=dict)
     channel: dict[str, dict[str, Any]]
 
     @pydantic.field_validator("ratio")
@@ -75,7 +77,7 @@ class Bench:
     channels
         Class and configuration of each channel's encoder by its name.
     wiring
-        Buses and ports.
+        Buses, ports and PLCs.
 
     Examples
     --------
@@ -120,7 +122,7 @@ def read_bench(path: str | os.PathLike[str]) -> Bench:
     for name, given in file.channel.items():
         cls = encoder_class(given.get("protocol"), name, source)
         channels[name] = (cls, edge.validated(cls.configuration, given, f"{source}: [channel.{name}]"))
-    wiring = Wiring(file.bus, file.port, Path(path).parent, source)
+    wiring = Wiring(file.bus, file.port, Path(path).parent, source, file.plc)
     conditions = file.conditions.model_dump(exclude_none=True)
     if file.largest_deviation is not None:
         conditions[rf.LARGEST_DEVIATION_KEY] = file.largest_deviation

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from drivers.recording_format import Clock, FloatArray
 
+_FEW = 32  # points that a loop goes through as fast as arrays do
 _COVERAGE = 5.0  # found in trials: with it the band holds the true line at both ends in 95 % of them
 
 
@@ -26,10 +27,16 @@ def lower_hull(x: FloatArray, y: FloatArray) -> npt.NDArray[np.intp]:
         Points, shape (n,), any order.
     """
     order = np.lexsort((y, x))
+    order = order[np.diff(x[order], prepend=-np.inf) > 0]
+    # A point on or above the chord between its neighbours is none of the hull's: most go so, many at a time.
+    while len(order) > _FEW:
+        before, at, after = order[:-2], order[1:-1], order[2:]
+        below = (x[at] - x[before]) * (y[after] - y[before]) > (y[at] - y[before]) * (x[after] - x[before])
+        if np.count_nonzero(below) > 0.9 * len(below):
+            break
+        order = np.concatenate([order[:1], at[below], order[-1:]])
     kept: list[int] = []
     for i in order.tolist():
-        if kept and x[kept[-1]] == x[i]:
-            continue
         while len(kept) > 1:
             a, b = kept[-2], kept[-1]
             if (x[b] - x[a]) * (y[i] - y[a]) > (y[b] - y[a]) * (x[i] - x[a]):
@@ -65,7 +72,7 @@ class ClockEstimate:
         x = np.concatenate([self._points[0], away])
         y = np.concatenate([self._points[1], (host - self._start[1]) - away])
         outer = lower_hull(x, y)
-        left = np.setdiff1d(np.arange(len(x)), outer)
+        left = np.delete(np.arange(len(x)), outer)
         inner = left[lower_hull(x[left], y[left])]
         kept = np.concatenate([outer, inner])
         self._points = x[kept], y[kept]

@@ -170,7 +170,7 @@ class _Session:
         self.live = Live({e.channel.name: ChannelState() for e in encoders})
         self._clocks = {e.channel.name: ClockEstimate() for e in encoders}
         self._clock_said = dict.fromkeys(self._clocks, 0.0)
-        self._clock_last: dict[str, tuple[float, float]] = {}
+        self._clock_jumps = {name: rf.ClockJumps() for name in self._clocks}
         self._restarts = dict.fromkeys(self._clocks, 0)
         channels = [e.channel for e in encoders]
         self._roles = {c.name: c.role for c in channels if c.role in rf.ANGLES and c.unit == "rad"}
@@ -289,8 +289,8 @@ class _Session:
         if block.time_device is None or not len(block):
             return []
         name = block.channel
-        restarts = np.flatnonzero(rf.clock_restarts(block, self._clock_last.get(name)))
-        self._clock_last[name] = float(block.time_device[-1]), float(block.time_host[-1])
+        reset = block.status & rf.RESET != 0
+        restarts = np.flatnonzero(self._clock_jumps[name](block.time_device, block.time_host, reset))
         said: list[Event] = []
         for part in np.split(np.arange(len(block)), restarts):
             if len(part) and part[0] in restarts:

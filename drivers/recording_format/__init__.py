@@ -3,7 +3,7 @@
 No bus library is needed for it. `schema` defines the format; `export` and `repair` are the tools for finished files.
 """
 
-from drivers.recording_format.clocks import CLOCK_JUMP, Alignment, Clock, clock_event, clock_restarts
+from drivers.recording_format.clocks import CLOCK_JUMP, Alignment, Clock, ClockJumps, clock_event
 from drivers.recording_format.plausibility import (
     LARGEST_DEVIATION_KEY,
     Finding,
@@ -52,6 +52,7 @@ __all__ = [
     "Alignment",
     "Channel",
     "Clock",
+    "ClockJumps",
     "Event",
     "Finding",
     "FloatArray",
@@ -65,7 +66,6 @@ __all__ = [
     "Samples",
     "check_new",
     "clock_event",
-    "clock_restarts",
     "joined",
     "limits_of",
     "read_clocks",

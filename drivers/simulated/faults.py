@@ -20,6 +20,7 @@ Kind: TypeAlias = Literal[
 ]  # fmt: skip
 _FRAME_FAULTS = ("drop", "duplicate", "swap", "short", "garbage")
 NODE_FAULTS = ("emergency", "reboot", "silence", "bus_off")
+ADS_FAULTS = ("pull", "reset", "corrupt")
 SERIAL_FAULTS = ("mute", "half", "corrupt", "garbage", "wrong_baud", "pull")
 
 
@@ -35,9 +36,10 @@ class Fault:
         jump by `by` seconds from here on (virtual bus), "reset" the counter starts again at 0. Of a node: "emergency"
         it sends an EMCY, "reboot" it starts again, "silence" neither frames nor heartbeat; "bus_off" of the bus.
         On a serial line: "mute" no answer, "half" half of one, "corrupt" one with a flipped bit, "garbage" random
-        bytes, "wrong_baud" one as it looks at three quarters of the baud rate, "pull" the cable is out.
+        bytes, "wrong_baud" one as it looks at three quarters of the baud rate, "pull" the cable is out. Of a PLC:
+        "pull", "reset" its program starts again, "corrupt" a sample is found half written.
     sample
-        From which sample on (CAN), or which question or line on (serial), counted from 0.
+        From which sample on (CAN, PLC), or which question or line on (serial), counted from 0.
     count
         How many samples, questions or lines long.
     target

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from cycloid_fmu import edge
 from drivers.arguments import in_si
+from drivers.simulated.ads_bench import SimulatedAdsBench
 from drivers.simulated.bench import SimulatedBench
 from drivers.simulated.can_bench import SimulatedCanBench
 from drivers.simulated.faults import read_faults
@@ -34,6 +35,7 @@ def simulate_bench(
     channel: str | None = None,
     trigger: Literal["controller", "sync", "timer"] = "controller",
     serial: Literal["amt21", "modbus", "ascii"] | None = None,
+    plc: str | None = None,
     clock_drift: float = 0.0,
     faults: str | os.PathLike[str] | None = None,
     speed_factor: float | None = None,
@@ -69,12 +71,16 @@ def simulate_bench(
         what makes its encoders send, see `SimulatedCanBench`.
     serial
         Encoders on a pseudo-terminal instead of CAN.
+    plc
+        A Beckhoff PLC on this address of this machine instead of CAN, such as "127.0.0.1"; recording it needs the
+        extra `ads`.
     clock_drift
-        How much faster than the host's the ASCII counter's or the virtual bus's clock runs, relative, such as 50e-6.
+        How much faster than the host's the clock of the ASCII counter, the virtual or loopback bus or the PLC runs,
+        relative, such as 50e-6.
     faults
         Script of what goes wrong and when, `cycloid-faults/1`.
     speed_factor
-        1: at the crank's own speed; None: as fast as the bus carries, 1 on a serial line.
+        1: at the crank's own speed; None: as fast as the bus carries, 1 on a serial line and of a PLC.
 
     Raises
     ------
@@ -97,8 +103,12 @@ def simulate_bench(
         raise edge.ArgumentError("speed_factor", "the factor must be above zero", speed_factor)
     if serial is not None and serial not in SERIAL_BENCHES:
         raise edge.ArgumentError("serial", f"it must be one of {', '.join(SERIAL_BENCHES)}", serial)
-    if clock_drift and not (serial == "ascii" or (serial is None and interface == "virtual")):
-        raise edge.ArgumentError("clock_drift", 'only serial "ascii" and the "virtual" bus have a clock', clock_drift)
+    if plc is not None and serial is not None:
+        raise edge.ArgumentError("plc", "the encoders are on a serial line or behind a PLC; leave out one", plc)
+    clocked = plc or serial == "ascii" or (serial is None and interface in ("virtual", "loopback"))
+    if clock_drift and not clocked:
+        said = 'only a PLC, serial "ascii" and the buses "virtual" and "loopback" have a clock'
+        raise edge.ArgumentError("clock_drift", said, clock_drift)
     run = SimulatedRun(
         torque=in_si(torque, "N*m", "torque"),
         turns=turns,
@@ -116,7 +126,11 @@ def simulate_bench(
     motion = moved(drive or (lambda angle, _: angle / (ratio or 1.0)), run)
     script = read_faults(faults) if faults is not None else []
     bench: SimulatedBench
-    if serial is None:
+    if plc is not None:
+        bench = SimulatedAdsBench(
+            motion, host=plc, speed_factor=speed_factor or 1.0, clock_drift=clock_drift, faults=script
+        )
+    elif serial is None:
         group = "239.74.163.2" if interface == "loopback" else "bench"
         bench = SimulatedCanBench(
             motion, interface=interface, channel=channel or group, trigger=trigger, speed_factor=speed_factor,

@@ -102,10 +102,10 @@ class BenchFile(abc.ABC):
         """Yield pieces of these channels in the order of time."""
 
 
-# Reader class of each ending; a package adds its own as entry points of the group, `ending = "module:Class"`.
+# What opens each ending, a class or function; a package adds its own as entry points of the group.
 READERS = {
     "arrows": "fitting.recordings.recorder_files:RecorderFile",
-    **dict.fromkeys(("csv", "txt", "tsv", "dat"), "fitting.recordings.tables:CsvFile"),
+    **dict.fromkeys(("csv", "txt", "tsv", "dat"), "fitting.recordings.scope:open_table"),
     "parquet": "fitting.recordings.tables:ParquetFile",
     **dict.fromkeys(("mf4", "mdf"), "fitting.recordings.loggers:MdfFile"),
     "tdms": "fitting.recordings.loggers:TdmsFile",

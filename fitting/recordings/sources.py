@@ -121,7 +121,7 @@ def read_recordings(
     mapping: FileMapping | str | os.PathLike[str] | None = None,
     read_head: ReadHead | str | os.PathLike[str] | None = None,
 ) -> list[RecordingFile]:
-    """Give recordings in files, in the order of their names: CSV, Parquet, MDF 4, TDMS, CAN logs and `.arrows`.
+    """Give recordings in files, in the order of their names: CSV, TwinCAT Scope, Parquet, MDF 4, TDMS, CAN, `.arrows`.
 
     A file is opened when it is used, and again whenever it is, so that it may be larger than memory: `metrics` leaves
     one out that can't be read, with a note; `curves` and `identify` refuse it by name.

@@ -46,7 +46,7 @@ class Dialect:
     skip: int
 
 
-def _decoded_start(data: bytes, source: str) -> tuple[str, str]:
+def decoded_start(data: bytes, source: str) -> tuple[str, str]:
     """Return encoding and text of a table's first bytes: by the byte order mark, else UTF-8, else Windows-1252."""
     for mark, encoding in (
         (codecs.BOM_UTF8, "utf-8-sig"),
@@ -84,7 +84,7 @@ def find_dialect(data: bytes, source: str) -> Dialect:
     edge.InputError
         If it is empty or no table of numbers.
     """
-    encoding, text = _decoded_start(data, source)
+    encoding, text = decoded_start(data, source)
     lines = text.splitlines()
     if len(lines) > 1 and not text.endswith(("\n", "\r")):
         lines = lines[:-1]  # it may be cut within

@@ -110,7 +110,9 @@ def test_a_bench_in_another_process_is_recorded_without_loss(tmp_path):
 
 
 @needs_multicast
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129), (signal.SIGKILL, -9)])
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129), (signal.SIGKILL, -9)]
+)
 def test_a_recorder_that_is_stopped_keeps_what_came(tmp_path, number, code):
     simulation = start(
         tmp_path, "simulate", "--ratio", "-39", "--torque", "20 N*m", "--turns", 4000, "--channel", GROUP,
@@ -221,7 +223,8 @@ def test_bad_wiring_is_refused_in_a_sentence_that_names_file_and_field(wiring, o
         (["record", "BENCH.toml", "-o", "run.arrows", "--idle", "2"], '--idle = "2": write one number'),
         (["record", "BENCH.toml", "-o", "BENCH.toml"], "BENCH.toml: this file exists and recordings"),
         (["simulate", "--torque", "20 N*m"], "--ratio is missing"),
-        (["simulate", "--torque", "20 N*m", "--ratio", "-39", "--clock-drift", "1e-4"], "--clock-drift = 0.0001: only"),
+        (["simulate", "--torque", "20 N*m", "--ratio", "-39", "--serial", "amt21", "--clock-drift", "1e-4"],
+         "--clock-drift = 0.0001: only"),
         (["simulate", "--torque", "20 mm", "--ratio", "-39"], '--torque = "20 mm": the unit "mm" measures'),
         (["simulate", "--torque", "20 N*m", "--ratio", "-39", "--bus", "virtual"], '--bus = "virtual": this bus ends'),
         (["simulate", "--torque", "20 N*m", "--fmu", "BENCH.toml"], "BENCH.toml: this is not an FMU"),
@@ -284,4 +287,4 @@ def test_permission_denied_is_said_in_a_sentence(monkeypatch):
 def test_list_names_the_protocols(command):
     done = command("cycloid-bench", "list")
     assert done.returncode == 0, done.stderr
-    assert "protocols: amt21, ascii, canopen, dbc, modbus" in done.stdout
+    assert "protocols: ads, amt21, ascii, canopen, dbc, modbus" in done.stdout

@@ -1,0 +1,134 @@
+"""Encoders of other packages: installed as pip leaves them, and never by what a file says."""
+
+import importlib
+import inspect
+import pkgutil
+import sys
+from importlib import metadata
+
+import pytest
+
+import drivers
+import drivers.encoders
+from cycloid_fmu import edge
+from drivers.encoder import ENTRY_POINTS, Encoder, protocols
+from drivers.recorder.bench import read_bench
+
+ENCODER = '''
+from drivers.encoder import AngleConfig, Encoder, channel_of, steady_time
+from drivers.recording_format import Samples
+
+class CounterConfig(AngleConfig):
+    """Counts from `begin`."""
+    begin: int = 0
+
+class Counter(Encoder):
+    configuration = CounterConfig
+
+    def __init__(self, name, config):
+        self.name, self.config, self.count = name, config, config.begin
+
+    @classmethod
+    def from_config(cls, name, config, wiring):
+        return cls(name, config)
+
+    def __enter__(self):
+        self.channel = channel_of(self.name, self.config, identity="rig", time_source="host clock: the call")
+        return self
+
+    def read(self, timeout):
+        self.count += 1
+        return Samples.checked(self.name, [steady_time()], [0.5 * self.count], counts=[self.count])
+
+    def events(self):
+        return []
+
+    def close(self):
+        pass
+'''
+BENCH = 'format = "cycloid-bench/1"\n[channel.output_angle]\nprotocol = "{}"\n'
+
+
+@pytest.fixture
+def installed(tmp_path, monkeypatch):
+    """Install a package into a folder of its own, as pip lays it out."""
+    site = tmp_path / "site"
+    site.mkdir()
+    monkeypatch.syspath_prepend(str(site))
+
+    def install(name, protocol, value, code=ENCODER):
+        (site / f"{name}.py").write_text(code)
+        folder = site / f"{name}-1.0.dist-info"
+        folder.mkdir()
+        (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+        (folder / "entry_points.txt").write_text(f"[{ENTRY_POINTS}]\n{protocol} = {value}\n")
+        importlib.invalidate_caches()
+
+    yield install
+    for module in [m for m in sys.modules if (site / f"{m}.py").exists()]:
+        del sys.modules[module]
+
+
+def bench(tmp_path, protocol, keys=""):
+    path = tmp_path / "BENCH.toml"
+    path.write_text(BENCH.format(protocol) + keys)
+    return path
+
+
+def test_an_installed_package_brings_an_encoder(tmp_path, installed, command):
+    installed("rig_plug_in", "rig", "rig_plug_in:Counter")
+    assert ", rig" in command("cycloid-bench", "list").stdout.splitlines()[0]
+    done = drivers.record(bench(tmp_path, "rig", "begin = 7\n"), tmp_path / "run.arrows", samples=50)
+    samples = drivers.read_recording(done.path).samples["output_angle"]
+    assert samples.counts[:3].tolist() == [8, 9, 10]
+    assert samples.value[0] == 4.0
+    with pytest.raises(edge.InputError, match=r"\[channel.output_angle\].*beginn"):
+        read_bench(bench(tmp_path, "rig", "beginn = 7\n"))
+
+
+def test_the_package_s_own_protocols_are_registered_the_same_way():
+    own = {e.value for e in metadata.distribution("cycloid-fmu").entry_points if e.group == ENTRY_POINTS}
+    for module in pkgutil.iter_modules(drivers.encoders.__path__):
+        loaded = importlib.import_module(f"drivers.encoders.{module.name}")
+        classes = [c for c in vars(loaded).values() if inspect.isclass(c) and c.__module__ == loaded.__name__]
+        speak = [c for c in classes if issubclass(c, Encoder) and not inspect.isabstract(c)]
+        assert any(f"{loaded.__name__}:{c.__name__}" in own for c in speak), module.name
+    assert {protocols()[n].value for n in ("canopen", "ads")} <= own
+
+
+@pytest.mark.parametrize(
+    "protocol", ["own_code:Counter", "./own_code.py", "os:system", "drivers.encoders.modbus:ModbusEncoder", "own_code"]
+)
+def test_a_file_never_names_code(tmp_path, monkeypatch, protocol):
+    (tmp_path / "own_code.py").write_text("raise SystemExit('ran')\n" + ENCODER)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(edge.InputError, match="no such protocol is installed"):
+        read_bench(bench(tmp_path, protocol))
+    assert "own_code" not in sys.modules
+
+
+@pytest.mark.parametrize(
+    ("value", "code", "said"),
+    [
+        (
+            "broken_rig:Counter",
+            "import no_such_package_at_all\n",
+            "broken_rig that has it does not load: No module named",
+        ),
+        ("broken_rig:Counter", "x = 1\n", "broken_rig that has it does not load: .*Counter"),
+        ("broken_rig:Counter", "1 / 0\n", "does not load: division by zero"),
+        ("broken_rig:Counter", "Counter = dict\n", "gives no encoder with a configuration"),
+    ],
+)
+def test_a_package_that_is_broken_is_one_sentence(tmp_path, installed, value, code, said):
+    installed("broken_rig", "broken", value, code)
+    with pytest.raises(edge.InputError, match=said) as problem:
+        read_bench(bench(tmp_path, "broken"))
+    assert len(str(problem.value).splitlines()) == 1
+
+
+def test_a_name_that_is_taken_is_refused(tmp_path, installed):
+    installed("second_modbus", "modbus", "second_modbus:Counter")
+    with pytest.raises(edge.InputError, match="the packages cycloid-fmu and second_modbus both have it; remove one"):
+        read_bench(bench(tmp_path, "modbus"))
