@@ -81,7 +81,7 @@ class BusConfig(edge.Config):
 
 
 class PortConfig(edge.Config):
-    """A serial port as pyserial opens it: a device such as "/dev/ttyUSB0" or any of pyserial's URLs; 8 data bits."""
+    """A serial port of 8 data bits as pyserial opens it: a device such as "/dev/ttyUSB0", or a URL."""
 
     url: str
     baud_rate: Annotated[int, pydantic.Field(gt=0)] = 2_000_000

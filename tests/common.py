@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -46,3 +47,37 @@ def resolved(name):
             importlib.import_module(f"{found.__name__}.{part}")
         found = getattr(found, part)
     return found
+
+
+_TOKEN = re.compile(rb"[-+.\w]+")
+_ODD = (
+    b"", b"nan", b"-inf", b"1e999", b"1e-320", b"-1", b"0", b"9" * 400, b"1e18", b"0x", b"true", b"null", b"{}",
+    b"[" * 2000, b'"', b"\\u0000", b"\n", b"\0", b"\xff\xfe", "٣".encode(), b"../..", b"%s{0}", b"1" + b"0" * 20,
+)  # fmt: skip
+
+
+def damaged(random, data):
+    """Other bytes, mostly those of a file: bits flip, bytes come and go, stretches move, words become others."""
+    data = bytearray(data)
+    longest = np.log2(max(2, min(1024, len(data) // 16)))
+    for _ in range(random.choice([1, 1, 1, 2, 3])):
+        kind, at = int(random.integers(0, 10)), int(random.integers(0, len(data) + 1))
+        length = int(2 ** random.uniform(0, longest))
+        if kind == 0 and data:
+            data[at % len(data)] ^= 1 << int(random.integers(0, 8))
+        elif kind == 1 and random.integers(3) == 0:
+            del data[at:]
+        elif kind == 2:
+            data[at:at] = random.bytes(min(length, 8))
+        elif kind == 3:
+            del data[at : at + length]
+        elif kind == 4:
+            begin = int(random.integers(0, len(data) + 1))
+            data[at:at] = data[begin : begin + length]
+        elif kind == 5:  # lengths, offsets and counts lie at multiples of four
+            number = random.choice([0, 1, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, random.integers(0, 1 << 32)])
+            data[at // 4 * 4 : at // 4 * 4 + 4] = int(number).to_bytes(4, "little")
+        elif found := _TOKEN.search(data, at):
+            word = random.integers(0, len(_ODD))
+            data[found.start() : found.end()] = _ODD[word]
+    return bytes(data)

@@ -63,8 +63,7 @@ def analyze(
         # Only here: xarray takes longer to load than the sweep.
         data = transmission.labelled(drive.pair, drive.surface, found, used, complete=finished == angles)
         if output is not None:
-            with edge.written_whole(output) as temporary:
-                data.to_netcdf(temporary, engine="h5netcdf")
+            edge.write_netcdf(data, output)
         if plot is not None:
             from cycloid_fmu.draw import plots
 

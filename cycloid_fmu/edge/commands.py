@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gc
 import importlib
+import logging
 import os
 import shutil
 import signal
@@ -33,6 +34,7 @@ from cycloid_fmu.edge.problems import (
     InputError,
     did_you_mean,
     shown,
+    without_controls,
 )
 from cycloid_fmu.edge.quantities import EXAMPLES, parse_quantity
 
@@ -164,6 +166,9 @@ def run(app: typer.Typer) -> NoReturn:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     # What modules make when they are loaded stays: looking through it for garbage took a tenth of a short command.
     gc.set_threshold(100_000)
+    if not debug:  # what libraries log, and what their half-made objects complain of, is in our own sentence
+        logging.disable(logging.CRITICAL)
+        sys.unraisablehook = lambda complaint: None
     try:
         code = app(prog_name=app.info.name, standalone_mode=False)
     except InputError as problem:
@@ -182,7 +187,10 @@ def run(app: typer.Typer) -> NoReturn:
     except Exception as problem:
         if debug:
             raise
-        _say(f"Failed: {type(problem).__name__}: {problem} (CYCLOID_TRACEBACK=1 shows where)")
+        if isinstance(problem, OSError) and problem.filename is not None and problem.strerror is not None:
+            _say(f"{problem.filename}: {problem.strerror}.")
+        else:
+            _say(f"Failed: {type(problem).__name__}: {problem} (CYCLOID_TRACEBACK=1 shows where)")
         sys.exit(FAILED)
     sys.exit(code if isinstance(code, int) else DONE)
 
@@ -206,7 +214,7 @@ def _usage(problem: Any) -> str:
 
 def _say(text: str) -> None:
     sys.stdout.flush()
-    print(text, file=sys.stderr, flush=True)
+    print(without_controls(text), file=sys.stderr, flush=True)
 
 
 class _Refused(typer.BadParameter):
@@ -293,7 +301,7 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
 
     Sentences in the last column are wrapped at blanks where a terminal is too narrow for them.
     """
-    lines = [[str(cell) for cell in row] for row in (columns, *rows)]
+    lines = [[without_controls(str(cell)) for cell in row] for row in (columns, *rows)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     if sys.stdout.isatty() and widths[-1] > _WIDE:
         room = shutil.get_terminal_size().columns - sum(widths[:-1]) - 2 * len(widths[:-1])

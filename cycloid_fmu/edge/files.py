@@ -1,26 +1,30 @@
-"""Files: text, TOML, JSON, tables with units and netCDF that are read, and files that appear whole or not at all."""
+"""Files: text, TOML, JSON, tables with units that are read, and files that appear whole or not at all."""
 
 from __future__ import annotations
 
 import contextlib
 import csv
+import errno
 import json
 import math
 import os
+import shutil
+import stat
+import sys
 import tempfile
 import tomllib
+import xml.parsers.expat
 import zipfile
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from cycloid_fmu.edge.problems import ArgumentError, InputError, shown
+from cycloid_fmu.edge.problems import ArgumentError, InputError, parsed_by_others, shown
 from cycloid_fmu.edge.quantities import unit_scale
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+MOST_BYTES = 4 << 30  # of what is unpacked or loaded as a whole
+_LONGEST_XML = 64 << 20
 PICTURES = (".png", ".pdf")
 """Endings of files with a plot."""
 
@@ -39,6 +43,8 @@ def toml_table(text: str, wanted_format: str, source: str) -> dict[str, Any]:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as problem:
         raise InputError(f"{source}: this is not TOML: {problem}.") from None
+    except (ValueError, RecursionError):
+        raise InputError(f"{source}: it holds a number too long to be read, or tables nested too deep.") from None
     check_format(table.pop("format", None), wanted_format, source)
     return table
 
@@ -55,29 +61,11 @@ def json_table(path: str | os.PathLike[str], wanted_format: str, what: str) -> d
         data = json.loads(read_text(path))
     except json.JSONDecodeError as problem:
         raise InputError(f"{path}: this is not JSON: {problem}.") from None
+    except (ValueError, RecursionError):
+        raise InputError(f"{path}: it holds a number too long to be read, or lists nested too deep.") from None
     if not isinstance(data, dict):
         raise InputError(f"{path}: it holds no {what}; it must be a JSON object.")
     check_format(data.get("format"), wanted_format, str(path))
-    return data
-
-
-def netcdf(path: str | os.PathLike[str], wanted_format: str) -> xr.Dataset:
-    """Return the variables of a netCDF file of the wanted format, loaded.
-
-    Raises
-    ------
-    InputError
-        If it can't be read, is no netCDF, or is of another format.
-    """
-    import xarray as xr
-
-    existing(path)
-    try:
-        with xr.open_dataset(path, engine="h5netcdf") as opened:
-            data = opened.load()
-    except Exception as problem:
-        raise InputError(f"{path}: this is not a netCDF file ({type(problem).__name__}).") from None
-    check_format(data.attrs.get("format"), wanted_format, str(path))
     return data
 
 
@@ -85,14 +73,16 @@ def format_of(path: str | os.PathLike[str]) -> object:
     """Return the `format` of a TOML file, None where it has none or is no TOML (its reader then says so)."""
     try:
         return tomllib.loads(read_text(path)).get("format")
-    except tomllib.TOMLDecodeError:
+    except InputError:
+        raise
+    except (ValueError, RecursionError):
         return None
 
 
 def read_text(path: str | os.PathLike[str]) -> str:
-    """Return a UTF-8 text file; an `InputError` where it can't be read."""
+    """Return a UTF-8 text file; an `InputError` where it can't be read or is a device, a pipe or a socket."""
     try:
-        return Path(path).read_text(encoding="utf-8")
+        return existing(path).read_text(encoding="utf-8")
     except UnicodeDecodeError:
         raise InputError(f"{path}: this is not a UTF-8 text file.") from None
     except OSError as problem:
@@ -100,12 +90,27 @@ def read_text(path: str | os.PathLike[str]) -> str:
 
 
 def existing(path: str | os.PathLike[str]) -> Path:
-    """Return the path of a file that can be read; an `InputError` where there is none."""
+    """Return the path of a file that can be read; an `InputError` where there is none.
+
+    Devices, pipes and sockets are refused before they are opened: to open some of them does something, and others never
+    end.
+    """
     try:
-        with Path(path).open("rb"):
-            return Path(path)
-    except OSError as problem:
-        raise InputError(f"{path}: {problem.strerror or problem}.") from None
+        mode = Path(path).stat().st_mode
+        kernels = os.name == "posix" and Path(path).resolve().parts[1:2] in (("proc",), ("sys",))
+        if stat.S_ISDIR(mode) or (stat.S_ISREG(mode) and not kernels):
+            with Path(path).open("rb"):
+                return Path(path)
+    except (OSError, ValueError) as problem:  # a ValueError where a name holds a zero byte
+        raise InputError(f"{path}: {getattr(problem, 'strerror', None) or problem}.") from None
+    kind = "a part of the kernel" if stat.S_ISREG(mode) else _kind(mode)
+    raise InputError(f"{path}: this is {kind}; only files are read.")
+
+
+def _kind(mode: int) -> str:
+    """Return what something in a folder is that is no plain file, for a sentence."""
+    kinds = {stat.S_ISLNK: "a link", stat.S_ISDIR: "a folder", stat.S_ISFIFO: "a pipe", stat.S_ISSOCK: "a socket"}
+    return next((name for is_one, name in kinds.items() if is_one(mode)), "a device")
 
 
 def unit_columns(
@@ -137,7 +142,7 @@ def unit_columns(
         if name not in units:
             continue
         if not bracket or not unit.endswith("]"):
-            raise InputError(f'{source}: the column "{cell.strip()}" has no unit; write "{name} [{units[name]}]".')
+            raise InputError(f'{source}: the column {shown(cell.strip())} has no unit; write "{name} [{units[name]}]".')
         try:
             found[name] = (position, unit_scale(unit[:-1].strip(), units[name]))
         except ValueError as problem:
@@ -155,8 +160,19 @@ def finite(cell: str, field: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise InputError(f'{field} = "{cell}": it must be a finite number with a decimal point.')
+        raise InputError(f"{field} = {shown(cell)}: it must be a finite number with a decimal point.")
     return value
+
+
+def csv_rows(path: str | os.PathLike[str]) -> Iterator[list[str]]:
+    """Yield the cells of a CSV file's lines; an `InputError` where it can't be read."""
+    rows = csv.reader(read_text(path).splitlines())
+    while True:
+        with parsed_by_others(path, "this is not a CSV table"):
+            row = next(rows, None)
+        if row is None:
+            return
+        yield row
 
 
 def number_rows(
@@ -176,7 +192,7 @@ def number_rows(
     InputError
         If it can't be read, a column or its unit is missing, or a cell is no finite number; it names the line.
     """
-    lines = csv.reader(read_text(path).splitlines())
+    lines = csv_rows(path)
     columns = unit_columns(next(lines, []), wanted, str(path), optional)
     for number, row in enumerate(lines, start=2):
         if row:
@@ -190,40 +206,179 @@ def output_path(path: str | os.PathLike[str], argument: str, endings: Collection
     Raises
     ------
     ArgumentError
-        If the name has another ending than the format's, or its folder does not exist; it names `argument`.
+        If the name has another ending than the format's, its folder does not exist, or a folder, link, device, pipe or
+        socket has the name; it names `argument`.
     """
     target = Path(path)
     if target.suffix.lower() not in endings:
         raise ArgumentError(argument, f"the name must end in {' or '.join(endings)}", target)
-    if not target.parent.is_dir():
-        raise ArgumentError(argument, f"the folder {target.parent} does not exist", target)
+    if problem := _unwritable(target):
+        raise ArgumentError(argument, problem, target)
     return target
+
+
+def _unwritable(target: Path) -> str:
+    """Return why no file may be written under this name, "" where one may."""
+    try:
+        if not target.parent.is_dir():
+            return f"the folder {target.parent} does not exist"
+        mode = target.lstat().st_mode
+    except FileNotFoundError:
+        return ""
+    except (OSError, ValueError) as problem:
+        return f"this can't be written: {getattr(problem, 'strerror', None) or problem}"
+    return "" if stat.S_ISREG(mode) else f"{_kind(mode)} has this name; only plain files are written"
+
+
+def writable(path: str | os.PathLike[str]) -> Path:
+    """Return the path of a plain file that may be written, or of none; an `InputError` says what else is there."""
+    if problem := _unwritable(Path(path)):
+        raise InputError(f"{path}: {problem}.")
+    return Path(path)
+
+
+@contextlib.contextmanager
+def naming(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Have an `OSError` of a file being written name that file: those of a write name none."""
+    try:
+        yield
+    except OSError as problem:
+        if problem.errno is None or problem.filename is not None:
+            raise
+        raise OSError(problem.errno, os.strerror(problem.errno), str(path)) from problem
 
 
 @contextlib.contextmanager
 def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Give a temporary path beside `path` and rename it to `path` on success: readers see all of it or nothing."""
-    target = Path(path)
-    if not target.parent.is_dir():
-        raise InputError(f"{path}: the folder {target.parent} does not exist.")
-    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.stem}-", suffix=target.suffix)
-    os.close(handle)
-    temporary = Path(name)
+    """Give a temporary path beside `path` and rename it to `path` on success: readers see all of it or nothing.
+
+    What commands that were killed left beside it is removed.
+
+    Raises
+    ------
+    InputError
+        If the folder does not exist or takes no file, or what has the name is no plain file.
+    OSError
+        If the disk takes no more; it names the file.
+    """
+    target = writable(path)
     try:
-        yield temporary
+        _remove_left(target.parent)
+        folder, lock = _own_folder(target)
+    except OSError as problem:
+        raise InputError(f"{path}: this can't be written: {problem.strerror or problem}.") from None
+    temporary = folder / target.name
+    try:
+        with naming(path):
+            yield temporary
         umask = os.umask(0)
         os.umask(umask)
         temporary.chmod(0o666 & ~umask)
-        temporary.replace(target)
+        temporary.replace(writable(path))
     finally:
-        temporary.unlink(missing_ok=True)
+        os.close(lock)
+        shutil.rmtree(folder, ignore_errors=True)
 
 
-def zip_archive(path: str | os.PathLike[str], what: str) -> Path:
-    """Return the path of a file that is a ZIP archive; an `InputError` says that it is no `what`, such as "FMU"."""
+_LEFT = ".cycloid-part"  # ending of folders with a file being written
+_LOCK = "lock"  # in each; it is held while somebody writes
+
+
+def _own_folder(target: Path) -> tuple[Path, int]:
+    """Return a new folder beside a file to be written, and the descriptor of its lock, which is held."""
+    while True:
+        folder = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name[:40]}.", suffix=_LEFT))
+        try:
+            lock = os.open(folder / _LOCK, os.O_CREAT | os.O_RDWR, 0o600)
+        except FileNotFoundError:  # taken for one that was left, before its lock was there
+            continue
+        except OSError:
+            folder.rmdir()
+            raise
+        if _locked(lock) is not False and (folder / _LOCK).exists():
+            return folder, lock
+        os.close(lock)
+
+
+def _remove_left(folder: Path) -> None:
+    """Remove the unfinished files in a folder that nobody writes any more: their locks went with their writers."""
+    for left in folder.glob(f".*{_LEFT}"):
+        with contextlib.suppress(OSError):  # another's, or removed by another meanwhile
+            if left.is_symlink():
+                continue
+            if not any(left.iterdir()):
+                left.rmdir()
+                continue
+            lock = os.open(left / _LOCK, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0))
+            try:
+                if free := _locked(lock):
+                    shutil.rmtree(left, ignore_errors=True)
+            finally:
+                os.close(lock)
+            if free:  # Windows removes no open file
+                shutil.rmtree(left, ignore_errors=True)
+
+
+def _locked(descriptor: int) -> bool | None:
+    """Take the lock of an open file, which goes with the process.
+
+    Returns
+    -------
+    bool or None
+        False where another has it, None where the file system knows no locks.
+    """
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as problem:
+        return False if problem.errno in (errno.EACCES, errno.EAGAIN, errno.EDEADLK) else None
+    return True
+
+
+def zip_archive(path: str | os.PathLike[str], what: str, description: str | None = None) -> Path:
+    """Return the path of a file that is a ZIP archive and may be unpacked.
+
+    Parameters
+    ----------
+    path
+        The file.
+    what
+        What it should be, for messages, such as "FMU".
+    description
+        Name in it of an XML file that is going to be read.
+
+    Raises
+    ------
+    InputError
+        If it is no archive, unpacks to more than 4 GiB, or its XML file is longer than 64 MiB or has a document type,
+        whose entities can grow without end or stand for other files.
+    """
     if not zipfile.is_zipfile(existing(path)):
         raise InputError(f"{path}: this is not an {what}: it must be a ZIP archive.")
+    with parsed_by_others(path, f"this is not an {what}, or it is damaged"), zipfile.ZipFile(path) as archive:
+        if sum(member.file_size for member in archive.infolist()) > MOST_BYTES:
+            raise InputError(f"{path}: it unpacks to more than {MOST_BYTES >> 30} GiB.")
+        if description is not None and description in archive.namelist():
+            if archive.getinfo(description).file_size > _LONGEST_XML:
+                raise InputError(f"{path}: its {description} is longer than {_LONGEST_XML >> 20} MiB.")
+            _check_xml(archive.read(description), f"{path}: its {description}")
     return Path(path)
+
+
+def _check_xml(data: bytes, what: str) -> None:
+    def refuse(*_: object) -> None:
+        raise InputError(f"{what} has a document type (DOCTYPE); such a file needs none.")
+
+    parser = xml.parsers.expat.ParserCreate()
+    parser.StartDoctypeDeclHandler = refuse
+    with contextlib.suppress(xml.parsers.expat.ExpatError):  # who reads it says what is wrong
+        parser.Parse(data, True)
 
 
 def json_text(data: Any) -> str:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 DONE, FAILED, BAD_INPUT, SILENT, INTERRUPTED = 0, 1, 2, 3, 130
 _NOTHING = object()
+_CONTROLS = frozenset([*range(0x20), *range(0x7F, 0xA0), *range(0x202A, 0x202F), *range(0x2066, 0x206A)])
 
 
 class InputError(ValueError):
@@ -44,12 +46,56 @@ class ArgumentError(InputError):
         return f"{name}{given} {self.problem}."
 
 
+@contextlib.contextmanager
+def parsed_by_others(source: object, problem: str) -> Iterator[None]:
+    """Refuse, in one sentence, a file on which a library that is not ours fails, whatever it raises.
+
+    Parameters
+    ----------
+    source
+        The file's name.
+    problem
+        What is wrong, without the closing full stop: "this is not a netCDF file". The library's own reason follows.
+
+    Raises
+    ------
+    InputError
+        In place of any other exception; one that is an `InputError` already goes on as it is.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as failure:  # a parser raises whatever it trips over: no list of classes is complete
+        raise InputError(f"{source}: {problem} ({first_line(failure)}).") from None
+
+
+def first_line(problem: BaseException) -> str:
+    """What a library's error says, in one line and cut where it is long."""
+    said = (str(problem).strip() or type(problem).__name__).splitlines()[0].rstrip(".")
+    return _cut(said, 200)
+
+
+def listed(names: Iterable[str]) -> str:
+    """Return names as they are listed in a sentence, cut where they are many."""
+    return _cut(", ".join(names), 300)
+
+
+def _cut(text: str, length: int) -> str:
+    plain = "".join(c if c.isprintable() else " " for c in text)
+    return plain if len(plain) <= length else plain[: length - 3] + "..."
+
+
 def shown(value: object) -> str:
-    """Return a value as it is written in a sentence: text in quotes, anything long but a path cut."""
+    """Return a value as it is written in a sentence: in one line, text in quotes, anything long but a path cut."""
     if isinstance(value, os.PathLike):
         return str(value)
-    text = f'"{value}"' if isinstance(value, str) else str(value)
-    return text if len(text) <= 60 else text[:57] + "..."
+    return _cut(f'"{value}"' if isinstance(value, str) else str(value), 60)
+
+
+def without_controls(text: str) -> str:
+    """Return a text without what makes a terminal act, such as the escape sequences in a name of a file; lines stay."""
+    return "".join(c if c == "\n" or ord(c) not in _CONTROLS else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import functools
 import math
 import re
-from decimal import Decimal
+from decimal import Decimal, DecimalException
 from typing import TYPE_CHECKING, Any
+
+from cycloid_fmu.edge.problems import shown
 
 if TYPE_CHECKING:
     import pint
@@ -17,7 +19,11 @@ ARCMIN = ARCSEC / 60.0
 
 _NUMBER = r"[+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?"
 _QUANTITY = re.compile(rf"({_NUMBER}) (\S.*)")
-_NEWTON_METRE = re.compile(r"\b([mkM]?)N(m|mm|cm)\b")
+_NEWTON_METRE = re.compile(r"([mkM]?)N(m|mm|cm)")
+_LONGEST = 60  # characters of a unit, and of a number
+_EXPONENT = 9  # largest of a unit
+_RAISED = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺", "0123456789-+")
+_SYMBOL = re.compile(r"(?:\*\*|\^)\s*(?P<exponent>[+-]?\d+)|(?P<sign>[*·⋅×/()])|(?P<unit>[°%]?[^\W\d]\w*|[°%1])|\s+")
 EXAMPLES = {
     "m": "64 mm", "rad": "0.5 arcmin", "N": "5 N", "N*m": "181 N*m", "Pa": "206 GPa", "s": "10 ms", "rad/s": "15 rpm",
     "K": "300 K", "rad/(N*m)": "0.02 arcsec/(N*m)", "1/Pa": "2.2e-8 1/Pa", "m^2/N": "1e-18 m^2/N",
@@ -53,6 +59,78 @@ def units() -> pint.UnitRegistry[Any]:
     return pint.UnitRegistry()
 
 
+def _factors(text: str) -> list[tuple[str, int]]:
+    """Return the units that a text multiplies, each with its exponent; a `ValueError` where it is no such text."""
+    if len(text) > _LONGEST:
+        raise ValueError
+    text = re.sub("[⁻⁺]?[⁰¹²³⁴-⁹]+", lambda raised: f"**{raised[0].translate(_RAISED)}", text)
+    place, side, follows, opened = 0, 1, False, list[tuple[int, int]]()
+    found: list[tuple[str, int]] = []
+    last = (0, 0)  # factors of what an exponent behind it raises
+    while place < len(text):
+        symbol = _SYMBOL.match(text, place)
+        if symbol is None:
+            raise ValueError
+        place = symbol.end()
+        if unit := symbol["unit"]:
+            newton_metre = _NEWTON_METRE.fullmatch(unit)  # to pint "Nm" is a number of metres
+            parts = (f"{newton_metre[1]}N", newton_metre[2]) if newton_metre else (unit,)
+            last = (len(found), len(found) + len(parts))
+            found += [(part, side) for part in parts]
+            side, follows = 1, True
+        elif exponent := symbol["exponent"]:
+            power = int(exponent)
+            if last[0] == last[1] or not -_EXPONENT <= power <= _EXPONENT:
+                raise ValueError
+            found[slice(*last)] = [(name, power * before) for name, before in found[slice(*last)]]
+            last = (0, 0)
+        elif symbol["sign"] == "(":
+            opened.append((len(found), side))
+            side, follows = 1, False
+        elif symbol["sign"] == ")":
+            if not opened or not follows:
+                raise ValueError
+            begin, turned = opened.pop()
+            found[begin:] = [(name, turned * before) for name, before in found[begin:]]
+            last = (begin, len(found))
+        elif symbol["sign"]:
+            if not follows:
+                raise ValueError
+            side, follows = -1 if symbol["sign"] == "/" else 1, False
+            last = (0, 0)
+    if opened or not follows or max(abs(power) for _, power in found) > _EXPONENT:
+        raise ValueError
+    return found
+
+
+@functools.lru_cache(maxsize=512)
+def parse_unit(text: str) -> pint.Unit:
+    """Return the unit that a text names: units of pint's registry, multiplied, divided and raised to whole numbers.
+
+    Pint's own reading of text computes what the text asks for: `m**9**9**9` for ever.
+
+    Parameters
+    ----------
+    text
+        At most 60 characters, exponents of at most 9: "N*m/rad", "kg m^2", "µm", "1/Pa", "m·s⁻²".
+
+    Raises
+    ------
+    ValueError
+        If it is anything else.
+    """
+    factors = _factors(text)
+    unit = units().Unit("")
+    for name, power in factors:
+        if name == "1":
+            continue
+        try:
+            unit = unit * units().Unit(name) ** power
+        except Exception as problem:  # pint raises many for what is no unit
+            raise ValueError(f"{name} is not a unit") from problem
+    return unit
+
+
 @functools.lru_cache(maxsize=512)
 def unit_scale(unit: str, si: str) -> float:
     """Return how many `si` units one `unit` is.
@@ -65,17 +143,18 @@ def unit_scale(unit: str, si: str) -> float:
     usual = USUAL.get(si, {}).get(unit)
     if usual is not None:
         return usual
-    example = EXAMPLES.get(si, f"1 {si}").split(" ", 1)[1]
+    example = EXAMPLES[si].split(" ", 1)[1] if si in EXAMPLES else shown(si).strip('"')
     try:
-        # Pint would read "Nm" as a number of metres.
-        parsed = units().Unit(_NEWTON_METRE.sub(r"(\1N*\2)", unit))
-        zero, one = (units().Quantity(x, parsed).to(si).magnitude for x in (0.0, 1.0))
+        parsed, wanted = parse_unit(unit), parse_unit(si)  # FMUs and encoders' tables say both
+        zero, one = (float(units().Quantity(x, parsed).to(wanted).magnitude) for x in (0.0, 1.0))
     except Exception as problem:
         reason = "measures something else" if "convert" in str(problem) else "is not a unit known here"
-        raise ValueError(f'the unit "{unit}" {reason}; use one such as {example}') from None
+        raise ValueError(f"the unit {shown(unit)} {reason}; use one such as {example}") from None
     if zero != 0.0:
-        raise ValueError(f'the unit "{unit}" has an offset; use one such as {example}')
-    return float(one)
+        raise ValueError(f"the unit {shown(unit)} has an offset; use one such as {example}")
+    if not 0.0 < one < math.inf:
+        raise ValueError(f"the unit {shown(unit)} is beyond what numbers hold; use one such as {example}")
+    return one
 
 
 def parse_quantity(value: object, si: str) -> float:
@@ -102,10 +181,14 @@ def parse_quantity(value: object, si: str) -> float:
     """
     how = f'write one number with a decimal point, a space and a unit, such as "{EXAMPLES.get(si, f"1 {si}")}"'
     match = _QUANTITY.fullmatch(value) if isinstance(value, str) else None
-    if match is None:
+    if match is None or len(match[1]) > _LONGEST:
         raise ValueError(how)
     # In decimals: "1.3 mm" is 0.0013 and not a last bit beside it, as the same value written in metres is.
-    number = float(Decimal(match[1]) * Decimal(repr(unit_scale(match[2].strip(), si))))
+    scale = unit_scale(match[2].strip(), si)
+    try:
+        number = float(Decimal(match[1]) * Decimal(repr(scale)))
+    except DecimalException:  # beyond any number
+        raise ValueError(how) from None
     if not math.isfinite(number):
         raise ValueError(how)
     return number

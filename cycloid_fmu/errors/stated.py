@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cycloid_fmu import edge
 from cycloid_fmu.errors.kinds import ErrorKind, by_file_key
 
-_ORDER = re.compile(r"order_([1-9]\d*)")
+_ORDER = re.compile(r"order_([1-9]\d{0,8})")
 
 
 def limited(value: float, kind: ErrorKind) -> float:

@@ -64,7 +64,8 @@ def stated_drive(path: str | os.PathLike[str]) -> str:
     """
     from cycloid_fmu.fmu.parts import DRIVE
 
-    with zipfile.ZipFile(edge.zip_archive(path, "FMU")) as archive:
+    archive_path = edge.zip_archive(path, "FMU")
+    with edge.parsed_by_others(path, "this FMU is damaged"), zipfile.ZipFile(archive_path) as archive:
         if DRIVE not in archive.namelist():
             return ""
         return archive.read(DRIVE).decode().split("\n", 1)[0].removeprefix("# drive ")
@@ -73,11 +74,9 @@ def stated_drive(path: str | os.PathLike[str]) -> str:
 def _description(path: str | os.PathLike[str]) -> Any:
     import fmpy
 
-    edge.existing(path)
-    try:
+    edge.zip_archive(path, "FMU", "modelDescription.xml")
+    with edge.parsed_by_others(path, "this is not an FMU"):
         return fmpy.read_model_description(str(path), validate=False)
-    except Exception as problem:
-        raise edge.InputError(f"{path}: this is not an FMU ({type(problem).__name__}: {problem}).") from None
 
 
 class Fmu:

@@ -318,7 +318,7 @@ class Checkpoint:
         self.path = path
         self.done: dict[int, Array] = {}
         identity = study.identity()
-        if path.exists():
+        if edge.writable(path).exists():
             self._read(identity)
         else:
             with edge.written_whole(path) as temporary:
@@ -330,23 +330,23 @@ class Checkpoint:
         if header is None:
             raise edge.InputError(f"{self.path}: this is not a checkpoint of a tolerance study; move it away.")
         edge.check_format(header.get("format"), CHECKPOINT_FORMAT, str(self.path))
+        with edge.parsed_by_others(self.path, "this checkpoint is damaged; move it away"):
+            stated = dict(header["study"])
+            records = [record for record in map(_content, lines[1:]) if record is not None]
+            self.done = {int(one["first"]): np.array(one["values"], dtype=float) for one in records}
         for name, mine in identity.items():
-            theirs = header["study"].get(name)
+            theirs = stated.get(name)
             if theirs != mine:
                 values = "" if isinstance(mine, str | dict) and name != "design" else f": {theirs} there, {mine} here"
                 raise edge.InputError(
                     f"{self.path}: this checkpoint belongs to another study, its {name} differs{values}; finish that "
                     "study, or remove the file to start anew."
                 )
-        for line in lines[1:]:
-            record = _content(line)
-            if record is not None:
-                self.done[record["first"]] = np.array(record["values"])
 
     def add(self, first: int, values: Array) -> None:
         """Keep the figures of the samples from `first` on."""
         # A newline first: a line that a kill cut short must not spoil this one.
-        with self.path.open("a", encoding="utf-8") as file:
+        with edge.naming(self.path), edge.writable(self.path).open("a", encoding="utf-8") as file:
             file.write("\n" + _line({"first": first, "values": values.tolist()}))
 
 
@@ -360,8 +360,11 @@ def _content(line: str) -> dict[str, Any] | None:
     check, _, text = line.partition(" ")
     if check != f"{zlib.crc32(text.encode()):08x}":
         return None
-    record: dict[str, Any] = json.loads(text)
-    return record
+    try:
+        record = json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+    return record if isinstance(record, dict) else None
 
 
 def _connected(scheduler: str) -> Any:

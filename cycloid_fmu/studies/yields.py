@@ -151,8 +151,7 @@ def conduct(
             kept = Checkpoint(Path(f"{output}.checkpoint"), study)
         result = run(study, kept, **machines)
     if output is not None:
-        with edge.written_whole(output) as temporary:
-            dataset_of(result).to_netcdf(temporary, engine="h5netcdf")
+        edge.write_netcdf(dataset_of(result), output)
     if kept is not None:
         kept.path.unlink()
     indices = sobol_indices(result) if study.design == "saltelli" else {}

@@ -42,9 +42,7 @@ def write_surface(surface: ErrorSurface, path: str | os.PathLike[str]) -> None:
     if surface.life is not None:
         dataset["life_crank_turns"].attrs.update(units="1", long_name="crank turns since new")
     dataset.attrs.update(surface.attributes, format=FORMAT, origin=surface.origin, pair=surface.pair.text)
-    with edge.written_whole(path) as temporary:
-        packed = {n: {"zlib": True} for n in dataset.data_vars if str(n).startswith("life_")}
-        dataset.to_netcdf(temporary, engine="h5netcdf", encoding=packed)
+    edge.write_netcdf(dataset, path, {str(n): {"zlib": True} for n in dataset.data_vars if str(n).startswith("life_")})
 
 
 def read_surface(path: str | os.PathLike[str]) -> ErrorSurface:

@@ -12,7 +12,6 @@ circle's, the mean of their radius errors is that of all pins; what remains is e
 
 from __future__ import annotations
 
-import csv
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -140,8 +139,8 @@ def read_points(path: str | os.PathLike[str]) -> MeasuredPoints:
     edge.InputError
         If a column or its unit is missing, or a cell is not what it must be; the sentence names the line.
     """
-    lines = edge.read_text(path).splitlines()
-    header = next(csv.reader(lines[:1]), [])
+    lines = edge.csv_rows(path)
+    header = next(lines, [])
     lengths = edge.unit_columns(header, dict.fromkeys(LENGTHS, "m"), str(path))
     names = [cell.strip() for cell in header]
     for name in ("body", "disc", "number"):
@@ -150,12 +149,12 @@ def read_points(path: str | os.PathLike[str]) -> MeasuredPoints:
     places = {name: names.index(name) for name in ("body", "disc", "number")}
     places.update({name: position for name, (position, _) in lengths.items()})
     rows: list[tuple[bool, int, int, float, float, float, int]] = []
-    for line, row in enumerate(csv.reader(lines[1:]), start=2):
+    for line, row in enumerate(lines, start=2):
         if not row:
             continue
         cells = {name: row[position].strip() if position < len(row) else "" for name, position in places.items()}
         if cells["body"] not in ("gear", "pin"):
-            raise edge.InputError(f'{path}: line {line}: body = "{cells["body"]}": it must be gear or pin.')
+            raise edge.InputError(f"{path}: line {line}: body = {edge.shown(cells['body'])}: it must be gear or pin.")
         gear = cells["body"] == "gear"
         disc = _whole(cells["disc"] if gear else cells["disc"] or "0", "disc", line, path)
         number = _whole(cells["number"], "number", line, path)
@@ -177,8 +176,8 @@ def read_points(path: str | os.PathLike[str]) -> MeasuredPoints:
 
 
 def _whole(cell: str, name: str, line: int, path: object) -> int:
-    if not (cell.isascii() and cell.isdigit()):
-        raise edge.InputError(f'{path}: line {line}: {name} = "{cell}": it must be a whole number from 0.')
+    if not (cell.isascii() and cell.isdigit() and len(cell) < 10):
+        raise edge.InputError(f"{path}: line {line}: {name} = {edge.shown(cell)}: it must be a whole number from 0.")
     return int(cell)
 
 

@@ -6,6 +6,7 @@ import can
 
 from drivers.encoder import BusConfig, EncoderSetupError
 from drivers.hubs import reason
+from drivers.lines import SERIAL_BUSES, device_of, no_terminal
 
 SYNC_ID = 0x80
 _CLOCKS = {
@@ -39,6 +40,8 @@ def open_bus(config: BusConfig, **options: object) -> can.BusABC:
     EncoderSetupError
         If the interface is unknown or does not open.
     """
+    if config.interface in SERIAL_BUSES and (refused := no_terminal(device_of(config.channel))):
+        raise EncoderSetupError(f"The CAN bus {config.place} does not open: {refused}.")
     for name in ("bitrate", "data_bitrate"):
         if getattr(config, name) is not None:
             options[name] = getattr(config, name)

@@ -8,12 +8,15 @@ from typing import Annotated
 import typer
 
 import drivers
+from cycloid_fmu.edge.commands import output_option
 from drivers.cli.shown import bytes_of
 
 
 def export(
     recording: Annotated[Path, typer.Argument(metavar="RUN.arrows", help="The recording.")],
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="RUN.csv|nc|parquet|mf4", help="File to write.")],
+    output: Annotated[
+        Path, output_option((".csv", ".nc", ".parquet", ".mf4"), "RUN.csv|nc|parquet|mf4", "File to write.")
+    ],
 ) -> None:
     """Write a recording in another format, by the file's ending; it may be larger than the memory.
 

@@ -8,15 +8,16 @@ from typing import Annotated
 import typer
 
 import drivers
-from cycloid_fmu.edge.commands import quantity_option
-from drivers.cli.shown import LiveLine, recording, report
+from cycloid_fmu.edge.commands import output_option, quantity_option
+from drivers.cli.shown import Allowed, LiveLine, recording, report
 
 
 def record(
     bench: Annotated[Path, typer.Argument(metavar="BENCH.toml", help="The wiring: buses, ports and channels.")],
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="RUN.arrows", help="New file to record to.")],
+    output: Annotated[Path, output_option((".arrows",), "RUN.arrows", "New file to record to.")],
     duration: Annotated[float | None, quantity_option("s", "Stop after this time.")] = None,
     idle: Annotated[float | None, quantity_option("s", "Stop when nothing came for this time.")] = None,
+    allow: Allowed = None,
 ) -> None:
     """Record all channels of a bench until Ctrl-C, the duration or silence.
 
@@ -29,5 +30,5 @@ def record(
     connection): in each case the file is whole and a summary says what it holds and what was lost.
     """
     with recording(), LiveLine() as progress:
-        done = drivers.record(bench, output, duration=duration, idle=idle, progress=progress)
+        done = drivers.record(bench, output, duration=duration, idle=idle, progress=progress, allow=allow or ())
     report(done)

@@ -9,14 +9,13 @@ import typer
 
 import drivers
 from cycloid_fmu import edge
+from cycloid_fmu.edge.commands import output_option
 from drivers.cli.shown import bytes_of
 
 
 def repair(
     recording: Annotated[Path, typer.Argument(metavar="RUN.arrows", help="The recording.")],
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="WHOLE.arrows", help="Write what it holds here.")
-    ] = None,
+    output: Annotated[Path | None, output_option((".arrows",), "WHOLE.arrows", "Write what it holds here.")] = None,
 ) -> None:
     """Report what a torn or damaged recording still holds, and write that as a whole one if asked.
 

@@ -10,13 +10,14 @@ import typer
 
 import drivers
 from cycloid_fmu import edge
-from drivers.cli.shown import LiveLine, recording
+from drivers.cli.shown import Allowed, LiveLine, recording
 from drivers.recorder.sequence import Step, read_sequence
 from drivers.recorder.watchdog import watched
 
 
 def run(
     sequence: Annotated[Path, typer.Argument(metavar="SEQUENCE.toml", help="Speeds, loads, directions, loops.")],
+    allow: Allowed = None,
 ) -> None:
     """Run a test sequence: prompt for or drive each step, check that it was reached, write one recording a step.
 
@@ -25,7 +26,7 @@ def run(
     Recordings are written beside the sequence; steps that are recorded are left out, so an interrupted sequence goes on
     where it was. A step that falls short is kept under another name, and made again if you say so.
     """
-    made = read_sequence(sequence)
+    made = read_sequence(sequence, allow=allow or ())
     driven, numbers = made.file.drive is not None, itertools.count(1)
 
     def note(step: Step, path: Path | None) -> None:

@@ -8,7 +8,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Annotated, Self
 
 import typer
 
@@ -19,6 +19,14 @@ if TYPE_CHECKING:
     from rich.live import Live as Display
 
     from drivers.recorder.session import Live, Recorded
+
+Allowed = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--allow", metavar="KIND",
+        help="Kind of line that the bench file may open besides devices, socket:// and CAN buses: rfc2217.",
+    ),
+]  # fmt: skip
 
 
 def live_text(live: Live) -> str:

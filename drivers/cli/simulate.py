@@ -9,7 +9,7 @@ import typer
 
 import drivers
 from cycloid_fmu import edge
-from cycloid_fmu.edge.commands import choice_option, quantity_option
+from cycloid_fmu.edge.commands import choice_option, output_option, quantity_option
 from drivers.cli.shown import LiveLine, recording, report
 
 _BUS = "CAN interface of python-can; loopback: other processes of this machine."
@@ -50,10 +50,10 @@ def simulate(
     speed_factor: Annotated[
         float | None, typer.Option(help="1: at the crank's own speed; default: as fast as the bus carries.")
     ] = None,
-    write_bench: Annotated[Path, typer.Option(metavar="BENCH.toml", help="Wiring to write.")] = Path("BENCH.toml"),
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="RUN.arrows", help="Record it here at once.")
-    ] = None,
+    write_bench: Annotated[Path, output_option((".toml",), "BENCH.toml", "Wiring to write.", "--write-bench")] = Path(
+        "BENCH.toml"
+    ),
+    output: Annotated[Path | None, output_option((".arrows",), "RUN.arrows", "Record it here at once.")] = None,
 ) -> None:
     """Simulate a bench: wait for a recorder, then send a motion as real encoders and transducers do.
 

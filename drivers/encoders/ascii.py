@@ -36,6 +36,7 @@ _FIELDS = {
     "sequence": r"(\d{1,18})",
     "checksum": r"([0-9A-Fa-f]{2})",
 }
+_MOST_SKIPS = 6  # to try all places of many in a line takes for ever
 _CHECKSUMS: dict[str, Callable[[bytes], int]] = {
     "xor": lambda text: functools.reduce(operator.xor, text, 0),
     "sum": lambda text: sum(text) & 0xFF,
@@ -83,6 +84,8 @@ class AsciiConfig(AngleConfig):
             raise ValueError(f"there is no field {{{unknown[0]}}}; there are {', '.join(_FIELDS)} and skip")
         if ("counts" in fields) == ("value" in fields):
             raise ValueError("write one of the fields {counts} and {value}")
+        if fields.count("skip") > _MOST_SKIPS or "{skip}{skip}" in value:
+            raise ValueError(f"{{skip}} may stand in it {_MOST_SKIPS} times, and not twice in a row")
         twice = [f for f in _FIELDS if fields.count(f) > 1]
         if twice:
             raise ValueError(f"the field {{{twice[0]}}} stands in it twice")

@@ -312,11 +312,10 @@ class CanopenEncoder(CanEncoder):
 
 def _read_eds(path: Path, node: int) -> Any:
     edge.existing(path)
-    try:
+    if path.suffix.lower() not in (".eds", ".dcf"):
+        raise edge.InputError(f"{path}: the ending must be .eds or .dcf.")
+    with edge.parsed_by_others(path, "this is not an EDS file"):
         dictionary = canopen.import_od(str(path), node)
-    except Exception as problem:  # canopen raises its parser's
-        said = str(problem).splitlines()[0] if str(problem) else type(problem).__name__
-        raise edge.InputError(f"{path}: this is not an EDS file: {said}.") from None
     if 0x1A00 not in dictionary:
         raise edge.InputError(f"{path}: this EDS describes no TPDO (0x1A00).")
     return dictionary

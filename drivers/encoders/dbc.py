@@ -59,15 +59,12 @@ class DbcSensor(CanEncoder):
         where = f"{source}: [channel.{name}]"
         path = folder / config.file
         text = edge.read_text(path)
-        try:
+        with edge.parsed_by_others(path, "this is not a DBC file"):
             database = cantools.database.load_string(text, "dbc")
-        except Exception as problem:  # cantools raises its parser's and its own
-            said = str(problem).splitlines()[0] if str(problem) else type(problem).__name__
-            raise edge.InputError(f"{path}: this is not a DBC file: {said}.") from None
         messages = {m.name: m for m in database.messages}
         if config.message not in messages:
             raise edge.InputError(
-                f'{where} message = "{config.message}": {path} has no such message; it has {", ".join(messages)}.'
+                f'{where} message = "{config.message}": {path} has no such message; it has {edge.listed(messages)}.'
             )
         self._message = messages[config.message]
         signals = {s.name: s for s in self._message.signals}
@@ -76,7 +73,7 @@ class DbcSensor(CanEncoder):
             if wanted is not None and wanted not in signals:
                 raise edge.InputError(
                     f'{where} {key} = "{wanted}": the message {config.message} of {path} has no such signal; '
-                    f"it has {', '.join(signals)}."
+                    f"it has {edge.listed(signals)}."
                 )
         self._counter = signals[config.counter] if config.counter is not None else None
         self._newest: int | None = None
@@ -87,7 +84,8 @@ class DbcSensor(CanEncoder):
         try:
             self._si = 1.0 if self._unit == unit else edge.unit_scale(unit, self._unit)
         except ValueError as problem:
-            raise edge.InputError(f'{where} unit = "{unit}": {problem}.') from None
+            said = f"{where} unit" if config.unit else f"{path}: the unit of {config.signal}"
+            raise edge.InputError(f"{said} = {edge.shown(unit)}: {problem}.") from None
 
     @classmethod
     def from_config(cls, name: str, config: Any, wiring: Wiring) -> DbcSensor:

@@ -5,17 +5,21 @@ It reads the file that the recorder writes, in a process of its own: nothing it 
 
 from __future__ import annotations
 
+import base64
 import collections
+import contextlib
 import dataclasses
 import functools
+import hashlib
 import hmac
 import http.server
 import importlib.resources
 import ipaddress
-import json
 import math
 import os
+import re
 import secrets
+import socket
 import threading
 import time
 import urllib.parse
@@ -32,6 +36,9 @@ _POINTS = 1000  # that are drawn
 _TURNS = 16  # crank turns of the spectrum at most
 _ORDERS = 100
 _LOCAL = ("localhost", "127.0.0.1", "[::1]")
+_CONNECTIONS = 16  # at a time: each is a thread
+_REQUEST_SECONDS = 10.0  # for a whole request and its answer
+_STREAM_SECONDS = 600.0  # of a stream of data; a browser asks for the next one by itself
 
 
 def order_spectrum(input_angle: FloatArray, error: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -102,7 +109,7 @@ class Watcher:
         channels = [
             {
                 "name": c.name, "unit": c.unit, "samples": self._counts[c.name], "rate": rate[c.name],
-                "value": None if (held := self._held[c.name]) is None else float(held.value[-1]),
+                "value": math.nan if (held := self._held[c.name]) is None else float(held.value[-1]),
                 "marks": {m: n for m, n in self._marks[c.name].items() if n},
             }
             for c in self.reader.header.channels
@@ -126,6 +133,8 @@ class Watcher:
             inside = (driven.time_host >= turning.time_host[0]) & (driven.time_host <= turning.time_host[-1])
             angle = np.interp(driven.time_host[inside], turning.time_host, turning.value)
             output = driven.value[inside]
+        finite = np.isfinite(angle) & np.isfinite(output)
+        angle, output = angle[finite], output[finite]
         if len(angle) < 2:
             return {"te": None, "spectrum": None}
         error = (output - angle / ratio) * edge.ARCSEC
@@ -169,12 +178,15 @@ class WatchServer(http.server.ThreadingHTTPServer):
     """The page and its data over HTTP; it serves from the beginning, and is a context manager that ends it.
 
     Port 0 takes a free one. A client must show the `token`; None: only clients that call this machine by a local name
-    are answered.
+    are answered. There are 16 connections at a time; one whose request is not answered after ten seconds is closed.
     """
 
     daemon_threads = True
+    request_queue_size = 2 * _CONNECTIONS  # a client beyond them is refused at once
 
     def __init__(self, watcher: Watcher, host: str, port: int, token: str | None) -> None:
+        self._ends: dict[socket.socket, float] = {}
+        self._counting = threading.Lock()
         super().__init__((host, port), _Handler)
         self.token, self.newest = token, _Newest()
         self._watcher = watcher
@@ -195,8 +207,41 @@ class WatchServer(http.server.ThreadingHTTPServer):
                 data = self._watcher.refresh()
             except Exception as problem:  # the page must say why it stands still
                 data = {"problem": f"{type(problem).__name__}: {problem}"}
-            self.newest.put(json.dumps(data))
+            self.newest.put(edge.json_text(data).replace("\n", ""))
             self._stopping.wait(REFRESH_SECONDS)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Answer in a thread of its own, or close the connection where there are too many."""
+        with self._counting:
+            welcome = len(self._ends) < _CONNECTIONS
+            if welcome:
+                self._ends[request] = time.monotonic() + _REQUEST_SECONDS
+        if welcome:
+            super().process_request(request, client_address)
+        else:
+            self.shutdown_request(request)
+
+    def keep(self, request: socket.socket, seconds: float) -> None:
+        """Let a connection last so long from now on."""
+        with self._counting:
+            self._ends[request] = time.monotonic() + seconds
+
+    def service_actions(self) -> None:
+        """End the connections whose time is over: what their threads wait for then fails."""
+        with self._counting:
+            for request, end in self._ends.items():
+                if time.monotonic() > end:
+                    with contextlib.suppress(OSError):
+                        request.shutdown(socket.SHUT_RDWR)
+
+    def shutdown_request(self, request: Any) -> None:
+        """Close a connection, whose place is free then."""
+        with self._counting:
+            self._ends.pop(request, None)
+        super().shutdown_request(request)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Say nothing of a client that went: the terminal belongs to the recording."""
 
     def wait(self) -> None:
         """Wait until the server is closed."""
@@ -250,21 +295,38 @@ def watch(recording: str | os.PathLike[str], *, host: str = "127.0.0.1", port: i
         raise edge.ArgumentError("port", f"{host} can't be listened on: {problem.strerror}", port) from None
 
 
+@functools.cache
+def _page() -> tuple[str, str]:
+    """Return the page and the policy that lets its own script and style act, and nothing else."""
+    page = importlib.resources.files("drivers.live_page").joinpath("page.html").read_text(encoding="utf-8")
+    own = {}
+    for tag in ("script", "style"):
+        (text,) = re.findall(f"<{tag}>(.*?)</{tag}>", page, re.DOTALL)
+        own[tag] = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+    allowed = [f"{tag}-src 'sha256-{digest}'" for tag, digest in own.items()]
+    none = [f"{what} 'none'" for what in ("default-src", "frame-ancestors", "base-uri", "form-action")]
+    return page, "; ".join([*none, *allowed, "connect-src 'self'"])
+
+
 class _Handler(http.server.BaseHTTPRequestHandler):
     server: WatchServer
-    timeout = 10.0  # of a client that takes nothing
+    timeout = _REQUEST_SECONDS  # of a client that takes nothing
 
     def do_GET(self) -> None:
         """Answer the page or the stream of its data."""
-        parts = urllib.parse.urlsplit(self.path)
-        if not self._allowed(urllib.parse.parse_qs(parts.query)):
+        try:
+            parts = urllib.parse.urlsplit(self.path)
+            query = urllib.parse.parse_qs(parts.query, max_num_fields=8)
+        except ValueError:
+            self.send_error(400)
+            return
+        if not self._allowed(query):
             self.send_error(403)
         elif parts.path == "/":
-            page = importlib.resources.files("drivers.live_page").joinpath("page.html").read_bytes()
+            page = _page()[0].encode()
             self.send_response(200)
             self.send_header("Content-Type", "text/html; charset=utf-8")
             self.send_header("Content-Length", str(len(page)))
-            self.send_header("Content-Security-Policy", "default-src 'self' 'unsafe-inline'")
             self.end_headers()
             self.wfile.write(page)
         elif parts.path == "/data":
@@ -279,11 +341,24 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         name = (self.headers.get("Host") or "").rsplit(":", 1)[0]
         return name in _LOCAL
 
+    def end_headers(self) -> None:
+        """Say with every answer that nobody may frame, keep, guess at or refer to it."""
+        self.send_header("Content-Security-Policy", _page()[1])
+        self.send_header("X-Content-Type-Options", "nosniff")
+        self.send_header("X-Frame-Options", "DENY")
+        self.send_header("Referrer-Policy", "no-referrer")
+        self.send_header("Cache-Control", "no-store")
+        super().end_headers()
+
+    def version_string(self) -> str:
+        """Return the server's name without Python's version."""
+        return "cycloid-bench"
+
     def _stream(self) -> None:
         self.send_response(200)
         self.send_header("Content-Type", "text/event-stream")
-        self.send_header("Cache-Control", "no-store")
         self.end_headers()
+        self.server.keep(self.connection, _STREAM_SECONDS)
         number = 0
         try:
             while True:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -22,6 +22,7 @@ from drivers.encoder import (
     Wiring,
     encoder_class,
 )
+from drivers.lines import check_lines
 
 BENCH_FORMAT = "cycloid-bench/1"
 
@@ -58,6 +59,8 @@ class _BenchFile(edge.Config):
     def _some(cls, value: dict[str, Any]) -> dict[str, Any]:
         if not value:
             raise ValueError("write at least one table [channel.input_angle]")
+        if any(not name.isprintable() for name in value):
+            raise ValueError("a channel's name must be printable")
         return value
 
 
@@ -99,8 +102,16 @@ class Bench:
         return [cls.from_config(name, config, self.wiring) for name, (cls, config) in self.channels.items()]
 
 
-def read_bench(path: str | os.PathLike[str]) -> Bench:
+def read_bench(path: str | os.PathLike[str], *, allow: Collection[str] = ()) -> Bench:
     """Read a `BENCH.toml` and check all that can be checked without a device.
+
+    Parameters
+    ----------
+    path
+        The file.
+    allow
+        What it may open besides serial devices, `socket://` and the buses of `drivers.lines`: schemes of pyserial's
+        URLs and interfaces of python-can, such as "rfc2217".
 
     Raises
     ------
@@ -118,6 +129,7 @@ def read_bench(path: str | os.PathLike[str]) -> Bench:
     source = str(path)
     table = edge.toml_table(edge.read_text(path), BENCH_FORMAT, source)
     file = edge.validated(_BenchFile, table, source)
+    check_lines(file.bus, file.port, allow, source)
     channels = {}
     for name, given in file.channel.items():
         cls = encoder_class(given.get("protocol"), name, source)

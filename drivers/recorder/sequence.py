@@ -12,7 +12,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
@@ -130,17 +130,25 @@ class Step:
 
 @dataclasses.dataclass(frozen=True)
 class BenchSequence:
-    """A sequence that can be run: its file, its bench, its steps and its folder."""
+    """A sequence that can be run: its file, its bench, its steps, its folder and what its bench may open besides."""
 
     file: SequenceFile
     bench: Bench
     steps: tuple[Step, ...]
     folder: Path
     source: str
+    allow: tuple[str, ...] = ()
 
 
-def read_sequence(path: str | os.PathLike[str]) -> BenchSequence:
+def read_sequence(path: str | os.PathLike[str], *, allow: Collection[str] = ()) -> BenchSequence:
     """Read a `SEQUENCE.toml` and its `BENCH.toml` and check all that can be checked without a device.
+
+    Parameters
+    ----------
+    path
+        The file.
+    allow
+        See `read_bench`.
 
     Raises
     ------
@@ -151,7 +159,7 @@ def read_sequence(path: str | os.PathLike[str]) -> BenchSequence:
     folder = Path(path).parent
     file = edge.validated(SequenceFile, edge.toml_table(edge.read_text(path), FORMAT, source), source)
     if file.drive is None or (folder / file.bench).exists():
-        bench = read_bench(folder / file.bench)
+        bench = read_bench(folder / file.bench, allow=allow)
     else:  # a simulated bench writes its wiring when it is started
         bench = Bench(None, "", {}, {}, None)  # type: ignore[arg-type]
     if bool(file.loads) != bool(file.speeds):
@@ -164,7 +172,7 @@ def read_sequence(path: str | os.PathLike[str]) -> BenchSequence:
         raise edge.InputError(f"{folder / file.bench}: ratio is missing: a brake's torque opposes the output's motion.")
     steps = _steps(file, bench.ratio or -1.0)
     _check_range(bench, file, source)
-    return BenchSequence(file, bench, steps, folder, source)
+    return BenchSequence(file, bench, steps, folder, source, tuple(allow))
 
 
 def _steps(file: SequenceFile, ratio: float) -> tuple[Step, ...]:
@@ -286,11 +294,13 @@ def _driven(sequence: BenchSequence, step: Step, claims: Claims) -> Iterator[sub
     )  # fmt: skip
     wiring = sequence.folder / sequence.file.bench
     if wiring.exists():
-        bench = read_bench(wiring)
+        bench = read_bench(wiring, allow=sequence.allow)
         claims.claim(bench.wiring)
         check_at_rest(bench.wiring, _nodes(bench))
     command, stop = shlex.split(filled), None if drive.stop is None else shlex.split(drive.stop)
-    beside = watched(command, folder=sequence.folder, stop=stop, wiring=wiring, held=claims.descriptors)
+    beside = watched(
+        command, folder=sequence.folder, stop=stop, wiring=wiring, allow=sequence.allow, held=claims.descriptors
+    )
     with contextlib.ExitStack() as stack:
         try:
             process = stack.enter_context(beside)
@@ -349,7 +359,7 @@ def _opened(sequence: BenchSequence, process: Any) -> tuple[Bench, list[Any], co
     while True:
         stack = contextlib.ExitStack()
         try:
-            bench = read_bench(wiring)
+            bench = read_bench(wiring, allow=sequence.allow)
             return bench, stack.enter_context(open_encoders(bench)), stack
         except (EncoderTimeout, edge.InputError) as problem:
             stack.close()
@@ -438,14 +448,14 @@ def _run_steps(
         path = made.folder / f"{step.name}.arrows"
         if note is not None:
             note(step, None)
-        while not path.exists():
+        while not edge.writable(path).exists():
             if made.file.drive is None and ready is not None:
                 ready(step)
             trials = (made.folder / f"{step.name}.trial-{number}.arrows" for number in itertools.count(1))
-            trial = next(t for t in trials if not t.exists())
+            trial = next(t for t in trials if not edge.writable(t).exists())
             short = _run_step(made, step, trial, claims, progress or (lambda _: None))
             if not short:
-                trial.rename(path)
+                trial.rename(edge.writable(path))
             elif again is None or not again(step, trial, short):
                 missed[step.name] = short
                 break

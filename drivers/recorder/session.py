@@ -10,11 +10,12 @@ import shutil
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from cycloid_fmu import edge
 from drivers import recording_format as rf
 from drivers.arguments import in_si
 from drivers.encoder import (
@@ -423,6 +424,7 @@ def record(
     idle: float | str | None = None,
     stop: Callable[[], bool] | None = None,
     progress: Callable[[Live], None] | None = None,
+    allow: Collection[str] = (),
 ) -> Recorded:
     """Record all channels of a bench: until Ctrl-C, or what comes first of the others.
 
@@ -444,6 +446,8 @@ def record(
         stood still does not count.
     stop, progress
         See `record_encoders`.
+    allow
+        See `read_bench`.
 
     Raises
     ------
@@ -465,10 +469,10 @@ def record(
     >>> done.samples
     {'input_angle': 96, 'output_angle': 96, 'torque': 96}
     """
-    wired = bench if isinstance(bench, Bench) else read_bench(bench)
+    wired = bench if isinstance(bench, Bench) else read_bench(bench, allow=allow)
     duration = None if duration is None else in_si(duration, "s", "duration", above=0.0)
     idle = None if idle is None else in_si(idle, "s", "idle", above=0.0)
-    check_new(path)  # before any device is set going
+    check_new(edge.output_path(path, "path", (".arrows",)))  # before any device is set going
     with open_encoders(wired) as encoders:
         return record_encoders(
             encoders, path, ratio=wired.ratio, pair=wired.pair, conditions=wired.conditions, duration=duration,

@@ -32,6 +32,7 @@ def watched(
     folder: Path | None = None,
     stop: Sequence[str] | None = None,
     wiring: Path | None = None,
+    allow: Collection[str] = (),
     quiet: bool = True,
     held: Collection[int] = (),
 ) -> Iterator[subprocess.Popen[bytes]]:
@@ -43,8 +44,9 @@ def watched(
         What is run, and where.
     stop
         Run where the command did not end by itself with status 0.
-    wiring
-        `BENCH.toml` whose devices are told to rest where this process ends without leaving the block.
+    wiring, allow
+        `BENCH.toml` whose devices are told to rest where this process ends without leaving the block, and what it may
+        open beyond the usual, see `recorder.bench.read_bench`.
     quiet
         Whether what it says on standard error is not shown.
     held
@@ -66,6 +68,7 @@ def watched(
         "folder": None if folder is None else str(folder.resolve()),
         "stop": None if stop is None else list(stop),
         "wiring": None if wiring is None else str(wiring.resolve()),
+        "allow": list(allow),
         "quiet": quiet,
     }
     process = subprocess.Popen(
@@ -126,7 +129,7 @@ def main() -> None:
     if status or left.is_set():
         _stop(told["stop"], told["folder"])
     if left.is_set() and said != [_DONE] and told["wiring"] is not None:
-        _rest(told["wiring"])
+        _rest(told["wiring"], told["allow"])
     if left.is_set():
         _kill_group(os.getpgrp() if os.name == "posix" else 0)  # what the command itself has started, and this one
     sys.exit(status & 0xFF)
@@ -155,12 +158,12 @@ def _stop(command: list[str] | None, folder: str | None) -> None:
             )  # fmt: skip
 
 
-def _rest(wiring: str) -> None:
+def _rest(wiring: str, allow: list[str]) -> None:
     """Tell the devices of a wiring to rest; one that can't be told keeps none of the others from it."""
     from drivers.recorder.bench import read_bench
 
     with contextlib.suppress(Exception):  # nobody is left to be told
-        for encoder in read_bench(wiring).encoders():
+        for encoder in read_bench(wiring, allow=allow).encoders():
             with contextlib.suppress(Exception):
                 encoder.rest()
 

@@ -118,7 +118,7 @@ def _netcdf(reader: RecordingReader, path: Path, progress: Progress) -> int:
 
     rows, events = 0, []  # type: tuple[int, list[Event]]
     units = {"time_host": "s", "time_device": "s", "counts": "1", "status": "1"}
-    with h5netcdf.File(path, "w") as file:
+    with edge.hdf5_target(path) as target, h5netcdf.File(target, "w") as file:
         for key, text in recording_metadata(reader.header).items():
             file.attrs[key] = text
         groups: dict[str, Any] = {}
@@ -139,6 +139,7 @@ def _netcdf(reader: RecordingReader, path: Path, progress: Progress) -> int:
                     variable = group.create_variable(name, ("sample",), np.dtype(kind), chunks=(_CHUNK,))
                     variable.attrs["units"] = units.get(name, str(group.attrs["unit"]))
                 group.variables[name][begin : begin + len(block)] = array
+            target.check()
             rows += len(block)
         file.attrs["events"] = _event_text(events)
     return rows

@@ -12,6 +12,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
+import pydantic
 
 from cycloid_fmu import edge
 from drivers.recording_format.clocks import Alignment, Clock, clocks_of
@@ -20,7 +21,6 @@ from drivers.recording_format.schema import (
     FORMAT,
     GAP,
     HEADER_CRC,
-    Channel,
     Event,
     FloatArray,
     Header,
@@ -90,17 +90,12 @@ def _header(metadata: Mapping[bytes, bytes] | None, source: str) -> tuple[Header
     if "format" not in text:
         raise edge.InputError(f"{source}: this is an Arrow stream but not a recording; it names no format.")
     if text["format"] != FORMAT:
-        raise edge.InputError(f'{source}: format = "{text["format"]}": this version reads "{FORMAT}".')
-    try:
-        header = Header(
-            tuple(Channel(**c) for c in json.loads(text["channels"])),
-            json.loads(text["conditions"]),
-            json.loads(text["ratio"]),
-            text["pair"],
-            text["start"],
-        )
-    except (KeyError, TypeError, ValueError) as problem:
-        raise edge.InputError(f"{source}: the recording's header can't be understood ({problem}).") from None
+        raise edge.InputError(f'{source}: format = {edge.shown(text["format"])}: this version reads "{FORMAT}".')
+    with edge.parsed_by_others(source, "the recording's header can't be understood"):
+        said = {name: json.loads(text[name]) for name in ("channels", "conditions", "ratio")}
+        header = pydantic.TypeAdapter(Header).validate_python({**said, "pair": text["pair"], "start": text["start"]})
+        if not all(channel.name.isprintable() for channel in header.channels):
+            raise ValueError("a channel's name must be printable")
     # Without its checksum it is one of the first recordings, unless a damaged key stands in the place.
     unknown = text.keys() - recording_metadata(header).keys() - {HEADER_CRC}
     if not unknown and text.get(HEADER_CRC) in (None, header_checksum(text)):
@@ -160,7 +155,7 @@ def _decoded(
             if mixes:
                 raise ValueError("it mixes channels")
             yield _checked(metadata or {}, columns, int(rows[begin]) if end > begin else None, names)
-        except (ValueError, TypeError, KeyError) as problem:
+        except (ValueError, TypeError, KeyError, RecursionError) as problem:
             yield problem
 
 
@@ -217,15 +212,13 @@ class RecordingReader:
         if self._path.stat().st_size == 0:
             raise edge.InputError(f"{self.source}: the file is empty; it was cut before the header of a recording.")
         self._file = pa.OSFile(self.source, "rb")
-        try:
+        with edge.parsed_by_others(self.source, "this is not a recording, or it was cut within its header"):
             schema = pa.ipc.read_schema(pa.ipc.read_message(self._file))
-        except (pa.ArrowException, OSError, EOFError):
-            self._file.close()
-            raise edge.InputError(f"{self.source}: this is not a recording, or it was cut within its header.") from None
+            names = edge.listed(schema.names)
         self.header, self.problems = _header(schema.metadata, self.source)
         expected = recording_schema(self.header)
         if not schema.equals(expected):
-            raise edge.InputError(f"{self.source}: the columns are not those of {FORMAT}: {', '.join(schema.names)}.")
+            raise edge.InputError(f"{self.source}: the columns are not those of {FORMAT}: {names}.")
         self.complete = 0
         self._number = 0
         self._offset: int = self._file.tell()

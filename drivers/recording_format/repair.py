@@ -9,13 +9,14 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from cycloid_fmu import edge
 from drivers.recording_format.export import Progress, batches
 from drivers.recording_format.reader import RecordingReader
 from drivers.recording_format.schema import (
     GAP,
     Header,
 )
-from drivers.recording_format.writer import RecordingWriter
+from drivers.recording_format.writer import RecordingWriter, check_new
 
 
 @dataclasses.dataclass
@@ -56,7 +57,7 @@ def repair(
     recording
         The `.arrows` file; it is not changed.
     output
-        New recording, or None.
+        New recording, which appears whole or not at all, or None.
     progress
         Called with the number of bytes read since the call before.
 
@@ -64,6 +65,8 @@ def repair(
     ------
     edge.InputError
         If the recording can't be read at all, or the output exists or can't be created.
+    OSError
+        If the disk takes no more; it names the file, of which nothing is left.
 
     Examples
     --------
@@ -74,13 +77,18 @@ def repair(
     >>> kept.channels["torque"].samples, kept.problems
     (96, ())
     """
+    if output is not None:
+        check_new(edge.output_path(output, "output", (".arrows",)))
     with contextlib.ExitStack() as stack:
         reader = stack.enter_context(RecordingReader(recording))
         channels = {c.name: HeldChannel() for c in reader.header.channels}
         # What is written has a checksum that is right: that the header was damaged must be in it.
         damage = {"damaged header": " ".join(reader.problems)} if reader.problems else {}
         header = dataclasses.replace(reader.header, conditions={**reader.header.conditions, **damage})
-        writer = None if output is None else stack.enter_context(RecordingWriter(output, header))
+        writer = None
+        if output is not None:
+            temporary = stack.enter_context(edge.written_whole(output))
+            writer = stack.enter_context(RecordingWriter(temporary, header))
         count = 0
         for samples, events in batches(reader, progress or (lambda _: None)):
             count += len(events)

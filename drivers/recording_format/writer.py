@@ -8,7 +8,6 @@ import json
 import os
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
@@ -25,8 +24,8 @@ END_OF_STREAM = MESSAGE + b"\x00\x00\x00\x00"
 
 
 def check_new(path: str | os.PathLike[str]) -> None:
-    """Refuse, with an `edge.InputError`, a path at which there is something already: no recording is overwritten."""
-    if Path(path).exists():
+    """Refuse, with an `edge.InputError`, a path at which there is something already, a link that leads nowhere too."""
+    if edge.writable(path).exists():
         raise edge.InputError(f"{path}: this file exists and recordings are not overwritten; name another.")
 
 
@@ -82,6 +81,8 @@ class RecordingWriter:
     ------
     edge.InputError
         If the file exists or can't be created.
+    OSError
+        If the disk does not take the header; it names the file, of which nothing is left.
     """
 
     def __init__(self, path: str | os.PathLike[str], header: Header) -> None:
@@ -97,7 +98,13 @@ class RecordingWriter:
             raise
         except OSError as problem:
             raise edge.InputError(f"{path}: {problem.strerror or problem}.") from None
-        self._sink = _Sink(self._descriptor, self._schema)
+        try:
+            with edge.naming(path):
+                self._sink = _Sink(self._descriptor, self._schema)
+        except OSError:  # not even the header: what is left is no recording
+            os.close(self._descriptor)
+            os.unlink(path)
+            raise
         self._stream = pa.ipc.new_stream(pa.PythonFile(self._sink, "w"), self._schema)
         self._end, self._flushed = os.lseek(self._descriptor, 0, os.SEEK_CUR), time.monotonic()
 

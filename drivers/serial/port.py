@@ -19,6 +19,7 @@ from drivers.encoder import (
     steady_time,
 )
 from drivers.hubs import BLOCK_SECONDS, BlockQueue, SharedHubs, reason
+from drivers.lines import no_terminal
 
 ANSWER_SECONDS = 0.1  # far above the encoders' microseconds: it covers a USB adapter and a busy machine
 
@@ -74,6 +75,8 @@ class PortHub:
     def __init__(self, config: PortConfig) -> None:
         self.config = config
         self.broken = False
+        if refused := no_terminal(config.url):
+            raise EncoderSetupError(f"The serial port {config.place} does not open: {refused}.")
         try:
             self.port = serial.serial_for_url(
                 config.url,

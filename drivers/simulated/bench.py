@@ -23,6 +23,7 @@ class SimulatedBench(abc.ABC):
 
     ratio: float | None = None
     pair = ""
+    allow: tuple[str, ...] = ()  # of its own bus, see `read_bench`
 
     def __init__(self, motion: Motion) -> None:
         self.motion = motion
@@ -48,6 +49,7 @@ class SimulatedBench(abc.ABC):
 
     def write_wiring(self, path: str | os.PathLike[str], *, ratio: float | None = None, pair: str = "") -> Path:
         """Write the `BENCH.toml` that records this bench, and the files it names beside it; return its path."""
+        target = edge.output_path(path, "path", (".toml",))
         ratio, run = self.ratio if ratio is None else ratio, self.motion.run
         head = "" if ratio is None else f"ratio = {float(ratio)!r}\n"
         text = (
@@ -55,9 +57,9 @@ class SimulatedBench(abc.ABC):
             f'[conditions]\nload = "{edge.format_quantity(run.torque, "N*m", "N*m")}"\n'
             f'speed = "{edge.format_quantity(run.speed, "rad/s", "rad/s")}"\ndirection = "{run.direction}"\n\n'
         )
-        with edge.written_whole(path) as temporary:
-            temporary.write_text(text + self._connections(Path(path).parent), encoding="utf-8")
-        return Path(path)
+        with edge.written_whole(target) as temporary:
+            temporary.write_text(text + self._connections(target.parent), encoding="utf-8")
+        return target
 
     def record(
         self,
@@ -78,7 +80,7 @@ class SimulatedBench(abc.ABC):
             See `drivers.record`.
         """
         written = self.write_wiring(Path(path).with_name("BENCH.toml") if wiring is None else wiring)
-        return record(written, path, progress=progress, **self._end())
+        return record(written, path, progress=progress, allow=self.allow, **self._end())
 
     @abc.abstractmethod
     def _connections(self, folder: Path) -> str:

@@ -148,7 +148,7 @@ class SimulatedCanBench(SimulatedBench):
     ) -> None:
         super().__init__(motion)
         self.trigger, self.faults, self.sync_counter = trigger, tuple(faults), sync_counter
-        self.bus_config = BusConfig(interface=interface, channel=channel)
+        self.bus_config, self.allow = BusConfig(interface=interface, channel=channel), (interface,)
         self.counts_per_turn = {_INPUT_NODE: input_counts_per_turn, _OUTPUT_NODE: output_counts_per_turn}
         self.clock_drift, self._powered = clock_drift, time.time()
         if clock_drift is not None and speed_factor is None:

@@ -112,12 +112,9 @@ def fmu_output_angle(path: str | os.PathLike[str], step: float = 1e-3) -> Output
     from fmpy import extract, read_model_description
     from fmpy.fmi2 import FMU2Slave
 
-    edge.existing(path)
-    try:
+    edge.zip_archive(path, "FMU", "modelDescription.xml")
+    with edge.parsed_by_others(path, "this is not an FMU"):
         description = read_model_description(str(path))
-    except Exception as problem:  # fmpy raises what its XML reader and checks raise
-        said = str(problem).splitlines()[0] if str(problem) else type(problem).__name__
-        raise edge.InputError(f"{path}: this is not an FMU: {said}.") from None
     references = {v.name: v.valueReference for v in description.modelVariables}
     missing = [n for n in ("flange_a.phi", "flange_b.tau", "flange_b.phi") if n not in references]
     if description.fmiVersion != "2.0" or description.coSimulation is None or missing:

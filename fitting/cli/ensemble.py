@@ -35,7 +35,10 @@ def ensemble(
         raise edge.InputError("--plot and --torque belong together: the band is drawn at one torque.")
     identified = read_drive(drive, surface)
     drawn = fitting.ensemble(identified, count, seed)
-    output.mkdir(parents=True, exist_ok=True)
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except OSError as problem:
+        raise edge.ArgumentError("output", f"this is no folder to write to: {problem.strerror}", output) from None
     with commands.progress("surfaces", count) as written:
         for number, one in enumerate(drawn):
             one.write(output / f"{surface.stem}-{number:04d}.nc")

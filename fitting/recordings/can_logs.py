@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cycloid_fmu import edge
-from fitting.recordings.formats import PIECE, BenchFile, Piece, RawChannel, first_line
+from fitting.recordings.formats import PIECE, BenchFile, Piece, RawChannel
 
 
 class CanLog(BenchFile):
@@ -20,12 +20,8 @@ class CanLog(BenchFile):
 
         if dbc is None:
             raise edge.InputError(f"{source}: a CAN log needs the DBC of its frames; name it as dbc in the mapping.")
-        try:
+        with edge.parsed_by_others(dbc, "this is not a DBC file"):
             self._database: Any = cantools.database.load_string(edge.read_text(dbc), "dbc")
-        except edge.InputError:
-            raise
-        except Exception as problem:
-            raise edge.InputError(f"{dbc}: this is not a DBC file: {first_line(problem)}.") from None
         channels = [
             RawChannel(f"{m.name}.{s.name}", s.unit or "") for m in self._database.messages for s in m.signals
         ]  # fmt: skip
@@ -41,10 +37,7 @@ class CanLog(BenchFile):
             chosen = [(full, short) for full, short in signals if full in names]
             if chosen:
                 wanted[message.frame_id] = (message, chosen)
-        try:
-            log = can.LogReader(self.source)
-        except Exception as problem:
-            raise edge.InputError(f"{self.source}: this CAN log can't be read ({first_line(problem)}).") from None
+        log = can.LogReader(self.source)
         kept: dict[int, tuple[list[float], list[list[float]]]] = {k: ([], []) for k in wanted}
         failed, count = 0, 0
 
@@ -64,7 +57,7 @@ class CanLog(BenchFile):
                 break
             except Exception as problem:  # a cut or damaged log
                 self.problems.append(
-                    f"{self.source}: it is cut or damaged after {count} frames ({first_line(problem)})."
+                    f"{self.source}: it is cut or damaged after {count} frames ({edge.first_line(problem)})."
                 )
                 break
             count += 1

@@ -23,6 +23,7 @@ from drivers.recording_format import Clock, Limits
 
 Array = NDArray[np.float64]
 
+LONGEST_NAME = 200  # characters of a channel's name that are kept; to look for words in a longer one takes for ever
 PIECE = 1 << 17  # samples of a piece: its arrays stay within a processor's cache
 
 
@@ -136,22 +137,41 @@ def open_bench_file(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | 
         known = sorted({*READERS, *(e.name for e in metadata.entry_points(group=GROUP))})
         raise edge.InputError(f"{path}: the ending must be one of {', '.join('.' + one for one in known)}.")
     module, name = reader.split(":")
-    opened: BenchFile = getattr(importlib.import_module(module), name)(str(path), dbc)
+    kind = getattr(importlib.import_module(module), name)
+    with edge.parsed_by_others(path, f"this is not a .{ending} file, or it is cut or damaged"):
+        opened: BenchFile = kind(str(path), dbc)
     return opened
+
+
+def pieces_of(file: BenchFile, names: Sequence[str]) -> Iterator[Piece]:
+    """Yield a file's pieces of these channels; where its library fails on the way, they end and the file says so.
+
+    Raises
+    ------
+    edge.InputError
+        If the reader refuses the file, or its library fails before the first piece.
+    """
+    taken = 0
+    try:
+        for piece in file.pieces(names):
+            taken += max(map(len, piece.values.values()))
+            yield piece
+    except edge.InputError:
+        raise
+    except Exception as problem:  # as in `edge.parsed_by_others`
+        sentence = f"{file.source}: it is cut or damaged after {taken} samples ({edge.first_line(problem)})."
+        if not taken:
+            raise edge.InputError(sentence) from None
+        file.problems.append(sentence)
 
 
 def name_and_unit(text: str) -> tuple[str, str]:
     """Split a column's name from its unit: `angle [deg]`, `angle (deg)` or `angle / deg`."""
-    text = text.strip()
+    text = text.strip()[:LONGEST_NAME]
     match = re.fullmatch(r"(.*?)\s*(?:\[([^\]]*)\]|\(([^)]*)\)|\s/\s(.+))", text)
     if match is None:
         return text, ""
     return match[1].strip(), next((g for g in match.groups()[1:] if g is not None), "").strip()
-
-
-def first_line(problem: Exception) -> str:
-    """What a library's error says, in one line."""
-    return (str(problem).strip() or type(problem).__name__).splitlines()[0].rstrip(".")
 
 
 def unique(channels: Sequence[RawChannel]) -> tuple[RawChannel, ...]:
@@ -159,9 +179,10 @@ def unique(channels: Sequence[RawChannel]) -> tuple[RawChannel, ...]:
     seen: dict[str, int] = {}
     found = []
     for c in channels:
-        seen[c.name] = seen.get(c.name, 0) + 1
-        name = c.name if seen[c.name] == 1 else f"{c.name} #{seen[c.name]}"
-        found.append(RawChannel(name, c.unit, c.zero_reference))
+        name = edge.without_controls(c.name[:LONGEST_NAME])
+        seen[name] = seen.get(name, 0) + 1
+        name = name if seen[name] == 1 else f"{name} #{seen[name]}"
+        found.append(RawChannel(name, edge.without_controls(c.unit[:LONGEST_NAME]), c.zero_reference))
     return tuple(found)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from fitting.recordings.formats import BenchFile, RawChannel, open_bench_file, unit_text
+from fitting.recordings.formats import BenchFile, RawChannel, open_bench_file, pieces_of, unit_text
 from fitting.recordings.mapping import CHANNELS, FORMAT, OPTIONAL
 
 Array = NDArray[np.float64]
@@ -59,9 +59,11 @@ class Look:
 def look(file: BenchFile) -> list[Look]:
     """Take the first samples of every channel of a file."""
     names = [c.name for c in file.channels]
+    if not names:
+        return []
     parts: dict[str, list[tuple[Array | None, Array]]] = {n: [] for n in names}
     taken = dict.fromkeys(names, 0)
-    for piece in file.pieces(names):
+    for piece in pieces_of(file, names):
         for name, values in piece.values.items():
             if taken[name] < LOOKED_AT:
                 parts[name].append((piece.time, values))
@@ -88,8 +90,8 @@ def _measures(unit: str, kind: str) -> bool:
     if not unit:
         return False
     try:
-        return bool(edge.units().Unit(unit_text(unit)).is_compatible_with(_KINDS[kind]))
-    except Exception:  # pint raises many for what is no unit
+        return bool(edge.parse_unit(unit_text(unit)).is_compatible_with(_KINDS[kind]))
+    except ValueError:
         return False
 
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import gc
+import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from cycloid_fmu import edge
-from fitting.recordings.formats import PIECE, BenchFile, Piece, RawChannel, first_line, in_order, unique
+from fitting.recordings.formats import PIECE, Array, BenchFile, Piece, RawChannel, in_order, unique
+from fitting.recordings.formulas import Formula
 
 
 def _extra(package: str, extra: str, source: str) -> edge.InputError:
@@ -23,7 +25,7 @@ def _drop(problem: BaseException | None) -> None:
     try:
         while problem is not None:
             problem.__traceback__, problem = None, problem.__context__
-        gc.collect()
+        gc.collect(1)  # what was made a moment ago is young
     finally:
         sys.unraisablehook = hook
 
@@ -37,19 +39,48 @@ class MdfFile(BenchFile):
         except ImportError:
             raise _extra("asammdf", "bench-files", source) from None
         try:
-            self._mdf = MDF(source)
+            # What is attached to a file is not looked at: it may name other files.
+            self._mdf = MDF(source, process_bus_logging=False)
         except Exception as problem:  # asammdf raises whatever its parser meets
-            reason = first_line(problem)
+            reason = edge.first_line(problem)
             _drop(problem)
             raise edge.InputError(f"{source}: this is not an MDF file, or it is cut or damaged ({reason}).") from None
-        channels, self._places = [], []
+        channels, self._places, refused = [], [], []
+        self._conversions: dict[tuple[int, int], Callable[[Any], Any]] = {}
+        self._masters: dict[int, Formula] = {}
         for index, group in enumerate(self._mdf.groups):
             master = self._mdf.masters_db.get(index)
+            if master is not None and (reason := self._time_of(index, group.channels[master])):
+                refused.append(f"{source}: {reason}")
+                continue
             for number, channel in enumerate(group.channels):
-                if number != master:
-                    channels.append(RawChannel(channel.name, channel.unit or ""))
-                    self._places.append((channel.name, index, number))
+                if number == master:
+                    continue
+                try:
+                    self._conversions[index, number] = _conversion(channel)
+                except ValueError as problem:
+                    refused.append(f'{source}: the channel "{channel.name}" is left out: {problem}.')
+                    continue
+                channels.append(RawChannel(channel.name, channel.unit or ""))
+                self._places.append((channel.name, index, number))
         super().__init__(source, unique(channels), timed=True)
+        self.problems += refused
+
+    def _time_of(self, index: int, master: Any) -> str:
+        """Take a formula off a group's time; return why the group can't be read, "" where it can."""
+        conversion = master.conversion
+        if conversion is None:
+            return ""
+        try:
+            if text := _formula_text(conversion):
+                self._masters[index], master.conversion = _formula(text), None
+            elif _nests_formula(conversion):
+                raise ValueError("its conversion holds a formula within a table")
+            elif not _is_v4(conversion) and conversion.conversion_type not in _V3_TIME:
+                raise ValueError("its conversion is not linear")
+        except ValueError as problem:
+            return f'the channels with the time "{master.name}" are left out: {problem}.'
+        return ""
 
     def pieces(self, names: Sequence[str]) -> Iterator[Piece]:
         """Yield pieces of these channels in the order of time."""
@@ -65,22 +96,103 @@ class MdfFile(BenchFile):
         while begin < total:
             try:
                 signals = self._mdf.select(
-                    [places[n] for n in names], record_offset=begin, record_count=PIECE,
-                    ignore_value2text_conversions=True,
+                    [places[n] for n in names], record_offset=begin, record_count=PIECE, raw=True
                 )  # fmt: skip
                 got = min(len(s.timestamps) for s in signals)
+                values = {n: self._converted(places[n], s.samples[:got]) for n, s in zip(names, signals, strict=True)}
+                time = np.asarray(signals[0].timestamps[:got], float) if got else np.zeros(0)
             except Exception as problem:
-                self.problems.append(
-                    f"{self.source}: it is cut or damaged after {begin} of {total} samples ({first_line(problem)})."
-                )
+                why = edge.first_line(problem)
+                self.problems.append(f"{self.source}: it is cut or damaged after {begin} of {total} samples ({why}).")
                 return
             if got:
-                values = {n: np.asarray(s.samples[:got], float) for n, s in zip(names, signals, strict=True)}
-                yield Piece(np.asarray(signals[0].timestamps[:got], float), values)
+                yield Piece(self._masters[index](time) if index in self._masters else time, values)
             begin += got
             if got < min(PIECE, total - begin + got):
                 self.problems.append(f"{self.source}: it is cut after {begin} of {total} samples.")
                 return
+
+    def _converted(self, place: tuple[str, int, int], raw: Any) -> Array:
+        return np.asarray(self._conversions[place[1:]](raw), float)
+
+
+_V4_FORMULA, _V3_FORMULA = 3, 10  # ASAM's numbers of conversions
+_V4_TEXTS, _V3_TEXTS = (7, 8), (11, 12)
+_V3_TIME = (0, 65535)  # linear, none
+
+
+def _is_v4(conversion: Any) -> bool:
+    return bool(conversion.id == b"##CC")
+
+
+def _formula_text(conversion: Any) -> str:
+    """Return the formula of a conversion, "" where it is none."""
+    formula = _V4_FORMULA if _is_v4(conversion) else _V3_FORMULA
+    return (str(conversion.formula) or "nothing") if conversion.conversion_type == formula else ""
+
+
+def _formula(text: str) -> Formula:
+    try:
+        return Formula(text)
+    except ValueError as problem:
+        raise ValueError(f"its conversion, the formula {edge.shown(text)}, can't be computed: {problem}") from None
+
+
+def _nests_formula(conversion: Any, depth: int = 0) -> bool:
+    """Return whether a conversion's table refers to a formula, or deeper than anybody writes."""
+    below = [c for c in (getattr(conversion, "referenced_blocks", None) or {}).values() if hasattr(c, "convert")]
+    return depth > 4 or any(_formula_text(c) or _nests_formula(c, depth + 1) for c in below)
+
+
+def _conversion(channel: Any) -> Callable[[Any], Any]:
+    """Return what makes physical values of a channel's raw ones; asammdf would hand formulas to Python's `eval`.
+
+    A text in place of a number is not a number where the channel has a unit.
+
+    Raises
+    ------
+    ValueError
+        If it is a formula that can't be computed here.
+    """
+    conversion = channel.conversion
+    if conversion is None:
+        return np.asarray
+    if text := _formula_text(conversion):
+        return _formula(text)
+    if _nests_formula(conversion):
+        raise ValueError("its conversion holds a formula within a table")
+    texts = _V4_TEXTS if _is_v4(conversion) else _V3_TEXTS
+    keep = not (conversion.conversion_type in texts and channel.unit)
+
+    def convert(raw: Any) -> Any:
+        values = conversion.convert(raw, ignore_value2text_conversions=keep)
+        return np.full(len(values), np.nan) if not keep and values.dtype.kind in "SU" else values
+
+    return convert
+
+
+# Scales that npTDMS computes; where it meets another it gives the raw numbers.
+_SCALES = frozenset(
+    {
+        "Add", "AdvancedAPI", "Linear", "Polynomial", "RTD", "Strain", "Subtract", "Table", "Thermistor",
+        "Thermocouple",
+    }
+)  # fmt: skip
+_SCALE_TYPE = re.compile(r"NI_Scale\[\d+\]_Scale_Type")
+_MOST_SCALES = 100
+
+
+def _unknown_scale(*properties: Mapping[str, Any]) -> str:
+    """Return the first scale of a TDMS channel, its group or file that nobody can compute, "" where there is none."""
+    for stated in properties:
+        if stated.get("NI_Scaling_Status") == "scaled":
+            continue
+        if int(stated.get("NI_Number_Of_Scales", 0)) > _MOST_SCALES:
+            return f"{stated['NI_Number_Of_Scales']} scales"
+        for key, kind in stated.items():
+            if _SCALE_TYPE.fullmatch(key) and kind not in _SCALES:
+                return f"the scale {edge.shown(kind)}"
+    return ""
 
 
 class TdmsFile(BenchFile):
@@ -91,18 +203,19 @@ class TdmsFile(BenchFile):
             from nptdms import TdmsFile
         except ImportError:
             raise _extra("npTDMS", "bench-files", source) from None
-        try:
-            self._file = TdmsFile.open(source)
-            found = [c for g in self._file.groups() for c in g.channels() if c.dtype is not None]
-        except Exception as problem:
-            raise edge.InputError(
-                f"{source}: this is not a TDMS file, or it is cut or damaged ({first_line(problem)})."
-            ) from None
-        self._found = [c for c in found if np.issubdtype(c.dtype, np.number)]
+        self._file = TdmsFile.open(source)
+        self._found, refused = [], []
+        for group in self._file.groups():
+            for channel in group.channels():
+                if kind := _unknown_scale(channel.properties, group.properties, self._file.properties):
+                    refused.append(f'{source}: the channel "{channel.name}" is left out: {kind} is not known here.')
+                elif channel.dtype is not None and np.issubdtype(channel.dtype, np.number):
+                    self._found.append(channel)
         units = [str(c.properties.get("unit_string", c.properties.get("unit", ""))) for c in self._found]
         channels = [RawChannel(c.name, u) for c, u in zip(self._found, units, strict=True)]
         timed = bool(self._found) and all(c.properties.get("wf_increment") for c in self._found)
         super().__init__(source, unique(channels), timed=timed)
+        self.problems += refused
         status = getattr(self._file, "file_status", None)
         if status is not None and status.incomplete_final_segment:
             self.problems.append(f"{source}: it is cut; its last segment is not complete and what it holds was read.")

@@ -146,8 +146,9 @@ def own_names(file: BenchFile) -> FileMapping:
     wanted = [n for n in COLUMNS if n != "time" or not file.timed]
     for name in wanted:
         if name not in channels:
+            _refuse_left_out(file, name)
             where = f'no column "{name} [{COLUMNS[name]}]" in the header' if not file.timed else f"no {name} channel"
-            held = ", ".join(list(channels)[:8]) or "no channels"
+            held = edge.listed(list(channels)[:8]) or "no channels"
             raise edge.InputError(f"{file.source}: there is {where} (it has {held}); inspect it for a mapping.")
         if not channels[name].unit:
             raise edge.InputError(
@@ -165,12 +166,19 @@ def own_names(file: BenchFile) -> FileMapping:
     )
 
 
+def _refuse_left_out(file: BenchFile, channel: str) -> None:
+    """Say why the file's reader left a channel out, where it did."""
+    for problem in file.problems:
+        if f'"{channel}" is left out' in problem:
+            raise edge.InputError(problem)
+
+
 def _affine(unit: str, si: str) -> tuple[float, float]:
     """Return scale and offset from a unit to SI; only temperatures may have an offset."""
     if si != "K":
         return edge.unit_scale(unit, si), 0.0
     try:
-        zero, one = (edge.units().Quantity(x, unit).to("K").magnitude for x in (0.0, 1.0))
+        zero, one = (edge.units().Quantity(x, edge.parse_unit(unit)).to("K").magnitude for x in (0.0, 1.0))
     except Exception:
         raise ValueError(f'the unit "{unit}" is no temperature; use degC or K') from None
     return float(one - zero), float(zero)
@@ -199,9 +207,9 @@ def scales_of(file: BenchFile, mapping: FileMapping) -> dict[str, tuple[str, flo
         if channel is None or channel.column is None:
             continue
         if channel.column not in channels:
-            held = ", ".join(channels)
-            held = held if len(held) < 300 else held[:297] + "..."
-            raise edge.InputError(f'{file.source}: there is no column "{channel.column}" for {role}; it has {held}.')
+            _refuse_left_out(file, channel.column)
+            held, wanted = edge.listed(channels), edge.shown(channel.column)
+            raise edge.InputError(f"{file.source}: there is no column {wanted} for {role}; it has {held}.")
         si = {**COLUMNS, **OPTIONAL}[role]
         if isinstance(channel, ChannelMapping) and channel.counts_per_turn is not None:
             scale, offset = _TURN / channel.counts_per_turn, 0.0

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from cycloid_fmu import edge
 from drivers.recording_format import Limits
 from fitting.recordings.cleaning import Block, Cleaning
-from fitting.recordings.formats import open_bench_file
+from fitting.recordings.formats import open_bench_file, pieces_of
 from fitting.recordings.mapping import ANGLES, CHANNELS, ChannelMapping, FileMapping, own_names, scales_of
 from fitting.recordings.one_clock import OneClock
 
@@ -165,7 +165,7 @@ class RecordingStream:
         cleaning = Cleaning({n: m.rollover for n in ANGLES if (m := getattr(self._mapping, n))}, self.source)
         names = list(dict.fromkeys(column for column, _, _ in self._scales.values()))
         kept = 0
-        merged = (merge.add(piece) for piece in self._file.pieces(names))
+        merged = (merge.add(piece) for piece in pieces_of(self._file, names))
         for table, status in itertools.chain(itertools.chain.from_iterable(merged), merge.finish()):
             block = cleaning.add(table, status)
             kept += block.time.size

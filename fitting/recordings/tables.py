@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from cycloid_fmu import edge
-from fitting.recordings.formats import PIECE, BenchFile, Piece, RawChannel, first_line, name_and_unit, unique, unit_text
+from fitting.recordings.formats import PIECE, BenchFile, Piece, RawChannel, name_and_unit, unique, unit_text
 
 _NUMERIC = re.compile(r"\s*[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?\s*")
 _NOT_A_NUMBER = {"", "nan", "inf", "-inf", "n/a", "na", "null"}
@@ -127,8 +127,8 @@ def _looks_like_unit(cell: str) -> bool:
     if not text:
         return False
     try:
-        edge.units().Unit(text)
-    except Exception:
+        edge.parse_unit(text)
+    except ValueError:
         return False
     return True
 
@@ -198,11 +198,11 @@ class CsvFile(BenchFile):
                         if cell is None or (d.decimal == "," and "." in cell):
                             raise ValueError
                     except ValueError:
-                        word = "point" if d.decimal == "." else "comma"
-                        return f'line {number}: {name} is "{cell or ""}"; it must be a number with a decimal {word}.'
+                        word, given = "point" if d.decimal == "." else "comma", edge.shown(cell or "")
+                        return f"line {number}: {name} is {given}; it must be a number with a decimal {word}."
                 if len(row) != len(self.channels):
                     return f"line {number}: it has {len(row)} cells, the header {len(self.channels)}."
-        return f"it is not a table of numbers ({first_line(problem)})."
+        return f"it is not a table of numbers ({edge.first_line(problem)})."
 
 
 class ParquetFile(BenchFile):
@@ -212,20 +212,15 @@ class ParquetFile(BenchFile):
         import pyarrow as pa
         from pyarrow import parquet
 
-        try:
-            self._file = parquet.ParquetFile(source)
-        except (pa.ArrowException, OSError):
-            raise edge.InputError(
-                f"{source}: this is not a Parquet file, or it is cut; Parquet's index lies at its end, so nothing of a "
-                "cut file can be read."
-            ) from None
+        self._file = parquet.ParquetFile(source)
         self._names, channels = {}, []
         for number, part in enumerate(self._file.schema_arrow):
             if not (pa.types.is_floating(part.type) or pa.types.is_integer(part.type)):
                 continue
             name, unit = name_and_unit(part.name)
-            metadata = {k.decode(): v.decode() for k, v in (part.metadata or {}).items()}
-            channels.append(RawChannel(name, unit or metadata.get("unit", metadata.get("units", ""))))
+            metadata = part.metadata or {}
+            stated = metadata.get(b"unit", metadata.get(b"units", b"")).decode("utf-8", "replace")
+            channels.append(RawChannel(name, unit or stated))
             self._names[number] = part.name
         super().__init__(source, unique(channels))
 

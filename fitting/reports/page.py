@@ -68,7 +68,7 @@ def html_page(title: str, facts: str, above: str, panels: Sequence[Panel], below
     from plotly.offline import get_plotlyjs
 
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
-    data = json.dumps([_plotly(p) for p in panels]).replace("</", "<\\/")
+    data = json.dumps([_plotly(p) for p in panels]).replace("<", "\\u003c")  # no name ends the script, or begins one
     return environment.from_string(_HEAD + above + _PANELS + below + _TAIL).render(
         title=title, facts=facts, panels=panels, plotly=Markup(get_plotlyjs()), data=Markup(data), **values
     )

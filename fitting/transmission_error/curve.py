@@ -179,5 +179,4 @@ def write_curves(curves: Sequence[Curve], path: str | os.PathLike[str]) -> None:
     >>> xr.load_dataset("curves.nc").torque.values.tolist()
     [20.0]
     """
-    with edge.written_whole(path) as temporary:
-        curves_dataset(curves).to_netcdf(temporary, engine="h5netcdf")
+    edge.write_netcdf(curves_dataset(curves), path)

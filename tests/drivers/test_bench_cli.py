@@ -221,7 +221,7 @@ def test_bad_wiring_is_refused_in_a_sentence_that_names_file_and_field(wiring, o
     [
         (["record", "none.toml", "-o", "run.arrows"], "none.toml: No such file or directory."),
         (["record", "BENCH.toml", "-o", "run.arrows", "--idle", "2"], '--idle = "2": write one number'),
-        (["record", "BENCH.toml", "-o", "BENCH.toml"], "BENCH.toml: this file exists and recordings"),
+        (["record", "BENCH.toml", "-o", "BENCH.toml"], "--output = BENCH.toml: the name must end in .arrows."),
         (["simulate", "--torque", "20 N*m"], "--ratio is missing"),
         (["simulate", "--torque", "20 N*m", "--ratio", "-39", "--serial", "amt21", "--clock-drift", "1e-4"],
          "--clock-drift = 0.0001: only"),

@@ -291,7 +291,7 @@ def test_silence_is_the_line_s_and_not_that_of_a_recorder_that_stood_still(tmp_p
 
 
 BENCH = (
-    'format = "cycloid-bench/1"\n{}[port.a]\nurl = "loop://"\n[channel.input_angle]\nprotocol = "amt21"\nport = "a"\n'
+    'format = "cycloid-bench/1"\n{}[port.a]\nurl = "COM1"\n[channel.input_angle]\nprotocol = "amt21"\nport = "a"\n'
 )
 
 

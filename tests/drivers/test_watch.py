@@ -1,14 +1,19 @@
 """The live page: what it is told, who may see it, and that a real browser shows it."""
 
+import contextlib
+import email
 import json
 import math
 import shutil
+import socket
+import time
 import urllib.error
 import urllib.request
 
 import numpy as np
 import pytest
 
+from drivers.live_page import server as server_module
 from drivers.live_page.server import Watcher, WatchServer, order_spectrum
 from drivers.recording_format import Channel, Event, Header, RecordingWriter, Samples
 
@@ -138,3 +143,81 @@ def test_a_real_browser_shows_it(tmp_path, serve):
         page.screenshot(path=tmp_path / "watch.png")
         browser.close()
         assert problems == []
+
+
+def asked(server, request):
+    """Send bytes and return all that comes back until the server closes."""
+    with socket.create_connection(server.server_address, timeout=5) as client:
+        client.sendall(request)
+        client.shutdown(socket.SHUT_WR)
+        return b"".join(iter(lambda: client.recv(1 << 16), b""))
+
+
+def test_values_that_are_no_numbers_are_null_and_left_out_of_the_transmission_error(tmp_path):
+    with RecordingWriter(tmp_path / "run.arrows", HEADER) as writer:
+        write_turns(writer, 0, 192)
+        for name in ("input_angle", "output_angle", "torque"):
+            writer.write(Samples.checked(name, [2.0], [math.nan]), [Event(math.inf, name, "odd")])
+    with WatchServer(Watcher(tmp_path / "run.arrows"), "127.0.0.1", 0, None) as server:
+        _, text = server.newest.after(0, 5.0)
+
+    def refused(word):
+        raise AssertionError(word)
+
+    data = json.loads(text, parse_constant=refused)  # as JSON.parse
+    assert "\n" not in text
+    assert {c["value"] for c in data["channels"]} == {None}
+    assert max(data["te"]["arcsec"]) == pytest.approx(30, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["GET http://[::1 HTTP/1.0", "GET //[ HTTP/1.0", "GET /?" + "a&" * 99 + "token=x HTTP/1.0", "GET", "\0",
+     "GET / HTTP/9.9", "BREW / HTTP/1.1", "GET /\xff HTTP/1.0", "GET " + "/" * 70000,
+     "GET /?token=%00%ff HTTP/1.1\r\nHost: \xff"],
+)  # fmt: skip
+@pytest.mark.parametrize("token", [None, "s3cret"])
+def test_an_odd_request_is_refused_and_nothing_is_printed(tmp_path, serve, capfd, line, token):
+    with RecordingWriter(tmp_path / "run.arrows", HEADER):
+        pass
+    server = serve(Watcher(tmp_path / "run.arrows"), token)
+    answer = asked(server, line.encode("latin-1") + b"\r\n\r\n")
+    assert not answer.startswith(b"HTTP/1.0 200")
+    if answer:
+        headers = email.message_from_bytes(answer.partition(b"\r\n")[2])
+        if headers.keys():
+            assert headers["X-Content-Type-Options"] == "nosniff"
+            assert headers["X-Frame-Options"] == "DENY"
+            assert headers["Referrer-Policy"] == "no-referrer"
+            assert "frame-ancestors 'none'" in headers["Content-Security-Policy"]
+            assert "unsafe" not in headers["Content-Security-Policy"]
+    assert capfd.readouterr() == ("", "")
+
+
+def test_clients_that_are_slow_or_many_are_let_go(tmp_path, serve, monkeypatch):
+    monkeypatch.setattr(server_module, "_REQUEST_SECONDS", 0.5)
+    with RecordingWriter(tmp_path / "run.arrows", HEADER):
+        pass
+    server = serve(Watcher(tmp_path / "run.arrows"))
+    clients = [socket.create_connection(server.server_address, timeout=5) for _ in range(40)]
+    ended = 0
+    for client in clients:  # none of them ever ends its request
+        with client, contextlib.suppress(ConnectionError):
+            client.sendall(b"GET / HTTP/1.1\r\nX: ")
+            ended += client.recv(1) == b""
+            continue
+        ended += 1
+    assert ended == len(clients)
+    while server._ends:  # their threads end by themselves
+        time.sleep(0.01)
+    assert status_of(server.url) == 200
+
+
+def test_a_stream_ends_after_its_time_and_frees_its_place(tmp_path, serve, monkeypatch):
+    monkeypatch.setattr(server_module, "_STREAM_SECONDS", 0.3)
+    with RecordingWriter(tmp_path / "run.arrows", HEADER):
+        pass
+    server = serve(Watcher(tmp_path / "run.arrows"))
+    answer = asked(server, b"GET /data HTTP/1.1\r\nHost: localhost\r\n\r\n")
+    assert b"text/event-stream" in answer
+    assert b"data: {" in answer

@@ -158,7 +158,7 @@ def test_parquet(tmp_path):
     write_parquet(tmp_path / "a.parquet")
     same(RecordingStream(tmp_path / "a.parquet").read())
     (tmp_path / "b.parquet").write_bytes((tmp_path / "a.parquet").read_bytes()[:-100])
-    with pytest.raises(edge.InputError, match=r"b\.parquet: this is not a Parquet file, or it is cut"):
+    with pytest.raises(edge.InputError, match=r"b\.parquet: this is not a .parquet file, or it is cut"):
         RecordingStream(tmp_path / "b.parquet").read()
 
 

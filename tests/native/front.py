@@ -22,8 +22,18 @@ def source_hash():
     return hashlib.sha256(text).hexdigest()
 
 
-def compile_front(library, target):
-    """Compile one of `LIBRARIES`."""
+def compiled_front(library):
+    """Compile one of `LIBRARIES` and return its bytes: the same ones everywhere, with the same version of zig.
+
+    It is compiled under its own name: a DLL holds it, and another length of it moves what follows.
+    """
+    with tempfile.TemporaryDirectory() as folder:  # the linker leaves more there
+        made = Path(folder, Path(library).name)
+        _compile(library, made)
+        return made.read_bytes()
+
+
+def _compile(library, target):
     if library.endswith(".dll"):  # not mingw's library, which takes minutes to compile
         parts = ("string", "private")
         runtime = ["-nostdlib", "-Wl,--no-entry", "-isystem", str(native_build.windows_headers()),
@@ -40,7 +50,4 @@ def compile_front(library, target):
 
 if __name__ == "__main__":
     for name in LIBRARIES:
-        with tempfile.TemporaryDirectory() as folder:  # the linker leaves more there
-            made = Path(folder, Path(name).name)
-            compile_front(name, made)
-            (SHIPPED / name).write_bytes(made.read_bytes())
+        (SHIPPED / name).write_bytes(compiled_front(name))

@@ -11,10 +11,11 @@ from types import SimpleNamespace
 
 import pytest
 from c_host import HERE, WINE, compiled, needs_wine, zig
-from front import LIBRARIES, SHIPPED, compile_front, source_hash
+from front import LIBRARIES, SHIPPED, compiled_front, source_hash
 
 from cycloid_fmu.native import build as native_build
 
+TESTED = dict(line.split("==") for line in (HERE.parents[1] / "constraints.txt").read_text().split())
 LOGGER = ctypes.CFUNCTYPE(
     None, ctypes.c_void_p, ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_char_p
 )  # fmt: skip
@@ -43,7 +44,7 @@ def front(request, tmp_path_factory):
     if request.param == "shipped":
         return SHIPPED / name
     path = tmp_path_factory.mktemp("front") / "CycloidDrive.so"
-    compile_front(name, path)
+    path.write_bytes(compiled_front(name))
     return path
 
 
@@ -92,6 +93,14 @@ def is_loaded(path):
 @pytest.mark.parametrize("name", LIBRARIES)
 def test_the_library_that_is_shipped_comes_from_the_source(name):
     assert source_hash().encode() in (SHIPPED / name).read_bytes()
+
+
+@pytest.mark.skipif(
+    metadata.version("ziglang") != TESTED["ziglang"], reason="the compiler is not that of constraints.txt"
+)
+@pytest.mark.parametrize("name", LIBRARIES)
+def test_the_stated_compiler_makes_the_library_that_is_shipped_to_the_last_bit(name):
+    assert compiled_front(name) == (SHIPPED / name).read_bytes()
 
 
 def test_it_has_the_functions_that_pythonfmu_has(front):
@@ -225,7 +234,7 @@ def test_the_windows_library_hands_on_a_path_of_ascii(tmp_path, made):
     if made == "shipped":
         (folder / "CycloidDrive.dll").write_bytes((SHIPPED / name).read_bytes())
     else:
-        compile_front(name, folder / "CycloidDrive.dll")
+        (folder / "CycloidDrive.dll").write_bytes(compiled_front(name))
     host = compiled(
         tmp_path / "host.exe", [HERE / "front_host.c", HERE / "windows_start.c"], "-O2", "-Wl,--entry=start", *runtime,
         compiler=zig("x86_64-windows"),

@@ -1,0 +1,147 @@
+"""netCDF files: read by Python alone, written so that a disk that takes no more is an `OSError`."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+from collections.abc import Collection, Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cycloid_fmu.edge.files import MOST_BYTES, check_format, existing, written_whole
+from cycloid_fmu.edge.problems import InputError, parsed_by_others
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+_CONTIGUOUS, _NOWHERE = 1, (1 << 64) - 1  # HDF5's number of that layout, and its address of nothing
+
+
+def netcdf(path: str | os.PathLike[str], wanted_format: str) -> xr.Dataset:
+    """Return the variables of a netCDF file of the wanted format, loaded.
+
+    Raises
+    ------
+    InputError
+        If it can't be read, is no netCDF, or is of another format.
+    """
+    import h5netcdf
+    import xarray as xr
+    from xarray.backends import H5NetCDFStore
+
+    existing(path)
+    # Python alone reads it: in a damaged file HDF5's own library may never come to an end, or crash.
+    refusing = parsed_by_others(path, "this is not a netCDF file, or it is damaged")
+    with refusing, h5netcdf.File(str(path), "r", backend="pyfive") as file:
+        _check_contained(Path(path), file.variables)
+        data = xr.open_dataset(H5NetCDFStore(file)).load()
+    check_format(data.attrs.get("format"), wanted_format, str(path))
+    return data
+
+
+def _check_contained(path: Path, names: Collection[str]) -> None:
+    """Refuse variables whose data the file does not hold, to be read as zeros, and more data than can be meant."""
+    import pyfive
+
+    total = 0
+    with pyfive.File(str(path)) as file:
+        for name in names:
+            stored = file[name]
+            if stored.size and stored.id.layout_class == _CONTIGUOUS and stored.id.data_offset == _NOWHERE:
+                raise InputError(f"{path}: it holds no data of {name}; they must not be in another file.")
+            total += stored.size * stored.dtype.itemsize
+    if total > MOST_BYTES:
+        raise InputError(f"{path}: its variables are longer than {MOST_BYTES >> 30} GiB.")
+
+
+def write_netcdf(
+    data: xr.Dataset, path: str | os.PathLike[str], encoding: Mapping[str, Mapping[str, Any]] | None = None
+) -> None:
+    """Write a dataset as netCDF, whole or not at all; `encoding` as xarray has it.
+
+    Raises
+    ------
+    InputError
+        If no file may be written there.
+    OSError
+        If the disk takes no more; it names the file.
+    """
+    with written_whole(path) as temporary, hdf5_target(temporary) as target:
+        data.to_netcdf(target, engine="h5netcdf", encoding=encoding)
+
+
+@contextlib.contextmanager
+def hdf5_target(path: Path) -> Iterator[_HDF5Target]:
+    """Give a new file for HDF5's library to write to, and raise its first `OSError` at the end."""
+    with _HDF5Target(path) as target:
+        yield target
+        target.check()
+
+
+class _HDF5Target(io.RawIOBase):
+    """A new file that takes everything, for HDF5's library, which crashes some time after a write that failed.
+
+    From the first failure on, what is written is held in memory. Whoever writes much calls `check` on the way.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("x+b", buffering=0)
+        self._held: list[tuple[int, bytes]] = []
+        self._problem: OSError | None = None
+
+    def check(self) -> None:
+        """Raise the failure of an earlier write; to be called where HDF5's library is not on the stack."""
+        if self._problem is not None:
+            raise self._problem
+
+    def readable(self) -> bool:
+        return True
+
+    def writable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET, /) -> int:
+        return self._file.seek(offset, whence)
+
+    def readinto(self, buffer: Any, /) -> int:
+        view = memoryview(buffer).cast("B")
+        begin = self._file.tell()
+        count = self._file.readinto(view) or 0
+        for at, data in self._held:
+            first, last = max(at, begin), min(at + len(data), begin + len(view))
+            if first < last:
+                view[first - begin : last - begin] = data[first - at : last - at]
+                count = max(count, last - begin)
+        return count
+
+    def write(self, data: Any, /) -> int:
+        given = bytes(data)
+        if self._problem is None:
+            begin, rest = self._file.tell(), memoryview(given)
+            try:
+                while rest:
+                    rest = rest[self._file.write(rest) :]
+            except OSError as problem:
+                self._problem = problem
+                self._file.seek(begin)
+        if self._problem is not None:
+            self._held.append((self._file.tell(), given))
+            self._file.seek(len(given), os.SEEK_CUR)
+        return len(given)
+
+    def truncate(self, size: int | None = None, /) -> int:
+        try:
+            return self._file.truncate(size)
+        except OSError as problem:
+            self._problem = self._problem or problem
+            return size or 0
+
+    def close(self) -> None:
+        try:
+            self._file.close()
+        finally:
+            super().close()

@@ -1,0 +1,113 @@
+"""Which lines a bench file may open: buses, serial devices and TCP sockets; others where a person asks for them."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Collection, Mapping
+from typing import TYPE_CHECKING
+
+from cycloid_fmu import edge
+
+if TYPE_CHECKING:
+    from drivers.encoder import BusConfig, PortConfig
+
+# Interfaces of python-can that open a piece of hardware or a multicast group by their channel, and nothing else.
+BUSES = frozenset(
+    {
+        "canalystii",
+        "cantact",
+        "etas",
+        "gs_usb",
+        "iscan",
+        "ixxat",
+        "kvaser",
+        "loopback",
+        "neousys",
+        "neovi",
+        "nican",
+        "nixnet",
+        "pcan",
+        "socketcan",
+        "systec",
+        "udp_multicast",
+        "usb2can",
+        "vector",
+        "virtual",
+    }
+)
+# Those that are a serial port, which pyserial opens: whatever their channel says.
+SERIAL_BUSES = frozenset({"robotell", "seeedstudio", "serial", "slcan"})
+_DEVICE = re.compile(r"(\\\\\.\\)?[A-Z]{3,5}\d{1,3}|/[^\0-\x1f]+")
+_SOCKET = re.compile(r"socket://[\w.:\[\]-]+:\d{1,5}/?")
+_TERMINAL = re.compile(r"/dev/(pts/\d+|rfcomm\d+|(gsm)?tty[A-Za-z]\w*|gsmtty\d+|(tty|cu)\.[^/]+|cua\w+)")
+_PORTS = "a bench file may name a serial device, such as COM3 or /dev/ttyUSB0, or socket://HOST:PORT"
+
+
+def check_lines(
+    buses: Mapping[str, BusConfig], ports: Mapping[str, PortConfig], allow: Collection[str], source: str
+) -> None:
+    """Refuse what a bench file may not open by itself.
+
+    pyserial opens URLs by plug-ins, of which "spy" writes a file and "alt" loads a class; python-can has plug-ins too.
+
+    Parameters
+    ----------
+    buses, ports
+        Those of the file.
+    allow
+        Schemes of URLs and interfaces of python-can that may be opened besides, such as "rfc2217".
+    source
+        The file's name.
+
+    Raises
+    ------
+    edge.InputError
+        Naming file, table and value.
+    """
+    for name, port in ports.items():
+        if not _may_open(port.url, allow):
+            raise edge.InputError(
+                f"{source}: [port.{name}] url = {edge.shown(port.url)}: {_PORTS}{_asked(_scheme(port.url))}."
+            )
+    for name, bus in buses.items():
+        if bus.interface in BUSES or bus.interface in allow:
+            continue
+        where = f"{source}: [bus.{name}]"
+        if bus.interface not in SERIAL_BUSES:
+            raise edge.InputError(
+                f"{where} interface = {edge.shown(bus.interface)}: a bench file may name one of "
+                f"{', '.join(sorted(BUSES | SERIAL_BUSES))}{_asked(bus.interface)}."
+            )
+        if "://" in bus.channel or not _DEVICE.fullmatch(device_of(bus.channel)):
+            raise edge.InputError(
+                f"{where} channel = {edge.shown(bus.channel)}: the channel of {bus.interface} must be a serial device, "
+                f"such as COM3 or /dev/ttyUSB0{_asked(bus.interface)}."
+            )
+
+
+def _scheme(url: str) -> str:
+    return url.partition("://")[0].lower() if "://" in url else ""
+
+
+def _may_open(url: str, allow: Collection[str]) -> bool:
+    if "://" in url:
+        return bool(_SOCKET.fullmatch(url)) or _scheme(url) in allow
+    return bool(_DEVICE.fullmatch(url))
+
+
+def _asked(kind: str) -> str:
+    return f'; allow "{kind}" where you record, if you trust the file' if re.fullmatch(r"\w+", kind) else ""
+
+
+def device_of(channel: str) -> str:
+    """Return the serial device of a bus that is one; a rate may stand behind it: "/dev/ttyACM0@115200"."""
+    return channel.rpartition("@")[0] or channel
+
+
+def no_terminal(device: str) -> str:
+    """Return why a serial device is not opened, "" where it may be: to open other devices may already do something."""
+    real = os.path.realpath(device)
+    if "://" in device or os.name == "nt" or not os.path.exists(real) or _TERMINAL.fullmatch(real):
+        return ""
+    return f"{real} is no serial port"

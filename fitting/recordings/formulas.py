@@ -1,0 +1,167 @@
+"""Formulas of measurement files: read by a small grammar and computed in double precision, never evaluated as code."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+LONGEST = 300  # characters
+_DEEPEST = 30  # brackets and signs within each other
+_SYMBOL = re.compile(
+    r"\s*(?:(?P<number>(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?)|(?P<name>[A-Za-z]\w*)|(?P<sign>\*\*|[-+*/(),]))"
+)
+# "log" is the natural logarithm to some programs and the decimal one to others; "^" a power or an exclusive or.
+_FUNCTIONS: dict[str, tuple[int, Callable[..., Array]]] = {
+    "abs": (1, np.abs),
+    "sqrt": (1, np.sqrt),
+    "exp": (1, np.exp),
+    "ln": (1, np.log),
+    "log10": (1, np.log10),
+    "sin": (1, np.sin),
+    "cos": (1, np.cos),
+    "tan": (1, np.tan),
+    "asin": (1, np.arcsin),
+    "acos": (1, np.arccos),
+    "atan": (1, np.arctan),
+    "arcsin": (1, np.arcsin),
+    "arccos": (1, np.arccos),
+    "arctan": (1, np.arctan),
+    "sinh": (1, np.sinh),
+    "cosh": (1, np.cosh),
+    "tanh": (1, np.tanh),
+    "pow": (2, np.power),
+}
+_SIGNS: dict[str, Callable[[Array, Array], Array]] = {
+    "+": np.add,
+    "-": np.subtract,
+    "*": np.multiply,
+    "/": np.divide,
+    "**": np.power,
+}
+
+Part = Callable[[Array], Array]
+
+
+@dataclass(frozen=True)
+class Formula:
+    """A formula of one variable, X or X1: numbers, + - * / **, brackets and the usual functions.
+
+    Parameters
+    ----------
+    text
+        As the file writes it; 300 characters at most.
+
+    Raises
+    ------
+    ValueError
+        If it is anything else.
+
+    Examples
+    --------
+    >>> Formula("2 * X + sqrt(X1) / 4")([0.0, 4.0]).tolist()
+    [0.0, 8.5]
+    """
+
+    text: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_compute", _Reader(self.text).formula())
+
+    def __call__(self, x: ArrayLike) -> Array:
+        """Return its values, shape as `x`; not a number where it has none there."""
+        given = np.asarray(x, dtype=float)
+        compute: Part = self._compute  # type: ignore[attr-defined]
+        with np.errstate(all="ignore"):
+            return np.broadcast_to(compute(given), given.shape).astype(float)
+
+
+class _Reader:
+    """Reads a text from the left; each method takes what its name says."""
+
+    def __init__(self, text: str) -> None:
+        if len(text) > LONGEST:
+            raise ValueError(f"it is longer than {LONGEST} characters")
+        self._left: list[tuple[str, str]] = []
+        place, end = 0, len(text.rstrip())
+        while place < end:
+            symbol = _SYMBOL.match(text, place)
+            if symbol is None:
+                raise ValueError(f'"{text[place:].strip()[:10]}" belongs to no formula')
+            self._left.append((str(symbol.lastgroup), str(symbol[str(symbol.lastgroup)])))
+            place = symbol.end()
+        self._depth = 0
+
+    def formula(self) -> Part:
+        found = self._sum()
+        if self._left:
+            raise ValueError(f'"{self._left[0][1]}" is where nothing should follow')
+        return found
+
+    def _sign(self, *wanted: str) -> str:
+        """Take one of these signs if it is next."""
+        if self._left and self._left[0][0] == "sign" and self._left[0][1] in wanted:
+            return self._left.pop(0)[1]
+        return ""
+
+    def _need(self, sign: str) -> None:
+        if not self._sign(sign):
+            raise ValueError(f'"{sign}" is missing')
+
+    def _sum(self) -> Part:
+        found = self._product()
+        while sign := self._sign("+", "-"):
+            found = _joined(sign, found, self._product())
+        return found
+
+    def _product(self) -> Part:
+        found = self._signed()
+        while sign := self._sign("*", "/"):
+            found = _joined(sign, found, self._signed())
+        return found
+
+    def _signed(self) -> Part:
+        self._depth += 1
+        if self._depth > _DEEPEST:
+            raise ValueError("it nests too deep")
+        try:
+            if sign := self._sign("+", "-"):
+                found = self._signed()
+                return found if sign == "+" else lambda x: np.negative(found(x))
+            base = self._value()
+            return _joined("**", base, self._signed()) if self._sign("**") else base
+        finally:
+            self._depth -= 1
+
+    def _value(self) -> Part:
+        if self._sign("("):
+            found = self._sum()
+            self._need(")")
+            return found
+        kind, text = self._left.pop(0) if self._left else ("", "")
+        if kind == "number":
+            number = np.array(float(text))
+            return lambda x: number
+        if kind == "name" and text.upper() in ("X", "X1"):
+            return lambda x: x
+        if kind == "name" and text.lower() in _FUNCTIONS:
+            count, function = _FUNCTIONS[text.lower()]
+            self._need("(")
+            parts = [self._sum()]
+            while self._sign(","):
+                parts.append(self._sum())
+            self._need(")")
+            if len(parts) != count:
+                raise ValueError(f"{text} takes {count} value{'s' * (count > 1)}, not {len(parts)}")
+            return lambda x: function(*(part(x) for part in parts))
+        raise ValueError(f'"{text}" is not known here' if text else "it ends too early")
+
+
+def _joined(sign: str, left: Part, right: Part) -> Part:
+    compute = _SIGNS[sign]
+    return lambda x: compute(left(x), right(x))

@@ -1,0 +1,352 @@
+"""Every reader, given files in which bits flip, bytes come and go and values become others: it reads, or says why not.
+
+What it says is the package's own error, with the name of the file.
+"""
+
+import contextlib
+import dataclasses
+import functools
+import json
+import os
+import signal
+import zlib
+
+import can
+import cantools
+import numpy as np
+import pyarrow as pa
+import pytest
+from common import EXAMPLES, damaged, make_pair
+from pyarrow import parquet
+
+import cycloid_fmu as cy
+from cycloid_fmu import edge
+from cycloid_fmu.fmu.build import build_fmu, read_losses
+from cycloid_fmu.fmu.run import read_motion, stated_drive, units_of
+from cycloid_fmu.reducer.lost_motion import read_reducer
+from cycloid_fmu.studies.tolerance import Checkpoint, Study
+from cycloid_fmu.surfaces.measuring import measured_surface, read_points
+from cycloid_fmu.surfaces.surface import surface_of_pair
+from cycloid_fmu.wear.law import read_duty_cycle, read_wear_law
+from drivers.recorder.bench import read_bench
+from drivers.recorder.sequence import read_sequence
+from drivers.recording_format import RecordingWriter, Samples
+from drivers.recording_format.repair import repair
+from drivers.simulated.faults import read_faults
+from fitting.estimation.result import read_lmfit_parameters
+from fitting.figures.comparison import read_figures
+from fitting.recordings.inspection import inspect
+from fitting.recordings.mapping import read_mapping
+from fitting.recordings.read_head import read_read_head
+from fitting.recordings.recording import RecordingStream
+from tests.cycloid_fmu.cmm import measure, write_csv
+from tests.drivers.test_can_more import EDS
+from tests.drivers.test_recording_format import HEADER
+from tests.drivers.test_sequence import SEQUENCE
+from tests.fitting.test_readers import CAN_MAP, DBC
+
+COUNT = int(float(os.environ.get("CYCLOID_DAMAGED_FILES", "2e4")))
+SAMPLES = 24
+TIME = np.arange(SAMPLES) * 1e-2
+OWN = {
+    "time": ("s", TIME), "input_angle": ("rad", 20.0 * TIME), "output_angle": ("rad", -20.0 * TIME / 39),
+    "torque": ("N*m", 20.0 + np.sin(TIME)),
+}  # fmt: skip
+SMALL = make_pair(gear_teeth=6, pins=7, pin_circle_radius="40 mm", eccentricity="2.5 mm", pin_radius="6 mm")
+ERRORS = """[errors]
+centre_distance_x = "5 um"
+pin_radial = { order_1 = ["3 um", "40 deg"] }
+tooth_cumulative_pitch = { order_2 = ["2 um", "0 deg"] }
+"""
+BENCH = """format = "cycloid-bench/1"
+ratio = -39
+pair = "39/40"
+[conditions]
+load = "20 N*m"
+direction = "forward"
+[bus.can0]
+interface = "virtual"
+channel = "v"
+[port.usb]
+url = "/dev/ttyUSB0"
+baud_rate = 2000000
+[channel.input_angle]
+protocol = "canopen"
+bus = "can0"
+node = 5
+counts_per_turn = 4194304
+eds = "encoder.eds"
+[channel.output_angle]
+protocol = "amt21"
+port = "usb"
+address = 84
+"""
+SENSOR = """[channel.torque]
+protocol = "dbc"
+bus = "can0"
+file = "bench.dbc"
+message = "Sensor"
+signal = "Moment"
+"""
+MAPPING = """format = "cycloid-mapping/1"
+ratio = -39
+[time]
+column = "time"
+[input_angle]
+column = "input_angle"
+unit = "rad"
+rollover = "360 deg"
+delay = "1.2 ms"
+[output_angle]
+column = "output_angle"
+direction = -1
+[torque]
+column = "torque"
+"""
+FIGURE = {
+    "value": 1e-4, "uncertainty": None, "unit": "rad", "definition": "as the standard says", "interval": [0.0, 20.0],
+    "interval_unit": "N*m", "turns": 1, "forward": {
+        "value": 1e-4, "uncertainty": 1e-6, "unit": "rad", "definition": "", "interval": None, "interval_unit": "",
+        "turns": 1,
+    },
+}  # fmt: skip
+PARAMETERS = [
+    [name, 1e-6, True, None, -1e-3, 1e-3, None, 1e-7, {}, 0.0, None] for name in ("pin_radial_1_cos", "offset")
+]
+
+
+def text_file(name, text):
+    def make(folder):
+        (folder / name).write_text(text, encoding="utf-8")
+        return folder / name
+
+    return make
+
+
+def example(name, *beside):
+    def make(folder):
+        for one in (name, *beside):
+            (folder / one).write_bytes((EXAMPLES / one).read_bytes())
+        return folder / name
+
+    return make
+
+
+def surface(folder):
+    drive = cy.Drive(SMALL).replace(errors={"pin_radius": "-1 um"})
+    drive.write(folder / "made.nc")
+    return folder / "made.nc"
+
+
+def table(folder):
+    rows = zip(*(values for _, values in OWN.values()), strict=True)
+    lines = [",".join(f"{n} [{u}]" for n, (u, _) in OWN.items()), *(",".join(f"{v:.9g}" for v in r) for r in rows)]
+    return text_file("run.csv", "\n".join(lines) + "\n")(folder)
+
+
+def parquet_table(folder):
+    fields = [pa.field(n, pa.float64(), metadata={"unit": u}) for n, (u, _) in OWN.items()]
+    parquet.write_table(pa.table([v for _, v in OWN.values()], pa.schema(fields)), folder / "run.parquet")
+    return folder / "run.parquet"
+
+
+def mdf(folder):
+    asammdf = pytest.importorskip("asammdf")
+    with asammdf.MDF(version="4.10") as file:
+        file.append([asammdf.Signal(v, TIME, unit=u, name=n) for n, (u, v) in OWN.items() if n != "time"])
+        file.save(folder / "run.mf4")
+    return folder / "run.mf4"
+
+
+def tdms(folder):
+    nptdms = pytest.importorskip("nptdms")
+    with nptdms.TdmsWriter(str(folder / "run.tdms")) as writer:
+        writer.write_segment([nptdms.ChannelObject("run", n, v, {"unit_string": u}) for n, (u, v) in OWN.items()])
+    return folder / "run.tdms"
+
+
+def can_log(suffix):
+    def make(folder):
+        (folder / "bench.dbc").write_text(DBC)
+        (folder / "map.toml").write_text('format = "cycloid-mapping/1"\n' + CAN_MAP)
+        database = cantools.database.load_string(DBC, "dbc")
+        with can.Logger(folder / f"run{suffix}") as log:
+            for at, turned, driven, torque in zip(*(v for _, v in OWN.values()), strict=True):
+                angles = database.encode_message("Angles", {"Motor": turned, "Abtrieb": driven})
+                sensor = database.encode_message("Sensor", {"Moment": torque})
+                for number, data in ((291, angles), (292, sensor)):
+                    log.on_message_received(can.Message(1e3 + at, number, is_extended_id=False, data=data))
+        return folder / f"run{suffix}"
+
+    return make
+
+
+def recording(folder):
+    units = {n: u for n, (u, _) in OWN.items()}
+    channels = tuple(dataclasses.replace(c, unit=units[c.name]) for c in HEADER.channels)
+    with RecordingWriter(folder / "run.arrows", dataclasses.replace(HEADER, channels=channels)) as writer:
+        for begin in range(0, SAMPLES, 8):
+            for channel in channels:
+                part = slice(begin, begin + 8)
+                writer.write(Samples.checked(channel.name, TIME[part], OWN[channel.name][1][part]))
+    return folder / "run.arrows"
+
+
+def points(folder):
+    return write_csv(folder / "points.csv", measure(SMALL, surface_of_pair(SMALL), 5e-7, 1, along=9, across=2))
+
+
+def fmu(folder):
+    build_fmu(SMALL, folder / "drive.fmu")
+    return folder / "drive.fmu"
+
+
+def bench(folder):
+    (folder / "encoder.eds").write_text(EDS)
+    (folder / "bench.dbc").write_text(DBC)
+    return text_file("BENCH.toml", BENCH + SENSOR)(folder)
+
+
+def sensor(folder):
+    (folder / "bench.dbc").write_text(DBC)
+    return text_file("BENCH.toml", BENCH[: BENCH.index("[channel")] + SENSOR)(folder)
+
+
+def beside(make, name):
+    """Another of the files that `make` writes."""
+    return lambda folder: make(folder).with_name(name)
+
+
+@functools.cache
+def study():
+    return Study(SMALL, cy.read_tolerances(EXAMPLES / "tolerances.toml"), torque=(20.0,), samples=8, seed=1)
+
+
+def checkpoint(folder):
+    path = folder / "study.checkpoint"
+    Checkpoint(path, study()).add(0, np.zeros((2, 3)))
+    return path
+
+
+def signed(line):
+    """A line of a checkpoint whose CRC-32 is right, whatever it says."""
+    text = line.partition(" ")[2]
+    return f"{zlib.crc32(text.encode()):08x} {text}"
+
+
+def read_signed_checkpoint(path):
+    text = path.read_bytes().decode("utf-8", "replace")
+    path.write_text("\n".join(signed(line) if line else "" for line in text.split("\n")), encoding="utf-8")
+    Checkpoint(path, study())
+
+
+def read_run(path):
+    """As `cycloid-fit` takes a recording."""
+    RecordingStream(
+        path, read_mapping(path.with_name("map.toml")) if path.with_name("map.toml").exists() else None
+    ).read()
+
+
+def inspected(path):
+    dbc = path.with_name("bench.dbc")
+    _ = inspect(path, dbc if dbc.exists() else None).text
+
+
+READERS = {
+    "pair": (text_file("pair.toml", SMALL.text + ERRORS), cy.read_drive),
+    "reducer": (example("rv-20e.toml"), read_reducer),
+    "tolerances": (example("tolerances.toml"), cy.read_tolerances),
+    "wear": (example("wear.toml"), read_wear_law),
+    "duty cycle": (text_file("duty.csv", "torque [N*m],crank_turns [1]\n20,1e6\n-200,2.5e5\n"), read_duty_cycle),
+    "losses": (
+        text_file("l.csv", "speed [rpm],eta_mf1 [1],eta_mf2 [1],tau_bf1 [N*m],tau_bf2 [N*m]\n0,.9,.8,.1,.2\n9,1,1,0,0"),
+        read_losses,
+    ),
+    "surface": (surface, cy.read_surface),
+    "points": (points, lambda path: measured_surface(SMALL, read_points(path))),
+    "motion": (table, lambda path: read_motion(path, {"flange_a.phi": "rad", "flange_b.phi": "rad"})),
+    "FMU": (fmu, lambda path: (stated_drive(path), units_of(path, "output"))),
+    "checkpoint": (checkpoint, lambda path: Checkpoint(path, study())),
+    "checkpoint that is signed": (checkpoint, read_signed_checkpoint),
+    "bench": (bench, read_bench),
+    "EDS": (beside(bench, "encoder.eds"), lambda path: read_bench(path.with_name("BENCH.toml"))),
+    "DBC": (beside(sensor, "bench.dbc"), lambda path: read_bench(path.with_name("BENCH.toml"))),
+    "sequence": (lambda f: (bench(f), text_file("sequence.toml", SEQUENCE)(f))[1], read_sequence),
+    "faults": (
+        text_file("f.toml", 'format = "cycloid-faults/1"\n[[fault]]\nkind = "pull"\nsample = 3\nby = "200 ms"\n'),
+        read_faults,
+    ),
+    "recording": (recording, read_run),
+    "repair": (recording, repair),
+    "CSV": (table, read_run),
+    "Parquet": (parquet_table, read_run),
+    "MDF4": (mdf, read_run),
+    "TDMS": (tdms, read_run),
+    "BLF": (can_log(".blf"), read_run),
+    "ASC": (can_log(".asc"), read_run),
+    "TRC": (can_log(".trc"), read_run),
+    "DBC of a log": (beside(can_log(".asc"), "bench.dbc"), lambda path: read_run(path.with_name("run.asc"))),
+    "mapping": (
+        lambda f: (table(f), text_file("map.toml", MAPPING)(f))[1], lambda path: read_run(path.with_name("run.csv")),
+    ),
+    "CSV inspected": (table, inspected),
+    "read head": (example("rv-20e-read-head.toml", "rv-20e-tilt.csv"), read_read_head),
+    "displacements": (
+        beside(example("rv-20e-read-head.toml", "rv-20e-tilt.csv"), "rv-20e-tilt.csv"),
+        lambda path: read_read_head(path.with_name("rv-20e-read-head.toml")),
+    ),
+    "figures": (
+        text_file("f.json", json.dumps({"format": "cycloid-figures/1", "angular_transmission_error": FIGURE})),
+        read_figures,
+    ),
+    "identification": (
+        text_file(
+            "fit.json", json.dumps({"format": "cycloid-identification/1", "lmfit_parameters": {"params": PARAMETERS}})
+        ),
+        read_lmfit_parameters,
+    ),
+}  # fmt: skip
+
+
+class Hung(BaseException):
+    """A reader took longer than any person waits."""
+
+
+@contextlib.contextmanager
+def within(seconds):
+    def stop(number, frame):
+        raise Hung(f"more than {seconds} s")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+# What a library's constructor leaves behind that failed complains when it is freed.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning", "ignore::RuntimeWarning")
+@pytest.mark.parametrize("count", [15, pytest.param(COUNT, marks=pytest.mark.slow(10))])
+@pytest.mark.parametrize("name", READERS)
+def test_a_damaged_file_is_read_or_refused_in_one_sentence(tmp_path, name, count):
+    make, read = READERS[name]
+    path = make(tmp_path)
+    read(path)
+    whole, kept = path.read_bytes(), tmp_path / "wrong"
+    random = np.random.default_rng([zlib.crc32(name.encode()), count])
+    said = []
+    for _ in range(count):
+        data = damaged(random, whole)
+        path.write_bytes(data)
+        try:
+            with within(20.0):
+                read(path)
+        except edge.InputError as refused:
+            said += str(refused).splitlines()  # a sentence a problem
+        except BaseException:
+            kept.write_bytes(data)
+            raise
+    assert said
+    assert [sentence for sentence in said if str(tmp_path) not in sentence or len(sentence) > 600] == []
