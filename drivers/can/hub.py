@@ -18,7 +18,7 @@ import can
 import canopen
 import numpy as np
 
-from drivers.can.bus import SYNC_ID, open_bus
+from drivers.can.bus import SYNC_ID, frame_key, open_bus
 from drivers.counts import Pace, wraps
 from drivers.encoder import BusConfig, EncoderConnectionError, EncoderSetupError
 from drivers.hubs import BLOCK_SECONDS, BlockQueue, SharedHubs, drained, reason
@@ -253,26 +253,24 @@ class CanHub:
             if drops is not None and drops.total != self._dropped:
                 self._block_gaps.append((len(block), drops.total - self._dropped))
                 self._dropped = drops.total
-            if self._drain_from is not None and message.timestamp > self._drain_from and not own_clock:
-                self._emptied = True  # under a flood the bus is never empty
-            key = message.arbitration_id | message.is_extended_id << 29 | message.is_fd << 30
+            key = message.arbitration_id
+            if message.is_extended_id or message.is_fd:
+                key = frame_key(key, extended=message.is_extended_id, fd=message.is_fd)
             if key in self._wanted and not message.is_error_frame:
                 append(message)
                 if own_clock:
                     arrivals.append(time.time())
             else:
-                if (
-                    message.is_error_frame
-                    and message.arbitration_id & _CONTROLLER
-                    and _OVERRUN & sum(message.data[1:2])
-                ):
-                    self._block_gaps.append((len(block), 0))
-                self._serve(message, key)
+                self._serve(message, key, len(block))
+        since = self._drain_from  # under a flood the bus is never empty
+        self._emptied = since is not None and (bool(own_clock) or (bool(block) and block[-1].timestamp > since))
 
-    def _serve(self, message: can.Message, key: int) -> None:
-        """Hand a frame that is no channel's to CANopen's services."""
+    def _serve(self, message: can.Message, key: int, place: int) -> None:
+        """Hand a frame that is no channel's, and stands at this place of the block, to CANopen's services."""
         if message.is_error_frame:
             self._odd["error frames"] += 1
+            if message.arbitration_id & _CONTROLLER and _OVERRUN & sum(message.data[1:2]):
+                self._block_gaps.append((place, 0))
             if message.arbitration_id & _BUS_OFF:
                 raise can.CanOperationError("bus-off")
         elif key != message.arbitration_id:
@@ -313,7 +311,9 @@ class CanHub:
         self, block: list[can.Message], arrivals: list[float], gaps: list[tuple[int, int]], arrived: float
     ) -> None:
         """Put the frames of a block into their queues, gaps being places before which some were lost, and how many."""
-        keys = np.array([m.arbitration_id | m.is_extended_id << 29 | m.is_fd << 30 for m in block], np.int64)
+        keys = np.array([m.arbitration_id for m in block], np.int64)
+        if any([m.is_extended_id or m.is_fd for m in block]):
+            keys |= np.array([frame_key(0, extended=m.is_extended_id, fd=m.is_fd) for m in block])
         stamps = np.array([m.timestamp for m in block])
         host = np.array(arrivals) if arrivals else stamps
         synced = keys == SYNC_ID
