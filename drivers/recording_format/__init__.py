@@ -4,13 +4,8 @@ No bus library is needed for it. `schema` defines the format; `export` and `repa
 """
 
 from drivers.recording_format.clocks import CLOCK_JUMP, Alignment, Clock, ClockJumps, clock_event
-from drivers.recording_format.plausibility import (
-    LARGEST_DEVIATION_KEY,
-    Finding,
-    Limits,
-    Plausibility,
-    limits_of,
-)
+from drivers.recording_format.limits import LARGEST_DEVIATION_KEY, Finding, Limits, limits_of
+from drivers.recording_format.plausibility import Plausibility
 from drivers.recording_format.reader import Recording, RecordingReader, read_clocks, read_recording
 from drivers.recording_format.schema import (
     ANGLES,
