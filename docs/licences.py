@@ -43,7 +43,10 @@ def licence(name: str) -> str:
     said = metadata.metadata(name)
     classified = [c.rpartition(" :: ")[2] for c in said.get_all("Classifier", []) if c.startswith("License :: OSI")]
     words = (
-        said["License-Expression"] or " AND ".join(sorted(SPDX.get(c, c) for c in classified)) or said["License"] or ""
+        said.get("License-Expression")
+        or " AND ".join(sorted(SPDX.get(c, c) for c in classified))
+        or said.get("License")
+        or ""
     )
     first = words.strip().splitlines()[0] if words.strip() else ""
     return SPDX.get(first, first)

@@ -1,5 +1,6 @@
 import contextlib
 import io
+import logging
 import os
 import signal
 import subprocess
@@ -35,6 +36,7 @@ def command(tmp_path, monkeypatch):
             patch.chdir(folder)
             patch.setenv("COLUMNS", "200")
             patch.setattr(sys, "argv", [str(word) for word in words])
+            patch.setattr(sys, "unraisablehook", sys.unraisablehook)  # a command replaces it, and the log's level
             patch.setattr(sys, "stdin", io.StringIO(input or "") if not hasattr(input, "readline") else input)
             try:
                 entry.load()()
@@ -42,6 +44,7 @@ def command(tmp_path, monkeypatch):
                 code = leaving.code or 0
             finally:
                 signal.signal(signal.SIGTERM, termination)
+                logging.disable(logging.NOTSET)
                 matplotlib.pyplot.close("all")
         return subprocess.CompletedProcess(words, code, out.getvalue(), error.getvalue())
 

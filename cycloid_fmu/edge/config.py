@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self, TypeVar, get_args
 
 import pydantic
 
-from cycloid_fmu.edge.problems import InputError, did_you_mean, shown
+from cycloid_fmu.edge.problems import InputError, cut, did_you_mean, shown
 from cycloid_fmu.edge.quantities import EXAMPLES, parse_quantity
 
 if TYPE_CHECKING:
@@ -123,6 +123,7 @@ def _sentence(error: Any, model: type[pydantic.BaseModel], source: str) -> str:
     field = "".join(f"[{i}]" if isinstance(i, int) else f".{i}" for i in place).lstrip(".")
     if len(place) > 1 and all(isinstance(p, str) for p in place):
         field = f"[{'.'.join(tables)}] {place[-1]}"
+    field = cut(field, 100)
     if kind == "missing":
         return f"{source}: {field} is missing."
     if kind == "extra_forbidden":

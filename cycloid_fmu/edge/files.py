@@ -20,7 +20,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from cycloid_fmu.edge.problems import ArgumentError, InputError, parsed_by_others, shown
+from cycloid_fmu.edge.problems import ArgumentError, InputError, cut, parsed_by_others, shown
 from cycloid_fmu.edge.quantities import unit_scale
 
 MOST_BYTES = 4 << 30  # of what is unpacked or loaded as a whole
@@ -39,12 +39,8 @@ def check_format(given: object, wanted: str, source: str) -> None:
 
 def toml_table(text: str, wanted_format: str, source: str) -> dict[str, Any]:
     """Return the table of a TOML text of the wanted format, without its `format` key."""
-    try:
+    with parsed_by_others(source, "this is not TOML"):
         table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as problem:
-        raise InputError(f"{source}: this is not TOML: {problem}.") from None
-    except (ValueError, RecursionError):
-        raise InputError(f"{source}: it holds a number too long to be read, or tables nested too deep.") from None
     check_format(table.pop("format", None), wanted_format, source)
     return table
 
@@ -57,12 +53,9 @@ def json_table(path: str | os.PathLike[str], wanted_format: str, what: str) -> d
     InputError
         If it can't be read, is no JSON or no table, or is of another format.
     """
-    try:
-        data = json.loads(read_text(path))
-    except json.JSONDecodeError as problem:
-        raise InputError(f"{path}: this is not JSON: {problem}.") from None
-    except (ValueError, RecursionError):
-        raise InputError(f"{path}: it holds a number too long to be read, or lists nested too deep.") from None
+    text = read_text(path)
+    with parsed_by_others(path, "this is not JSON"):
+        data = json.loads(text)
     if not isinstance(data, dict):
         raise InputError(f"{path}: it holds no {what}; it must be a JSON object.")
     check_format(data.get("format"), wanted_format, str(path))
@@ -102,7 +95,7 @@ def existing(path: str | os.PathLike[str]) -> Path:
             with Path(path).open("rb"):
                 return Path(path)
     except (OSError, ValueError) as problem:  # a ValueError where a name holds a zero byte
-        raise InputError(f"{path}: {getattr(problem, 'strerror', None) or problem}.") from None
+        raise InputError(f"{cut(str(path), 300)}: {getattr(problem, 'strerror', None) or problem}.") from None
     kind = "a part of the kernel" if stat.S_ISREG(mode) else _kind(mode)
     raise InputError(f"{path}: this is {kind}; only files are read.")
 

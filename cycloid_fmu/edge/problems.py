@@ -9,11 +9,18 @@ from collections.abc import Iterable, Iterator
 
 DONE, FAILED, BAD_INPUT, SILENT, INTERRUPTED = 0, 1, 2, 3, 130
 _NOTHING = object()
+_LONGEST = 2000  # characters of a sentence
 _CONTROLS = frozenset([*range(0x20), *range(0x7F, 0xA0), *range(0x202A, 0x202F), *range(0x2066, 0x206A)])
 
 
 class InputError(ValueError):
-    """What a user gave can't be used; the text is one sentence that says where, what and what is allowed."""
+    """What a user gave can't be used; the text is one sentence that says where, what and what is allowed.
+
+    Several problems are a line each; one that what was given makes longer than anybody reads is cut.
+    """
+
+    def __init__(self, text: str = "") -> None:
+        super().__init__("\n".join(cut(line, _LONGEST) for line in text.split("\n")))
 
 
 class ArgumentError(InputError):
@@ -73,15 +80,16 @@ def parsed_by_others(source: object, problem: str) -> Iterator[None]:
 def first_line(problem: BaseException) -> str:
     """What a library's error says, in one line and cut where it is long."""
     said = (str(problem).strip() or type(problem).__name__).splitlines()[0].rstrip(".")
-    return _cut(said, 200)
+    return cut(said, 200)
 
 
 def listed(names: Iterable[str]) -> str:
     """Return names as they are listed in a sentence, cut where they are many."""
-    return _cut(", ".join(names), 300)
+    return cut(", ".join(names), 300)
 
 
-def _cut(text: str, length: int) -> str:
+def cut(text: str, length: int) -> str:
+    """Return text in one line, with dots at its end where it is longer."""
     plain = "".join(c if c.isprintable() else " " for c in text)
     return plain if len(plain) <= length else plain[: length - 3] + "..."
 
@@ -90,7 +98,7 @@ def shown(value: object) -> str:
     """Return a value as it is written in a sentence: in one line, text in quotes, anything long but a path cut."""
     if isinstance(value, os.PathLike):
         return str(value)
-    return _cut(f'"{value}"' if isinstance(value, str) else str(value), 60)
+    return cut(f'"{value}"' if isinstance(value, str) else str(value), 60)
 
 
 def without_controls(text: str) -> str:

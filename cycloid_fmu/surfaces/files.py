@@ -72,7 +72,7 @@ def read_surface(path: str | os.PathLike[str]) -> ErrorSurface:
             raise edge.InputError(f"{path}: the variable {name} is missing.")
     for name in (*KINDS, *DEVIATIONS):
         if name in data and (unit := data[name].attrs.get("units")) != unit_of(name):
-            raise edge.InputError(f'{path}: {name} has the unit "{unit}"; it must be "{unit_of(name)}".')
+            raise edge.InputError(f'{path}: {name} has the unit {edge.shown(unit)}; it must be "{unit_of(name)}".')
     for name, dimensions in DEVIATIONS.items():
         if name in data and data[name].dims != dimensions:
             raise edge.InputError(f"{path}: {name} has the dimensions {data[name].dims}; it must have {dimensions}.")

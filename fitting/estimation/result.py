@@ -497,11 +497,9 @@ def read_lmfit_parameters(path: str | os.PathLike[str]) -> lmfit.Parameters:
     data = edge.json_table(path, FORMAT, "identification")
     if "lmfit_parameters" not in data:
         raise edge.InputError(f"{path}: lmfit_parameters is missing; identify once more.")
-    try:
+    with edge.parsed_by_others(path, "lmfit_parameters are not as lmfit writes them"):
         states = data["lmfit_parameters"]["params"]
         # lmfit would run an expression or a symbol of the file's; a fit of ours has neither.
         if any(state[3] is not None for state in states):
             raise ValueError("an expression")
         return Parameters().loads(json.dumps({"unique_symbols": {}, "params": states}))
-    except (LookupError, TypeError, ValueError, AttributeError) as problem:
-        raise edge.InputError(f"{path}: lmfit_parameters are not as lmfit writes them ({problem}).") from None

@@ -178,10 +178,8 @@ def read_figures(path: str | os.PathLike[str]) -> dict[str, Figure]:
         If the file is no such file.
     """
     data = edge.json_table(path, FORMAT, "figures")
-    try:
+    with edge.parsed_by_others(path, "a figure lacks something or is no number"):
         return {name: _figure(data[name]) for name in DEFINITIONS if name in data}
-    except (KeyError, TypeError, ValueError) as problem:
-        raise edge.InputError(f"{path}: a figure lacks something or is no number ({problem}).") from None
 
 
 _COUNTED = ("loops", "turns", "starts")

@@ -290,9 +290,7 @@ def test_silence_is_the_line_s_and_not_that_of_a_recorder_that_stood_still(tmp_p
     assert time.monotonic() - begun > 0.4 + 2 * 0.3 - 0.1
 
 
-BENCH = (
-    'format = "cycloid-bench/1"\n{}[port.a]\nurl = "COM1"\n[channel.input_angle]\nprotocol = "amt21"\nport = "a"\n'
-)
+BENCH = 'format = "cycloid-bench/1"\n{}[port.a]\nurl = "COM1"\n[channel.input_angle]\nprotocol = "amt21"\nport = "a"\n'
 
 
 def test_a_bench_file_says_drive_conditions_and_wiring(tmp_path):
