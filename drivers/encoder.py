@@ -127,10 +127,21 @@ class ChannelConfig(edge.Config):
 
 
 class AngleConfig(ChannelConfig):
-    """What every angle channel says: counts per turn (absent: the device says it) and the angle shown at zero, rad."""
+    """What every angle channel says.
+
+    Attributes
+    ----------
+    counts_per_turn
+        Absent: the device says it.
+    zero
+        The angle shown at zero, rad.
+    largest_speed
+        That the shaft can have, rad/s: what is faster is marked implausible. Absent: not known.
+    """
 
     counts_per_turn: Annotated[int, pydantic.Field(gt=0)] | None = None
     zero: edge.Angle = 0.0
+    largest_speed: Annotated[edge.Speed, pydantic.Field(gt=0)] | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -239,6 +250,9 @@ class Encoder(abc.ABC):
     def events(self) -> list[Event]:
         """Return what happened since the last call, `time` in seconds since 1970, and forget it."""
 
+    def rest(self) -> None:  # noqa: B027
+        """Tell the device to send no more, though it was not opened here: a process that was killed set it going."""
+
     def drain(self) -> None:  # noqa: B027
         """Take in what waits on bus or port by now, so that the next `read` gives it; sampling goes on."""
 
@@ -307,6 +321,7 @@ def channel_of(
         zero_reference=config.zero_reference,
         identity=identity,
         time_source=time_source,
+        largest_speed=config.largest_speed if isinstance(config, AngleConfig) and unit == "rad" else None,
     )
 
 

@@ -9,12 +9,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import can
 import canopen
 import numpy as np
 import pydantic
 
 from cycloid_fmu import edge
-from drivers.can.bus import SYNC_ID, frame_key, time_source
+from drivers.can.bus import SYNC_ID, frame_key, open_bus, time_source
 from drivers.can.encoder import CanEncoder
 from drivers.can.frames import FrameReader
 from drivers.can.hub import CanHub
@@ -261,6 +262,11 @@ class CanopenEncoder(CanEncoder):
             hub.leave_node(self.config.node, self.config.quantity)
         self._node, self._started, self._listening = None, False, False
         super().leave(hub)
+
+    def rest(self) -> None:
+        """Set the node back to pre-operational; see `Encoder.rest`."""
+        with open_bus(self.bus) as bus:
+            bus.send(can.Message(arbitration_id=0, data=[0x80, self.config.node], is_extended_id=False))
 
     def read(self, timeout: float) -> Samples | None:
         """Return the positions or speeds that came; see `Encoder.read`."""

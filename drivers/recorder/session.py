@@ -163,6 +163,7 @@ class _Session:
         writer: RecordingWriter,
         path: str | os.PathLike[str],
         ratio: float | None,
+        limits: rf.Limits,
         epoch: float,
     ) -> None:
         self.encoders = [Supervised(e) for e in encoders]
@@ -172,13 +173,27 @@ class _Session:
         self._clock_said = dict.fromkeys(self._clocks, 0.0)
         self._clock_jumps = {name: rf.ClockJumps() for name in self._clocks}
         self._restarts = dict.fromkeys(self._clocks, 0)
+        channels = [e.channel for e in encoders]
+        self._roles = {c.name: c.role for c in channels if c.role in rf.ANGLES and c.unit == "rad"}
+        self._plausibility = rf.Plausibility(ratio, limits)
         self._input: Samples | None = None
         self._zero: float | None = None
         self._rates = (time.monotonic(), dict.fromkeys(self.live.channels, 0))
         self._calendar = time.time() - time.monotonic()
 
-    def take(self, encoder: Supervised, timeout: float) -> bool:
-        """Write what a channel has; return whether there were samples."""
+    def take(self, timeout: float) -> bool:
+        """Write what all channels have, waiting for the first one; return whether there were samples."""
+        # Only the first channel is waited for: the others have come meanwhile.
+        blocks = [self._read(e, 0.0 if i else timeout) for i, e in enumerate(self.encoders)]
+        for encoder, block, events in self._judged(blocks):
+            if block is not None or events:
+                self.write(block or Samples.checked(encoder.channel.name, [], []), events)
+            if block is not None:
+                self._note(encoder.channel.role, block, self.live.channels[encoder.channel.name])
+        return any(block is not None and len(block) > 0 for _, block, _ in blocks)
+
+    def _read(self, encoder: Supervised, timeout: float) -> tuple[Supervised, Samples | None, list[Event]]:
+        """Return what a channel has, and what happened to it."""
         name = encoder.channel.name
         state = self.live.channels[name]
         block = encoder.read(timeout)
@@ -187,12 +202,23 @@ class _Session:
         if block is not None:
             block = dataclasses.replace(block, time_host=block.time_host - self.epoch)
             events += self._clock(block)
-        if block is None and not events:
-            return False
-        self.write(block or Samples.checked(name, [], []), events)
-        if block is not None:
-            self._note(encoder.channel.role, block, state)
-        return block is not None and len(block) > 0
+        return encoder, block, events
+
+    def _judged(
+        self, blocks: Sequence[tuple[Supervised, Samples | None, list[Event]]]
+    ) -> Iterator[tuple[Supervised, Samples | None, list[Event]]]:
+        """Yield what came with its implausible samples marked, and what was found of them among the events."""
+        angles = {self._roles[b.channel]: b for _, b, _ in blocks if b is not None and b.channel in self._roles}
+        marks, found = self._plausibility.add(angles) if angles else ({}, [])
+        for encoder, block, events in blocks:
+            role = self._roles.get(encoder.channel.name)
+            if block is not None and role in marks and marks[role].any():
+                block = dataclasses.replace(block, status=block.status | marks[role] * np.uint8(rf.IMPLAUSIBLE))
+            name = encoder.channel.name
+            mine = [one for one in found if one.roles[0] == role]
+            more = f" ({len(mine) - 1} more faults in {_WAIT:g} s)" if len(mine) > 1 else ""
+            said = [Event(one.time, name, f"implausible: {one.text}{more}") for one in mine[:1]]
+            yield encoder, block, [*events, *said]
 
     def _events(self, encoder: Supervised) -> list[Event]:
         return [dataclasses.replace(e, time=e.time - self.epoch) for e in encoder.events()]
@@ -215,7 +241,7 @@ class _Session:
         """Read what waits on buses and ports by now, and write it; return whether there were samples."""
         for encoder in self.encoders:
             encoder.drain()
-        return any([self.take(encoder, 0.0) for encoder in self.encoders])
+        return self.take(0.0)
 
     def finish(self) -> None:
         """Write what the end leaves missing, and what is known of the clocks."""
@@ -335,7 +361,7 @@ def record_encoders(
     start = datetime.datetime.fromtimestamp(epoch, datetime.UTC).isoformat()
     header = Header(tuple(e.channel for e in encoders), conditions or {}, ratio, pair, start)
     writer = RecordingWriter(path, header)
-    session = _Session(encoders, writer, path, ratio, epoch)
+    session = _Session(encoders, writer, path, ratio, rf.limits_of(header), epoch)
     try:
         with _interrupts() as interrupted:
             ended = _run(session, interrupted, duration, samples, idle, stop, progress)
@@ -369,10 +395,9 @@ def _run(
     live, listened = session.live, ListeningTime()
     begun, heard = time.monotonic(), 0.0
     while not interrupted:
-        # Only the first channel is waited for: the others have come meanwhile.
-        came = [session.take(e, 0.0 if i else _WAIT) for i, e in enumerate(session.encoders)]
+        came = session.take(_WAIT)
         now = listened()
-        heard = now if any(came) else heard
+        heard = now if came else heard
         session.refresh()
         if progress is not None:
             progress(live)

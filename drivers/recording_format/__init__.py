@@ -4,12 +4,16 @@ No bus library is needed for it. `schema` defines the format; `export` and `repa
 """
 
 from drivers.recording_format.clocks import CLOCK_JUMP, Alignment, Clock, ClockJumps, clock_event
+from drivers.recording_format.limits import LARGEST_DEVIATION_KEY, Finding, Limits, limits_of
+from drivers.recording_format.plausibility import Plausibility
 from drivers.recording_format.reader import Recording, RecordingReader, read_clocks, read_recording
 from drivers.recording_format.schema import (
+    ANGLES,
     CHECKSUM,
     DUPLICATE,
     FORMAT,
     GAP,
+    IMPLAUSIBLE,
     MARKS,
     OUT_OF_ORDER,
     RESET,
@@ -26,12 +30,15 @@ from drivers.recording_format.schema import (
 from drivers.recording_format.writer import FLUSH_SECONDS, RecordingWriter, check_new
 
 __all__ = [
+    "ANGLES",
     "CHECKSUM",
     "CLOCK_JUMP",
     "DUPLICATE",
     "FLUSH_SECONDS",
     "FORMAT",
     "GAP",
+    "IMPLAUSIBLE",
+    "LARGEST_DEVIATION_KEY",
     "MARKS",
     "OUT_OF_ORDER",
     "RESET",
@@ -42,9 +49,12 @@ __all__ = [
     "Clock",
     "ClockJumps",
     "Event",
+    "Finding",
     "FloatArray",
     "Header",
     "IntArray",
+    "Limits",
+    "Plausibility",
     "Recording",
     "RecordingReader",
     "RecordingWriter",
@@ -52,6 +62,7 @@ __all__ = [
     "check_new",
     "clock_event",
     "joined",
+    "limits_of",
     "read_clocks",
     "read_recording",
 ]
