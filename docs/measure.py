@@ -23,7 +23,10 @@ from xml.etree import ElementTree
 ROOT = Path(__file__).parent.parent
 PAGE = Path(__file__).parent / "measured.md"
 PACKAGES = ("cycloid_fmu", "fitting", "drivers")
-QUICK = {"CYCLOID_SEEDS": "10", "CYCLOID_KILLS": "30", "CYCLOID_MUTATIONS": "1e5", "CYCLOID_STEPS": "1e4"}
+QUICK = {
+    "CYCLOID_SEEDS": "10", "CYCLOID_KILLS": "30", "CYCLOID_STOPS": "10", "CYCLOID_MUTATIONS": "1e5",
+    "CYCLOID_STEPS": "1e4",
+}  # fmt: skip
 BENCHMARKS = sorted(p.stem for p in (ROOT / "benchmarks").glob("test_*.py"))
 STUDIES = {name: [f"tests/{name}"] for name in ("cycloid_fmu", "fitting", "drivers", "native")}
 STUDIES["together"] = sorted(f"tests/{p.name}" for p in (ROOT / "tests").glob("test_*.py"))

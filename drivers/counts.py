@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import collections
 import math
 
 import numpy as np
 import numpy.typing as npt
 
 from drivers import recording_format as rf
+
+_PACE_KEPT, _PACE_LEAST = 512, 8
+_SPEED_SECONDS = 0.02  # of readings without a gap, from which a speed is known
+_LOOK_AHEAD = 16  # readings over which late ones may catch up
 
 
 def unwrap(
@@ -41,6 +46,50 @@ def unwrap(
     half = modulus // 2
     short = (step + half) % modulus - half
     return previous + np.cumsum(short), short != step
+
+
+class UnseenTurns:
+    """Counts on over gaps in which a position rolled over unseen, as often as the speed before the gap says.
+
+    Parameters
+    ----------
+    modulus
+        Counts at which the position starts again from 0.
+    """
+
+    def __init__(self, modulus: int) -> None:
+        self._modulus = modulus
+        self._last: tuple[float, int] | None = None
+        self._speed: float | None = None
+
+    def __call__(
+        self, times: npt.NDArray[np.float64], counts: npt.NDArray[np.int64], gaps: npt.NDArray[np.bool_]
+    ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+        """Return the counts and at which of them rollovers may have been unseen, both of shape (n,).
+
+        Parameters
+        ----------
+        times, counts
+            Of the readings, s and each step the short way round, shape (n,).
+        gaps
+            Before which readings others are missing, shape (n,).
+        """
+        counts, unseen = counts.copy(), np.zeros(len(counts), np.bool_)
+        for part in np.split(np.arange(len(counts)), np.flatnonzero(gaps)):
+            if not len(part):
+                continue
+            i = int(part[0])
+            if gaps[i] and self._last is not None and self._speed is not None:
+                turned = self._speed * (times[i] - self._last[0])
+                unseen[i] = abs(turned) >= self._modulus / 2
+                if unseen[i]:
+                    rounds = round((turned - float(counts[i] - self._last[1])) / self._modulus)
+                    counts[i:] += rounds * self._modulus
+            lasts = float(times[part[-1]] - times[i])
+            if lasts > _SPEED_SECONDS:
+                self._speed = float(counts[part[-1]] - counts[i]) / lasts
+            self._last = float(times[part[-1]]), int(counts[part[-1]])
+        return counts, unseen
 
 
 def counts_to_value(
@@ -89,8 +138,86 @@ def extract_bits(
     return (words >> np.uint64(64 - length)).view(np.int64)
 
 
+def wraps(step: npt.NDArray[np.int64], modulus: int, expected: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
+    """Return how often running numbers went round unseen, by the time that passed.
+
+    Parameters
+    ----------
+    step
+        Steps of the numbers, each known modulo `modulus` only, shape (n,).
+    modulus
+        Numbers after which they start again.
+    expected
+        How many numbers the time makes, shape (n,); NaN where that is not known.
+    """
+    rounds = np.rint((np.nan_to_num(expected) - step) / modulus)
+    return np.maximum(rounds, 0).astype(np.int64)
+
+
+def missing_by_pace(
+    times: npt.NDArray[np.float64], steps: npt.NDArray[np.float64], gaps: npt.NDArray[np.bool_], period: float
+) -> npt.NDArray[np.int64]:
+    """Return how many readings are missing before each, by the time that passed, shape (n,).
+
+    Readings that only came late are followed by others early; what is lost stays missing.
+
+    Parameters
+    ----------
+    times, steps
+        Times of the readings, s, and each one's step from the one before, shape (n,).
+    gaps
+        Where readings may be missing, shape (n,).
+    period
+        Usual time between readings, s.
+    """
+    missing = np.zeros(len(times), np.int64)
+    for i in np.flatnonzero(gaps):
+        ahead = times[i : i + _LOOK_AHEAD] - (times[i] - steps[i])
+        missing[i] = max(int(np.min(np.rint(ahead / period) - np.arange(1, len(ahead) + 1))), 0)
+    return missing
+
+
+class Pace:
+    """The usual time between readings, from the last `_PACE_KEPT` steps in which none was lost."""
+
+    def __init__(self) -> None:
+        self._steps: collections.deque[float] = collections.deque(maxlen=_PACE_KEPT)
+        self._new = 0
+        self._found: tuple[float | None, float] = None, math.inf
+
+    def add(self, *steps: float) -> None:
+        """Take in steps, s."""
+        self._steps.extend(steps)
+        self._new += len(steps)
+
+    def _look(self) -> tuple[float | None, float]:
+        if self._new and len(self._steps) >= _PACE_LEAST and (self._new >= _PACE_KEPT // 8 or self._found[0] is None):
+            steps = np.array(self._steps)
+            middle, late = (float(x) for x in np.quantile(steps, (0.5, 0.98)))
+            # The mean without pauses: late readings are followed by others early, or several come together.
+            total = float(np.sum(steps))
+            period = float(np.mean(steps[steps <= max(0.1, _PACE_LEAST / len(steps)) * total]))
+            even = np.mean(np.abs(steps - middle) <= 0.5 * middle) >= 0.8
+            longest = max(late, period) + 0.5 * period if even else math.inf
+            self._found, self._new = (period if period > 0 else None, longest), 0
+        return self._found
+
+    @property
+    def period(self) -> float | None:
+        """Seconds between readings; None where too few came."""
+        return self._look()[0]
+
+    @property
+    def longest(self) -> float:
+        """Seconds between readings of which one more is a gap; infinite where they come at no even pace."""
+        return self._look()[1]
+
+
 def judge_sequence(
-    numbers: npt.NDArray[np.int64], modulus: int, newest: int | None
+    numbers: npt.NDArray[np.int64],
+    modulus: int,
+    newest: int | None,
+    expected: npt.NDArray[np.float64] | None = None,
 ) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64], int]:
     """Tell from their running numbers which samples are missing, duplicate or out of order.
 
@@ -102,6 +229,9 @@ def judge_sequence(
         Numbers after which they start again from 0.
     newest
         Highest continuous number so far, None at the beginning.
+    expected
+        How many numbers the time since the reading before makes, shape (n,), NaN where that is not known: numbers that
+        went round unseen are counted by it.
 
     Returns
     -------
@@ -110,6 +240,9 @@ def judge_sequence(
         count of numbers left out before each, shape (n,) both; and the highest continuous number now.
     """
     continuous, _ = unwrap(numbers, modulus, newest)
+    if expected is not None:
+        step = np.diff(continuous, prepend=continuous[0] - 1 if newest is None else newest)
+        continuous = continuous + modulus * np.cumsum(wraps(step, modulus, expected))
     before = np.concatenate([[continuous[0] - 1 if newest is None else newest], continuous[:-1]])
     before = np.maximum.accumulate(before)
     missing = np.maximum(continuous - before - 1, 0)

@@ -21,6 +21,7 @@ ENTRY_POINTS = "cycloid.encoders"
 
 
 Line = TypeVar("Line")
+_LONGEST_STEP = 0.1  # s: twice what a recorder waits for a sample
 _EPOCH = time.time() - time.monotonic()
 
 
@@ -126,10 +127,21 @@ class ChannelConfig(edge.Config):
 
 
 class AngleConfig(ChannelConfig):
-    """What every angle channel says: counts per turn (absent: the device says it) and the angle shown at zero, rad."""
+    """What every angle channel says.
+
+    Attributes
+    ----------
+    counts_per_turn
+        Absent: the device says it.
+    zero
+        The angle shown at zero, rad.
+    largest_speed
+        That the shaft can have, rad/s: what is faster is marked implausible. Absent: not known.
+    """
 
     counts_per_turn: Annotated[int, pydantic.Field(gt=0)] | None = None
     zero: edge.Angle = 0.0
+    largest_speed: Annotated[edge.Speed, pydantic.Field(gt=0)] | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -238,6 +250,20 @@ class Encoder(abc.ABC):
     def events(self) -> list[Event]:
         """Return what happened since the last call, `time` in seconds since 1970, and forget it."""
 
+    def rest(self) -> None:  # noqa: B027
+        """Tell the device to send no more, though it was not opened here: a process that was killed set it going."""
+
+    def drain(self) -> None:  # noqa: B027
+        """Take in what waits on bus or port by now, so that the next `read` gives it; sampling goes on."""
+
+    def finish(self) -> None:  # noqa: B027
+        """Note as events and in `lost` what the last sample leaves missing; called once, after the last `read`."""
+
+    @property
+    def lost(self) -> int:
+        """Readings that are known to be lost since the encoder was made."""
+        return 0
+
     @property
     def measuring_range(self) -> tuple[float, float] | None:
         """Smallest and largest value that the sensor can measure, SI, where it is known."""
@@ -295,12 +321,31 @@ def channel_of(
         zero_reference=config.zero_reference,
         identity=identity,
         time_source=time_source,
+        largest_speed=config.largest_speed if isinstance(config, AngleConfig) and unit == "rad" else None,
     )
 
 
 def steady_time() -> float:
     """Return the host's time in seconds since 1970 that runs on evenly when the calendar clock is set."""
     return _EPOCH + time.monotonic()
+
+
+class ListeningTime:
+    """Seconds that this process was there to listen: a stop of it, by a signal or a busy machine, hardly counts.
+
+    What is overdue is judged by it: silence while nobody listened says nothing of a device.
+    """
+
+    def __init__(self) -> None:
+        self._last = time.monotonic()
+        self.seconds = 0.0
+
+    def __call__(self) -> float:
+        """Go on to now and return the seconds; to be called more often than every `_LONGEST_STEP`."""
+        now = time.monotonic()
+        self.seconds += min(now - self._last, _LONGEST_STEP)
+        self._last = now
+        return self.seconds
 
 
 def protocols() -> dict[str, importlib.metadata.EntryPoint]:

@@ -68,7 +68,7 @@ class _Group(typer.core.TyperGroup):
             raise InputError(problem.named(_flag(ctx.meta["cycloid.command"], problem.argument))) from problem
         except KeyboardInterrupt as interrupt:
             _say(str(interrupt) or "Interrupted; what was finished is kept.")
-            raise typer.Exit(INTERRUPTED) from None
+            raise typer.Exit(getattr(interrupt, "exit_status", INTERRUPTED)) from None
 
 
 def _flag(command: Any, argument: str) -> str:

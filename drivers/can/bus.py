@@ -15,6 +15,17 @@ _CLOCKS = {
 }  # fmt: skip
 
 
+def frame_key(identifier: int, *, extended: bool = False, fd: bool = False) -> int:
+    """Return one number for all that distinguishes frames: 11 or 29 bits, classical or FD; 11-bit classical: itself."""
+    return identifier | extended << 29 | fd << 30
+
+
+def frame_name(key: int) -> str:
+    """Return how messages call the frames of this key: "frame 0x182", "FD frame 0x18DA0102 (29 bits)"."""
+    name = f"frame 0x{key & 0x1FFFFFFF:03X}"
+    return f"{'FD ' if key & 1 << 30 else ''}{name}{' (29 bits)' if key & 1 << 29 else ''}"
+
+
 def time_source(config: BusConfig, what: str) -> str:
     """Return whose clock stamps what, for a recording: 'hardware clock: the CAN interface's stamp of the frame (…)'."""
     clock = _CLOCKS.get(config.interface, "host")
@@ -39,6 +50,10 @@ def open_bus(config: BusConfig, **options: object) -> can.BusABC:
     if config.sync_period is not None and config.interface != "udp_multicast":
         options["receive_own_messages"] = True  # SYNC comes back in its place among the frames that answer it
     try:
+        if config.interface == "socketcan":
+            from drivers.can.socketcan import CountingSocketcanBus
+
+            return CountingSocketcanBus(config.channel, **options)
         return can.Bus(interface=config.interface, channel=config.channel, **options)
     except Exception as problem:  # each backend of python-can raises its own
         raise EncoderSetupError(

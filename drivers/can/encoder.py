@@ -20,6 +20,7 @@ class CanEncoder(HubEncoder[CanHub]):
     def __init__(self, name: str, config: Any, bus: BusConfig) -> None:
         super().__init__(name, config, bus)
         self.bus = bus
+        self._lost_before = 0
 
     def start(self) -> None:
         """Let the hub send SYNC, where the wiring has it do so."""
@@ -30,6 +31,22 @@ class CanEncoder(HubEncoder[CanHub]):
         """Take no more frames."""
         if hasattr(self, "reader"):
             self.reader.close()
+            self._lost_before += self.reader.lost
+            self.reader.lost = 0
+
+    def drain(self) -> None:
+        """Let the hub take what waits; see `Encoder.drain`."""
+        if self.hub is not None:
+            self.hub.drain()
+
+    def finish(self) -> None:
+        """See `Encoder.finish`."""
+        self.reader.finish()
+
+    @property
+    def lost(self) -> int:
+        """Frames that are known to be lost."""
+        return self._lost_before + (self.reader.lost if hasattr(self, "reader") else 0)
 
     @property
     def waiting(self) -> int:

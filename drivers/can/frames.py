@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import collections
 import dataclasses
+import math
+import time
 
 import numpy as np
 import numpy.typing as npt
 
-from drivers.can.hub import CanHub, Frames, joined_frames
-from drivers.counts import judge_sequence
+from drivers.can.bus import frame_name
+from drivers.can.hub import BEHIND_GAP, NO_SYNC, CanHub, Frames, joined_frames
+from drivers.counts import Pace, judge_sequence, missing_by_pace
 from drivers.hubs import drained
-from drivers.recording_format import CLOCK_JUMP, DUPLICATE, GAP, OUT_OF_ORDER, Event, FloatArray, IntArray
+from drivers.recording_format import DUPLICATE, GAP, OUT_OF_ORDER, ClockJumps, Event, FloatArray, IntArray
 
 
 def payload_array(data: list[bytearray], length: int) -> npt.NDArray[np.uint8]:
@@ -21,12 +24,16 @@ def payload_array(data: list[bytearray], length: int) -> npt.NDArray[np.uint8]:
 
 @dataclasses.dataclass(frozen=True)
 class Judged:
-    """Frames that can be trusted: payloads (n, length), times of host and device, status bits, shape (n,)."""
+    """Frames that can be trusted: payloads (n, length), times of host and device, status bits, shape (n,).
+
+    `jumped`: the clock of the stamps jumped there.
+    """
 
     payloads: npt.NDArray[np.uint8]
     time_host: FloatArray
     time_device: FloatArray | None
     status: IntArray
+    jumped: npt.NDArray[np.bool_]
 
 
 class FrameReader:
@@ -37,7 +44,7 @@ class FrameReader:
     hub
         The bus.
     identifier
-        11-bit identifier (29-bit ones are the same number here; no bench mixes them).
+        The `frame_key` of its frames: the bare identifier where that has 11 bits and the frame is a classical one.
     length
         Bytes of the frame; others are skipped with an event.
     sync_step
@@ -46,6 +53,11 @@ class FrameReader:
         The channel's name, for events.
     period
         Seconds between frames that come by a timer, None where that is not known: a longer silence is a gap.
+
+    Attributes
+    ----------
+    lost
+        Frames that are known to be lost.
     """
 
     def __init__(
@@ -65,7 +77,11 @@ class FrameReader:
         self._last_seen = -1
         self._newest: int | None = None
         self._last: tuple[float, bytearray, float] | None = None
+        self._jumps = ClockJumps()
+        self._pace, self._name = Pace(), frame_name(identifier)
+        self._gap = hub.gaps
         self._marks: collections.deque[int] = collections.deque()
+        self.lost = 0
 
     def close(self) -> None:
         """Take no more frames."""
@@ -85,6 +101,17 @@ class FrameReader:
     def events(self) -> list[Event]:
         """Return the events of channel and bus since the last call."""
         return self.hub.events() + drained(self._events)
+
+    def finish(self) -> None:
+        """Say what is missing behind the last sample, now that no more is read."""
+        self.hub.finish()
+        if self.sync_step is not None and self._newest is not None:
+            missing = self.hub.sync // self.sync_step - self._newest - 1  # the newest may still be answered
+            if missing > 0:
+                self.lost += missing
+                self.say(time.time(), f"{missing} SYNC without a sample behind the last one")
+        elif self.hub.gaps > self._gap:
+            self.say(time.time(), f"{self._name} may be lost behind the last one")
 
     def read(self, timeout: float) -> Judged | None:
         """Return the frames that came.
@@ -109,16 +136,22 @@ class FrameReader:
         n = len(frames.data)
         stamps = frames.time if self.sync_step is None else frames.sync_time
         before = np.zeros(n, np.int64)  # bits for the sample at, or the next kept one after, each place
+        unread = np.zeros(n, np.int64)
         for place, lost in losses:
-            before[place] |= GAP
-            self.say(frames.time[place], f"{lost} frame 0x{self.identifier:03X} lost: the recorder was too slow")
+            unread[place] = lost
+            self.say(frames.time[place], f"{lost} {self._name} lost: the recorder was too slow")
+        behind = (np.diff(frames.gap, prepend=self._gap) > 0) | (unread > 0)
+        self._gap = int(frames.gap[-1])
+        before[behind] |= GAP
         good = np.fromiter(map(len, frames.data), np.int64, n) == self.length
         if not good.all():
             wrong = frames.data[int(np.flatnonzero(~good)[0])]
             self._say_count(~good, frames, f"skipped: {len(wrong)} bytes long (0x{wrong.hex()}), not {self.length}")
             before[~good] |= GAP
+        jumped = np.zeros(n, np.bool_)
         if self.sync_step is None:
-            self._clocked(frames, before)
+            self.lost += int(np.count_nonzero(~good))
+            jumped = self._clocked(frames, before, behind, unread)
         else:
             good &= self._synced(frames, before)
         kept = np.flatnonzero(good)
@@ -138,6 +171,7 @@ class FrameReader:
             judged, missing, self._newest = judge_sequence(numbers, 1 << 62, self._newest)
             status |= judged
             if missing.any():
+                self.lost += int(missing.sum())
                 gaps = np.flatnonzero(missing)
                 self.say(
                     stamps[kept[gaps[0]]],
@@ -146,65 +180,80 @@ class FrameReader:
         own = frames.device if self.sync_step is None else frames.sync_device
         device = None if own is None else own[kept]
         data = frames.data if len(kept) == n else [frames.data[i] for i in kept]
-        return Judged(payload_array(data, self.length), stamps[kept], device, status)
+        return Judged(payload_array(data, self.length), stamps[kept], device, status, jumped[kept])
 
     def _synced(self, frames: Frames, before: IntArray) -> npt.NDArray[np.bool_]:
         """Return which frames have a SYNC of their own, and note in `before` what the others were."""
         sync = frames.sync
         previous = np.concatenate([[self._last_seen], sync[:-1]])
         self._last_seen = int(sync[-1])
-        self._say_count(sync < 0, frames, "skipped: before the first SYNC")
+        self._say_count(sync == NO_SYNC, frames, "skipped: before the first SYNC")
+        self._say_count(sync == BEHIND_GAP, frames, "skipped: behind a gap in which its SYNC may be")
+        before[sync == BEHIND_GAP] |= GAP
         second = (sync >= 0) & (sync == previous)
         last = None if self._last is None else self._last[1]
         same = np.zeros(len(sync), bool)
         for i in np.flatnonzero(second):  # few: payloads are compared only where it matters
             same[i] = frames.data[i] == (frames.data[i - 1] if i else last)
-        self._last = (0.0, frames.data[-1], frames.arrived)
+        self._last = (0.0, frames.data[-1], 0.0)
         self._say_count(second & same, frames, "skipped: a duplicate of the frame before, or without a SYNC of its own")
         self._say_count(second & ~same, frames, "skipped: without a SYNC of its own, so its instant is unknown")
         before[second] |= np.where(same, DUPLICATE, GAP)[second]
         return np.asarray((sync >= 0) & ~second)
 
-    def _clocked(self, frames: Frames, before: IntArray) -> None:
-        """Note in `before` what the stamps tell."""
+    def _clocked(
+        self, frames: Frames, before: IntArray, behind: npt.NDArray[np.bool_], unread: npt.NDArray[np.int64]
+    ) -> npt.NDArray[np.bool_]:
+        """Note in `before` what the stamps tell, at the gaps `behind` which frames stand and elsewhere.
+
+        Returns where the clock jumped.
+        """
         times = frames.time if frames.device is None else frames.device
         first = self._last is None
-        last_time, last_data, arrived = self._last or (times[0], bytearray(), frames.arrived)
+        last_time, last_data, arrived = self._last or (times[0], bytearray(), frames.arrived[0])
         step = np.diff(times, prepend=last_time)
         copies = np.zeros(len(times), bool)
         for i in np.flatnonzero(step == 0):
             copies[i] = frames.data[i] == (frames.data[i - 1] if i else last_data)
         copies[0] &= not first
-        waited = np.zeros(len(times))
-        waited[0] = frames.arrived - arrived
-        jumps = np.abs(step - waited) > CLOCK_JUMP
-        jumps[0] &= not first
-        # A block that was waited for is not a jump of its first stamp, however late it arrived.
-        jumps &= ~((step > 0) & (step < waited + CLOCK_JUMP))
+        jumps = self._jumps(times, frames.arrived)
+        waited = np.diff(frames.arrived, prepend=arrived)
         for i in np.flatnonzero(jumps):
-            self.say(
-                frames.time[i], f"the clock of frame 0x{self.identifier:03X} jumped by {step[i] - waited[i]:+.3f} s"
-            )
+            self.say(frames.time[i], f"the clock of {self._name} jumped by {step[i] - waited[i]:+.3f} s")
         before[jumps] |= GAP
         early = (step < 0) & ~jumps
         before[early] |= OUT_OF_ORDER
         self._say_count(early, frames, "older than the one before")
         self._say_count(copies, frames, "a duplicate of the frame before")
         before[copies] |= DUPLICATE
-        if self.period is not None:
-            missing = np.where(jumps, 0, np.rint(step / self.period).astype(np.int64) - 1)
-            gaps = (missing > 0) & (step > 1.5 * self.period)
-            if gaps.any():
-                where = int(np.flatnonzero(gaps)[0])
-                self.say(
-                    frames.time[where],
-                    f"{int(missing[gaps].sum())} frame 0x{self.identifier:03X} missing by the event timer, "
-                    f"in {int(gaps.sum())} gaps from here on",
-                )
-                before[gaps] |= GAP
-        self._last = (float(times[-1]), frames.data[-1], frames.arrived)
+        missing = self._missing(times, step, jumps, behind)
+        if missing.any():
+            by = "by the event timer" if self.period is not None else "by the usual time between them"
+            gaps = np.flatnonzero(missing)
+            self.say(
+                frames.time[gaps[0]],
+                f"{int(missing.sum())} {self._name} missing {by}, in {len(gaps)} gaps from here on",
+            )
+            before[gaps] |= GAP
+        self.lost += int(np.maximum(missing, unread).sum())
+        plain = (step > 0) & ~jumps & ~behind & (missing == 0)
+        plain[0] &= not first
+        self._pace.add(*step[plain].tolist())
+        self._last = (float(times[-1]), frames.data[-1], float(frames.arrived[-1]))
+        return jumps
+
+    def _missing(
+        self, times: FloatArray, step: FloatArray, jumps: npt.NDArray[np.bool_], behind: npt.NDArray[np.bool_]
+    ) -> IntArray:
+        """Return how many frames are missing before each, by their timer or their usual pace, shape (n,)."""
+        period = self.period or self._pace.period
+        if period is None:
+            return np.zeros(len(step), np.int64)
+        longest = math.inf if self.hub.tells_drops else self._pace.longest
+        gaps = behind | (step > (1.5 * self.period if self.period is not None else longest))
+        return missing_by_pace(times, step, gaps & ~jumps, period)
 
     def _say_count(self, which: npt.NDArray[np.bool_], frames: Frames, what: str) -> None:
         if which.any():
             first = int(np.flatnonzero(which)[0])
-            self.say(frames.time[first], f"{int(which.sum())} frame 0x{self.identifier:03X} {what}")
+            self.say(frames.time[first], f"{int(which.sum())} {self._name} {what}")

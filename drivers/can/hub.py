@@ -9,6 +9,7 @@ from __future__ import annotations
 import collections
 import contextlib
 import dataclasses
+import math
 import threading
 import time
 from typing import Any
@@ -17,32 +18,37 @@ import can
 import canopen
 import numpy as np
 
-from drivers.can.bus import SYNC_ID, open_bus
+from drivers.can.bus import SYNC_ID, frame_key, open_bus
+from drivers.counts import Pace, wraps
 from drivers.encoder import BusConfig, EncoderConnectionError, EncoderSetupError
 from drivers.hubs import BLOCK_SECONDS, BlockQueue, SharedHubs, drained, reason
-from drivers.recording_format import Event, FloatArray, IntArray
+from drivers.recording_format import CLOCK_JUMP, Event, FloatArray, IntArray
 
 SYNC_COUNTER_MAX = 240
 BLOCK_FRAMES = 4096
+NO_SYNC, BEHIND_GAP = -1, -2  # in place of a SYNC's number: none came yet; it may be in the gap before
 
-
-_BUS_OFF = 0x40  # of an error frame's identifier, as Linux and python-can number them
+_BUS_OFF, _CONTROLLER = 0x40, 0x04  # of an error frame's identifier, as Linux and python-can number them
+_OVERRUN = 0x01  # of the second byte of an error frame of the controller
+_DRAIN_SECONDS = 10.0
+_PAUSE = 0.25  # s without SYNC that is a gap even where no frame was lost
 
 
 @dataclasses.dataclass
 class Frames:
     """Data frames of one identifier, in order; arrays of shape (n,).
 
-    `sync` is the running number of the SYNC before, -1 where none came; `device` and `sync_device` are stamps of an
-    interface that has a clock of its own, None otherwise; `arrived` is when the last of them was taken, on the host's
-    monotonic clock.
+    `sync` is the running number of the SYNC before, `NO_SYNC` where none came, `BEHIND_GAP` where it may be lost;
+    `gap` counts the gaps of the bus before each; `device` and `sync_device` are stamps of an interface that has a clock
+    of its own, None otherwise; `arrived` is when the block was taken, on the host's monotonic clock.
     """
 
     sync: IntArray
     sync_time: FloatArray
     time: FloatArray
     data: list[bytearray]
-    arrived: float = 0.0
+    arrived: FloatArray
+    gap: IntArray
     device: FloatArray | None = None
     sync_device: FloatArray | None = None
 
@@ -56,14 +62,27 @@ def joined_frames(blocks: list[Frames]) -> Frames:
         parts = [getattr(block, name) for block in blocks]
         return None if parts[0] is None else np.concatenate(parts)
 
-    columns = {name: column(name) for name in ("sync", "sync_time", "time", "device", "sync_device")}
-    return Frames(data=[payload for block in blocks for payload in block.data], arrived=blocks[-1].arrived, **columns)
+    columns = {name: column(name) for name in (
+        "sync", "sync_time", "time", "arrived", "gap", "device", "sync_device"
+    )}  # fmt: skip
+    return Frames(data=[payload for block in blocks for payload in block.data], **columns)
 
 
 class CanHub:
     """The reader of one bus; see `hubs`.
 
-    `network` is a `canopen.Network` for SDO, NMT, heartbeat and EMCY, fed by the reader.
+    A frame is told from others by its `frame_key`. Behind a gap no frame is bound to the SYNC before it, and SYNC is
+    counted on by the time that passed.
+
+    Attributes
+    ----------
+    network
+        A `canopen.Network` for SDO, NMT, heartbeat and EMCY, fed by the reader.
+    gaps, sync
+        Gaps of the bus so far, and the running number of the newest SYNC.
+    tells_drops
+        Whether each frame that was not taken in time is known to be so: by the kernel's count, or because the bus
+        keeps all. Where it is not, gaps are told by the stamps alone.
     """
 
     def __init__(self, config: BusConfig) -> None:
@@ -75,16 +94,28 @@ class CanHub:
         self._queues: dict[int, list[BlockQueue[Frames]]] = {}
         self._wanted = frozenset({SYNC_ID})
         self._events: collections.deque[Event] = collections.deque()
-        self._sync, self._sync_time, self._sync_device, self._counter = -1, 0.0, 0.0, 0
+        self.sync, self._sync_time, self._sync_device = NO_SYNC, 0.0, 0.0
+        self._counter, self._counter_max = 0, SYNC_COUNTER_MAX
+        self._pace, self._floor = Pace(), math.inf
+        self._produced: collections.deque[tuple[int, float]] = collections.deque()
+        self._produced_last: int | None = None
+        self.gaps, self._in_gap = 0, False
+        self._drops = getattr(self.bus, "drops", None)
+        self._dropped = 0
+        self.tells_drops = config.interface == "virtual" or (self._drops is not None and self._drops.known)
+        self._block_gaps: list[tuple[int, int]] = []  # before which place of the block, and frames lost, 0: unknown
+        self._drain_from: float | None = None
+        self._drained, self._drained_at = threading.Event(), 0.0
         self._own_clock: bool | None = None
-        self._odd = {"error frames": 0, "echoes of own frames": 0}
+        self._odd = {"error frames": 0, "echoes of own frames": 0, "frames like a channel's in another format": 0}
+        self._emptied = False
         self._stopping = threading.Event()
         self._producer: threading.Thread | None = None
         self._thread = threading.Thread(target=self._run, name=f"CAN {self.config.place}", daemon=True)
         self._thread.start()
 
     def subscribe(self, identifier: int) -> BlockQueue[Frames]:
-        """Return a queue into which the frames of this identifier go from now on, block by block."""
+        """Return a queue into which the frames of this `frame_key` go from now on, block by block."""
         blocks: BlockQueue[Frames] = BlockQueue()
         self._queues = {**self._queues, identifier: [*self._queues.get(identifier, []), blocks]}
         self._wanted = frozenset({SYNC_ID, *self._queues})
@@ -133,6 +164,24 @@ class CanHub:
         """Return what happened on the bus itself since the last call; `channel` is empty."""
         return drained(self._events)
 
+    def drain(self) -> None:
+        """Wait until all that the bus has by now is in the queues."""
+        if time.monotonic() - self._drained_at < BLOCK_SECONDS:  # for another channel of this bus, just now
+            return
+        self._drained.clear()
+        self._drain_from = time.time()
+        came = self.broken or self._drained.wait(_DRAIN_SECONDS)
+        self._drained_at = time.monotonic()
+        if not came:
+            self._events.append(Event(time.time(), "", f"frames still wait on the CAN bus {self.config.place}"))
+
+    def finish(self) -> None:
+        """Say which frames were lost behind the last one, now that no more is read."""
+        if self._drops is not None and (lost := self._drops.since()):
+            self._say_lost(lost, time.time())
+            self.gaps += 1
+            self._drops.total += lost
+
     def close(self) -> None:
         """Stop the reader and close the bus."""
         self._stopping.set()
@@ -151,6 +200,9 @@ class CanHub:
                     self._receive(block, arrivals)
                 finally:  # what came before the bus broke came
                     self._take(block, arrivals)
+                if self._drain_from is not None and self._emptied:
+                    self._drain_from = None
+                    self._drained.set()
         except Exception as problem:  # the reader must say why it ends: nobody else sees it
             self._break(problem)
 
@@ -159,6 +211,7 @@ class CanHub:
             f"The CAN bus {self.config.place} broke: {reason(problem, 'interface')}."
         )
         self.broken = True
+        self._drained.set()
         for queues in self._queues.values():
             for blocks in queues:
                 blocks.fail(self._failure)
@@ -171,6 +224,8 @@ class CanHub:
         begun, number = time.monotonic(), 0
         try:
             while not self._stopping.wait(max(0.0, begun + number * period - time.monotonic())):
+                number = max(number, int((time.monotonic() - begun) / period))  # it may be late by some
+                self._produced.append((number, time.time()))
                 self.bus.send(message)
                 number = max(number + 1, int((time.monotonic() - begun) / period))
         except Exception as problem:  # as in `_run`
@@ -181,58 +236,71 @@ class CanHub:
 
         `arrivals` gets the host's time of each where the interface has a clock of its own.
         """
-        receive, append, own_clock = self.bus.recv, block.append, self._own_clock
+        receive, append, own_clock, drops = self.bus.recv, block.append, self._own_clock, self._drops
         end = time.monotonic() + BLOCK_SECONDS
+        self._emptied = False
         for _ in range(BLOCK_FRAMES):
             message = receive(0.0)
             if message is None:  # the clock is only asked where there is time for it
+                if self._drain_from is not None:
+                    self._emptied = True
+                    return
                 message = receive(max(0.0, end - time.monotonic()))
                 if message is None:
                     return
-            if own_clock is None:
+            if own_clock is None and message.is_rx:
                 # Some interfaces count from power-up: theirs is a clock of its own.
                 own_clock = self._own_clock = abs(time.time() - message.timestamp) > 3600
-            if message.arbitration_id in self._wanted:
+            if drops is not None and drops.total != self._dropped:
+                self._block_gaps.append((len(block), drops.total - self._dropped))
+                self._dropped = drops.total
+            key = message.arbitration_id
+            if message.is_extended_id or message.is_fd:
+                key = frame_key(key, extended=message.is_extended_id, fd=message.is_fd)
+            if key in self._wanted and not message.is_error_frame:
                 append(message)
                 if own_clock:
                     arrivals.append(time.time())
             else:
-                self._serve(message)
+                self._serve(message, key, len(block))
+        since = self._drain_from  # under a flood the bus is never empty
+        self._emptied = since is not None and (bool(own_clock) or (bool(block) and block[-1].timestamp > since))
 
-    def _serve(self, message: can.Message) -> None:
-        """Hand a frame that is no channel's to CANopen's services."""
+    def _serve(self, message: can.Message, key: int, place: int) -> None:
+        """Hand a frame that is no channel's, and stands at this place of the block, to CANopen's services."""
         if message.is_error_frame:
             self._odd["error frames"] += 1
+            if message.arbitration_id & _CONTROLLER and _OVERRUN & sum(message.data[1:2]):
+                self._block_gaps.append((place, 0))
             if message.arbitration_id & _BUS_OFF:
                 raise can.CanOperationError("bus-off")
+        elif key != message.arbitration_id:
+            numbers = {wanted & 0x1FFFFFFF for wanted in self._wanted}
+            self._odd["frames like a channel's in another format"] += message.arbitration_id in numbers
         elif not message.is_remote_frame:
             with contextlib.suppress(Exception):  # a malformed service frame must not end the recording
                 stamp = time.time() if self._own_clock else message.timestamp
                 self.network.notify(message.arbitration_id, message.data, stamp)
 
     def _take(self, block: list[can.Message], arrivals: list[float]) -> None:
-        """Sort a block's frames by identifier, each with the SYNC before it, and hand them on."""
-        try:
-            errors: list[can.Message] = []
-            if any([m.is_error_frame or m.is_remote_frame or not m.is_rx for m in block]):
-                errors = [m for m in block if m.is_error_frame]
-                kept = self._plain(block)
-                block, arrivals = [block[i] for i in kept], [arrivals[i] for i in kept] if arrivals else []
-            if block:
-                self._publish(block, arrivals)
-            for message in errors:  # last: bus-off ends the reader, not what came before it
-                self._serve(message)
-        finally:
-            for what, count in self._odd.items():
-                if count:
-                    self._events.append(Event(time.time(), "", f"{count} {what} on the CAN bus {self.config.place}"))
-                    self._odd[what] = 0
+        """Sort a block's frames by their key, each with the SYNC before it, and hand them on."""
+        gaps, self._block_gaps = self._block_gaps, []
+        if any([m.is_remote_frame or not m.is_rx for m in block]):
+            kept = self._plain(block)
+            gaps = [(int(np.searchsorted(kept, place)), lost) for place, lost in gaps]
+            block, arrivals = [block[i] for i in kept], [arrivals[i] for i in kept] if arrivals else []
+        if block or gaps:
+            self._publish(block, arrivals, gaps, time.monotonic())
+        for what, count in self._odd.items():
+            if count:
+                self._events.append(Event(time.time(), "", f"{count} {what} on the CAN bus {self.config.place}"))
+                self._odd[what] = 0
 
     def _plain(self, block: list[can.Message]) -> list[int]:
-        """Return the places of what is no error frame, remote frame or echo of an own frame, SYNC being no echo."""
+        """Return the places of what is no remote frame or echo of an own frame, SYNC being no echo."""
         kept = []
         for place, message in enumerate(block):
-            if message.is_error_frame or message.is_remote_frame:
+            if message.is_remote_frame:
                 continue
             if not message.is_rx and message.arbitration_id != SYNC_ID:
                 self._odd["echoes of own frames"] += 1
@@ -240,47 +308,113 @@ class CanHub:
                 kept.append(place)
         return kept
 
-    def _publish(self, block: list[can.Message], arrivals: list[float]) -> None:
-        """Put the frames of a block, of which there is one at least, into their identifiers' queues."""
-        arrived = time.monotonic()
-        identifiers = np.array([m.arbitration_id for m in block])
+    def _publish(
+        self, block: list[can.Message], arrivals: list[float], gaps: list[tuple[int, int]], arrived: float
+    ) -> None:
+        """Put the frames of a block into their queues, gaps being places before which some were lost, and how many."""
+        keys = np.array([m.arbitration_id for m in block], np.int64)
+        if any([m.is_extended_id or m.is_fd for m in block]):
+            keys |= np.array([frame_key(0, extended=m.is_extended_id, fd=m.is_fd) for m in block])
         stamps = np.array([m.timestamp for m in block])
         host = np.array(arrivals) if arrivals else stamps
-        synced = identifiers == SYNC_ID
-        seen = [(self._sync, self._sync_time, self._sync_device)]
-        for place in np.flatnonzero(synced).tolist():
-            if block[place].is_extended_id:  # 29 bits of the same number
-                synced[place] = False
-                continue
-            self._sync_device = block[place].timestamp
-            self._on_sync(block[place].data, float(host[place]))
-            seen.append((self._sync, self._sync_time, self._sync_device))
-        before = np.cumsum(synced)
-        numbers, times, devices = map(np.array, zip(*seen, strict=True))
-        for identifier, queues in self._queues.items():
-            mine = np.flatnonzero((identifiers == identifier) & ~synced)
+        synced = keys == SYNC_ID
+        # What changes along the block, in order: before the frame at a gap, and with a SYNC.
+        changes = sorted([(place, 0) for place, _ in gaps] + [(place, 1) for place in np.flatnonzero(synced).tolist()])
+        seen = [self._state()]
+        for place, is_sync in changes:
+            if is_sync:
+                self._on_sync(block[place].data, float(host[place]), block[place].timestamp, arrived)
+            else:
+                self.gaps, self._in_gap = self.gaps + 1, True
+            seen.append(self._state())
+        if gaps:
+            at = float(host[min(gaps[0][0], len(block) - 1)]) if block else time.time()
+            self._say_lost(sum(lost for _, lost in gaps), at)
+        state = np.searchsorted([place for place, _ in changes], np.arange(len(block)), side="right")
+        numbers, times, devices, counted = map(np.array, zip(*seen, strict=True))
+        sync, sync_stamps = numbers[state], (devices if arrivals else times)[state]
+        if not self.tells_drops and (period := self._pace.period) is not None:
+            sync = np.where((sync >= 0) & (stamps - sync_stamps > period), BEHIND_GAP, sync)
+        for key, queues in self._queues.items():
+            mine = np.flatnonzero((keys == key) & ~synced)
             if not len(mine):
                 continue
             frames = Frames(
-                numbers[before[mine]], times[before[mine]], host[mine], [block[i].data for i in mine.tolist()], arrived,
-                stamps[mine] if arrivals else None, devices[before[mine]] if arrivals else None,
+                sync[mine], times[state[mine]], host[mine], [block[i].data for i in mine.tolist()],
+                np.full(len(mine), arrived), counted[state[mine]],
+                stamps[mine] if arrivals else None, devices[state[mine]] if arrivals else None,
             )  # fmt: skip
             for blocks in queues:
                 blocks.put(frames, len(mine))
 
-    def _on_sync(self, data: bytearray, stamp: float) -> None:
+    def _state(self) -> tuple[int, float, float, int]:
+        """Return what the next frame is bound to: number, time and own stamp of the SYNC; and the gaps so far."""
+        bound = BEHIND_GAP if self._in_gap and self.sync >= 0 else self.sync
+        return bound, self._sync_time, self._sync_device, self.gaps
+
+    def _say_lost(self, lost: int, at: float) -> None:
+        what, why = (f"{lost} frames", "nobody took them in time") if lost else ("frames", "the controller overran")
+        self._events.append(Event(at, "", f"{what} lost on the CAN bus {self.config.place}: {why}"))
+
+    def _on_sync(self, data: bytearray, host: float, stamp: float, arrived: float) -> None:
+        """Count a SYNC, with those that are missing before it."""
+        elapsed = stamp - self._sync_device
+        # As ClockJumps, frame by frame: the clock goes back, or a stamp is later than its arrival.
+        jumped = self.sync >= 0 and (elapsed < -CLOCK_JUMP or arrived - stamp < self._floor - CLOCK_JUMP)
+        self._floor = arrived - stamp if jumped else min(self._floor, arrived - stamp)
+        if jumped:
+            self._events.append(Event(host, "", f"the clock of SYNC jumped on the CAN bus {self.config.place}"))
+            self.gaps += 1
+        counter = data[0] if len(data) == 1 and 1 <= data[0] <= SYNC_COUNTER_MAX else 0
+        asked = self._in_gap or not self.tells_drops or elapsed > _PAUSE or counter == 1
+        usual = self._pace.period if asked and not jumped else None
+        expected = elapsed / usual if usual else None
         step = 1
-        if len(data) == 1 and 1 <= data[0] <= SYNC_COUNTER_MAX:
-            if self._counter:
-                step = (data[0] - self._counter) % SYNC_COUNTER_MAX or SYNC_COUNTER_MAX
-            self._counter = data[0]
+        if self._produced:
+            self._say_held_up(host, elapsed)
+        elif self.sync < 0:
+            pass
+        elif counter and self._counter:
+            step = self._counter_step(counter, expected)
+        elif expected is not None and (self._in_gap or elapsed > min(self._pace.longest, _PAUSE)):
+            step = max(1, round(expected))
         if step > 1:
-            lost = step - 1
-            self._events.append(
-                Event(stamp, "", f"{lost} SYNC missing on the CAN bus {self.config.place} (counter {data[0]})")
-            )
-        self._sync += step
-        self._sync_time = stamp
+            how = f" (counter {counter})" if counter else ""
+            self._events.append(Event(host, "", f"{step - 1} SYNC missing on the CAN bus {self.config.place}{how}"))
+        elif self.sync >= 0 and not self._in_gap and not jumped:
+            self._pace.add(elapsed)
+        self.sync, self._counter, self._in_gap = max(self.sync, -1) + step, counter, False
+        self._sync_time, self._sync_device = host, stamp
+
+    def _counter_step(self, counter: int, expected: float | None) -> int:
+        """Return how many SYNC on a counter stands, which begins again at 1 where its controller has it (0x1019)."""
+        modulus = self._counter_max
+        step = (counter - self._counter) % modulus or modulus
+        if counter > modulus or self._counter > modulus:
+            modulus = self._counter_max = SYNC_COUNTER_MAX
+            step = (counter - self._counter) % modulus or modulus
+        elif counter == 1 and not self._in_gap and (expected is None or abs(expected - 1) < abs(expected - step)):
+            step, self._counter_max = 1, self._counter  # it is nearer to the next SYNC than to one of 240
+        if expected is not None and (self._in_gap or not self.tells_drops):
+            step += modulus * int(wraps(np.array([step]), modulus, np.array([expected]))[0])
+        return step
+
+    def _say_held_up(self, host: float, elapsed: float) -> None:
+        """Say which of its own SYNC this recorder left out before the one that has come: the samples have a gap."""
+        assert self.config.sync_period is not None, "it sends SYNC"
+        number, _ = self._produced.popleft()
+        while not self._own_clock and self._produced and self._produced[0][1] <= host:  # an echo that was lost
+            number, _ = self._produced.popleft()
+        before, self._produced_last = self._produced_last, number
+        if before is None or self._in_gap:
+            return
+        missed = number - before - 1
+        if elapsed > 3 * self.config.sync_period:  # held up between taking the number and sending
+            missed = max(missed, round(elapsed / self.config.sync_period) - 1)
+        if missed:
+            self.gaps += 1
+            said = f"{missed} SYNC not sent in time on the CAN bus {self.config.place}"
+            self._events.append(Event(host, "", f"{said}: the recorder was held up"))
 
 
 hubs = SharedHubs(CanHub)

@@ -9,7 +9,7 @@ import typer
 
 import drivers
 from cycloid_fmu.edge.commands import output_option, quantity_option
-from drivers.cli.shown import Allowed, LiveLine, failures, report
+from drivers.cli.shown import Allowed, LiveLine, recording, report
 
 
 def record(
@@ -25,7 +25,10 @@ def record(
 
     What came is in the file a twentieth of a second later, safe from a kill of the process; every second the disk is
     told to hold it, safe from a power cut. Buses and ports that fail are opened again.
+
+    Exit status: 0 the duration is over, 3 nothing came for the idle time, 130 Ctrl-C, 143 SIGTERM, 129 SIGHUP (a lost
+    connection): in each case the file is whole and a summary says what it holds and what was lost.
     """
-    with failures(), LiveLine() as progress:
+    with recording(), LiveLine() as progress:
         done = drivers.record(bench, output, duration=duration, idle=idle, progress=progress, allow=allow or ())
     report(done)

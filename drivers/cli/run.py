@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import subprocess
 from pathlib import Path
 from typing import Annotated
 
@@ -11,8 +10,9 @@ import typer
 
 import drivers
 from cycloid_fmu import edge
-from drivers.cli.shown import Allowed, LiveLine, failures
+from drivers.cli.shown import Allowed, LiveLine, recording
 from drivers.recorder.sequence import Step, read_sequence
+from drivers.recorder.watchdog import watched
 
 
 def run(
@@ -42,11 +42,13 @@ def run(
         typer.echo(f"{trial}: not reached: {'; '.join(short)}.", err=True)
         return not driven and typer.confirm("Make it again?", default=True, err=True)
 
-    with failures(), LiveLine() as line:
+    with recording(), LiveLine() as line:
         done = drivers.run_sequence(made, note=note, ready=ready, again=again, progress=line)
     if done.report_command is not None:
         typer.echo(" ".join(done.report_command))
-        if subprocess.run(done.report_command, check=False).returncode:
+        with watched(done.report_command, quiet=False) as process:
+            status = process.wait()
+        if status:
             raise typer.Exit(edge.FAILED)
     if done.shortfalls:
         raise typer.Exit(edge.FAILED)

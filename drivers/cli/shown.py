@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Self
@@ -34,6 +36,7 @@ def live_text(live: Live) -> str:
         shown = "–" if state.value is None else f"{state.value:.5g}"
         part = f"{name} {state.samples} ({state.rate:.0f}/s) at {shown}"
         part += "".join(f", {n} {mark}" for mark, n in state.marks.items() if n and mark != "rollovers")
+        part += f", {state.lost} lost" if state.lost else ""
         part += f", {state.waiting} waiting" if state.waiting else ""
         parts.append(part + (" OUT" if state.failure is not None else ""))
     if live.transmission_error is not None:
@@ -43,10 +46,14 @@ def live_text(live: Live) -> str:
 
 
 class LiveLine:
-    """The live line on the error stream, as the output is what scripts read: from the first call until a pause."""
+    """The live line on the error stream, as the output is what scripts read: from the first call until a pause.
+
+    A terminal that is gone is no reason to end a recording: from then on nothing is shown.
+    """
 
     def __init__(self) -> None:
         self._display: Display | None = None
+        self._gone = False
 
     def __call__(self, live: Live) -> None:
         """Show how the recording stands."""
@@ -54,16 +61,22 @@ class LiveLine:
         from rich.live import Live as Display
         from rich.text import Text
 
-        if self._display is None:
-            self._display = Display(console=Console(stderr=True), transient=True, refresh_per_second=5)
-            self._display.start()
-        self._display.update(Text(live_text(live)))
+        if self._gone:
+            return
+        try:
+            if self._display is None:
+                self._display = Display(console=Console(stderr=True), transient=True, refresh_per_second=5)
+                self._display.start()
+            self._display.update(Text(live_text(live)))
+        except OSError:
+            self._gone = True
 
     def pause(self) -> None:
         """Take the line away until the next call."""
-        if self._display is not None:
-            self._display.stop()
-        self._display = None
+        display, self._display = self._display, None
+        if display is not None:
+            with contextlib.suppress(OSError):
+                display.stop()
 
     def __enter__(self) -> Self:
         return self
@@ -92,15 +105,45 @@ def failures() -> Iterator[None]:
         raise typer.Exit(edge.FAILED) from None
 
 
-def report(done: Recorded) -> None:
-    """Print what a recording got; exit status 1 where a channel was out at the end, or nothing came."""
+@contextlib.contextmanager
+def recording() -> Iterator[None]:
+    """Print what an interrupted recording got, and end with the exit status of its signal; see also `failures`."""
+    from drivers.recorder.session import RecordingInterrupted
+
+    try:
+        with failures():
+            yield
+    except RecordingInterrupted as interrupt:
+        try:
+            _print(interrupt.recorded)
+            typer.echo(str(interrupt), err=True)
+            sys.stdout.flush()
+        except OSError:  # the terminal is gone; Python's own flush at the end would fail and change the status
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            for descriptor in (1, 2):
+                os.dup2(nowhere, descriptor)
+        raise typer.Exit(interrupt.exit_status) from None
+
+
+def _print(done: Recorded) -> None:
+    """Print what a recording got."""
     typer.echo(f"{done.path}: {', '.join(f'{n} {name}' for name, n in done.samples.items())}; {done.events} events")
     for name, marks in done.marks.items():
-        if marks:
-            typer.echo(f"{name}: {', '.join(f'{n} {mark}' for mark, n in marks.items())}")
+        said = [f"{n} {mark}" for mark, n in marks.items()]
+        said += [f"{done.lost[name]} lost"] if done.lost[name] else []
+        if said:
+            typer.echo(f"{name}: {', '.join(said)}")
     for failure in done.failures:
         typer.echo(str(failure), err=True)
     if not any(done.samples.values()):
         typer.echo("No sample came: does the bench send?", err=True)
+
+
+def report(done: Recorded) -> None:
+    """Print what a recording got; exit status 1 where a channel was out at the end or nothing came, 3 after silence."""
+    _print(done)
+    if done.ended == "idle" and not done.failures:
+        typer.echo("It ended because nothing came any more.", err=True)
+        raise typer.Exit(edge.SILENT)
     if done.failures or not any(done.samples.values()):
         raise typer.Exit(edge.FAILED)

@@ -10,7 +10,7 @@ import typer
 import drivers
 from cycloid_fmu import edge
 from cycloid_fmu.edge.commands import choice_option, output_option, quantity_option
-from drivers.cli.shown import LiveLine, failures, report
+from drivers.cli.shown import LiveLine, recording, report
 
 _BUS = "CAN interface of python-can; loopback: other processes of this machine."
 
@@ -40,7 +40,8 @@ def simulate(
         str | None, typer.Option(metavar="ADDRESS", help="A Beckhoff PLC on this address, such as 127.0.0.1.")
     ] = None,
     clock_drift: Annotated[
-        float, typer.Option(help="Of the clock of ASCII counter, virtual bus or PLC, relative, such as 50e-6.")
+        float,
+        typer.Option(help="Of the clock of ASCII counter, CAN bus or PLC, relative, such as 50e-6."),
     ] = 0.0,
     hysteresis: Annotated[
         bool, typer.Option("--hysteresis", help="Lock the input; the torque goes 0, +T, 0, -T, 0, as often as --turns.")
@@ -70,7 +71,7 @@ def simulate(
         channel=channel, trigger=trigger, serial=serial, plc=plc, clock_drift=clock_drift, faults=faults,
         speed_factor=speed_factor,
     )  # fmt: skip
-    with failures(), bench:
+    with recording(), bench:
         if output is not None:
             with LiveLine() as progress:
                 done = bench.record(output, wiring=write_bench, progress=progress)

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import pydantic
 
-from drivers.counts import counts_to_value, unwrap
+from drivers.counts import UnseenTurns, counts_to_value, unwrap
 from drivers.encoder import AngleConfig, PortConfig, channel_of, device_counts
 from drivers.recording_format import GAP, RESET, ROLLOVER, FloatArray, IntArray, Samples
 from drivers.serial.polled import PolledEncoder
@@ -52,8 +52,9 @@ class Amt21Config(AngleConfig):
 class Amt21Encoder(PolledEncoder):
     """One encoder at one address of a port.
 
-    A single-turn encoder's turns are counted here, so it must not turn by half a turn between two readings. A
-    multi-turn encoder counts them itself: turns that readings missed are an event and a mark, and the angle is right.
+    A single-turn encoder's turns are counted here; over a gap in which it may turn by half a turn and more they are
+    those of the speed before it, and marked as reset. A multi-turn encoder counts them itself: turns that readings
+    missed are an event and a mark, and the angle is right.
     """
 
     configuration = Amt21Config
@@ -66,6 +67,7 @@ class Amt21Encoder(PolledEncoder):
         self._questions = bytes([config.address]), bytes([config.address + 1])
         self._previous: int | None = None
         self._turns_known = False
+        self._unseen = UnseenTurns(1 << config.bits)
 
     def question(self, port: Any) -> bytes:
         """Ask for the position and, where the encoder has them, the turns; see `SerialEncoder.question`."""
@@ -103,6 +105,8 @@ class Amt21Encoder(PolledEncoder):
             status = status | missed * (GAP | RESET)
             for i in np.flatnonzero(missed):
                 self.say(times[i], "the encoder counted turns that the readings missed")
+        else:
+            counts = self.over_gaps(self._unseen, times, counts, status)
         self._previous = int(counts[-1])
         value = counts_to_value(counts, counts_per_turn, self.config.direction, self.config.zero)
         return Samples.checked(self.name, times, value, counts=counts, status=status)

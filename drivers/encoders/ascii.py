@@ -9,19 +9,21 @@ from __future__ import annotations
 
 import functools
 import itertools
+import math
 import operator
 import re
 import time
 from collections.abc import Callable
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 import pydantic
 
 from cycloid_fmu import edge
-from drivers.counts import counts_to_value, judge_sequence, unwrap
+from drivers.counts import Pace, counts_to_value, judge_sequence, missing_by_pace, unwrap
 from drivers.encoder import AngleConfig, EncoderProtocolError, EncoderTimeout, PortConfig, channel_of
-from drivers.recording_format import GAP, RESET, ROLLOVER, Samples
+from drivers.recording_format import GAP, OUT_OF_ORDER, RESET, ROLLOVER, Samples
 from drivers.serial.polled import SerialEncoder
 from drivers.serial.port import Exchange, PortHub, ask
 
@@ -104,8 +106,20 @@ def line_pattern(line: str) -> tuple[re.Pattern[bytes], list[str]]:
     return re.compile("".join(parts).encode()), names
 
 
+class _Line(NamedTuple):
+    """A line without its end, when its end came, and of the exchange that brought it what `Exchange` says."""
+
+    time: float
+    text: bytes
+    noted: bool
+    late: bool
+
+
 class AsciiCounter(SerialEncoder):
     """One device that sends a line for each sample.
+
+    Lost lines are told by their running number; without one by the device's clock; without both by what the port tells.
+    A line that may have waited in the port has no instant unless the device's clock tells it, and is left out.
 
     Raises
     ------
@@ -130,6 +144,7 @@ class AsciiCounter(SerialEncoder):
                 self._scale = edge.unit_scale(config.unit or self._unit, self._unit)
             except ValueError as problem:
                 raise edge.InputError(f'unit = "{config.unit}": {problem}.') from None
+        self._told = not {"sequence", "time"}.isdisjoint(self._names)  # which tell what is missing
         self._request = (config.request or "").encode()
         self.asked = bool(self._request)
         self._forget()
@@ -142,6 +157,8 @@ class AsciiCounter(SerialEncoder):
         self._device = 0.0  # the device's clock, continuous, in its own unit
         self._device_start: float | None = None
         self._ticks: tuple[float, float] | None = None
+        self._noted = self._doubtful = False
+        self._pace = Pace()
 
     def question(self, port: Any) -> bytes:
         """Return what came, or the line asked for; see `SerialEncoder.question`."""
@@ -155,8 +172,7 @@ class AsciiCounter(SerialEncoder):
         deadline = time.monotonic() + FIRST_LINE_SECONDS
         came = b""
         while time.monotonic() < deadline:
-            _, data = hub.exchange(self.question, self.asked)
-            came = (came + data)[-LONGEST_LINE:]
+            came = (came + hub.exchange(self.question, self.asked).answer)[-LONGEST_LINE:]
             if any(self._fields(line) for line in came.split(b"\n")[1 - bool(self._request) : -1]):
                 break
         else:
@@ -191,18 +207,22 @@ class AsciiCounter(SerialEncoder):
             text = text.lstrip(b"$!").removesuffix(b"*")
         return _CHECKSUMS[self.config.checksum](text) == int(fields["checksum"], 16)
 
-    def _lines(self, exchanges: list[Exchange]) -> list[Exchange]:
+    def _lines(self, exchanges: list[Exchange]) -> list[_Line]:
         """Cut what came into lines, each with the time its end came."""
-        lines: list[Exchange] = []
-        for when, data in exchanges:
+        lines: list[_Line] = []
+        for exchange in exchanges:
+            when, data, note, late = exchange
+            self._noted |= bool(note)
             if self._request and not data.endswith(b"\n"):
-                lines.append((when, data))
-                continue
-            *ended, self._rest = (self._rest + data).split(b"\n")
-            lines += [(when, line) for line in ended]
-            if len(self._rest) > LONGEST_LINE:
-                lines.append((when, self._rest[:64]))
-                self._rest = b""
+                ended = [data]
+            else:
+                *ended, self._rest = (self._rest + data).split(b"\n")
+                if len(self._rest) > LONGEST_LINE:
+                    ended.append(self._rest[:64])
+                    self._rest = b""
+            for text in ended:
+                lines.append(_Line(when, text, self._noted, late))
+                self._noted = False
         if lines and self._skipping:  # where the listening began, the line had begun before
             self._skipping = False
             return lines[1:]
@@ -213,24 +233,37 @@ class AsciiCounter(SerialEncoder):
         lines = self._lines(self.taken(timeout))
         if not lines:
             return None
-        parsed = [self._fields(line) for _, line in lines]
+        parsed = [self._fields(line.text) for line in lines]
         there = np.array([p is not None for p in parsed])
         right = np.array(
-            [p is not None and self._sum_right(line, p) for p, (_, line) in zip(parsed, lines, strict=True)]
+            [p is not None and self._sum_right(line.text, p) for p, line in zip(parsed, lines, strict=True)]
         )
-        for which, what in ((~there, "not as described"), (there & ~right, "wrong checksum")):
+        wrong = there & ~right
+        late = right & np.array([line.late and "time" not in self._names for line in lines])
+        for which, what in (
+            (~there, "not as described"), (wrong, "wrong checksum"), (late, "it waited, so its instant is unknown")
+        ):  # fmt: skip
             if which.any():
                 first = int(np.flatnonzero(which)[0])
-                shown = lines[first][1][:40].decode("ascii", "backslashreplace")
-                self.say(lines[first][0], f'{int(which.sum())} line lost: {what} ("{shown}")')
+                shown = lines[first].text[:40].decode("ascii", "backslashreplace")
+                self.say(lines[first].time, f'{int(which.sum())} line lost: {what} ("{shown}")')
+        told = self._told
+        noted = np.array([line.noted and not told for line in lines])
+        right &= ~late
+        if not told and (self.asked or self._pace.period is None):
+            self._lost += int(np.count_nonzero(~right))
         kept = np.flatnonzero(right)
-        status = self.marked(kept, ~there, there & ~right)
+        status = self.marked(kept, ~there | late | noted, wrong)
         if len(kept) == 0:
             return None
         fields = [parsed[i] or {} for i in kept]
-        times = np.array([lines[i][0] for i in kept])
-        status, device = self._clocked(fields, times, status)
-        status = self._numbered(fields, times, status)
+        times = np.array([lines[i].time for i in kept])
+        # Where lines waited or the port said so, some are easily lost; so too between them and the next one.
+        doubtful = np.array([self._doubtful, *(line.late or line.noted for line in lines)])
+        self._doubtful = bool(doubtful[-1])
+        doubtful = (doubtful[1:] | doubtful[:-1])[kept]
+        status, device, expected = self._clocked(fields, times, status, doubtful)
+        status = self._numbered(fields, times, status, expected)
         if "value" in self._names:
             value = self.config.direction * self._scale * np.array([float(f["value"]) for f in fields])
             return Samples.checked(self.name, times, value - self.config.zero, time_device=device, status=status)
@@ -243,10 +276,22 @@ class AsciiCounter(SerialEncoder):
         value = counts_to_value(counts, self.config.counts_per_turn, self.config.direction, self.config.zero)
         return Samples.checked(self.name, times, value, time_device=device, counts=counts, status=status)
 
-    def _clocked(self, fields: list[dict[str, str]], times: Any, status: Any) -> tuple[Any, Any]:
-        """Return the device's times, s, made continuous, and the status with resets of its clock marked."""
+    def _clocked(
+        self, fields: list[dict[str, str]], times: Any, status: Any, doubtful: npt.NDArray[np.bool_]
+    ) -> tuple[Any, Any, Any]:
+        """Return what the device's clock tells, shape (n,) each.
+
+        The status with resets of it, and gaps where nothing else tells them; its times, s, made continuous, and how
+        many lines have passed since the one before, NaN where that is not known; both None where it has no clock.
+        """
+        first = self._ticks is None
         if "time" not in self._names:
-            return status, None
+            if not (self._told or self.asked):
+                step = np.diff(times, prepend=times[0] if self._ticks is None else self._ticks[1])
+                self._ticks = 0.0, float(times[-1])
+                gaps = status & GAP > 0
+                self._paced(times, times, step, gaps, first, gaps)
+            return status, None, None
         ticks = np.array([float(f["time"]) for f in fields])
         last, arrived = self._ticks or (ticks[0], times[0])
         before = np.concatenate([[last], ticks[:-1]])
@@ -267,10 +312,34 @@ class AsciiCounter(SerialEncoder):
         if reset.any():
             self.say(times[np.flatnonzero(reset)[0]], "the device's clock went back: it started again")
             status = status | reset * (RESET | GAP)
-        return status, device * self.config.time_unit
+        device, step = device * self.config.time_unit, step * self.config.time_unit
+        period = self._pace.period
+        expected = np.where(reset, np.nan, step / (period or math.nan))
+        gaps = ~reset & ((step > self._pace.longest) | (status & GAP > 0) | (doubtful & (expected > 1.5)))
+        if "sequence" in self._names:  # which tells more surely
+            gaps[:] = False
+        missing = self._paced(times, device, step, gaps, first, reset | (status & GAP > 0) | (expected > 30))
+        status = status | (missing > 0) * GAP
+        return status, device, expected
 
-    def _numbered(self, fields: list[dict[str, str]], times: Any, status: Any) -> Any:
-        """Return the status with what the running numbers tell."""
+    def _paced(self, arrived: Any, times: Any, step: Any, gaps: Any, first: bool, odd: Any = False) -> Any:
+        """Return how many lines are missing at the gaps by the usual time between lines, which goes on being learned.
+
+        `first`: the first line has none before it; `odd`: steps that are not usual ones.
+        """
+        period = self._pace.period
+        missing = np.zeros(len(times), np.int64) if period is None else missing_by_pace(times, step, gaps, period)
+        if missing.any():
+            self._lost += int(missing.sum())
+            where = arrived[np.flatnonzero(missing)[0]]
+            self.say(where, f"{int(missing.sum())} line missing by the usual time between them")
+        plain = (step >= 0) & (missing == 0) & ~np.asarray(odd)  # late ones too: those behind them come early
+        plain[0] &= not first
+        self._pace.add(*step[plain].tolist())
+        return missing
+
+    def _numbered(self, fields: list[dict[str, str]], times: Any, status: Any, expected: Any) -> Any:
+        """Return the status with what the running numbers tell, going round as often as the time says."""
         if "sequence" not in self._names:
             return status
         numbers = np.array([int(f["sequence"]) for f in fields], np.int64)
@@ -282,9 +351,12 @@ class AsciiCounter(SerialEncoder):
             if status[low] & RESET:
                 self._newest = None
             judged, missing, self._newest = judge_sequence(
-                numbers[low:high], self.config.sequence_modulus, self._newest
-            )
+                numbers[low:high], self.config.sequence_modulus, self._newest,
+                None if expected is None else expected[low:high],
+            )  # fmt: skip
             status[low:high] |= judged
+            # A line out of order was taken for missing before.
+            self._lost += int(missing.sum()) - int(np.count_nonzero(judged & OUT_OF_ORDER))
             if missing.any():
                 where = times[low + np.flatnonzero(missing)[0]]
                 self.say(where, f"{int(missing.sum())} line missing by its running number")

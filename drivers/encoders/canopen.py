@@ -9,12 +9,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import can
 import canopen
 import numpy as np
 import pydantic
 
 from cycloid_fmu import edge
-from drivers.can.bus import SYNC_ID, time_source
+from drivers.can.bus import SYNC_ID, frame_key, open_bus, time_source
 from drivers.can.encoder import CanEncoder
 from drivers.can.frames import FrameReader
 from drivers.can.hub import CanHub
@@ -24,10 +25,10 @@ from drivers.encoder import (
     BusConfig,
     EncoderProtocolError,
     EncoderTimeout,
+    ListeningTime,
     Wiring,
     channel_of,
     device_counts,
-    steady_time,
 )
 from drivers.recording_format import RESET, ROLLOVER, Samples
 
@@ -187,7 +188,7 @@ class CanopenEncoder(CanEncoder):
         return int(default if value is None else value)  # type: ignore[arg-type]
 
     def _tpdo(self) -> tuple[int, int, int, int]:
-        """Find the TPDO that maps the quantity: identifier, transmission type, event timer in ms, length in bytes.
+        """Find the TPDO that maps the quantity: frame key, transmission type, event timer in ms, length in bytes.
 
         Keeps the place of the quantity in it.
         """
@@ -210,7 +211,8 @@ class CanopenEncoder(CanEncoder):
                 continue
             kind = self._communication(0x1800 + number, 2, 255)
             timer = self._communication(0x1800 + number, 5, 0) if kind >= 254 else 0
-            return identifier & 0x1FFFFFFF, kind, timer, offset // 8
+            key = frame_key(identifier & 0x1FFFFFFF, extended=bool(identifier & 0x20000000))
+            return key, kind, timer, offset // 8
         if off is not None:
             raise EncoderProtocolError(f"{self._where} has its TPDO switched off ({off}).")
         what = f"the {self.config.quantity} 0x{wanted:04X}"
@@ -225,7 +227,8 @@ class CanopenEncoder(CanEncoder):
             except (canopen.SdoAbortedError, canopen.SdoCommunicationError) as problem:
                 raise EncoderProtocolError(f"{self._where} takes no heartbeat time (0x1017): {problem}.") from problem
         self._heartbeat = self.config.heartbeat or self._object(HEARTBEAT_TIME, 0, 0) / 1000
-        self._alive = self._framed = steady_time()
+        self._listened = ListeningTime()
+        self._alive = self._framed = 0.0
         self._dead = False
 
     def _on_emergency(self, problem: Any) -> None:
@@ -235,7 +238,7 @@ class CanopenEncoder(CanEncoder):
 
     def _on_heartbeat(self, identifier: int, data: bytearray, stamp: float) -> None:
         """Take a heartbeat; runs in the reader's thread."""
-        self._alive = steady_time()
+        self._alive = self._listened.seconds
         if len(data) == 1 and data[0] == 0:
             self.reader.say(time.time(), "the node started again", RESET)
             self._restarted = True
@@ -244,7 +247,7 @@ class CanopenEncoder(CanEncoder):
         """Set the node operational: it sends from now on."""
         self._node.nmt.state = "OPERATIONAL"
         self._started = True
-        self._alive = self._framed = steady_time()
+        self._alive = self._framed = self._listened()
         super().start()
 
     def leave(self, hub: CanHub) -> None:
@@ -260,10 +263,15 @@ class CanopenEncoder(CanEncoder):
         self._node, self._started, self._listening = None, False, False
         super().leave(hub)
 
+    def rest(self) -> None:
+        """Set the node back to pre-operational; see `Encoder.rest`."""
+        with open_bus(self.bus) as bus:
+            bus.send(can.Message(arbitration_id=0, data=[0x80, self.config.node], is_extended_id=False))
+
     def read(self, timeout: float) -> Samples | None:
         """Return the positions or speeds that came; see `Encoder.read`."""
         block = self.reader.read(timeout)
-        now = steady_time()
+        now = self._listened()
         if self._restarted:
             self._restarted = False
             self._node.nmt.state = "OPERATIONAL"

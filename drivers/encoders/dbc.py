@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import time
 from pathlib import Path
@@ -12,13 +13,13 @@ import numpy as np
 import numpy.typing as npt
 
 from cycloid_fmu import edge
-from drivers.can.bus import SYNC_ID, time_source
+from drivers.can.bus import SYNC_ID, frame_key, time_source
 from drivers.can.encoder import CanEncoder
-from drivers.can.frames import FrameReader
+from drivers.can.frames import FrameReader, Judged
 from drivers.can.hub import CanHub
-from drivers.counts import extract_bits, judge_sequence
+from drivers.counts import Pace, extract_bits, judge_sequence
 from drivers.encoder import BusConfig, ChannelConfig, Wiring, channel_of
-from drivers.recording_format import DUPLICATE, GAP, FloatArray, IntArray, Samples
+from drivers.recording_format import DUPLICATE, GAP, OUT_OF_ORDER, FloatArray, IntArray, Samples
 
 _NEWTON_METRE = re.compile(r"([kmu]?)Nm")
 _SI = {"torque": "N*m", "input_angle": "rad", "output_angle": "rad"}
@@ -76,6 +77,7 @@ class DbcSensor(CanEncoder):
                 )
         self._counter = signals[config.counter] if config.counter is not None else None
         self._newest: int | None = None
+        self._pace, self._last_time, self._missed = Pace(), 0.0, 0
         self._signal = signals[config.signal]
         unit = config.unit or _NEWTON_METRE.sub(r"\1N*m", self._signal.unit or "")
         self._unit = _SI.get(name, unit)
@@ -93,7 +95,9 @@ class DbcSensor(CanEncoder):
     def set_up(self, hub: CanHub) -> None:
         """See `HubEncoder.set_up`."""
         step = 1 if self.config.sync else None
-        self.reader = FrameReader(hub, self._message.frame_id, self._message.length, step, self.name)
+        fd = bool(self._message.is_fd) or self._message.length > 8
+        key = frame_key(self._message.frame_id, extended=self._message.is_extended_frame, fd=fd)
+        self.reader = FrameReader(hub, key, self._message.length, step, self.name)
         self.channel = channel_of(
             self.name,
             self.config,
@@ -120,16 +124,7 @@ class DbcSensor(CanEncoder):
         decoded, there = self._decoded(block.payloads)
         status = block.status
         if self._counter is not None:
-            numbers = _raw(self._counter, block.payloads)
-            judged, missing, self._newest = judge_sequence(numbers, 1 << self._counter.length, self._newest)
-            status = status | judged
-            if missing.any():
-                first = float(block.time_host[np.flatnonzero(missing)[0]])
-                self.reader.say(first, f"{int(missing.sum())} frame missing by the counter {self._counter.name}")
-            again = judged & DUPLICATE > 0
-            if again.any():
-                first = float(block.time_host[np.flatnonzero(again)[0]])
-                self.reader.say(first, f"{int(again.sum())} duplicate by the counter {self._counter.name}")
+            status = status | self._counted(self._counter, block)
         if not there.any():
             return None
         value = self.config.direction * self._si * decoded[there]
@@ -138,6 +133,35 @@ class DbcSensor(CanEncoder):
             self.name, block.time_host[there], value, status=status[there],
             time_device=None if device is None else device[there],
         )  # fmt: skip
+
+    @property
+    def lost(self) -> int:
+        """Frames that are known to be lost: by the counter where there is one."""
+        return super().lost if self._counter is None else self._missed
+
+    def _counted(self, counter: Any, block: Judged) -> npt.NDArray[np.uint8]:
+        """Return what the frames' own counter tells of each, shape (n,)."""
+        numbers = _raw(counter, block.payloads)
+        times = block.time_host if block.time_device is None else block.time_device
+        step = np.diff(times, prepend=self._last_time if self._newest is not None else times[0])
+        # Where frames are known to be lost, or may be unseen, the counter may have gone round.
+        assert self.hub is not None, "frames come to a sensor that is open"
+        unsure = ((block.status & GAP > 0) | (not self.hub.tells_drops)) & ~block.jumped
+        period = self._pace.period or math.nan
+        expected = np.where(unsure, step / period, np.nan)
+        first = self._newest is None
+        judged, missing, self._newest = judge_sequence(numbers, 1 << counter.length, self._newest, expected)
+        plain = judged == 0
+        plain[0] &= not first
+        self._pace.add(*step[plain].tolist())
+        self._last_time = float(times[-1])
+        for which, what in ((missing, "frame missing"), ((judged & DUPLICATE > 0).astype(np.int64), "duplicate")):
+            if which.any():
+                said = f"{int(which.sum())} {what} by the counter {counter.name}"
+                self.reader.say(float(block.time_host[np.flatnonzero(which)[0]]), said)
+        # A frame out of order was taken for missing before.
+        self._missed += int(missing.sum()) - int(np.count_nonzero(judged & OUT_OF_ORDER))
+        return judged
 
     def _decoded(self, payloads: npt.NDArray[np.uint8]) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
         """Return the signal in the file's unit and where it is, both of shape (n,): a multiplexed one is not in all."""

@@ -11,7 +11,7 @@ from pymodbus.framer import FramerRTU
 from pymodbus.pdu import DecodePDU
 from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadInputRegistersRequest
 
-from drivers.counts import counts_to_value, extract_bits, unwrap
+from drivers.counts import UnseenTurns, counts_to_value, extract_bits, unwrap
 from drivers.encoder import AngleConfig, EncoderProtocolError, EncoderSetupError, PortConfig, channel_of
 from drivers.recording_format import ROLLOVER, FloatArray, IntArray, Samples
 from drivers.serial.polled import PolledEncoder
@@ -58,6 +58,7 @@ class ModbusEncoder(PolledEncoder):
         self.where = f'{name}: Modbus device {config.device} on "{port.url}"'
         self.answer_bytes = 5 + 2 * config.registers
         self._bits = min(config.bits or 16 * config.registers, 62)
+        self._unseen = UnseenTurns(1 << self._bits)
         request = _REQUESTS[config.table](address=config.register_, count=config.registers, dev_id=config.device)
         self._request = FramerRTU(DecodePDU(False)).buildFrame(request)
         self._head = self._request[:2] + bytes([2 * config.registers])
@@ -75,7 +76,7 @@ class ModbusEncoder(PolledEncoder):
         config = self.config
         if config.counts_per_turn is None:
             raise EncoderSetupError(f"{self.where}: counts_per_turn is missing: Modbus devices do not say it.")
-        _, answer = hub.exchange(self.question, self.asked)
+        answer = hub.exchange(self.question, self.asked).answer
         if len(answer) == 5 and answer[1] & 0x80 and _right(answer):
             raise EncoderProtocolError(
                 f"{self.where} refuses register {config.register_} of the {config.table} table: exception {answer[2]}."
@@ -102,9 +103,11 @@ class ModbusEncoder(PolledEncoder):
         width = 16 * self.config.registers
         raw = extract_bits(data, width - self._bits, self._bits, signed=False, little_endian=False)
         counts, rolled = unwrap(raw, 1 << self._bits, self._previous, signed=self.config.signed)
+        status = status | rolled * ROLLOVER
+        counts = self.over_gaps(self._unseen, times, counts, status)
         self._previous = int(counts[-1])
         value = counts_to_value(counts, self.config.counts_per_turn, self.config.direction, self.config.zero)
-        return Samples.checked(self.name, times, value, counts=counts, status=status | rolled * ROLLOVER)
+        return Samples.checked(self.name, times, value, counts=counts, status=status)
 
 
 def _right(frame: bytes) -> bool:

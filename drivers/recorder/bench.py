@@ -7,11 +7,12 @@ import dataclasses
 import os
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import pydantic
 
 from cycloid_fmu import edge
+from drivers import recording_format as rf
 from drivers.encoder import (
     BusConfig,
     ChannelConfig,
@@ -39,6 +40,7 @@ class Conditions(edge.Config):
 class _BenchFile(edge.Config):
     ratio: float | None = None
     pair: str = ""
+    largest_deviation: Annotated[edge.Angle, pydantic.Field(gt=0)] | None = None
     conditions: Conditions = Conditions()
     bus: dict[str, BusConfig] = pydantic.Field(default_factory=dict)
     port: dict[str, PortConfig] = pydantic.Field(default_factory=dict)
@@ -73,7 +75,8 @@ class Bench:
     pair
         Name of the gear pair.
     conditions
-        SI numbers and text: load N*m, speed rad/s, direction, temperature K, note; absent where not stated.
+        SI numbers and text: load N*m, speed rad/s, direction, temperature K, note, and largest_deviation rad, by which
+        the output angle may be off the line of the ratio; absent where not stated.
     channels
         Class and configuration of each channel's encoder by its name.
     wiring
@@ -133,6 +136,8 @@ def read_bench(path: str | os.PathLike[str], *, allow: Collection[str] = ()) -> 
         channels[name] = (cls, edge.validated(cls.configuration, given, f"{source}: [channel.{name}]"))
     wiring = Wiring(file.bus, file.port, Path(path).parent, source, file.plc)
     conditions = file.conditions.model_dump(exclude_none=True)
+    if file.largest_deviation is not None:
+        conditions[rf.LARGEST_DEVIATION_KEY] = file.largest_deviation
     bench = Bench(file.ratio, file.pair, conditions, channels, wiring)
     bench.encoders()
     return bench

@@ -23,7 +23,9 @@ from cycloid_fmu import edge
 from drivers import recording_format as rf
 from drivers.encoder import EncoderError, EncoderTimeout
 from drivers.recorder.bench import Bench, open_encoders, read_bench
+from drivers.recorder.in_use import Claims, check_at_rest
 from drivers.recorder.session import ChannelState, Live, record_encoders
+from drivers.recorder.watchdog import watched
 from drivers.recording_format import Samples, read_recording
 
 FORMAT = "cycloid-sequence/1"
@@ -43,6 +45,7 @@ class _Hysteresis(edge.Config):
 class _Drive(edge.Config):
     run: str
     hysteresis: str | None = None
+    stop: str | None = None
     start_time: Annotated[edge.Seconds, pydantic.Field(gt=0)] = 30.0
 
 
@@ -63,7 +66,8 @@ class SequenceFile(edge.Config):
         A loop with the input locked: its torque, and how many.
     drive
         Commands that drive the bench, `{torque}`, `{speed}`, `{direction}` and `{turns}` filled in; without them the
-        sequence prompts. `start_time` is how long to wait for the encoders.
+        sequence prompts. `stop` brings the drive to rest: it is run where one of them does not end by itself with
+        status 0, also where the sequence itself is killed. `start_time` is how long to wait for the encoders.
     pair, report
         Pair file and report for `cycloid-fit report`, absent: no report.
     """
@@ -277,8 +281,8 @@ class _End:
 
 
 @contextlib.contextmanager
-def _driven(sequence: BenchSequence, step: Step) -> Iterator[subprocess.Popen[bytes] | None]:
-    """Run the command that drives a step beside it, where there is one."""
+def _driven(sequence: BenchSequence, step: Step, claims: Claims) -> Iterator[subprocess.Popen[bytes] | None]:
+    """Run the command that drives a step beside it, where there is one and the bench is at rest."""
     drive = sequence.file.drive
     if drive is None:
         yield None
@@ -288,20 +292,37 @@ def _driven(sequence: BenchSequence, step: Step) -> Iterator[subprocess.Popen[by
         torque=f"{step.torque:.9g} N*m", speed=f"{step.speed:.9g} rad/s", direction=step.direction,
         turns=f"{step.turns:g}",
     )  # fmt: skip
-    try:
-        process = subprocess.Popen(shlex.split(filled), cwd=sequence.folder, stderr=subprocess.DEVNULL)
-    except OSError as problem:
-        raise edge.InputError(f"{sequence.source}: [drive] {filled}: {problem.strerror}.") from None
-    try:
+    wiring = sequence.folder / sequence.file.bench
+    if wiring.exists():
+        bench = read_bench(wiring, allow=sequence.allow)
+        claims.claim(bench.wiring)
+        check_at_rest(bench.wiring, _nodes(bench))
+    command, stop = shlex.split(filled), None if drive.stop is None else shlex.split(drive.stop)
+    beside = watched(
+        command, folder=sequence.folder, stop=stop, wiring=wiring, allow=sequence.allow, held=claims.descriptors
+    )
+    with contextlib.ExitStack() as stack:
+        try:
+            process = stack.enter_context(beside)
+        except OSError as problem:
+            raise edge.InputError(f"{sequence.source}: [drive] {filled}: {problem.strerror}.") from None
         yield process
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(5.0)
-    finally:
-        process.terminate()
-        process.wait()
 
 
-def _run_step(sequence: BenchSequence, step: Step, path: Path, progress: Callable[[Live], None]) -> list[str]:
+def _nodes(bench: Bench) -> dict[str, set[int]]:
+    """Return the numbers of the CANopen nodes on each bus, by its name."""
+    found: dict[str, set[int]] = {}
+    for _, config in bench.channels.values():
+        if config.protocol == "canopen":
+            found.setdefault(config.bus, set()).add(config.node)  # type: ignore[attr-defined]
+    return found
+
+
+def _run_step(
+    sequence: BenchSequence, step: Step, path: Path, claims: Claims, progress: Callable[[Live], None]
+) -> list[str]:
     """Make one step's recording and return in what it falls short.
 
     Raises
@@ -315,9 +336,10 @@ def _run_step(sequence: BenchSequence, step: Step, path: Path, progress: Callabl
         end(live)
         progress(live)
 
-    with _driven(sequence, step) as process:
+    with _driven(sequence, step, claims) as process:
         bench, encoders, stack = _opened(sequence, process)
         with stack:
+            claims.claim(bench.wiring)
             record_encoders(
                 encoders, path, ratio=bench.ratio, pair=bench.pair, conditions={**bench.conditions, **step.conditions},
                 progress=look, stop=lambda: end.reached, idle=None if process is None else 3.0,
@@ -396,7 +418,7 @@ def run_sequence(
     Raises
     ------
     edge.InputError, EncoderError, RecordingError, KeyboardInterrupt
-        As `record` does; what was recorded before is kept.
+        As `record` does, and where another run or master has the bench; what was recorded before is kept.
 
     Examples
     --------
@@ -406,6 +428,21 @@ def run_sequence(
     cycloid_fmu.edge.problems.InputError: sequence.toml: No such file or directory.
     """
     made = sequence if isinstance(sequence, BenchSequence) else read_sequence(sequence)
+    with Claims() as claims:
+        if made.bench.channels:
+            claims.claim(made.bench.wiring)
+        return _run_steps(made, claims, note, ready, again, progress)
+
+
+def _run_steps(
+    made: BenchSequence,
+    claims: Claims,
+    note: Callable[[Step, Path | None], None] | None,
+    ready: Callable[[Step], None] | None,
+    again: Callable[[Step, Path, list[str]], bool] | None,
+    progress: Callable[[Live], None] | None,
+) -> SequenceResult:
+    """Make the steps of a sequence on a bench that is claimed; see `run_sequence`."""
     recordings, missed = [], {}
     for step in made.steps:
         path = made.folder / f"{step.name}.arrows"
@@ -416,7 +453,7 @@ def run_sequence(
                 ready(step)
             trials = (made.folder / f"{step.name}.trial-{number}.arrows" for number in itertools.count(1))
             trial = next(t for t in trials if not edge.writable(t).exists())
-            short = _run_step(made, step, trial, progress or (lambda _: None))
+            short = _run_step(made, step, trial, claims, progress or (lambda _: None))
             if not short:
                 trial.rename(edge.writable(path))
             elif again is None or not again(step, trial, short):

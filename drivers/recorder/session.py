@@ -21,6 +21,7 @@ from drivers.arguments import in_si
 from drivers.encoder import (
     Encoder,
     EncoderError,
+    ListeningTime,
     steady_time,
 )
 from drivers.recorder.bench import Bench, open_encoders, read_bench
@@ -44,7 +45,9 @@ class ChannelState:
     Attributes
     ----------
     samples, marks
-        How many were written, and how many of them carry each mark, by name.
+        How many the file holds, and how many of them carry each mark, by name.
+    lost
+        Readings that are known to be lost.
     rate, waiting
         Samples a second over the last second or so; readings that came and are not written yet.
     time, value, first
@@ -57,6 +60,7 @@ class ChannelState:
 
     samples: int = 0
     marks: dict[str, int] = dataclasses.field(default_factory=lambda: dict.fromkeys(MARKS, 0))
+    lost: int = 0
     rate: float = 0.0
     waiting: int = 0
     time: float | None = None
@@ -88,32 +92,61 @@ class Live:
 
 @dataclasses.dataclass(frozen=True)
 class Recorded:
-    """What a recording got: its path, the number of samples by channel, of marks by channel and name, and of events.
+    """What a recording got.
 
-    Marks that no sample carries are absent; `failures` are why channels were out at the end.
+    Attributes
+    ----------
+    path
+        The file.
+    samples, events
+        How many it holds, by channel, and of events.
+    marks
+        How many samples carry each mark, by channel and name; marks that none carries are absent.
+    lost
+        Readings of each channel that are known to be lost.
+    failures
+        Why channels were out at the end.
+    ended
+        What ended it: "duration", "samples", "idle", "stop", or the name of a signal, such as "SIGINT".
     """
 
     path: Path
     samples: Mapping[str, int]
     marks: Mapping[str, Mapping[str, int]]
+    lost: Mapping[str, int]
     events: int
     failures: tuple[EncoderError, ...]
+    ended: str
+
+
+class RecordingInterrupted(KeyboardInterrupt):
+    """A signal ended a recording, whose file is whole: `recorded` is what it got, `exit_status` 128 plus the signal."""
+
+    def __init__(self, recorded: Recorded) -> None:
+        super().__init__(f"Interrupted by {recorded.ended}; {recorded.path} holds what came until then.")
+        self.recorded = recorded
+        self.exit_status = 128 + signal.Signals[recorded.ended]
 
 
 @contextlib.contextmanager
-def _interrupts() -> Iterator[threading.Event]:
-    """Turn the first SIGINT or SIGTERM into an event, so that what is at hand is written before it is obeyed."""
-    asked = threading.Event()
+def _interrupts() -> Iterator[list[str]]:
+    """Turn the first SIGINT, SIGTERM or SIGHUP into its name, so that what is at hand is written before it is obeyed.
+
+    The next is obeyed at once, other than SIGHUP: a terminal that is closed sends several.
+    """
+    asked: list[str] = []
     if threading.current_thread() is not threading.main_thread():
         yield asked
         return
 
     def ask(number: int, frame: object) -> None:
-        if asked.is_set():
+        name = signal.Signals(number).name
+        if asked and name != "SIGHUP":
             raise KeyboardInterrupt
-        asked.set()
+        asked.append(name)
 
-    before = {s: signal.signal(s, ask) for s in (signal.SIGINT, signal.SIGTERM)}
+    numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    before = {s: signal.signal(s, ask) for s in numbers}
     try:
         yield asked
     finally:
@@ -124,37 +157,109 @@ def _interrupts() -> Iterator[threading.Event]:
 class _Session:
     """One recording being made: encoders in, batches out."""
 
-    def __init__(self, encoders: Sequence[Encoder], writer: RecordingWriter, ratio: float | None, epoch: float) -> None:
+    def __init__(
+        self,
+        encoders: Sequence[Encoder],
+        writer: RecordingWriter,
+        path: str | os.PathLike[str],
+        ratio: float | None,
+        limits: rf.Limits,
+        epoch: float,
+    ) -> None:
         self.encoders = [Supervised(e) for e in encoders]
-        self.writer, self.ratio, self.epoch = writer, ratio, epoch
+        self.writer, self.path, self.ratio, self.epoch = writer, path, ratio, epoch
         self.live = Live({e.channel.name: ChannelState() for e in encoders})
         self._clocks = {e.channel.name: ClockEstimate() for e in encoders}
         self._clock_said = dict.fromkeys(self._clocks, 0.0)
-        self._clock_last: dict[str, tuple[float, float]] = {}
+        self._clock_jumps = {name: rf.ClockJumps() for name in self._clocks}
         self._restarts = dict.fromkeys(self._clocks, 0)
+        channels = [e.channel for e in encoders]
+        self._roles = {c.name: c.role for c in channels if c.role in rf.ANGLES and c.unit == "rad"}
+        self._plausibility = rf.Plausibility(ratio, limits)
         self._input: Samples | None = None
         self._zero: float | None = None
         self._rates = (time.monotonic(), dict.fromkeys(self.live.channels, 0))
         self._calendar = time.time() - time.monotonic()
 
-    def take(self, encoder: Supervised, timeout: float) -> bool:
-        """Write what a channel has; return whether there were samples."""
+    def take(self, timeout: float) -> bool:
+        """Write what all channels have, waiting for the first one; return whether there were samples."""
+        # Only the first channel is waited for: the others have come meanwhile.
+        blocks = [self._read(e, 0.0 if i else timeout) for i, e in enumerate(self.encoders)]
+        for encoder, block, events in self._judged(blocks):
+            if block is not None or events:
+                self.write(block or Samples.checked(encoder.channel.name, [], []), events)
+            if block is not None:
+                self._note(encoder.channel.role, block, self.live.channels[encoder.channel.name])
+        return any(block is not None and len(block) > 0 for _, block, _ in blocks)
+
+    def _read(self, encoder: Supervised, timeout: float) -> tuple[Supervised, Samples | None, list[Event]]:
+        """Return what a channel has, and what happened to it."""
         name = encoder.channel.name
         state = self.live.channels[name]
         block = encoder.read(timeout)
-        events = [dataclasses.replace(e, time=e.time - self.epoch) for e in encoder.events()]
-        events += self._jump(name)
-        state.waiting, state.failure = encoder.waiting, encoder.failure
+        events = self._events(encoder) + self._jump(name)
+        state.waiting, state.failure, state.lost = encoder.waiting, encoder.failure, encoder.lost
         if block is not None:
             block = dataclasses.replace(block, time_host=block.time_host - self.epoch)
             events += self._clock(block)
-            self._note(encoder.channel.role, block, state)
-        if block is None and not events:
-            return False
-        block = block or Samples.checked(name, [], [])
-        self.writer.write(block, events)
+        return encoder, block, events
+
+    def _judged(
+        self, blocks: Sequence[tuple[Supervised, Samples | None, list[Event]]]
+    ) -> Iterator[tuple[Supervised, Samples | None, list[Event]]]:
+        """Yield what came with its implausible samples marked, and what was found of them among the events."""
+        angles = {self._roles[b.channel]: b for _, b, _ in blocks if b is not None and b.channel in self._roles}
+        marks, found = self._plausibility.add(angles) if angles else ({}, [])
+        for encoder, block, events in blocks:
+            role = self._roles.get(encoder.channel.name)
+            if block is not None and role in marks and marks[role].any():
+                block = dataclasses.replace(block, status=block.status | marks[role] * np.uint8(rf.IMPLAUSIBLE))
+            name = encoder.channel.name
+            mine = [one for one in found if one.roles[0] == role]
+            more = f" ({len(mine) - 1} more faults in {_WAIT:g} s)" if len(mine) > 1 else ""
+            said = [Event(one.time, name, f"implausible: {one.text}{more}") for one in mine[:1]]
+            yield encoder, block, [*events, *said]
+
+    def _events(self, encoder: Supervised) -> list[Event]:
+        return [dataclasses.replace(e, time=e.time - self.epoch) for e in encoder.events()]
+
+    def write(self, block: Samples, events: list[Event]) -> None:
+        """Write a batch; a `RecordingError` says what is kept where the disk takes no more."""
+        try:
+            self.writer.write(block, events)
+        except OSError as problem:
+            raise self.full(problem) from problem
         self.live.events += len(events)
-        return len(block) > 0
+
+    def full(self, problem: OSError) -> RecordingError:
+        """Return what to say where the disk takes no more: what the file holds."""
+        kept = ", ".join(f"{n} {name}" for name, n in self.writer.counts.items())
+        said = problem.strerror or problem
+        return RecordingError(f"{self.path}: the disk takes no more ({said}); all written before is kept: {kept}.")
+
+    def take_all(self) -> bool:
+        """Read what waits on buses and ports by now, and write it; return whether there were samples."""
+        for encoder in self.encoders:
+            encoder.drain()
+        return self.take(0.0)
+
+    def finish(self) -> None:
+        """Write what the end leaves missing, and what is known of the clocks."""
+        for encoder in self.encoders:
+            encoder.finish()
+            name = encoder.channel.name
+            events = [*self._events(encoder), *self.clock_event(name)]
+            self.live.channels[name].lost = encoder.lost
+            if events:
+                self.write(Samples.checked(name, [], []), events)
+
+    def recorded(self, ended: str) -> Recorded:
+        """Return what there is, once it has ended."""
+        channels = self.live.channels
+        marks = {name: {m: n for m, n in state.marks.items() if n} for name, state in channels.items()}
+        lost = {name: state.lost for name, state in channels.items()}
+        failures = tuple(e.failure for e in self.encoders if e.failure is not None)
+        return Recorded(Path(self.path), self.live.samples, marks, lost, self.live.events, failures, ended)
 
     def _note(self, role: str, block: Samples, state: ChannelState) -> None:
         """Count a block and follow the TE."""
@@ -185,8 +290,8 @@ class _Session:
         if block.time_device is None or not len(block):
             return []
         name = block.channel
-        restarts = np.flatnonzero(rf.clock_restarts(block, self._clock_last.get(name)))
-        self._clock_last[name] = float(block.time_device[-1]), float(block.time_host[-1])
+        reset = block.status & rf.RESET != 0
+        restarts = np.flatnonzero(self._clock_jumps[name](block.time_device, block.time_host, reset))
         said: list[Event] = []
         for part in np.split(np.arange(len(block)), restarts):
             if len(part) and part[0] in restarts:
@@ -214,7 +319,7 @@ class _Session:
             return []
         return [Event(steady_time() - self.epoch, name, f"the host's calendar clock was set by {step:+.3f} s")]
 
-    def refresh(self, path: str | os.PathLike[str]) -> None:
+    def refresh(self) -> None:
         """Work out rates and free space, once a second."""
         then, counted = self._rates
         now = time.monotonic()
@@ -223,7 +328,7 @@ class _Session:
         for name, state in self.live.channels.items():
             state.rate = (state.samples - counted[name]) / max(now - then, 1e-3)
         self._rates = now, self.live.samples
-        self.live.disk_free = shutil.disk_usage(Path(path).parent).free
+        self.live.disk_free = shutil.disk_usage(Path(self.path).parent).free
 
 
 def record_encoders(
@@ -241,10 +346,11 @@ def record_encoders(
 ) -> Recorded:
     """Record open, started encoders until one of the ends comes; see `record` for the parameters and errors.
 
-    A channel that fails is noted, opened again until it answers, and marked; the others go on. SIGINT and SIGTERM end
-    the recording with all that came, then raise KeyboardInterrupt. Memory does not grow with the recording. What is
-    written is safe from a kill within `hubs.BLOCK_SECONDS` of its arrival and from a power cut within
-    `recording_format.FLUSH_SECONDS`. `ratio`, `pair` and `conditions` go into the header, see `Bench`.
+    A channel that fails is noted, opened again until it answers, and marked; the others go on. At every end what waits
+    on buses and ports is read, and what did not come is noted; so too after SIGINT, SIGTERM and SIGHUP, which then
+    raise `RecordingInterrupted`. Memory does not grow with the recording. What is written is safe from a kill within
+    `hubs.BLOCK_SECONDS` of its arrival and from a power cut within `recording_format.FLUSH_SECONDS`. `ratio`, `pair`
+    and `conditions` go into the header, see `Bench`.
 
     Raises
     ------
@@ -254,46 +360,59 @@ def record_encoders(
     epoch = steady_time()
     start = datetime.datetime.fromtimestamp(epoch, datetime.UTC).isoformat()
     header = Header(tuple(e.channel for e in encoders), conditions or {}, ratio, pair, start)
-    with RecordingWriter(path, header) as writer, _interrupts() as interrupted:
-        session = _Session(encoders, writer, ratio, epoch)
-        live = session.live
-        begun = last = time.monotonic()
+    writer = RecordingWriter(path, header)
+    session = _Session(encoders, writer, path, ratio, rf.limits_of(header), epoch)
+    try:
+        with _interrupts() as interrupted:
+            ended = _run(session, interrupted, duration, samples, idle, stop, progress)
+            session.take_all()
+            session.finish()
+    finally:
+        for encoder in session.encoders:
+            encoder.close()
         try:
-            while not interrupted.is_set():
-                # Only the first channel is waited for: the others have come meanwhile.
-                came = [session.take(e, 0.0 if i else _WAIT) for i, e in enumerate(session.encoders)]
-                now = time.monotonic()
-                last = now if any(came) else last
-                session.refresh(path)
-                if progress is not None:
-                    progress(live)
-                if (
-                    (duration is not None and now - begun >= duration)
-                    or (samples is not None and min(live.samples.values()) >= samples)
-                    or (idle is not None and now - last >= idle)
-                    or (stop is not None and stop())
-                ):
-                    break
-            for encoder in session.encoders:
-                session.take(encoder, 0.0)
-                clocks = session.clock_event(encoder.channel.name)
-                if clocks:
-                    writer.write(Samples.checked(encoder.channel.name, [], []), clocks)
+            writer.close()
         except OSError as problem:
-            kept = ", ".join(f"{n} {name}" for name, n in live.samples.items())
-            raise RecordingError(
-                f"{path}: the disk takes no more ({problem.strerror or problem}); all written before is kept: {kept}."
-            ) from problem
-        finally:
-            for encoder in session.encoders:
-                encoder.close()
-    if interrupted.is_set():
-        raise KeyboardInterrupt
-    failures = tuple(e.failure for e in session.encoders if e.failure is not None)
-    if failures and not any(live.samples.values()):
-        raise failures[0]
-    marks = {name: {m: n for m, n in state.marks.items() if n} for name, state in live.channels.items()}
-    return Recorded(Path(path), live.samples, marks, live.events, failures)
+            raise session.full(problem) from problem
+    done = session.recorded(ended)
+    if interrupted:
+        raise RecordingInterrupted(done)
+    if done.failures and not any(done.samples.values()):
+        raise done.failures[0]
+    return done
+
+
+def _run(
+    session: _Session,
+    interrupted: Sequence[str],
+    duration: float | None,
+    samples: int | None,
+    idle: float | None,
+    stop: Callable[[], bool] | None,
+    progress: Callable[[Live], None] | None,
+) -> str:
+    """Record until one of the ends comes, and return which; see `Recorded`."""
+    live, listened = session.live, ListeningTime()
+    begun, heard = time.monotonic(), 0.0
+    while not interrupted:
+        came = session.take(_WAIT)
+        now = listened()
+        heard = now if came else heard
+        session.refresh()
+        if progress is not None:
+            progress(live)
+        if duration is not None and time.monotonic() - begun >= duration:
+            return "duration"
+        if samples is not None and min(live.samples.values()) >= samples:
+            return "samples"
+        if stop is not None and stop():
+            return "stop"
+        # Silent is the line, not who was too slow to read it: what waits there is read first.
+        if idle is not None and now - heard >= idle:
+            if not session.take_all():
+                return "idle"
+            heard = now
+    return interrupted[0]
 
 
 def record(
@@ -323,7 +442,8 @@ def record(
     samples
         Stop when every channel has at least so many.
     idle
-        Stop when no channel got a sample for so long, s, or text such as "2 s".
+        Stop when the line brought no sample for so long, s, or text such as "2 s"; a time in which this process itself
+        stood still does not count.
     stop, progress
         See `record_encoders`.
     allow
@@ -337,8 +457,8 @@ def record(
         If a bus, port or device does not answer.
     RecordingError
         If the disk takes no more; the file keeps all that came before.
-    KeyboardInterrupt
-        If interrupted; the file is closed and whole.
+    RecordingInterrupted
+        If interrupted by SIGINT, SIGTERM or SIGHUP, a KeyboardInterrupt; the file is closed and whole.
 
     Examples
     --------

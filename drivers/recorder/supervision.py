@@ -74,6 +74,21 @@ class Supervised:
             block = dataclasses.replace(block, status=status)
         return block
 
+    @property
+    def lost(self) -> int:
+        """See `Encoder.lost`."""
+        return self.encoder.lost
+
+    def drain(self) -> None:
+        """See `Encoder.drain`; an encoder that is out has nothing."""
+        if self.failure is None:
+            self.encoder.drain()
+
+    def finish(self) -> None:
+        """See `Encoder.finish`."""
+        if self.failure is None:
+            self.encoder.finish()
+
     def events(self) -> list[Event]:
         """Return what happened to the encoder and its supervision; see `Encoder.events`."""
         said, self._events = self._events, []

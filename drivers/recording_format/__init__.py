@@ -3,13 +3,17 @@
 No bus library is needed for it. `schema` defines the format; `export` and `repair` are the tools for finished files.
 """
 
-from drivers.recording_format.clocks import CLOCK_JUMP, Alignment, Clock, clock_event, clock_restarts
+from drivers.recording_format.clocks import CLOCK_JUMP, Alignment, Clock, ClockJumps, clock_event
+from drivers.recording_format.limits import LARGEST_DEVIATION_KEY, Finding, Limits, limits_of
+from drivers.recording_format.plausibility import Plausibility
 from drivers.recording_format.reader import Recording, RecordingReader, read_clocks, read_recording
 from drivers.recording_format.schema import (
+    ANGLES,
     CHECKSUM,
     DUPLICATE,
     FORMAT,
     GAP,
+    IMPLAUSIBLE,
     MARKS,
     OUT_OF_ORDER,
     RESET,
@@ -26,12 +30,15 @@ from drivers.recording_format.schema import (
 from drivers.recording_format.writer import FLUSH_SECONDS, RecordingWriter, check_new
 
 __all__ = [
+    "ANGLES",
     "CHECKSUM",
     "CLOCK_JUMP",
     "DUPLICATE",
     "FLUSH_SECONDS",
     "FORMAT",
     "GAP",
+    "IMPLAUSIBLE",
+    "LARGEST_DEVIATION_KEY",
     "MARKS",
     "OUT_OF_ORDER",
     "RESET",
@@ -40,18 +47,22 @@ __all__ = [
     "Alignment",
     "Channel",
     "Clock",
+    "ClockJumps",
     "Event",
+    "Finding",
     "FloatArray",
     "Header",
     "IntArray",
+    "Limits",
+    "Plausibility",
     "Recording",
     "RecordingReader",
     "RecordingWriter",
     "Samples",
     "check_new",
     "clock_event",
-    "clock_restarts",
     "joined",
+    "limits_of",
     "read_clocks",
     "read_recording",
 ]

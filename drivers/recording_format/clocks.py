@@ -56,26 +56,41 @@ def clocks_of(events: Iterable[Event]) -> dict[str, dict[int, Clock]]:
     return found
 
 
-def clock_restarts(samples: Samples, last: tuple[float, float] | None) -> npt.NDArray[np.bool_]:
-    """Return at which samples the device's clock starts again, shape (n,).
+class ClockJumps:
+    """Tells at which readings, block by block, a clock starts again or jumps: `CLOCK_JUMP` or more.
 
-    Where they are marked reset, or the device's time goes back or ahead of the host's by more than `CLOCK_JUMP`.
-    Arrivals that were held up and then come at once are no restart.
-
-    Parameters
-    ----------
-    samples
-        Samples that have a device time.
-    last
-        Device and host time of the sample before, s; None at the beginning.
+    It does where it goes back, or where a reading would have arrived before it was taken: the delay to its arrival
+    falls below the smallest one so far. Readings that were held up and then come at once, gaps among them, are neither.
     """
-    assert samples.time_device is not None
-    if not len(samples):
-        return np.zeros(0, np.bool_)
-    device, host = last if last is not None else (samples.time_device[0], samples.time_host[0])
-    step = np.diff(samples.time_device, prepend=device)
-    waited = np.diff(samples.time_host, prepend=host)
-    return np.asarray((samples.status & RESET != 0) | (step < -CLOCK_JUMP) | (step > waited + CLOCK_JUMP))
+
+    def __init__(self) -> None:
+        self._last: float | None = None
+        self._least = np.inf
+
+    def __call__(
+        self, taken: FloatArray, arrived: FloatArray, reset: npt.NDArray[np.bool_] | None = None
+    ) -> npt.NDArray[np.bool_]:
+        """Return where it does, shape (n,).
+
+        Parameters
+        ----------
+        taken, arrived
+            Times by the clock, and of the arrivals by a steady one, s, shape (n,), n > 0.
+        reset
+            Where it is known to start again, shape (n,).
+        """
+        back = np.diff(taken, prepend=taken[0] if self._last is None else self._last) < -CLOCK_JUMP
+        if reset is not None:
+            back |= reset
+        delay, jumps = arrived - taken, back.copy()
+        for part in np.split(np.arange(len(taken)), np.flatnonzero(back)):
+            if len(part):
+                before = np.inf if back[part[0]] else self._least
+                least = np.minimum.accumulate(np.concatenate([[before], delay[part]]))
+                jumps[part] |= np.isfinite(least[:-1]) & (delay[part] < least[:-1] - CLOCK_JUMP)
+                self._least = float(least[-1])
+        self._last = float(taken[-1])
+        return jumps
 
 
 class Alignment:
@@ -90,15 +105,15 @@ class Alignment:
     def __init__(self, clocks: Mapping[int, Clock]) -> None:
         self._clocks = clocks
         self._restarts = 0
-        self._last: tuple[float, float] | None = None
+        self._jumps = ClockJumps()
 
     def time(self, samples: Samples) -> FloatArray:
         """Return when the samples were taken, s since the start; `time_host` where the device's clock is not known."""
         if samples.time_device is None or not len(samples):
             return samples.time_host
-        number = self._restarts + np.cumsum(clock_restarts(samples, self._last))
+        marked = samples.status & RESET != 0
+        number = self._restarts + np.cumsum(self._jumps(samples.time_device, samples.time_host, marked))
         self._restarts = int(number[-1])
-        self._last = float(samples.time_device[-1]), float(samples.time_host[-1])
         time = samples.time_host.copy()
         for restarts in np.unique(number).tolist():
             if (clock := self._clocks.get(restarts)) is not None:

@@ -29,11 +29,13 @@ import pyarrow as pa
 
 FORMAT = "cycloid-recording/1"
 GAP, CHECKSUM, RESET, DUPLICATE, OUT_OF_ORDER, ROLLOVER = 1, 2, 4, 8, 16, 32
+IMPLAUSIBLE = 128
 MARKS = {
     "gaps": GAP, "checksum": CHECKSUM, "resets": RESET, "duplicates": DUPLICATE, "out of order": OUT_OF_ORDER,
-    "rollovers": ROLLOVER,
+    "rollovers": ROLLOVER, "implausible": IMPLAUSIBLE,
 }  # fmt: skip
-ROLES = ("input_angle", "output_angle", "torque", "other")
+ANGLES = ("input_angle", "output_angle")
+ROLES = (*ANGLES, "torque", "other")
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]
 IntArray: TypeAlias = npt.NDArray[np.int64]
@@ -69,6 +71,8 @@ class Channel:
         What the device reports to be; behind a semicolon its state when it was opened.
     time_source
         What event `time_host` marks and whose clock it is: a hardware clock's device is in brackets at the end.
+    largest_speed
+        Of an angle, rad/s, where it is stated: what is faster is implausible.
     """
 
     name: str
@@ -81,6 +85,7 @@ class Channel:
     zero_reference: str
     identity: str
     time_source: str
+    largest_speed: float | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,7 +115,7 @@ class Samples:
         SI value: continuous radians of an angle, newton metres of a torque.
     status
         Bits: 1 gap before, 2 checksum failed (before), 4 reset, 8 duplicate (it, or one left out before it), 16 out of
-        order, 32 rollover.
+        order, 32 rollover, 128 implausible.
     """
 
     channel: str
@@ -190,9 +195,13 @@ def batch_checksum(sequence: int, events: str, samples: Samples) -> str:
 
 def recording_metadata(header: Header) -> dict[str, str]:
     """Return what a recording says about itself as texts, see the module's."""
+    channels = [dataclasses.asdict(c) for c in header.channels]
+    for channel in channels:  # unstated it is left out: versions that do not know it read the recording
+        if channel["largest_speed"] is None:
+            del channel["largest_speed"]
     return {
         "format": FORMAT,
-        "channels": json.dumps([dataclasses.asdict(c) for c in header.channels]),
+        "channels": json.dumps(channels),
         "conditions": json.dumps(dict(header.conditions)),
         "ratio": json.dumps(header.ratio),
         "pair": header.pair,

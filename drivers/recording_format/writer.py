@@ -72,6 +72,11 @@ class RecordingWriter:
     A kill loses at most the batch being written, a power cut at most the last `FLUSH_SECONDS`: that often the disk is
     asked to hold all of it. The file is new: what is recorded is never overwritten.
 
+    Attributes
+    ----------
+    counts
+        Samples of each channel that the file holds.
+
     Raises
     ------
     edge.InputError
@@ -82,6 +87,7 @@ class RecordingWriter:
 
     def __init__(self, path: str | os.PathLike[str], header: Header) -> None:
         self._names = [c.name for c in header.channels]
+        self.counts = dict.fromkeys(self._names, 0)
         self._schema = recording_schema(header)
         self._sequence = 0
         self._whole = True
@@ -137,6 +143,7 @@ class RecordingWriter:
         self._whole = True
         self._end = os.lseek(self._descriptor, 0, os.SEEK_CUR)
         self._sequence += 1
+        self.counts[samples.channel] += len(samples)
         if time.monotonic() - self._flushed >= FLUSH_SECONDS:
             os.fsync(self._descriptor)
             self._flushed = time.monotonic()

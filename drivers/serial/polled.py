@@ -11,6 +11,7 @@ import numpy.typing as npt
 import serial
 
 from cycloid_fmu import edge
+from drivers.counts import UnseenTurns
 from drivers.encoder import (
     EncoderConnectionError,
     EncoderProtocolError,
@@ -18,7 +19,7 @@ from drivers.encoder import (
     PortConfig,
 )
 from drivers.hubs import BlockQueue, HubEncoder, drained, reason
-from drivers.recording_format import CHECKSUM, GAP, Event, FloatArray, IntArray, Samples
+from drivers.recording_format import CHECKSUM, GAP, RESET, Event, FloatArray, IntArray, Samples
 from drivers.serial.port import Exchange, PortHub, ports
 
 
@@ -34,6 +35,8 @@ class SerialEncoder(HubEncoder[PortHub]):
         self._answers: BlockQueue[list[Exchange]] = BlockQueue()
         self._events: collections.deque[Event] = collections.deque()
         self._pending = 0
+        self._lost = 0
+        self._started = False
 
     @classmethod
     def from_config(cls, name: str, config: Any, wiring: Any) -> Self:
@@ -58,6 +61,9 @@ class SerialEncoder(HubEncoder[PortHub]):
     def start(self) -> None:
         """Poll it from now on."""
         assert self.hub is not None, "start() is for an encoder that is open"
+        if self._started:  # before: while the port was out, readings were missed
+            self._pending |= GAP
+        self._started = True
         self._answers = BlockQueue()
         self.hub.poll(self.question, self.asked, self._answers)
 
@@ -70,13 +76,27 @@ class SerialEncoder(HubEncoder[PortHub]):
         """Answers that came and are not yet read."""
         return self._answers.waiting
 
+    def drain(self) -> None:
+        """Let the port's thread take what waits; see `Encoder.drain`."""
+        if self.hub is not None:
+            self.hub.drain()
+
+    @property
+    def lost(self) -> int:
+        """Readings that are known to be lost."""
+        return self._lost
+
     def taken(self, timeout: float) -> list[Exchange]:
-        """Return the answers that came; what the recorder was too slow for is an event and a gap."""
+        """Return the answers that came; what the recorder was too slow for, or the port lost, is an event."""
         exchanges: list[Exchange] = []
         for lost, block in self._answers.take(timeout):
             if lost:
-                self.say(block[0][0], f"{lost} reading lost: the recorder was too slow", GAP)
+                self.say(block[0].time, f"{lost} reading lost: the recorder was too slow", GAP)
+                self._lost += lost
             exchanges += block
+        for exchange in exchanges:
+            if exchange.note:
+                self.say(exchange.time, exchange.note)
         return exchanges
 
     def say(self, time_host: float, text: str, status: int = 0) -> None:
@@ -129,12 +149,26 @@ class PolledEncoder(SerialEncoder):
         EncoderTimeout, EncoderProtocolError
             If none comes, or a wrong one.
         """
-        _, answer = hub.exchange(self.question, self.asked)
+        answer = hub.exchange(self.question, self.asked).answer
         if not answer:
             raise EncoderTimeout(f"{self.where} does not answer; is it powered, and are address and baud rate right?")
         if len(answer) < self.answer_bytes or not self.checked([answer]).all():
             raise EncoderProtocolError(f"{self.where} answers 0x{answer.hex()}, whose {self.checksum_name} wrong.")
         return answer
+
+    def over_gaps(self, unseen: UnseenTurns, times: FloatArray, counts: IntArray, status: IntArray) -> IntArray:
+        """Return counts as `unseen` gives them; where turns may have been unseen is an event, a gap and a reset.
+
+        Parameters
+        ----------
+        times, counts, status
+            Of the readings, shape (k,); `status` gets the marks.
+        """
+        counts, turned = unseen(times, counts, status & GAP > 0)
+        status |= turned * (GAP | RESET)
+        for i in np.flatnonzero(turned):
+            self.say(times[i], "it may have turned unseen by half a range and more: counted on by the speed before")
+        return counts
 
     @abc.abstractmethod
     def samples(self, times: FloatArray, answers: list[bytes], status: IntArray) -> Samples:
@@ -147,17 +181,24 @@ class PolledEncoder(SerialEncoder):
 
     def judged(self, exchanges: list[Exchange]) -> tuple[FloatArray, list[bytes], IntArray]:
         """Leave out what the checksum doesn't confirm and mark what follows it: times, answers, status, shape (k,)."""
-        times = np.array([t for t, _ in exchanges])
-        there = np.array([len(a) == self.answer_bytes for _, a in exchanges], bool)
+        times = np.array([e.time for e in exchanges])
+        there = np.array([len(e.answer) == self.answer_bytes for e in exchanges], bool)
+        late = there & np.array([e.late for e in exchanges], bool)
         right = np.zeros(len(exchanges), bool)
         if there.any():
-            right[there] = self.checked([exchanges[i][1] for i in np.flatnonzero(there)])
-        for which, what in ((~there, "no answer"), (there & ~right, self.checksum_name.replace(" are", ""))):
+            right[there] = self.checked([exchanges[i].answer for i in np.flatnonzero(there)])
+        wrong = there & ~right
+        for which, what in (
+            (~there, "no answer"),
+            (wrong, f"wrong {self.checksum_name.replace(' are', '')}"),
+            (late & right, "it took so long that its instant is unknown"),
+        ):
             if which.any():
                 first = int(np.flatnonzero(which)[0])
-                shown = f" (0x{exchanges[first][1].hex()})" if exchanges[first][1] else ""
-                wrong = "" if what == "no answer" else "wrong "
-                self.say(times[first], f"{int(which.sum())} reading lost: {wrong}{what}{shown}")
-        kept = np.flatnonzero(right)
-        status = self.marked(kept, ~there, there & ~right)
-        return times[kept], [exchanges[i][1] for i in kept], status
+                shown = f" (0x{exchanges[first].answer.hex()})" if exchanges[first].answer else ""
+                self.say(times[first], f"{int(which.sum())} reading lost: {what}{shown}")
+        kept = np.flatnonzero(right & ~late)
+        self._lost += len(exchanges) - len(kept)
+        noted = np.array([bool(e.note) for e in exchanges], bool)
+        status = self.marked(kept, ~there | late | noted, wrong)
+        return times[kept], [exchanges[i].answer for i in kept], status

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import struct
+import sys
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import serial
 
@@ -23,15 +25,56 @@ ANSWER_SECONDS = 0.1  # far above the encoders' microseconds: it covers a USB ad
 
 MIDDLE = "host clock: middle of the serial exchange"  # where an answer's stamp is
 
-Exchange = tuple[float, bytes]
+_WRITE_SECONDS = 1.0  # that a question may take to go out
+_FEW_BYTES, _FRESH = 256, 2  # found on a port so often in turn, nothing of them can have waited long
+_SILENT_ANSWERS = 2.5  # ANSWER_SECONDS that an exchange of two questions may take where nothing answers
+_DRAIN_SECONDS = 1.0  # a line that sends without a pause is never empty
+_BUFFER_FULL = 4095  # bytes that Linux holds for a reader of a terminal: more may be lost
+_LINE_COUNTS = struct.Struct("=20i")  # serial_icounter_struct of linux/serial.h, as TIOCGICOUNT fills it
+_GET_LINE_COUNTS = 0x545D  # TIOCGICOUNT of asm-generic/ioctls.h
+_LINE_ERRORS = {6: "framing errors", 7: "overruns", 8: "parity errors", 10: "buffer overruns"}
+
+
+class Exchange(NamedTuple):
+    """A question's answer, or what a device sent by itself: when, in seconds since 1970, and the bytes.
+
+    `note` says what happened to the port since the channel's last one: readings may be missing before it. `late`: the
+    bytes may have waited, so `time` is not known to be theirs.
+    """
+
+    time: float
+    answer: bytes
+    note: str = ""
+    late: bool = False
+
+
 Question = Callable[[Any], bytes]
 
 
 def ask(port: Any, question: bytes, length: int) -> bytes:
     """Write a question and return the answer: `length` bytes, fewer where they do not come in time."""
-    port.write(question)
+    begun = time.monotonic()
+    try:
+        port.write(question)
+    except serial.SerialTimeoutException:
+        # A line that takes nothing ends the wait in time; later it ends only where this process stood still meanwhile.
+        if time.monotonic() - begun < 1.25 * _WRITE_SECONDS:
+            raise
     answer: bytes = port.read(length)
     return answer
+
+
+def line_errors(port: Any) -> dict[str, int]:
+    """Return how many errors the driver of a port has counted since it was loaded, by kind; {} where it does not."""
+    if sys.platform != "linux":
+        return {}
+    import fcntl
+
+    try:
+        counts = _LINE_COUNTS.unpack(fcntl.ioctl(port.fileno(), _GET_LINE_COUNTS, bytes(_LINE_COUNTS.size)))
+    except (OSError, AttributeError, ValueError):  # a pseudo-terminal, a socket, a URL without a descriptor
+        return {}
+    return {what: counts[place] for place, what in _LINE_ERRORS.items()}
 
 
 class PortHub:
@@ -50,7 +93,7 @@ class PortHub:
                 stopbits=config.stop_bits,
                 timeout=ANSWER_SECONDS,
                 # pyserial's RFC 2217 client has its own and refuses any other.
-                write_timeout=None if config.url.startswith("rfc2217:") else 1.0,
+                write_timeout=None if config.url.startswith("rfc2217:") else _WRITE_SECONDS,
             )
         except (serial.SerialException, ValueError, OSError) as problem:
             raise EncoderSetupError(
@@ -58,6 +101,9 @@ class PortHub:
             ) from problem
         self._lock = threading.Lock()
         self._queues: dict[BlockQueue[list[Exchange]], tuple[Question, bool]] = {}
+        self._errors = line_errors(self.port)
+        self._drain_from: float | None = None
+        self._drained = threading.Event()
         self._stopping = threading.Event()
         self._polling = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"port {config.url}", daemon=True)
@@ -72,14 +118,26 @@ class PortHub:
         with self._lock:
             if asked:
                 self._surplus()
-            when, answer = self._exchange(question, asked)
-            return when, answer + self._surplus() if asked and answer else answer
+            done = self._exchange(question, asked, None)[0]
+            return done._replace(answer=done.answer + self._surplus()) if asked and done.answer else done
 
-    def _exchange(self, question: Question, asked: bool) -> Exchange:
+    def _exchange(self, question: Question, asked: bool, ended: float | None) -> tuple[Exchange, float, float]:
+        """Ask once; return also for how long this thread stood still since the one before `ended`, or 0, and the end.
+
+        An exchange that takes half of `ANSWER_SECONDS` has no instant that is known well enough.
+        """
         before = steady_time()
         answer = question(self.port)
         after = steady_time()
-        return (before + after) / 2 if asked else after, answer
+        apart, took, longest = before - (ended or before), after - before, ANSWER_SECONDS / 2
+        if asked:
+            late = took > longest and bool(answer)
+            stood = apart if apart > longest else took if took > _SILENT_ANSWERS * ANSWER_SECONDS else 0.0
+            return Exchange((before + after) / 2, answer, late=late), stood, after
+        # Reading ends with the first byte, or after ANSWER_SECONDS without one.
+        stood = apart + took if apart + took > 1.5 * ANSWER_SECONDS else 0.0
+        late = bool(stood) or (apart + took > longest and answer.count(b"\n") > 1)
+        return Exchange(after, answer, late=late), stood, after
 
     def _surplus(self) -> bytes:
         """Take bytes that nobody waits for off the line: they must not be taken for the next answer."""
@@ -107,39 +165,78 @@ class PortHub:
 
     def _put_back(self, newest: list[Exchange]) -> None:
         """Put bytes left over behind the newest answer: check bits pass one garbled answer in four, its length none."""
-        if (surplus := self._surplus()) and newest and newest[-1][1]:
-            when, answer = newest[-1]
-            newest[-1] = when, answer + surplus
+        if (surplus := self._surplus()) and newest and newest[-1].answer:
+            newest[-1] = newest[-1]._replace(answer=newest[-1].answer + surplus)
+
+    def drain(self) -> None:
+        """Wait until all that the port has by now is in the queues."""
+        if self._queues and not self.broken:
+            self._drained.clear()
+            self._drain_from = time.monotonic()
+            self._drained.wait(10 * _DRAIN_SECONDS)
+
+    def _is_drained(self) -> bool:
+        """Return whether somebody waits for what is on the port, and nothing is left there."""
+        if (since := self._drain_from) is None:
+            return False
+        spontaneous = any(not asked for _, asked in self._queues.values())
+        return not (spontaneous and self.port.in_waiting) or time.monotonic() - since > _DRAIN_SECONDS
+
+    def _driver_note(self) -> str:
+        """Return what the driver counted as lost since the last call."""
+        before, self._errors = self._errors, line_errors(self.port)
+        more = {what: count - before.get(what, count) for what, count in self._errors.items()}
+        said = ", ".join(f"{count} {what}" for what, count in more.items() if count > 0)
+        return f"the port lost bytes: {said}" if said else ""
 
     def _run(self) -> None:
         self._polling.wait()
         blocks: dict[BlockQueue[list[Exchange]], list[Exchange]] = {}
+        notes: dict[BlockQueue[list[Exchange]], str] = {}
+        ended: float | None = None
+        fresh = _FRESH
         try:
             while not self._stopping.is_set():
                 queues = self._queues
                 blocks = {answers: [] for answers in queues}
-                turns = [(question, asked, blocks[answers]) for answers, (question, asked) in queues.items()]
-                end = time.monotonic() + BLOCK_SECONDS
+                begun = time.monotonic()
                 newest: list[Exchange] = []
-                while queues and time.monotonic() < end:
-                    for question, asked, block in turns:
+                while queues and time.monotonic() < begun + BLOCK_SECONDS and not self._is_drained():
+                    for answers, (question, asked) in queues.items():
                         with self._lock:
                             if asked:
                                 self._put_back(newest)
-                            block.append(self._exchange(question, asked))
+                            elif (ready := self.port.in_waiting) >= _BUFFER_FULL:
+                                notes[answers] = "the port's buffer was full: bytes may be lost"
+                            done, stood, ended = self._exchange(question, asked, ended)
+                            if not asked:  # behind what waited more may come that did: the driver passes it on in parts
+                                fresh = 0 if done.late or (fresh < _FRESH and ready > _FEW_BYTES) else fresh + 1
+                                done = done._replace(late=fresh < _FRESH)
+                        if stood:
+                            said = f"no reading for {stood:.3f} s: the recorder was held up"
+                            notes.update(dict.fromkeys(queues, said))
+                        block = blocks[answers]
+                        block.append(done._replace(note=notes.pop(answers, "")))
                         newest = block if asked else []
                 if newest:
                     with self._lock:
                         self._put_back(newest)
                 for answers, block in blocks.items():
                     answers.put(block, len(block))
+                if said := self._driver_note():
+                    notes.update(dict.fromkeys(queues, said))
+                if self._is_drained():
+                    self._drain_from = None
+                    self._drained.set()
                 if not queues:
+                    ended = None
                     self._stopping.wait(BLOCK_SECONDS)
         except Exception as problem:  # the poller must say why it ends: nobody else sees it
             self._failure = EncoderConnectionError(
                 f"The serial port {self.config.place} broke: {reason(problem, 'port')}."
             )
             self.broken = True
+            self._drained.set()
             for answers in self._queues:
                 block = blocks.get(answers, [])
                 answers.put(block, len(block))

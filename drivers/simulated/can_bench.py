@@ -116,13 +116,20 @@ class SimulatedCanBench(SimulatedBench):
     motion, interface, channel, speed_factor, faults
         See `simulate_bench`.
     trigger
-        "controller": the bench sends SYNC with counter; "sync": each SYNC of another, such as the recorder, is answered
-        with the next sample; "timer": every node sends at its event timer, no SYNC.
+        "controller": the bench sends SYNC, with counter unless `sync_counter` is False; "sync": each SYNC of another,
+        such as the recorder, is answered with the next sample; "timer": every node sends at its event timer, no SYNC.
     input_counts_per_turn, output_counts_per_turn
         Resolution, powers of two; the 32-bit position counts turns too and rolls over.
     clock_drift
-        Virtual bus: its interface has a clock of its own, which counts from power-up and runs so much faster, relative,
-        than the host's; then the motion's own speed is the default. None: it has none.
+        Virtual and loopback bus: its interface has a clock of its own, which counts from power-up and runs so much
+        faster, relative, than the host's; then the motion's own speed is the default. None: it has none.
+
+    Attributes
+    ----------
+    sent
+        Samples sent so far.
+    sent_at
+        When each was, seconds since 1970 by this process's clock, shape (samples,); 0 where it was not.
     """
 
     def __init__(
@@ -136,10 +143,11 @@ class SimulatedCanBench(SimulatedBench):
         output_counts_per_turn: int = 1 << 25,
         speed_factor: float | None = None,
         clock_drift: float | None = None,
+        sync_counter: bool = True,
         faults: Sequence[Fault] = (),
     ) -> None:
         super().__init__(motion)
-        self.trigger, self.faults = trigger, tuple(faults)
+        self.trigger, self.faults, self.sync_counter = trigger, tuple(faults), sync_counter
         self.bus_config, self.allow = BusConfig(interface=interface, channel=channel), (interface,)
         self.counts_per_turn = {_INPUT_NODE: input_counts_per_turn, _OUTPUT_NODE: output_counts_per_turn}
         self.clock_drift, self._powered = clock_drift, time.time()
@@ -158,9 +166,11 @@ class SimulatedCanBench(SimulatedBench):
             self._timer = self._interval
         self._syncs = threading.Semaphore(0)
         self.sent = 0
+        self.sent_at = np.zeros(motion.run.samples)
 
     def _open(self) -> None:
-        options: dict[str, Any] = {"preserve_timestamps": True} if self.bus_config.interface == "virtual" else {}
+        stamped = self.bus_config.interface == "virtual" or self.clock_drift is not None
+        options: dict[str, Any] = {"preserve_timestamps": True} if stamped else {}
         self._bus = open_bus(self.bus_config, **options)
         self._network = _StampedNetwork(self._bus, self._stamp)
         self._network.connect()
@@ -233,6 +243,8 @@ class SimulatedCanBench(SimulatedBench):
         if self.trigger == "controller":
             payloads = {SYNC_ID: (np.arange(len(motion.time)) % SYNC_COUNTER_MAX + 1).astype("u1"), **payloads}
         raw = [(identifier, array.tobytes(), array.itemsize) for identifier, array in payloads.items()]
+        if not self.sync_counter:
+            raw = [(identifier, data, 0 if identifier == SYNC_ID else size) for identifier, data, size in raw]
         samples = (
             [(identifier, data[i * size : (i + 1) * size], stamp) for identifier, data, size in raw]
             for i, stamp in enumerate(motion.time)
@@ -265,11 +277,13 @@ class SimulatedCanBench(SimulatedBench):
                     return
             if i in at:
                 self._befall(at[i], silent)
+            self.sent_at[i] = time.time()
             for identifier, data, stamp in sample:
                 node = nodes.get(identifier)
                 if node is not None and (node.nmt.state != "OPERATIONAL" or silent.get(node.id, -1) > i):
                     continue
-                when = stamped(begun + stamp * pace)
+                # What answers another's SYNC is stamped by the clock that stamps that.
+                when = stamped(self.sent_at[i] if self.trigger == "sync" else begun + stamp * pace)
                 send(can.Message(timestamp=when, arbitration_id=identifier, is_extended_id=False, data=data))
             for number in [n for n, end in silent.items() if end == i]:
                 self._nodes[number].nmt.start_heartbeat(self._nodes[number].sdo[HEARTBEAT_TIME].raw)

@@ -15,27 +15,31 @@ import time
 
 import can
 
+from drivers.can.drops import ANCILLARY, SocketDrops
+
 _LOOPBACK, _PORT = "127.0.0.1", 43114
-_HEAD = struct.Struct("<IBB")  # identifier, flags, DLC; the data follow
+_HEAD = struct.Struct("<dIBB")  # the sender's stamp or 0, identifier, flags, DLC; the data follow
 _EXTENDED, _REMOTE, _ERROR, _FD, _BIT_RATE_SWITCH = 1, 2, 4, 8, 16
-_RECEIVE_BUFFER = 8 << 20  # seconds of frames; the usual one holds 256
-# Linux: nanoseconds of arrival with each datagram; more buffer than is allowed to all; only the groups joined here.
-_TIMESTAMP_NS, _BUFFER_FORCE, _MULTICAST_ALL = 35, 33, 49
-_STAMP = struct.Struct("@ll")
+_MULTICAST_ALL = 49  # Linux: of no group but those joined here
 
 
 class LoopbackBus(can.BusABC):  # type: ignore[misc]
     """The bus of all who open it with the same group; it is never sent to a network.
 
-    It sends from a port of its own, so its own frames that come back have `is_rx` False.
+    It sends from a port of its own, so its own frames that come back have `is_rx` False. `drops` tell of the frames
+    that nobody took in time.
 
     Parameters
     ----------
     channel
         An IPv4 multicast group, such as "239.74.163.2".
+    preserve_timestamps
+        What it sends carries the stamps it is given, as an interface with a clock of its own does; otherwise the
+        kernel stamps what comes.
     """
 
-    def __init__(self, channel: str, **options: object) -> None:
+    def __init__(self, channel: str, preserve_timestamps: bool = False, **options: object) -> None:
+        self._preserve = preserve_timestamps
         self._receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -43,13 +47,11 @@ class LoopbackBus(can.BusABC):  # type: ignore[misc]
             for level, option, value in (
                 (socket.SOL_SOCKET, socket.SO_REUSEADDR, 1),
                 (socket.SOL_SOCKET, getattr(socket, "SO_REUSEPORT", socket.SO_REUSEADDR), 1),  # Windows has none
-                (socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER),
-                (socket.SOL_SOCKET, _BUFFER_FORCE, _RECEIVE_BUFFER),
-                (socket.SOL_SOCKET, _TIMESTAMP_NS, 1),
                 (socket.IPPROTO_IP, _MULTICAST_ALL, 0),
             ):
-                with contextlib.suppress(OSError):  # Linux alone has the last three, the first of them with the right
+                with contextlib.suppress(OSError):  # Linux alone has the last
                     self._receiver.setsockopt(level, option, value)
+            self.drops = SocketDrops(self._receiver)
             self._receiver.bind(("", _PORT))
             loopback = socket.inet_aton(_LOOPBACK)
             self._receiver.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group + loopback)
@@ -71,11 +73,11 @@ class LoopbackBus(can.BusABC):  # type: ignore[misc]
         """Return the next frame; python-can's documented place for a backend to do so."""
         if not select.select([self._receiver], [], [], timeout)[0]:
             return None, False
-        data, ancillary, _, address = self._receiver.recvmsg(128, 64)
-        identifier, flags, dlc = _HEAD.unpack_from(data)
-        seconds, nanoseconds = _STAMP.unpack_from(ancillary[0][2]) if ancillary else (time.time(), 0)
+        data, ancillary, _, address = self._receiver.recvmsg(128, ANCILLARY)
+        stamp, identifier, flags, dlc = _HEAD.unpack_from(data)
+        came = self.drops.stamp(ancillary)
         message = can.Message(
-            timestamp=seconds + nanoseconds * 1e-9,
+            timestamp=stamp or came or time.time(),
             arbitration_id=identifier,
             is_extended_id=bool(flags & _EXTENDED),
             is_remote_frame=bool(flags & _REMOTE),
@@ -95,7 +97,8 @@ class LoopbackBus(can.BusABC):  # type: ignore[misc]
             | msg.is_fd * _FD | msg.bitrate_switch * _BIT_RATE_SWITCH
         )  # fmt: skip
         try:
-            self._sender.sendto(_HEAD.pack(msg.arbitration_id, flags, msg.dlc) + bytes(msg.data), self._group)
+            stamp = msg.timestamp if self._preserve else 0.0
+            self._sender.sendto(_HEAD.pack(stamp, msg.arbitration_id, flags, msg.dlc) + bytes(msg.data), self._group)
         except OSError as problem:
             raise can.CanOperationError(f"it takes no frame: {problem.strerror}") from problem
 

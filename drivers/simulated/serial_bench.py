@@ -33,9 +33,16 @@ class _PtyBench(SimulatedBench):
     """A thread behind a pseudo-terminal, paced to its baud rate; its name stays when the cable is pulled and put back.
 
     `url` is the port to record; `speed_factor` the speed of time; `faults` what goes wrong, see `faults.Fault`.
+
+    Attributes
+    ----------
+    receive_buffer
+        Bytes that the port holds for its reader, 4095 at most; what comes beyond is lost, as on a real line without
+        flow control. None: as many as a pseudo-terminal holds, some 70,000.
     """
 
     _protocol: ClassVar[str]
+    receive_buffer: int | None = None
 
     def __init__(
         self, motion: Motion, *, speed_factor: float = 1.0, baud_rate: int, faults: Sequence[Fault] = ()
@@ -60,6 +67,7 @@ class _PtyBench(SimulatedBench):
         import tty
 
         self._bench, self._line = os.openpty()
+        os.set_blocking(self._bench, False)  # a line does not wait for who reads it
         tty.setraw(self._line)
         settings = termios.tcgetattr(self._line)
         settings[4] = settings[5] = termios.B50  # no recorder asks for it: so one that opens the port is noticed
@@ -115,9 +123,20 @@ class _PtyBench(SimulatedBench):
         while (left := end - time.perf_counter()) > 0:
             if left > 1e-3:
                 time.sleep(left - 5e-4)
-        with contextlib.suppress(BlockingIOError, OSError):
-            os.write(self._bench, sent)
-        return sent == data
+        taken = 0
+        with contextlib.suppress(OSError):
+            taken = os.write(self._bench, sent[: self._room()])
+        return sent == data and taken == len(data)
+
+    def _room(self) -> int | None:
+        """Return how many more bytes the port holds, None where that is not limited."""
+        if self.receive_buffer is None:
+            return None
+        import fcntl
+        import termios
+
+        (waiting,) = struct.unpack("=i", fcntl.ioctl(self._line, termios.FIONREAD, bytes(4)))
+        return max(0, self.receive_buffer - int(waiting))
 
     def _connections(self, folder: Path) -> str:
         port = f"[port.tty]\nurl = {edge.json_text(self.url)}\nbaud_rate = {self.baud_rate}\n"
@@ -149,8 +168,8 @@ class SimulatedAmt21Bench(_PtyBench):
 
     Attributes
     ----------
-    answered
-        The sample each address answered, question by question, wrong answers left out.
+    answered, answered_at
+        The sample each address answered, question by question, wrong answers left out; and when, s since 1970.
     """
 
     _protocol = "amt21"
@@ -169,6 +188,7 @@ class SimulatedAmt21Bench(_PtyBench):
         super().__init__(motion, speed_factor=speed_factor, baud_rate=baud_rate, faults=faults)
         self.addresses, self.bits, self.multi_turn = addresses, bits, multi_turn
         self.answered: dict[int, list[int]] = {a: [] for a in addresses}
+        self.answered_at: dict[int, list[float]] = {a: [] for a in addresses}
 
     def _channels(self) -> dict[str, str]:
         turns = "multi_turn = true\n" if self.multi_turn else ""
@@ -196,6 +216,7 @@ class SimulatedAmt21Bench(_PtyBench):
                     whole = self._put(struct.pack("<H", words[question][i]), self._fault(asked, address), after=1)
                     if whole and question == address:
                         self.answered[address].append(i)
+                        self.answered_at[address].append(time.time())
                     asked += 1
 
 
@@ -203,8 +224,8 @@ class SimulatedModbusBench(_PtyBench):
     """A bench of two Modbus RTU encoders on one line, which is a pseudo-terminal: record `url`.
 
     Each of the `devices` (input's, output's address) holds its position, 32 bits that count turns too, in the holding
-    registers 0 and 1, high word first; any other request gets the exception "illegal data address". Motion and faults
-    are as those of `SimulatedAmt21Bench`.
+    registers 0 and 1, high word first; any other request gets the exception "illegal data address". Motion, faults and
+    what was `answered` are as those of `SimulatedAmt21Bench`.
     """
 
     _protocol = "modbus"
@@ -221,6 +242,8 @@ class SimulatedModbusBench(_PtyBench):
     ) -> None:
         super().__init__(motion, speed_factor=speed_factor, baud_rate=baud_rate, faults=faults)
         self.devices, self.counts_per_turn = devices, counts_per_turn
+        self.answered: dict[int, list[int]] = {d: [] for d in devices}
+        self.answered_at: dict[int, list[float]] = {d: [] for d in devices}
 
     def _channels(self) -> dict[str, str]:
         keys = f"register = 0\ncounts_per_turn = {self.counts_per_turn}\nsigned = true\n"
@@ -243,10 +266,14 @@ class SimulatedModbusBench(_PtyBench):
             if request is None or request.dev_id not in words:
                 continue
             answer: ModbusPDU = ExceptionResponse(request.function_code, 2, device_id=request.dev_id)
-            if isinstance(request, ReadHoldingRegistersRequest) and (request.address, request.count) == (0, 2):
-                high, low = divmod(int(words[request.dev_id][self._sample()]), 1 << 16)
+            sample = self._sample()
+            read = isinstance(request, ReadHoldingRegistersRequest) and (request.address, request.count) == (0, 2)
+            if read:
+                high, low = divmod(int(words[request.dev_id][sample]), 1 << 16)
                 answer = ReadHoldingRegistersResponse(registers=[high, low], dev_id=request.dev_id)
-            self._put(framer.buildFrame(answer), self._fault(asked, request.dev_id), after=8)
+            if self._put(framer.buildFrame(answer), self._fault(asked, request.dev_id), after=8) and read:
+                self.answered[request.dev_id].append(sample)
+                self.answered_at[request.dev_id].append(time.time())
             asked += 1
 
 
@@ -256,6 +283,11 @@ class SimulatedAsciiBench(_PtyBench):
     The motion begins when the port is opened. The time is the counter's own clock in microseconds, 32 bits, which runs
     faster than the host's by `clock_drift`, relative; the checksum is NMEA 0183's; the counts are the output angle's.
     A fault's `sample` is the number of the line; "reset": clock, numbers and counts start at 0.
+
+    Attributes
+    ----------
+    sent
+        Of each line, whether the port took it or not: when it was sent, s since 1970, and its counts.
     """
 
     _protocol = "ascii"
@@ -274,6 +306,7 @@ class SimulatedAsciiBench(_PtyBench):
         self._restarts = {f.sample: f for f in faults if f.kind == "reset"}
         self._odd = {f.sample: f.kind for f in faults if f.kind in ("duplicate", "swap", "drop")}
         self.counts_per_turn, self.clock_drift = counts_per_turn, clock_drift
+        self.sent: list[tuple[float, int]] = []
 
     def _channels(self) -> dict[str, str]:
         line = 'line = "${sequence},{time},{counts}*{checksum}"\nchecksum = "xor"\ntime_unit = "1 us"\n'
@@ -301,6 +334,7 @@ class SimulatedAsciiBench(_PtyBench):
             text = f"{number},{ticks},{count - zero}".encode()
             line = b"$%b*%02X\r\n" % (text, functools.reduce(operator.xor, text, 0))
             number += 1
+            self.sent.append((time.time(), count - zero))
             odd = self._odd.get(i)
             if odd == "drop":
                 continue

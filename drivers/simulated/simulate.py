@@ -75,8 +75,8 @@ def simulate_bench(
         A Beckhoff PLC on this address of this machine instead of CAN, such as "127.0.0.1"; recording it needs the
         extra `ads`.
     clock_drift
-        How much faster than the host's the clock of the ASCII counter, the virtual bus or the PLC runs, relative, such
-        as 50e-6.
+        How much faster than the host's the clock of the ASCII counter, the virtual or loopback bus or the PLC runs,
+        relative, such as 50e-6.
     faults
         Script of what goes wrong and when, `cycloid-faults/1`.
     speed_factor
@@ -105,10 +105,10 @@ def simulate_bench(
         raise edge.ArgumentError("serial", f"it must be one of {', '.join(SERIAL_BENCHES)}", serial)
     if plc is not None and serial is not None:
         raise edge.ArgumentError("plc", "the encoders are on a serial line or behind a PLC; leave out one", plc)
-    if clock_drift and not (plc or serial == "ascii" or (serial is None and interface == "virtual")):
-        raise edge.ArgumentError(
-            "clock_drift", 'only a PLC, serial "ascii" and the "virtual" bus have a clock', clock_drift
-        )
+    clocked = plc or serial == "ascii" or (serial is None and interface in ("virtual", "loopback"))
+    if clock_drift and not clocked:
+        said = 'only a PLC, serial "ascii" and the buses "virtual" and "loopback" have a clock'
+        raise edge.ArgumentError("clock_drift", said, clock_drift)
     run = SimulatedRun(
         torque=in_si(torque, "N*m", "torque"),
         turns=turns,

@@ -113,6 +113,8 @@ class Identification:
         The loops that were given.
     checksums
         {source: SHA-256} of the data.
+    implausible
+        {source: samples that were left out because its encoders can't have shown them}.
     notes
         What a reader should know of the fit and of the data.
     pair
@@ -142,6 +144,7 @@ class Identification:
     fitted_curves: tuple[Array, ...]
     loops: tuple[LoopFit, ...]
     checksums: dict[str, str]
+    implausible: dict[str, int]
     notes: tuple[str, ...]
     pair: Pair
     curves: tuple[Curve, ...]
@@ -276,6 +279,7 @@ def result_of(
         fitted_curves=tuple(parts[i] for i in observed.running),
         loops=_loops(pair, fit, parts, every),
         checksums={c.source: c.checksum for c in observed.curves},
+        implausible={c.source: c.implausible for c in observed.curves},
         notes=(
             *_notes(pair, fit),
             *(
@@ -285,7 +289,7 @@ def result_of(
                 if _bounded(found[n])
             ),
             *(f"{n} is held, so it has no profile: {reasons[n]}." for n in profiled if n not in chosen),
-            *dict.fromkeys(note for i in observed.running for note in observed.curves[i].notes),
+            *dict.fromkeys(note for curve in observed.curves for note in curve.notes),
         ),
         pair=pair,
         curves=tuple(observed.curves[i] for i in observed.running),
@@ -475,6 +479,7 @@ def as_json(result: Identification) -> dict[str, Any]:
         },
         "held_out": None if result.held_out is None else dataclasses.asdict(result.held_out),
         "data": result.checksums,
+        "implausible": result.implausible,
         "notes": list(result.notes),
     }
 

@@ -235,5 +235,6 @@ def figures_json(found: Figures) -> dict[str, Any]:
         "rated_torque": found.rated_torque,
         "ratio": found.ratio,
         "data": {s.source: s.checksum for s in found.surveyed},
+        "implausible": {s.source: s.implausible for s in found.surveyed},
         "notes": list(found.notes),
     }

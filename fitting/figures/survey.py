@@ -14,6 +14,7 @@ from cycloid_fmu import edge
 from fitting.figures.hysteresis import LoopData, loops_of
 from fitting.recordings.cleaning import Block
 from fitting.recordings.mapping import OPTIONAL
+from fitting.recordings.plausible import PlausibleBlocks
 from fitting.recordings.recording import Recording, RecordingStream
 from fitting.transmission_error.curve import Curve
 from fitting.transmission_error.folding import Folding
@@ -32,7 +33,7 @@ class Surveyed:
     source, checksum
         Of the recording.
     samples, duration
-        How many it had, and over which time, s.
+        How many were taken of it, and over which time, s.
     overview
         The recording; where it is long each sample is the mean of `averaged` consecutive ones.
     averaged
@@ -46,6 +47,8 @@ class Surveyed:
     runaway
         Half the 95 % interval, rad of the output, of what the two angles' clocks may make the transmission error run
         away over the whole recording.
+    implausible
+        Samples that were left out because the encoders can't have shown them.
     """
 
     source: str
@@ -58,6 +61,7 @@ class Surveyed:
     loops: LoopData | None
     notes: tuple[str, ...]
     runaway: float = 0.0
+    implausible: int = 0
 
 
 class _Overview:
@@ -139,13 +143,14 @@ def survey(
     ratio = stream.ratio if ratio is None else ratio
     overview = _Overview()
     folding = None if ratio is None else Folding(ratio, stream.source)
-    for block in stream.blocks():
+    blocks = PlausibleBlocks(stream, ratio)
+    for block in blocks:
         overview.add(block)
         if folding is not None:
             folding.add(block)
         progress(overview.samples)
     table: dict[str, NDArray[Any]] = {**overview.table()}
-    notes = list(stream.notes)
+    notes = [*stream.notes, *blocks.notes()]
     table["status"] = np.zeros(table["time"].size, np.uint8)
     shortened = dataclasses.replace(stream.recording(table), ratio=ratio)
     loops, loop_notes = loops_of(shortened, ratio, rated_torque)
@@ -153,7 +158,7 @@ def survey(
     curves: list[Curve] = []
     if loops is None and folding is not None:
         try:
-            curves = folding.curves(stream)
+            curves = folding.curves(stream, blocks)
             notes = list(curves[0].notes) + loop_notes + _lag_note(shortened, folding.ratio)
         except edge.InputError as problem:
             notes.append(str(problem))
@@ -163,7 +168,7 @@ def survey(
     speed = float(np.abs(np.diff(table["output_angle"])).sum()) / duration if duration > 0.0 else 0.0
     return Surveyed(
         stream.source, shortened.checksum, overview.samples, duration, shortened, overview.averaged, tuple(curves),
-        loops, tuple(notes), 2.0 * stream.alignment * speed,
+        loops, tuple(notes), 2.0 * stream.alignment * speed, blocks.count,
     )  # fmt: skip
 
 

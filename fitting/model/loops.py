@@ -23,6 +23,7 @@ from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD, Pair
 from cycloid_fmu.surfaces.surface import ErrorSurface
 from fitting.figures.hysteresis import FRICTION, FRICTION_NEAR, LOCKED, Lobe, LoopData, branch_line
 from fitting.figures.survey import Surveyed, survey
+from fitting.recordings.plausible import PlausibleBlocks
 from fitting.recordings.recording import Recording, RecordingStream
 from fitting.recordings.sources import Source, open_source
 from fitting.transmission_error.curve import Curve
@@ -60,10 +61,10 @@ class LoopFit:
     standard_error: float
 
 
-def is_locked(stream: Recording | RecordingStream) -> bool:
+def is_locked(stream: Recording | RecordingStream, ratio: float) -> bool:
     """Whether the input stands still in a recording but for what its fixture gives way, as it does in a loop."""
     low, high = np.inf, -np.inf
-    for block in stream.blocks():
+    for block in PlausibleBlocks(stream, ratio):
         if block.input_angle.size:
             low, high = min(low, float(block.input_angle.min())), max(high, float(block.input_angle.max()))
         if high - low > LOCKED:
@@ -97,7 +98,7 @@ def observed_curves(
     given = [recordings] if isinstance(recordings, Source | Curve) else list(recordings)
     found = [one for one in given if isinstance(one, Curve)]
     sources = [one for one in given if not isinstance(one, Curve)]
-    locked = [is_locked(_checked_drive(open_source(one), drive)) for one in sources]
+    locked = [is_locked(_checked_drive(open_source(one), drive), pair.ratio) for one in sources]
     found += curves(
         [one for one, still in zip(sources, locked, strict=True) if not still], pair.ratio, keep_turns=keep_turns
     )
@@ -200,7 +201,7 @@ def _branch(
         sample_count=count.astype(np.int64), torque=float(at.mean()), torque_deviation=float(at.std()),
         direction=motion * (1 if ratio > 0.0 else -1), ratio=ratio, common_zero=recording.common_zero,
         known_index=recording.known_index, source=surveyed.source, checksum=surveyed.checksum, torque_each=at,
-        branch=name,
+        branch=name, implausible=surveyed.implausible, notes=surveyed.notes,
     )  # fmt: skip
 
 

@@ -28,7 +28,7 @@ class Block:
     temperature
         K, or None where none was recorded.
     status
-        Bits of the recording format: 1 a gap before, 32 an angle rolled over.
+        Bits of the recording format: 1 a gap before, 32 an angle rolled over, 128 implausible.
     input_torque
         N·m of the environment on the input, or None where none was recorded.
     """

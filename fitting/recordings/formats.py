@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from drivers.recording_format import Clock
+from drivers.recording_format import Clock, Limits
 
 Array = NDArray[np.float64]
 
@@ -85,6 +85,8 @@ class BenchFile(abc.ABC):
         One sentence for each thing found wrong with the file; complete when all pieces were taken.
     clocks
         {channel: the clock that stamped it, in the host's time} where a device stamped it with a clock of its own.
+    limits
+        What its encoders can show, as far as the file states it.
     """
 
     source: str
@@ -94,6 +96,7 @@ class BenchFile(abc.ABC):
     pair: str = ""
     problems: list[str] = field(default_factory=list)
     clocks: dict[str, Clock] = field(default_factory=dict)
+    limits: Limits = field(default_factory=Limits)
 
     @abc.abstractmethod
     def pieces(self, names: Sequence[str]) -> Iterator[Piece]:

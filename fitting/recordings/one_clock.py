@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.recording_format import GAP
+from drivers.recording_format import GAP, IMPLAUSIBLE
 from fitting.recordings.formats import Piece
 from fitting.recordings.mapping import TimeMapping
 
@@ -128,6 +128,7 @@ class OneClock:
                 left_out |= gap
             if role == "output_angle":
                 status |= np.where(exact, statuses[after], 0).astype(np.uint8)
+            status |= (statuses[after] | np.where(exact, 0, statuses[before]).astype(np.uint8)) & np.uint8(IMPLAUSIBLE)
             table[role] = np.interp(time, other, theirs)
         keep = chosen & ~left_out
         if left_out.any():

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from cycloid_fmu import edge
-from drivers.recording_format import Alignment, RecordingReader, Samples, joined, read_clocks
+from drivers.recording_format import Alignment, RecordingReader, Samples, joined, limits_of, read_clocks
 from fitting.recordings.formats import BenchFile, Piece, RawChannel
 
 _GATHERED = 1 << 13  # samples of a channel
@@ -18,7 +18,8 @@ class RecorderFile(BenchFile):
         with RecordingReader(source) as reader:
             header = reader.header
         channels = [RawChannel(c.name, c.unit, c.zero_reference) for c in header.channels]
-        super().__init__(source, tuple(channels), timed=True, ratio=header.ratio, pair=header.pair)
+        limits = limits_of(header)
+        super().__init__(source, tuple(channels), timed=True, ratio=header.ratio, pair=header.pair, limits=limits)
 
     def pieces(self, names: Sequence[str]) -> Iterator[Piece]:
         """Yield pieces of these channels in the order of time."""

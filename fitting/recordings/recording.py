@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
+from drivers.recording_format import Limits
 from fitting.recordings.cleaning import Block, Cleaning
 from fitting.recordings.formats import open_bench_file, pieces_of
 from fitting.recordings.mapping import ANGLES, CHANNELS, ChannelMapping, FileMapping, own_names, scales_of
@@ -52,6 +53,8 @@ class Recording(Block):
     alignment, torque_alignment
         Half the 95 % interval, s, of how far the two angles' clocks, and those of output angle and torque, may be apart
         at the recording's ends; 0 where one clock stamped both, or none is known to be another.
+    limits
+        What the encoders can show, as far as it is stated.
     """
 
     source: str
@@ -63,6 +66,7 @@ class Recording(Block):
     notes: tuple[str, ...] = ()
     alignment: float = 0.0
     torque_alignment: float = 0.0
+    limits: Limits = dataclasses.field(default_factory=Limits)
 
     def blocks(self) -> Iterator[Block]:
         """Yield the recording as one block."""
@@ -85,7 +89,7 @@ class RecordingStream:
 
     Attributes
     ----------
-    source, ratio, pair, common_zero, known_index
+    source, ratio, pair, common_zero, known_index, limits
         As in `Recording`.
     notes, alignment, torque_alignment
         As in `Recording`; complete when all blocks were taken.
@@ -105,10 +109,20 @@ class RecordingStream:
         self.pair = self._file.pair
         self.common_zero = self._zero_reference("output_angle") == "absolute"
         self.known_index = self._zero_reference("input_angle") == "absolute"
+        self.limits = self._limits()
         self.notes: list[str] = []
         self.alignment = self.torque_alignment = 0.0
         self._digest: list[str] = []
         self._digesting: threading.Thread | None = None
+
+    def _limits(self) -> Limits:
+        """Return what the encoders can show; counts per turn of the mapping overrule the file's."""
+        shown = {
+            f"{role.removesuffix('_angle')}_resolution": 2.0 * math.pi / channel.counts_per_turn
+            for role in ANGLES
+            if (channel := getattr(self._mapping, role)) is not None and channel.counts_per_turn
+        }
+        return dataclasses.replace(self._file.limits, **shown)
 
     @property
     def checksum(self) -> str:
@@ -183,7 +197,7 @@ class RecordingStream:
         return Recording(
             **columns, source=self.source, checksum=self.checksum, ratio=self.ratio, pair=self.pair,
             common_zero=self.common_zero, known_index=self.known_index, notes=tuple(self.notes),
-            alignment=self.alignment, torque_alignment=self.torque_alignment,
+            alignment=self.alignment, torque_alignment=self.torque_alignment, limits=self.limits,
         )  # fmt: skip
 
     def _clock_notes(self) -> list[str]:

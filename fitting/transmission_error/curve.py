@@ -61,6 +61,8 @@ class Curve:
     branch
         "" of a curve over the turn. Of a loop with the input locked: which of its branches; the points then lie over
         the torque, and the direction is that of a crank which would carry the output the way the torque takes it.
+    implausible
+        Samples of the recording that were left out because its encoders can't have shown them.
 
     Examples
     --------
@@ -93,6 +95,7 @@ class Curve:
     torque_each: Array | None = None
     each_turn: Array | None = None
     branch: str = ""
+    implausible: int = 0
 
     @property
     def torque_at_points(self) -> Array:
@@ -146,6 +149,7 @@ def curves_dataset(curves: Sequence[Curve]) -> xr.Dataset:
             "direction": ("run", [c.direction for c in curves]),
             "source": ("run", np.array([c.source for c in curves], dtype=object)),
             "checksum": ("run", np.array([c.checksum for c in curves], dtype=object)),
+            "implausible": ("run", [c.implausible for c in curves]),
         },
         {"input_angle": (grid, padded("input_angle", np.nan))},
     )

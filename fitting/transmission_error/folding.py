@@ -15,6 +15,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from drivers.recording_format import GAP
 from fitting.recordings.cleaning import Block
+from fitting.recordings.plausible import PlausibleBlocks
 from fitting.recordings.recording import Recording, RecordingStream
 from fitting.recordings.sources import Source, open_source
 from fitting.transmission_error.curve import Curve
@@ -145,8 +146,9 @@ class _Fold:
             self._open_turn = 0
 
     def curve(
-        self, *, common_zero: bool, known_index: bool, source: str, checksum: str, notes: tuple[str, ...]
-    ) -> Curve:
+        self, *, common_zero: bool, known_index: bool, source: str, checksum: str, notes: tuple[str, ...],
+        implausible: int,
+    ) -> Curve:  # fmt: skip
         """Return what was folded."""
         filled = np.flatnonzero(self.repeats)
         n = self.repeats[filled]
@@ -171,6 +173,7 @@ class _Fold:
             source=source,
             checksum=checksum,
             notes=notes,
+            implausible=implausible,
             turns=self.way / self._turn,
             grid=(self.whole, self.shift),
             angle_variance=np.maximum(inside2 - inside**2, 0.0)[sequence],
@@ -305,15 +308,15 @@ class Folding:
         self._folds[self._direction].add(angle, error, torque, way, restarted=self._restarted)
         self._restarted &= not angle.size
 
-    def curves(self, stream: Recording | RecordingStream) -> list[Curve]:
+    def curves(self, stream: Recording | RecordingStream, blocks: PlausibleBlocks) -> list[Curve]:
         """Return the curve of each direction in which the crank turned, the one that it turned further first.
 
         A direction in which it turned less than a hundredth of the way is left out, with a note.
 
         Parameters
         ----------
-        stream
-            The recording whose blocks were taken.
+        stream, blocks
+            The recording whose blocks were taken, and these.
 
         Raises
         ------
@@ -327,7 +330,7 @@ class Folding:
             fold.finish()
         if folds[0].way == 0.0:
             raise edge.InputError(f"{self.source}: the crank does not turn; a curve needs a run in motion.")
-        notes = list(stream.notes)
+        notes = [*stream.notes, *blocks.notes()]
         kept = [f for f in folds if f.way > 0.01 * folds[0].way and f.samples > 1]
         if not kept:
             raise edge.InputError(f"{self.source}: the crank does not turn; a curve needs a run in motion.")
@@ -352,7 +355,7 @@ class Folding:
         return [
             f.curve(
                 common_zero=stream.common_zero, known_index=stream.known_index, source=self.source, checksum=checksum,
-                notes=tuple(notes),
+                notes=tuple(notes), implausible=blocks.count,
             )
             for f in kept
         ]  # fmt: skip
@@ -432,7 +435,8 @@ def curves(recordings: Source | Iterable[Source], drive: Drive | float, *, keep_
     for source in [recordings] if isinstance(recordings, Source) else recordings:
         recording = open_source(source)
         folding = Folding(ratio, recording.source, keep_turns=keep_turns)
-        for block in recording.blocks():
+        blocks = PlausibleBlocks(recording, ratio)
+        for block in blocks:
             folding.add(block)
-        found += folding.curves(recording)
+        found += folding.curves(recording, blocks)
     return found

@@ -46,9 +46,11 @@ def test_the_recorder_produces_sync_and_each_sample_answers_one(tmp_path, bus_na
     # On a busy machine SYNC times are missed and left out.
     assert len(angle) > 40
     # Both were latched by one SYNC, whatever the load: so they lie on the drive's line to half a count.
-    common, i, j = np.intersect1d(angle.time_host, output.time_host, return_indices=True)
-    assert len(common) > 40
-    np.testing.assert_allclose(output.value[j], ideal(angle.value[i], 5.0), atol=math.pi / (1 << 22))
+    _, i, j = np.intersect1d(angle.time_host, output.time_host, return_indices=True)
+    # A busy machine's simulated node answers later than the next SYNC now and then: what it skipped is a gap.
+    clean = (angle.status[i] | output.status[j]) & rf.GAP == 0
+    assert clean.sum() > 30
+    np.testing.assert_allclose(output.value[j][clean], ideal(angle.value[i][clean], 5.0), atol=math.pi / (1 << 22))
     assert 8e-3 < np.median(np.diff(angle.time_host)) < 25e-3
 
 

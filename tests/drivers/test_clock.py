@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
 from drivers.recorder.clock import ClockEstimate, lower_hull
-from drivers.recording_format import RESET, Alignment, Clock, Samples, clock_restarts
+from drivers.recording_format import RESET, Alignment, Clock, ClockJumps, Samples
 
 START = 1.7e9  # seconds since 1970: differences must survive them
 
@@ -99,16 +99,14 @@ def test_a_clock_that_starts_anew_is_told_from_arrivals_that_were_held_up(at, ag
     for begin in at:
         device[begin:] = taken[begin:] - taken[begin] + again
     host = np.maximum(taken, np.where(np.arange(100) >= stall, min(taken[stall] + held, taken[-1] + held), 0.0))
-    samples = Samples.checked("x", host, taken, time_device=device)
-    both = np.flatnonzero(clock_restarts(samples, None)).tolist()
+    both = np.flatnonzero(ClockJumps()(device, host)).tolist()
     # Two restarts within a second of device time show no step of their own, nor a stall that hides one.
     assert set(both) <= set(at)
     if len(at) <= 1:
         assert both == at
     status = np.zeros(100, np.uint8)
     status[at] = RESET
-    marked = Samples.checked("x", host, taken, time_device=device, status=status)
-    assert np.flatnonzero(clock_restarts(marked, None)).tolist() == sorted(at)
+    assert np.flatnonzero(ClockJumps()(device, host, status != 0)).tolist() == sorted(at)
     # Block by block it is the same, and each stretch is put on the host's clock by its own line.
     starts = [0, *sorted(at)]
     clocks = {i: Clock(device[begin], taken[begin], 0.0, 0.0) for i, begin in enumerate(starts)}

@@ -47,7 +47,7 @@ def test_every_name_is_there_and_no_other():
         ({"torque": 20.0, "ratio": -39, "speed": 0.0}, "speed = 0.0: it must be above 0"),
         ({"torque": 20.0, "ratio": -39, "noise": "-1 arcsec"}, 'noise = "-1 arcsec": it must not be below 0'),
         ({"torque": 20.0, "ratio": -39, "serial": "morse"}, 'serial = "morse": it must be one of amt21'),
-        ({"torque": 20.0, "ratio": -39, "clock_drift": 1e-4}, "clock_drift = 0.0001: only"),
+        ({"torque": 20.0, "ratio": -39, "serial": "amt21", "clock_drift": 1e-4}, "clock_drift = 0.0001: only"),
         ({"torque": 20.0, "ratio": -39, "speed_factor": 0.0}, "speed_factor = 0.0: the factor"),
     ],
 )

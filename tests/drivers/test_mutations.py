@@ -14,6 +14,7 @@ from drivers.encoders.ascii import AsciiConfig, AsciiCounter
 from drivers.encoders.modbus import ModbusConfig, ModbusEncoder
 from drivers.hubs import BlockQueue
 from drivers.recording_format import read_recording
+from drivers.serial.port import Exchange
 from tests.drivers.test_recording_format import NAMES, block, write
 from tests.drivers.test_serial_encoders import CONFIG, nmea
 
@@ -46,7 +47,7 @@ def odd(answer):
 
 
 def polled(encoder, answers):
-    encoder._answers.put([(float(i), a) for i, a in enumerate(answers)], len(answers))
+    encoder._answers.put([Exchange(float(i), a) for i, a in enumerate(answers)], len(answers))
     samples = encoder.read(0.0)
     encoder.events()
     return samples
@@ -105,6 +106,8 @@ def test_frames(count):
     random = np.random.default_rng(4)
 
     class Hub:
+        gaps, tells_drops = 0, True
+
         def subscribe(self, identifier):
             return BlockQueue()
 
@@ -121,6 +124,7 @@ def test_frames(count):
             np.where(random.random(1000) < 0.99, numbers, -1), numbers * 0.01,
             numbers * 0.01 + random.normal(0, 1, 1000),
             [bytearray(mutated(random, i.to_bytes(4, "little"))) for i in range(1000)],
+            np.zeros(1000), np.zeros(1000, int),
         )  # fmt: skip
         reader._blocks.put(frames, 1000)
         judged = reader.read(0.0)

@@ -71,7 +71,7 @@ def exhausted(*encoders):
 
 def test_what_came_is_written_and_counted(tmp_path):
     marked = [rf.GAP, rf.GAP | rf.CHECKSUM, 0, rf.ROLLOVER]
-    one = Scripted("input_angle", [([0.1, 0.2], [5.0, 4.0]), "paused", ([0.3, 0.4, 0.5, 0.6], [3.0, 7.0, 2.0, 6.0],
+    one = Scripted("input_angle", [([0.1, 0.2], [5.0, 4.0]), "paused", ([0.3, 0.4, 0.5, 0.6], [3.0, 3.5, 2.5, 3.2],
                                                                         {"status": marked})])  # fmt: skip
     other = Scripted("torque", [([0.1], [30.0])], unit="N*m")
     seen = []
@@ -88,7 +88,7 @@ def test_what_came_is_written_and_counted(tmp_path):
     assert seen == [
         {"input_angle": (2, 2, 4.0, 4.0, 5.0), "torque": (1, 0, 30.0, 30.0, 30.0)},
         {"input_angle": (2, 1, 4.0, 4.0, 5.0), "torque": (1, 0, 30.0, 30.0, 30.0)},
-        {"input_angle": (6, 0, 6.0, 2.0, 7.0), "torque": (1, 0, 30.0, 30.0, 30.0)},
+        {"input_angle": (6, 0, 3.2, 2.5, 3.5), "torque": (1, 0, 30.0, 30.0, 30.0)},
     ]
     state = held[0].channels["input_angle"]
     assert (state.first, state.failure) == (5.0, None)
@@ -98,7 +98,7 @@ def test_what_came_is_written_and_counted(tmp_path):
     assert set(one.waits[:3]) == {0.05}, "the first channel is waited for"
     assert set(other.waits) == {0.0}, "and the others have come meanwhile"
     kept = read_recording(tmp_path / "run.arrows")
-    assert kept.samples["input_angle"].value.tolist() == [5.0, 4.0, 3.0, 7.0, 2.0, 6.0]
+    assert kept.samples["input_angle"].value.tolist() == [5.0, 4.0, 3.0, 3.5, 2.5, 3.2]
     assert kept.samples["input_angle"].time_host == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5, 0.6], abs=0.05)
     assert [e.text for e in kept.events] == ["paused"]
     assert kept.events[0].time == pytest.approx(0.0, abs=0.05)
@@ -229,12 +229,14 @@ def test_a_disk_that_takes_no_more_leaves_what_was_written(tmp_path, monkeypatch
     assert len(read_recording(tmp_path / "a.arrows").samples["input_angle"]) == 8
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_an_interrupted_recording_is_whole_and_the_second_signal_ends_at_once(tmp_path, number):
     before = signal.getsignal(number)
     one = Scripted("input_angle", [([0.1 * i], [float(i)]) for i in range(9)])
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(session.RecordingInterrupted) as ending:
         record_encoders([one], tmp_path / "a.arrows", progress=lambda live: os.kill(os.getpid(), number))
+    assert (ending.value.recorded.ended, ending.value.exit_status) == (number.name, 128 + number)
+    assert ending.value.recorded.samples == {"input_angle": 2}
     kept = read_recording(tmp_path / "a.arrows")
     assert kept.problems == ()
     assert kept.samples["input_angle"].value.tolist() == [0.0, 1.0], "what was at hand is taken too"
@@ -243,10 +245,49 @@ def test_an_interrupted_recording_is_whole_and_the_second_signal_ends_at_once(tm
     def twice(live):
         os.kill(os.getpid(), number)
         os.kill(os.getpid(), number)
-        pytest.fail("the second is obeyed at once")
+        if number != signal.SIGHUP:  # a terminal that is closed sends several
+            pytest.fail("the second is obeyed at once")
 
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(KeyboardInterrupt) as ending:
         record_encoders([one], tmp_path / "b.arrows", progress=twice)
+    assert isinstance(ending.value, session.RecordingInterrupted) == (number == signal.SIGHUP)
+
+
+def test_what_is_told_after_a_full_disk_is_what_the_file_holds(tmp_path, monkeypatch):
+    """A batch that the disk does not take is not counted, not even while it is being written."""
+    blocks = [([0.1 * i, 0.1 * i + 0.05], [0.0, 1.0]) for i in range(9)]
+    one, real, counted = Scripted("input_angle", blocks), os.write, []
+
+    def full(descriptor, data):
+        if os.fstat(descriptor).st_size > 2500:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return real(descriptor, data)
+
+    monkeypatch.setattr(os, "write", full)
+    with pytest.raises(session.RecordingError) as problem:
+        record_encoders([one], tmp_path / "a.arrows", stop=exhausted(one), progress=lambda live: counted.append(
+            live.samples["input_angle"]))  # fmt: skip
+    held = len(read_recording(tmp_path / "a.arrows").samples["input_angle"])
+    assert 0 < held < 18
+    assert str(problem.value).endswith(f"all written before is kept: {held} input_angle.")
+    assert counted[-1] == held
+
+
+def test_silence_is_the_line_s_and_not_that_of_a_recorder_that_stood_still(tmp_path):
+    """The recorder stands still for longer than the idle time; what came meanwhile waits for it, or comes after it."""
+
+    class Waiting(Scripted):
+        def drain(self):
+            self.script.append(([0.3], [3.0])) if not self.drained else None
+            self.drained = True
+
+    one = Waiting("input_angle", [([0.1], [0.0]), None, ([0.2], [1.0])])
+    one.drained = False
+    stood = iter([0.4])
+    begun = time.monotonic()
+    found = record_encoders([one], tmp_path / "a.arrows", idle=0.3, progress=lambda live: time.sleep(next(stood, 0.0)))
+    assert (found.samples, found.ended) == ({"input_angle": 3}, "idle")
+    assert time.monotonic() - begun > 0.4 + 2 * 0.3 - 0.1
 
 
 BENCH = 'format = "cycloid-bench/1"\n{}[port.a]\nurl = "COM1"\n[channel.input_angle]\nprotocol = "amt21"\nport = "a"\n'

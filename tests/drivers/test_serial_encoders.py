@@ -31,6 +31,7 @@ from drivers.recorder.bench import open_encoders, read_bench
 from drivers.recorder.session import record
 from drivers.recording_format import read_recording
 from drivers.serial import port as serial_port
+from drivers.serial.port import Exchange
 from drivers.simulated.faults import Fault
 from drivers.simulated.motion import SimulatedRun, simulate_motion
 from drivers.simulated.serial_bench import SimulatedAmt21Bench, SimulatedAsciiBench, SimulatedModbusBench
@@ -188,7 +189,7 @@ def ascii_samples(config, data):
     """What a counter makes of bytes that came, without a port."""
     counter = AsciiCounter("output_angle", config, PortConfig(url="loop://"))
     counter._skipping = False
-    counter._answers.put([(float(i), data[i : i + 7]) for i in range(0, len(data), 7)], 1)
+    counter._answers.put([Exchange(float(i), data[i : i + 7]) for i in range(0, len(data), 7)], 1)
     return counter, counter.read(0.0)
 
 
@@ -334,8 +335,9 @@ class _Line(serial.Serial):
     _update_dtr_state = _update_rts_state
 
 
-def test_a_port_may_be_a_serial_device_server_by_rfc_2217(tmp_path):
+def test_a_port_may_be_a_serial_device_server_by_rfc_2217(tmp_path, monkeypatch):
     """pyserial's own server end between a TCP connection and the simulated line: baud rate and bytes go through it."""
+    monkeypatch.setattr(serial_port, "ANSWER_SECONDS", 1.0)  # a busy machine schedules the simulated encoder late
     motion = simulate_motion(lambda a, t: -a / 39, SimulatedRun(torque=0.0, turns=1, samples_per_turn=100))
     path, stopping, rates = tmp_path / "run.arrows", threading.Event(), []
     server = socket.create_server(("127.0.0.1", 0))

@@ -11,6 +11,7 @@ import fitting
 from cycloid_fmu import edge
 from fitting.figures.metrics import figures_of
 from fitting.figures.survey import survey
+from fitting.recordings.plausible import PlausibleBlocks
 from fitting.recordings.recording import Block, Recording
 from fitting.reports.panels import panels_of
 from fitting.transmission_error.curve import noise_of, write_curves
@@ -108,7 +109,7 @@ def test_blocks_and_reversals_anywhere_give_the_same_curves(ways, forwards, cuts
     for a, b in itertools.pairwise(borders):
         folding.add(Block(*(v[a:b] for v in (made.time, made.input_angle, made.output_angle, made.torque,
                                                made.status))))  # fmt: skip
-    found = {c.direction: c for c in folding.curves(made)}
+    found = {c.direction: c for c in folding.curves(made, PlausibleBlocks(made, -39.0))}
     assert found.keys() == whole.keys() == set(way.astype(int))
     for direction, curve in whole.items():
         assert curve.transmission_error == pytest.approx(direction * 1e-4 + 2e-5 * np.cos(curve.input_angle), abs=1e-6)

@@ -1,0 +1,149 @@
+"""Whether a bench is driven by another already: a lock between the runs of one machine, and an ear on its buses."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import sys
+import time
+import zlib
+from pathlib import Path
+from typing import IO, Self
+
+import platformdirs
+
+from drivers.can.bus import SYNC_ID, open_bus
+from drivers.encoder import BusConfig, EncoderSetupError, PortConfig, Wiring
+
+WAIT_SECONDS = 5.0  # for a run that was killed to bring its drive to rest
+LISTEN_SECONDS = 0.25
+_MOVED = 16  # counts: more than an encoder at rest shows, less than one at a turn a minute
+_STRAIGHT = 0.9  # of the way must lead on: noise goes to and fro
+_FEWEST = 3  # positions
+
+
+class Claims:
+    """The buses and ports that a run has for itself on this machine; a context manager that gives them back.
+
+    A claim is a lock on a file that the system releases with the last process that holds it, however that ends.
+    """
+
+    def __init__(self) -> None:
+        self._files: dict[str, tuple[IO[str], Path]] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *problem: object) -> None:
+        for file, path in self._files.values():
+            with contextlib.suppress(OSError):  # Windows removes no file that is open
+                path.unlink()
+            file.close()
+        self._files.clear()
+
+    @property
+    def descriptors(self) -> tuple[int, ...]:
+        """Of the files; a child that inherits them holds the claim too."""
+        return tuple(file.fileno() for file, _ in self._files.values())
+
+    def claim(self, wiring: Wiring) -> None:
+        """Claim all buses and ports of a wiring.
+
+        Raises
+        ------
+        EncoderSetupError
+            If another run has one of them, and still has it after `WAIT_SECONDS`.
+        """
+        lines: list[BusConfig | PortConfig] = [*wiring.buses.values(), *wiring.ports.values()]
+        for line in lines:
+            what = f"{'CAN bus' if isinstance(line, BusConfig) else 'serial port'} {line.place}"
+            if what not in self._files:
+                folder = Path(platformdirs.user_cache_dir("cycloid-fmu", appauthor=False)) / "in-use"
+                folder.mkdir(parents=True, exist_ok=True)
+                path = folder / f"{zlib.crc32(what.encode()):08x}"
+                self._files[what] = _locked(path, what), path
+
+
+def _locked(path: Path, what: str) -> IO[str]:
+    end = time.monotonic() + WAIT_SECONDS
+    while True:
+        file = path.open("a+", encoding="utf-8")
+        # Whoever had it last may just have removed it.
+        if _lock(file) and path.exists() and os.path.samestat(os.fstat(file.fileno()), path.stat()):
+            file.truncate(0)
+            file.write(str(os.getpid()))
+            file.flush()
+            return file
+        file.seek(0)
+        who = file.read().strip() or "?"
+        file.close()
+        if time.monotonic() >= end:
+            raise EncoderSetupError(f"The {what} is in use by another run, process {who}; end it and run again.")
+        time.sleep(0.05)
+
+
+def _lock(file: IO[str]) -> bool:
+    """Lock a file for this process and its children; False where another has it."""
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            file.seek(0)
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+def check_at_rest(wiring: Wiring, nodes: dict[str, set[int]]) -> None:
+    """Listen on the CAN buses of a wiring, on which nothing was started yet, for another master.
+
+    Parameters
+    ----------
+    wiring
+        Buses.
+    nodes
+        Numbers of the CANopen nodes that are wired to each, by the bus's name.
+
+    Raises
+    ------
+    EncoderSetupError
+        If a node's position moves, or another device sends SYNC where the recorder is to.
+    """
+    for name, config in wiring.buses.items():
+        identifiers = {base + node: node for node in nodes.get(name, ()) for base in (0x180, 0x280, 0x380, 0x480)}
+        positions: dict[int, list[int]] = {}
+        synced = False
+        with open_bus(config) as bus:
+            end = time.monotonic() + LISTEN_SECONDS
+            while (left := end - time.monotonic()) > 0.0:
+                message = bus.recv(left)
+                if message is None or message.is_extended_id or message.is_error_frame or message.is_remote_frame:
+                    continue
+                synced |= message.arbitration_id == SYNC_ID
+                if message.arbitration_id in identifiers and len(message.data) >= 4:
+                    node = identifiers[message.arbitration_id]
+                    positions.setdefault(node, []).append(int.from_bytes(message.data[:4], "little"))
+        moving = [node for node, shown in positions.items() if _moves(shown)]
+        if moving:
+            raise EncoderSetupError(
+                f"The CAN bus {config.place} is in use: node {moving[0]} moves before the command of this step was "
+                "started; stop what drives the bench, such as the command of a run that was killed, and run again."
+            )
+        if synced and config.sync_period is not None:
+            raise EncoderSetupError(
+                f"The CAN bus {config.place} is in use: another device sends SYNC, which sync_period leaves to the "
+                "recorder; stop the other, or leave sync_period out."
+            )
+
+
+def _moves(positions: list[int]) -> bool:
+    """Whether 32-bit positions, which roll over, go one way."""
+    steps = [(b - a + (1 << 31)) % (1 << 32) - (1 << 31) for a, b in itertools.pairwise(positions)]
+    way = abs(sum(steps))
+    return len(positions) >= _FEWEST and way > _MOVED and way >= _STRAIGHT * sum(map(abs, steps))

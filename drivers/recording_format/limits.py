@@ -1,0 +1,71 @@
+"""What the encoders of a bench can show, and what is found where they show something else."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.recording_format.schema import (
+    ANGLES,
+    Channel,
+    Header,
+)
+
+LARGEST_DEVIATION = math.radians(1.0)  # far above TE, lost motion and windup of a gear drive, far below half a turn
+LARGEST_DEVIATION_KEY = "largest_deviation"
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclasses.dataclass(frozen=True)
+class Limits:
+    """What two encoders on one drive can show.
+
+    Attributes
+    ----------
+    deviation
+        By how much output angle - input angle / ratio may change, rad: TE, lost motion and windup together.
+    input_speed, output_speed
+        Largest speeds, rad/s; None: not known. Then a step that is a quarter turn off the motion before and after it is
+        a jump.
+    input_resolution, output_resolution
+        Step of the encoders, rad; 0: not known, or finer than all else.
+    """
+
+    deviation: float = LARGEST_DEVIATION
+    input_speed: float | None = None
+    output_speed: float | None = None
+    input_resolution: float = 0.0
+    output_resolution: float = 0.0
+
+
+def limits_of(header: Header) -> Limits:
+    """Return what the encoders of a recording can show, as it states it.
+
+    The largest speeds and the counts per turn are its channels'; the deviation is its condition `largest_deviation`,
+    rad, where it has one.
+    """
+    of = {c.role: c for c in header.channels if c.unit == "rad"}
+    turning, driven = (of.get(role) for role in ANGLES)
+
+    def resolution(channel: Channel | None) -> float:
+        return 2.0 * math.pi / channel.counts_per_turn if channel is not None and channel.counts_per_turn else 0.0
+
+    return Limits(
+        float(header.conditions.get(LARGEST_DEVIATION_KEY, LARGEST_DEVIATION)),
+        None if turning is None else turning.largest_speed,
+        None if driven is None else driven.largest_speed,
+        resolution(turning),
+        resolution(driven),
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class Finding:
+    """Something implausible: since when, s, maybe before the block in which it shows, whom it concerns, and what."""
+
+    time: float
+    roles: tuple[str, ...]
+    text: str

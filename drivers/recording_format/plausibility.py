@@ -1,0 +1,308 @@
+"""Whether two angles are what the encoders of one drive can show: stuck encoders, jumps, values off the ratio's line.
+
+What a drive does of itself must pass: transmission error, backlash, lost motion, windup, load steps and reversals all
+keep the output angle within a small deviation of the line input angle / ratio. What an encoder does that fails does
+not. A ratio that is wrong altogether, swapped angles or a wrong unit are no faults of single samples and are not
+marked here: no stretch of such a recording follows the line.
+"""
+
+from __future__ import annotations
+
+import collections
+import dataclasses
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from drivers.recording_format.limits import Finding, Limits, Mask
+from drivers.recording_format.ratio_line import Line
+from drivers.recording_format.schema import (
+    ANGLES,
+    DUPLICATE,
+    GAP,
+    OUT_OF_ORDER,
+    RESET,
+    FloatArray,
+    Samples,
+)
+
+_JUMP = 0.5 * math.pi  # off the motion before and after, where no largest speed is stated
+_SPIKE = 3  # samples after which a jump back ends a spike
+_LATE = 1.5  # usual steps of time: arrivals that were held up and come at once are no speed
+_WAITING = 1 << 16  # samples of one angle that wait for the other
+STAMP_SECONDS = 0.1  # by which the stamps of angles that share no instants may be late on a busy host
+
+
+@dataclasses.dataclass
+class _Judged:
+    """Samples of one angle whose steps are judged, arrays of one length; `jumps` are marks too."""
+
+    time: FloatArray
+    value: FloatArray
+    broken: Mask
+    jumps: Mask
+
+    @staticmethod
+    def joined(parts: list[_Judged]) -> _Judged:
+        if len(parts) == 1:
+            return parts[0]
+        return _Judged(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in dataclasses.fields(_Judged)))
+
+    def after(self, place: int) -> _Judged:
+        return _Judged(*(getattr(self, f.name)[place:] for f in dataclasses.fields(self)))
+
+
+class Steps:
+    """Judges one angle by its steps from sample to sample, block by block.
+
+    Parameters
+    ----------
+    role
+        What it is called.
+    largest_speed, resolution
+        rad/s or None, and rad; see `Limits`.
+    """
+
+    def __init__(self, role: str, largest_speed: float | None, resolution: float) -> None:
+        self.role, self._speed, self._resolution = role, largest_speed, resolution
+        self._time, self._value, self._broken = np.zeros(0), np.zeros(0), np.zeros(0, np.bool_)
+        self._usual: collections.deque[float] = collections.deque(maxlen=64)
+        self._jumped: tuple[int, float] | None = None
+        self._judged = False  # the last step, which had none after it
+        self._said = False
+
+    def add(self, time: FloatArray, value: FloatArray, broken: Mask) -> tuple[Mask, list[Finding]]:
+        """Return which of the next samples are beyond a jump, or part of a spike, and what was found.
+
+        Parameters
+        ----------
+        time, value
+            s, rad, shape (n,).
+        broken
+            Where the step from the sample before is not judged, shape (n,); see `unjudged_steps`.
+        """
+        held = self._time.size
+        if self._judged and self._speed is None and value.size > 3 and not broken.any():
+            steps = np.diff(value)
+            last = max(abs(float(value[0] - self._value[-1])), float(np.abs(np.diff(self._value)).max(initial=0.0)))
+            if max(last, float(steps.max()), -float(steps.min())) <= 0.5 * _JUMP:  # no two are a jump apart
+                self._time, self._value, self._broken = time[-3:], value[-3:], broken[-3:]
+                self._jumped, self._said = None, False
+                return np.zeros(value.size, np.bool_), []
+        t = np.concatenate([self._time, time])
+        v = np.concatenate([self._value, value])
+        cut = np.concatenate([self._broken, broken])
+        marks = np.zeros(v.size, np.bool_)
+        found: list[Finding] = []
+        if v.size > 1:
+            wide, off = self._off(t, v, cut)
+            first = held - 1 if held and not self._judged else held
+            places = np.flatnonzero(wide)
+            places = places[places >= first]
+            for place in places.tolist():
+                self._mark(marks, place - held, float(off[place]), held)
+            if places.size and not self._said:
+                place = int(places[0])
+                more = f", and {places.size - 1} more jumps" if places.size > 1 else ""
+                text = f"{self.role} jumps by {math.degrees(v[place] - v[place - 1]):.4g} deg{more}"
+                found.append(Finding(float(t[place]), (self.role,), text))
+            self._said = bool(places.size)
+            self._judged = bool(wide[-1] or cut[-1]) or abs(v[-1] - v[-2]) <= 0.5 * _JUMP
+        self._time, self._value, self._broken = t[-3:], v[-3:], cut[-3:]
+        if self._jumped is not None:
+            self._jumped = self._jumped[0] - time.size, self._jumped[1]
+        return marks[held:], found
+
+    def _off(self, t: FloatArray, v: FloatArray, cut: Mask) -> tuple[Mask, FloatArray]:
+        """Return at which samples a step is none that the motion or the largest speed allows, and by how much."""
+        way, lasts = np.diff(v, prepend=v[0]), np.diff(t, prepend=t[0])
+        judged = ~cut
+        judged[0] = False
+        if self._speed is None and max(way.max(), -way.min()) <= 0.5 * _JUMP:  # no two steps are a jump apart
+            return np.zeros(v.size, np.bool_), way
+        self._usual.extend(lasts[judged & (lasts > 0.0)][-64:].tolist())
+        usual = float(np.median(self._usual)) if self._usual else 0.0
+        away = np.full((2, v.size), np.inf)
+        known = np.zeros((2, v.size), np.bool_)
+        for row, there in enumerate((slice(None, -1), slice(1, None))):
+            here = slice(1, None) if row == 0 else slice(None, -1)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                scaled = np.where(lasts[there] > 0.0, way[there] / lasts[there] * lasts[here], way[there])
+            low, high = np.minimum(way[there], scaled), np.maximum(way[there], scaled)
+            # With a neighbour on one side alone it may have turned back there.
+            turns = ~judged[slice(2, None) if row == 0 else slice(None, -2)]
+            turns = np.append(turns, True) if row == 0 else np.append(True, turns)
+            largest = np.maximum(np.abs(low), np.abs(high))
+            away[row, here] = way[here] - np.clip(
+                way[here], np.where(turns, -largest, low), np.where(turns, largest, high)
+            )
+            known[row, here] = judged[there]
+        nearest = np.where(np.abs(away[0]) <= np.abs(away[1]), away[0], away[1])
+        off = np.where(known[0], np.where(known[1], nearest, away[0]), np.where(known[1], away[1], 0.0))
+        # Without the step after it a step is not judged yet: a drive may start within one.
+        decided = known[1] | (np.append(cut[1:], False) & known[0])
+        wide = judged & decided & (np.abs(off) > _JUMP)
+        if self._speed is not None:
+            allowed = self._speed * np.maximum(lasts, _LATE * usual) + 2.0 * self._resolution
+            fast = judged & (np.abs(way) > allowed)
+            off = np.where(fast & ~wide, np.sign(way) * (np.abs(way) - allowed), off)
+            wide = fast | (wide & (np.abs(way) > allowed))
+        return wide, off
+
+    def _mark(self, marks: Mask, place: int, off: float, held: int) -> None:
+        """Mark the sample of a jump; one back ends a spike, whose samples are marked instead."""
+        if self._jumped is not None:
+            begun, by = self._jumped
+            if place - begun <= _SPIKE and off * by < 0.0 and abs(off + by) <= max(_JUMP, 0.5 * abs(by)):
+                marks[max(0, begun + held) : place + held] = True
+                marks[place + held] = False
+                self._jumped = None
+                return
+        marks[max(place, 0) + held] = True
+        self._jumped = place, off
+
+
+class Plausibility:
+    """Judges the two angles of a drive, block by block: by their steps, and with a ratio by its line.
+
+    Parameters
+    ----------
+    ratio
+        Signed ratio input/output of the drive between the encoders, or None.
+    limits
+        What the encoders can show.
+
+    Examples
+    --------
+    An input encoder that stands still from the thousandth sample on:
+
+    >>> import numpy as np
+    >>> from drivers.recording_format import Plausibility, Samples
+    >>> time = np.arange(2000) / 1000
+    >>> crank = Samples.checked("input_angle", time, np.minimum(10.0 * time, 10.0))
+    >>> output = Samples.checked("output_angle", time, -10.0 * time / 39)
+    >>> implausible, found = Plausibility(-39.0).add({"input_angle": crank, "output_angle": output})
+    >>> int(np.argmax(implausible["input_angle"])), found[0].roles
+    (1001, ('input_angle',))
+    """
+
+    def __init__(self, ratio: float | None, limits: Limits | None = None) -> None:
+        limits = limits or Limits()
+        self._steps = {
+            "input_angle": Steps("input_angle", limits.input_speed, limits.input_resolution),
+            "output_angle": Steps("output_angle", limits.output_speed, limits.output_resolution),
+        }
+        self._ratio, self._limits = ratio, limits
+        self._line: Line | None = None
+        self._shared = True
+        self._waiting: dict[str, list[_Judged]] = {role: [] for role in ANGLES}
+        self._broken = False
+        self._ends = dict.fromkeys(ANGLES, -math.inf)
+
+    def add(self, blocks: Mapping[str, Samples]) -> tuple[dict[str, Mask], list[Finding]]:
+        """Return which of the next samples are implausible, and what was found.
+
+        Parameters
+        ----------
+        blocks
+            Samples of the roles "input_angle" and "output_angle", or one of them. What is a duplicate or out of order
+            is not judged. Angles that share no instants are compared by interpolation.
+
+        Returns
+        -------
+        implausible, findings
+            Of shape (n,) by role, and one finding for each fault that begins; one may have begun before the block.
+        """
+        marks: dict[str, Mask] = {}
+        found: list[Finding] = []
+        kept: dict[str, Mask] = {}
+        for role, samples in blocks.items():
+            mine = marks[role] = np.zeros(len(samples), np.bool_)
+            if not len(samples):
+                continue
+            time = samples.time_host
+            whole = time[0] > self._ends[role] and bool((np.diff(time) > 0.0).all())
+            if whole and not (samples.status & (DUPLICATE | OUT_OF_ORDER)).any():
+                onward, furthest = np.ones(time.size, np.bool_), time
+            else:
+                furthest = np.maximum.accumulate(np.concatenate([[self._ends[role]], time]))
+                onward = (samples.status & (DUPLICATE | OUT_OF_ORDER) == 0) & (time > furthest[:-1])
+                whole = bool(onward.all())
+            self._ends[role] = float(furthest[-1])
+            kept[role] = onward
+            broken = np.asarray(samples.status & (GAP | RESET) != 0)
+            part = slice(None) if whole else onward
+            jumps, said = self._steps[role].add(time[part], samples.value[part], broken[part])
+            mine[part] = jumps
+            found += said
+            self._waiting[role].append(
+                _Judged(time if whole else time[onward], samples.value[part], broken[part], jumps)
+            )
+        if self._ratio is None:
+            return marks, found
+        paired = self._paired() if all(self._waiting.values()) else None
+        if paired is None:
+            if self._line is not None:
+                for role, mine in kept.items():
+                    marks[role] |= mine & self._line.still_away(role, blocks[role].value)
+            return marks, found
+        time, angles, broken, jumped = paired
+        if self._line is None:
+            self._line = Line(self._ratio, self._limits, 0.0 if self._shared else STAMP_SECONDS)
+        by_role, returned, said = self._line.add(time, angles, broken, jumped)
+        for role, mine in marks.items():
+            if not len(mine):
+                continue
+            own = blocks[role].time_host
+            place = np.arange(own.size) if own is time else np.searchsorted(time, own)
+            inside = (place < time.size) & kept[role]
+            place = np.minimum(place, time.size - 1)
+            mine[inside & returned[place]] = False  # what is back on the line did jump, to where it belongs
+            mine |= inside & by_role[role][place]
+            mine |= ~inside & kept[role] & self._line.still_away(role, blocks[role].value)
+        jumps_said = {(f.time, role) for f in found for role in f.roles}
+        back = set(time[returned].tolist())
+        found = [f for f in found if f.time not in back]
+        return marks, found + [f for f in said if not any((f.time, role) in jumps_said for role in f.roles)]
+
+    def _paired(self) -> tuple[FloatArray, dict[str, FloatArray], Mask, dict[str, Mask]] | None:
+        """Return the instants at which both angles are known and what they are; what is beyond waits."""
+        turning, driven = (_Judged.joined(self._waiting[role]) for role in ANGLES)
+        if turning.time.size == driven.time.size and np.array_equal(turning.time, driven.time):
+            self._waiting = {role: [] for role in ANGLES}
+            jumps = {"input_angle": turning.jumps, "output_angle": driven.jumps}
+            angles = {"input_angle": turning.value, "output_angle": driven.value}
+            return (turning.time, angles, turning.broken | driven.broken, jumps) if turning.time.size else None
+        if not (turning.time.size and driven.time.size):
+            return None
+        common = np.isin(driven.time, turning.time)
+        if self._line is None:
+            self._shared = bool(common.any())
+        if self._shared:
+            time = driven.time[common]
+            if not time.size:
+                return None
+        else:
+            time = driven.time[(driven.time >= turning.time[0]) & (driven.time <= turning.time[-1])]
+            if not time.size:
+                return None
+        angles = {
+            "input_angle": np.interp(time, turning.time, turning.value),
+            "output_angle": driven.value[np.searchsorted(driven.time, time)],
+        }
+        passed = {
+            "input_angle": np.searchsorted(turning.time, time, "left" if not self._shared else "right"),
+            "output_angle": np.searchsorted(driven.time, time, "right"),
+        }
+        broken = np.zeros(time.size, np.bool_)
+        jumps = {}
+        for role, one in (("input_angle", turning), ("output_angle", driven)):
+            upto = np.concatenate([[0], passed[role]])
+            counted = np.concatenate([[0], np.cumsum(one.broken)])
+            broken |= np.diff(counted[np.minimum(upto, one.time.size)]) > 0
+            leaps = np.concatenate([[0], np.cumsum(one.jumps)])
+            jumps[role] = np.diff(leaps[np.minimum(upto, one.time.size)]) > 0
+            keep = max(int(passed[role][-1]) - (role == "input_angle" and not self._shared), one.time.size - _WAITING)
+            self._waiting[role] = [one.after(keep)] if keep < one.time.size else []
+        return time, angles, broken, jumps

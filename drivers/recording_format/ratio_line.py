@@ -1,0 +1,377 @@
+"""Two angles judged by the line of the ratio: input angle / ratio, from which a drive departs but little."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.recording_format.limits import Finding, Limits, Mask
+from drivers.recording_format.schema import (
+    ANGLES,
+    FloatArray,
+)
+
+_SPIKE = 3  # samples after which a jump back ends a spike
+_FOLLOW = 0.25  # of the way: a line that runs away slower than this is a wrong ratio or a clock that drifts
+_STAMPS = 0.01  # s: one angle may be later than the other by so much (a filter, a delay that nobody stated)
+_SEEN = 8  # samples that make a line
+_ESTABLISHED = 4.0  # deviations of way over which a line has held
+_LOCKED = 4.0  # deviations that an input which never moved may be away: a loop with the input locked
+_SMALL = 0.02  # of the deviation: a jump that moves the angles less from the line does not show in it
+_EQUAL = 3  # samples that stand still
+
+
+@dataclasses.dataclass
+class _Away:
+    """An angle that is off the line: between which deviations it is back, whose fault, the line's deviation before it.
+
+    `value` is what a stuck encoder shows.
+    """
+
+    low: float
+    high: float
+    roles: tuple[str, ...]
+    middle: float
+    value: float | None = None
+
+
+@dataclasses.dataclass
+class _Last:
+    """The sample before: time, angles, deviation, that of the one before it, and the rates of both, rad/s, output's.
+
+    `returned`: it was the first back on the line.
+    """
+
+    time: float
+    turning: float
+    driven: float
+    off: float
+    earlier: float
+    turning_rate: float
+    driven_rate: float
+    returned: bool
+
+
+@dataclasses.dataclass
+class _Stretch:
+    """Samples of both angles without a gap between: arrays of one length."""
+
+    time: FloatArray
+    turning: FloatArray
+    driven: FloatArray
+    turning_jumps: Mask
+    driven_jumps: Mask
+
+
+class Line:
+    """Judges two angles, taken at the same instants, by the line of the ratio, block by block.
+
+    Parameters
+    ----------
+    ratio
+        Signed ratio input/output.
+    limits
+        What the encoders can show.
+    apart
+        s by which the two angles' times may be wrong against each other, such as stamps of a busy host.
+    """
+
+    def __init__(self, ratio: float, limits: Limits, apart: float = 0.0) -> None:
+        self._ratio = ratio
+        self._wide = limits.deviation + 2.0 * (limits.output_resolution + limits.input_resolution / abs(ratio))
+        self._apart = apart
+        self._stamps = _STAMPS + apart
+        self._turns = 0.0  # of the input that were lost in gaps, as deviation
+        self._runs = [0, 0]  # samples before this one that are equal to it
+        self._stood = [(0.0, 0.0)] * 2  # when these runs began, s, and the deviation then, rad
+        self._moved = False
+        self._last: _Last | None = None
+        self._travel = 0.0
+        self._low, self._high, self._span = math.inf, -math.inf, (math.inf, -math.inf)
+        self._seen, self._held, self._ranges = 0, False, [(math.inf, -math.inf)] * 2
+        self._away: _Away | None = None
+
+    def add(
+        self, time: FloatArray, angles: Mapping[str, FloatArray], broken: Mask, jumps: Mapping[str, Mask]
+    ) -> tuple[dict[str, Mask], Mask, list[Finding]]:
+        """Return which of the next samples are implausible, by role, which are back on the line, and what was found.
+
+        Parameters
+        ----------
+        time, angles
+            s, and rad by role, shape (n,).
+        broken
+            Where a gap lies before a sample, in which the crank may have turned unseen, shape (n,).
+        jumps
+            Where `Steps` found a jump, by role, shape (n,).
+        """
+        marks = {role: np.zeros(time.size, np.bool_) for role in ANGLES}
+        returned = np.zeros(time.size, np.bool_)
+        found: list[Finding] = []
+        for begin, end in itertools.pairwise([0, *(i for i in np.flatnonzero(broken).tolist() if i), time.size]):
+            if end == begin:
+                continue
+            part = slice(begin, end)
+            turning, driven = (angles[role][part] for role in ANGLES)
+            turning_jumps, driven_jumps = (jumps[role][part] for role in ANGLES)
+            here = _Stretch(time[part], turning, driven, turning_jumps, driven_jumps)
+            parts = {role: mask[part] for role, mask in marks.items()}
+            for one in self._stretch(here, bool(broken[begin]), parts, returned[part]):
+                for role in one.roles:
+                    marks[role][:begin] |= time[:begin] >= one.time
+                found.append(one)
+        return marks, returned, found
+
+    def still_away(self, role: str, values: FloatArray) -> Mask:
+        """Return which values, behind all that was judged, go on with a fault that was there at its end, shape (n,)."""
+        if self._away is None or role not in self._away.roles:
+            return np.zeros(values.size, np.bool_)
+        return np.ones(values.size, np.bool_) if self._away.value is None else values == self._away.value
+
+    def _stretch(self, given: _Stretch, gap: bool, marks: dict[str, Mask], returned: Mask) -> Iterator[Finding]:
+        """Judge samples without a gap but before the first."""
+        time, size = given.time, given.time.size
+        line = given.turning / self._ratio
+        if gap and self._last is not None:
+            self._recount(float(given.driven[0] - line[0]))
+        off = given.driven - line + self._turns
+        before = None if gap else self._last
+        if before is not None and self._keeps(given, off, before):
+            return
+        turned = np.diff(given.turning, prepend=given.turning[0] if before is None else before.turning) / self._ratio
+        driven = np.diff(given.driven, prepend=given.driven[0] if before is None else before.driven)
+        lasts = np.maximum(np.diff(time, prepend=time[0] if before is None else before.time), 1e-9)
+        runs = [self._equal(place, step, fresh=before is None) for place, step in enumerate((turned, driven))]
+        moved = np.logical_or.accumulate(turned != 0.0) | self._moved
+        wide = np.where(moved, self._wide, _LOCKED * self._wide)
+        speed = np.maximum(np.abs(turned), np.abs(driven)) / lasts
+        usual = np.minimum(speed, 4.0 * np.median(speed)) if size > 2 else speed
+        if before is not None and before.returned and (given.turning_jumps[0] or given.driven_jumps[0]):
+            given.turning_jumps[0] = given.driven_jumps[0] = False  # it was back to where it belongs
+            returned[0] = True
+        sudden, whose, rates = self._sudden(turned, driven, lasts, usual, given, before)
+        was = np.concatenate([[off[0] if before is None else before.off], off[:-1]])
+        at = 0
+        while at < size:
+            if self._away is not None:
+                back = np.flatnonzero((off[at:] >= self._away.low) & (off[at:] <= self._away.high))
+                end = at + int(back[0]) if back.size else size
+                for role in self._away.roles:
+                    marks[role][at:end] = True
+                at = end
+                if back.size:
+                    self._away = None
+                    self._begin(keep=True)
+                    returned[at] = True
+                    sudden[at] = False
+                continue
+            travel = self._travel + np.cumsum(np.abs(turned[at:]))
+            here, slack = off[at:], self._stamps * usual[at:]
+            low = np.minimum.accumulate(np.minimum(here - _FOLLOW * travel + slack, self._low))
+            high = np.maximum.accumulate(np.maximum(here + _FOLLOW * travel - slack, self._high))
+            departs = np.maximum(here - _FOLLOW * travel - slack - low, high - (here + _FOLLOW * travel + slack))
+            beyond = (departs > wide[at:]) | sudden[at:]
+            end = at + int(np.argmax(beyond)) if beyond.any() else size
+            part = slice(at, end)
+            self._take(line[part], off[part], usual[part], low[: end - at], high[: end - at], travel[: end - at])
+            at = end
+            if end == size:
+                break
+            if sudden[end]:
+                yield self._leap(end, given, off, was, int(whose[end]), marks)
+                at, sudden[end] = end + 1, False
+            elif (found := self._departure(end, given, off, runs, marks)) is not None:
+                yield found
+            else:  # there is no line yet that it departs from
+                self._begin(keep=False)
+                self._low = self._high = float(off[end])
+        self._moved = bool(moved[-1])
+        for place, run in enumerate(runs):
+            if run[-1] < size:
+                begun = size - 1 - int(run[-1])
+                self._stood[place] = float(time[begun]), float(off[begun])
+        angles = float(given.turning[-1]), float(given.driven[-1])
+        self._last = _Last(float(time[-1]), *angles, float(off[-1]), float(was[-1]), *rates, bool(returned[-1]))
+
+    def _keeps(self, given: _Stretch, off: FloatArray, before: _Last) -> bool:
+        """Take samples that are so near to the line that nothing can be wrong with them; False where they are not.
+
+        That is what a sound bench gives for hours, at a fifth of the time.
+        """
+        if self._away is not None or before.returned or not (self._held and self._moved) or off.size < _SEEN:
+            return False
+        low, high = min(self._span[0], float(off.min())), max(self._span[1], float(off.max()))
+        if high - low > 0.5 * self._wide or given.turning_jumps.any() or given.driven_jumps.any():
+            return False
+        time, turning, driven = given.time, given.turning, given.driven
+        travel = (float(np.abs(np.diff(turning)).sum()) + abs(float(turning[0]) - before.turning)) / abs(self._ratio)
+        self._travel += travel
+        slack = self._stamps * travel / max(float(time[-1]) - before.time, 1e-9)
+        self._low = min(self._low, low - _FOLLOW * self._travel + slack)
+        self._high = max(self._high, high + _FOLLOW * self._travel - slack)
+        self._seen, self._span = self._seen + off.size, (low, high)
+        for place, (angle, last) in enumerate(((turning, before.turning), (driven, before.driven))):
+            changed = (
+                np.flatnonzero(angle[:-1] != angle[-1])[-1:] if angle[-1] == angle[-2] else np.array([off.size - 2])
+            )
+            if changed.size:
+                begun = int(changed[0]) + 1
+                self._runs[place], self._stood[place] = off.size - 1 - begun, (float(time[begun]), float(off[begun]))
+            elif last == angle[-1]:
+                self._runs[place] += off.size
+            else:
+                self._runs[place], self._stood[place] = off.size - 1, (float(time[0]), float(off[0]))
+        lasts = max(float(time[-1] - time[-2]), 1e-9)
+        rates = float(turning[-1] - turning[-2]) / self._ratio / lasts, float(driven[-1] - driven[-2]) / lasts
+        angles = float(turning[-1]), float(driven[-1])
+        self._last = _Last(float(time[-1]), *angles, float(off[-1]), float(off[-2]), *rates, False)
+        return True
+
+    def _recount(self, off: float) -> None:
+        """Take whole turns of the input that passed unseen in a gap for what they are."""
+        assert self._last is not None
+        turn = 2.0 * math.pi / abs(self._ratio)
+        was = self._last.off if self._away is None else self._away.middle
+        if abs(off + self._turns - was) > self._wide:
+            self._turns -= round((off + self._turns - was) / turn) * turn
+
+    def _equal(self, place: int, step: FloatArray, *, fresh: bool) -> npt.NDArray[np.int64]:
+        """Return of each sample how many before it are equal to it."""
+        number = np.arange(step.size)
+        changed = step != 0.0
+        if fresh:
+            changed[0] = True
+        last = np.maximum.accumulate(np.where(changed, number, -1))
+        run = np.where(last < 0, number + 1 + self._runs[place], number - last)
+        self._runs[place] = int(run[-1])
+        return run
+
+    def _sudden(
+        self, turned: FloatArray, driven: FloatArray, lasts: FloatArray, speed: FloatArray, given: _Stretch,
+        before: _Last | None,
+    ) -> tuple[Mask, npt.NDArray[np.int64], tuple[float, float]]:  # fmt: skip
+        """Return where the deviation leaps beyond what the motion before explains, and whose leap it is.
+
+        0 is the input's. Third the rates of both before the next sample, rad/s of the output.
+        """
+        steps = np.array([turned, driven])
+        first = np.zeros(2) if before is None else np.array([before.turning_rate, before.driven_rate])
+        rates = np.concatenate([first[:, None], steps / lasts], axis=1)
+        allowed = self._wide + self._apart * np.concatenate([speed[:1], speed[:-1]])
+
+        def beyond(at: Any, reference: Any) -> FloatArray:
+            expected = rates[:, reference] * lasts[at]
+            same = steps[:, np.maximum(reference - 1, 0)]
+            return np.asarray(
+                steps[:, at] - np.clip(steps[:, at], np.minimum(expected, same), np.maximum(expected, same))
+            )
+
+        number = np.arange(turned.size)
+        change = driven - turned
+        leaps = beyond(number, number) if max(change.max(), -change.min()) > 0.5 * self._wide else np.zeros_like(steps)
+        sudden = np.abs(leaps[1] - leaps[0]) > allowed
+        if before is None:
+            sudden[:2] = False  # the first has no step, the second none before it
+        for at in np.flatnonzero(sudden).tolist():  # behind a leap the motion is what it was before it
+            begun = at
+            while begun > 0 and sudden[begun - 1] and at - begun < _SPIKE:
+                begun -= 1
+            if begun != at:
+                leaps[:, at] = beyond(at, begun)
+                sudden[at] = abs(leaps[1, at] - leaps[0, at]) > allowed[at]
+        whose = (np.abs(leaps[1]) > np.abs(leaps[0])).astype(np.int64)
+        for place, jumps in enumerate((given.turning_jumps, given.driven_jumps)):
+            if jumps.any():
+                sudden |= jumps
+                whose[jumps] = place
+        calm = np.flatnonzero(~sudden)
+        rate = rates[:, calm[-1] + 1] if calm.size else first
+        return sudden, whose, (float(rate[0]), float(rate[1]))
+
+    def _leap(
+        self, at: int, given: _Stretch, off: FloatArray, was: FloatArray, whose: int, marks: dict[str, Mask]
+    ) -> Finding:
+        """Take the angles for off the line from a leap on, where there is a line."""
+        role, before = ANGLES[whose], float(was[at])
+        if at == 0 and self._last is not None and abs(off[at] - before) < abs(off[at] - self._last.earlier):
+            before = self._last.earlier  # a jump of the newest sample shows with the next
+        by = float(off[at]) - before
+        if self._seen >= _SEEN and abs(by) > _SMALL * self._wide:
+            half = min(0.5 * abs(by), 2.0 * self._wide)
+            self._away = _Away(before - half, before + half, (role,), before)
+        elif self._seen < _SEEN:
+            self._begin(keep=False)
+        marks[role][at] = True
+        value = math.degrees(by * (-self._ratio if whose == 0 else 1.0))
+        return Finding(float(given.time[at]), (role,), f"{role} jumps by {value:.4g} deg")
+
+    def _departure(
+        self, at: int, given: _Stretch, off: FloatArray, runs: list[npt.NDArray[np.int64]], marks: dict[str, Mask]
+    ) -> Finding | None:
+        """Tell what a departure from the line is; None where there is no line yet that it departs from."""
+        if self._seen < _SEEN:
+            return None
+        stuck = [place for place in (0, 1) if runs[place][at] >= _EQUAL]
+        if len(stuck) == 1:
+            place = stuck[0]
+            role, other, run = ANGLES[place], ANGLES[1 - place], int(runs[place][at])
+            begun = max(at - run, 0)
+            moved = abs(float((given.driven, given.turning)[place][at] - (given.driven, given.turning)[place][begun]))
+            value = float((given.turning, given.driven)[place][at])
+            before = float(off[at - run]) if at >= run else self._stood[place][1]
+            self._away = _Away(before - self._wide, before + self._wide, (role,), before, value)
+            marks[role][max(0, at - run + 1) : at + 1] = True
+            since = given.time[at - run + 1] if at >= run else np.nextafter(self._stood[place][0], np.inf)
+            text = f"{role} stands still at {math.degrees(value):.6g} deg for {run + 1} samples while {other} moves"
+            if at >= run:
+                text += f" by {math.degrees(moved):.3g} deg"
+            return Finding(float(since), (role,), text)
+        if not self._held:
+            return None
+        low, high = self._span
+        middle = 0.5 * (self._low + self._high)
+        if high - low > 2.0 * self._wide:  # a line that has run away slowly is where it is now
+            low = high = middle
+        by = math.degrees(float(off[at]) - middle)
+        self._away = _Away(min(low, high - self._wide), max(high, low + self._wide), ANGLES, middle)
+        text = f"the angles are off the line of the ratio {self._ratio:g} by {by:.3g} deg of the output"
+        return Finding(float(given.time[at]), ANGLES, text)
+
+    def _take(
+        self,
+        line: FloatArray,
+        off: FloatArray,
+        speed: FloatArray,
+        low: FloatArray,
+        high: FloatArray,
+        travel: FloatArray,
+    ) -> None:
+        """Let the line hold these samples too."""
+        if not line.size:
+            return
+        self._low, self._high, self._travel = float(low[-1]), float(high[-1]), float(travel[-1])
+        self._span = min(self._span[0], float(off.min())), max(self._span[1], float(off.max()))
+        self._seen += line.size
+        if self._held:
+            return
+        ends = [(np.minimum.accumulate(np.minimum(v, lo)), np.maximum.accumulate(np.maximum(v, hi)))
+                for v, (lo, hi) in zip((line, off), self._ranges, strict=True)]  # fmt: skip
+        slack = self._stamps * np.maximum.accumulate(speed)
+        far = np.flatnonzero(ends[0][1] - ends[0][0] >= _ESTABLISHED * (self._wide + 2.0 * slack))
+        self._ranges = [(float(lo[-1]), float(hi[-1])) for lo, hi in ends]
+        if far.size:
+            first = int(far[0])
+            self._held = bool(ends[1][1][first] - ends[1][0][first] <= self._wide + 2.0 * slack[first])
+            self._ranges = [(math.inf, -math.inf)] * 2
+
+    def _begin(self, *, keep: bool) -> None:
+        """Begin a line anew; `keep` what is known of how well the one before held."""
+        self._low, self._high, self._travel, self._span = math.inf, -math.inf, 0.0, (math.inf, -math.inf)
+        if not keep:
+            self._seen, self._held, self._ranges = 0, False, [(math.inf, -math.inf)] * 2

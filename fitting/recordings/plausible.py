@@ -1,0 +1,133 @@
+"""Recordings without their implausible samples: what no two encoders on one drive can show is left out and counted."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu import edge
+from drivers.recording_format import ANGLES, GAP, IMPLAUSIBLE, Finding, Limits, Plausibility, Samples
+from fitting.recordings.cleaning import Block
+from fitting.recordings.formats import PIECE
+from fitting.recordings.recording import Recording, RecordingStream
+
+_SAID = 3  # findings that a note names
+
+
+class PlausibleBlocks:
+    """The blocks of a recording, judged as the recorder does while it records, whoever recorded them.
+
+    Samples that are marked already, and those found implausible, are left out; the next is behind a gap. Each block
+    waits for the next one, in which a fault may show that began in it.
+
+    Parameters
+    ----------
+    stream
+        The recording.
+    ratio
+        Signed ratio of the drive; None: the angles are judged by their steps alone.
+
+    Attributes
+    ----------
+    count, samples
+        How many were left out so far, of how many.
+    """
+
+    def __init__(self, stream: Recording | RecordingStream, ratio: float | None) -> None:
+        self._stream, self._ratio = stream, ratio
+        self._found: list[Finding] = []
+        self._faults = 0
+        self._marked = 0
+        self._mark_next = False
+        self.count = self.samples = 0
+
+    def __iter__(self) -> Iterator[Block]:
+        """Yield what is left of each block.
+
+        Raises
+        ------
+        edge.InputError
+            As the recording's `blocks`, and where fewer than two samples are left.
+        """
+        judge: Plausibility | None = None
+        before: tuple[Block, NDArray[np.bool_]] | None = None
+        for block in (piece for whole in self._stream.blocks() for piece in _pieces(whole)):
+            if judge is None:
+                judge = Plausibility(self._ratio, _with_resolution(self._stream.limits, block))
+            marks, found = judge.add({
+                role: Samples(role, block.time, None, None, getattr(block, role), block.status) for role in ANGLES
+            })  # fmt: skip
+            implausible = marks["input_angle"] | marks["output_angle"]
+            already = block.status & IMPLAUSIBLE != 0
+            self._marked += int(np.count_nonzero(already & ~implausible))
+            self._found += found[: _SAID - len(self._found)]
+            self._faults += len(found)
+            if before is not None:
+                for one in found:
+                    before[1][before[0].time >= one.time] = True
+                yield from self._left(*before)
+            before = block, implausible | already
+        if before is not None:
+            yield from self._left(*before)
+        if self.count and self.samples - self.count < 2:
+            raise edge.InputError(" ".join([*self._stream.notes, *self.notes(), "No two samples are left."]))
+
+    def _left(self, block: Block, implausible: NDArray[np.bool_]) -> Iterator[Block]:
+        self.samples += block.time.size
+        if not implausible.any():
+            if self._mark_next and block.time.size:
+                status = block.status.copy()
+                status[0] |= GAP
+                block, self._mark_next = dataclasses.replace(block, status=status), False
+            yield block
+            return
+        self.count += int(np.count_nonzero(implausible))
+        keep = ~implausible
+        status = block.status.copy()
+        behind = np.concatenate([[self._mark_next], implausible[:-1]])
+        status[behind] |= GAP
+        self._mark_next = bool(implausible[-1])
+        columns = {f.name: getattr(block, f.name) for f in dataclasses.fields(Block)}
+        left = {n: None if v is None else v[keep] for n, v in {**columns, "status": status}.items()}
+        if keep.any():
+            yield Block(**left)  # type: ignore[arg-type]
+
+    def notes(self) -> list[str]:
+        """Return one sentence that says what was left out, where anything was."""
+        if not self.count:
+            return []
+        said = [f"{one.text} (from {one.time:.6g} s)" for one in self._found]
+        if self._faults > _SAID:
+            said.append(f"{self._faults - _SAID} more such faults")
+        if self._marked:
+            said.append(f"{self._marked} were marked in the file")
+        return [
+            f"{self._stream.source}: {self.count} of {self.samples} samples are implausible and were left out: "
+            f"{'; '.join(said)}."
+        ]
+
+
+def _pieces(block: Block) -> Iterator[Block]:
+    """Yield a block piece by piece, each small enough for a processor's cache."""
+    if block.time.size <= PIECE:
+        yield block
+        return
+    columns = {f.name: getattr(block, f.name) for f in dataclasses.fields(Block)}
+    for begin in range(0, block.time.size, PIECE):
+        part = slice(begin, begin + PIECE)
+        yield Block(**{n: None if v is None else v[part] for n, v in columns.items()})  # type: ignore[arg-type]
+
+
+def _with_resolution(limits: Limits, block: Block) -> Limits:
+    """Return limits with the encoders' steps, where nothing states them and values that repeat show them."""
+    shown = {}
+    for role in ANGLES:
+        name = f"{role.removesuffix('_angle')}_resolution"
+        steps = np.abs(np.diff(getattr(block, role)))
+        moving = steps[steps > 0.0]
+        if getattr(limits, name) == 0.0 and 0 < moving.size < steps.size:
+            shown[name] = float(moving.min())
+    return dataclasses.replace(limits, **shown)

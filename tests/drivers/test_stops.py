@@ -1,0 +1,210 @@
+"""A recorder that is stopped for a while, as a busy machine or a debugger does: no gap without a mark, no wrong pair.
+
+The bench, in this process, knows what it sent and when; its line holds no more than a real one for a reader that does
+not come. `CYCLOID_STOPS` is how many stops each protocol and source of time gets in the slow campaign.
+"""
+
+import datetime
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers import recording_format as rf
+from drivers.recording_format import read_recording
+from drivers.simulated.can_bench import SimulatedCanBench
+from drivers.simulated.motion import SimulatedRun, simulate_motion
+from drivers.simulated.serial_bench import SimulatedAmt21Bench, SimulatedAsciiBench, SimulatedModbusBench
+from tests.drivers.test_bench_cli import ENVIRONMENT, grown, needs_multicast
+
+STOPS = int(os.environ.get("CYCLOID_STOPS", "100"))
+SHORTEST, LONGEST = 0.1, 5.0  # s
+CAN_BUFFER, SERIAL_BUFFER = 1 << 16, 4095  # bytes: a fifth of a second of frames, half a second of lines
+GROUP = f"239.78.{os.getpid() // 256 % 256}.{os.getpid() % 256}"
+VCAN = "vcan0"
+
+RECORDER = """
+import json, sys
+from drivers.can import drops
+from drivers.recorder.session import RecordingInterrupted, record
+drops.RECEIVE_BUFFER = int(sys.argv[1])
+if sys.argv[2] == "untold":  # an interface whose driver does not tell of what it drops
+    drops._DROPS, drops.SocketDrops.since = 9999, lambda self: 0
+try:
+    record("BENCH.toml", "run.arrows", idle=2.0)
+except RecordingInterrupted as interrupt:
+    print(json.dumps(dict(interrupt.recorded.lost)))
+"""
+
+
+def motion(rate):
+    """Long enough at so many samples a second, one crank turn in each."""
+    return simulate_motion(
+        lambda angle, torque: -angle / 39, SimulatedRun(torque=5.0, turns=1000, samples_per_turn=rate)
+    )
+
+
+def recorded_over_stops(folder, bench, stops, seed, told="told"):
+    """Record a bench with a recorder that is stopped so often: the recording, what was told lost, the start's time."""
+    random = np.random.default_rng(seed)
+    process = subprocess.Popen(
+        [sys.executable, "-c", RECORDER, str(CAN_BUFFER), told], cwd=folder, env=ENVIRONMENT,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        grown(folder / "run.arrows", 30_000, 60)
+        for _ in range(stops):
+            time.sleep(random.uniform(0.2, 0.5))  # the moments are the experiment
+            process.send_signal(signal.SIGSTOP)
+            time.sleep(SHORTEST * (LONGEST / SHORTEST) ** random.uniform(0.0, 1.0))
+            process.send_signal(signal.SIGCONT)
+        time.sleep(0.5)
+        process.send_signal(signal.SIGTERM)
+        out, error = process.communicate(timeout=60)
+    finally:
+        process.kill()
+        process.wait()
+    assert process.returncode == 0, error
+    recording = read_recording(folder / "run.arrows")
+    assert recording.problems == ()
+    return recording, json.loads(out), datetime.datetime.fromisoformat(recording.header.start).timestamp()
+
+
+def missing_and_marked(samples, own):
+    """Return how many of the bench's own numbers are missing among the samples; each gap is marked."""
+    step = np.diff(own)
+    assert np.all(step > 0)
+    assert np.all(samples.status[1:][step > 1] & rf.GAP), "a gap without a mark"
+    return int(np.sum(step - 1))
+
+
+def assert_told(told, missing, ends=1):
+    assert abs(told - missing) <= ends + 0.01 * missing, f"{told} told of {missing} lost"
+
+
+CAN = {
+    "SYNC with counter, kernel's stamps": {},
+    "SYNC without counter, kernel's stamps": {"sync_counter": False},
+    "event timer, kernel's stamps": {"trigger": "timer"},
+    "recorder's SYNC, kernel's stamps": {"trigger": "sync"},
+    "SYNC with counter, interface's clock": {"clock_drift": 50e-6},
+    "event timer, interface's clock": {"clock_drift": 50e-6, "trigger": "timer"},
+    "SYNC with counter, interface's clock, drops not told": {"clock_drift": 50e-6},
+    "SYNC without counter, interface's clock, drops not told": {"clock_drift": 50e-6, "sync_counter": False},
+    "event timer, interface's clock, drops not told": {"clock_drift": 50e-6, "trigger": "timer"},
+}
+# A bus of this machine alone; the kernel's own virtual CAN too, where it has one.
+BUSES = {"loopback": GROUP, **({"socketcan": VCAN} if Path("/sys/class/net", VCAN).exists() else {})}
+
+
+def can_case(folder, bus, case, stops, record_property):
+    options = CAN[case]
+    if bus == "socketcan" and "clock_drift" in options:
+        return  # its stamps are the kernel's
+    sent = motion(100 if options.get("trigger") == "sync" else 500)
+    with SimulatedCanBench(sent, interface=bus, channel=BUSES[bus], speed_factor=1.0, **options) as bench:
+        bench.write_wiring(folder / "BENCH.toml", ratio=-39)
+        seed = list(CAN).index(case)
+        recording, told, start = recorded_over_stops(
+            folder, bench, stops, seed, "untold" if "not told" in case else "told"
+        )
+    angles = {"input_angle": sent.input_angle, "output_angle": sent.output_angle}
+    own, total, late = {}, 0, []
+    for name, angle in angles.items():
+        samples = recording.samples[name]
+        own[name] = np.rint((samples.value - angle[0]) / (angle[1] - angle[0])).astype(int)
+        missing = missing_and_marked(samples, own[name])
+        assert_told(told[name], missing)
+        total += missing
+        clean = samples.status & ~np.uint8(rf.ROLLOVER) == 0
+        late.append((recording.aligned_time(name) + start - bench.sent_at[own[name]])[clean])
+        stood = np.diff(samples.time_host) > 0.09
+        if "clock_drift" not in options:
+            assert np.all(samples.status[1:][stood] & rf.GAP)
+    # To less than the bench's thread may be late itself; a SYNC of before a gap would be a tenth of a second off.
+    assert np.max(np.abs(np.concatenate(late))) < 0.05
+    one, other = (recording.samples[name] for name in angles)
+    if options.get("trigger") != "timer":
+        _, i, j = np.intersect1d(one.time_host, other.time_host, return_indices=True)
+        clean = (one.status[i] | other.status[j]) & ~np.uint8(rf.ROLLOVER) == 0
+        assert clean.sum() > 50
+        assert np.array_equal(own["input_angle"][i][clean], own["output_angle"][j][clean]), "a wrong pair"
+    if options.get("trigger") != "sync":
+        assert total > 0, "the line lost nothing: the stops tell nothing"
+    else:
+        assert any("not sent in time" in event.text for event in recording.events)
+    record_property(f"{bus}, {case}: stops, frames lost, told", f"{stops}, {total}, {sum(map(told.get, angles))}")
+
+
+@needs_multicast
+def test_a_recorder_that_stood_still_says_what_it_lost_on_can(tmp_path, record_property):
+    can_case(tmp_path, "loopback", next(iter(CAN)), 2, record_property)
+
+
+@needs_multicast
+@pytest.mark.slow(30)
+@pytest.mark.parametrize("case", CAN)
+@pytest.mark.parametrize("bus", BUSES)
+def test_stops_at_random_on_can(tmp_path, bus, case, record_property):
+    can_case(tmp_path, bus, case, STOPS, record_property)
+
+
+LINES = {
+    "number and clock": "${sequence},{time},{counts}*{checksum}",
+    "clock": "${skip},{time},{counts}*{checksum}",
+    "number": "${sequence},{skip},{counts}*{checksum}",
+    "neither": "${skip},{skip},{counts}*{checksum}",
+}
+
+
+@pytest.mark.slow(30)
+@pytest.mark.parametrize("case", LINES)
+def test_stops_at_random_of_a_line_that_sends(tmp_path, case, record_property):
+    with SimulatedAsciiBench(motion(500)) as bench:
+        bench.receive_buffer = SERIAL_BUFFER
+        toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
+        toml.write_text(toml.read_text().replace(LINES["number and clock"], LINES[case]))
+        recording, told, start = recorded_over_stops(tmp_path, bench, STOPS, list(LINES).index(case))
+    samples = recording.samples["output_angle"]
+    when, counts = map(np.array, zip(*bench.sent, strict=True))
+    own = np.searchsorted(-counts, -samples.counts)  # the output turns backwards
+    assert np.array_equal(counts[own], samples.counts), "a count that was never sent"
+    missing = missing_and_marked(samples, own)
+    clean = samples.status == 0
+    late = (recording.aligned_time("output_angle") + start - when[own])[clean]
+    # Without a clock of its own a line's instant is when it came; what may have waited longer is left out.
+    assert np.max(np.abs(late)) < 0.06
+    assert missing > 0
+    assert_told(told["output_angle"], missing)
+    record_property(f"lines with {case}: stops, lines lost, told", f"{STOPS}, {missing}, {told['output_angle']}")
+
+
+@pytest.mark.slow(30)
+@pytest.mark.parametrize("kind", [SimulatedAmt21Bench, SimulatedModbusBench])
+def test_stops_at_random_of_devices_that_are_asked(tmp_path, kind, record_property):
+    sent = motion(1000)  # so a single-turn encoder turns several times in a gap
+    with kind(sent) as bench:
+        bench.receive_buffer = SERIAL_BUFFER
+        bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
+        recording, told, start = recorded_over_stops(tmp_path, bench, STOPS, 7)
+    total = 0
+    for address, name, angle in zip(bench.answered, ("input_angle", "output_angle"),
+                                    (sent.input_angle, sent.output_angle), strict=True):  # fmt: skip
+        samples = recording.samples[name]
+        begun = bench.answered_at[address][0] - sent.time[bench.answered[address][0]]
+        clean = samples.status & ~np.uint8(rf.ROLLOVER) == 0
+        turned = np.interp(samples.time_host + start - begun, sent.time, angle)
+        # An exchange of half ANSWER_SECONDS may be off by half of that.
+        assert np.max(np.abs(samples.value - turned)[clean]) < 0.03 * abs(angle[-1] / sent.time[-1]) + 5e-4
+        assert np.all(samples.status[1:][np.diff(samples.time_host) > 0.3] & rf.GAP)
+        answered = np.array(bench.answered_at[address]) - start
+        first, last = (int(np.argmin(np.abs(answered - samples.time_host[i]))) for i in (0, -1))
+        total += last - first + 1 - len(samples)
+    assert_told(sum(told.values()), total, 4)  # where each of two begins and ends is known to one answer
+    record_property(f"{kind.__name__}: stops, answers lost, told", f"{STOPS}, {total}, {sum(told.values())}")
