@@ -40,8 +40,8 @@ cycloid-fmu build examples/drive-39-40-as-made.toml -o as-made.fmu
 {SIMULATE} --torque '200 N*m' --direction backward --bus virtual -o 200Nm-backward.arrows
 """
 LOOP = f"""
-{SIMULATE} --hysteresis --torque '181 N*m' --turns 3 --samples-per-turn 400 --bus virtual -o loop
-cycloid-bench export loop -o loop.csv
+{SIMULATE} --hysteresis --torque '181 N*m' --turns 3 --samples-per-turn 400 --bus virtual -o loop.arrows
+cycloid-bench export loop.arrows -o loop.csv
 """
 CMM = """
 from pathlib import Path; from cmm import measure, write_csv; from cycloid_fmu.geometry.pair import read_pair;

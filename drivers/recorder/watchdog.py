@@ -126,6 +126,9 @@ def main() -> None:
     said: list[bytes] = []
     threading.Thread(target=_until_left, args=(command, left, said), daemon=True).start()
     status = command.wait()
+    if os.name == "posix":
+        # What it started ends with it, even where the starter is killed later on: then nobody is left to do so.
+        os.killpg(os.getpgrp(), signal.SIGTERM)
     if status or left.is_set():
         _stop(told["stop"], told["folder"])
     if left.is_set() and said != [_DONE] and told["wiring"] is not None:

@@ -181,7 +181,8 @@ def test_stops_at_random_of_a_line_that_sends(tmp_path, case, record_property):
     # Without a clock of its own a line's instant is when it came; what may have waited longer is left out.
     assert np.max(np.abs(late)) < 0.06
     assert missing > 0
-    assert_told(told["output_angle"], missing)
+    # Of lines without number and clock a gap's length is known to the line's jitter at either end.
+    assert_told(told["output_angle"], missing, 1 + 4 * STOPS if case == "neither" else 1)
     record_property(f"lines with {case}: stops, lines lost, told", f"{STOPS}, {missing}, {told['output_angle']}")
 
 
