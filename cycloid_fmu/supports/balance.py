@@ -14,13 +14,14 @@ import numpy as np
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact import Array, Problem, Rows, part
-from cycloid_fmu.contact.equilibrium import equilibrium, load
+from cycloid_fmu.contact.equilibrium import load
 from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
 from cycloid_fmu.supports.assembly import Assembly
 from cycloid_fmu.supports.bearing import CENTRING, Bearing, push
 
 FIRST_DISC = 3
 NEIGHBOUR = 0.1  # rad: from farther a place says little
+_EXACT = 1e-14  # m: a step that changes no more than the last digits
 _LONGEST = 25e-6  # m: a step is no longer than this
 _REACH = 4e-6  # m: pins nearer than this are solved at every step, the others once the discs have moved as far
 _HELD = 1e-3  # N/m: keeps a rotation in reach that nothing holds yet; it pulls to where the step began
@@ -32,8 +33,8 @@ class Work(NamedTuple):
 
     Attributes
     ----------
-    residual, step, before
-        Shape (unknowns,).
+    place, residual, step, before
+        Shape (unknowns,); the place is where the last solution ended.
     jacobian, matrix
         Shape (unknowns, unknowns).
     bearing
@@ -45,6 +46,7 @@ class Work(NamedTuple):
         shape (1,), m.
     """
 
+    place: Array
     residual: Array
     step: Array
     before: Array
@@ -56,20 +58,13 @@ class Work(NamedTuple):
     moved: Array
 
 
-@part
-def unknowns(problem: Problem, assembly: Assembly) -> int:
-    """Return how many unknowns there are."""
-    shafts = assembly.place_x.size if assembly.cranks else 1
-    return 3 + 3 * problem.shift_x.size + 2 * shafts
-
-
-@part
-def work_of(problem: Problem, assembly: Assembly) -> Work:
+def work_of(unknowns: int, discs: int) -> Work:
     """Return empty arrays to solve in."""
-    n, discs = unknowns(problem, assembly), problem.shift_x.size
+    place, residual, step, before = np.zeros((4, unknowns))
+    jacobian, matrix = np.zeros((2, unknowns, unknowns))
     return Work(
-        np.zeros(n), np.zeros(n), np.zeros(n), np.zeros((n, n)), np.zeros((n, n)), np.zeros((2, 8)), np.zeros(8),
-        np.zeros((discs, 3)), np.full(1, np.inf),
+        place, residual, step, before, jacobian, matrix, np.zeros((2, 8)), np.zeros(8), np.zeros((discs, 3)),
+        np.full(1, np.inf),
     )  # fmt: skip
 
 
@@ -295,8 +290,10 @@ def assemble(
     """Write what does not balance at q, and its derivatives."""
     _place_discs(problem, assembly, theta, q, contacts, work)
     load(problem, theta, q[0], contacts)
-    work.residual[:] = 0.0
-    work.jacobian[:] = 0.0
+    for i in range(work.residual.size):
+        work.residual[i] = 0.0
+        for j in range(work.residual.size):
+            work.jacobian[i, j] = 0.0
     _add_mesh(problem, theta, q[0], contacts, work)
     if assembly.cranks:
         _add_cranks(problem, assembly, theta, q, centring, work)
@@ -371,8 +368,8 @@ def hold(problem: Problem, assembly: Assembly, work: Work, held: float) -> None:
 def torsional_stiffness(problem: Problem, assembly: Assembly, work: Work) -> float:
     """dT/dx = 1/(H⁻¹)_xx where the torque balances, N·m/rad; NaN where nothing holds."""
     hold(problem, assembly, work, _HELD)
-    work.step[:] = 0.0
-    work.step[0] = 1.0
+    for i in range(work.step.size):
+        work.step[i] = 1.0 if i == 0 else 0.0
     return 1.0 / work.step[0] if solve_linear(work.matrix, work.step) else math.nan
 
 
@@ -414,6 +411,8 @@ def balance(
         if share == 0.0:
             return 0
         step = work.step
+        if _longest(problem, assembly, step, 1.0) < _EXACT:
+            return iteration + 1
         downhill = 0.0
         for i in range(step.size):
             work.before[i] = q[i]
@@ -432,35 +431,20 @@ def balance(
 
 
 @part
-def _begin(problem: Problem, assembly: Assembly, theta: float, torque: float, q: Array, contacts: Rows) -> None:
-    """Write the rigid drive's place: flanks that press hold the discs."""
-    problem.shift_x[:] = 0.0
-    problem.shift_y[:] = 0.0
-    problem.turn[:] = 0.0
-    q[:] = 0.0
-    q[0], _ = equilibrium(problem, theta, torque, 0.0, contacts, True)
-    for disc in range(problem.shift_x.size):
-        q[FIRST_DISC + 3 * disc + 2] = q[0]
-
-
-@part
 def settle(
     problem: Problem, assembly: Assembly, theta: float, torque: float, q: Array, contacts: Rows, work: Work, cold: bool
 ) -> int:
-    """Solve the balance from q or, `cold` or not found, from the rigid drive's place, with springs that grow softer.
+    """Solve the balance from q or, `cold` or not found, from the ideal place, with springs that grow softer.
 
     Returns the number of steps, 0 where none balances.
     """
     total = 0
-    if not cold:
-        found = balance(problem, assembly, theta, torque, CENTRING, q, contacts, work)
-        if found > 0:
-            return found
-        total = _ITERATIONS
-    for stiffest in (CENTRING, 1e8):
-        _begin(problem, assembly, theta, torque, q, contacts)
-        work.moved[0] = math.inf
-        spring, found = stiffest, 0
+    for stage in range(1 if cold else 0, 3):
+        if stage > 0:
+            for i in range(q.size):
+                q[i] = 0.0
+            work.moved[0] = math.inf
+        spring, found = 1e8 if stage == 2 else CENTRING, 0
         while True:
             found = balance(problem, assembly, theta, torque, spring, q, contacts, work)
             total += found if found > 0 else _ITERATIONS

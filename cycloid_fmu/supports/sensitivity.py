@@ -29,7 +29,6 @@ from cycloid_fmu.supports.balance import (
     hold,
     roller_displacement,
     solve_linear,
-    work_of,
 )
 from cycloid_fmu.supports.bearing import CENTRING, Bearing, by_clearance, push
 
@@ -45,8 +44,8 @@ def _row_of_rotation(problem: Problem, assembly: Assembly, work: Work) -> bool:
     for i in range(n):
         for j in range(i):
             matrix[i, j], matrix[j, i] = matrix[j, i], matrix[i, j]
-    work.step[:] = 0.0
-    work.step[0] = 1.0
+    for i in range(n):
+        work.step[i] = 1.0 if i == 0 else 0.0
     return solve_linear(matrix, work.step)
 
 
@@ -266,7 +265,7 @@ def _add_seat(
 @compiled
 def sweep_supported_sensitivities(
     problem: Problem, assembly: Assembly, thetas: Array, torque: float, places: Array, errors: Array, laws: Array,
-    by_angle: Array, by_torque: Array,
+    by_angle: Array, by_torque: Array, work: Work,
 ) -> bool:  # fmt: skip
     """Write the derivatives of the deviation at places that balance; returns whether there are any.
 
@@ -275,16 +274,12 @@ def sweep_supported_sensitivities(
     thetas, torque, places
         Crank angles (rad), shape (angles,); torque (N·m); the unknowns there, shape (angles, unknowns).
     errors, laws, by_angle, by_torque
-        Overwritten: derivatives of x by every displacement, in the order of
+        Zeros, overwritten: derivatives of x by every displacement, in the order of
         `surfaces.structured.displacement_layout`, shape (angles, displacements), and by each bearing's logarithm of
         stiffness (rad) and clearance (rad/m), shape (angles, 8); by crank angle (1) and torque (rad/(N·m)), (angles,).
     """
     contacts = contact.contact_rows(problem)
-    work = work_of(problem, assembly)
     first = BODY_COUNT + 3 * problem.pin_x.size + problem.tooth_turn.size
-    errors[:] = 0.0
-    laws[:] = 0.0
-    by_angle[:] = 0.0
     for i in range(thetas.size):
         theta = thetas[i]
         q = places[i]

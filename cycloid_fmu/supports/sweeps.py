@@ -14,13 +14,12 @@ from cycloid_fmu.supports.assembly import Assembly
 from cycloid_fmu.supports.balance import (
     FIRST_DISC,
     NEIGHBOUR,
+    Work,
     crank_displacement,
     eccentric,
     roller_displacement,
     settle,
     torsional_stiffness,
-    unknowns,
-    work_of,
 )
 from cycloid_fmu.supports.bearing import push
 
@@ -80,12 +79,11 @@ def _forces(problem: Problem, assembly: Assembly, theta: float, q: Array, found:
 
 @compiled
 def sweep_supported(
-    problem: Problem, assembly: Assembly, thetas: Array, torque: float, with_forces: bool, found: Found
+    problem: Problem, assembly: Assembly, thetas: Array, torque: float, with_forces: bool, found: Found, work: Work
 ) -> None:
     """Solve crank angles at one torque, each from its neighbours."""
     contacts = contact.contact_rows(problem)
-    work = work_of(problem, assembly)
-    q = np.zeros(unknowns(problem, assembly))
+    q = work.place
     for i in range(thetas.size):
         theta = thetas[i]
         step = abs(theta - thetas[i - 1]) if i > 0 else math.inf
@@ -94,7 +92,8 @@ def sweep_supported(
             for k in range(q.size):
                 q[k] += share * (q[k] - found.place[i - 2, k])
         found.steps[i] = settle(problem, assembly, theta, torque, q, contacts, work, not step < NEIGHBOUR)
-        found.place[i] = q
+        for k in range(q.size):
+            found.place[i, k] = q[k]
         found.stiffness[i] = torsional_stiffness(problem, assembly, work)
         if with_forces:
             found.crank_torque[i] = _forces(problem, assembly, theta, q, found, i)

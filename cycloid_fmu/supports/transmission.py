@@ -18,6 +18,7 @@ from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.supports import Bearing
 from cycloid_fmu.supports import bearing
 from cycloid_fmu.supports.assembly import Assembly
+from cycloid_fmu.supports.balance import work_of
 from cycloid_fmu.supports.sensitivity import sweep_supported_sensitivities
 from cycloid_fmu.supports.sweeps import Found, sweep_supported
 from cycloid_fmu.surfaces.structured import displacement_columns, displacement_layout, displacements, profile_wave
@@ -227,7 +228,8 @@ def _solved(
         for k, load in enumerate(loads):
             if load != 0.0:
                 here = _of(found, np.s_[k, start:last])
-                sweep_supported(problem, assembly, angles[start:last], float(load), k >= first, here)
+                work = work_of(here.place.shape[-1], pair.discs)
+                sweep_supported(problem, assembly, angles[start:last], float(load), k >= first, here, work)
         return last - start
 
     finished = 0
@@ -333,11 +335,11 @@ def sensitivity(
     angles = np.array(crank_angle, dtype=float, ndmin=1)
     found = _solved(pair, surface, [torque], angles, slices)
     size = max(place.stop for place in displacement_layout(pair).values())
-    each, laws = np.empty((angles.size, size)), np.empty((angles.size, len(LAWS)))
-    by_angle, by_torque = (np.empty(angles.size) for _ in range(2))
+    each, laws = np.zeros((angles.size, size)), np.zeros((angles.size, len(LAWS)))
+    by_angle, by_torque = (np.zeros(angles.size) for _ in range(2))
     if not sweep_supported_sensitivities(
         problem_of(pair, surface, slices), assembly_of(pair, surface), angles, torque, found.place[0], each, laws,
-        by_angle, by_torque,
+        by_angle, by_torque, work_of(found.place.shape[-1], pair.discs),
     ):  # fmt: skip
         raise _unbalanced(torque, angles[0])
     return Sensitivity(found.place[0, :, 0].copy(), each, laws, by_angle, by_torque)

@@ -14,6 +14,7 @@ import cycloid_fmu as cy
 from cycloid_fmu import edge
 from cycloid_fmu.contact import transmission as on_rigid
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
+from cycloid_fmu.supports.balance import work_of
 from cycloid_fmu.supports.bearing import linear, push, rollers
 from cycloid_fmu.supports.sweeps import sweep_supported
 from cycloid_fmu.supports.transmission import _empty, assembly_of, problem_of, sensitivity, solve
@@ -356,7 +357,7 @@ def test_sensitivities_are_differences(kind):
     def te(problem, assembly, torque=150.0, at=angles):
         found = _empty(pair, 1, at.size)
         here = type(found)(*(array[0] for array in found))
-        sweep_supported(problem, assembly, at, torque, False, here)
+        sweep_supported(problem, assembly, at, torque, False, here, work_of(here.place.shape[-1], 2))
         return here.place[:, 0]
 
     def check(by, plus, minus, scale=step):
