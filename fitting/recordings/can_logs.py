@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import struct
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -10,6 +11,8 @@ import numpy as np
 
 from cycloid_fmu import edge
 from fitting.recordings.formats import PIECE, BenchFile, Piece, RawChannel
+
+_SMALLEST_OBJECT = 16  # bytes of a BLF object's own header
 
 
 class CanLog(BenchFile):
@@ -37,7 +40,7 @@ class CanLog(BenchFile):
             chosen = [(full, short) for full, short in signals if full in names]
             if chosen:
                 wanted[message.frame_id] = (message, chosen)
-        log = can.LogReader(self.source)
+        log = _binary_log(self.source) if self.source.lower().endswith(".blf") else can.LogReader(self.source)
         kept: dict[int, tuple[list[float], list[list[float]]]] = {k: ([], []) for k in wanted}
         failed, count = 0, 0
 
@@ -77,3 +80,20 @@ class CanLog(BenchFile):
         yield from flush()
         if failed:
             self.problems.append(f"{self.source}: {failed} frames do not fit the DBC and were left out.")
+
+
+def _binary_log(source: str) -> Any:
+    """Open a BLF log in which python-can meets no object without a size: there it would stand still for ever."""
+    import can
+
+    class Checked(can.BLFReader):  # type: ignore[misc]  # python-can is untyped here
+        def _parse_container(self, data: bytes) -> Any:
+            whole, place = self._tail + data, 0
+            while (place := whole.find(b"LOBJ", place, place + 8)) >= 0 and place + 12 <= len(whole):
+                (size,) = struct.unpack_from("<I", whole, place + 8)
+                if size < _SMALLEST_OBJECT:
+                    raise can.io.blf.BLFParseError(f"an object of {size} bytes")
+                place += size
+            return super()._parse_container(data)
+
+    return Checked(source)
