@@ -104,10 +104,16 @@ def plot_bearings(data: xr.Dataset, pair: Pair, shares: Sequence[Share]) -> Figu
     arms = first["turning_arm_force"].values.reshape(angle.size, -1)
     shafts = first["crank_bearing_force"].values.reshape(angle.size, -1)
     arm = "turning arms" if pair.supports is not None and pair.supports.kind == "cranks" else "eccentric bearings"
+    cranks = shafts.shape[1]
     main = first["main_bearing_force"].values[:, None]
     panels = ((axes[0], arms, arm), (axes[1], shafts, "crank bearings"), (axes[2], main, "main bearing"))
     for axis, values, name in panels:
-        axis.plot(angle, values, lw=1.0)
+        for number, force in enumerate(values.T):
+            each = f"disc {number // cranks}" + (f", crank {number % cranks}" if cranks > 1 else "")
+            which = each if axis is axes[0] else f"crank {number}"
+            axis.plot(angle, force, lw=1.0, label=which if values.shape[1] > 1 else None)
+        if 1 < values.shape[1] <= 9:
+            show_legend(axis, ncols=3, fontsize=7)
         axis.set(xlabel="crank angle [°]", ylabel="force [N]", title=f"{name}, {float(first['torque']):g} N·m")
     for disc in data["disc"].values:
         one = first.sel(disc=disc)
