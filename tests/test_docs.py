@@ -42,6 +42,7 @@ cycloid-fmu build examples/drive-39-40-as-made.toml -o as-made.fmu
 LOOP = f"""
 {SIMULATE} --hysteresis --torque '181 N*m' --turns 3 --samples-per-turn 400 --bus virtual -o loop.arrows
 cycloid-bench export loop.arrows -o loop.csv
+rm loop.arrows
 """
 CMM = """
 from pathlib import Path; from cmm import measure, write_csv; from cycloid_fmu.geometry.pair import read_pair;

@@ -180,9 +180,9 @@ def test_stops_at_random_of_a_line_that_sends(tmp_path, case, record_property):
     late = (recording.aligned_time("output_angle") + start - when[own])[clean]
     # Without a clock of its own a line's instant is when it came; what may have waited longer is left out.
     assert np.max(np.abs(late)) < 0.06
-    assert missing > 0
-    # Of lines without number and clock a gap's length is known to the line's jitter at either end.
-    assert_told(told["output_angle"], missing, 1 + 4 * STOPS if case == "neither" else 1)
+    assert missing > 0 or STOPS < 10  # a few short stops may lose nothing
+    # Of lines without number and clock a gap's length is known to 0.06 s, 30 lines, as their instants are.
+    assert_told(told["output_angle"], missing, 1 + 30 * STOPS if case == "neither" else 1)
     record_property(f"lines with {case}: stops, lines lost, told", f"{STOPS}, {missing}, {told['output_angle']}")
 
 
