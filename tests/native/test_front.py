@@ -4,6 +4,7 @@ import ctypes
 import os
 import re
 import subprocess
+import tempfile
 import threading
 from importlib import metadata
 from pathlib import Path
@@ -217,16 +218,23 @@ def test_what_stands_in_the_way_is_said(placed, tmp_path):
     assert told
 
 
+@pytest.fixture
+def alone():
+    """A folder without neighbours: Wine looks for a short name among all that a folder has."""
+    with tempfile.TemporaryDirectory(prefix="front") as folder:
+        yield Path(folder)
+
+
 @pytest.mark.slow(1)
 @needs_wine
 @pytest.mark.parametrize("made", ["shipped", "compiled here"])
-def test_the_windows_library_hands_on_a_path_of_ascii(tmp_path, made):
+def test_the_windows_library_hands_on_a_path_of_ascii(alone, made):
     runtime = native_build.windows_runtime("runtime")
-    folder = tmp_path / "Gerät 歯車"
+    folder = alone / "Gerät 歯車"
     (folder / "resources").mkdir(parents=True)
     calls = "".join(f"CALL({name})" for name in signatures())
     behind = compiled(
-        tmp_path / "pythonfmu-export.exe", [HERE / "front_behind.c"], f"-DCALLS={calls}", "-O2", "-shared",
+        alone / "pythonfmu-export.exe", [HERE / "front_behind.c"], f"-DCALLS={calls}", "-O2", "-shared",
         "-Wl,--no-entry", *runtime, compiler=zig("x86_64-windows"),
     )  # fmt: skip
     (folder / "pythonfmu-export.dll").write_bytes(behind.read_bytes())
@@ -236,17 +244,17 @@ def test_the_windows_library_hands_on_a_path_of_ascii(tmp_path, made):
     else:
         (folder / "CycloidDrive.dll").write_bytes(compiled_front(name))
     host = compiled(
-        tmp_path / "host.exe", [HERE / "front_host.c", HERE / "windows_start.c"], "-O2", "-Wl,--entry=start", *runtime,
+        alone / "host.exe", [HERE / "front_host.c", HERE / "windows_start.c"], "-O2", "-Wl,--entry=start", *runtime,
         compiler=zig("x86_64-windows"),
     )  # fmt: skip
-    environment = {**os.environ, "WINEPREFIX": str(tmp_path / "wine"), "WINEDEBUG": "-all"}
-    for resources in (folder / "resources", tmp_path):
+    environment = {**os.environ, "WINEPREFIX": str(alone / "wine"), "WINEDEBUG": "-all"}
+    for resources in (folder / "resources", alone):
         uri = resources.as_uri().replace("file:///", "file:///Z:/")
         run = subprocess.run([WINE, host, uri], cwd=folder, env=environment, capture_output=True, check=True)
         location, status, end = run.stdout.decode().split("\n")[:3]
         assert (status, end) == ("discarded", "let go")
         assert location.isascii()
-        if resources == tmp_path:
-            assert location == f"Z:{tmp_path}"
+        if resources == alone:
+            assert location == f"Z:{alone}"
         else:  # it ends with the short name of the folder
             assert re.fullmatch(r"[\x21-\x7d]+~[^/]+", Path(location).parent.name)
