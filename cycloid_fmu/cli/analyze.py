@@ -17,6 +17,7 @@ from cycloid_fmu.geometry.pair import ANGLES
 if TYPE_CHECKING:
     from cycloid_fmu.contact.transmission import Transmission
     from cycloid_fmu.drive import Drive
+    from cycloid_fmu.supports.figures import Share
 
 
 def analyze(
@@ -63,6 +64,8 @@ def analyze(
         typer.echo(f"Interrupted: {finished} of {angles} crank angles are done.", err=True)
     if finished == 0:
         raise typer.Exit(edge.INTERRUPTED)
+    supported = drive.pair.supports is not None and drive.pair.rated_torque is not None
+    shares = drive.compliance() if supported and (plot is not None or not as_json) else []
     if output is not None or plot is not None or as_json:
         # Only here: xarray takes longer to load than the sweep.
         data = transmission.labelled(drive.pair, drive.surface, found, used, complete=finished == angles)
@@ -72,9 +75,7 @@ def analyze(
             from cycloid_fmu.draw import plots
 
             if drive.pair.supports is not None:
-                shares = drive.compliance() if drive.pair.rated_torque is not None else []
                 plots.save(plots.plot_bearings(data, drive.pair, shares), plot.with_stem(f"{plot.stem}-bearings"))
-
             plots.save(plots.plot_analysis(data), plot)
             if slices is not None:
                 plots.save(plots.plot_lines(data), plot.with_stem(f"{plot.stem}-lines"))
@@ -83,7 +84,7 @@ def analyze(
     if not as_json:
         _print(found, f"{pair_file.name}, {finished} crank angles over {turns} turn(s)")
         if drive.pair.supports is not None:
-            _print_bearings(drive, found)
+            _print_bearings(drive, found, shares)
     for note in notes(drive.pair, found):
         typer.echo(f"Note: {note}", err=True)
     if finished < angles:
@@ -109,7 +110,7 @@ def _print(found: Transmission, title: str) -> None:
     typer.echo("Mean and peak-to-peak transmission error and backlash, largest contact pressure, pins in contact.")
 
 
-def _print_bearings(drive: Drive, found: Transmission) -> None:
+def _print_bearings(drive: Drive, found: Transmission, shares: list[Share]) -> None:
     from cycloid_fmu.supports import figures
 
     for k, load in enumerate(found.torque):
@@ -121,9 +122,8 @@ def _print_bearings(drive: Drive, found: Transmission) -> None:
         commands.print_table(
             f"Bearings at {load:g} N·m", ["bearing", "largest", "equivalent", "L10, crank turns (ISO 281)"], rows
         )
-    if drive.pair.rated_torque is None or drive.pair.supports is None:
+    if not shares or drive.pair.supports is None:
         return
-    shares = drive.compliance()
     whole, rows = 0.0, []
     for share in shares:
         whole += share.compliance

@@ -173,7 +173,7 @@ def _check_made(pair: Pair, made: Mapping[str, Any]) -> None:
             first = int(room.argmin())
             why = f"pins {first} and {(first + 1) % pair.pins} overlap by {-room.min() * 1e6:.6g} um"
     if why:
-        raise edge.InputError(f"errors: with these {why}.")
+        raise edge.InputError(f"errors: with these, {why}.")
 
 
 def _deviations(pair: Pair, surface: ErrorSurface, z: Array) -> contact.Deviations | None:

@@ -159,7 +159,10 @@ def _shift(work: Work, first: int, sign: float, column: int) -> None:
 
 @part
 def eccentric(assembly: Assembly, crank: float, disc: int, k: int) -> tuple[float, float]:
-    """E u(A) less the eccentric that was made, (e + de) u(A + dψ), computed from small terms, m."""
+    """By how much the ideal eccentric, e u(A), is ahead of the one that was made, (e + de) u(A + dψ), m.
+
+    Computed from small terms.
+    """
     phase, throw = assembly.phase[disc, k], assembly.throw[disc, k]
     half = 2.0 * assembly.eccentricity * math.sin(0.5 * phase)
     between, made = crank + 0.5 * phase, crank + phase
@@ -170,14 +173,14 @@ def eccentric(assembly: Assembly, crank: float, disc: int, k: int) -> tuple[floa
 
 
 @part
-def crank_displacement(
-    assembly: Assembly, carrier: float, theta: float, phase: float, q: Array, disc: int, k: int
+def _hole_from_place(
+    assembly: Assembly, carrier: float, q: Array, disc: int, k: int
 ) -> tuple[float, float, float, float, float, float]:
-    """Displacement of a crank's eccentric in its disc's hole, and the arms of disc and carrier there, m.
+    """By how much a disc's hole is off its crank's or roller's place in the carrier, beside the ideal eccentricity.
 
-    `carrier` is the carrier's ideal rotation γ.
+    Then the arms of disc and carrier there; all m, in axes that do not turn.
     """
-    at, shaft = FIRST_DISC + 3 * disc, FIRST_DISC + 3 * assembly.hole_x.shape[0] + 2 * k
+    at = FIRST_DISC + 3 * disc
     x, y = q[0], q[at + 2]
     cx, sx, cy, sy = math.cos(carrier + x), math.sin(carrier + x), math.cos(carrier + y), math.sin(carrier + y)
     px, py = assembly.place_x[k], assembly.place_y[k]
@@ -188,15 +191,28 @@ def crank_displacement(
     cm, sm = math.cos(mean), math.sin(mean)
     dx = turn * (-sm * px - cm * py) + cy * assembly.hole_x[disc, k] - sy * assembly.hole_y[disc, k]
     dy = turn * (cm * px - sm * py) + sy * assembly.hole_x[disc, k] + cy * assembly.hole_y[disc, k]
-    dx += -cx * assembly.crank_x[k] + sx * assembly.crank_y[k] + q[at] - q[1] - q[shaft]
-    dy += -sx * assembly.crank_x[k] - cx * assembly.crank_y[k] + q[at + 1] - q[2] - q[shaft + 1]
+    dx += -cx * assembly.crank_x[k] + sx * assembly.crank_y[k] + q[at] - q[1]
+    dy += -sx * assembly.crank_x[k] - cx * assembly.crank_y[k] + q[at + 1] - q[2]
+    return dx, dy, cy * hx - sy * hy, sy * hx + cy * hy, cx * ax - sx * ay, sx * ax + cx * ay
+
+
+@part
+def crank_displacement(
+    assembly: Assembly, carrier: float, theta: float, phase: float, q: Array, disc: int, k: int
+) -> tuple[float, float, float, float, float, float]:
+    """Displacement of a crank's eccentric in its disc's hole, and the arms of disc and carrier there, m.
+
+    `carrier` is the carrier's ideal rotation γ.
+    """
+    shaft = FIRST_DISC + 3 * assembly.hole_x.shape[0] + 2 * k
+    dx, dy, hx, hy, ax, ay = _hole_from_place(assembly, carrier, q, disc, k)
     ex, ey = eccentric(assembly, theta + phase, disc, k)
-    return dx + ex, dy + ey, cy * hx - sy * hy, sy * hx + cy * hy, cx * ax - sx * ay, sx * ax + cx * ay
+    return dx - q[shaft] + ex, dy - q[shaft + 1] + ey, hx, hy, ax, ay
 
 
 @part
 def _add_cranks(problem: Problem, assembly: Assembly, theta: float, q: Array, centring: float, work: Work) -> None:
-    residual, jacobian = work.residual, work.jacobian
+    jacobian = work.jacobian
     discs = problem.shift_x.size
     carrier = -theta / problem.teeth
     for k in range(assembly.place_x.size):
@@ -220,7 +236,6 @@ def _add_cranks(problem: Problem, assembly: Assembly, theta: float, q: Array, ce
         force, stiffness = _spring(assembly.crank_shaft, r, centring)
         _shift(work, shaft, 1.0, 0)
         _add_bearing(work, 2, sx, sy, force, stiffness, r)
-    _ = residual
 
 
 @part
@@ -228,23 +243,12 @@ def roller_displacement(
     assembly: Assembly, carrier: float, crank: float, q: Array, disc: int, i: int
 ) -> tuple[float, float, float, float, float, float, float]:
     """Place of a hole from its output roller, the arms of disc and carrier there, and by how much it is beyond e."""
-    at = FIRST_DISC + 3 * disc
-    x, y = q[0], q[at + 2]
-    cx, sx, cy, sy = math.cos(carrier + x), math.sin(carrier + x), math.cos(carrier + y), math.sin(carrier + y)
-    px, py = assembly.place_x[i], assembly.place_y[i]
-    ax, ay = px + assembly.crank_x[i], py + assembly.crank_y[i]
-    hx, hy = px + assembly.hole_x[disc, i], py + assembly.hole_y[disc, i]
-    turn, mean = 2.0 * math.sin(0.5 * (y - x)), carrier + 0.5 * (x + y)
-    cm, sm = math.cos(mean), math.sin(mean)
-    dx = turn * (-sm * px - cm * py) + cy * assembly.hole_x[disc, i] - sy * assembly.hole_y[disc, i]
-    dy = turn * (cm * px - sm * py) + sy * assembly.hole_x[disc, i] + cy * assembly.hole_y[disc, i]
-    dx += -cx * assembly.crank_x[i] + sx * assembly.crank_y[i] + q[at] - q[1]
-    dy += -sx * assembly.crank_x[i] - cx * assembly.crank_y[i] + q[at + 1] - q[2]
+    dx, dy, hx, hy, ax, ay = _hole_from_place(assembly, carrier, q, disc, i)
     e = assembly.eccentricity
     ox, oy = e * math.cos(crank), e * math.sin(crank)
     wx, wy = ox + dx, oy + dy
     beyond = (2.0 * (ox * dx + oy * dy) + dx * dx + dy * dy) / (math.hypot(wx, wy) + e)
-    return wx, wy, cy * hx - sy * hy, sy * hx + cy * hy, cx * ax - sx * ay, sx * ax + cx * ay, beyond
+    return wx, wy, hx, hy, ax, ay, beyond
 
 
 @part

@@ -32,8 +32,8 @@ from cycloid_fmu.supports.balance import (
 )
 from cycloid_fmu.supports.bearing import CENTRING, Bearing, by_clearance, push
 
-# Beyond the errors' columns: logarithm of each bearing's stiffness and its clearance, then crank angle and torque.
-TURNING_ARM, CRANK_SHAFT, MAIN, OUTPUT_ROLLER, LAW_COUNT = range(5)
+# Beside the errors' columns, each bearing's two: the logarithm of its stiffness, and its clearance.
+TURNING_ARM, CRANK_SHAFT, MAIN, OUTPUT_ROLLER = range(4)
 
 
 @part
