@@ -295,11 +295,15 @@ class Drive:
         import xarray as xr
 
         from cycloid_fmu.contact.transmission import slices_needed
-        from cycloid_fmu.supports.transmission import LAWS, error_sensitivity
+        from cycloid_fmu.supports.transmission import error_sensitivity
 
         if crank_angle is None:
             crank_angle = np.linspace(0.0, 2.0 * math.pi, angles, endpoint=False)
-        known = structured_names((1, 2, 3)) + (list(LAWS) if self.pair.supports is not None else [])
+        known = structured_names((1, 2, 3))
+        if self.pair.supports is not None:
+            from cycloid_fmu.supports.solution import LAWS
+
+            known += LAWS
         names = list(errors) if errors is not None else known
         for name in names:
             if name not in known and kind_of(name) is None and profile_wave(name, 1) is None:

@@ -83,6 +83,18 @@ def inlined(function: _Function) -> _Function:
     return _within(function, function, forceinline=True)
 
 
+def spliced(function: _Function) -> _Function:
+    """Make a `part` whose statements are put where it is called; for what is called in one place.
+
+    Each kernel in between holds all that it calls, compiled once more.
+    """
+    if not config.DISABLE_JIT:
+        # What numba asks of a function that it may splice in; it calls a `part` where it does not.
+        function.targetoptions = {"inline": "always"}  # type: ignore[attr-defined]
+        function.py_func = function  # type: ignore[attr-defined]
+    return part(function)
+
+
 def _within(name: _Function, function: _Function, forceinline: bool = False) -> _Function:
     """Let kernels that call `name` compile `function`, once, without an entry from Python or a file in the cache.
 

@@ -56,8 +56,10 @@ def load_sharing(problem: Problem, contacts: Rows, pin_force: Array, pin_pressur
     contact_count, max_contact_pressure
         Pins that carry more than 1 % of the most loaded pin's force; Pa.
     """
-    pin_force[:] = 0.0
-    pin_pressure[:] = 0.0
+    discs, pins = pin_force.shape
+    for disc in range(discs):
+        for pin in range(pins):
+            pin_force[disc, pin] = pin_pressure[disc, pin] = 0.0
     for row in range(contacts.shape[0]):
         force = contacts[row].force
         if force <= 0.0:
@@ -67,13 +69,15 @@ def load_sharing(problem: Problem, contacts: Rows, pin_force: Array, pin_pressur
         pin_force[disc, pin] += force
         pin_pressure[disc, pin] = max(pin_pressure[disc, pin], pressure)
     largest_force = largest_pressure = 0.0
-    for disc, pin in np.ndindex(pin_force.shape):
-        largest_force = max(largest_force, float(pin_force[disc, pin]))
-        largest_pressure = max(largest_pressure, float(pin_pressure[disc, pin]))
+    for disc in range(discs):
+        for pin in range(pins):
+            largest_force = max(largest_force, float(pin_force[disc, pin]))
+            largest_pressure = max(largest_pressure, float(pin_pressure[disc, pin]))
     count = 0
-    for disc, pin in np.ndindex(pin_force.shape):
-        if pin_force[disc, pin] > _COUNTED * largest_force:
-            count += 1
+    for disc in range(discs):
+        for pin in range(pins):
+            if pin_force[disc, pin] > _COUNTED * largest_force:
+                count += 1
     return count, largest_pressure
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cycloid_fmu.contact.compiling import Array, compiled
+from cycloid_fmu.contact.compiling import Array, compiled, spliced
 from cycloid_fmu.contact.energy import crank_side
 from cycloid_fmu.contact.equilibrium import equilibrium, load, rotational_stiffness
 from cycloid_fmu.contact.load_sharing import ContactLines, load_sharing, write_contact_lines
@@ -67,7 +67,7 @@ def sweep(
         know of none.
     """
     if with_play:
-        sweep_play(problem, thetas, first, last, low, high, gap)
+        _solve_play(problem, thetas, first, last, low, high, gap)
     for k in range(torques.size):
         contacts, torque = contact_rows(problem), torques[k]
         deviation, stiffness = found.deviation[k], found.stiffness[k]
@@ -102,6 +102,11 @@ def sweep_play(problem: Problem, thetas: Array, first: int, last: int, low: Arra
     low, high, gap
         Overwritten from `first` to `last`, shape (angles,): ends of the play (rad) and interference (m), as `play`.
     """
+    _solve_play(problem, thetas, first, last, low, high, gap)
+
+
+@spliced
+def _solve_play(problem: Problem, thetas: Array, first: int, last: int, low: Array, high: Array, gap: Array) -> None:
     contacts = contact_rows(problem)
     for i in range(first, last):
         cold = i == first or math.isnan(low[i - 1])
@@ -173,11 +178,12 @@ def sweep_flank_sensitivities(
     """
     contacts = contact_rows(problem)
     pitch = 2.0 * math.pi / problem.teeth
-    out[:] = 0.0
     for i in range(thetas.size):
         place(problem, thetas[i], deviation[i], contacts, i == 0, math.inf, BOUNDED)
         load(problem, thetas[i], deviation[i], contacts)
         stiffness = 0.0
+        for wave in range(waves.shape[0]):
+            out[i, wave] = 0.0
         for row in range(contacts.shape[0]):
             contact = contacts[row]
             if contact.force <= 0.0:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import threading
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import contact, edge
+from cycloid_fmu.contact.parts import Stopped, solve_in_parts
 from cycloid_fmu.geometry.pair import Pair, smallest_convex_radius
 from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_normals, flank_points
 from cycloid_fmu.surfaces.provenance import provenance
@@ -381,8 +380,7 @@ def solve(
     lines = _lines(pair, surface, problem, places) if with_elements else None
     merging = threading.Lock()
 
-    def part(first: int) -> int:
-        last = min(first + PART, angles.size)
+    def part(first: int, last: int) -> None:
         # Parts that are solved at once each raise pressures of their own.
         mine = lines and lines._replace(
             gear_pressure=np.zeros_like(lines.gear_pressure), pin_pressure=np.zeros_like(lines.pin_pressure)
@@ -392,7 +390,6 @@ def solve(
             with merging:
                 np.maximum(lines.gear_pressure, mine.gear_pressure, out=lines.gear_pressure)
                 np.maximum(lines.pin_pressure, mine.pin_pressure, out=lines.pin_pressure)
-        return last - first
 
     def result(done: slice) -> Transmission:
         kept = lines or no_lines(torques.size)
@@ -402,18 +399,10 @@ def solve(
             kept.slice_force[:, done], kept.slice_direction[:, done], kept.gear_pressure, kept.pin_pressure,
         )  # fmt: skip
 
-    finished = 0
-    # One thread needs no pool: a study of thousands of drives would start one for each.
-    with ThreadPoolExecutor(workers) if workers > 1 else contextlib.nullcontext() as pool:
-        parts = range(0, angles.size, PART)
-        try:
-            for size in map(part, parts) if pool is None else pool.map(part, parts):
-                finished += size
-                progress(size * torques.size)
-        except KeyboardInterrupt:
-            if pool is not None:
-                pool.shutdown(cancel_futures=True)
-            raise Interrupted(result(slice(0, finished))) from None
+    try:
+        solve_in_parts(part, angles.size, PART, workers, lambda size: progress(size * torques.size))
+    except Stopped as stopped:
+        raise Interrupted(result(slice(0, stopped.finished))) from None
     for k, load in enumerate(torques):
         _check_again(problem, angles, np.full(angles.size, load), stiffness[k] <= 0.0)
     return result(slice(None))

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact import Array, Problem, Rows, part
+from cycloid_fmu.contact import Array, Problem, Rows, part, spliced
 from cycloid_fmu.contact.equilibrium import load
 from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
 from cycloid_fmu.supports.assembly import Assembly
@@ -68,7 +68,7 @@ def work_of(unknowns: int, discs: int) -> Work:
     )  # fmt: skip
 
 
-@part
+@spliced
 def _place_discs(problem: Problem, assembly: Assembly, theta: float, q: Array, contacts: Rows, work: Work) -> None:
     """Put the discs where q says and solve the gaps that this can close."""
     x = q[0]
@@ -88,7 +88,7 @@ def _place_discs(problem: Problem, assembly: Assembly, theta: float, q: Array, c
     place(problem, theta, x, contacts, cold, clear, BOUNDED)
 
 
-@part
+@spliced
 def _add_mesh(problem: Problem, theta: float, x: float, contacts: Rows, work: Work) -> None:
     """Add the pins' forces on the discs and their derivatives."""
     residual, jacobian = work.residual, work.jacobian
@@ -210,7 +210,7 @@ def crank_displacement(
     return dx - q[shaft] + ex, dy - q[shaft + 1] + ey, hx, hy, ax, ay
 
 
-@part
+@spliced
 def _add_cranks(problem: Problem, assembly: Assembly, theta: float, q: Array, centring: float, work: Work) -> None:
     jacobian = work.jacobian
     discs = problem.shift_x.size
@@ -251,7 +251,7 @@ def roller_displacement(
     return wx, wy, hx, hy, ax, ay, beyond
 
 
-@part
+@spliced
 def _add_rollers(problem: Problem, assembly: Assembly, theta: float, q: Array, centring: float, work: Work) -> None:
     jacobian = work.jacobian
     discs = problem.shift_x.size
@@ -368,7 +368,7 @@ def hold(problem: Problem, assembly: Assembly, work: Work, held: float) -> None:
             work.matrix[i, i] += held
 
 
-@part
+@spliced
 def torsional_stiffness(problem: Problem, assembly: Assembly, work: Work) -> float:
     """dT/dx = 1/(H⁻¹)_xx where the torque balances, N·m/rad; NaN where nothing holds."""
     hold(problem, assembly, work, _HELD)
@@ -397,7 +397,7 @@ def _direction(problem: Problem, assembly: Assembly, work: Work) -> float:
     return 0.0
 
 
-@part
+@spliced
 def balance(
     problem: Problem, assembly: Assembly, theta: float, torque: float, centring: float, q: Array, contacts: Rows,
     work: Work,
@@ -434,7 +434,7 @@ def balance(
     return 0
 
 
-@part
+@spliced
 def settle(
     problem: Problem, assembly: Assembly, theta: float, torque: float, q: Array, contacts: Rows, work: Work, cold: bool
 ) -> int:

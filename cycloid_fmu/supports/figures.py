@@ -13,7 +13,8 @@ from cycloid_fmu import edge
 from cycloid_fmu.contact.transmission import Transmission
 from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD, Pair
 from cycloid_fmu.geometry.supports import Bearing, OutputRoller, PinSeat, Supports
-from cycloid_fmu.supports.transmission import OnBearings, solve
+from cycloid_fmu.supports.solution import OnBearings
+from cycloid_fmu.supports.transmission import solve
 from cycloid_fmu.surfaces.surface import nominal_surface
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact import Array, Problem, compiled, part
+from cycloid_fmu.contact import Array, Problem, compiled, spliced
 from cycloid_fmu.supports.assembly import Assembly
 from cycloid_fmu.supports.balance import (
     FIRST_DISC,
@@ -41,7 +41,7 @@ class Found(NamedTuple):
     output_roller: Array
 
 
-@part
+@spliced
 def _forces(problem: Problem, assembly: Assembly, theta: float, q: Array, found: Found, i: int) -> float:
     """Write every bearing's force; returns the crank torque."""
     discs = problem.shift_x.size

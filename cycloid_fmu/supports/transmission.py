@@ -1,35 +1,24 @@
-"""A drive on its bearings over crank angles: what its bodies do, what every bearing carries, and a labelled dataset."""
+"""Transmission error over crank angles of a drive on rigid bearings or on those that the pair states."""
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, cast
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact import Problem, transmission
+from cycloid_fmu.contact import transmission
 from cycloid_fmu.contact.transmission import Interrupted, Transmission
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.geometry.supports import Bearing
-from cycloid_fmu.supports import bearing
-from cycloid_fmu.supports.assembly import Assembly
-from cycloid_fmu.supports.balance import work_of
-from cycloid_fmu.supports.sensitivity import sweep_supported_sensitivities
-from cycloid_fmu.supports.sweeps import Found, sweep_supported
-from cycloid_fmu.surfaces.structured import displacement_columns, displacement_layout, displacements, profile_wave
+from cycloid_fmu.surfaces.structured import displacement_columns, profile_wave
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
 if TYPE_CHECKING:
     import xarray as xr
 
 Array = NDArray[np.float64]
-PLAY_LOAD = 1e-3  # of the rated torque: what leaves the play between its two directions
-_PART = 64  # crank angles that one thread solves at a time
 
 _LABELS = {
     "disc_shift_x": (("disc",), "m", "shift of each disc's centre from its ideal place along x"),
@@ -40,119 +29,6 @@ _LABELS = {
     "output_roller_force": (("disc", "roller"), "N", "force of each output roller in each disc's hole"),
     "crank_torque": ((), "N*m", "torque of the environment on the crank"),
 }
-
-
-def _law(stated: Bearing) -> bearing.Bearing:
-    if stated.rollers is not None and stated.roller_length is not None:
-        return bearing.rollers(stated.rollers, stated.roller_length, stated.clearance)
-    return bearing.linear(bearing.RIGID if stated.stiffness is None else stated.stiffness, stated.clearance)
-
-
-def assembly_of(pair: Pair, surface: ErrorSurface) -> Assembly:
-    """Return what holds the discs of a pair with supports, as numbers and arrays."""
-    supports = pair.supports
-    assert supports is not None
-    made = displacements(pair, surface, {})
-    angle = supports.first_angle + 2.0 * np.pi * np.arange(supports.count) / supports.count
-    roller = supports.output_roller
-    play = np.zeros((pair.discs, supports.count)) if roller is None else made["hole_play"] + 0.5 * roller.clearance
-    stiffness = 0.0 if supports.kind == "cranks" else bearing.RIGID
-    if roller is not None and roller.stiffness is not None:
-        stiffness = roller.stiffness
-    arm, shaft, main = (_law(getattr(supports, name)) for name in ("turning_arm", "crank_shaft", "main"))
-    rigid = bearing.RIGID in (arm.stiffness, shaft.stiffness, main.stiffness, stiffness)
-    mesh = pair.face_width / (pair.material.gear.compliance + pair.material.pin.compliance)
-    return Assembly(
-        cranks=supports.kind == "cranks",
-        eccentricity=pair.eccentricity,
-        place_x=supports.circle_radius * np.cos(angle),
-        place_y=supports.circle_radius * np.sin(angle),
-        crank_x=made["carrier_x"],
-        crank_y=made["carrier_y"],
-        hole_x=made["hole_x"],
-        hole_y=made["hole_y"],
-        hole_play=play,
-        throw=made["eccentric_throw"] + made["crank_throw"],
-        phase=made["eccentric_phase"],
-        seat_x=float(made["centre_x"]),
-        seat_y=float(made["centre_y"]),
-        turning_arm=arm,
-        crank_shaft=shaft,
-        main=main,
-        output_roller=stiffness,
-        rotation_scale=pair.pin_circle_radius,
-        # The last digits of a rotation move a crank by 1e-19 m, those of a gap are 1e-17 m.
-        balanced=max(1e-3 if rigid else 1e-7, 1e-17 * mesh),
-    )
-
-
-def problem_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> Problem:
-    """Return the mesh of a pair with supports: discs stand where bearings let them, pins give in their seats."""
-    supports = pair.supports
-    assert supports is not None
-    mesh = transmission.mesh_of(pair, surface, slices)
-    seat = supports.pin_seat
-    compliance = 0.0 if seat.stiffness_per_width is None else 1.0 / (seat.stiffness_per_width * mesh.slice_width)
-    none = np.zeros(slices)
-    return mesh._replace(
-        eccentricity=pair.eccentricity, centre_x=none, centre_y=none.copy(), seat_gap=0.5 * seat.clearance,
-        seat_compliance=compliance,
-    )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class OnBearings(Transmission):
-    """Results of a crank sweep of a drive on its bearings, SI: those of `Transmission`, and what the bodies do.
-
-    The play is what `PLAY_LOAD` of the rated torque leaves, either way, at no torque; there is no interference.
-
-    Attributes
-    ----------
-    disc_shift_x, disc_shift_y
-        Shape (torques, angles, discs): shift of each disc's centre from its ideal place, m.
-    turning_arm_force
-        Shape (torques, angles, discs, cranks), N; one crank with output rollers.
-    crank_bearing_force
-        Shape (torques, angles, cranks), N.
-    main_bearing_force, crank_torque
-        Shape (torques, angles): N, N·m.
-    output_roller_force
-        Shape (torques, angles, discs, rollers), N; none with cranks.
-    """
-
-    disc_shift_x: Array
-    disc_shift_y: Array
-    turning_arm_force: Array
-    crank_bearing_force: Array
-    main_bearing_force: Array
-    output_roller_force: Array
-    crank_torque: Array
-
-
-def _empty(pair: Pair, loads: int, angles: int) -> Found:
-    supports = pair.supports
-    assert supports is not None
-    discs, cranks, rollers = pair.discs, supports.cranks, supports.count if supports.kind == "output_rollers" else 0
-    grid = (loads, angles)
-    pins = (*grid, discs, pair.pins)
-    return Found(
-        steps=np.zeros(grid, dtype=np.int64),
-        place=np.zeros((*grid, 3 + 3 * discs + 2 * cranks)),
-        stiffness=np.zeros(grid),
-        crank_torque=np.zeros(grid),
-        contact_count=np.zeros(grid, dtype=np.int64),
-        max_contact_pressure=np.zeros(grid),
-        pin_force=np.zeros(pins),
-        pin_pressure=np.zeros(pins),
-        turning_arm=np.zeros((*grid, discs, cranks)),
-        crank_bearing=np.zeros((*grid, cranks)),
-        main_bearing=np.zeros(grid),
-        output_roller=np.zeros((*grid, discs, rollers)),
-    )
-
-
-def _of(found: Found, part: Any) -> Found:
-    return Found(*(array[part] for array in cast(tuple[Any, ...], found)))
 
 
 def solve(
@@ -174,7 +50,7 @@ def solve(
     Returns
     -------
     Transmission
-        An `OnBearings` of a pair with supports.
+        A `solution.OnBearings` of a pair with supports.
 
     Raises
     ------
@@ -188,167 +64,18 @@ def solve(
         )  # fmt: skip
     if with_elements:
         raise edge.ArgumentError("slices", "contact lines and element pressures are not known with supports", slices)
-    torques, angles = np.array(torque, dtype=float, ndmin=1), np.array(crank_angle, dtype=float, ndmin=1)
-    if not (np.isfinite(torques).all() and np.isfinite(angles).all()):
-        raise ValueError("torque and crank_angle must be finite")
-    loads = np.concatenate([_play_loads(pair) if with_play or 0.0 in torques else [], torques])
-    first = loads.size - torques.size
+    # Only here, as below: a drive on rigid bearings needs none of it.
+    from cycloid_fmu.supports import solution
 
-    def result(found: Found, done: slice) -> OnBearings:
-        return _result(pair, torques, angles[done], loads, _of(found, np.s_[:, done]))
-
-    try:
-        found = _solved(
-            pair, surface, loads, angles, slices, first, workers, lambda size: progress(size * torques.size)
-        )
-    except _Stopped as stopped:
-        raise Interrupted(result(stopped.found, slice(0, stopped.finished))) from None
-    return result(found, slice(None))
-
-
-class _Stopped(KeyboardInterrupt):
-    def __init__(self, found: Found, finished: int) -> None:
-        super().__init__()
-        self.found, self.finished = found, finished
-
-
-def _solved(
-    pair: Pair, surface: ErrorSurface, loads: Sequence[float] | Array, angles: Array, slices: int, first: int = 0,
-    workers: int = 1, progress: Callable[[int], None] = lambda angles: None,
-) -> Found:  # fmt: skip
-    """Return places at every load but 0 and crank angle, and from the load `first` on forces; told parts of angles."""
-    found, assembly = _empty(pair, len(loads), angles.size), assembly_of(pair, surface)
-    mesh = problem_of(pair, surface, slices)
-
-    def part(start: int) -> int:
-        last = min(start + _PART, angles.size)
-        # Each thread moves discs of its own.
-        shift_x, shift_y, turn = (np.zeros(pair.discs) for _ in range(3))
-        problem = mesh._replace(shift_x=shift_x, shift_y=shift_y, turn=turn)
-        for k, load in enumerate(loads):
-            if load != 0.0:
-                here = _of(found, np.s_[k, start:last])
-                work = work_of(here.place.shape[-1], pair.discs)
-                sweep_supported(problem, assembly, angles[start:last], float(load), k >= first, here, work)
-        return last - start
-
-    finished = 0
-    with ThreadPoolExecutor(workers) if workers > 1 else contextlib.nullcontext() as pool:
-        parts = range(0, angles.size, _PART)
-        try:
-            for size in map(part, parts) if pool is None else pool.map(part, parts):
-                finished += size
-                progress(size)
-        except KeyboardInterrupt:
-            if pool is not None:
-                pool.shutdown(cancel_futures=True)
-            raise _Stopped(found, finished) from None
-    for k, load in enumerate(loads):
-        if load != 0.0 and not found.steps[k].all():
-            raise _unbalanced(load, angles[np.argmin(found.steps[k])])
-    return found
-
-
-def _unbalanced(torque: float, crank_angle: float) -> edge.InputError:
-    return edge.InputError(
-        f"torque = {torque:g} N*m: nothing balances it at a crank angle of {crank_angle:.6g} rad; give one that the "
-        "drive can carry."
+    return solution.solve(
+        pair, surface, torque, crank_angle, slices, with_play=with_play, workers=workers, progress=progress
     )
-
-
-def _play_loads(pair: Pair) -> list[float]:
-    if pair.rated_torque is None:
-        raise edge.InputError(
-            f"rated_torque is missing; with [supports] the play is what {PLAY_LOAD:g} of it leaves at no torque."
-        )
-    return [-PLAY_LOAD * pair.rated_torque, PLAY_LOAD * pair.rated_torque]
-
-
-def _result(pair: Pair, torques: Array, angles: Array, loads: Array, found: Found) -> OnBearings:
-    """Return what was found at `loads`, the play's two before the torques."""
-    deviation, first = found.place[..., 0], loads.size - torques.size
-    low = high = np.full(angles.size, np.nan)
-    if first:
-        # Where the tangents at a small torque either way meet no torque: without clearance but with errors no place is
-        # without energy, yet the output swings.
-        ends = deviation[:2] - loads[:2, None] / found.stiffness[:2]
-        middle = ends.mean(axis=0)
-        low, high = np.minimum(ends[0], middle), np.maximum(ends[1], middle)
-        deviation = np.where(loads[:, None] == 0.0, middle, deviation)
-    kept = _of(found, np.s_[first:])
-    discs = pair.discs
-    return OnBearings(
-        torques, angles, deviation[first:], kept.stiffness, kept.contact_count, kept.max_contact_pressure,
-        kept.pin_force, kept.pin_pressure, low, high, np.zeros(angles.size),
-        *transmission.no_lines(torques.size)[:4],
-        disc_shift_x=kept.place[..., 3 : 3 + 3 * discs : 3],
-        disc_shift_y=kept.place[..., 4 : 3 + 3 * discs : 3],
-        turning_arm_force=kept.turning_arm,
-        crank_bearing_force=kept.crank_bearing,
-        main_bearing_force=kept.main_bearing,
-        output_roller_force=kept.output_roller,
-        crank_torque=kept.crank_torque,
-    )  # fmt: skip
-
-
-LAWS = tuple(
-    f"{bearing_}_{what}"
-    for bearing_ in ("turning_arm", "crank_shaft", "main", "output_roller")
-    for what in ("stiffness", "clearance")
-)
-"""Columns of a sensitivity by bearings: by the logarithm of a stiffness (rad), by a clearance (rad/m)."""
-
-
-@dataclass(frozen=True)
-class Sensitivity:
-    """Transmission error of a drive on its bearings, with its derivatives.
-
-    Attributes
-    ----------
-    transmission_error
-        Shape (angles,), rad.
-    by_displacement
-        By everything that errors displace, `structured.displacement_layout`, shape (angles, displacements), rad/m.
-    by_bearing
-        By `LAWS`, shape (angles, 8).
-    by_crank_angle, by_torque
-        Shape (angles,): 1 and rad/(N·m).
-    """
-
-    transmission_error: Array
-    by_displacement: Array
-    by_bearing: Array
-    by_crank_angle: Array
-    by_torque: Array
-
-
-def sensitivity(
-    pair: Pair, surface: ErrorSurface, torque: float, crank_angle: ArrayLike, slices: int = 1
-) -> Sensitivity:
-    """Return the transmission error of a drive on its bearings at one torque, differentiated.
-
-    Raises
-    ------
-    edge.InputError
-        If a torque can't be carried.
-    """
-    angles = np.array(crank_angle, dtype=float, ndmin=1)
-    found = _solved(pair, surface, [torque], angles, slices)
-    size = max(place.stop for place in displacement_layout(pair).values())
-    each, laws = np.zeros((angles.size, size)), np.zeros((angles.size, len(LAWS)))
-    by_angle, by_torque = (np.zeros(angles.size) for _ in range(2))
-    if not sweep_supported_sensitivities(
-        problem_of(pair, surface, slices), assembly_of(pair, surface), angles, torque, found.place[0], each, laws,
-        by_angle, by_torque, work_of(found.place.shape[-1], pair.discs),
-    ):  # fmt: skip
-        raise _unbalanced(torque, angles[0])
-    return Sensitivity(found.place[0, :, 0].copy(), each, laws, by_angle, by_torque)
 
 
 def error_sensitivity(
     pair: Pair, surface: ErrorSurface, torque: float, crank_angle: ArrayLike, names: list[str], slices: int = 1
 ) -> tuple[Array, Array]:
-    """Return the transmission error at one torque, and its derivatives by named errors or bearings (`LAWS`).
+    """Return the transmission error at one torque, and its derivatives by named errors or bearings (`solution.LAWS`).
 
     Returns
     -------
@@ -365,6 +92,8 @@ def error_sensitivity(
     for name in names:
         if profile_wave(name, 1) is not None:
             raise edge.ArgumentError("errors", "the flanks' profile has no derivatives with supports yet", name)
+    from cycloid_fmu.supports.solution import LAWS, sensitivity
+
     found = sensitivity(pair, surface, torque, crank_angle, slices)
     errors = [name for name in names if name not in LAWS]
     columns = dict(zip(errors, (found.by_displacement @ displacement_columns(pair, errors)).T, strict=True))
@@ -373,15 +102,17 @@ def error_sensitivity(
 
 
 def labelled(pair: Pair, surface: ErrorSurface, found: Transmission, slices: int, *, complete: bool) -> xr.Dataset:
-    """Return results as a dataset (format `cycloid-analysis/1`), with what `OnBearings` has besides."""
+    """Return results as a dataset (format `cycloid-analysis/1`), with what those on bearings have besides."""
     data = transmission.labelled(pair, surface, found, slices, complete=complete)
-    if isinstance(found, OnBearings):
+    if pair.supports is not None:
+        from cycloid_fmu.supports.solution import PLAY_LOAD
+
         for name, (dimensions, unit, text) in _LABELS.items():
             values = getattr(found, name)
             if values.shape[-1] > 0:
                 each = ("torque", "crank_angle", *dimensions)
                 # Output rollers have one crank.
-                one = "crank" in dimensions and pair.supports is not None and pair.supports.kind == "output_rollers"
+                one = "crank" in dimensions and pair.supports.kind == "output_rollers"
                 data[name] = (each[:-1], values[..., 0]) if one else (each, values)
                 data[name].attrs.update(units=unit, long_name=text)
         data["backlash"].attrs["long_name"] = f"play: what {PLAY_LOAD:g} of the rated torque leaves at no torque"
