@@ -18,7 +18,7 @@ import pydantic
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import contact, edge
-from cycloid_fmu.contact.transmission import drive_of
+from cycloid_fmu.contact.transmission import mesh_of
 from cycloid_fmu.edge import ARCMIN, Angle, Config
 from cycloid_fmu.errors.kinds import LARGEST_DEVIATION
 from cycloid_fmu.geometry.pair import Pair, PositiveLength, pair_of_tables
@@ -228,7 +228,7 @@ def parse_reducer(text: str, source: str) -> Reducer:
         If it is not a valid reducer; one sentence a problem, naming field, value and `source`.
     """
     table = edge.toml_table(text, FORMAT, source)
-    stage: dict[str, Any] = {k: table.pop(k) for k in ("pair", "modification", "material") if k in table}
+    stage: dict[str, Any] = {k: table.pop(k) for k in ("pair", "modification", "material", "supports") if k in table}
     if "stage" in table:
         raise edge.InputError(f"{source}: stage is not a key known here; check its spelling or remove it.")
     pair = pair_of_tables(stage, source)
@@ -447,12 +447,13 @@ class Play:
 def contact_play(reducer: Reducer, surface: ErrorSurface, angles: int) -> Play:
     """Return the play of the contact model at so many crank angles, spread evenly over one output turn.
 
-    Angles that share no factor with the teeth meet every tooth in another phase of the mesh.
+    It is the mesh's between rigid bodies, whatever holds them. Angles that share no factor with the teeth meet every
+    tooth in another phase of the mesh.
     """
     teeth = reducer.stage.gear_teeth
     low, high, gap = np.empty(angles), np.empty(angles), np.empty(angles)
     crank = 2.0 * np.pi * teeth * np.arange(angles) / angles
-    contact.sweep_play(drive_of(reducer.stage, surface), crank, 0, angles, low, high, gap)
+    contact.sweep_play(mesh_of(reducer.stage, surface), crank, 0, angles, low, high, gap)
     free = np.where(np.isnan(high), 0.0, high - low)
     return Play(free, gap, 0.5 * (low + high))
 

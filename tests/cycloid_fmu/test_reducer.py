@@ -297,6 +297,18 @@ def test_the_cycloid_stage_alone_is_a_pair_file(tmp_path):
     assert parse_pair(RV.stage.text, "inner") == RV.stage
 
 
+SUPPORTS = '[supports]\nkind = "cranks"\ncount = 3\ncircle_radius = "27.5 mm"\n'
+
+
+def test_supports_of_a_reducer_are_its_stage_s(found):
+    """They hold the discs; the terms of the mesh stay the mesh's."""
+    held = parse_reducer(TEXT.replace("[involute]", SUPPORTS + "[involute]"), "rv.toml")
+    assert held.stage.supports.count == 3
+    assert contact_play(held, surface_of_reducer(held), 29).backlash.mean() == pytest.approx(
+        contact_play(RV, surface_of_reducer(RV), 29).backlash.mean(), rel=1e-12
+    )
+
+
 def test_budget_from_the_command_line(command, tmp_path):
     (tmp_path / "rv-20e.toml").write_text(TEXT)
     run = command("cycloid-fmu", "budget", "rv-20e.toml", "--samples", 100, "--plot", "b.png")
