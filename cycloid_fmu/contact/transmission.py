@@ -7,7 +7,7 @@ import math
 import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -53,6 +53,8 @@ class Transmission:
     gear_element_pressure, pin_element_pressure
         Shapes (torques, discs, teeth, profile, slices) and (torques, pins, angle, slices), or size 0: the largest
         pressure that each element has seen, Pa.
+    crank_torque
+        Torque of the environment on the crank, shape (torques, angles), N·m; None where it was not asked for.
     """
 
     torque: Array
@@ -70,6 +72,7 @@ class Transmission:
     slice_direction: NDArray[np.float32]
     gear_element_pressure: Array
     pin_element_pressure: Array
+    crank_torque: Array | None = field(default=None, kw_only=True)
 
     @property
     def backlash(self) -> Array:

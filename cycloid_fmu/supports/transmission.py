@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
@@ -114,8 +114,8 @@ class OnBearings(Transmission):
         Shape (torques, angles, discs, cranks), N; one crank with output rollers.
     crank_bearing_force
         Shape (torques, angles, cranks), N.
-    main_bearing_force, crank_torque
-        Shape (torques, angles): N, N·m.
+    main_bearing_force
+        Shape (torques, angles), N.
     output_roller_force
         Shape (torques, angles, discs, rollers), N; none with cranks.
     """
@@ -126,7 +126,6 @@ class OnBearings(Transmission):
     crank_bearing_force: Array
     main_bearing_force: Array
     output_roller_force: Array
-    crank_torque: Array
 
 
 def _empty(pair: Pair, loads: int, angles: int) -> Found:
@@ -353,7 +352,12 @@ def sensitivity(
 def error_sensitivity(
     pair: Pair, surface: ErrorSurface, torque: ArrayLike, crank_angle: ArrayLike, names: list[str], slices: int = 1
 ) -> tuple[Array, Array]:
-    """Return the transmission error at a torque, or one for each angle, and its derivatives by named errors or bearings (`LAWS`).
+    """Return the transmission error at a torque, or one for each angle, with its derivatives by errors or bearings.
+
+    Parameters
+    ----------
+    names
+        Structured errors, and bearings' stiffnesses and clearances by `LAWS`.
 
     Returns
     -------
@@ -391,28 +395,3 @@ def labelled(pair: Pair, surface: ErrorSurface, found: Transmission, slices: int
                 data[name].attrs.update(units=unit, long_name=text)
         data["backlash"].attrs["long_name"] = f"play: what {PLAY_LOAD:g} of the rated torque leaves at no torque"
     return data
-
-
-def analyze(
-    pair: Pair,
-    surface: ErrorSurface,
-    torque: ArrayLike,
-    crank_angle: ArrayLike,
-    slices: int = 1,
-    *,
-    with_elements: bool = False,
-    workers: int = 1,
-    progress: Callable[[int], None] = lambda angles: None,
-) -> xr.Dataset:
-    """Return the labelled dataset of `solve`.
-
-    Interrupted, it returns the crank angles that were finished, and the attribute `complete` is 0.
-    """
-    complete = True
-    try:
-        found = solve(
-            pair, surface, torque, crank_angle, slices, with_elements=with_elements, workers=workers, progress=progress
-        )
-    except Interrupted as interrupted:
-        found, complete = interrupted.result, False
-    return labelled(pair, surface, found, slices, complete=complete)

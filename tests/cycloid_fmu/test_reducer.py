@@ -261,7 +261,7 @@ def test_contradicting_numbers_are_named_with_the_one_that_is_used():
         ("pins = 40", "pins = 42", ("pins = 42", "40")),
         ("discs = 1", 'output = "ring"\ndiscs = 1', ("output", "fixed")),
         ("reducer/1", "reducer/7", ("format", "cycloid-reducer/1")),
-        ("[deviations]", '[errors]\npin_radius = "1 um"\n[deviations]', ("errors", "not a key")),
+        ("[deviations]", '[errors]\npin_radius = "1 um"\n[deviations]', ("[errors]", "[deviations]")),
     ],
 )
 def test_bad_reducers_are_one_sentence(old, new, said):
