@@ -46,7 +46,7 @@ def analyze(
 
     from cycloid_fmu.contact.transmission import Interrupted, notes, slices_needed
     from cycloid_fmu.drive import read_drive
-    from cycloid_fmu.supports import transmission
+    from cycloid_fmu.reducer import transmission
 
     drive = read_drive(pair_file, surface_file)
     used = slices or slices_needed(drive.surface)
@@ -54,7 +54,7 @@ def analyze(
     with commands.progress("crank angles", angles * len(torque)) as progress:
         try:
             found = transmission.solve(
-                drive.pair, drive.surface, torque, angle, used, with_elements=slices is not None,
+                drive.pair, drive.surface, drive.first_stage, torque, angle, used, with_elements=slices is not None,
                 workers=os.cpu_count() or 1, progress=progress,
             )  # fmt: skip
         except Interrupted as interrupted:
@@ -68,7 +68,8 @@ def analyze(
     shares = drive.compliance() if supported and (plot is not None or not as_json) else []
     if output is not None or plot is not None or as_json:
         # Only here: xarray takes longer to load than the sweep.
-        data = transmission.labelled(drive.pair, drive.surface, found, used, complete=finished == angles)
+        whole = finished == angles
+        data = transmission.labelled(drive.pair, drive.surface, drive.first_stage, found, used, complete=whole)
         if output is not None:
             edge.write_netcdf(data, output)
         if plot is not None:
@@ -82,7 +83,8 @@ def analyze(
         if as_json:
             commands.print_json({str(k): v.values for k, v in {**data.coords, **data.data_vars}.items()})
     if not as_json:
-        _print(found, f"{pair_file.name}, {finished} crank angles over {turns} turn(s)")
+        held = "" if drive.first_stage is None else f", ratio {drive.ratio:g}, sun locked"
+        _print(found, f"{pair_file.name}, {finished} crank angles over {turns} turn(s){held}")
         if drive.pair.supports is not None:
             _print_bearings(drive, found, shares)
     for note in notes(drive.pair, found):

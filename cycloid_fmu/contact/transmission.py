@@ -7,7 +7,7 @@ import math
 import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -39,7 +39,7 @@ class Transmission:
     Attributes
     ----------
     torque, crank_angle
-        Shapes (torques,) and (angles,): N·m on the output, rad.
+        Shapes (torques,), or (torques, angles) as given, and (angles,): N·m on the output, rad.
     transmission_error, torsional_stiffness, contact_count, max_contact_pressure
         Shape (torques, angles): rad at the output, N·m/rad, pins, Pa.
     pin_force, pin_pressure
@@ -53,6 +53,8 @@ class Transmission:
     gear_element_pressure, pin_element_pressure
         Shapes (torques, discs, teeth, profile, slices) and (torques, pins, angle, slices), or size 0: the largest
         pressure that each element has seen, Pa.
+    crank_torque
+        Torque of the environment on the crank, shape (torques, angles), N·m; None where it was not asked for.
     """
 
     torque: Array
@@ -70,6 +72,7 @@ class Transmission:
     slice_direction: NDArray[np.float32]
     gear_element_pressure: Array
     pin_element_pressure: Array
+    crank_torque: Array | None = field(default=None, kw_only=True)
 
     @property
     def backlash(self) -> Array:
@@ -265,6 +268,12 @@ def _contiguous(values: ArrayLike) -> Array:
     return np.array(values, dtype=float, order="C", ndmin=1)
 
 
+def along_sweep(torques: Array, angles: Array) -> Array:
+    """Return torques (N·m), shape (torques,) or (torques, angles), at every crank angle, shape (torques, angles)."""
+    each = torques if torques.ndim == 2 else torques[:, None]
+    return np.array(np.broadcast_to(each, (each.shape[0], angles.size)))
+
+
 def carried(contacts: contact.Rows) -> Array:
     """Torque that contacts carry, N·m: force times arm, summed over the rows, shape (..., rows), of each."""
     force, arm = contacts["force"], contacts["arm"]
@@ -346,7 +355,8 @@ def solve(
     pair, surface
         The nominal pair and its errors.
     torque
-        Torques of the environment on the output, N·m; at 0 the transmission error is the middle of the play.
+        Torques of the environment on the output, N·m, shape (torques,), or (torques, angles) where they change along
+        the sweep; at 0 the transmission error is the middle of the play.
     crank_angle
         Crank angles, rad; neighbours should be neighbours in the array, each solution starts from the one before.
     slices
@@ -372,7 +382,8 @@ def solve(
     torques, angles = _contiguous(torque), _contiguous(crank_angle)
     if not (np.isfinite(torques).all() and np.isfinite(angles).all()):
         raise ValueError("torque and crank_angle must be finite")
-    loads, places = (torques.size, angles.size), (torques.size, angles.size, g.discs, g.pins)
+    at_angles = along_sweep(torques, angles)
+    loads, places = at_angles.shape, (*at_angles.shape, g.discs, g.pins)
     deviation, stiffness, pressure = (np.full(loads, np.nan) for _ in range(3))
     found = contact.LoadedSweep(
         deviation, stiffness, np.zeros(loads, dtype=np.int64), pressure, np.zeros(places), np.zeros(places)
@@ -387,7 +398,7 @@ def solve(
         mine = lines and lines._replace(
             gear_pressure=np.zeros_like(lines.gear_pressure), pin_pressure=np.zeros_like(lines.pin_pressure)
         )
-        contact.sweep(problem, angles, torques, first, last, with_play, low, high, gap, found, mine)
+        contact.sweep(problem, angles, at_angles, first, last, with_play, low, high, gap, found, mine)
         if lines is not None and mine is not None:
             with merging:
                 np.maximum(lines.gear_pressure, mine.gear_pressure, out=lines.gear_pressure)
@@ -395,7 +406,7 @@ def solve(
         return last - first
 
     def result(done: slice) -> Transmission:
-        kept = lines or no_lines(torques.size)
+        kept = lines or no_lines(loads[0])
         return Transmission(
             torques, angles[done], deviation[:, done], stiffness[:, done], found.contact_count[:, done],
             pressure[:, done], found.pin_force[:, done], found.pin_pressure[:, done], low[done], high[done], gap[done],
@@ -409,13 +420,13 @@ def solve(
         try:
             for size in map(part, parts) if pool is None else pool.map(part, parts):
                 finished += size
-                progress(size * torques.size)
+                progress(size * loads[0])
         except KeyboardInterrupt:
             if pool is not None:
                 pool.shutdown(cancel_futures=True)
             raise Interrupted(result(slice(0, finished))) from None
-    for k, load in enumerate(torques):
-        _check_again(problem, angles, np.full(angles.size, load), stiffness[k] <= 0.0)
+    for k in range(loads[0]):
+        _check_again(problem, angles, at_angles[k], stiffness[k] <= 0.0)
     return result(slice(None))
 
 

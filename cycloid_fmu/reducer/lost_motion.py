@@ -18,18 +18,21 @@ import pydantic
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import contact, edge
-from cycloid_fmu.contact.transmission import drive_of
+from cycloid_fmu.contact.transmission import mesh_of
 from cycloid_fmu.edge import ARCMIN, Angle, Config
 from cycloid_fmu.errors.kinds import LARGEST_DEVIATION
 from cycloid_fmu.geometry.pair import Pair, PositiveLength, pair_of_tables
+from cycloid_fmu.geometry.supports import Stiffness
 from cycloid_fmu.reducer.first_stage import FirstStage, sun_locked_share
 from cycloid_fmu.surfaces.sampling import Distribution
-from cycloid_fmu.surfaces.surface import ErrorSurface
+from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
 
 Array = NDArray[np.float64]
 Variant = Literal["standard", "as_printed", "geometric", "geometric_sun_locked"]
 VARIANTS: tuple[Variant, ...] = ("standard", "as_printed", "geometric", "geometric_sun_locked")
 FORMAT = "cycloid-reducer/1"
+MESH_STIFFNESS = 20e9
+"""N/m for each metre of face width: mesh stiffness c_γ of steel gears, ISO 6336-1, method C (20 N/(mm·µm))."""
 STAGES = ("involute", "cycloid", "bearings")
 # Of the closed form a term is called contradicted where the contact model differs by more than this share of it.
 _AGREES = 0.05
@@ -140,6 +143,12 @@ class Involute(Config):
         The RV paper's β, tilt of the input shaft, rad (`shaft_tilt`).
     shaft_displacement
         The RV paper's a_1, radial displacement of the sun in mesh, m.
+    planets
+        Planets, one on each crank shaft; the cranks of `[supports]` where not stated.
+    face_width
+        Common face width of sun and planets, m: it gives their mesh stiffness by ISO 6336-1, method C.
+    mesh_stiffness
+        Of one planet's mesh along the line of action, N/m, stated instead; without both the first stage is rigid.
     """
 
     sun_teeth: int = pydantic.Field(ge=6, le=200, strict=True)
@@ -149,6 +158,27 @@ class Involute(Config):
     centre_distance: PositiveLength | None = None
     shaft_tilt: Annotated[Angle, pydantic.AfterValidator(_below_right_angle)] = 0.0
     shaft_displacement: edge.Length = 0.0
+    planets: int | None = pydantic.Field(default=None, ge=2, le=12, strict=True)
+    face_width: PositiveLength | None = None
+    mesh_stiffness: Stiffness | None = None
+
+    @pydantic.model_validator(mode="after")
+    def _one_stiffness(self) -> Involute:
+        if self.face_width is not None and self.mesh_stiffness is not None:
+            raise ValueError("it is stated by face_width and mesh_stiffness; state one of them")
+        return self
+
+    @property
+    def one_mesh(self) -> float:
+        """Stiffness of one planet's mesh along the line of action, N/m; infinite where none is stated."""
+        if self.mesh_stiffness is not None:
+            return self.mesh_stiffness
+        return math.inf if self.face_width is None else MESH_STIFFNESS * self.face_width
+
+    @property
+    def planet_base_radius(self) -> float:
+        """Radius of a planet's base circle, m z_2 cos α/2, m."""
+        return 0.5 * self.module * self.planet_teeth * math.cos(self.pressure_angle)
 
     @property
     def crank_circle_radius(self) -> float:
@@ -202,6 +232,51 @@ class Reducer(Config):
     stated: Stated = Stated()
     deviations: Deviations = Deviations()
 
+    @pydantic.model_validator(mode="after")
+    def _together(self) -> Reducer:
+        supports, planets = self.stage.supports, self.involute.planets
+        if supports is not None and supports.kind != "cranks":
+            raise ValueError(f'[supports] kind = "{supports.kind}": planets turn cranks; write kind = "cranks"')
+        if supports is not None and planets not in (None, supports.count):
+            raise ValueError(
+                f"[involute] planets = {planets}, but [supports] count = {supports.count}: each is on a crank"
+            )
+        if math.isfinite(self.involute.one_mesh) and self.planets is None:
+            raise ValueError("[involute] planets is missing: their meshes share the load of the first stage")
+        if not self.turning_arm_clearance >= 0.0:
+            raise ValueError(
+                "[deviations] crank_bearing_clearance takes more than [supports.turning_arm] clearance; it must leave "
+                "one not below zero"
+            )
+        return self
+
+    @property
+    def planets(self) -> int | None:
+        """Planets, one on each crank; None where neither they nor cranks are stated."""
+        supports = self.stage.supports
+        return self.involute.planets if supports is None else supports.count
+
+    @property
+    def turning_arm_clearance(self) -> float:
+        """Diametral clearance of the crank bearings in the discs as made, m; 0 where these are rigid."""
+        supports = self.stage.supports
+        if supports is None or supports.turning_arm.is_rigid:
+            return 0.0
+        return supports.turning_arm.clearance + self.deviations.crank_bearing_clearance.value
+
+    @property
+    def planet_keys(self) -> Array:
+        """Angle by which each planet is keyed to its crank beside the first one's, rad, shape (planets,).
+
+        All cranks stand alike, so a planet k of n stands k (z_1 + z_2)/n of its tooth pitch further; where n divides
+        z_1 + z_2 all planets are alike.
+        """
+        if self.planets is None:
+            raise edge.InputError("[involute] planets is missing; the planets' keys need it.")
+        teeth = self.involute.planet_teeth
+        share = np.arange(self.planets) * (self.involute.sun_teeth + teeth) % self.planets / self.planets
+        return np.asarray(2.0 * np.pi / teeth * share)
+
     @property
     def ratio(self) -> float:
         """Total ratio 1 + z_2 z_p/(z_1 (z_p - z_c)) (RV paper, equation 4); > 0, the output turns as the sun does."""
@@ -228,7 +303,11 @@ def parse_reducer(text: str, source: str) -> Reducer:
         If it is not a valid reducer; one sentence a problem, naming field, value and `source`.
     """
     table = edge.toml_table(text, FORMAT, source)
-    stage: dict[str, Any] = {k: table.pop(k) for k in ("pair", "modification", "material") if k in table}
+    stage: dict[str, Any] = {k: table.pop(k) for k in ("pair", "modification", "material", "supports") if k in table}
+    if isinstance(stated := table.pop("errors", {}), dict) and set(stated) <= {"supports"}:
+        stage["errors"] = stated
+    else:
+        raise edge.InputError(f"{source}: [errors]: a reducer's errors are its [deviations] and [errors.supports].")
     if "stage" in table:
         raise edge.InputError(f"{source}: stage is not a key known here; check its spelling or remove it.")
     pair = pair_of_tables(stage, source)
@@ -279,6 +358,18 @@ def contradictions(reducer: Reducer, source: str) -> list[str]:
             f'"{involute.module * 1e3:.6g} mm" with {involute.sun_teeth} and {involute.planet_teeth} teeth means '
             f'"{unshifted * 1e3:.6g} mm": the cranks stand on the stated centre distance; the play of the first stage '
             "takes no centre distance."
+        )
+    supports = g.supports
+    if supports is not None and abs(supports.circle_radius / involute.crank_circle_radius - 1.0) > 1e-3:
+        found.append(
+            f'{source}: [supports] circle_radius = "{supports.circle_radius * 1e3:.6g} mm", but the planets mesh at '
+            f'"{involute.crank_circle_radius * 1e3:.6g} mm": the bearings\' model takes the first, the closed form the '
+            "second."
+        )
+    if reducer.planets is not None and reducer.planet_keys.any():
+        found.append(
+            f"{source}: {involute.sun_teeth} and {involute.planet_teeth} teeth can't be shared by {reducer.planets} "
+            "planets that are alike: each is keyed to its crank by another angle."
         )
     return found
 
@@ -414,8 +505,7 @@ def surface_of_reducer(reducer: Reducer, values: Mapping[str, float] | None = No
     g, m = reducer.stage, reducer.stage.modification
     pin, tooth = np.arange(g.pins), np.arange(g.gear_teeth)
     wave = 0.5 * v["tooth_cumulative_pitch"] * np.cos(2.0 * np.pi * tooth / g.gear_teeth)
-    return ErrorSurface(
-        reducer.stage,
+    return surface_of_pair(g).replace(
         pin_circle_radius=v["pin_circle_radius"],
         pin_radius=v["pin_radius"] - 0.5 * v["pin_hole_clearance"],
         eccentricity=v["eccentricity"],
@@ -447,12 +537,13 @@ class Play:
 def contact_play(reducer: Reducer, surface: ErrorSurface, angles: int) -> Play:
     """Return the play of the contact model at so many crank angles, spread evenly over one output turn.
 
-    Angles that share no factor with the teeth meet every tooth in another phase of the mesh.
+    It is the mesh's between rigid bodies, whatever holds them. Angles that share no factor with the teeth meet every
+    tooth in another phase of the mesh.
     """
     teeth = reducer.stage.gear_teeth
     low, high, gap = np.empty(angles), np.empty(angles), np.empty(angles)
     crank = 2.0 * np.pi * teeth * np.arange(angles) / angles
-    contact.sweep_play(drive_of(reducer.stage, surface), crank, 0, angles, low, high, gap)
+    contact.sweep_play(mesh_of(reducer.stage, surface), crank, 0, angles, low, high, gap)
     free = np.where(np.isnan(high), 0.0, high - low)
     return Play(free, gap, 0.5 * (low + high))
 
@@ -519,14 +610,28 @@ def with_sun_locked(reducer: Reducer, crank_locked: Mapping[str, float]) -> dict
     return found
 
 
-def first_stage_of(reducer: Reducer) -> FirstStage:
-    """Return what the FMU puts around the cycloid stage: the teeth, and the plays that the deviations make."""
+def parts_of(reducer: Reducer) -> tuple[Pair, ErrorSurface, FirstStage]:
+    """Return what a reducer is made of: its cycloid stage, the stage's errors and the first stage, as made.
+
+    Where the stage has bearings that give way, the clearance of its crank bearings is the turning arms'; else it is a
+    play beside the stage.
+    """
     outer = outer_stages(reducer, values_of(reducer), reducer.involute.sun_base_radius)
-    return FirstStage(
-        sun_teeth=reducer.involute.sun_teeth,
-        planet_teeth=reducer.involute.planet_teeth,
-        sun_play=max(0.0, float(outer["base_tangent_length"]) * reducer.ratio),
-        bearing_play=max(0.0, float(outer["crank_bearing_clearance"])),
+    stage, involute, beside = reducer.stage, reducer.involute, float(outer["crank_bearing_clearance"])
+    supports = stage.supports
+    if supports is not None and not supports.turning_arm.is_rigid:
+        arm = supports.turning_arm.replace(clearance=reducer.turning_arm_clearance)
+        stage, beside = stage.replace(supports=supports.replace(turning_arm=arm)), 0.0
+    return (
+        stage,
+        surface_of_reducer(reducer.replace(stage=stage)),
+        FirstStage(
+            sun_teeth=involute.sun_teeth,
+            planet_teeth=involute.planet_teeth,
+            sun_play=max(0.0, float(outer["base_tangent_length"]) * reducer.ratio),
+            bearing_play=max(0.0, beside),
+            crank_stiffness=(reducer.planets or 1) * involute.one_mesh * involute.planet_base_radius**2,
+        ),
     )
 
 

@@ -25,7 +25,8 @@ from cycloid_fmu import edge
 from cycloid_fmu.contact.first_order import Screen
 from cycloid_fmu.contact.transmission import SLICES_MISALIGNED, slices_needed
 from cycloid_fmu.geometry.pair import ANGLES, LOST_MOTION, Pair
-from cycloid_fmu.supports.transmission import solve
+from cycloid_fmu.reducer.first_stage import FirstStage
+from cycloid_fmu.reducer.transmission import solve
 from cycloid_fmu.surfaces.sampling import LARGEST_SEED, AngleError, Tolerances, surface_at
 from cycloid_fmu.surfaces.structured import displacement_vector
 from cycloid_fmu.surfaces.surface import Elements, ErrorSurface
@@ -70,6 +71,8 @@ class Study:
         Loads on the output, N·m, not zero.
     angles, turns
         Crank angles evenly from 0 over so many crank turns, end excluded.
+    first_stage
+        What turns the cranks of an RV reducer: figures are then those with the sun locked.
     """
 
     pair: Pair
@@ -80,6 +83,7 @@ class Study:
     design: Design = "sobol"
     angles: int = ANGLES
     turns: int = 1
+    first_stage: FirstStage | None = None
 
     @property
     def factors(self) -> tuple[str, ...]:
@@ -106,6 +110,7 @@ class Study:
             "angles": self.angles,
             "turns": self.turns,
             "versions": versions(),
+            **({} if self.first_stage is None else {"first_stage": self.first_stage.text}),
         }
 
 
@@ -201,8 +206,11 @@ def crank_angles(study: Study) -> Array:
 def figures_of(study: Study, surface: ErrorSurface) -> Array:
     """Return the figures of one drive in the order of `Study.columns`, by the exact kernel."""
     angles, slices = crank_angles(study), slices_needed(surface)
-    loaded = solve(study.pair, surface, study.torque, angles, slices, with_play=False)
-    free = solve(study.pair, surface, study.pair.lost_motion_loads, angles[::PLAY_STEP], slices)
+    first = study.first_stage
+    loaded = solve(study.pair, surface, first, study.torque, angles, slices, with_play=False, with_stiffness=False)
+    free = solve(
+        study.pair, surface, first, study.pair.lost_motion_loads, angles[::PLAY_STEP], slices, with_stiffness=False
+    )
     backlash = np.where(np.isnan(free.backlash), 0.0, free.backlash)
     found: dict[str, Any] = {
         "angular_transmission_error": np.ptp(loaded.transmission_error, axis=1),
@@ -218,7 +226,9 @@ def figures_of(study: Study, surface: ErrorSurface) -> Array:
 
 
 def check_first_order(study: Study, tolerances_source: str) -> None:
-    """Refuse, with an `edge.InputError`, form deviations: first order takes errors of size and place alone."""
+    """Refuse, with an `edge.InputError`, what first order does not take: form deviations, a first stage."""
+    if study.first_stage is not None:
+        raise edge.InputError("[involute]: to first order no first stage is known; solve the drives exactly.")
     for name in study.factors:
         if name.endswith("_profile"):
             raise edge.InputError(

@@ -430,7 +430,7 @@ def curves(recordings: Source | Iterable[Source], drive: Drive | float, *, keep_
     >>> round(float(np.ptp(curve.transmission_error)) * 1e6)
     20
     """
-    ratio = drive if isinstance(drive, float | int) else drive.pair.ratio
+    ratio = drive if isinstance(drive, float | int) else drive.ratio
     found: list[Curve] = []
     for source in [recordings] if isinstance(recordings, Source) else recordings:
         recording = open_source(source)

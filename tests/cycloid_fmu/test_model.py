@@ -194,7 +194,7 @@ def models():
     return {
         "drive": (DriveModel, DriveState, (PLAY, nominal_surface(PLAY))),
         "compliant": (CompliantModel, CompliantState, (PLAY, nominal_surface(PLAY))),
-        "reducer": (ReducerModel, ReducerState, (whole.stage, surface, rv.first_stage_of(whole))),
+        "reducer": (ReducerModel, ReducerState, (whole.stage, surface, rv.parts_of(whole)[2])),
     }
 
 

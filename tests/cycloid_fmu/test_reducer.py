@@ -261,7 +261,7 @@ def test_contradicting_numbers_are_named_with_the_one_that_is_used():
         ("pins = 40", "pins = 42", ("pins = 42", "40")),
         ("discs = 1", 'output = "ring"\ndiscs = 1', ("output", "fixed")),
         ("reducer/1", "reducer/7", ("format", "cycloid-reducer/1")),
-        ("[deviations]", '[errors]\npin_radius = "1 um"\n[deviations]', ("errors", "not a key")),
+        ("[deviations]", '[errors]\npin_radius = "1 um"\n[deviations]', ("[errors]", "[deviations]")),
     ],
 )
 def test_bad_reducers_are_one_sentence(old, new, said):
@@ -295,6 +295,18 @@ def test_the_cycloid_stage_alone_is_a_pair_file(tmp_path):
     from cycloid_fmu.geometry.pair import parse_pair
 
     assert parse_pair(RV.stage.text, "inner") == RV.stage
+
+
+SUPPORTS = '[supports]\nkind = "cranks"\ncount = 3\ncircle_radius = "27.5 mm"\n'
+
+
+def test_supports_of_a_reducer_are_its_stage_s(found):
+    """They hold the discs; the terms of the mesh stay the mesh's."""
+    held = parse_reducer(TEXT.replace("[involute]", SUPPORTS + "[involute]"), "rv.toml")
+    assert held.stage.supports.count == 3
+    assert contact_play(held, surface_of_reducer(held), 29).backlash.mean() == pytest.approx(
+        contact_play(RV, surface_of_reducer(RV), 29).backlash.mean(), rel=1e-12
+    )
 
 
 def test_budget_from_the_command_line(command, tmp_path):

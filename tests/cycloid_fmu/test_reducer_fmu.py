@@ -18,7 +18,7 @@ from cycloid_fmu.surfaces.surface import nominal_surface
 
 RV = rv.read_reducer(EXAMPLES / "rv-20e.toml")
 SURFACE = rv.surface_of_reducer(RV)
-STAGE = rv.first_stage_of(RV)
+STAGE = rv.parts_of(RV)[2]
 TIGHT = dataclasses.replace(STAGE, sun_play=0.0, bearing_play=0.0)
 
 

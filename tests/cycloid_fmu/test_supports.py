@@ -357,7 +357,7 @@ def test_sensitivities_are_differences(kind):
     def te(problem, assembly, torque=150.0, at=angles):
         found = _empty(pair, 1, at.size)
         here = type(found)(*(array[0] for array in found))
-        sweep_supported(problem, assembly, at, torque, False, here, work_of(here.place.shape[-1], 2))
+        sweep_supported(problem, assembly, at, np.full(at.size, torque), False, here, work_of(here.place.shape[-1], 2))
         return here.place[:, 0]
 
     def check(by, plus, minus, scale=step):

@@ -330,7 +330,7 @@ def reducer(tmp_path_factory):
 def coarse(folder, pair, surface, whole=None):
     made = tables.compute(pair, surface, accuracy=0.3 * ARCSEC)
     path = native_of(folder, whole or pair, surface, made, INTERFACES["kinematic"])
-    stage = [rv.first_stage_of(whole)] if whole else []
+    stage = [rv.parts_of(whole)[2]] if whole else []
     return SimpleNamespace(path=path, tables=made, drive=(pair, surface, *stage))
 
 
