@@ -94,8 +94,16 @@ class Expansions(Config):
 
     Attributes
     ----------
-    ring, pins, discs, carrier, crank
-        Mean over the temperatures that are stated, 1/K: aluminium 23.1e-6, grey cast iron some 10.5e-6.
+    ring
+        Mean from 20 °C to its temperature, 1/K; of aluminium 23.1e-6 (CRC Handbook, at 25 °C).
+    pins
+        Of the pins, 1/K.
+    discs
+        Of the cycloid gears, 1/K.
+    carrier
+        Of the carrier and the output rollers, 1/K.
+    crank
+        Of crank shafts and eccentrics, 1/K.
     """
 
     ring: Coefficient = STEEL
