@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from cycloid_fmu import contact, edge
 from cycloid_fmu.geometry.pair import Pair, smallest_convex_radius
 from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_normals, flank_points
-from cycloid_fmu.geometry.temperature import clearances_as_drawn
+from cycloid_fmu.geometry.temperature import missing_for_clearances
 from cycloid_fmu.surfaces.provenance import provenance
 from cycloid_fmu.surfaces.structured import PROFILE_POINTS, displacement_columns, displacements, profile_wave
 from cycloid_fmu.surfaces.surface import ErrorSurface
@@ -514,11 +514,8 @@ def notes(pair: Pair, found: Transmission) -> list[str]:
             f"Without load the pair interferes by up to {found.interference.max() * 1e6:.3g} um: it has no play there. "
             "A modification that removes material is an isometric above zero or an offset below zero."
         )
-    if kept := clearances_as_drawn(pair):
-        said.append(
-            f"At these temperatures the clearance of {', '.join(kept)} stays as drawn: state raceway_diameter "
-            "(of output_roller its radius) for it to follow."
-        )
+    if missing := missing_for_clearances(pair):
+        said.append(f"Clearances stay as drawn at these temperatures for what is not stated: {', '.join(missing)}.")
     return said
 
 

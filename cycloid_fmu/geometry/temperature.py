@@ -245,8 +245,8 @@ def _check_rigid(pair: Pair, by: dict[str, float]) -> None:
             )
 
 
-def clearances_as_drawn(pair: Pair) -> list[str]:
-    """Return the bearings between bodies that grow unlike each other whose clearance stays as drawn, as it must."""
+def missing_for_clearances(pair: Pair) -> list[str]:
+    """Return the sizes that are not stated, and without which a clearance between unlike bodies stays as drawn."""
     supports = pair.supports
     if supports is None or pair.temperature is None:
         return []
@@ -255,8 +255,8 @@ def clearances_as_drawn(pair: Pair) -> list[str]:
     for name, (outer, inner) in _AROUND[supports.kind].items():
         bearing: Bearing = getattr(supports, name)
         if by[outer] != by[inner] and not bearing.is_rigid and bearing.raceway_diameter is None:
-            found.append(name)
+            found.append(f"{name}.raceway_diameter")
     roller = supports.output_roller
     if roller is not None and roller.stiffness is not None and roller.radius is None and by["discs"] != by["carrier"]:
-        found.append("output_roller")
+        found.append("output_roller.radius")
     return found
