@@ -246,9 +246,14 @@ class Pair(Config):
                 found |= {"roller": (count,), "roller_hole": (self.discs, count)}
         return found
 
-    @functools.cached_property
+    @property
     def at_temperature(self) -> Pair:
         """The pair as drawn, of the size that its discs have at their temperature; itself without temperatures."""
+        return self if self.temperature is None else self.grown  # kept in itself a pair would never end to be compared
+
+    @functools.cached_property
+    def grown(self) -> Pair:
+        """What `at_temperature` makes of a pair with temperatures."""
         return thermal.at_temperature(self)
 
     @property
