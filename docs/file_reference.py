@@ -39,7 +39,7 @@ STATED_BY = {pair._Geometry: pair.Pair, pair._File: pair.Pair, sampling.file_mod
 QUANTITIES = {
     "m": "length", "rad": "angle", "N*m": "torque", "Pa": "pressure", "s": "time", "rad/s": "speed",
     "K": "temperature", "N": "force", "N/m": "stiffness", "N*m/rad": "torsional stiffness",
-    "1/Pa": "pressure viscosity", "m^2/N": "wear coefficient",
+    "1/K": "thermal expansion", "1/Pa": "pressure viscosity", "m^2/N": "wear coefficient",
 }  # fmt: skip
 ELSEWHERE = ("stage",)  # a reducer's [pair], [modification], [material] and [supports] are those of a pair file
 INTRODUCTION = """# Files

@@ -35,6 +35,13 @@ def analyze(
             min=1, help="Slices across the face, with contact lines and element pressures.", show_default=False
         ),
     ] = None,
+    temperature: Annotated[
+        str | None,
+        typer.Option(
+            metavar='"ring = 50 degC, discs = 60 degC"',
+            help="Temperatures of ring, pins, discs, carrier and crank, or one of all; else those of the pair file.",
+        ),
+    ] = None,
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
@@ -46,9 +53,12 @@ def analyze(
 
     from cycloid_fmu.contact.transmission import Interrupted, notes, slices_needed
     from cycloid_fmu.drive import read_drive
+    from cycloid_fmu.geometry.temperature import parse_temperatures
     from cycloid_fmu.reducer import transmission
 
     drive = read_drive(pair_file, surface_file)
+    if temperature is not None:
+        drive = drive.replace(temperature=parse_temperatures(temperature, drive.pair.temperature))
     used = slices or slices_needed(drive.surface)
     angle = np.linspace(0.0, 2.0 * np.pi * turns, angles, endpoint=False)
     with commands.progress("crank angles", angles * len(torque)) as progress:
@@ -84,7 +94,8 @@ def analyze(
             commands.print_json({str(k): v.values for k, v in {**data.coords, **data.data_vars}.items()})
     if not as_json:
         held = "" if drive.first_stage is None else f", ratio {drive.ratio:g}, sun locked"
-        _print(found, f"{pair_file.name}, {finished} crank angles over {turns} turn(s){held}")
+        warm = "" if drive.pair.temperature is None else f", {drive.pair.temperature}"
+        _print(found, f"{pair_file.name}, {finished} crank angles over {turns} turn(s){held}{warm}")
         if drive.pair.supports is not None:
             _print_bearings(drive, found, shares)
     for note in notes(drive.pair, found):
@@ -135,6 +146,7 @@ def _print_bearings(drive: Drive, found: Transmission, shares: list[Share]) -> N
     if not math.isnan(left):
         rows.append(["left to the catalogue's", f"{left * 1e6:.4f}", f"{1.0 / (whole + left) / edge.ARCMIN:.1f}", ""])
     commands.print_table(
-        "Where compliance and lost motion come from, as drawn",
+        "Where compliance and lost motion come from, as drawn"
+        + ("" if drive.pair.temperature is None else ", at 20 °C"),
         ["part", "compliance, µrad/(N·m)", "stiffness with it, N·m/arcmin", "lost motion"], rows,
     )  # fmt: skip

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from cycloid_fmu import contact, edge
 from cycloid_fmu.geometry.pair import Pair, smallest_convex_radius
 from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_normals, flank_points
+from cycloid_fmu.geometry.temperature import missing_for_clearances
 from cycloid_fmu.surfaces.provenance import provenance
 from cycloid_fmu.surfaces.structured import PROFILE_POINTS, displacement_columns, displacements, profile_wave
 from cycloid_fmu.surfaces.surface import ErrorSurface
@@ -112,21 +113,25 @@ def drive_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> contact.Prob
 
 
 def mesh_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> contact.Problem:
-    """Return the contact problem of gear and pins alone, whatever holds them; parameters are those of `drive_of`."""
+    """Return the contact problem of gear and pins alone, whatever holds them, at the pair's temperatures.
+
+    Parameters are those of `drive_of`.
+    """
     direction = 2.0 * np.pi * np.arange(pair.pins) / pair.pins
+    warm = pair.at_temperature
     made = displacements(pair, surface, {
-        "crank_throw": pair.eccentricity, "generating_pin_radius": pair.generating_pin_radius,
-        "generating_circle_radius": pair.generating_circle_radius, "pin_radial": pair.pin_circle_radius,
-        "pin_radius": pair.pin_radius,
+        "crank_throw": warm.eccentricity, "generating_pin_radius": warm.generating_pin_radius,
+        "generating_circle_radius": warm.generating_circle_radius, "pin_radial": warm.pin_circle_radius,
+        "pin_radius": warm.pin_radius,
     })  # fmt: skip
-    _check_made(pair, made)
-    angle = direction + made["pin_tangential"] / pair.pin_circle_radius
+    _check_made(warm, made, "errors" if pair.temperature is None else "temperature and errors")
+    angle = direction + made["pin_tangential"] / warm.pin_circle_radius
     z = pair.face_width * ((np.arange(slices) + 0.5) / slices - 0.5)
     stray = _stray(pair, surface)
     return contact.Problem(
         circle_radius=float(made["generating_circle_radius"]),
         generating_radius=float(made["generating_pin_radius"]),
-        generating_eccentricity=pair.eccentricity,
+        generating_eccentricity=warm.eccentricity,
         eccentricity=float(made["crank_throw"]),
         teeth=pair.gear_teeth,
         ring=pair.output == "ring",
@@ -144,17 +149,17 @@ def mesh_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> contact.Probl
         slice_width=pair.face_width / slices,
         compliance_gear=pair.material.gear.compliance,
         compliance_pin=pair.material.pin.compliance,
-        largest_log_radius=pair.pin_circle_radius if pair.contact_law == "capped" else math.inf,
+        largest_log_radius=warm.pin_circle_radius if pair.contact_law == "capped" else math.inf,
         stray=stray,
         seat_gap=0.0,
         seat_compliance=0.0,
-        root_phase=_root_phase(pair, stray, float(made["generating_circle_radius"])),
-        root_margin=1e-6 + 1.5 * pair.pin_circle_radius * float(np.ptp(made["tooth_turn"], axis=1).max()),
+        root_phase=_root_phase(warm, stray, float(made["generating_circle_radius"])),
+        root_margin=1e-6 + 1.5 * warm.pin_circle_radius * float(np.ptp(made["tooth_turn"], axis=1).max()),
         deviations=_deviations(pair, surface, z),
     )
 
 
-def _check_made(pair: Pair, made: Mapping[str, Any]) -> None:
+def _check_made(pair: Pair, made: Mapping[str, Any], source: str) -> None:
     """Refuse a drive that can't have been made: what a pair is checked for as drawn, with its errors."""
     circle, pin = float(made["generating_circle_radius"]), float(made["generating_pin_radius"])
     why = ""
@@ -176,7 +181,7 @@ def _check_made(pair: Pair, made: Mapping[str, Any]) -> None:
             first = int(room.argmin())
             why = f"pins {first} and {(first + 1) % pair.pins} overlap by {-room.min() * 1e6:.6g} um"
     if why:
-        raise edge.InputError(f"errors: with these, {why}.")
+        raise edge.InputError(f"{source}: with these, {why}.")
 
 
 def _deviations(pair: Pair, surface: ErrorSurface, z: Array) -> contact.Deviations | None:
@@ -214,8 +219,9 @@ def _pins_of(values: Array, z: Array, face_width: float) -> Array:
 def _flank_points(pair: Pair, surface: ErrorSurface, elements: int) -> tuple[Array, Array, Array, Array, Array]:
     """Parameters, points and normals of tooth 0's ends and its elements' middles on the flank that was made."""
     alpha = np.concatenate([[0.0], equal_arc_parameters(pair, elements), [2.0 * np.pi / pair.gear_teeth]])
-    errors, drawn = displacements(pair, surface, {}), pair.modification
-    made = pair.replace(
+    warm = pair.at_temperature
+    errors, drawn = displacements(pair, surface, {}), warm.modification
+    made = warm.replace(
         isometric=drawn.isometric + errors["generating_pin_radius"],
         offset=drawn.offset + errors["generating_circle_radius"],
     )
@@ -519,6 +525,8 @@ def notes(pair: Pair, found: Transmission) -> list[str]:
             f"Without load the pair interferes by up to {found.interference.max() * 1e6:.3g} um: it has no play there. "
             "A modification that removes material is an isometric above zero or an offset below zero."
         )
+    if missing := missing_for_clearances(pair):
+        said.append(f"Clearances stay as drawn at these temperatures for what is not stated: {', '.join(missing)}.")
     return said
 
 
@@ -574,6 +582,8 @@ def labelled(pair: Pair, surface: ErrorSurface, result: Transmission, slices: in
     data = dataset_of(pair, result)
     data.attrs.update(provenance(pair, surface), slices=slices, complete=int(complete))
     data.attrs["notes"] = "\n".join(notes(pair, result))
+    if pair.temperature is not None:
+        data.attrs["temperature"] = str(pair.temperature)
     if pair.supports is None:
         data["torsional_stiffness"].attrs["long_name"] += ", mesh alone, rigid bodies"
     return data

@@ -132,9 +132,10 @@ def plot_bearings(data: xr.Dataset, pair: Pair, shares: Sequence[Share]) -> Figu
     for axis, lengths, label in ((axes[4], soft, "compliance [µrad/(N·m)]"), (axes[5], lost, "lost motion [arcmin]")):
         axis.barh(list(lengths), list(lengths.values()), color="#4c78a8")
         axis.invert_yaxis()
-        axis.set(xlabel=label, title="as drawn, part by part")
+        axis.set(xlabel=label, title="as drawn, part by part" + (", at 20 °C" if "temperature" in data.attrs else ""))
         if not lengths:
             axis.text(0.5, 0.5, "needs a rated torque", ha="center", transform=axis.transAxes)
+    _show_temperature(figure, data)
     return figure
 
 
@@ -166,7 +167,13 @@ def plot_analysis(data: xr.Dataset) -> Figure:
     axes[5].set(xlabel="crank angle [°]", ylabel="pin", title=f"force of each pin, {torque:g} N·m, disc 0")
     axes[5].title.set_fontsize(9)
     figure.colorbar(image, ax=axes[5], label="N")
+    _show_temperature(figure, data)
     return figure
+
+
+def _show_temperature(figure: Figure, data: xr.Dataset) -> None:
+    if "temperature" in data.attrs:
+        figure.suptitle(data.attrs["temperature"], fontsize=9)
 
 
 def plot_lines(data: xr.Dataset) -> Figure:
@@ -201,6 +208,7 @@ def plot_lines(data: xr.Dataset) -> Figure:
         figure.colorbar(shown, ax=axis, label="largest pressure [MPa]")
     axes[2].set_title("over all teeth and crank angles", fontsize=9)
     axes[3].set_title("over all pins and crank angles", fontsize=9)
+    _show_temperature(figure, data)
     return figure
 
 

@@ -49,6 +49,8 @@ class Bearing(Config):
         Diametral: the radial displacement begins to press at half of it, m.
     dynamic_capacity
         Basic dynamic radial load rating C of ISO 281, N, for its life; None where no one asks.
+    raceway_diameter
+        Of the outer raceway, m: with it the clearance follows the temperatures of the bodies around the rollers.
 
     Examples
     --------
@@ -63,6 +65,7 @@ class Bearing(Config):
     rigid: bool = pydantic.Field(default=False, strict=True)
     clearance: Clearance = 0.0
     dynamic_capacity: PositiveForce | None = None
+    raceway_diameter: PositiveLength | None = None
 
     @property
     def is_rigid(self) -> bool:
@@ -92,11 +95,14 @@ class OutputRoller(Config):
         Whether it does not give way, as one that states no stiffness.
     clearance
         Twice what the hole's radius is larger than the roller's and the eccentricity, m.
+    radius
+        Of a roller, m: with it the clearance follows the temperatures of discs and carrier.
     """
 
     stiffness: Stiffness | None = None
     rigid: bool = pydantic.Field(default=False, strict=True)
     clearance: Clearance = 0.0
+    radius: PositiveLength | None = None
 
     @pydantic.model_validator(mode="after")
     def _one_law(self) -> OutputRoller:

@@ -49,10 +49,11 @@ def _law(stated: Bearing) -> bearing.Bearing:
 
 
 def assembly_of(pair: Pair, surface: ErrorSurface) -> Assembly:
-    """Return what holds the discs of a pair with supports, as numbers and arrays."""
+    """Return what holds the discs of a pair with supports, as numbers and arrays, at its temperatures."""
+    made = displacements(pair, surface, {})
+    pair = pair.at_temperature
     supports = pair.supports
     assert supports is not None
-    made = displacements(pair, surface, {})
     angle = supports.first_angle + 2.0 * np.pi * np.arange(supports.count) / supports.count
     roller = supports.output_roller
     play = np.zeros((pair.discs, supports.count)) if roller is None else made["hole_play"] + 0.5 * roller.clearance
@@ -88,9 +89,10 @@ def assembly_of(pair: Pair, surface: ErrorSurface) -> Assembly:
 
 def problem_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> Problem:
     """Return the mesh of a pair with supports: discs stand where bearings let them, pins give in their seats."""
+    mesh = transmission.mesh_of(pair, surface, slices)
+    pair = pair.at_temperature
     supports = pair.supports
     assert supports is not None
-    mesh = transmission.mesh_of(pair, surface, slices)
     seat = supports.pin_seat
     compliance = 0.0 if seat.stiffness_per_width is None else 1.0 / (seat.stiffness_per_width * mesh.slice_width)
     none = np.zeros(slices)

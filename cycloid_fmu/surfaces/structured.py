@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu.errors.kinds import BODIES, EACH_PIN, EACH_SUPPORT, KINDS, ErrorKind, kind_of, kinds_of, wave_of
 from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.geometry.temperature import displaced_by_temperature
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
 Array = NDArray[np.float64]
@@ -125,7 +126,7 @@ def displacement_layout(pair: Pair) -> dict[str, slice]:
 
 
 def displacements(pair: Pair, surface: ErrorSurface, nominal: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what all errors of a surface displace, added to nominal values by the displacements' names.
+    """Return what all errors of a surface and the temperatures displace, added to nominal values by their names.
 
     The result has a value for every name of `BODIES`, an array (pins,) for each of `EACH_PIN`, `tooth_turn`
     (discs, teeth) and, of a pair with supports, an array for each of `EACH_SUPPORT`, in m and rad.
@@ -136,6 +137,8 @@ def displacements(pair: Pair, surface: ErrorSurface, nominal: Mapping[str, Any])
     found |= {name: np.zeros(pair.places[place]) for name, place in EACH_SUPPORT.items() if place in pair.places}
     for name, value in nominal.items():
         found[name] = value + found[name] if np.ndim(found[name]) else value
+    for name, value in displaced_by_temperature(pair).items():
+        found[name] = found[name] + value
     for name, kind in kinds_of(pair).items():
         for displaced, displacement in kind.displaces.items():
             found[displaced] = found[displaced] + displacement(pair, surface.errors[name])

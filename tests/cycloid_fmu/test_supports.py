@@ -256,6 +256,15 @@ def test_seats_and_clearances_only_soften():
         last = stiffness
 
 
+def test_a_drive_that_hangs_in_its_clearances_is_balanced():
+    """A carrier with clearance in a ring that leaves much play: no other place than this takes so many steps."""
+    drawn = read_pair(EXAMPLES / "drive-39-40-bearings.toml").nominal
+    main = drawn.supports.main.replace(clearance=5e-6)
+    pair = drawn.replace(errors={"pin_circle_radius": 22e-6}, supports=drawn.supports.replace(main=main))
+    found = solved(pair, [-0.181], np.array([187 * 2.0 * np.pi / 367]), with_play=False)
+    assert found.pin_force.max() > 0.1
+
+
 def test_two_cranks_with_clearance_make_order_80_and_three_do_not():
     """Order 80 of the crank in the output, without any error, as the contract states."""
     angles = np.linspace(0.0, 2.0 * np.pi * 39, 39 * 240, endpoint=False)
