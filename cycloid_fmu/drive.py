@@ -16,7 +16,7 @@ from cycloid_fmu.errors.kinds import KINDS, kind_of, structured_names
 from cycloid_fmu.errors.stated import Errors
 from cycloid_fmu.geometry.pair import ANGLES, Pair, read_pair
 from cycloid_fmu.surfaces.provenance import drive_hash, drive_text, stating
-from cycloid_fmu.surfaces.structured import profile_wave
+from cycloid_fmu.surfaces.structured import dimensions, profile_wave
 from cycloid_fmu.surfaces.surface import ErrorSurface, check_surface, stated_values, surface_of_pair
 
 if TYPE_CHECKING:
@@ -525,7 +525,8 @@ def read_drive(path: str | os.PathLike[str], surface: str | os.PathLike[str] | N
     Raises
     ------
     edge.InputError
-        If a file can't be read or the surface belongs to another pair; it names the file, the field and the value.
+        If a file can't be read, the surface belongs to another pair or a drive with these errors can't have been made;
+        it names the file, the field and the value.
 
     Examples
     --------
@@ -542,10 +543,13 @@ def read_drive(path: str | os.PathLike[str], surface: str | os.PathLike[str] | N
 
     pair = read_pair(path)
     if surface is None:
-        return Drive(pair)
-    made = read_surface(surface)
-    check_surface(pair, made, str(path), str(surface))
-    return Drive(pair, made)
+        drive = Drive(pair)
+    else:
+        made = read_surface(surface)
+        check_surface(pair, made, str(path), str(surface))
+        drive = Drive(pair, made)
+    dimensions(pair, drive.surface, f"{surface or path}: errors")
+    return drive
 
 
 def field_units(data: xr.Dataset) -> xr.Dataset:

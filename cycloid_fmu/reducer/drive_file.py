@@ -8,7 +8,8 @@ from cycloid_fmu import edge
 from cycloid_fmu.geometry.pair import Pair, read_pair
 from cycloid_fmu.reducer.lost_motion import FORMAT, Reducer, contradictions, read_reducer
 from cycloid_fmu.surfaces.files import read_surface
-from cycloid_fmu.surfaces.surface import ErrorSurface, check_surface
+from cycloid_fmu.surfaces.structured import dimensions
+from cycloid_fmu.surfaces.surface import ErrorSurface, check_surface, surface_of_pair
 
 
 def drive_of_file(
@@ -31,7 +32,7 @@ def drive_of_file(
     Raises
     ------
     edge.InputError
-        If a file can't be read, or the surface belongs to another pair.
+        If a file can't be read, the surface belongs to another pair, or a drive with these errors can't have been made.
     """
     warnings = list[str]()
     drive: Pair | Reducer
@@ -40,8 +41,11 @@ def drive_of_file(
         warnings = contradictions(drive, str(path))
     else:
         drive = read_pair(path)
+    pair = drive if isinstance(drive, Pair) else drive.stage
     if surface_file is None:
+        dimensions(pair, surface_of_pair(pair), f"{path}: errors")
         return drive, None, warnings
     surface = read_surface(surface_file)
-    check_surface(drive if isinstance(drive, Pair) else drive.stage, surface, str(path), str(surface_file))
+    check_surface(pair, surface, str(path), str(surface_file))
+    dimensions(pair, surface, f"{surface_file}: errors")
     return drive, surface, warnings

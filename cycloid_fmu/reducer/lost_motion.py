@@ -24,6 +24,7 @@ from cycloid_fmu.errors.kinds import LARGEST_DEVIATION
 from cycloid_fmu.geometry.pair import Pair, PositiveLength, pair_of_tables
 from cycloid_fmu.reducer.first_stage import FirstStage, sun_locked_share
 from cycloid_fmu.surfaces.sampling import Distribution
+from cycloid_fmu.surfaces.structured import dimensions
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
 Array = NDArray[np.float64]
@@ -234,7 +235,9 @@ def parse_reducer(text: str, source: str) -> Reducer:
     pair = pair_of_tables(stage, source)
     if pair.output != "gear":
         raise edge.InputError(f'{source}: [pair] output = "ring": an RV reducer\'s pin ring is fixed; write "gear".')
-    return edge.validated(Reducer, {**table, "stage": pair}, source)
+    reducer = edge.validated(Reducer, {**table, "stage": pair}, source)
+    dimensions(pair, surface_of_reducer(reducer), f"{source}: deviations")
+    return reducer
 
 
 def read_reducer(path: str | os.PathLike[str]) -> Reducer:
