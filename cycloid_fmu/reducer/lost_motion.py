@@ -21,7 +21,8 @@ from cycloid_fmu import contact, edge
 from cycloid_fmu.contact.transmission import mesh_of
 from cycloid_fmu.edge import ARCMIN, Angle, Config
 from cycloid_fmu.errors.kinds import LARGEST_DEVIATION
-from cycloid_fmu.geometry.pair import Pair, PositiveLength, pair_of_tables
+from cycloid_fmu.geometry import sizes
+from cycloid_fmu.geometry.pair import Pair, pair_of_tables
 from cycloid_fmu.reducer.first_stage import FirstStage, sun_locked_share
 from cycloid_fmu.surfaces.sampling import Distribution
 from cycloid_fmu.surfaces.structured import dimensions
@@ -145,9 +146,9 @@ class Involute(Config):
 
     sun_teeth: int = pydantic.Field(ge=6, le=200, strict=True)
     planet_teeth: int = pydantic.Field(ge=6, le=200, strict=True)
-    module: PositiveLength
+    module: sizes.Module
     pressure_angle: Annotated[Angle, pydantic.AfterValidator(_below_right_angle)] = math.radians(20.0)
-    centre_distance: PositiveLength | None = None
+    centre_distance: sizes.CircleRadius | None = None
     shaft_tilt: Annotated[Angle, pydantic.AfterValidator(_below_right_angle)] = 0.0
     shaft_displacement: edge.Length = 0.0
 
@@ -174,7 +175,7 @@ class Stated(Config):
     """
 
     shortening: float | None = pydantic.Field(default=None, gt=0.0, lt=1.0)
-    sun_pitch_radius: PositiveLength | None = None
+    sun_pitch_radius: sizes.CircleRadius | None = None
 
 
 class Reducer(Config):
