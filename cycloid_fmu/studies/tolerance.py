@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact.first_order import Screen
+from cycloid_fmu.contact.first_order import NearDrives, Screen
 from cycloid_fmu.contact.transmission import SLICES_MISALIGNED, slices_needed
 from cycloid_fmu.geometry.pair import ANGLES, LOST_MOTION, Pair
 from cycloid_fmu.supports.transmission import solve
@@ -247,7 +247,7 @@ def screen_of(study: Study, largest: float = 1.0) -> Screen:
     return Screen(study.pair, loads, SLICES_MISALIGNED if tilted else 1, 20e-6 + 3.0 * largest * reach)
 
 
-def figures_to_first_order(study: Study, screen: Screen, errors: Array) -> Array:
+def figures_to_first_order(study: Study, screen: NearDrives, errors: Array) -> Array:
     """Return the figures of drives in the order of `Study.columns`, to first order, shape (drives, columns).
 
     Parameters
@@ -553,8 +553,11 @@ def screened(
     share
         Of the samples, above 0 and at most 1.
     workers, scheduler, progress
-        As in `run`; each confirmed sample is told of once more.
+        As in `run`; each confirmed sample is told of once more. An `edge.InputError` refuses a pair with supports.
     """
+    if study.pair.supports is not None:
+        problem = "first order does not see errors open and close bearings' clearances; leave it out with supports"
+        raise edge.ArgumentError("screen", problem, share)
     place = points(study)
     values = np.empty((len(place), len(study.columns)))
     size = 16 * CHUNK
