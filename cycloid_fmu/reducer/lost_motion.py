@@ -23,7 +23,9 @@ from cycloid_fmu.edge import ARCMIN, Angle, Config
 from cycloid_fmu.errors.kinds import LARGEST_DEVIATION
 from cycloid_fmu.geometry import sizes
 from cycloid_fmu.geometry.pair import Pair, pair_of_tables
+from cycloid_fmu.geometry.supports import Bearing
 from cycloid_fmu.reducer.first_stage import FirstStage, sun_locked_share
+from cycloid_fmu.supports.transmission import solve
 from cycloid_fmu.surfaces.sampling import Distribution
 from cycloid_fmu.surfaces.structured import dimensions
 from cycloid_fmu.surfaces.surface import ErrorSurface
@@ -35,6 +37,7 @@ FORMAT = "cycloid-reducer/1"
 STAGES = ("involute", "cycloid", "bearings")
 # Of the closed form a term is called contradicted where the contact model differs by more than this share of it.
 _AGREES = 0.05
+_STIFF = 1e9  # N/m: of a turning arm that no one states; a play does not depend on it
 _STAGE_OF = {"base_tangent_length": "involute", "crank_bearing_clearance": "bearings"}
 TERMS = {
     "base_tangent_length": "thinner sun teeth: common normal shorter than without play",
@@ -284,6 +287,18 @@ def contradictions(reducer: Reducer, source: str) -> list[str]:
             f'"{unshifted * 1e3:.6g} mm": the cranks stand on the stated centre distance; the play of the first stage '
             "takes no centre distance."
         )
+    if g.supports is not None and abs(g.supports.circle_radius / involute.crank_circle_radius - 1.0) > 1e-3:
+        found.append(
+            f'{source}: [supports] circle_radius = "{g.supports.circle_radius * 1e3:.6g} mm", but [involute] puts the '
+            f'cranks at "{involute.crank_circle_radius * 1e3:.6g} mm": the closed forms use the latter, the model the '
+            "former."
+        )
+    stated_clearance = 0.0 if g.supports is None else g.supports.turning_arm.clearance
+    if stated_clearance not in (0.0, made := reducer.deviations.crank_bearing_clearance.value):
+        found.append(
+            f'{source}: [supports.turning_arm] clearance = "{stated_clearance * 1e6:.6g} um", but [deviations] '
+            f'crank_bearing_clearance = "{made * 1e6:.6g} um": the budget uses the latter.'
+        )
     return found
 
 
@@ -467,7 +482,8 @@ def geometric(reducer: Reducer) -> dict[str, float]:
 
     A term is the mean play less the mean play without that amount. Where there is interference there is no play to
     compare, so pins are thinned for the terms, not for the play, until all is free; what the terms' sum lacks of the
-    play is `interaction`. With the crank locked the first stage takes no part.
+    play is `interaction`. With the crank locked the first stage takes no part. The bearings' term is that of the model
+    with the stage's supports (`bearing_share`), without them the closed form.
 
     Returns
     -------
@@ -493,6 +509,7 @@ def geometric(reducer: Reducer) -> dict[str, float]:
     terms = dict.fromkeys(names, 0.0) | {n: mean[0] - m for n, m in zip(without, mean[1:], strict=True)}
     cycloid = float(whole.backlash.mean())
     bearings = float(outer_stages(reducer, values, reducer.involute.sun_base_radius)["crank_bearing_clearance"])
+    bearings *= bearing_share(reducer, thinned[0]) if bearings != 0.0 else 1.0
     middle = whole.transmission_error[~np.isnan(whole.transmission_error)]
     return {
         "base_tangent_length": 0.0,
@@ -509,6 +526,33 @@ def geometric(reducer: Reducer) -> dict[str, float]:
         "interference": float(whole.interference.max()),
         "interfering": float(np.mean(whole.interference > 0.0)),
     }
+
+
+def bearing_share(reducer: Reducer, surface: ErrorSurface) -> float:
+    """Return how much more play the crank bearings' clearance makes on the stage's supports than by the closed form.
+
+    Of the model it is the mean play with this clearance in the turning arms less that with none, crank locked, whatever
+    else the supports state as it is; turning arms that are stated rigid are springs here. 1 without supports.
+
+    Raises
+    ------
+    edge.InputError
+        If there are supports and no rated torque.
+    """
+    pair, supports, values = reducer.stage, reducer.stage.supports, values_of(reducer)
+    if supports is None:
+        return 1.0
+    if values["crank_bearing_clearance"] <= 0.0:
+        values["crank_bearing_clearance"] = 1e-6  # play grows with the clearance
+    arm = Bearing(stiffness=_STIFF) if supports.turning_arm.is_rigid else supports.turning_arm
+    angles = 2 * pair.gear_teeth + 1
+    crank = 2.0 * np.pi * pair.gear_teeth * np.arange(angles) / angles
+    plays = []
+    for clearance in (values["crank_bearing_clearance"], 0.0):
+        held = pair.replace(supports=supports.replace(turning_arm=arm.replace(clearance=clearance)))
+        plays.append(float(solve(held, surface.replace(pair=held), [], crank).backlash.mean()))
+    closed = outer_stages(reducer, values, reducer.involute.sun_base_radius)["crank_bearing_clearance"]
+    return (plays[0] - plays[1]) / float(closed)
 
 
 def with_sun_locked(reducer: Reducer, crank_locked: Mapping[str, float]) -> dict[str, float]:
@@ -574,12 +618,15 @@ def remarks(reducer: Reducer, found: Mapping[str, Mapping[str, float]]) -> dict[
     values = values_of(reducer)
     unstated = standard(reducer.replace(stated=Stated()), values)
     said = {}
-    for name in (n for n in TERMS if n not in _STAGE_OF):
+    modelled = {"crank_bearing_clearance"} if reducer.stage.supports is not None else set[str]()
+    for name in (n for n in TERMS if n not in _STAGE_OF or n in modelled):
         a, b = closed[name], exact[name]
         if abs(a - b) <= _AGREES * abs(a) + 1e-9:
             continue
         text = f"geometry gives {b * ARCMIN:+.4f}′"
-        if name == "gear_runout":
+        if name in modelled:
+            text += " on the stage's bearings: their clearance lets the discs shift as well as turn"
+        elif name == "gear_runout":
             swing = runout_error(reducer, values[name]) * ARCMIN
             text += f": as an eccentricity it is a transmission error, {swing:.3f}′ peak to peak, not play"
         elif name == "tooth_cumulative_pitch":
