@@ -16,15 +16,15 @@ from cycloid_fmu.errors.kinds import KINDS, kind_of, structured_names
 from cycloid_fmu.errors.stated import Errors
 from cycloid_fmu.geometry.pair import ANGLES, Pair
 from cycloid_fmu.surfaces.provenance import drive_hash, drive_text, stating
-from cycloid_fmu.surfaces.structured import profile_wave
+from cycloid_fmu.surfaces.structured import dimensions, profile_wave
 from cycloid_fmu.surfaces.surface import ErrorSurface, check_surface, stated_values, surface_of_pair
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from cycloid_fmu.fmu.variables import Interface
+    from cycloid_fmu.reducer.description import Reducer
     from cycloid_fmu.reducer.first_stage import FirstStage
-    from cycloid_fmu.reducer.lost_motion import Reducer
     from cycloid_fmu.studies.yields import Findings
     from cycloid_fmu.supports.figures import BearingLoad, Share
     from cycloid_fmu.surfaces.sampling import Tolerances
@@ -560,7 +560,8 @@ def read_drive(path: str | os.PathLike[str], surface: str | os.PathLike[str] | N
     Raises
     ------
     edge.InputError
-        If a file can't be read or the surface belongs to another pair; it names the file, the field and the value.
+        If a file can't be read, the surface belongs to another pair or a drive with these errors can't have been made;
+        it names the file, the field and the value.
 
     Examples
     --------
@@ -580,6 +581,7 @@ def read_drive(path: str | os.PathLike[str], surface: str | os.PathLike[str] | N
     if surface is not None:
         made = read_surface(surface)
         check_surface(pair, made, str(path), str(surface))
+        dimensions(pair, made, f"{surface}: errors")
     return Drive(pair, made, first_stage)
 
 

@@ -13,7 +13,7 @@ from pydantic_core.core_schema import CoreSchema, ModelSchema
 from cycloid_fmu import edge
 from cycloid_fmu.errors.kinds import KINDS, ErrorKind
 from cycloid_fmu.geometry import pair
-from cycloid_fmu.reducer import lost_motion as reducer
+from cycloid_fmu.reducer import description as reducer
 from cycloid_fmu.surfaces import sampling
 from cycloid_fmu.wear import law as wear_law
 from drivers.encoder import protocols
@@ -83,7 +83,8 @@ def _meanings(text: str) -> dict[str, str]:
 def _kind(schema: dict, definitions: dict) -> str:
     """How a value is written."""
     if "quantity" in schema:
-        return f'{QUANTITIES[schema["si"]]}, `"{schema["quantity"]}"`'
+        limits = f", {schema['limits']}" if "limits" in schema else ""
+        return f'{QUANTITIES[schema["si"]]}, `"{schema["quantity"]}"`{limits}'
     if "anyOf" in schema:
         kinds = dict.fromkeys(_kind(s, definitions) for s in schema["anyOf"] if s.get("type") != "null")
         return " or ".join(kinds)

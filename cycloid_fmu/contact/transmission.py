@@ -14,11 +14,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import contact, edge
-from cycloid_fmu.geometry.pair import Pair, smallest_convex_radius
+from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_normals, flank_points
 from cycloid_fmu.geometry.temperature import missing_for_clearances
 from cycloid_fmu.surfaces.provenance import provenance
-from cycloid_fmu.surfaces.structured import PROFILE_POINTS, displacement_columns, displacements, profile_wave
+from cycloid_fmu.surfaces.structured import (
+    PROFILE_POINTS,
+    dimensions,
+    displacement_columns,
+    displacements,
+    profile_wave,
+)
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
 if TYPE_CHECKING:
@@ -119,12 +125,7 @@ def mesh_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> contact.Probl
     """
     direction = 2.0 * np.pi * np.arange(pair.pins) / pair.pins
     warm = pair.at_temperature
-    made = displacements(pair, surface, {
-        "crank_throw": warm.eccentricity, "generating_pin_radius": warm.generating_pin_radius,
-        "generating_circle_radius": warm.generating_circle_radius, "pin_radial": warm.pin_circle_radius,
-        "pin_radius": warm.pin_radius,
-    })  # fmt: skip
-    _check_made(warm, made, "errors" if pair.temperature is None else "temperature and errors")
+    made = dimensions(pair, surface)
     angle = direction + made["pin_tangential"] / warm.pin_circle_radius
     z = pair.face_width * ((np.arange(slices) + 0.5) / slices - 0.5)
     stray = _stray(pair, surface)
@@ -157,31 +158,6 @@ def mesh_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> contact.Probl
         root_margin=1e-6 + 1.5 * warm.pin_circle_radius * float(np.ptp(made["tooth_turn"], axis=1).max()),
         deviations=_deviations(pair, surface, z),
     )
-
-
-def _check_made(pair: Pair, made: Mapping[str, Any], source: str) -> None:
-    """Refuse a drive that can't have been made: what a pair is checked for as drawn, with its errors."""
-    circle, pin = float(made["generating_circle_radius"]), float(made["generating_pin_radius"])
-    why = ""
-    if not made["crank_throw"] > 0.0:
-        why = f"the eccentricity is {made['crank_throw'] * 1e3:.6g} mm; it must stay above zero"
-    elif pair.eccentricity * pair.pins >= circle:
-        why = f"the generating circle's radius is {circle * 1e3:.6g} mm; it must stay above eccentricity x pins"
-    elif not 0.0 < pin < (smallest := smallest_convex_radius(circle, pair.eccentricity, pair.pins)):
-        why = f"the flank's generating pin radius is {pin * 1e3:.6g} mm"
-        why += "; it must stay above zero" if pin <= 0.0 else f"; the flank is undercut from {smallest * 1e3:.6g} mm on"
-    elif not made["pin_radius"].min() > 0.0:
-        why = f"a pin's radius is {made['pin_radius'].min() * 1e3:.6g} mm; it must stay above zero"
-    else:
-        place = made["pin_radial"] * np.exp(
-            1j * (2.0 * np.pi * np.arange(pair.pins) / pair.pins + made["pin_tangential"] / pair.pin_circle_radius)
-        )
-        room = np.abs(place - np.roll(place, -1)) - made["pin_radius"] - np.roll(made["pin_radius"], -1)
-        if not room.min() > 0.0:
-            first = int(room.argmin())
-            why = f"pins {first} and {(first + 1) % pair.pins} overlap by {-room.min() * 1e6:.6g} um"
-    if why:
-        raise edge.InputError(f"{source}: with these, {why}.")
 
 
 def _deviations(pair: Pair, surface: ErrorSurface, z: Array) -> contact.Deviations | None:

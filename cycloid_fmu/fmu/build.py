@@ -22,8 +22,9 @@ from cycloid_fmu.fmu.parts import parts, write_archive
 from cycloid_fmu.fmu.pythonfmu_builder import build_archive
 from cycloid_fmu.fmu.variables import INTERFACES, Interface, InterfaceKind, LossRow, variables
 from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.reducer.description import Reducer
 from cycloid_fmu.reducer.first_stage import FirstStage
-from cycloid_fmu.reducer.lost_motion import Reducer, parts_of
+from cycloid_fmu.reducer.lost_motion import parts_of
 from cycloid_fmu.surfaces.files import write_surface
 from cycloid_fmu.surfaces.surface import DEVIATIONS, ErrorSurface, surface_of_pair
 

@@ -19,6 +19,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.edge import Config, Length
 from cycloid_fmu.errors.kinds import KINDS, LARGEST_DEVIATION, kinds_of
 from cycloid_fmu.errors.stated import Errors
+from cycloid_fmu.geometry import sizes
 from cycloid_fmu.geometry import temperature as thermal
 from cycloid_fmu.geometry.supports import Supports
 from cycloid_fmu.geometry.temperature import Expansions, Temperatures
@@ -101,10 +102,10 @@ class _Geometry(Config):
 
     gear_teeth: int = pydantic.Field(ge=6, le=120, strict=True)
     pins: int | None = pydantic.Field(default=None, strict=True)
-    pin_circle_radius: PositiveLength
-    pin_radius: PositiveLength
-    eccentricity: PositiveLength
-    face_width: PositiveLength
+    pin_circle_radius: sizes.CircleRadius
+    pin_radius: sizes.PinRadius
+    eccentricity: sizes.Eccentricity
+    face_width: sizes.Width
     discs: int = pydantic.Field(default=1, ge=1, le=4, strict=True)
     output: Literal["gear", "ring"] = "gear"
     rated_torque: PositiveTorque | None = None
@@ -186,10 +187,10 @@ class Pair(Config):
 
     gear_teeth: int = pydantic.Field(ge=6, le=120, strict=True)
     pins: int = pydantic.Field(strict=True)
-    pin_circle_radius: PositiveLength
-    pin_radius: PositiveLength
-    eccentricity: PositiveLength
-    face_width: PositiveLength
+    pin_circle_radius: sizes.CircleRadius
+    pin_radius: sizes.PinRadius
+    eccentricity: sizes.Eccentricity
+    face_width: sizes.Width
     discs: int = pydantic.Field(default=1, ge=1, le=4, strict=True)
     output: Literal["gear", "ring"] = "gear"
     rated_torque: PositiveTorque | None = None

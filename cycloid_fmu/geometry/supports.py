@@ -9,6 +9,7 @@ import pydantic
 
 from cycloid_fmu import edge
 from cycloid_fmu.edge import Angle, Config, Length
+from cycloid_fmu.geometry import sizes
 
 
 def _positive(value: float) -> float:
@@ -24,7 +25,6 @@ def _clearance(value: float) -> float:
 
 
 LARGEST_CLEARANCE = 2e-4
-PositiveLength = Annotated[Length, pydantic.AfterValidator(_positive)]
 Clearance = Annotated[Length, pydantic.AfterValidator(_clearance)]
 PositiveForce = Annotated[edge.Force, pydantic.AfterValidator(_positive)]
 TorsionalStiffness = Annotated[edge.TorsionalStiffness, pydantic.AfterValidator(_positive)]
@@ -61,11 +61,11 @@ class Bearing(Config):
 
     stiffness: Stiffness | None = None
     rollers: int | None = pydantic.Field(default=None, ge=3, le=500, strict=True)
-    roller_length: PositiveLength | None = None
+    roller_length: sizes.Width | None = None
     rigid: bool = pydantic.Field(default=False, strict=True)
     clearance: Clearance = 0.0
     dynamic_capacity: PositiveForce | None = None
-    raceway_diameter: PositiveLength | None = None
+    raceway_diameter: sizes.CircleRadius | None = None
 
     @property
     def is_rigid(self) -> bool:
@@ -102,7 +102,7 @@ class OutputRoller(Config):
     stiffness: Stiffness | None = None
     rigid: bool = pydantic.Field(default=False, strict=True)
     clearance: Clearance = 0.0
-    radius: PositiveLength | None = None
+    radius: sizes.PinRadius | None = None
 
     @pydantic.model_validator(mode="after")
     def _one_law(self) -> OutputRoller:
@@ -166,7 +166,7 @@ class Supports(Config):
 
     kind: Literal["cranks", "output_rollers"]
     count: int = pydantic.Field(ge=2, le=40, strict=True)
-    circle_radius: PositiveLength
+    circle_radius: sizes.CircleRadius
     first_angle: Angle = 0.0
     turning_arm: Bearing = Bearing()
     crank_shaft: Bearing = Bearing()

@@ -7,8 +7,10 @@ import warnings
 
 from cycloid_fmu import edge
 from cycloid_fmu.geometry.pair import Pair, read_pair
+from cycloid_fmu.reducer.description import FORMAT, contradictions, read_reducer
 from cycloid_fmu.reducer.first_stage import FirstStage
-from cycloid_fmu.reducer.lost_motion import FORMAT, contradictions, parts_of, read_reducer
+from cycloid_fmu.reducer.lost_motion import parts_of
+from cycloid_fmu.surfaces.structured import dimensions
 from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
 
 
@@ -20,12 +22,15 @@ def parts_of_file(path: str | os.PathLike[str]) -> tuple[Pair, ErrorSurface, Fir
     Raises
     ------
     edge.InputError
-        If the file can't be read.
+        If the file can't be read, or a drive with its errors can't have been made.
     """
-    if edge.format_of(path) != FORMAT:
-        pair = read_pair(path)
-        return pair, surface_of_pair(pair), None
-    reducer = read_reducer(path)
-    for contradiction in contradictions(reducer, str(path)):
-        warnings.warn(contradiction, edge.InputWarning, stacklevel=3)
-    return parts_of(reducer)
+    if edge.format_of(path) == FORMAT:
+        reducer = read_reducer(path)
+        for contradiction in contradictions(reducer, str(path)):
+            warnings.warn(contradiction, edge.InputWarning, stacklevel=3)
+        pair, surface, first_stage = parts_of(reducer)
+    else:
+        pair, first_stage = read_pair(path), None
+        surface = surface_of_pair(pair)
+    dimensions(pair, surface, f"{path}: errors")
+    return pair, surface, first_stage

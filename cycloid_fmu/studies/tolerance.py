@@ -22,14 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact.first_order import Screen
+from cycloid_fmu.contact.first_order import NearDrives, Screen
 from cycloid_fmu.contact.transmission import SLICES_MISALIGNED, slices_needed
 from cycloid_fmu.geometry.pair import ANGLES, LOST_MOTION, Pair
 from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.reducer.transmission import solve
 from cycloid_fmu.surfaces.sampling import LARGEST_SEED, AngleError, Tolerances, surface_at
 from cycloid_fmu.surfaces.structured import displacement_vector
-from cycloid_fmu.surfaces.surface import Elements, ErrorSurface
+from cycloid_fmu.surfaces.surface import Elements, ErrorSurface, nominal_surface
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -257,7 +257,7 @@ def screen_of(study: Study, largest: float = 1.0) -> Screen:
     return Screen(study.pair, loads, SLICES_MISALIGNED if tilted else 1, 20e-6 + 3.0 * largest * reach)
 
 
-def figures_to_first_order(study: Study, screen: Screen, errors: Array) -> Array:
+def figures_to_first_order(study: Study, screen: NearDrives, errors: Array) -> Array:
     """Return the figures of drives in the order of `Study.columns`, to first order, shape (drives, columns).
 
     Parameters
@@ -304,7 +304,8 @@ def _screening_task(wanted: dict[str, str], study: Study, first: int, rows: Arra
     if key not in _screens:
         _screens.clear()
         _screens[key] = screen_of(study)
-    errors = np.array([displacement_vector(study.pair, surface_of(study, row)) for row in rows])
+    drawn = displacement_vector(study.pair, nominal_surface(study.pair))
+    errors = np.array([displacement_vector(study.pair, surface_of(study, row)) - drawn for row in rows])
     return first, figures_to_first_order(study, _screens[key], errors)
 
 
@@ -563,8 +564,11 @@ def screened(
     share
         Of the samples, above 0 and at most 1.
     workers, scheduler, progress
-        As in `run`; each confirmed sample is told of once more.
+        As in `run`; each confirmed sample is told of once more. An `edge.InputError` refuses a pair with supports.
     """
+    if study.pair.supports is not None:
+        problem = "first order does not see errors open and close bearings' clearances; leave it out with supports"
+        raise edge.ArgumentError("screen", problem, share)
     place = points(study)
     values = np.empty((len(place), len(study.columns)))
     size = 16 * CHUNK

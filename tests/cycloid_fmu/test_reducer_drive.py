@@ -12,7 +12,8 @@ import cycloid_fmu as cy
 import fitting
 from cycloid_fmu import edge
 from cycloid_fmu.fmu.reducer_model import ReducerModel
-from cycloid_fmu.reducer.lost_motion import MESH_STIFFNESS, parse_reducer, parts_of
+from cycloid_fmu.reducer.description import MESH_STIFFNESS, parse_reducer
+from cycloid_fmu.reducer.lost_motion import parts_of
 from cycloid_fmu.reducer.transmission import compliance, solve
 from cycloid_fmu.surfaces.surface import nominal_surface
 
