@@ -1,24 +1,34 @@
-"""Transmission error over crank angles of a drive on rigid bearings or on those that the pair states."""
+"""A drive on its bearings over crank angles: what its bodies do, what every bearing carries, and a labelled dataset."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact import transmission
+from cycloid_fmu.contact import Problem, transmission
+from cycloid_fmu.contact.parts import Stopped, solve_in_parts
 from cycloid_fmu.contact.transmission import Interrupted, Transmission
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.surfaces.structured import displacement_columns, profile_wave
+from cycloid_fmu.geometry.supports import Bearing
+from cycloid_fmu.supports import bearing
+from cycloid_fmu.supports.assembly import Assembly
+from cycloid_fmu.supports.balance import work_of
+from cycloid_fmu.supports.sensitivity import sweep_supported_sensitivities
+from cycloid_fmu.supports.sweeps import Found, sweep_supported
+from cycloid_fmu.surfaces.structured import displacement_columns, displacement_layout, displacements, profile_wave
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
 if TYPE_CHECKING:
     import xarray as xr
 
 Array = NDArray[np.float64]
+PLAY_LOAD = 1e-3  # of the rated torque: what leaves the play between its two directions
+_PART = 64  # crank angles that one thread solves at a time
 
 _LABELS = {
     "disc_shift_x": (("disc",), "m", "shift of each disc's centre from its ideal place along x"),
@@ -29,6 +39,120 @@ _LABELS = {
     "output_roller_force": (("disc", "roller"), "N", "force of each output roller in each disc's hole"),
     "crank_torque": ((), "N*m", "torque of the environment on the crank"),
 }
+
+
+def _law(stated: Bearing) -> bearing.Bearing:
+    if stated.rollers is not None and stated.roller_length is not None:
+        return bearing.rollers(stated.rollers, stated.roller_length, stated.clearance)
+    return bearing.linear(bearing.RIGID if stated.stiffness is None else stated.stiffness, stated.clearance)
+
+
+def assembly_of(pair: Pair, surface: ErrorSurface) -> Assembly:
+    """Return what holds the discs of a pair with supports, as numbers and arrays, at its temperatures."""
+    made = displacements(pair, surface, {})
+    pair = pair.at_temperature
+    supports = pair.supports
+    assert supports is not None
+    angle = supports.first_angle + 2.0 * np.pi * np.arange(supports.count) / supports.count
+    roller = supports.output_roller
+    play = np.zeros((pair.discs, supports.count)) if roller is None else made["hole_play"] + 0.5 * roller.clearance
+    stiffness = 0.0 if supports.kind == "cranks" else bearing.RIGID
+    if roller is not None and roller.stiffness is not None:
+        stiffness = roller.stiffness
+    arm, shaft, main = (_law(getattr(supports, name)) for name in ("turning_arm", "crank_shaft", "main"))
+    rigid = bearing.RIGID in (arm.stiffness, shaft.stiffness, main.stiffness, stiffness)
+    mesh = pair.face_width / (pair.material.gear.compliance + pair.material.pin.compliance)
+    return Assembly(
+        cranks=supports.kind == "cranks",
+        eccentricity=pair.eccentricity,
+        place_x=supports.circle_radius * np.cos(angle),
+        place_y=supports.circle_radius * np.sin(angle),
+        crank_x=made["carrier_x"],
+        crank_y=made["carrier_y"],
+        hole_x=made["hole_x"],
+        hole_y=made["hole_y"],
+        hole_play=play,
+        throw=made["eccentric_throw"] + made["crank_throw"],
+        phase=made["eccentric_phase"],
+        seat_x=float(made["centre_x"]),
+        seat_y=float(made["centre_y"]),
+        turning_arm=arm,
+        crank_shaft=shaft,
+        main=main,
+        output_roller=stiffness,
+        rotation_scale=pair.pin_circle_radius,
+        # The last digits of a rotation move a crank by 1e-19 m, those of a gap are 1e-17 m.
+        balanced=max(1e-3 if rigid else 1e-7, 1e-17 * mesh),
+    )
+
+
+def problem_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> Problem:
+    """Return the mesh of a pair with supports: discs stand where bearings let them, pins give in their seats."""
+    mesh = transmission.mesh_of(pair, surface, slices)
+    pair = pair.at_temperature
+    supports = pair.supports
+    assert supports is not None
+    seat = supports.pin_seat
+    compliance = 0.0 if seat.stiffness_per_width is None else 1.0 / (seat.stiffness_per_width * mesh.slice_width)
+    none = np.zeros(slices)
+    return mesh._replace(
+        eccentricity=pair.eccentricity, centre_x=none, centre_y=none.copy(), seat_gap=0.5 * seat.clearance,
+        seat_compliance=compliance,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class OnBearings(Transmission):
+    """Results of a crank sweep of a drive on its bearings, SI: those of `Transmission`, and what the bodies do.
+
+    The play is what `PLAY_LOAD` of the rated torque leaves, either way, at no torque; there is no interference.
+
+    Attributes
+    ----------
+    disc_shift_x, disc_shift_y
+        Shape (torques, angles, discs): shift of each disc's centre from its ideal place, m.
+    turning_arm_force
+        Shape (torques, angles, discs, cranks), N; one crank with output rollers.
+    crank_bearing_force
+        Shape (torques, angles, cranks), N.
+    main_bearing_force
+        Shape (torques, angles), N.
+    output_roller_force
+        Shape (torques, angles, discs, rollers), N; none with cranks.
+    """
+
+    disc_shift_x: Array
+    disc_shift_y: Array
+    turning_arm_force: Array
+    crank_bearing_force: Array
+    main_bearing_force: Array
+    output_roller_force: Array
+
+
+def _empty(pair: Pair, loads: int, angles: int) -> Found:
+    supports = pair.supports
+    assert supports is not None
+    discs, cranks, rollers = pair.discs, supports.cranks, supports.count if supports.kind == "output_rollers" else 0
+    grid = (loads, angles)
+    pins = (*grid, discs, pair.pins)
+    return Found(
+        steps=np.zeros(grid, dtype=np.int64),
+        place=np.zeros((*grid, 3 + 3 * discs + 2 * cranks)),
+        stiffness=np.zeros(grid),
+        crank_torque=np.zeros(grid),
+        contact_count=np.zeros(grid, dtype=np.int64),
+        max_contact_pressure=np.zeros(grid),
+        pin_force=np.zeros(pins),
+        pin_pressure=np.zeros(pins),
+        turning_arm=np.zeros((*grid, discs, cranks)),
+        crank_bearing=np.zeros((*grid, cranks)),
+        main_bearing=np.zeros(grid),
+        output_roller=np.zeros((*grid, discs, rollers)),
+    )
+
+
+def _of(found: Found, part: Any) -> Found:
+    return Found(*(array[part] for array in cast(tuple[Any, ...], found)))
 
 
 def solve(
@@ -50,7 +174,7 @@ def solve(
     Returns
     -------
     Transmission
-        A `solution.OnBearings` of a pair with supports.
+        An `OnBearings` of a pair with supports.
 
     Raises
     ------
@@ -64,18 +188,162 @@ def solve(
         )  # fmt: skip
     if with_elements:
         raise edge.ArgumentError("slices", "contact lines and element pressures are not known with supports", slices)
-    # Only here, as below: a drive on rigid bearings needs none of it.
-    from cycloid_fmu.supports import solution
+    torques, angles = np.array(torque, dtype=float, ndmin=1), np.array(crank_angle, dtype=float, ndmin=1)
+    if not (np.isfinite(torques).all() and np.isfinite(angles).all()):
+        raise ValueError("torque and crank_angle must be finite")
+    at_angles = transmission.along_sweep(torques, angles)
+    first = 2 if with_play or 0.0 in at_angles else 0
+    if first:
+        at_angles = np.concatenate([transmission.along_sweep(np.array(play_loads(pair)), angles), at_angles])
 
-    return solution.solve(
-        pair, surface, torque, crank_angle, slices, with_play=with_play, workers=workers, progress=progress
+    found = _empty(pair, len(at_angles), angles.size)
+
+    def result(done: slice) -> OnBearings:
+        return _result(pair, torques, angles[done], at_angles[:, done], first, _of(found, np.s_[:, done]))
+
+    try:
+        _solve(
+            pair, surface, at_angles, angles, slices, found, first, workers,
+            lambda size: progress(size * len(torques)),
+        )  # fmt: skip
+    except Stopped as stopped:
+        raise Interrupted(result(slice(0, stopped.finished))) from None
+    return result(slice(None))
+
+
+def _solve(
+    pair: Pair, surface: ErrorSurface, torques: Array, angles: Array, slices: int, found: Found, first: int = 0,
+    workers: int = 1, progress: Callable[[int], None] = lambda angles: None,
+) -> None:  # fmt: skip
+    """Find places at every torque but 0, shape (torques, angles), and forces of the torques from `first` on."""
+    assembly = assembly_of(pair, surface)
+    mesh = problem_of(pair, surface, slices)
+
+    def part(start: int, last: int) -> None:
+        # Each thread moves discs of its own.
+        shift_x, shift_y, turn = (np.zeros(pair.discs) for _ in range(3))
+        problem = mesh._replace(shift_x=shift_x, shift_y=shift_y, turn=turn)
+        for k, torque in enumerate(torques):
+            if torque.any():
+                here = _of(found, np.s_[k, start:last])
+                work = work_of(here.place.shape[-1], pair.discs)
+                sweep_supported(problem, assembly, angles[start:last], torque[start:last], k >= first, here, work)
+
+    solve_in_parts(part, angles.size, _PART, workers, progress)
+    for k, torque in enumerate(torques):
+        if torque.any() and not found.steps[k].all():
+            at = int(np.argmin(found.steps[k]))
+            raise _unbalanced(torque[at], angles[at])
+
+
+def _unbalanced(torque: float, crank_angle: float) -> edge.InputError:
+    return edge.InputError(
+        f"torque = {torque:g} N*m: nothing balances it at a crank angle of {crank_angle:.6g} rad; give one that the "
+        "drive can carry."
     )
 
 
+def play_loads(pair: Pair) -> list[float]:
+    """Return the torques on whose tangents the ends of the play lie, N·m; an `edge.InputError` without a rated one."""
+    if pair.rated_torque is None:
+        raise edge.InputError(
+            f"rated_torque is missing; with [supports] the play is what {PLAY_LOAD:g} of it leaves at no torque."
+        )
+    return [-PLAY_LOAD * pair.rated_torque, PLAY_LOAD * pair.rated_torque]
+
+
+def _result(pair: Pair, torques: Array, angles: Array, at_angles: Array, first: int, found: Found) -> OnBearings:
+    """Return what was found, the play's two torques, if `first` is 2, before the others."""
+    deviation = found.place[..., 0]
+    low = high = np.full(angles.size, np.nan)
+    if first:
+        # Where the tangents at a small torque either way meet no torque: without clearance but with errors no place is
+        # without energy, yet the output swings.
+        ends = deviation[:2] - at_angles[:2] / found.stiffness[:2]
+        middle = ends.mean(axis=0)
+        low, high = np.minimum(ends[0], middle), np.maximum(ends[1], middle)
+        deviation = np.where(at_angles == 0.0, middle, deviation)
+    kept = _of(found, np.s_[first:])
+    discs = pair.discs
+    return OnBearings(
+        torques, angles, deviation[first:], kept.stiffness, kept.contact_count, kept.max_contact_pressure,
+        kept.pin_force, kept.pin_pressure, low, high, np.zeros(angles.size),
+        *transmission.no_lines(len(torques))[:4],
+        disc_shift_x=kept.place[..., 3 : 3 + 3 * discs : 3],
+        disc_shift_y=kept.place[..., 4 : 3 + 3 * discs : 3],
+        turning_arm_force=kept.turning_arm,
+        crank_bearing_force=kept.crank_bearing,
+        main_bearing_force=kept.main_bearing,
+        output_roller_force=kept.output_roller,
+        crank_torque=kept.crank_torque,
+    )  # fmt: skip
+
+
+LAWS = tuple(
+    f"{bearing_}_{what}"
+    for bearing_ in ("turning_arm", "crank_shaft", "main", "output_roller")
+    for what in ("stiffness", "clearance")
+)
+"""Columns of a sensitivity by bearings: by the logarithm of a stiffness (rad), by a clearance (rad/m)."""
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """Transmission error of a drive on its bearings, with its derivatives.
+
+    Attributes
+    ----------
+    transmission_error
+        Shape (angles,), rad.
+    by_displacement
+        By everything that errors displace, `structured.displacement_layout`, shape (angles, displacements), rad/m.
+    by_bearing
+        By `LAWS`, shape (angles, 8).
+    by_crank_angle, by_torque
+        Shape (angles,): 1 and rad/(N·m).
+    """
+
+    transmission_error: Array
+    by_displacement: Array
+    by_bearing: Array
+    by_crank_angle: Array
+    by_torque: Array
+
+
+def sensitivity(
+    pair: Pair, surface: ErrorSurface, torque: ArrayLike, crank_angle: ArrayLike, slices: int = 1
+) -> Sensitivity:
+    """Return the transmission error of a drive on its bearings at one torque, or one for each angle, differentiated.
+
+    Raises
+    ------
+    edge.InputError
+        If a torque can't be carried.
+    """
+    angles = np.array(crank_angle, dtype=float, ndmin=1)
+    at_angles = transmission.along_sweep(np.array(torque, dtype=float, ndmin=2), angles)
+    found = _empty(pair, 1, angles.size)
+    _solve(pair, surface, at_angles, angles, slices, found)
+    size = max(place.stop for place in displacement_layout(pair).values())
+    each, laws = np.zeros((angles.size, size)), np.zeros((angles.size, len(LAWS)))
+    by_angle, by_torque = (np.zeros(angles.size) for _ in range(2))
+    if not sweep_supported_sensitivities(
+        problem_of(pair, surface, slices), assembly_of(pair, surface), angles, at_angles[0], found.place[0], each, laws,
+        by_angle, by_torque, work_of(found.place.shape[-1], pair.discs),
+    ):  # fmt: skip
+        raise _unbalanced(float(at_angles[0, 0]), angles[0])
+    return Sensitivity(found.place[0, :, 0].copy(), each, laws, by_angle, by_torque)
+
+
 def error_sensitivity(
-    pair: Pair, surface: ErrorSurface, torque: float, crank_angle: ArrayLike, names: list[str], slices: int = 1
+    pair: Pair, surface: ErrorSurface, torque: ArrayLike, crank_angle: ArrayLike, names: list[str], slices: int = 1
 ) -> tuple[Array, Array]:
-    """Return the transmission error at one torque, and its derivatives by named errors or bearings (`solution.LAWS`).
+    """Return the transmission error at a torque, or one for each angle, with its derivatives by errors or bearings.
+
+    Parameters
+    ----------
+    names
+        Structured errors, and bearings' stiffnesses and clearances by `LAWS`.
 
     Returns
     -------
@@ -92,8 +360,6 @@ def error_sensitivity(
     for name in names:
         if profile_wave(name, 1) is not None:
             raise edge.ArgumentError("errors", "the flanks' profile has no derivatives with supports yet", name)
-    from cycloid_fmu.supports.solution import LAWS, sensitivity
-
     found = sensitivity(pair, surface, torque, crank_angle, slices)
     errors = [name for name in names if name not in LAWS]
     columns = dict(zip(errors, (found.by_displacement @ displacement_columns(pair, errors)).T, strict=True))
@@ -102,43 +368,16 @@ def error_sensitivity(
 
 
 def labelled(pair: Pair, surface: ErrorSurface, found: Transmission, slices: int, *, complete: bool) -> xr.Dataset:
-    """Return results as a dataset (format `cycloid-analysis/1`), with what those on bearings have besides."""
+    """Return results as a dataset (format `cycloid-analysis/1`), with what `OnBearings` has besides."""
     data = transmission.labelled(pair, surface, found, slices, complete=complete)
-    if pair.supports is not None:
-        from cycloid_fmu.supports.solution import PLAY_LOAD
-
+    if isinstance(found, OnBearings):
         for name, (dimensions, unit, text) in _LABELS.items():
             values = getattr(found, name)
             if values.shape[-1] > 0:
                 each = ("torque", "crank_angle", *dimensions)
                 # Output rollers have one crank.
-                one = "crank" in dimensions and pair.supports.kind == "output_rollers"
+                one = "crank" in dimensions and pair.supports is not None and pair.supports.kind == "output_rollers"
                 data[name] = (each[:-1], values[..., 0]) if one else (each, values)
                 data[name].attrs.update(units=unit, long_name=text)
         data["backlash"].attrs["long_name"] = f"play: what {PLAY_LOAD:g} of the rated torque leaves at no torque"
     return data
-
-
-def analyze(
-    pair: Pair,
-    surface: ErrorSurface,
-    torque: ArrayLike,
-    crank_angle: ArrayLike,
-    slices: int = 1,
-    *,
-    with_elements: bool = False,
-    workers: int = 1,
-    progress: Callable[[int], None] = lambda angles: None,
-) -> xr.Dataset:
-    """Return the labelled dataset of `solve`.
-
-    Interrupted, it returns the crank angles that were finished, and the attribute `complete` is 0.
-    """
-    complete = True
-    try:
-        found = solve(
-            pair, surface, torque, crank_angle, slices, with_elements=with_elements, workers=workers, progress=progress
-        )
-    except Interrupted as interrupted:
-        found, complete = interrupted.result, False
-    return labelled(pair, surface, found, slices, complete=complete)
