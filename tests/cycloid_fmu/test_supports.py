@@ -16,7 +16,7 @@ from cycloid_fmu.contact import transmission as on_rigid
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
 from cycloid_fmu.supports.balance import work_of
 from cycloid_fmu.supports.bearing import linear, push, rollers
-from cycloid_fmu.supports.figures import compliance, remaining
+from cycloid_fmu.supports.figures import remaining
 from cycloid_fmu.supports.sweeps import sweep_supported
 from cycloid_fmu.supports.transmission import _empty, assembly_of, problem_of, sensitivity, solve
 from cycloid_fmu.surfaces.structured import displacement_layout
