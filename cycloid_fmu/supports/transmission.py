@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact import Problem, transmission
+from cycloid_fmu.contact import ContactLines, Problem, transmission
 from cycloid_fmu.contact.transmission import Interrupted, Transmission
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.supports import Bearing
@@ -180,15 +181,13 @@ def solve(
     Raises
     ------
     edge.InputError
-        If a torque can't be carried, or contact lines are asked for with supports.
+        If a torque can't be carried.
     """
     if pair.supports is None:
         return transmission.solve(
             pair, surface, torque, crank_angle, slices, with_play=with_play, with_elements=with_elements,
             workers=workers, progress=progress,
         )  # fmt: skip
-    if with_elements:
-        raise edge.ArgumentError("slices", "contact lines and element pressures are not known with supports", slices)
     torques, angles = np.array(torque, dtype=float, ndmin=1), np.array(crank_angle, dtype=float, ndmin=1)
     if not (np.isfinite(torques).all() and np.isfinite(angles).all()):
         raise ValueError("torque and crank_angle must be finite")
@@ -197,12 +196,18 @@ def solve(
     if first:
         at_angles = np.concatenate([transmission.along_sweep(np.array(play_loads(pair)), angles), at_angles])
 
+    places = (len(torques), angles.size, pair.discs, pair.pins)
+    lines = transmission.no_lines(len(torques))
+    if with_elements:
+        lines = transmission.empty_lines(pair, surface, slices, places)
+
     def result(found: Found, done: slice) -> OnBearings:
-        return _result(pair, torques, angles[done], at_angles[:, done], first, _of(found, np.s_[:, done]))
+        kept = lines._replace(slice_force=lines.slice_force[:, done], slice_direction=lines.slice_direction[:, done])
+        return _result(pair, torques, angles[done], at_angles[:, done], first, _of(found, np.s_[:, done]), kept)
 
     try:
         found = _solved(
-            pair, surface, at_angles, angles, slices, first, workers, lambda size: progress(size * len(torques))
+            pair, surface, at_angles, angles, slices, first, workers, lambda size: progress(size * len(torques)), lines
         )
     except _Stopped as stopped:
         raise Interrupted(result(stopped.found, slice(0, stopped.finished))) from None
@@ -217,9 +222,10 @@ class _Stopped(KeyboardInterrupt):
 
 def _solved(
     pair: Pair, surface: ErrorSurface, torques: Array, angles: Array, slices: int, first: int = 0,
-    workers: int = 1, progress: Callable[[int], None] = lambda angles: None,
+    workers: int = 1, progress: Callable[[int], None] = lambda angles: None, lines: ContactLines | None = None,
 ) -> Found:  # fmt: skip
     """Return places at every torque but 0, shape (torques, angles), and forces of the torques from `first` on."""
+    merging, none = threading.Lock(), transmission.no_lines(1)
     found, assembly = _empty(pair, len(torques), angles.size), assembly_of(pair, surface)
     mesh = problem_of(pair, surface, slices)
 
@@ -232,7 +238,13 @@ def _solved(
             if torque.any():
                 here = _of(found, np.s_[k, start:last])
                 work = work_of(here.place.shape[-1], pair.discs)
-                sweep_supported(problem, assembly, angles[start:last], torque[start:last], k >= first, here, work)
+                mine = none if lines is None or k < first else _lines_of(lines, k - first, slice(start, last))
+                sweep_supported(problem, assembly, angles[start:last], torque[start:last], k >= first, here, work, mine)
+                if lines is not None and k >= first:
+                    with merging:
+                        gear, pin = lines.gear_pressure[k - first], lines.pin_pressure[k - first]
+                        np.maximum(gear, mine.gear_pressure[0], out=gear)
+                        np.maximum(pin, mine.pin_pressure[0], out=pin)
         return last - start
 
     finished = 0
@@ -253,6 +265,15 @@ def _solved(
     return found
 
 
+def _lines_of(lines: ContactLines, load: int, angles: slice) -> ContactLines:
+    """Return the lines of one torque at some angles, with pressures of their own, which threads do not share."""
+    one = np.s_[load : load + 1]
+    return lines._replace(
+        slice_force=lines.slice_force[one, angles], slice_direction=lines.slice_direction[one, angles],
+        gear_pressure=np.zeros_like(lines.gear_pressure[one]), pin_pressure=np.zeros_like(lines.pin_pressure[one]),
+    )  # fmt: skip
+
+
 def _unbalanced(torque: float, crank_angle: float) -> edge.InputError:
     return edge.InputError(
         f"torque = {torque:g} N*m: nothing balances it at a crank angle of {crank_angle:.6g} rad; give one that the "
@@ -269,7 +290,9 @@ def play_loads(pair: Pair) -> list[float]:
     return [-PLAY_LOAD * pair.rated_torque, PLAY_LOAD * pair.rated_torque]
 
 
-def _result(pair: Pair, torques: Array, angles: Array, at_angles: Array, first: int, found: Found) -> OnBearings:
+def _result(
+    pair: Pair, torques: Array, angles: Array, at_angles: Array, first: int, found: Found, lines: ContactLines
+) -> OnBearings:  # fmt: skip
     """Return what was found, the play's two torques, if `first` is 2, before the others."""
     deviation = found.place[..., 0]
     low = high = np.full(angles.size, np.nan)
@@ -285,7 +308,7 @@ def _result(pair: Pair, torques: Array, angles: Array, at_angles: Array, first: 
     return OnBearings(
         torques, angles, deviation[first:], kept.stiffness, kept.contact_count, kept.max_contact_pressure,
         kept.pin_force, kept.pin_pressure, low, high, np.zeros(angles.size),
-        *transmission.no_lines(len(torques))[:4],
+        *lines[:4],
         disc_shift_x=kept.place[..., 3 : 3 + 3 * discs : 3],
         disc_shift_y=kept.place[..., 4 : 3 + 3 * discs : 3],
         turning_arm_force=kept.turning_arm,
