@@ -102,8 +102,10 @@ def write_contact_lines(
     points, gear_map, pin_map = lines.flank_alpha, lines.gear_pressure[load], lines.pin_pressure[load]
     slice_force, slice_direction = lines.slice_force[load, angle], lines.slice_direction[load, angle]
     elements, angles = gear_map.shape[2], pin_map.shape[1]
-    slice_force[:] = 0.0
-    slice_direction[:] = 0.0
+    for disc in range(slice_force.shape[0]):
+        for pin in range(slice_force.shape[1]):
+            for slice_ in range(slice_force.shape[2]):
+                slice_force[disc, pin, slice_] = slice_direction[disc, pin, slice_] = 0.0
     arc = math.hypot(lines.flank_x[2] - lines.flank_x[1], lines.flank_y[2] - lines.flank_y[1])
     for row in range(contacts.shape[0]):
         contact = contacts[row]

@@ -295,11 +295,9 @@ def _check_again(drive: contact.Problem, crank_angle: Array, torque: Array, fall
         check_balance(torque[i], carried(rows))
 
 
-def _lines(
-    pair: Pair, surface: ErrorSurface, problem: contact.Problem, places: tuple[int, ...]
-) -> contact.ContactLines:
-    """Return empty contact lines, of the surface's elements or as many as by default."""
-    g, slices = pair, problem.centre_x.size
+def empty_lines(pair: Pair, surface: ErrorSurface, slices: int, places: tuple[int, ...]) -> contact.ContactLines:
+    """Return empty contact lines at `places` (torques, angles, discs, pins), of the surface's elements or the usual."""
+    g = pair
     profile = PROFILE_ELEMENTS if surface.gear_deviation is None else surface.gear_deviation.shape[2]
     around = ANGLE_ELEMENTS if surface.pin_deviation is None else surface.pin_deviation.shape[1]
     alpha, x, y, _, _ = _flank_points(pair, surface, profile)
@@ -370,7 +368,7 @@ def solve(
         deviation, stiffness, np.zeros(loads, dtype=np.int64), pressure, np.zeros(places), np.zeros(places)
     )
     low, high, gap = (np.full(angles.size, np.nan) for _ in range(3))
-    lines = _lines(pair, surface, problem, places) if with_elements else None
+    lines = empty_lines(pair, surface, slices, places) if with_elements else None
     merging = threading.Lock()
 
     def part(first: int, last: int) -> None:

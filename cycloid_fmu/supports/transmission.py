@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact import Problem, transmission
+from cycloid_fmu.contact import ContactLines, Problem, transmission
 from cycloid_fmu.contact.parts import Stopped, solve_in_parts
 from cycloid_fmu.contact.transmission import Interrupted, Transmission
 from cycloid_fmu.geometry.pair import Pair
@@ -179,15 +180,13 @@ def solve(
     Raises
     ------
     edge.InputError
-        If a torque can't be carried, or contact lines are asked for with supports.
+        If a torque can't be carried.
     """
     if pair.supports is None:
         return transmission.solve(
             pair, surface, torque, crank_angle, slices, with_play=with_play, with_elements=with_elements,
             workers=workers, progress=progress,
         )  # fmt: skip
-    if with_elements:
-        raise edge.ArgumentError("slices", "contact lines and element pressures are not known with supports", slices)
     torques, angles = np.array(torque, dtype=float, ndmin=1), np.array(crank_angle, dtype=float, ndmin=1)
     if not (np.isfinite(torques).all() and np.isfinite(angles).all()):
         raise ValueError("torque and crank_angle must be finite")
@@ -196,15 +195,20 @@ def solve(
     if first:
         at_angles = np.concatenate([transmission.along_sweep(np.array(play_loads(pair)), angles), at_angles])
 
+    places = (len(torques), angles.size, pair.discs, pair.pins)
+    lines = transmission.no_lines(len(torques))
+    if with_elements:
+        lines = transmission.empty_lines(pair, surface, slices, places)
     found = _empty(pair, len(at_angles), angles.size)
 
     def result(done: slice) -> OnBearings:
-        return _result(pair, torques, angles[done], at_angles[:, done], first, _of(found, np.s_[:, done]))
+        kept = lines._replace(slice_force=lines.slice_force[:, done], slice_direction=lines.slice_direction[:, done])
+        return _result(pair, torques, angles[done], at_angles[:, done], first, _of(found, np.s_[:, done]), kept)
 
     try:
         _solve(
             pair, surface, at_angles, angles, slices, found, first, workers,
-            lambda size: progress(size * len(torques)),
+            lambda size: progress(size * len(torques)), lines,
         )  # fmt: skip
     except Stopped as stopped:
         raise Interrupted(result(slice(0, stopped.finished))) from None
@@ -213,9 +217,10 @@ def solve(
 
 def _solve(
     pair: Pair, surface: ErrorSurface, torques: Array, angles: Array, slices: int, found: Found, first: int = 0,
-    workers: int = 1, progress: Callable[[int], None] = lambda angles: None,
+    workers: int = 1, progress: Callable[[int], None] = lambda angles: None, lines: ContactLines | None = None,
 ) -> None:  # fmt: skip
     """Find places at every torque but 0, shape (torques, angles), and forces of the torques from `first` on."""
+    merging, none = threading.Lock(), transmission.no_lines(1)
     assembly = assembly_of(pair, surface)
     mesh = problem_of(pair, surface, slices)
 
@@ -227,13 +232,28 @@ def _solve(
             if torque.any():
                 here = _of(found, np.s_[k, start:last])
                 work = work_of(here.place.shape[-1], pair.discs)
-                sweep_supported(problem, assembly, angles[start:last], torque[start:last], k >= first, here, work)
+                mine = none if lines is None or k < first else _lines_of(lines, k - first, slice(start, last))
+                sweep_supported(problem, assembly, angles[start:last], torque[start:last], k >= first, here, work, mine)
+                if lines is not None and k >= first:
+                    with merging:
+                        gear, pin = lines.gear_pressure[k - first], lines.pin_pressure[k - first]
+                        np.maximum(gear, mine.gear_pressure[0], out=gear)
+                        np.maximum(pin, mine.pin_pressure[0], out=pin)
 
     solve_in_parts(part, angles.size, _PART, workers, progress)
     for k, torque in enumerate(torques):
         if torque.any() and not found.steps[k].all():
             at = int(np.argmin(found.steps[k]))
             raise _unbalanced(torque[at], angles[at])
+
+
+def _lines_of(lines: ContactLines, load: int, angles: slice) -> ContactLines:
+    """Return the lines of one torque at some angles, with pressures of their own, which threads do not share."""
+    one = np.s_[load : load + 1]
+    return lines._replace(
+        slice_force=lines.slice_force[one, angles], slice_direction=lines.slice_direction[one, angles],
+        gear_pressure=np.zeros_like(lines.gear_pressure[one]), pin_pressure=np.zeros_like(lines.pin_pressure[one]),
+    )  # fmt: skip
 
 
 def _unbalanced(torque: float, crank_angle: float) -> edge.InputError:
@@ -252,7 +272,9 @@ def play_loads(pair: Pair) -> list[float]:
     return [-PLAY_LOAD * pair.rated_torque, PLAY_LOAD * pair.rated_torque]
 
 
-def _result(pair: Pair, torques: Array, angles: Array, at_angles: Array, first: int, found: Found) -> OnBearings:
+def _result(
+    pair: Pair, torques: Array, angles: Array, at_angles: Array, first: int, found: Found, lines: ContactLines
+) -> OnBearings:  # fmt: skip
     """Return what was found, the play's two torques, if `first` is 2, before the others."""
     deviation = found.place[..., 0]
     low = high = np.full(angles.size, np.nan)
@@ -268,7 +290,7 @@ def _result(pair: Pair, torques: Array, angles: Array, at_angles: Array, first: 
     return OnBearings(
         torques, angles, deviation[first:], kept.stiffness, kept.contact_count, kept.max_contact_pressure,
         kept.pin_force, kept.pin_pressure, low, high, np.zeros(angles.size),
-        *transmission.no_lines(len(torques))[:4],
+        *lines[:4],
         disc_shift_x=kept.place[..., 3 : 3 + 3 * discs : 3],
         disc_shift_y=kept.place[..., 4 : 3 + 3 * discs : 3],
         turning_arm_force=kept.turning_arm,

@@ -15,7 +15,6 @@ from cycloid_fmu.contact.transmission import drive_of, error_sensitivity, notes,
 from cycloid_fmu.drive import read_drive
 from cycloid_fmu.errors.kinds import structured_names
 from cycloid_fmu.geometry.pair import ANGLES, parse_pair, read_pair, write_pair
-from cycloid_fmu.reducer.drive_file import drive_of_file
 from cycloid_fmu.surfaces.files import write_surface
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
@@ -517,19 +516,18 @@ def test_the_file_whose_errors_can_not_have_been_made_is_named(tmp_path):
         tmp_path / "a.nc",
     )
     made = drawn.replace(errors={"pin_radius": 9.9e-4})
-    for read in (read_drive, drive_of_file):
-        write_pair(made, file)
-        with pytest.raises(edge.InputError, match=r"a\.toml: errors: with these, pins \d+ and \d+ overlap by"):
-            read(file)
-        write_pair(drawn, file)
-        write_surface(surface_of_pair(made), surface)
-        with pytest.raises(edge.InputError, match=r"a\.nc: errors: with these, pins \d+ and \d+ overlap by"):
-            read(file, surface)
+    write_pair(made, file)
+    with pytest.raises(edge.InputError, match=r"a\.toml: errors: with these, pins \d+ and \d+ overlap by"):
+        read_drive(file)
+    write_pair(drawn, file)
+    write_surface(surface_of_pair(made), surface)
+    with pytest.raises(edge.InputError, match=r"a\.nc: errors: with these, pins \d+ and \d+ overlap by"):
+        read_drive(file, surface)
     (tmp_path / "rv.toml").write_text(
         (EXAMPLES / "rv-20e.toml").read_text().replace('eccentricity = "5 um"', 'eccentricity = "-0.95 mm"')
     )
     with pytest.raises(edge.InputError, match=r"rv\.toml: deviations: with these, the eccentricity is -0\.05 mm"):
-        drive_of_file(tmp_path / "rv.toml")
+        read_drive(tmp_path / "rv.toml")
 
 
 def test_results_outside_the_model_say_so():

@@ -147,12 +147,14 @@ def test_mesh_stiffness_is_method_c_s_or_stated():
 
 
 def test_clearance_of_the_crank_bearings_is_play_either_way():
-    """Beside rigid bearings the closed form's, c/a; on bearings what the model makes of a wider turning arm."""
+    """Beside rigid bearings the closed form's, c/a; on bearings the turning arms', as made where that is stated."""
     pair, _, beside = parts_of(RIGID)
     assert beside.bearing_play == pytest.approx(2e-6 / 27.5e-3)
     pair, _, first_stage = parts_of(HELD)
     assert first_stage.bearing_play == 0.0
-    assert pair.supports.turning_arm.clearance == pytest.approx(8e-6)
+    assert pair.supports.turning_arm.clearance == 2e-6
+    drawn = HELD.replace(deviations=HELD.deviations.replace(crank_bearing_clearance="0 um"))
+    assert parts_of(drawn)[0].supports.turning_arm.clearance == 6e-6
 
 
 def test_a_drive_behind_another_first_stage_is_another():
@@ -184,7 +186,7 @@ def test_what_knows_the_cycloid_stage_alone_says_so():
         ('kind = "cranks"', 'kind = "output_rollers"', 'write kind = "cranks"'),
         ("sun_teeth = 12", "sun_teeth = 12\nplanets = 2", "planets = 2, but [supports] count = 3"),
         ("sun_teeth = 12", 'sun_teeth = 12\nface_width = "8 mm"\nmesh_stiffness = "1 N/um"', "state one of them"),
-        ('crank_bearing_clearance = "2 um"', 'crank_bearing_clearance = "-7 um"', "takes more than"),
+        ('crank_bearing_clearance = "2 um"', 'crank_bearing_clearance = "-7 um"', "one not below zero"),
         ("[deviations]", '[errors]\npin_radius = "1 um"\n[deviations]', "are its [deviations] and [errors.supports]"),
     ],
 )
@@ -210,7 +212,7 @@ def test_a_reducer_from_the_command_line(command, tmp_path):
     assert run.returncode == 0, run.stderr
     assert "ratio 141, sun locked" in run.stdout
     assert "first stage" in run.stdout
-    assert run.stderr.count("rv.toml: ") == 3
+    assert run.stderr.count("rv.toml: ") == 4
     run = command("cycloid-fmu", "analyze", "rv.toml", "--torque", "167 N*m", "--angles", 12, "--json")
     content = json.loads(run.stdout)
     assert np.mean(content["sun_torque"]) == pytest.approx(-167.0 / 141.0, rel=0.01)

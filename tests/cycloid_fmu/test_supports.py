@@ -16,7 +16,7 @@ from cycloid_fmu.contact import transmission as on_rigid
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
 from cycloid_fmu.supports.balance import work_of
 from cycloid_fmu.supports.bearing import linear, push, rollers
-from cycloid_fmu.supports.figures import compliance, remaining
+from cycloid_fmu.supports.figures import remaining
 from cycloid_fmu.supports.sweeps import sweep_supported
 from cycloid_fmu.supports.transmission import _empty, assembly_of, problem_of, sensitivity, solve
 from cycloid_fmu.surfaces.structured import displacement_layout
@@ -266,6 +266,28 @@ def test_a_drive_that_hangs_in_its_clearances_is_balanced():
     assert found.pin_force.max() > 0.1
 
 
+def test_contact_lines_lie_where_the_discs_then_stand():
+    """Rigid bearings have those of the rigid drive; on bearings they add up to the pins' forces, by any threads."""
+    pair = cy.Pair(**SIZES, discs=2, supports={"kind": "cranks", "count": 3, "circle_radius": "36 mm"})
+    angles = np.linspace(0.0, 0.3, 66)
+    bare = pair.replace(supports=None)
+    known = on_rigid.solve(bare, surface_of_pair(bare), [150.0], angles, 3, with_play=False, with_elements=True)
+    rigid = solve(pair, surface_of_pair(pair), [150.0], angles, 3, with_play=False, with_elements=True)
+    assert rigid.slice_force == pytest.approx(known.slice_force, rel=1e-3, abs=0.5)
+    assert rigid.slice_direction == pytest.approx(known.slice_direction, abs=1e-5)
+    assert rigid.gear_element_pressure == pytest.approx(known.gear_element_pressure, rel=1e-3, abs=2e6)
+    assert rigid.pin_element_pressure == pytest.approx(known.pin_element_pressure, rel=1e-3, abs=2e6)
+    soft = made("cranks", 2)
+    found = [solve(soft, surface_of_pair(soft), [150.0, -20.0], angles, 3, with_elements=True, workers=workers)
+             for workers in (1, 2)]  # fmt: skip
+    assert found[0].slice_force.sum(axis=-1) == pytest.approx(found[0].pin_force, rel=1e-5)
+    for load in range(2):
+        largest = found[0].max_contact_pressure[load].max()
+        assert 0.9 * largest < found[0].pin_element_pressure[load].max() <= (1.0 + 1e-9) * largest
+    for name in ("slice_force", "slice_direction", "gear_element_pressure", "pin_element_pressure"):
+        assert (getattr(found[0], name) == getattr(found[1], name)).all()
+
+
 @pytest.mark.parametrize(("example", "column"), [("drive-39-40-bearings", 2), ("rv-20e-bearings", 3)])
 def test_stiffness_of_the_examples_is_the_theory_page_s(example, column):
     """Every number of the page's table, what is left to the catalogue's stiffness included."""
@@ -384,7 +406,10 @@ def test_sensitivities_are_differences(kind):
     def te(problem, assembly, torque=150.0, at=angles):
         found = _empty(pair, 1, at.size)
         here = type(found)(*(array[0] for array in found))
-        sweep_supported(problem, assembly, at, np.full(at.size, torque), False, here, work_of(here.place.shape[-1], 2))
+        sweep_supported(
+            problem, assembly, at, np.full(at.size, torque), False, here, work_of(here.place.shape[-1], 2),
+            on_rigid.no_lines(1),
+        )  # fmt: skip
         return here.place[:, 0]
 
     def check(by, plus, minus, scale=step):
