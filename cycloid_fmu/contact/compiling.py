@@ -26,16 +26,21 @@ class _WithoutCollection(event.Listener):  # type: ignore[misc]
 
     def __init__(self) -> None:
         self.kernels: set[Any] = set()
+        self._compiling = 0
         self._collects = False
 
     def on_start(self, event: event.Event) -> None:
         if event.data["dispatcher"] in self.kernels:
-            self._collects = gc.isenabled()
-            gc.disable()
+            if self._compiling == 0:
+                self._collects = gc.isenabled()
+                gc.disable()
+            self._compiling += 1
 
     def on_end(self, event: event.Event) -> None:
-        if event.data["dispatcher"] in self.kernels and self._collects:
-            gc.enable()
+        if event.data["dispatcher"] in self.kernels:
+            self._compiling -= 1
+            if self._compiling == 0 and self._collects:
+                gc.enable()
 
 
 _without_collection = _WithoutCollection()
