@@ -46,6 +46,8 @@ class Deviation(Config):
 
 def _deviation(given: Any) -> Any:
     """Read a deviation in any of its three ways; values stay text, so that they are read once."""
+    if isinstance(given, Deviation):
+        return given
     if not isinstance(given, dict):
         given = {"value": given}
     table = dict(given)
