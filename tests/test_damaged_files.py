@@ -25,7 +25,8 @@ from cycloid_fmu import edge
 from cycloid_fmu.fmu.build import build_fmu, read_losses
 from cycloid_fmu.fmu.run import read_motion, stated_drive, units_of
 from cycloid_fmu.reducer.description import read_reducer
-from cycloid_fmu.studies.tolerance import Checkpoint, Study
+from cycloid_fmu.studies.checkpoint import Checkpoint
+from cycloid_fmu.studies.tolerance import Study
 from cycloid_fmu.surfaces.measuring import measured_surface, read_points
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from cycloid_fmu.wear.law import read_duty_cycle, read_wear_law

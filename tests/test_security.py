@@ -29,7 +29,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.edge.commands import print_table
 from cycloid_fmu.fmu.run import read_motion, units_of
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
-from cycloid_fmu.studies.tolerance import Checkpoint
+from cycloid_fmu.studies.checkpoint import Checkpoint
 from drivers.can.bus import open_bus
 from drivers.encoder import BusConfig, EncoderSetupError, PortConfig
 from drivers.recorder.bench import read_bench

@@ -13,9 +13,7 @@ import importlib.metadata
 import json
 import math
 import warnings
-import zlib
 from collections.abc import Callable, Iterator, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -27,6 +25,7 @@ from cycloid_fmu.contact.transmission import SLICES_MISALIGNED, slices_needed
 from cycloid_fmu.geometry.pair import ANGLES, LOST_MOTION, Pair
 from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.reducer.transmission import solve
+from cycloid_fmu.studies.checkpoint import Checkpoint
 from cycloid_fmu.surfaces.sampling import LARGEST_SEED, AngleError, Tolerances, surface_at
 from cycloid_fmu.surfaces.structured import displacement_vector
 from cycloid_fmu.surfaces.surface import Elements, ErrorSurface, nominal_surface
@@ -38,7 +37,6 @@ Array = NDArray[np.float64]
 Design = Literal["sobol", "latin-hypercube", "saltelli"]
 DESIGNS: tuple[Design, ...] = ("sobol", "latin-hypercube", "saltelli")
 FORMAT = "cycloid-tolerance-study/1"
-CHECKPOINT_FORMAT = "cycloid-tolerance-checkpoint/1"
 CHUNK = 16  # samples of one task
 PLAY_STEP = 10  # play and lost motion, which cost most and vary slowly, are taken at each tenth crank angle
 FORM = Elements(profile=50, width=5, angle=25)  # of sampled form deviations
@@ -313,70 +311,6 @@ def _task(wanted: dict[str, str], study: Study, first: int, rows: Array) -> tupl
     """Solve some samples wherever this runs."""
     _check_versions(wanted)
     return first, np.array([figures_of(study, surface_of(study, row)) for row in rows])
-
-
-class Checkpoint:
-    """The samples that were solved, on disk: a header and a line for each task, each with its CRC-32.
-
-    A line that a kill cut short is passed over, and its samples are solved again.
-
-    Raises
-    ------
-    edge.InputError
-        If the file is no checkpoint, or one of another study.
-    """
-
-    def __init__(self, path: Path, study: Study) -> None:
-        self.path = path
-        self.done: dict[int, Array] = {}
-        identity = study.identity()
-        if edge.writable(path).exists():
-            self._read(identity)
-        else:
-            with edge.written_whole(path) as temporary:
-                temporary.write_text(_line({"format": CHECKPOINT_FORMAT, "study": identity}), encoding="utf-8")
-
-    def _read(self, identity: dict[str, Any]) -> None:
-        lines = edge.read_text(self.path).splitlines()
-        header = _content(lines[0]) if lines else None
-        if header is None:
-            raise edge.InputError(f"{self.path}: this is not a checkpoint of a tolerance study; move it away.")
-        edge.check_format(header.get("format"), CHECKPOINT_FORMAT, str(self.path))
-        with edge.parsed_by_others(self.path, "this checkpoint is damaged; move it away"):
-            stated = dict(header["study"])
-            records = [record for record in map(_content, lines[1:]) if record is not None]
-            self.done = {int(one["first"]): np.array(one["values"], dtype=float) for one in records}
-        for name, mine in identity.items():
-            theirs = stated.get(name)
-            if theirs != mine:
-                values = "" if isinstance(mine, str | dict) and name != "design" else f": {theirs} there, {mine} here"
-                raise edge.InputError(
-                    f"{self.path}: this checkpoint belongs to another study, its {name} differs{values}; finish that "
-                    "study, or remove the file to start anew."
-                )
-
-    def add(self, first: int, values: Array) -> None:
-        """Keep the figures of the samples from `first` on."""
-        # A newline first: a line that a kill cut short must not spoil this one.
-        with edge.naming(self.path), edge.writable(self.path).open("a", encoding="utf-8") as file:
-            file.write("\n" + _line({"first": first, "values": values.tolist()}))
-
-
-def _line(record: dict[str, Any]) -> str:
-    text = json.dumps(record, allow_nan=False)
-    return f"{zlib.crc32(text.encode()):08x} {text}\n"
-
-
-def _content(line: str) -> dict[str, Any] | None:
-    """Return what `_line` wrote, None where the line is not whole."""
-    check, _, text = line.partition(" ")
-    if check != f"{zlib.crc32(text.encode()):08x}":
-        return None
-    try:
-        record = json.loads(text)
-    except (ValueError, RecursionError):
-        return None
-    return record if isinstance(record, dict) else None
 
 
 def _connected(scheduler: str) -> Any:

@@ -11,9 +11,9 @@ from typing import Any
 
 from cycloid_fmu import edge
 from cycloid_fmu.reducer.drive_file import parts_of_file
+from cycloid_fmu.studies.checkpoint import Checkpoint
 from cycloid_fmu.studies.tolerance import (
     Array,
-    Checkpoint,
     Result,
     Screened,
     Study,

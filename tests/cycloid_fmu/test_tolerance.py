@@ -19,8 +19,10 @@ from scipy import stats
 from cycloid_fmu import edge
 from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.studies import tolerance
-from cycloid_fmu.studies.tolerance import Checkpoint, Study, check_study, figures_of, points, run, screened, surface_of
+from cycloid_fmu.studies.checkpoint import Checkpoint
+from cycloid_fmu.studies.tolerance import Study, check_study, figures_of, points, run, screened, surface_of
 from cycloid_fmu.surfaces.sampling import parse_tolerances, read_tolerances, surface_at, within_tolerance
 
 PAIR = read_pair(EXAMPLES / "drive-39-40.toml")
@@ -192,6 +194,10 @@ def test_a_checkpoint_of_another_study_is_refused(tmp_path, change, said):
     with pytest.raises(edge.InputError, match=said) as caught:
         Checkpoint(tmp_path / "c", dataclasses.replace(study, **change))
     assert str(caught.value).count("\n") == 0
+    reducer = dataclasses.replace(study, first_stage=FirstStage(12, 42, 0.0, 0.0))
+    Checkpoint(tmp_path / "behind", reducer)
+    with pytest.raises(edge.InputError, match="its first_stage differs; finish"):
+        Checkpoint(tmp_path / "behind", study)
     (tmp_path / "c").write_text("something else\n")
     with pytest.raises(edge.InputError, match="not a checkpoint"):
         Checkpoint(tmp_path / "c", study)
