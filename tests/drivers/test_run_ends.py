@@ -234,6 +234,8 @@ def test_a_killed_run_leaves_nothing_that_moves_and_the_next_one_records(tmp_pat
         until(lambda: not processes(group))
     kept = sorted(tmp_path.glob("*.trial-1.arrows"))
     assert kept
+    sequence = tmp_path / "sequence.toml"
+    sequence.write_text(sequence.read_text().replace("turns = 8", "turns = 2"))
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False)
     if end == "watchdog":
         assert done.returncode == 2
