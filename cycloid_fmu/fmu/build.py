@@ -22,7 +22,7 @@ from cycloid_fmu.fmu.parts import parts, write_archive
 from cycloid_fmu.fmu.pythonfmu_builder import build_archive
 from cycloid_fmu.fmu.variables import INTERFACES, Interface, InterfaceKind, LossRow, variables
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.reducer.first_stage import FirstStage
+from cycloid_fmu.reducer.first_stage import FirstStage, sun_ratio
 from cycloid_fmu.reducer.lost_motion import Reducer, first_stage_of, surface_of_reducer
 from cycloid_fmu.surfaces.files import write_surface
 from cycloid_fmu.surfaces.surface import DEVIATIONS, ErrorSurface, surface_of_pair
@@ -59,6 +59,11 @@ def whole_drive(drive: AnyDrive, surface: ErrorSurface | None) -> tuple[Pair, Er
     if isinstance(drive, Pair):
         return drive, surface or surface_of_pair(drive), None
     return drive.pair, surface or drive.surface, None
+
+
+def ratio_of(pair: Pair, first_stage: FirstStage | None) -> float:
+    """Return the driven shaft's angle over the output's."""
+    return pair.ratio if first_stage is None else sun_ratio(first_stage, pair.gear_teeth)
 
 
 def build_fmu(
@@ -119,7 +124,7 @@ def build_fmu(
         for name, behind in fronts.items():
             if behind in contents:
                 contents[name] = (_FRONT / name.removeprefix("binaries/")).read_bytes()
-        table = variables(pair, surface, interface, fmi_version)
+        table = variables(pair, surface, interface, fmi_version, ratio_of(pair, first_stage))
         write_archive(temporary, {**contents, **parts(pair, surface, interface, table, fmi_version, [library])})
 
 
@@ -132,8 +137,11 @@ def checked_interface(interface: InterfaceKind | Interface, first_stage: FirstSt
         raise ArgumentError("interface", "an RV reducer has the kinematic interface alone", interface.kind)
     if interface.output_inertia != 0.0 and interface.kind == "kinematic":
         raise ArgumentError("output_inertia", "is for the compliant interface; the kinematic one has none")
-    if not 0.0 <= interface.output_inertia < math.inf:
-        raise ArgumentError("output_inertia", "it must be finite and not below zero (kg*m^2)", interface.output_inertia)
+    for name in ("output_inertia", "crank_inertia"):
+        if not 0.0 <= getattr(interface, name) < math.inf:
+            raise ArgumentError(name, "it must be finite and not below zero (kg*m^2)", getattr(interface, name))
+    if interface.crank_inertia > 0.0 and interface.output_inertia == 0.0:
+        raise ArgumentError("crank_inertia", "goes together with an output_inertia, on which the mesh then acts")
     try:
         check_losses(interface.losses)
     except ValueError as problem:

@@ -49,7 +49,7 @@ def model_of(
 ) -> DriveModel | CompliantModel:
     """Return the model behind an interface."""
     if interface.kind == "compliant":
-        return CompliantModel(pair, surface, interface.losses, interface.output_inertia)
+        return CompliantModel(pair, surface, interface.losses, interface.output_inertia, interface.crank_inertia)
     if first_stage is not None:
         return ReducerModel(pair, surface, first_stage, interface.losses)
     return DriveModel(pair, surface, interface.losses)
@@ -92,7 +92,7 @@ class Core:
         surface = ErrorSurface(pair, **values, life=Life(**states) if states else None)
         interface = interface_from(numbers["interface"])
         self.model = model_of(pair, surface, interface, None if stage is None else FirstStage(**stage))
-        self.table = dict(enumerate(variables(pair, surface, interface, version)))
+        self.table = dict(enumerate(variables(pair, surface, interface, version, self.model.ratio)))
         self.faults: dict[int, str] = {}
         self.time = 0.0
         self._hash = hashlib.sha256(text + stored).digest()
@@ -112,6 +112,8 @@ class Core:
         cell = re.fullmatch(r"loss_table\[(\d+),(\d+)\]", name)
         if name == "time":
             return (lambda: self.time), None
+        if variable.causality == "local":
+            return (lambda: variable.start), None
         if name in model.errors:
             return (lambda: model.errors[name]), functools.partial(model.set_error, name)
         if name in KINDS and KINDS[name].of == "pin":
@@ -120,7 +122,7 @@ class Core:
             i, j = int(cell[1]) - 1, int(cell[2]) - 1
             return (lambda: model.loss_table[i][j]), functools.partial(model.set_loss, i, j)
         attribute = ATTRIBUTES.get(name, name)
-        setter = None if variable.causality == "output" else functools.partial(setattr, model, attribute)
+        setter = None if variable.causality in ("output", "local") else functools.partial(setattr, model, attribute)
         return functools.partial(getattr, model, attribute), setter
 
     def put(self, reference: int, value: Any) -> str:

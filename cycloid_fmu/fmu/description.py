@@ -21,6 +21,12 @@ def _text(variable: Variable, value: float) -> str:
     return str(int(value)) if variable.kind == "integer" else repr(float(value))
 
 
+def _places(table: Sequence[Variable], version: Version, references: Sequence[int] | None) -> dict[str, int]:
+    """Return by what number a model description names each variable: its place in FMI 2.0, its reference in 3.0."""
+    numbers = range(1, len(table) + 1) if version == "2.0" else references or range(len(table))
+    return {v.name: number for v, number in zip(table, numbers, strict=True)}
+
+
 def unit_definitions(table: Sequence[Variable]) -> Element:
     """Return `<UnitDefinitions>` of the units that the variables have; both versions write them alike."""
     root = Element("UnitDefinitions")
@@ -36,6 +42,7 @@ def unit_definitions(table: Sequence[Variable]) -> Element:
 def model_variables(table: Sequence[Variable], version: Version, references: Sequence[int] | None = None) -> Element:
     """Return `<ModelVariables>`; the place in the table is the value reference where none are given."""
     root = Element("ModelVariables")
+    places = _places(table, version, references)
     for reference, variable in zip(references or range(len(table)), table, strict=True):
         outer = {
             "name": variable.name, "valueReference": str(reference), "description": variable.description,
@@ -51,6 +58,8 @@ def model_variables(table: Sequence[Variable], version: Version, references: Seq
         if start is not None:
             values = start if isinstance(start, tuple) else (start,)
             inner["start"] = " ".join(_text(variable, v) for v in values)
+        if variable.derivative_of is not None:
+            inner["derivative"] = str(places[variable.derivative_of])
         given = {k: v for k, v in inner.items() if v is not None}
         kind = _TYPES[version][variable.kind]
         if version == "2.0":
@@ -65,8 +74,7 @@ def model_variables(table: Sequence[Variable], version: Version, references: Seq
 def model_structure(table: Sequence[Variable], version: Version, references: Sequence[int] | None = None) -> Element:
     """Return `<ModelStructure>`: outputs with the inputs that they depend on, and with the parameters initially."""
     root = Element("ModelStructure")
-    numbers = range(1, len(table) + 1) if version == "2.0" else references or range(len(table))
-    places = {v.name: number for v, number in zip(table, numbers, strict=True)}
+    places = _places(table, version, references)
     for section, item in (("Outputs", "Output"), ("InitialUnknowns", "InitialUnknown")):
         node = SubElement(root, section) if version == "2.0" else root
         for variable in table:

@@ -1,7 +1,7 @@
 """The Co-Simulation slaves, of FMI 2.0 on pythonfmu and of FMI 3.0 on pythonfmu3, around the same `Core`.
 
 Both libraries turn an exception into a fatal status with its message. It is left to what no simulation goes on after: a
-wrong reference, a foreign state, parameters that contradict each other. A step that is refused is discarded instead.
+wrong reference, a foreign state, parameters that contradict each other. A step that is refused is an error instead.
 """
 
 from __future__ import annotations
@@ -124,11 +124,11 @@ class DriveSlave2(DriveSlave, Fmi2Slave):  # type: ignore[misc]
         self._open(self.resources, "linux64/pythonfmu-export.so")
 
     def _refuse(self, message: str) -> None:
-        self.log(message, Fmi2Status.discard)
+        self.log(message, Fmi2Status.error)
 
     # A step is made of these three: another frame around each would take a tenth of its time.
     def do_step(self, current_time: float, step_size: float) -> bool:
-        """Make a step; a refused one is discarded with a message."""
+        """Make a step; a refused one has a message, and the library before this one makes an error of it."""
         try:
             refused = self.core.step(current_time, step_size)
         except Exception:

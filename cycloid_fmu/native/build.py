@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 import importlib.metadata
 import importlib.util
+import math
 import os
 import platform
 import shutil
@@ -20,7 +21,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from cycloid_fmu import __version__, edge
 from cycloid_fmu.edge import ArgumentError
-from cycloid_fmu.fmu.build import AnyDrive, checked_interface, whole_drive
+from cycloid_fmu.fmu.build import AnyDrive, checked_interface, ratio_of, whole_drive
 from cycloid_fmu.fmu.constants import MOST_LOSS_ROWS
 from cycloid_fmu.fmu.description import Version, model_structure, model_variables, unit_definitions
 from cycloid_fmu.fmu.parts import parts, write_archive
@@ -227,7 +228,7 @@ def _description(
             SubElement(files, "File", name=name)
     root.append(unit_definitions(told))
     categories = SubElement(root, "LogCategories")
-    for name, why in (("logStatusDiscard", "a refused step"), ("logStatusError", "what was refused otherwise")):
+    for name, why in (("logStatusWarning", "torques beyond the tables"), ("logStatusError", "what was refused")):
         SubElement(categories, "Category", name=name, description=why)
     SubElement(root, "DefaultExperiment", startTime="0.0", stopTime="1.0", stepSize="0.001")
     root.append(model_variables(told, version, tuple(kept)))
@@ -258,6 +259,7 @@ def build_native(
     interface: InterfaceKind | Interface = "kinematic",
     fmi_version: Version = "2.0",
     platforms: Sequence[str] = (),
+    largest_torque: float | None = None,
     made: tables.Tables | None = None,
     workers: int = 1,
     total: Callable[[int], None] = lambda angles: None,
@@ -272,6 +274,8 @@ def build_native(
         As of `cycloid_fmu.fmu.build.build_fmu`.
     platforms
         Keys of `PLATFORMS`; all that the FMI version knows where empty.
+    largest_torque
+        How far the tables reach, N·m; 2.5 times the rated torque where None. Beyond they go on along the tangent.
     made
         Tables of this drive that were made before; they are computed where None.
     workers, total, progress
@@ -293,11 +297,15 @@ def build_native(
         _compiler(name)
         if name not in platforms_of(fmi_version):
             raise ArgumentError("platforms", f"FMI {fmi_version} does not know it, FMI 3.0 does", name)
+    if largest_torque is not None and not 0.0 < largest_torque < math.inf:
+        raise ArgumentError("largest_torque", "it must be finite and above zero (N*m)", largest_torque)
     with edge.written_whole(path) as temporary:
         libraries = _binaries(fmi_version, names, compiled)
         if made is None:
-            made = tables.compute(pair, surface, workers=workers, total=total, progress=progress)
-        kept = from_tables(variables(pair, surface, interface, fmi_version))
+            made = tables.compute(
+                pair, surface, largest_load=largest_torque, workers=workers, total=total, progress=progress
+            )
+        kept = from_tables(variables(pair, surface, interface, fmi_version, ratio_of(pair, first_stage)))
         plain = write(made, interface, kept, first_stage=first_stage)
         token = f"{{{uuid.uuid5(_SPACE, __version__ + hashlib.sha256(plain).hexdigest())}}}"
         contents = {

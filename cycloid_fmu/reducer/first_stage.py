@@ -35,6 +35,11 @@ class FirstStage:
         return 1.0 + self.sun_share
 
 
+def sun_ratio(stage: FirstStage, gear_teeth: int) -> float:
+    """Return the sun's angle over the output's of the ideal reducer."""
+    return gear_teeth / (stage.sun_share * sun_locked_share(stage.crank_share, gear_teeth))
+
+
 def sun_locked_share(crank_share: float, gear_teeth: int) -> float:
     """Return the share of a play with the crank locked that is left with the sun locked: 1/(1 + (1 + z_1/z_2)/z_c).
 
