@@ -14,10 +14,9 @@ from types import SimpleNamespace
 import fmpy
 import numpy as np
 import pytest
-from c_host import COMPILER, HERE, INTERFACES, WINE, compiled, needs, needs_wine, zig
+from c_host import COMPILER, HERE, INTERFACES, WINE, Slave, compiled, native_of, needs, needs_wine, zig
 from common import ARCSEC, EXAMPLES, PAIR, make_pair
 from fmpy.fmi1 import FMICallException
-from fmpy.fmi2 import FMU2Slave
 from fmpy.validation import validate_fmu
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -54,41 +53,6 @@ def rows_of(text):
     return np.array([[float(cell) for cell in line.split(",")] for line in text.splitlines()])
 
 
-class Slave:
-    """A native FMI 2.0 FMU in fmpy; values by name, what was logged in `said`."""
-
-    def __init__(self, path, folder):
-        description = fmpy.read_model_description(str(path))
-        self.references = {v.name: v.valueReference for v in description.modelVariables}
-        self.said = []
-        self.fmi = FMU2Slave(
-            guid=description.guid, unzipDirectory=fmpy.extract(str(path), unzipdir=str(folder)),
-            modelIdentifier=description.coSimulation.modelIdentifier, instanceName="drive",
-        )  # fmt: skip
-        logger = fmpy.fmi2.fmi2CallbackLoggerTYPE(lambda *words: self.said.append(words[4].decode()))
-        self._kept = fmpy.fmi2.fmi2CallbackFunctions(
-            logger,
-            fmpy.fmi2.fmi2CallbackAllocateMemoryTYPE(fmpy.calloc),
-            fmpy.fmi2.fmi2CallbackFreeMemoryTYPE(fmpy.free),
-        )
-        self.fmi.instantiate(callbacks=self._kept)
-
-    def start(self, **values):
-        self.put(**values)
-        self.fmi.setupExperiment(startTime=0.0)
-        self.fmi.enterInitializationMode()
-        self.fmi.exitInitializationMode()
-
-    def put(self, **values):
-        for name, value in values.items():
-            name = name.replace("flange_a_", "flange_a.").replace("flange_b_", "flange_b.")
-            setter = self.fmi.setBoolean if name == "backlash_on" else self.fmi.setReal
-            setter([self.references[name]], [value])
-
-    def get(self, *names):
-        return self.fmi.getReal([self.references[name] for name in names])
-
-
 @pytest.fixture
 def slave(built, tmp_path):
     made = []
@@ -101,17 +65,6 @@ def slave(built, tmp_path):
     for each in made:
         if each.fmi.component:
             each.fmi.freeInstance()
-
-
-def native_of(folder, drive, surface, made, interface):
-    """A native FMU for this machine, compiled with the system's compiler."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("CC", COMPILER[0] if len(COMPILER) == 1 else "")
-        native_build.build_native(
-            drive, folder / "drive.fmu", surface, interface=interface, made=made,
-            platforms=[native_build.this_platform()],
-        )  # fmt: skip
-    return folder / "drive.fmu"
 
 
 # --- tables ---
