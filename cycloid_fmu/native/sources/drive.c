@@ -43,10 +43,12 @@ static int move(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
 static int guarded(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
     struct state kept;
     int failed;
-    memcpy(&kept, &drive->state, offsetof(struct state, loss)); /* a step leaves the losses */
+    /* A step leaves the losses, and of the kinematic interface all that it has not. */
+    size_t size = drive_kinematic(drive) ? offsetof(struct state, bristle) : offsetof(struct state, loss);
+    memcpy(&kept, &drive->state, size);
     failed = move(drive, step, message);
     if (failed) {
-        memcpy(&drive->state, &kept, offsetof(struct state, loss));
+        memcpy(&drive->state, &kept, size);
         drive->placed = drive->solved = 0;
     }
     return failed;
@@ -206,9 +208,11 @@ static int load_of(struct drive *drive, double *load, double *side) {
 
 int drive_outside(const struct drive *drive) {
     const struct state *s = &drive->state;
-    return s->outside != 0.0
-        || (drive_kinematic(drive) ? teeth_outside(drive, s->load, s->side)
-                                   : drive->solved && teeth_outside(drive, drive->pressed.load, drive->pressed.side));
+    const struct side *side = drive->table->side; /* asked at each step: no calls */
+    if (drive->table->offers == INTERFACE_KINEMATIC) {
+        return s->load > side[s->side > 0.0 ? 0 : 1].reach;
+    }
+    return s->outside != 0.0 || (drive->solved && teeth_outside(drive, drive->pressed.load, drive->pressed.side));
 }
 
 static double output(struct drive *drive, int field) {

@@ -7,17 +7,17 @@
 /* What later steps and outputs depend on: doubles alone, so that it can be written down as it is. */
 struct state {
     double time;
-    double crank_angle, crank_speed;
-    double torque, crank_torque; /* inputs: the loads on the inertias inside; else unused */
+    double crank_angle, crank_speed, torque; /* torque: the input, the load on the inertia; else unused */
     double output_angle, output_speed;       /* of the kinematic interface the speed is found when asked for */
     double friction_torque, series_compliance, backlash_on, mesh_damping, largest_step, output_inertia;
-    double crank_inertia, crank_angle_start, crank_speed_start;
     double settled, placed, deviation, load, side, pushed; /* kinematic: at the last step */
     double gear, loose; /* of a reducer: the gear's own deviation, and whether the plays around it leave it unloaded */
-    double bristle, seen, dissipated_energy;               /* compliant */
+    /* What the kinematic interface has not. */
+    double bristle, seen, dissipated_energy;
     /* With an inertia inside: where the crank stands, as its angle may be set to where it goes next; and of the last step
        its mean torque and what was lost, and whether a torque was beyond the tables. */
     double turned, mean_torque, mean_loss, outside;
+    double crank_torque, crank_inertia, crank_angle_start, crank_speed_start; /* of a crank with one */
     double loss[MOST_LOSS_ROWS * LOSS_COLUMNS];
 };
 

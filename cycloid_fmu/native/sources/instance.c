@@ -116,7 +116,7 @@ int instance_step(struct instance *instance, double time, double step) {
         instance->warned = 1;
         instance_refuse(instance, STATUS_WARNING, "at %g s the torque is beyond the %g N.m of the FMU's tables: they go on "
                         "along the last tangent (--largest-torque makes them longer). This is said once.", time + step,
-                        fmin(table_reach(&side[0]), table_reach(&side[1])));
+                        fmin(side[0].reach, side[1].reach));
     }
     return status;
 }

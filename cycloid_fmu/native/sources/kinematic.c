@@ -6,7 +6,7 @@
 
 const struct place *drive_place(struct drive *drive) {
     if (!drive->placed) {
-        drive->place = table_place(drive->table, drive_angle(drive));
+        drive->place = table_place(drive->table, drive_kinematic(drive) ? drive->state.placed : drive_angle(drive));
         drive->placed = 1;
         drive->at_load = 0.0;
     }

@@ -69,17 +69,11 @@ static double hermite_slope(double u, double h, double a, double b, double ca, d
     return 6.0 * u * v * (b - a) / h + v * (1.0 - 3.0 * u) * ca + u * (3.0 * u - 2.0) * cb;
 }
 
-double table_reach(const struct side *side) {
-    return side->load[side->loads - 1];
-}
-
 struct loaded table_at(const struct side *side, const struct place *place, double load) {
     uint32_t j = cell_of(side->load, side->loads, load), i;
-    double beyond = load - table_reach(side);
     double h = side->load[j + 1] - side->load[j], u = (load - side->load[j]) / h;
     double a = 0.0, b = 0.0, ca = 0.0, cb = 0.0, ra = 0.0, rb = 0.0, rca = 0.0, rcb = 0.0;
     struct loaded found;
-    u = u < 1.0 ? u : 1.0;
     for (i = 0; i < 4; i++) {
         const float *x = side->deviation + (size_t)place->node[i] * side->loads + j;
         const float *c = side->compliance + (size_t)place->node[i] * side->loads + j;
@@ -93,13 +87,15 @@ struct loaded table_at(const struct side *side, const struct place *place, doubl
         rca += r * (double)c[0];
         rcb += r * (double)c[1];
     }
+    if (u > 1.0) { /* beyond the last load */
+        found.deviation = b + (load - side->load[j + 1]) * cb;
+        found.compliance = cb;
+        found.rate = rb + (load - side->load[j + 1]) * rcb;
+        return found;
+    }
     found.deviation = hermite(u, h, a, b, ca, cb);
     found.compliance = hermite_slope(u, h, a, b, ca, cb);
     found.rate = hermite(u, h, ra, rb, rca, rcb);
-    if (beyond > 0.0) {
-        found.deviation += beyond * cb;
-        found.rate += beyond * rcb;
-    }
     return found;
 }
 
@@ -158,7 +154,7 @@ double table_load(const struct side *side, const struct place *place, double dev
 void table_energy(const struct side *side, const struct place *place, double load, double *energy, double *rate) {
     uint32_t cell = cell_of(side->load, side->loads, load), i, j;
     double of_deviation[MOST_LOADS], of_compliance[MOST_LOADS];
-    double h = side->load[cell + 1] - side->load[cell], beyond = load - table_reach(side);
+    double h = side->load[cell + 1] - side->load[cell], beyond = load - side->reach;
     double u = beyond > 0.0 ? 1.0 : (load - side->load[cell]) / h, u2 = u * u;
     memset(of_deviation, 0, (cell + 2) * sizeof *of_deviation);
     memset(of_compliance, 0, (cell + 2) * sizeof *of_compliance);

@@ -19,6 +19,7 @@ struct variable {
 /* One direction of torque; spline coefficients, the loads of one crank angle side by side. */
 struct side {
     uint32_t loads, told_loads; /* told: of contact count and pressure, from which nothing follows */
+    double reach; /* the last load */
     double load[MOST_LOADS], told_load[MOST_LOADS];
     float *deviation, *compliance;
     uint8_t *contact_count;
@@ -58,7 +59,6 @@ struct place table_told_place(const struct table *table, double crank_angle); /*
 struct loaded table_at(const struct side *side, const struct place *place, double load);
 struct loaded table_at_node(const struct side *side, const struct place *place, uint32_t node);
 /* Beyond the last load all goes on along the tangent there: the compliance stays. */
-double table_reach(const struct side *side); /* the last load */
 /* Load at which the deviation, with a further compliance in series and less an offset, is the given one; 0 below the
    first. */
 double table_load(const struct side *side, const struct place *place, double deviation, double offset, double series);

@@ -7,7 +7,7 @@ const struct side *teeth_side(const struct drive *drive, double direction) {
 }
 
 int teeth_outside(const struct drive *drive, double load, double side) {
-    return load > table_reach(teeth_side(drive, side));
+    return load > teeth_side(drive, side)->reach;
 }
 
 struct play teeth_play(const struct drive *drive, const struct place *place) {
