@@ -14,7 +14,9 @@ from typing import Protocol
 import numpy as np
 
 from cycloid_fmu import __version__, edge
+from cycloid_fmu.contact.transmission import slices_needed, solve
 from cycloid_fmu.edge import ArgumentError
+from cycloid_fmu.fmu.constants import DAMPING_TIME
 from cycloid_fmu.fmu.core import FORMAT, NUMBERS, SURFACE
 from cycloid_fmu.fmu.description import Version
 from cycloid_fmu.fmu.losses import check_losses
@@ -95,7 +97,7 @@ def build_fmu(
         If the folder does not exist, the loss table is none, or the interface is none of this drive.
     """
     pair, surface, first_stage = whole_drive(drive, surface)
-    interface = checked_interface(interface, first_stage)
+    interface = with_damping(checked_interface(interface, first_stage), pair, surface)
     if fmi_version not in _LIBRARIES:
         raise ArgumentError("fmi_version", "it must be 2.0 or 3.0", fmi_version)
     library = _LIBRARIES[fmi_version]
@@ -137,9 +139,9 @@ def checked_interface(interface: InterfaceKind | Interface, first_stage: FirstSt
         raise ArgumentError("interface", "an RV reducer has the kinematic interface alone", interface.kind)
     if interface.output_inertia != 0.0 and interface.kind == "kinematic":
         raise ArgumentError("output_inertia", "is for the compliant interface; the kinematic one has none")
-    for name in ("output_inertia", "crank_inertia"):
-        if not 0.0 <= getattr(interface, name) < math.inf:
-            raise ArgumentError(name, "it must be finite and not below zero (kg*m^2)", getattr(interface, name))
+    for name, unit in (("output_inertia", "kg*m^2"), ("crank_inertia", "kg*m^2"), ("mesh_damping", "N*m*s/rad")):
+        if not 0.0 <= (getattr(interface, name) or 0.0) < math.inf:
+            raise ArgumentError(name, f"it must be finite and not below zero ({unit})", getattr(interface, name))
     if interface.crank_inertia > 0.0 and interface.output_inertia == 0.0:
         raise ArgumentError("crank_inertia", "goes together with an output_inertia, on which the mesh then acts")
     try:
@@ -147,6 +149,14 @@ def checked_interface(interface: InterfaceKind | Interface, first_stage: FirstSt
     except ValueError as problem:
         raise edge.InputError(f"{problem}.") from None
     return interface if first_stage is None else dataclasses.replace(interface, driven="sun")
+
+
+def with_damping(interface: Interface, pair: Pair, surface: ErrorSurface) -> Interface:
+    """Return a compliant interface with the mesh damping that it starts with where none is stated."""
+    if interface.kind == "kinematic" or interface.mesh_damping is not None:
+        return interface
+    stiffness = solve(pair, surface, [pair.rated_torque or 100.0], [0.0], slices_needed(surface)).torsional_stiffness
+    return dataclasses.replace(interface, mesh_damping=DAMPING_TIME * float(stiffness[0, 0]))
 
 
 def read_losses(path: str | os.PathLike[str]) -> tuple[LossRow, ...]:

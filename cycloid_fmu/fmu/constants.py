@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 FRICTION_DISPLACEMENT = 2e-5  # rad of the output over which the compliant interface's dry friction builds up
+DAMPING_TIME = 1e-4  # s: default mesh damping over the stiffness at the rated torque
 LOSS_SPEED = 1e-2  # rad/s of flange_a below which the losses' torque goes to zero with the speed
 LOSS_COLUMNS = 5  # of the loss table
 LARGEST_TRANSMISSION_ERROR = 0.01  # rad: flanges beyond it are a mistake of the model around the drive

@@ -49,7 +49,10 @@ def model_of(
 ) -> DriveModel | CompliantModel:
     """Return the model behind an interface."""
     if interface.kind == "compliant":
-        return CompliantModel(pair, surface, interface.losses, interface.output_inertia, interface.crank_inertia)
+        inertias = interface.output_inertia, interface.crank_inertia
+        model = CompliantModel(pair, surface, interface.losses, *inertias)
+        model.mesh_damping = interface.mesh_damping or 0.0
+        return model
     if first_stage is not None:
         return ReducerModel(pair, surface, first_stage, interface.losses)
     return DriveModel(pair, surface, interface.losses)
@@ -69,6 +72,8 @@ class Core:
     ----------
     model
         The drive.
+    interface
+        What the FMU offers.
     table
         Its variables by reference.
     faults
@@ -90,7 +95,7 @@ class Core:
             states = {n.removeprefix("life_"): values.pop(n) for n in arrays.files if n.startswith("life_")}
         pair, stage = parse_pair(numbers["pair"], "the FMU's drive"), numbers.get("first_stage")
         surface = ErrorSurface(pair, **values, life=Life(**states) if states else None)
-        interface = interface_from(numbers["interface"])
+        self.interface = interface = interface_from(numbers["interface"])
         self.model = model_of(pair, surface, interface, None if stage is None else FirstStage(**stage))
         self.table = dict(enumerate(variables(pair, surface, interface, version, self.model.ratio)))
         self.faults: dict[int, str] = {}

@@ -120,8 +120,9 @@ class DriveSlave2(DriveSlave, Fmi2Slave):  # type: ignore[misc]
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
-        self.default_experiment = DefaultExperiment(start_time=0.0, stop_time=1.0, step_size=1e-3)
         self._open(self.resources, "linux64/pythonfmu-export.so")
+        step = self.core.interface.step
+        self.default_experiment = DefaultExperiment(start_time=0.0, stop_time=1.0, step_size=step)
 
     def _refuse(self, message: str) -> None:
         self.log(message, Fmi2Status.error)

@@ -65,6 +65,9 @@ class Interface:
     crank_inertia
         Moment of inertia on the crank inside as well, kg·m²; above 0 that flange too takes a torque and gives angle and
         speed, and no stiff contact is left to the tool around.
+    mesh_damping
+        Damping of the contacts that a compliant FMU starts with, N·m·s/rad at the output; where None, 0.1 ms times the
+        stiffness at the rated torque.
     losses
         Rows of Modelica's `LossyGear.lossTable`: |w| of flange_a (rad/s, ascending from 0), efficiency while power
         flows from a to b and from b to a (1), friction torque at flange_a in the same two cases (N·m).
@@ -85,6 +88,12 @@ class Interface:
     losses: tuple[LossRow, ...] = LOSSLESS
     driven: Literal["crank", "sun"] = "crank"
     crank_inertia: float = 0.0
+    mesh_damping: float | None = None
+
+    @property
+    def step(self) -> float:
+        """Communication step that the FMU suggests, s: stiff contacts between masses outside take shorter ones."""
+        return 1e-4 if self.kind == "compliant" and self.output_inertia == 0.0 else 1e-3
 
 
 @dataclass(frozen=True)
@@ -153,9 +162,7 @@ def _flanges(interface: Interface) -> list[Variable]:
 
     def torque(end: str, text: str, causality: Literal["input", "output"], depends: tuple[str, ...] = ()) -> Variable:
         start, nominal = 0.0 if causality == "input" else None, 10.0 if end == "a" else 100.0
-        return Variable(
-            f"flange_{end}.tau", text, causality, unit="N.m", nominal=nominal, start=start, depends=depends
-        )
+        return Variable(f"flange_{end}.tau", text, causality, unit="N.m", nominal=nominal, start=start, depends=depends)
 
     tau_b = "torque of the environment on the output, counter-clockwise"
     tau_a = f"torque to give the {driven}" + (", mean over the last step" if moved and not both else "")
@@ -241,7 +248,7 @@ def _further(interface: Interface) -> list[Variable]:
             Variable("dissipated_energy", "energy turned to heat since initialisation", "output", unit="J", least=0.0,
                      nominal=1.0),
             Variable("mesh_damping", "damping of the contacts at the output, not beyond their elastic torque",
-                     "parameter", "tunable", "N.m.s/rad", least=0.0, nominal=10.0, start=0.0),
+                     "parameter", "tunable", "N.m.s/rad", least=0.0, nominal=10.0, start=interface.mesh_damping or 0.0),
             Variable("largest_step", "largest step inside; a longer communication step is divided", "parameter",
                      "fixed", "s", "ms", 1e-9, nominal=1e-3, start=LARGEST_STEP),
         ]  # fmt: skip

@@ -21,7 +21,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from cycloid_fmu import __version__, edge
 from cycloid_fmu.edge import ArgumentError
-from cycloid_fmu.fmu.build import AnyDrive, checked_interface, ratio_of, whole_drive
+from cycloid_fmu.fmu.build import AnyDrive, checked_interface, ratio_of, whole_drive, with_damping
 from cycloid_fmu.fmu.constants import MOST_LOSS_ROWS
 from cycloid_fmu.fmu.description import Version, model_structure, model_variables, unit_definitions
 from cycloid_fmu.fmu.parts import parts, write_archive
@@ -230,7 +230,7 @@ def _description(
     categories = SubElement(root, "LogCategories")
     for name, why in (("logStatusWarning", "torques beyond the tables"), ("logStatusError", "what was refused")):
         SubElement(categories, "Category", name=name, description=why)
-    SubElement(root, "DefaultExperiment", startTime="0.0", stopTime="1.0", stepSize="0.001")
+    SubElement(root, "DefaultExperiment", startTime="0.0", stopTime="1.0", stepSize=repr(interface.step))
     root.append(model_variables(told, version, tuple(kept)))
     root.append(model_structure(told, version, tuple(kept)))
     return root
@@ -289,7 +289,7 @@ def build_native(
         If the folder does not exist, a platform can't be built for, or the interface is none of this drive.
     """
     pair, surface, first_stage = whole_drive(drive, surface)
-    interface = checked_interface(interface, first_stage)
+    interface = with_damping(checked_interface(interface, first_stage), pair, surface)
     if len(interface.losses) > MOST_LOSS_ROWS:
         raise ArgumentError("losses", f"has {len(interface.losses)} rows; a native FMU has {MOST_LOSS_ROWS} at most")
     names = tuple(dict.fromkeys(platforms)) or platforms_of(fmi_version)

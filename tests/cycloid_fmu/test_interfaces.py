@@ -312,7 +312,7 @@ def test_commands_lead_and_compare(command, tmp_path):
         (["compare", "k.fmu", "c.fmu"], "--input"),
         (["compare", "k.fmu", "pair.toml"], "pair.toml"),
         (["simulate", "c.fmu", "--torque", "5 N*m"], "c.fmu: this FMU has no"),
-        (["simulate", "c.fmu", "--input", "late.csv"], "c.fmu: the step from 0 s was refused: flange_b.phi is 0.1 rad"),
+        (["simulate", "c.fmu", "--input", "late.csv"], "c.fmu: the step from 0 s was refused: flange_b.phi is 0.01 rad from"),
         (
             ["simulate", "k.fmu", "--torque", "1e9 N*m"],
             "k.fmu: the start was refused: flange_b.tau = 1e+09 N.m: no contacts of this pair can balance it.",

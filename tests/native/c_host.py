@@ -16,8 +16,8 @@ from cycloid_fmu.native import build as native_build
 HERE = Path(__file__).parent
 INTERFACES = {
     "kinematic": Interface(losses=((0.0, 0.9, 0.85, 0.01, 0.02), (100.0, 0.95, 0.9, 0.02, 0.03))),
-    "compliant": Interface("compliant"),
-    "inertia": Interface("compliant", 0.5),
+    "compliant": Interface("compliant", mesh_damping=0.0),
+    "inertia": Interface("compliant", 0.5, mesh_damping=0.0),
 }
 
 

@@ -3,6 +3,7 @@
 import itertools
 import math
 
+import fmpy
 import numpy as np
 import pytest
 from c_host import Slave, native_of
@@ -10,6 +11,7 @@ from fmpy.validation import validate_fmu
 from scipy.integrate import solve_ivp
 
 from cycloid_fmu import edge
+from cycloid_fmu.fmu.build import with_damping
 from cycloid_fmu.fmu.compliant_model import CompliantModel
 from cycloid_fmu.fmu.variables import LOSSLESS, Interface
 from cycloid_fmu.native import build as native_build
@@ -245,3 +247,33 @@ def test_a_joint_with_both_inertias_is_described_and_refused_alone(drive, tmp_pa
     assert validate_fmu(str(path)) == []
     with pytest.raises(edge.InputError, match="crank_inertia goes together with an output_inertia"):
         native_build.build_native(drive.pair, path, interface=Interface("compliant", crank_inertia=MOTOR))
+
+
+@pytest.mark.parametrize("kind", ["exact", "native"])
+def test_a_compliant_fmu_as_it_is_built_runs_between_motor_and_arm_at_its_own_step(drive, tmp_path, kind):
+    """A position-controlled motor and an arm that hangs, outside: torques are read, then held over the step."""
+    interface = with_damping(Interface("compliant"), drive.pair, drive.surface)
+    step, ratio = interface.step, drive.pair.ratio
+    path = native_of(tmp_path, drive.pair, drive.surface, drive.tables, interface)
+    assert float(fmpy.read_model_description(str(path)).defaultExperiment.stepSize) == step
+    found = Exact(drive, interface) if kind == "exact" else Native(Slave(path, tmp_path / "unpacked"))
+    found.start({"mesh_damping": interface.mesh_damping} if kind == "exact" else {})
+    assert found.get("mesh_damping") == [pytest.approx(interface.mesh_damping)]
+    crank = speed = output = output_speed = done = passed = largest = 0.0
+    for i in range(1500 if kind == "exact" else 10000):
+        time = step * i
+        found.put({"flange_a.phi": crank, "flange_a.w": speed, "flange_b.phi": output, "flange_b.w": output_speed})
+        at_crank, at_output = found.get("flange_a.tau", "flange_b.tau")
+        found.step(time, step)
+        aim, aimed = 10.0 * (1.0 - math.cos(12.0 * time)), 120.0 * math.sin(12.0 * time)
+        motor, arm = 60.0 * (aim - crank) + 0.5 * (aimed - speed), -47.0 * math.sin(output)
+        faster, swung = step * (motor - at_crank) / MOTOR, step * (arm - at_output) / ARM
+        ways = step * (speed + 0.5 * faster), step * (output_speed + 0.5 * swung)
+        work = motor * ways[0], arm * ways[1]
+        done, passed, largest = done + sum(work), passed + sum(map(abs, work)), max(largest, abs(at_output))
+        crank, output, speed, output_speed = crank + ways[0], output + ways[1], speed + faster, output_speed + swung
+    elastic, lost = found.get("elastic_energy", "dissipated_energy")
+    balance = done - 0.5 * MOTOR * speed**2 - 0.5 * ARM * output_speed**2 - elastic - lost
+    assert abs(output - crank / ratio) < 1e-3
+    assert largest < 2.5 * drive.pair.rated_torque
+    assert abs(balance) < 1e-3 * passed
