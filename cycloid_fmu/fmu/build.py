@@ -127,7 +127,8 @@ def build_fmu(
             if behind in contents:
                 contents[name] = (_FRONT / name.removeprefix("binaries/")).read_bytes()
         table = variables(pair, surface, interface, fmi_version, ratio_of(pair, first_stage))
-        write_archive(temporary, {**contents, **parts(pair, surface, interface, table, fmi_version, [library])})
+        contents |= parts(pair, surface, interface, table, fmi_version, [library])
+        write_archive(temporary, dict(sorted(contents.items())))  # the library lists a folder in any order
 
 
 def checked_interface(interface: InterfaceKind | Interface, first_stage: FirstStage | None) -> Interface:

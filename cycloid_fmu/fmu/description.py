@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import uuid
 from collections.abc import Sequence
 from typing import Literal
 from xml.etree.ElementTree import Element, SubElement
@@ -13,6 +14,14 @@ _TYPES = {
     "2.0": {"real": "Real", "integer": "Integer", "boolean": "Boolean"},
     "3.0": {"real": "Float64", "integer": "Int32", "boolean": "Boolean"},
 }
+
+
+_SPACE = uuid.UUID("6a1f3b0e-51c4-4a52-9c1c-0c2b6a7d39e4")  # the names of this package's FMUs
+
+
+def token_of(content: str) -> str:
+    """Return an FMU's `guid` or `instantiationToken`, which says what it holds and nothing of where it was built."""
+    return f"{{{uuid.uuid5(_SPACE, content)}}}"
 
 
 def _text(variable: Variable, value: float) -> str:

@@ -21,7 +21,7 @@ from pythonfmu.enums import Fmi2Status
 
 from cycloid_fmu import __version__
 from cycloid_fmu.fmu.core import Core, state_from_bytes, state_to_bytes
-from cycloid_fmu.fmu.description import Version, model_structure, model_variables, unit_definitions
+from cycloid_fmu.fmu.description import Version, model_structure, model_variables, token_of, unit_definitions
 
 _Method = TypeVar("_Method", bound=Callable[..., Any])
 DESCRIPTION = "Cycloid-pin gear drive: transmission error, backlash and load sharing from its error surface"
@@ -104,6 +104,10 @@ class DriveSlave:
             assert old is not None
             root[list(root).index(old)] = made(tuple(table.values()), self.fmi_version, tuple(table))
         root.set("generationTool", f"cycloid-fmu {__version__}")
+        # The library's own holds the machine's address and the time; the same drive is to give the same bytes.
+        del root.attrib["generationDateAndTime"]
+        token = token_of(f"{__version__} FMI {self.fmi_version} {self.core.state()['drive']}")
+        root.set("guid" if self.fmi_version == "2.0" else "instantiationToken", token)
         place = next(i for i, node in enumerate(root) if node.tag == "CoSimulation")
         root.insert(place + 1, unit_definitions(tuple(table.values())))
         return root

@@ -14,7 +14,6 @@ import struct
 import subprocess
 import sys
 import tempfile
-import uuid
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
@@ -23,7 +22,7 @@ from cycloid_fmu import __version__, edge
 from cycloid_fmu.edge import ArgumentError
 from cycloid_fmu.fmu.build import AnyDrive, checked_interface, ratio_of, whole_drive, with_damping
 from cycloid_fmu.fmu.constants import MOST_LOSS_ROWS
-from cycloid_fmu.fmu.description import Version, model_structure, model_variables, unit_definitions
+from cycloid_fmu.fmu.description import Version, model_structure, model_variables, token_of, unit_definitions
 from cycloid_fmu.fmu.parts import parts, write_archive
 from cycloid_fmu.fmu.variables import Interface, InterfaceKind, Variable, from_tables, variables
 from cycloid_fmu.native import tables
@@ -38,7 +37,6 @@ SOURCES = (
 _SOURCES = Path(__file__).with_name("sources")
 _FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off", "-s")
 _UCRT = Path(__file__).with_name("windows") / "ucrt.c"
-_SPACE = uuid.UUID("6a1f3b0e-51c4-4a52-9c1c-0c2b6a7d39e4")  # the names of this package's FMUs
 
 
 @dataclasses.dataclass(frozen=True)
@@ -307,7 +305,7 @@ def build_native(
             )
         kept = from_tables(variables(pair, surface, interface, fmi_version, ratio_of(pair, first_stage)))
         plain = write(made, interface, kept, first_stage=first_stage)
-        token = f"{{{uuid.uuid5(_SPACE, __version__ + hashlib.sha256(plain).hexdigest())}}}"
+        token = token_of(__version__ + hashlib.sha256(plain).hexdigest())
         contents = {
             "modelDescription.xml": _xml(_description(fmi_version, token, kept, interface, made)),
             f"resources/{TABLE}": named(plain, token),

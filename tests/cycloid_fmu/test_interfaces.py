@@ -97,6 +97,16 @@ def test_scalars_have_the_same_references_in_both_versions():
         assert [v.name for v in new[: len(old)]] == [v.name for v in old]
 
 
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_a_drive_gives_the_same_bytes_again_whenever_and_wherever_it_is_built(fmus, tmp_path, version, monkeypatch):
+    import uuid
+
+    first = fmus("kinematic", version).read_bytes()
+    monkeypatch.setattr(uuid, "getnode", lambda: 1)
+    build_fmu(ERRORS, tmp_path / "again.fmu", SURFACE, interface=KINDS["kinematic"], fmi_version=version)
+    assert (tmp_path / "again.fmu").read_bytes() == first
+
+
 def test_what_lies_inside(fmus):
     with zipfile.ZipFile(fmus("kinematic", "3.0")) as archive:
         names = archive.namelist()
@@ -312,7 +322,10 @@ def test_commands_lead_and_compare(command, tmp_path):
         (["compare", "k.fmu", "c.fmu"], "--input"),
         (["compare", "k.fmu", "pair.toml"], "pair.toml"),
         (["simulate", "c.fmu", "--torque", "5 N*m"], "c.fmu: this FMU has no"),
-        (["simulate", "c.fmu", "--input", "late.csv"], "c.fmu: the step from 0 s was refused: flange_b.phi is 0.01 rad from"),
+        (
+            ["simulate", "c.fmu", "--input", "late.csv"],
+            "c.fmu: the step from 0 s was refused: flange_b.phi is 0.01 rad from",
+        ),
         (
             ["simulate", "k.fmu", "--torque", "1e9 N*m"],
             "k.fmu: the start was refused: flange_b.tau = 1e+09 N.m: no contacts of this pair can balance it.",
