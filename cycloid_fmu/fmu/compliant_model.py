@@ -22,6 +22,7 @@ from cycloid_fmu.fmu.constants import (
     LAST_CHANGE,
     LAST_SHARE,
     MESH_STEP,
+    MOST_DOUBLED,
     MOST_ITERATIONS,
     MOST_PARTS,
     MOST_SUB_STEPS,
@@ -95,12 +96,14 @@ class _Place(NamedTuple):
     stiffness: float
 
 
-def _mean_over(way: float, difference: float, at_start: float, at_end: float, slope: float) -> tuple[float, float]:
+def _mean_over(
+    way: float, shortest: float, difference: float, at_start: float, at_end: float, slope: float
+) -> tuple[float, float]:
     """Mean of what changes by a difference over a way, and how it changes with the way's end.
 
     Over a way too short for a difference it is the mean of both ends.
     """
-    if abs(way) > SAME_PLACE:
+    if abs(way) > shortest:
         value = difference / way
         return value, (at_end - value) / way
     return 0.5 * (at_start + at_end), 0.5 * slope
@@ -341,20 +344,24 @@ class CompliantModel(SteppedModel, CompliantState):
             if last or not led:
                 end = self._pressed(start + turn, deviation + off)
             mean, slope = _mean_over(
-                off, after.energy - before.energy, before.by_rotation, after.by_rotation,
+                off, SAME_PLACE, after.energy - before.energy, before.by_rotation, after.by_rotation,
                 max(before.stiffness, after.stiffness),
             )  # fmt: skip
             damping = self._damping(mean, off / part)
             damped = self.mesh_damping / part if abs(damping) < abs(mean) else math.copysign(slope, off * mean)
             self._bristle = bristle
             work, lost = self._rub(way)
-            friction, friction_slope = _mean_over(way, work, strained * bristle, strained * self._bristle, strained)
+            friction, friction_slope = _mean_over(
+                way, SAME_PLACE, work, strained * bristle, strained * self._bristle, strained
+            )  # fmt: skip
             k = slope + damped
             r = b + friction_slope + k
             missing = self._load_torque - mean - damping - friction - b * (way - part * speed)
             if last or not led:
                 stored = before.energy - at.energy + end.energy - after.energy
-                phase, _ = _mean_over(turn, stored, self._by_phase(at), self._by_phase(end), 0.0)
+                phase, _ = _mean_over(
+                    turn, SAME_PLACE * abs(ratio), stored, self._by_phase(at), self._by_phase(end), 0.0
+                )  # fmt: skip
                 torque = phase - (mean + damping) / ratio
                 loss, loss_slope = self._losing(torque, turn / part)
             if last:
@@ -372,9 +379,10 @@ class CompliantModel(SteppedModel, CompliantState):
                 determinant = q * r + (r - k * ratio) * k / ratio
                 change = (missing * (q + k / ratio) + missing_a * k) / determinant
                 change_a = (missing_a * r + missing * k) / determinant
+            share = math.ldexp(LAST_SHARE, min(i, MOST_DOUBLED))
             last = (
-                abs(change) <= LAST_CHANGE + LAST_SHARE * abs(way)
-                and abs(change_a) <= LAST_CHANGE + LAST_SHARE * abs(turn)
+                abs(change) <= LAST_CHANGE + share * abs(way)
+                and abs(change_a) <= LAST_CHANGE * abs(ratio) + share * abs(turn)
             )  # fmt: skip
             way, turn = way + change, turn + change_a
         self._bristle = bristle

@@ -101,9 +101,9 @@ struct mean {
     double value, slope;
 };
 
-static struct mean mean_over(double way, double difference, double at_start, double at_end, double slope) {
+static struct mean mean_over(double way, double shortest, double difference, double at_start, double at_end, double slope) {
     struct mean found;
-    if (fabs(way) > SAME_PLACE) {
+    if (fabs(way) > shortest) {
         found.value = difference / way;
         found.slope = (at_end - found.value) / way;
     } else {
@@ -135,7 +135,7 @@ static int swing(struct drive *drive, double part, struct pressed *at, struct sw
     const double a = 2.0 * s->crank_inertia / (part * part), b = 2.0 * s->output_inertia / (part * part);
     const double deviation = s->output_angle - start / ratio;
     const int held = s->crank_inertia == 0.0;
-    double change, change_a = 0.0;
+    double change, change_a = 0.0, share;
     int i, last = 0;
     w->way = part * s->output_speed + (s->torque - at->by_rotation) / b;
     if (!held) {
@@ -151,19 +151,19 @@ static int swing(struct drive *drive, double part, struct pressed *at, struct sw
             || ((!held || last) && teeth_press(drive, start + w->turn, deviation + off, &w->end, message))) {
             return FAILED;
         }
-        contact = mean_over(off, w->after.energy - w->before.energy, w->before.by_rotation, w->after.by_rotation,
+        contact = mean_over(off, SAME_PLACE, w->after.energy - w->before.energy, w->before.by_rotation, w->after.by_rotation,
                             fmax(w->before.stiffness, w->after.stiffness));
         w->damping = damping_of(drive, contact.value, off / part);
         damped = fabs(w->damping) < fabs(contact.value) ? s->mesh_damping / part
                                                         : copysign(contact.slope, off * contact.value);
         drive->state.bristle = bristle;
-        rubbing = mean_over(w->way, rub(drive, w->way, &w->lost), friction / FRICTION_DISPLACEMENT * bristle,
+        rubbing = mean_over(w->way, SAME_PLACE, rub(drive, w->way, &w->lost), friction / FRICTION_DISPLACEMENT * bristle,
                             friction / FRICTION_DISPLACEMENT * s->bristle, friction / FRICTION_DISPLACEMENT);
         k = contact.slope + damped;
         r = b + rubbing.slope + k;
         missing = s->torque - contact.value - w->damping - rubbing.value - b * (w->way - part * s->output_speed);
         if (!held || last) {
-            crank = mean_over(w->turn, w->before.energy - at->energy + w->end.energy - w->after.energy,
+            crank = mean_over(w->turn, SAME_PLACE * fabs(ratio), w->before.energy - at->energy + w->end.energy - w->after.energy,
                               by_phase(drive, at), by_phase(drive, &w->end), 0.0);
             w->crank_torque = crank.value - (contact.value + w->damping) / ratio;
             w->crank_loss = losses_torque(drive, w->crank_torque, w->turn / part, &loss.slope);
@@ -182,8 +182,9 @@ static int swing(struct drive *drive, double part, struct pressed *at, struct sw
             change = missing * (q + k / ratio) + missing_a * k;
             change_a = missing_a * r + missing * k;
         }
-        last = fabs(change) <= LAST_CHANGE + LAST_SHARE * fabs(w->way)
-            && fabs(change_a) <= LAST_CHANGE + LAST_SHARE * fabs(w->turn);
+        share = ldexp(LAST_SHARE, i < MOST_DOUBLED ? i : MOST_DOUBLED);
+        last = fabs(change) <= LAST_CHANGE + share * fabs(w->way)
+            && fabs(change_a) <= LAST_CHANGE * fabs(ratio) + share * fabs(w->turn);
         w->way += change;
         w->turn += change_a;
     }
