@@ -68,9 +68,9 @@ def build(
 
     Example: [cyan]cycloid-fmu build pair.toml --surface identified.nc -o drive.fmu[/]
     """
+    from cycloid_fmu.drive import read_drive
     from cycloid_fmu.fmu.build import build_fmu, read_losses
     from cycloid_fmu.fmu.variables import LOSSLESS, Interface
-    from cycloid_fmu.reducer.drive_file import drive_of_file
 
     if platforms and not native:
         raise edge.InputError("--platform: only a --native FMU has platforms; one in Python runs where Python does.")
@@ -78,20 +78,16 @@ def build(
         raise edge.InputError("--largest-torque: only a --native FMU has tables; one in Python solves every torque.")
     table = LOSSLESS if losses is None else read_losses(losses)
     offered = Interface(interface, output_inertia, table, crank_inertia=crank_inertia)  # type: ignore[arg-type]
-    drive, surface, warnings = drive_of_file(pair_file, surface_file)
-    for warning in warnings:
-        typer.echo(warning, err=True)
+    drive = read_drive(pair_file, surface_file)
     options: dict[str, Any] = {"interface": offered, "fmi_version": fmi_version}
     if not native:
-        build_fmu(drive, output, surface, **options)
+        build_fmu(drive, output, **options)
         return
     from cycloid_fmu.fmu.constants import LARGEST_LOAD
-    from cycloid_fmu.geometry.pair import Pair
     from cycloid_fmu.native.build import build_native, platforms_of
     from cycloid_fmu.native.tables import PROBES
 
-    pair = drive if isinstance(drive, Pair) else drive.stage
-    if pair.rated_torque is None and largest_torque is None:
+    if drive.pair.rated_torque is None and largest_torque is None:
         raise edge.InputError(
             f"{pair_file}: [pair] rated_torque is missing; state it: tables reach {LARGEST_LOAD:g} times as far, or "
             "give --largest-torque."
@@ -99,7 +95,7 @@ def build(
     names = platforms or platforms_of(fmi_version)  # type: ignore[arg-type]
     with commands.Bar("compiling", len(names)) as bar:
         made = build_native(
-            drive, output, surface, **options, platforms=names, largest_torque=largest_torque,
+            drive, output, **options, platforms=names, largest_torque=largest_torque,
             workers=os.cpu_count() or 1, compiled=lambda name: bar.advance(), progress=bar.advance,
             total=lambda count: bar.update(completed=0, total=count, description="crank angles"),
         )  # fmt: skip
