@@ -645,7 +645,22 @@ def test_steps_longer_than_the_largest_inside_are_made_and_one_that_can_not_be_m
         fmpy.simulate_fmu(path, stop_time=2.0, start_values={"flange_b.w": 1.0})
 
 
-def test_another_host_is_told_too(built):
+def test_libcosim_stops_at_a_step_that_can_not_be_made(built):
+    from libcosimpy.CosimExecution import CosimExecution
+    from libcosimpy.CosimManipulator import CosimManipulator
+    from libcosimpy.CosimSlave import CosimLocalSlave
+
+    execution = CosimExecution.from_step_size(step_size=10_000_000)
+    index = execution.add_local_slave(CosimLocalSlave(fmu_path=str(built("compliant")), instance_name="drive"))
+    given = CosimManipulator.create_override()
+    execution.add_manipulator(manipulator=given)
+    assert execution.step()
+    given.slave_real_values(index, [2], [0.1])
+    assert not execution.step()
+    assert not execution.step()
+
+
+def test_fmuloader_is_told_of_a_step_that_can_not_be_made(built):
     from fmuloader.fmi3 import Fmi3Slave
 
     path = built("compliant", "3.0")
