@@ -483,6 +483,7 @@ class Drive:
         *,
         fmi_version: Literal["2.0", "3.0"] = "2.0",
         native: bool = False,
+        largest_torque: float | None = None,
     ) -> None:
         """Build a Co-Simulation FMU of the drive, whole or not at all.
 
@@ -497,6 +498,8 @@ class Drive:
             "2.0" or "3.0".
         native
             An FMU of C and tables that needs no Python, instead of the exact model; it takes the extra `native`.
+        largest_torque
+            How far a native FMU's tables reach, N·m; 2.5 times the rated torque where None.
 
         Raises
         ------
@@ -519,7 +522,10 @@ class Drive:
         if native:
             from cycloid_fmu.native.build import build_native
 
-            build_native(self, path, interface=interface, fmi_version=fmi_version, workers=os.cpu_count() or 1)
+            build_native(
+                self, path, interface=interface, fmi_version=fmi_version, largest_torque=largest_torque,
+                workers=os.cpu_count() or 1,
+            )  # fmt: skip
         else:
             from cycloid_fmu.fmu.build import build_fmu
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cycloid_fmu.fmu.build import with_damping
 from cycloid_fmu.fmu.variables import UNITS, Interface, Variable, from_tables, variables
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.surfaces.surface import Life, nominal_surface
@@ -14,6 +15,7 @@ INTERFACES = {
     "kinematic": Interface(),
     "compliant": Interface("compliant"),
     "inertia inside": Interface("compliant", output_inertia=1.0),
+    "both inside": Interface("compliant", output_inertia=1.0, crank_inertia=1e-3),
 }
 SECTIONS: tuple[tuple[str, str, Callable[[Variable], bool]], ...] = (
     (
@@ -32,6 +34,11 @@ SECTIONS: tuple[tuple[str, str, Callable[[Variable], bool]], ...] = (
         lambda v: v.causality == "parameter" and not v.baked and not v.dimensions,
     ),
     (
+        "To read",
+        "Constants of the drive.",
+        lambda v: v.causality == "local",
+    ),
+    (
         "In FMI 3.0 alone",
         "The arrays have an element for each pin, in the order of the pins; each disc's follow the one before.",
         lambda v: bool(v.dimensions) or v.causality == "independent",
@@ -40,7 +47,8 @@ SECTIONS: tuple[tuple[str, str, Callable[[Variable], bool]], ...] = (
 INTRODUCTION = f"""# FMU variables
 
 What an FMU of `cycloid-fmu build` has, in each [interface](../fmu.md): the causality of each variable, – where the
-interface lacks it. *Inertia inside* is the compliant interface with `--output-inertia`. FMI 2.0 and 3.0 have the same
+interface lacks it. *Inertia inside* is the compliant interface with `--output-inertia`, *both inside* with
+`--crank-inertia` as well. FMI 2.0 and 3.0 have the same
 names and value references. In the FMU of an RV reducer `flange_a` is the sun. What a
 [native FMU](../native.md) has in its tables is a *constant* there: it can be read but not set.
 
@@ -58,7 +66,7 @@ def tables() -> Iterator[tuple[str, tuple[Variable, ...]]]:
     life = Life(np.array([0.0, 1e6]), **worn)
     surface = nominal_surface(pair).replace(life=life, **{name: states[-1] for name, states in worn.items()})
     for name, interface in INTERFACES.items():
-        yield name, variables(pair, surface, interface, "3.0")
+        yield name, variables(pair, surface, with_damping(interface, pair, nominal_surface(pair)), "3.0")
 
 
 def in_native(variable: Variable) -> str:
@@ -76,7 +84,7 @@ def span(variable: Variable) -> str:
 
 def start(variable: Variable) -> str:
     """The value before one is set."""
-    if variable.start is None or variable.dimensions or variable.causality != "parameter":
+    if variable.start is None or variable.dimensions or variable.causality not in ("parameter", "local"):
         return ""
     return ("true" if variable.start else "false") if variable.kind == "boolean" else f"{variable.start:g}"
 

@@ -34,6 +34,12 @@ def build(
             show_default=False,
         ),
     ] = 0.0,
+    crank_inertia: Annotated[
+        float,
+        commands.quantity_option(
+            "kg*m^2", "Inertia on the crank inside as well: that flange too then takes a torque.", show_default=False
+        ),
+    ] = 0.0,
     losses: Annotated[
         Path | None,
         typer.Option(
@@ -45,6 +51,12 @@ def build(
     native: Annotated[
         bool, typer.Option("--native", help="An FMU that needs no Python: C around tables of the contact model.")
     ] = False,
+    largest_torque: Annotated[
+        float | None,
+        commands.quantity_option(
+            "N*m", "With --native: how far the tables reach; 2.5 times rated_torque by default.", show_default=False
+        ),
+    ] = None,
     platforms: Annotated[
         list[str] | None,
         typer.Option(
@@ -62,24 +74,29 @@ def build(
 
     if platforms and not native:
         raise edge.InputError("--platform: only a --native FMU has platforms; one in Python runs where Python does.")
-    offered = Interface(interface, output_inertia, LOSSLESS if losses is None else read_losses(losses))  # type: ignore[arg-type]
+    if largest_torque is not None and not native:
+        raise edge.InputError("--largest-torque: only a --native FMU has tables; one in Python solves every torque.")
+    table = LOSSLESS if losses is None else read_losses(losses)
+    offered = Interface(interface, output_inertia, table, crank_inertia=crank_inertia)  # type: ignore[arg-type]
     drive = read_drive(pair_file, surface_file)
     options: dict[str, Any] = {"interface": offered, "fmi_version": fmi_version}
     if not native:
         build_fmu(drive, output, **options)
         return
+    from cycloid_fmu.fmu.constants import LARGEST_LOAD
     from cycloid_fmu.native.build import build_native, platforms_of
-    from cycloid_fmu.native.tables import LARGEST_LOAD, PROBES
+    from cycloid_fmu.native.tables import PROBES
 
-    if drive.pair.rated_torque is None:
+    if drive.pair.rated_torque is None and largest_torque is None:
         raise edge.InputError(
-            f"{pair_file}: [pair] rated_torque is missing; state it: the tables reach {LARGEST_LOAD:g} times as far."
+            f"{pair_file}: [pair] rated_torque is missing; state it: tables reach {LARGEST_LOAD:g} times as far, or "
+            "give --largest-torque."
         )
     names = platforms or platforms_of(fmi_version)  # type: ignore[arg-type]
     with commands.Bar("compiling", len(names)) as bar:
         made = build_native(
-            drive, output, **options, platforms=names, workers=os.cpu_count() or 1,
-            compiled=lambda name: bar.advance(), progress=bar.advance,
+            drive, output, **options, platforms=names, largest_torque=largest_torque,
+            workers=os.cpu_count() or 1, compiled=lambda name: bar.advance(), progress=bar.advance,
             total=lambda count: bar.update(completed=0, total=count, description="crank angles"),
         )  # fmt: skip
     typer.echo(

@@ -18,7 +18,7 @@ ARCSEC = 648000.0 / math.pi
 ARCMIN = ARCSEC / 60.0
 
 _NUMBER = r"[+-]?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?"
-_QUANTITY = re.compile(rf"({_NUMBER}) (\S.*)")
+_QUANTITY = re.compile(rf"((?>{_NUMBER}))(?: |(?=[^\W\d]|[°%]))(\S.*)")
 _NEWTON_METRE = re.compile(r"([mkM]?)N(m|mm|cm)")
 _LONGEST = 60  # characters of a unit, and of a number
 _EXPONENT = 9  # largest of a unit
@@ -171,7 +171,8 @@ def parse_quantity(value: object, si: str) -> float:
     Parameters
     ----------
     value
-        One finite number with a decimal point, a space and a unit. Newton metres may be written as Nm.
+        One finite number with a decimal point, a space, which a letter after it does not need, and a unit. Newton
+        metres may be written as Nm.
     si
         The SI unit asked for, as pint writes it: "m", "rad", "N*m". A temperature, "K", may be in "degC".
 

@@ -14,7 +14,9 @@ from typing import Protocol
 import numpy as np
 
 from cycloid_fmu import __version__, edge
+from cycloid_fmu.contact.transmission import slices_needed, solve
 from cycloid_fmu.edge import ArgumentError
+from cycloid_fmu.fmu.constants import DAMPING_TIME
 from cycloid_fmu.fmu.core import FORMAT, NUMBERS, SURFACE
 from cycloid_fmu.fmu.description import Version
 from cycloid_fmu.fmu.losses import check_losses
@@ -67,6 +69,11 @@ def whole_drive(drive: AnyDrive, surface: ErrorSurface | None) -> tuple[Pair, Er
     return drive.pair, surface or drive.surface, drive.first_stage
 
 
+def ratio_of(pair: Pair, first_stage: FirstStage | None) -> float:
+    """Return the driven shaft's angle over the output's."""
+    return pair.ratio if first_stage is None else first_stage.ratio(pair.gear_teeth)
+
+
 def build_fmu(
     drive: AnyDrive,
     path: str | os.PathLike[str],
@@ -96,7 +103,7 @@ def build_fmu(
         If the folder does not exist, the loss table is none, or the interface is none of this drive.
     """
     pair, surface, first_stage = whole_drive(drive, surface)
-    interface = checked_interface(interface, first_stage)
+    interface = with_damping(checked_interface(interface, first_stage), pair, surface)
     if fmi_version not in _LIBRARIES:
         raise ArgumentError("fmi_version", "it must be 2.0 or 3.0", fmi_version)
     library = _LIBRARIES[fmi_version]
@@ -125,8 +132,9 @@ def build_fmu(
         for name, behind in fronts.items():
             if behind in contents:
                 contents[name] = (_FRONT / name.removeprefix("binaries/")).read_bytes()
-        table = variables(pair, surface, interface, fmi_version)
-        write_archive(temporary, {**contents, **parts(pair, surface, interface, table, fmi_version, [library])})
+        table = variables(pair, surface, interface, fmi_version, ratio_of(pair, first_stage))
+        contents |= parts(pair, surface, interface, table, fmi_version, [library])
+        write_archive(temporary, dict(sorted(contents.items())))  # the library lists a folder in any order
 
 
 def checked_interface(interface: InterfaceKind | Interface, first_stage: FirstStage | None) -> Interface:
@@ -142,13 +150,24 @@ def checked_interface(interface: InterfaceKind | Interface, first_stage: FirstSt
         )
     if interface.output_inertia != 0.0 and interface.kind == "kinematic":
         raise ArgumentError("output_inertia", "is for the compliant interface; the kinematic one has none")
-    if not 0.0 <= interface.output_inertia < math.inf:
-        raise ArgumentError("output_inertia", "it must be finite and not below zero (kg*m^2)", interface.output_inertia)
+    for name, unit in (("output_inertia", "kg*m^2"), ("crank_inertia", "kg*m^2"), ("mesh_damping", "N*m*s/rad")):
+        if not 0.0 <= (getattr(interface, name) or 0.0) < math.inf:
+            raise ArgumentError(name, f"it must be finite and not below zero ({unit})", getattr(interface, name))
+    if interface.crank_inertia > 0.0 and interface.output_inertia == 0.0:
+        raise ArgumentError("crank_inertia", "goes together with an output_inertia, on which the mesh then acts")
     try:
         check_losses(interface.losses)
     except ValueError as problem:
         raise edge.InputError(f"{problem}.") from None
     return interface if first_stage is None else dataclasses.replace(interface, driven="sun")
+
+
+def with_damping(interface: Interface, pair: Pair, surface: ErrorSurface) -> Interface:
+    """Return a compliant interface with the mesh damping that it starts with where none is stated."""
+    if interface.kind == "kinematic" or interface.mesh_damping is not None:
+        return interface
+    stiffness = solve(pair, surface, [pair.rated_torque or 100.0], [0.0], slices_needed(surface)).torsional_stiffness
+    return dataclasses.replace(interface, mesh_damping=DAMPING_TIME * float(stiffness[0, 0]))
 
 
 def read_losses(path: str | os.PathLike[str]) -> tuple[LossRow, ...]:

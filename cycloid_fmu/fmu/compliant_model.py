@@ -2,23 +2,27 @@
 
 Contacts, series compliance and friction store one energy E(θ, φ_b) whose derivatives are the torques, so nothing is
 gained over a closed cycle; damping, losses and sliding friction only take. Between communication points the flanges
-move on at their speeds: the torques at the end of a step are not a step late. With an inertia on the output inside,
-its motion is solved here, in sub-steps that keep the energy's balance (a discrete gradient: O. Gonzalez, Time
-integration and discrete Hamiltonian systems, J. Nonlinear Sci. 6, 1996, in one dimension).
+move on at their speeds: the torques at the end of a step are not a step late. With inertias inside their motion is
+solved here, in sub-steps that keep the energy's balance (a discrete gradient: O. Gonzalez, Time integration and
+discrete Hamiltonian systems, J. Nonlinear Sci. 6, 1996).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from cycloid_fmu.fmu.constants import (
     CRANK_STEP,
     DEVIATION_STEP,
     FRICTION_DISPLACEMENT,
+    LARGEST_LOAD,
     LARGEST_TRANSMISSION_ERROR,
     LAST_CHANGE,
     LAST_SHARE,
+    MESH_STEP,
+    MOST_DOUBLED,
     MOST_ITERATIONS,
     MOST_PARTS,
     MOST_SUB_STEPS,
@@ -52,10 +56,13 @@ class CompliantState(State):
     mesh_damping
         Damping of the contacts at the output, N·m·s/rad. Its torque is at most the contacts' own (as in Modelica's
         `ElastoBacklash2`): it acts in contact only and never pulls.
-    output_inertia
-        Moment of inertia on the output inside, kg·m²; 0 where there is none.
+    output_inertia, crank_inertia
+        Moments of inertia inside, kg·m²; 0 where there is none. A crank without goes, within a step, from where it
+        stood to where its angle and speed at the step's start lead.
+    crank_angle_start, crank_speed_start
+        Where a crank with an inertia starts, rad and rad/s.
     largest_step
-        Communication step above which `advance` refuses, s.
+        Longest step inside, s: `advance` divides a longer one.
     dissipated_energy
         J since the start.
     """
@@ -64,13 +71,42 @@ class CompliantState(State):
     output_speed: float = 0.0
     mesh_damping: float = 0.0
     output_inertia: float = 0.0
+    crank_inertia: float = 0.0
+    crank_angle_start: float = 0.0
+    crank_speed_start: float = 0.0
     largest_step: float = LARGEST_STEP
     dissipated_energy: float = 0.0
-    _load_torque: float = 0.0  # on the inertia, N·m
+    _load_torque: float = 0.0  # on the output's inertia, N·m
+    _driving_torque: float = 0.0  # on the crank's, N·m
+    _turned: float = 0.0  # where the crank stands, as its angle may be set to where it goes next, rad
+    _mean_torque: float = 0.0  # of the crank in the last step, N·m
+    _mean_loss: float = 0.0  # likewise, W
     _bristle: float = 0.0  # how far friction is strained, rad
     _seen: float = 0.0  # the output angle that friction has followed to, rad
     _solved_at: Sequence[float] = ()
     _solved: Sequence[float] = ()
+
+
+class _Place(NamedTuple):
+    """Contacts and series compliance at a place: energy (J), derivatives by crank and output angle, stiffness."""
+
+    energy: float
+    by_angle: float
+    by_rotation: float
+    stiffness: float
+
+
+def _mean_over(
+    way: float, shortest: float, difference: float, at_start: float, at_end: float, slope: float
+) -> tuple[float, float]:
+    """Mean of what changes by a difference over a way, and how it changes with the way's end.
+
+    Over a way too short for a difference it is the mean of both ends.
+    """
+    if abs(way) > shortest:
+        value = difference / way
+        return value, (at_end - value) / way
+    return 0.5 * (at_start + at_end), 0.5 * slope
 
 
 class CompliantModel(SteppedModel, CompliantState):
@@ -82,7 +118,7 @@ class CompliantModel(SteppedModel, CompliantState):
     ----------
     pair, surface, losses
         As of `SteppedModel`.
-    output_inertia
+    output_inertia, crank_inertia
         As of `CompliantState`.
     """
 
@@ -92,9 +128,11 @@ class CompliantModel(SteppedModel, CompliantState):
         surface: ErrorSurface,
         losses: Sequence[Sequence[float]] = LOSSLESS,
         output_inertia: float = 0.0,
+        crank_inertia: float = 0.0,
     ) -> None:
         super().__init__(pair, surface, losses)
-        self._held, self.output_inertia = output_inertia == 0.0, output_inertia
+        self._held, self._led = output_inertia == 0.0, crank_inertia == 0.0
+        self.output_inertia, self.crank_inertia = output_inertia, crank_inertia
 
     def _rebuild(self) -> None:
         super()._rebuild()
@@ -143,7 +181,8 @@ class CompliantModel(SteppedModel, CompliantState):
 
     def _solve(self) -> Sequence[float]:
         """Energy, torques at a (without losses) and b, and damping at the flanges' present place."""
-        crank, crank_speed, output, speed = self.crank_angle, self.crank_speed, self.output_angle, self.output_speed
+        crank = self.crank_angle if self._held else self._turned
+        crank_speed, output, speed = self.crank_speed, self.output_angle, self.output_speed
         at = [
             crank, crank_speed, output, speed, self._bristle, self._seen, self.friction_torque, self.series_compliance,
             self.mesh_damping, self.backlash_on,
@@ -164,12 +203,18 @@ class CompliantModel(SteppedModel, CompliantState):
 
     def _lost(self, transmitted: float) -> float:
         """Torque that losses add at flange_a, N·m: not kept, for their table is set cell by cell."""
-        return 0.0 if self.loss_table == _NO_LOSSES else loss_torque(self.loss_table, self.crank_speed, transmitted)
+        return self._losing(transmitted, self.crank_speed)[0]
+
+    def _losing(self, transmitted: float, speed: float) -> tuple[float, float]:
+        return (0.0, 0.0) if self.loss_table == _NO_LOSSES else loss_torque(self.loss_table, speed, transmitted)
 
     def forget_history(self) -> None:
         """Make the next step start without history: friction unstrained and, with an inertia, at rest on the load."""
         self._bristle = self.dissipated_energy = 0.0
         if not self._held:
+            if not self._led:
+                self.crank_angle, self.crank_speed = self.crank_angle_start, self.crank_speed_start
+            self._turned = self.crank_angle
             still = DriveModel(self.pair, self.surface)
             shared = {name: getattr(self, name) for name in _SHARED}
             still.restore({**still.state(), **shared, "torque": self._load_torque})
@@ -180,11 +225,12 @@ class CompliantModel(SteppedModel, CompliantState):
                 torque = self._contact(self._reduced(self.crank_angle), self.transmission_error)[2]
                 self.output_angle += (self._load_torque - torque) * (1.0 / self._stiffness + self.series_compliance)
         self._seen = self.output_angle
+        if not self._held:
+            transmitted = self._solve()[1]
+            self._mean_torque, self._mean_loss = transmitted + self._lost(transmitted), self._power()
 
     def _move(self, step: float) -> None:
         """Move the flanges on for a step, from the inputs' values at its start."""
-        if step > self.largest_step * (1.0 + STEP_TOLERANCE):
-            raise StepError(f"a step of {step:g} s: largest_step is {self.largest_step:g} s")
         if self._held:
             self._follow(step)
         else:
@@ -201,7 +247,12 @@ class CompliantModel(SteppedModel, CompliantState):
         losing = self.mesh_damping > 0.0 or self.loss_table != _NO_LOSSES
         if losing:
             parts = max(abs(crank_way) / CRANK_STEP, abs(way - crank_way / self._ratio) / DEVIATION_STEP)
-            count = min(max(math.ceil(parts), 1), MOST_PARTS)
+            chunks = max(math.ceil(step / self.largest_step * (1.0 - STEP_TOLERANCE)), 1)
+            count = max(chunks, math.ceil(min(parts, chunks * MOST_PARTS)))
+            if count > MOST_SUB_STEPS:
+                raise StepError(
+                    f"a step of {step:g} s is divided into more than {MOST_SUB_STEPS} parts: make it shorter"
+                )
             power = self._power()
         if rubbing:
             self.dissipated_energy += self._rub(way)[1]
@@ -221,60 +272,133 @@ class CompliantModel(SteppedModel, CompliantState):
             self.output_speed - self.crank_speed / self._ratio
         )
 
-    def _sub_steps(self, step: float) -> int:
+    def _longest(self, crank_speed: float) -> float:
+        """The longest sub-step: a share of the fastest swing and of the mesh's passing, s."""
         if self._stiffest == 0.0:
-            rated = self.pair.rated_torque or 100.0
-            _, self._stiffest = self._made_teeth().equilibrium(0.0, rated, 0.0)
+            largest = LARGEST_LOAD * (self.pair.rated_torque or 100.0)
+            _, self._stiffest = self._made_teeth().equilibrium(0.0, largest, 0.0)
         stiffness = 1.0 / (1.0 / self._stiffest + self.series_compliance)
-        stiffness += self.friction_torque / FRICTION_DISPLACEMENT
-        count = max(1, math.ceil(step * math.sqrt(stiffness / self.output_inertia) / SUB_STEP))
-        if count > MOST_SUB_STEPS:
-            raise StepError(
-                f"output_inertia = {self.output_inertia:g} kg.m2: so small a one swings {count} sub-steps in a step of "
-                f"{step:g} s, and at most {MOST_SUB_STEPS} are made"
-            )
-        return count
+        swing = (stiffness + self.friction_torque / FRICTION_DISPLACEMENT) / self.output_inertia
+        if not self._led:
+            swing += stiffness / (self._ratio**2 * self.crank_inertia)
+        return min(self.largest_step, SUB_STEP / math.sqrt(swing), MESH_STEP / max(abs(crank_speed), 1e-30))
 
     def _swing(self, step: float) -> None:
-        """The output's inertia moves under load, contacts and friction while the crank turns at its speed."""
-        count = self._sub_steps(step)
-        part, crank = step / count, self.crank_angle
-        for i in range(count if step > 0.0 else 0):
-            self.crank_angle = crank + self.crank_speed * step * (i + 0.5) / count
-            self._sub_step(part)
-        self.crank_angle = crank + self.crank_speed * step
+        """The inertias move under the torques on them and the contacts; a crank without goes where it is led."""
+        goal, before, left = self.crank_angle + self.crank_speed * step, self.dissipated_energy, step
+        if self._led and step == 0.0:
+            self._turned = self.crank_angle
+        work, count, fewest = 0.0, 0, 1
+        at = self._pressed(self._turned, self.output_angle - self._turned / self._ratio)
+        while left > 0.0:
+            speed = (goal - self._turned) / left if self._led else self.crank_speed
+            parts = max(math.ceil(min(left / self._longest(speed), 1e9) * (1.0 - STEP_TOLERANCE)), fewest)
+            count += 1
+            if max(count, parts) > MOST_SUB_STEPS:
+                raise StepError(
+                    f"a step of {step:g} s is divided into more than {MOST_SUB_STEPS} parts: it is too long for so "
+                    "fast a motion or so small an inertia"
+                )
+            part = left / parts
+            made = self._sub_step(part, speed * part, at)
+            if made is None:
+                fewest = 2 * parts
+                continue
+            turn, torque, at = made
+            fewest = max(1, parts - 1)
+            work += torque * part
+            self._turned = self._turned + turn if parts > 1 or not self._led else goal
+            left = left - part if parts > 1 else 0.0
+        self.crank_angle = self._turned
+        if step > 0.0:
+            self._mean_torque, self._mean_loss = work / step, (self.dissipated_energy - before) / step
 
-    def _sub_step(self, part: float) -> None:
-        theta, ideal = self._reduced(self.crank_angle), self.crank_angle / self._ratio
-        start, speed, bristle = self.output_angle, self.output_speed, self._bristle
-        turning = self.crank_speed / self._ratio
-        energy, crank_torque, elastic = self._contact(theta, start - ideal)
-        stiffness, inertia = self._stiffness, self.output_inertia
-        way = part * speed + 0.5 * part**2 / inertia * (self._load_torque - elastic)
-        lost = damping = 0.0
-        for _ in range(MOST_ITERATIONS):
-            following, crank_torque, at_end = self._contact(theta, start + way - ideal)
-            mean = (following - energy) / way if abs(way) > SAME_PLACE else 0.5 * (elastic + at_end)
-            damping = self._damping(mean, way / part - turning)
+    def _pressed(self, crank_angle: float, deviation: float) -> _Place:
+        return _Place(*self._contact(self._reduced(crank_angle), deviation), self._stiffness)
+
+    def _by_phase(self, at: _Place) -> float:
+        return at.by_angle + at.by_rotation / self._ratio
+
+    def _sub_step(self, part: float, turn: float, at: _Place) -> tuple[float, float, _Place] | None:
+        """One sub-step by the implicit midpoint rule with means in place of derivatives.
+
+        The crank goes half its way at the same deviation, the deviation changes, the crank goes the other half: what is
+        done is what is stored and lost. Returned are the crank's way (rad; that given, of a crank without inertia), its
+        torque (N·m) and the place at the end; None where the sub-step is too long to be solved.
+        """
+        ratio, led, start, speed, bristle = self._ratio, self._led, self._turned, self.output_speed, self._bristle
+        crank_speed, deviation = self.crank_speed, self.output_angle - self._turned / self._ratio
+        a, b = 2.0 * self.crank_inertia / part**2, 2.0 * self.output_inertia / part**2
+        strained = self.friction_torque / FRICTION_DISPLACEMENT
+        way = part * speed + (self._load_torque - at.by_rotation) / b
+        if not led:
+            turn = part * crank_speed + (self._driving_torque - at.by_angle) / a
+        before = end = at
+        torque = loss = loss_slope = change_a = 0.0
+        last = False
+        for i in range(MOST_ITERATIONS):
+            if i == 0 or not led:
+                before = self._pressed(start + 0.5 * turn, deviation)
+            off = way - turn / ratio
+            after = self._pressed(start + 0.5 * turn, deviation + off)
+            if last or not led:
+                end = self._pressed(start + turn, deviation + off)
+            mean, slope = _mean_over(
+                off, SAME_PLACE, after.energy - before.energy, before.by_rotation, after.by_rotation,
+                max(before.stiffness, after.stiffness),
+            )  # fmt: skip
+            damping = self._damping(mean, off / part)
+            damped = self.mesh_damping / part if abs(damping) < abs(mean) else math.copysign(slope, off * mean)
             self._bristle = bristle
             work, lost = self._rub(way)
-            friction = work / way if abs(way) > SAME_PLACE else self.friction_torque * bristle / FRICTION_DISPLACEMENT
-            short = self._load_torque - mean - damping - friction - 2.0 * inertia * (way - part * speed) / part**2
-            stiff = 0.5 * max(stiffness, self._stiffness) + self.mesh_damping / part
-            change = short / (2.0 * inertia / part**2 + stiff)
-            if abs(change) <= LAST_CHANGE + LAST_SHARE * abs(way):
-                break
-            way += change
-        self._seen = self.output_angle = start + way
-        self.output_speed = 2.0 * way / part - speed
-        crank_loss = self._lost(crank_torque - damping / self._ratio)
-        self.dissipated_energy += lost + damping * (way - turning * part) + crank_loss * self.crank_speed * part
+            friction, friction_slope = _mean_over(
+                way, SAME_PLACE, work, strained * bristle, strained * self._bristle, strained
+            )  # fmt: skip
+            k = slope + damped
+            r = b + friction_slope + k
+            missing = self._load_torque - mean - damping - friction - b * (way - part * speed)
+            if last or not led:
+                stored = before.energy - at.energy + end.energy - after.energy
+                phase, _ = _mean_over(
+                    turn, SAME_PLACE * abs(ratio), stored, self._by_phase(at), self._by_phase(end), 0.0
+                )  # fmt: skip
+                torque = phase - (mean + damping) / ratio
+                loss, loss_slope = self._losing(torque, turn / part)
+            if last:
+                self._seen = self.output_angle = self.output_angle + way
+                self.output_speed = 2.0 * way / part - speed
+                if not led:
+                    self.crank_speed = 2.0 * turn / part - crank_speed
+                self.dissipated_energy += lost + damping * off + loss * turn
+                return turn, torque + loss, end
+            if led:
+                change = missing / r
+            else:
+                missing_a = self._driving_torque - torque - loss - a * (turn - part * crank_speed)
+                q, k = a + loss_slope / part, k / ratio
+                determinant = q * r + (r - k * ratio) * k / ratio
+                change = (missing * (q + k / ratio) + missing_a * k) / determinant
+                change_a = (missing_a * r + missing * k) / determinant
+            share = math.ldexp(LAST_SHARE, min(i, MOST_DOUBLED))
+            last = (
+                abs(change) <= LAST_CHANGE + share * abs(way)
+                and abs(change_a) <= LAST_CHANGE * abs(ratio) + share * abs(turn)
+            )  # fmt: skip
+            way, turn = way + change, turn + change_a
+        self._bristle = bristle
+        return None
 
     @property
     def crank_torque(self) -> float:
-        """Torque into the drive at the crank, N·m."""
+        """Torque into the drive at the crank, N·m; with an inertia inside its mean over the last step."""
+        if not self._held:
+            return self._mean_torque
         transmitted = self._solve()[1]
         return transmitted + self._lost(transmitted)
+
+    @crank_torque.setter
+    def crank_torque(self, value: float) -> None:
+        self._driving_torque = value
 
     @property
     def torque(self) -> float:
@@ -290,7 +414,7 @@ class CompliantModel(SteppedModel, CompliantState):
     @property
     def transmission_error(self) -> float:
         """φ_b - φ_a/ratio, rad."""
-        return self.output_angle - self.crank_angle / self._ratio
+        return self.output_angle - (self.crank_angle if self._held else self._turned) / self._ratio
 
     @property
     def elastic_energy(self) -> float:
@@ -299,7 +423,9 @@ class CompliantModel(SteppedModel, CompliantState):
 
     @property
     def power_loss(self) -> float:
-        """Power of damping, losses and sliding friction, W."""
+        """Power of damping, losses and sliding friction, W; with an inertia inside its mean over the last step."""
+        if not self._held:
+            return self._mean_loss
         sliding = abs(self._strained()) >= FRICTION_DISPLACEMENT
         return self._power() + (self.friction_torque * abs(self.output_speed) if sliding else 0.0)
 

@@ -49,7 +49,10 @@ def model_of(
 ) -> DriveModel | CompliantModel:
     """Return the model behind an interface."""
     if interface.kind == "compliant":
-        return CompliantModel(pair, surface, interface.losses, interface.output_inertia)
+        inertias = interface.output_inertia, interface.crank_inertia
+        model = CompliantModel(pair, surface, interface.losses, *inertias)
+        model.mesh_damping = interface.mesh_damping or 0.0
+        return model
     if first_stage is not None:
         return ReducerModel(pair, surface, first_stage, interface.losses)
     return DriveModel(pair, surface, interface.losses)
@@ -69,6 +72,8 @@ class Core:
     ----------
     model
         The drive.
+    interface
+        What the FMU offers.
     table
         Its variables by reference.
     faults
@@ -90,9 +95,9 @@ class Core:
             states = {n.removeprefix("life_"): values.pop(n) for n in arrays.files if n.startswith("life_")}
         pair, stage = parse_pair(numbers["pair"], "the FMU's drive"), numbers.get("first_stage")
         surface = ErrorSurface(pair, **values, life=Life(**states) if states else None)
-        interface = interface_from(numbers["interface"])
+        self.interface = interface = interface_from(numbers["interface"])
         self.model = model_of(pair, surface, interface, None if stage is None else FirstStage(**stage))
-        self.table = dict(enumerate(variables(pair, surface, interface, version)))
+        self.table = dict(enumerate(variables(pair, surface, interface, version, self.model.ratio)))
         self.faults: dict[int, str] = {}
         self.time = 0.0
         self._hash = hashlib.sha256(text + stored).digest()
@@ -112,6 +117,8 @@ class Core:
         cell = re.fullmatch(r"loss_table\[(\d+),(\d+)\]", name)
         if name == "time":
             return (lambda: self.time), None
+        if variable.causality == "local":
+            return (lambda: variable.start), None
         if name in model.errors:
             return (lambda: model.errors[name]), functools.partial(model.set_error, name)
         if name in KINDS and KINDS[name].of == "pin":
@@ -120,7 +127,7 @@ class Core:
             i, j = int(cell[1]) - 1, int(cell[2]) - 1
             return (lambda: model.loss_table[i][j]), functools.partial(model.set_loss, i, j)
         attribute = ATTRIBUTES.get(name, name)
-        setter = None if variable.causality == "output" else functools.partial(setattr, model, attribute)
+        setter = None if variable.causality in ("output", "local") else functools.partial(setattr, model, attribute)
         return functools.partial(getattr, model, attribute), setter
 
     def put(self, reference: int, value: Any) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import uuid
 from collections.abc import Sequence
 from typing import Literal
 from xml.etree.ElementTree import Element, SubElement
@@ -15,10 +16,24 @@ _TYPES = {
 }
 
 
+_SPACE = uuid.UUID("6a1f3b0e-51c4-4a52-9c1c-0c2b6a7d39e4")  # the names of this package's FMUs
+
+
+def token_of(content: str) -> str:
+    """Return an FMU's `guid` or `instantiationToken`, which says what it holds and nothing of where it was built."""
+    return f"{{{uuid.uuid5(_SPACE, content)}}}"
+
+
 def _text(variable: Variable, value: float) -> str:
     if variable.kind == "boolean":
         return "true" if value else "false"
     return str(int(value)) if variable.kind == "integer" else repr(float(value))
+
+
+def _places(table: Sequence[Variable], version: Version, references: Sequence[int] | None) -> dict[str, int]:
+    """Return by what number a model description names each variable: its place in FMI 2.0, its reference in 3.0."""
+    numbers = range(1, len(table) + 1) if version == "2.0" else references or range(len(table))
+    return {v.name: number for v, number in zip(table, numbers, strict=True)}
 
 
 def unit_definitions(table: Sequence[Variable]) -> Element:
@@ -36,6 +51,7 @@ def unit_definitions(table: Sequence[Variable]) -> Element:
 def model_variables(table: Sequence[Variable], version: Version, references: Sequence[int] | None = None) -> Element:
     """Return `<ModelVariables>`; the place in the table is the value reference where none are given."""
     root = Element("ModelVariables")
+    places = _places(table, version, references)
     for reference, variable in zip(references or range(len(table)), table, strict=True):
         outer = {
             "name": variable.name, "valueReference": str(reference), "description": variable.description,
@@ -51,6 +67,8 @@ def model_variables(table: Sequence[Variable], version: Version, references: Seq
         if start is not None:
             values = start if isinstance(start, tuple) else (start,)
             inner["start"] = " ".join(_text(variable, v) for v in values)
+        if variable.derivative_of is not None:
+            inner["derivative"] = str(places[variable.derivative_of])
         given = {k: v for k, v in inner.items() if v is not None}
         kind = _TYPES[version][variable.kind]
         if version == "2.0":
@@ -65,8 +83,7 @@ def model_variables(table: Sequence[Variable], version: Version, references: Seq
 def model_structure(table: Sequence[Variable], version: Version, references: Sequence[int] | None = None) -> Element:
     """Return `<ModelStructure>`: outputs with the inputs that they depend on, and with the parameters initially."""
     root = Element("ModelStructure")
-    numbers = range(1, len(table) + 1) if version == "2.0" else references or range(len(table))
-    places = {v.name: number for v, number in zip(table, numbers, strict=True)}
+    places = _places(table, version, references)
     for section, item in (("Outputs", "Output"), ("InitialUnknowns", "InitialUnknown")):
         node = SubElement(root, section) if version == "2.0" else root
         for variable in table:

@@ -22,13 +22,13 @@ def interpolated(table: Sequence[Row], speed: float) -> tuple[float, float, floa
     return a, b, c, d
 
 
-def loss_torque(table: Sequence[Row], speed: float, torque: float) -> float:
-    """Torque that friction adds at flange_a, of the sign of the speed.
+def loss_torque(table: Sequence[Row], speed: float, torque: float) -> tuple[float, float]:
+    """Torque that friction adds at flange_a, of the sign of the speed, and its derivative by the speed near zero.
 
-    `Modelica.Mechanics.Rotational.Components.LossyGear`: with τ the torque that the teeth ask for, flange_a needs
-    τ/η_mf1 + τ_bf1 while power flows from a to b and η_mf2 τ + τ_bf2 while it flows back. Modelica's stuck mode, in
-    which the torque follows from the rest of the system, is here a ramp through zero below `LOSS_SPEED`: whoever
-    prescribes the motion gets no torque at rest.
+    `Modelica.Mechanics.Rotational.Components.LossyGear` (Modelica Standard Library 4.0): with τ the torque that the
+    teeth ask for, both signed as the speed is, flange_a needs (τ + τ_bf1)/η_mf1 while it drives and η_mf2 (τ + τ_bf2)
+    while flange_b does. Modelica's stuck mode, in which the torque follows from the rest of the system, is here a
+    ramp through zero below `LOSS_SPEED`: whoever prescribes the motion gets no torque at rest.
 
     Parameters
     ----------
@@ -37,19 +37,23 @@ def loss_torque(table: Sequence[Row], speed: float, torque: float) -> float:
     speed, torque
         Of flange_a, rad/s and N·m.
     """
-    if speed == 0.0:
-        return 0.0
     # With one row, which holds everywhere, nothing is interpolated: this is asked at every step.
     forward, backward, friction_forward, friction_backward = (
         table[0][1:] if len(table) == 1 else interpolated(table, speed)
     )
-    if torque * speed >= 0.0:
-        lost = abs(torque) * (1.0 / forward - 1.0) + friction_forward
+    asked = math.copysign(1.0, speed) * torque
+    # Which side drives is told by flange_a's torque beside the bearings' part there, `tau_bf_a`.
+    if forward == 1.0 and backward == 1.0:
+        bearing = 0.5 * friction_forward
     else:
-        lost = abs(torque) * (1.0 - backward) + friction_backward
-    if lost == 0.0:
-        return 0.0
-    return math.copysign(lost * min(1.0, abs(speed) / LOSS_SPEED), speed)
+        bearing = (friction_forward - friction_backward) * backward / (forward * backward - 1.0)
+    if asked >= forward * bearing - friction_forward:
+        lost = (asked + friction_forward) / forward - asked
+    else:
+        lost = backward * (asked + friction_backward) - asked
+    if abs(speed) < LOSS_SPEED:
+        return lost / LOSS_SPEED * speed, lost / LOSS_SPEED
+    return math.copysign(lost, speed), 0.0
 
 
 def check_losses(rows: Sequence[Row]) -> None:

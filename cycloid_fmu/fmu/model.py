@@ -157,10 +157,10 @@ class DriveModel(SteppedModel, DriveState):
     def crank_torque(self) -> float:
         """Torque that the crank must be given, losses included, N·m."""
         torque = self._lever * (self._crank or self._crank_side())[0]
-        return torque + loss_torque(self.loss_table, self.crank_speed, torque)
+        return torque + loss_torque(self.loss_table, self.crank_speed, torque)[0]
 
     @property
     def power_loss(self) -> float:
         """Power lost in the mesh and bearings and to the friction at the output, W."""
-        lost = loss_torque(self.loss_table, self.crank_speed, self._lever * self._crank_side()[0])
+        lost, _ = loss_torque(self.loss_table, self.crank_speed, self._lever * self._crank_side()[0])
         return lost * self.crank_speed + self.friction_torque * abs(self.output_speed)

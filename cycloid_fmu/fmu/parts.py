@@ -34,11 +34,12 @@ discs{% endif %}. Made by cycloid-fmu {{ version }}.</p>
 made, whatever its length. At zero torque the output stays inside its play until a flank pushes it; with
 <code>friction_torque</code> it stands until torque or crank carry it.</p>
 {% else %}<p>Contacts store one energy whose derivatives are both torques. Between communication points the flanges move
-on at their speeds, so give speeds that belong to the angles. A step longer than <code>largest_step</code> is refused.
-The contacts are stiff: with a body of inertia J on the output, steps h must keep h &radic;(k/J) well below 1, k being
-<code>torsional_stiffness</code>{% if interface.output_inertia %}; the output's own inertia is inside and solved in
-sub-steps{% endif %}.</p>{% endif %}
-<p>A step that is refused is discarded with a message and leaves everything as it was.</p>
+on at their speeds, so give speeds that belong to the angles. A step longer than <code>largest_step</code> is divided
+inside. {% if interface.output_inertia %}The output's inertia is inside and solved in sub-steps, in which the energy's
+balance is kept; <code>flange_a.tau</code> is the mean over the last step{% else %}The contacts are stiff: with a body
+of inertia J on the output, steps h must keep h &radic;(k/J) well below 1, k being <code>torsional_stiffness</code>
+{% endif %}.</p>{% endif %}
+<p>A step that can't be made is an error with a message and leaves everything as it was.</p>
 <h2>Variables</h2>
 <table><tr><th>name<th>causality<th>unit<th>meaning</tr>
 {% for v in table %}<tr><td><code>{{ v.name }}</code><td>{{ v.causality }}<td>{{ v.unit or "" }}<td>{{ v.description }}
@@ -70,7 +71,7 @@ def terminals(interface: Interface) -> bytes:
         flange = SubElement(
             node, "Terminal", name=f"flange_{end}", matchingRule="plug", terminalKind=_FLANGE + end, description=text
         )
-        for member, kind in (("phi", "signal"), ("tau", "inflow")):
+        for member, kind in (("phi", "signal"), ("w", "signal"), ("tau", "inflow")):
             SubElement(
                 flange, "TerminalMemberVariable", variableName=f"flange_{end}.{member}", memberName=member,
                 variableKind=kind,

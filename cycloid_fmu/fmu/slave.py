@@ -1,7 +1,7 @@
 """The Co-Simulation slaves, of FMI 2.0 on pythonfmu and of FMI 3.0 on pythonfmu3, around the same `Core`.
 
 Both libraries turn an exception into a fatal status with its message. It is left to what no simulation goes on after: a
-wrong reference, a foreign state, parameters that contradict each other. A step that is refused is discarded instead.
+wrong reference, a foreign state, parameters that contradict each other. A step that is refused is an error instead.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pythonfmu.enums import Fmi2Status
 
 from cycloid_fmu import __version__
 from cycloid_fmu.fmu.core import Core, state_from_bytes, state_to_bytes
-from cycloid_fmu.fmu.description import Version, model_structure, model_variables, unit_definitions
+from cycloid_fmu.fmu.description import Version, model_structure, model_variables, token_of, unit_definitions
 
 _Method = TypeVar("_Method", bound=Callable[..., Any])
 DESCRIPTION = "Cycloid-pin gear drive: transmission error, backlash and load sharing from its error surface"
@@ -104,6 +104,10 @@ class DriveSlave:
             assert old is not None
             root[list(root).index(old)] = made(tuple(table.values()), self.fmi_version, tuple(table))
         root.set("generationTool", f"cycloid-fmu {__version__}")
+        # The library's own holds the machine's address and the time; the same drive is to give the same bytes.
+        del root.attrib["generationDateAndTime"]
+        token = token_of(f"{__version__} FMI {self.fmi_version} {self.core.state()['drive']}")
+        root.set("guid" if self.fmi_version == "2.0" else "instantiationToken", token)
         place = next(i for i, node in enumerate(root) if node.tag == "CoSimulation")
         root.insert(place + 1, unit_definitions(tuple(table.values())))
         return root
@@ -120,15 +124,16 @@ class DriveSlave2(DriveSlave, Fmi2Slave):  # type: ignore[misc]
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
-        self.default_experiment = DefaultExperiment(start_time=0.0, stop_time=1.0, step_size=1e-3)
         self._open(self.resources, "linux64/pythonfmu-export.so")
+        step = self.core.interface.step
+        self.default_experiment = DefaultExperiment(start_time=0.0, stop_time=1.0, step_size=step)
 
     def _refuse(self, message: str) -> None:
-        self.log(message, Fmi2Status.discard)
+        self.log(message, Fmi2Status.error)
 
     # A step is made of these three: another frame around each would take a tenth of its time.
     def do_step(self, current_time: float, step_size: float) -> bool:
-        """Make a step; a refused one is discarded with a message."""
+        """Make a step; a refused one has a message, and the library before this one makes an error of it."""
         try:
             refused = self.core.step(current_time, step_size)
         except Exception:

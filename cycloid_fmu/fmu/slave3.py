@@ -22,20 +22,21 @@ class DriveSlave3(DriveSlave, Fmi3Slave):  # type: ignore[misc]
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self.author, self.license, self.version, self.description = "cycloid-fmu", "MIT", __version__, DESCRIPTION
-        self.default_experiment = DefaultExperiment(start_time=0.0, stop_time=1.0, step_size=1e-3)
         self._open(self.resources, "x86_64-linux/CycloidDrive.so")
+        step = self.core.interface.step
+        self.default_experiment = DefaultExperiment(start_time=0.0, stop_time=1.0, step_size=step)
         self._sizes = {reference: math.prod(v.dimensions) for reference, v in self.core.table.items()}
 
     def _refuse(self, message: str) -> None:
-        self.log(message, Fmi3Status.discard)
+        self.log(message, Fmi3Status.error)
 
     @kept_alive
     def do_step(self, current_time: float, step_size: float) -> Fmi3StepResult:
-        """Make a step; a refused one is discarded with a message."""
+        """Make a step; a refused one is an error with a message."""
         refused = self.core.step(current_time, step_size)
         if refused:
             self._refuse(refused)
-        return Fmi3StepResult(Fmi3Status.discard if refused else Fmi3Status.ok)
+        return Fmi3StepResult(Fmi3Status.error if refused else Fmi3Status.ok)
 
     @kept_alive
     def get_float64(self, vrs: Sequence[int]) -> list[float]:

@@ -242,6 +242,16 @@ class SteppedModel(State):
             raise
 
     @property
+    def ratio(self) -> float:
+        """Angle of the driven shaft over the output's, ideally."""
+        return self._ratio
+
+    @property
+    def outside_range(self) -> bool:
+        """Whether a torque is beyond what is known: never, it is solved."""
+        return False
+
+    @property
     def backlash(self) -> float:
         """Free rotation of the output with the crank locked, rad; 0 where there is none."""
         self._settle()

@@ -62,6 +62,12 @@ class Interface:
     output_inertia
         Moment of inertia on the output inside a compliant FMU, kg·m²; above 0 the output flange takes a torque and
         gives angle and speed, as in the kinematic interface.
+    crank_inertia
+        Moment of inertia on the crank inside as well, kg·m²; above 0 that flange too takes a torque and gives angle and
+        speed, and no stiff contact is left to the tool around.
+    mesh_damping
+        Damping of the contacts that a compliant FMU starts with, N·m·s/rad at the output; where None, 0.1 ms times the
+        stiffness at the rated torque.
     losses
         Rows of Modelica's `LossyGear.lossTable`: |w| of flange_a (rad/s, ascending from 0), efficiency while power
         flows from a to b and from b to a (1), friction torque at flange_a in the same two cases (N·m).
@@ -81,6 +87,13 @@ class Interface:
     output_inertia: float = 0.0
     losses: tuple[LossRow, ...] = LOSSLESS
     driven: Literal["crank", "sun"] = "crank"
+    crank_inertia: float = 0.0
+    mesh_damping: float | None = None
+
+    @property
+    def step(self) -> float:
+        """Communication step that the FMU suggests, s: stiff contacts between masses outside take shorter ones."""
+        return 1e-4 if self.kind == "compliant" and self.output_inertia == 0.0 else 1e-3
 
 
 @dataclass(frozen=True)
@@ -109,6 +122,8 @@ class Variable:
         Of an array, which only FMI 3.0 has; () otherwise.
     baked
         Whether a native FMU has it in its tables: there it can be read but not set.
+    derivative_of
+        Name of the variable whose derivative by time it is.
     """
 
     name: str
@@ -126,55 +141,51 @@ class Variable:
     kind: Literal["real", "integer", "boolean"] = "real"
     dimensions: tuple[int, ...] = ()
     baked: bool = False
+    derivative_of: str | None = None
 
 
 def _flanges(interface: Interface) -> list[Variable]:
-    driven, inside = interface.driven, interface.kind == "kinematic" or interface.output_inertia > 0.0
-    angle, speed = (
-        {"unit": "rad", "display": "deg", "nominal": 1.0},
-        {"unit": "rad/s", "display": "rev/min", "nominal": 100.0},
-    )
-    taken = [
-        Variable("flange_a.phi", f"{driven} angle, counter-clockwise", "input", start=0.0, **angle),  # type: ignore[arg-type]
-        Variable("flange_a.w", f"{driven} speed", "input", start=0.0, **speed),  # type: ignore[arg-type]
-    ]
-    tau_b = "torque of the environment on the output, counter-clockwise"
-    if inside:
-        taken.append(Variable("flange_b.tau", tau_b, "input", unit="N.m", nominal=100.0, start=0.0))
-    else:
-        taken += [
-            Variable("flange_b.phi", "output angle, counter-clockwise", "input", start=0.0, **angle),  # type: ignore[arg-type]
-            Variable("flange_b.w", "output speed", "input", start=0.0, **speed),  # type: ignore[arg-type]
-        ]
-    every = tuple(v.name for v in taken)
-    placed = tuple(n for n in every if not n.endswith(".w"))
-    dynamic = interface.kind == "compliant"
-    slow, tau = {**speed, "nominal": 1.0}, {"unit": "N.m", "nominal": 10.0}
-    given = []
-    if inside:
-        given += [
-            # With the inertia inside they are states: inputs act on their derivatives only.
-            Variable("flange_b.phi", "output angle, counter-clockwise", "output",
-                     depends=() if dynamic else placed, **angle),  # type: ignore[arg-type]
-            Variable("flange_b.w", "output speed" if dynamic else "output speed at the present torque", "output",
-                     depends=() if dynamic else every, **slow),  # type: ignore[arg-type]
+    driven, dynamic = interface.driven, interface.kind == "compliant"
+    inside, both = not dynamic or interface.output_inertia > 0.0, interface.crank_inertia > 0.0
+    moved = dynamic and inside  # by inertias inside: all that comes out is of their state, whatever goes in
+
+    def place(end: str, what: str, causality: Literal["input", "output"]) -> list[Variable]:
+        start, nominal = 0.0 if causality == "input" else None, 100.0 if end == "a" else 1.0
+        # At rest under load the speed is that at the present torque alone.
+        derived = None if end == "b" and not dynamic else f"flange_{end}.phi"
+        return [
+            Variable(f"flange_{end}.phi", f"{what} angle, counter-clockwise", causality, unit="rad", display="deg",
+                     nominal=1.0, start=start),
+            Variable(f"flange_{end}.w", f"{what} speed" + ("" if derived else " at the present torque"), causality,
+                     unit="rad/s", display="rev/min", nominal=nominal, derivative_of=derived, start=start),
         ]  # fmt: skip
-    # What damping and inertia do depends on the crank's place and speed; the load acts on the state alone.
-    moving = tuple(n for n in every if n != "flange_b.tau") if dynamic else every
-    given.append(Variable("flange_a.tau", f"torque to give the {driven}", "output", depends=moving, **tau))  # type: ignore[arg-type]
-    if not inside:
-        given.append(Variable("flange_b.tau", tau_b, "output", unit="N.m", nominal=100.0, depends=moving))
-    shape = tuple(n for n in placed if n != "flange_b.tau") if dynamic else placed
-    crank = ("flange_a.phi",)
+
+    def torque(end: str, text: str, causality: Literal["input", "output"], depends: tuple[str, ...] = ()) -> Variable:
+        start, nominal = 0.0 if causality == "input" else None, 10.0 if end == "a" else 100.0
+        return Variable(f"flange_{end}.tau", text, causality, unit="N.m", nominal=nominal, start=start, depends=depends)
+
+    tau_b = "torque of the environment on the output, counter-clockwise"
+    tau_a = f"torque to give the {driven}" + (", mean over the last step" if moved and not both else "")
+    taken = [torque("a", f"torque on the {driven}", "input")] if both else place("a", driven, "input")
+    taken += [torque("b", tau_b, "input")] if inside else place("b", "output", "input")
+    every = () if moved else tuple(v.name for v in taken)
+    placed = tuple(n for n in every if not n.endswith(".w"))
+    given = place("a", driven, "output") if both else []
+    if inside:
+        angle, speed = place("b", "output", "output")
+        given += [dataclasses.replace(angle, depends=placed), dataclasses.replace(speed, depends=every)]
+    given += [] if both else [torque("a", tau_a, "output", depends=every)]
+    given += [] if inside else [torque("b", tau_b, "output", depends=every)]
+    crank = () if moved else ("flange_a.phi",)
     given += [
         Variable("transmission_error", f"output angle less {driven} angle/ratio", "output", unit="rad",
-                 display="arcsec", nominal=1e-4, depends=shape),
+                 display="arcsec", nominal=1e-4, depends=placed),
         Variable("backlash", f"free rotation of the output with the {driven} locked; 0 where there is none", "output",
                  unit="rad", display="arcsec", least=0.0, nominal=1e-4, depends=crank),
         Variable("torsional_stiffness", "torsional stiffness at the output, mesh alone, rigid bodies", "output",
-                 unit="N.m/rad", display="N.m/arcmin", least=0.0, nominal=1e5, depends=shape),
+                 unit="N.m/rad", display="N.m/arcmin", least=0.0, nominal=1e5, depends=placed),
         Variable("max_contact_pressure", "largest contact pressure", "output", unit="Pa", display="MPa", least=0.0,
-                 nominal=1e9, depends=shape),
+                 nominal=1e9, depends=placed),
     ]  # fmt: skip
     return [*taken, *given]
 
@@ -208,9 +219,8 @@ def _parameters(pair: Pair, surface: ErrorSurface, interface: Interface) -> list
 
 def _further(interface: Interface) -> list[Variable]:
     """What came after the first version's variables, so that their references stay."""
-    moving = ("flange_a.phi", "flange_a.w", *(
-        ("flange_b.tau",) if interface.kind == "kinematic" else
-        () if interface.output_inertia > 0.0 else ("flange_b.phi", "flange_b.w")
+    moving = () if interface.output_inertia > 0.0 else ("flange_a.phi", "flange_a.w", *(
+        ("flange_b.tau",) if interface.kind == "kinematic" else ("flange_b.phi", "flange_b.w")
     ))  # fmt: skip
     found = [
         Variable("power_loss", "power turned to heat", "output", unit="W", nominal=10.0, depends=moving, least=0.0),
@@ -231,22 +241,47 @@ def _further(interface: Interface) -> list[Variable]:
                 1.0, value,
             ))  # fmt: skip
     if interface.kind == "compliant":
-        still = ("flange_a.phi",) if interface.output_inertia > 0.0 else ("flange_a.phi", "flange_b.phi")
+        still = () if interface.output_inertia > 0.0 else ("flange_a.phi", "flange_b.phi")
         found += [
             Variable("elastic_energy", "energy stored in contacts, series compliance and friction", "output", unit="J",
                      least=0.0, nominal=1e-2, depends=still),
             Variable("dissipated_energy", "energy turned to heat since initialisation", "output", unit="J", least=0.0,
                      nominal=1.0),
             Variable("mesh_damping", "damping of the contacts at the output, not beyond their elastic torque",
-                     "parameter", "tunable", "N.m.s/rad", least=0.0, nominal=10.0, start=0.0),
-            Variable("largest_step", "largest communication step; a longer one is refused", "parameter", "fixed", "s",
-                     "ms", 1e-9, nominal=1e-3, start=LARGEST_STEP),
+                     "parameter", "tunable", "N.m.s/rad", least=0.0, nominal=10.0, start=interface.mesh_damping or 0.0),
+            Variable("largest_step", "largest step inside; a longer communication step is divided", "parameter",
+                     "fixed", "s", "ms", 1e-9, nominal=1e-3, start=LARGEST_STEP),
         ]  # fmt: skip
         if interface.output_inertia > 0.0:
             found.append(Variable(
                 "output_inertia", "moment of inertia on the output, inside", "parameter", "fixed", "kg.m2", least=1e-9,
                 nominal=interface.output_inertia, start=interface.output_inertia,
             ))  # fmt: skip
+        if interface.crank_inertia > 0.0:
+            found += [
+                Variable("crank_inertia", f"moment of inertia on the {interface.driven}, inside", "parameter", "fixed",
+                         "kg.m2", least=1e-9, nominal=interface.crank_inertia, start=interface.crank_inertia),
+                Variable("crank_angle_start", f"{interface.driven} angle at the start", "parameter", "fixed", "rad",
+                         "deg", nominal=1.0, start=0.0),
+                Variable("crank_speed_start", f"{interface.driven} speed at the start", "parameter", "fixed", "rad/s",
+                         "rev/min", nominal=100.0, start=0.0),
+            ]  # fmt: skip
+    return found
+
+
+def _told(pair: Pair, placed: tuple[str, ...], ratio: float) -> list[Variable]:
+    """What a model around the drive asks of it."""
+    found = [
+        Variable("outside_range", "whether a torque is beyond a native FMU's tables, which go on along their tangent",
+                 "output", "discrete", kind="boolean", depends=placed),
+        Variable("ratio", "flange_a.phi/flange_b.phi of the ideal drive", "local", "constant", "1", start=ratio,
+                 baked=True),
+    ]  # fmt: skip
+    if pair.rated_torque is not None:
+        found.append(Variable(
+            "rated_torque", "rated torque at the output", "local", "constant", "N.m", start=pair.rated_torque,
+            baked=True,
+        ))  # fmt: skip
     return found
 
 
@@ -269,7 +304,11 @@ def _arrays(pair: Pair, surface: ErrorSurface, placed: tuple[str, ...]) -> list[
 
 
 def variables(
-    pair: Pair, surface: ErrorSurface, interface: Interface, fmi_version: Literal["2.0", "3.0"]
+    pair: Pair,
+    surface: ErrorSurface,
+    interface: Interface,
+    fmi_version: Literal["2.0", "3.0"],
+    ratio: float | None = None,
 ) -> tuple[Variable, ...]:
     """Return the FMU's variables; the place of each is its value reference.
 
@@ -281,6 +320,8 @@ def variables(
         What the FMU offers.
     fmi_version
         With "3.0" `time` and the arrays follow after the scalars of both.
+    ratio
+        Angle of `flange_a` over that of `flange_b`; the pair's where None.
     """
     flanges = _flanges(interface)
     shape = next(v.depends for v in flanges if v.name == "transmission_error")
@@ -289,9 +330,10 @@ def variables(
         kind="integer", least=0.0, most=float(pair.pins * pair.discs), depends=shape,
     )  # fmt: skip
     found = [*flanges, count, *_parameters(pair, surface, interface), *_further(interface)]
+    found += _told(pair, shape, pair.ratio if ratio is None else ratio)
     if fmi_version == "3.0":
         found += _arrays(pair, surface, shape)
-    errors = tuple(v.name for v in found if v.baked)
+    errors = tuple(v.name for v in found if v.baked and v.causality == "parameter")
     shaping = (*errors, "series_compliance", "backlash_on")
     lossy = (*shaping, *(v.name for v in found if v.name.startswith("loss_table")))
     if interface.kind == "compliant":

@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 import importlib.metadata
 import importlib.util
+import math
 import os
 import platform
 import shutil
@@ -13,16 +14,15 @@ import struct
 import subprocess
 import sys
 import tempfile
-import uuid
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from cycloid_fmu import __version__, edge
 from cycloid_fmu.edge import ArgumentError
-from cycloid_fmu.fmu.build import AnyDrive, checked_interface, whole_drive
+from cycloid_fmu.fmu.build import AnyDrive, checked_interface, ratio_of, whole_drive, with_damping
 from cycloid_fmu.fmu.constants import MOST_LOSS_ROWS
-from cycloid_fmu.fmu.description import Version, model_structure, model_variables, unit_definitions
+from cycloid_fmu.fmu.description import Version, model_structure, model_variables, token_of, unit_definitions
 from cycloid_fmu.fmu.parts import parts, write_archive
 from cycloid_fmu.fmu.variables import Interface, InterfaceKind, Variable, from_tables, variables
 from cycloid_fmu.native import tables
@@ -37,7 +37,6 @@ SOURCES = (
 _SOURCES = Path(__file__).with_name("sources")
 _FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off", "-s")
 _UCRT = Path(__file__).with_name("windows") / "ucrt.c"
-_SPACE = uuid.UUID("6a1f3b0e-51c4-4a52-9c1c-0c2b6a7d39e4")  # the names of this package's FMUs
 
 
 @dataclasses.dataclass(frozen=True)
@@ -227,9 +226,9 @@ def _description(
             SubElement(files, "File", name=name)
     root.append(unit_definitions(told))
     categories = SubElement(root, "LogCategories")
-    for name, why in (("logStatusDiscard", "a refused step"), ("logStatusError", "what was refused otherwise")):
+    for name, why in (("logStatusWarning", "torques beyond the tables"), ("logStatusError", "what was refused")):
         SubElement(categories, "Category", name=name, description=why)
-    SubElement(root, "DefaultExperiment", startTime="0.0", stopTime="1.0", stepSize="0.001")
+    SubElement(root, "DefaultExperiment", startTime="0.0", stopTime="1.0", stepSize=repr(interface.step))
     root.append(model_variables(told, version, tuple(kept)))
     root.append(model_structure(told, version, tuple(kept)))
     return root
@@ -258,6 +257,7 @@ def build_native(
     interface: InterfaceKind | Interface = "kinematic",
     fmi_version: Version = "2.0",
     platforms: Sequence[str] = (),
+    largest_torque: float | None = None,
     made: tables.Tables | None = None,
     workers: int = 1,
     total: Callable[[int], None] = lambda angles: None,
@@ -272,6 +272,8 @@ def build_native(
         As of `cycloid_fmu.fmu.build.build_fmu`.
     platforms
         Keys of `PLATFORMS`; all that the FMI version knows where empty.
+    largest_torque
+        How far the tables reach, N·m; 2.5 times the rated torque where None. Beyond they go on along the tangent.
     made
         Tables of this drive that were made before; they are computed where None.
     workers, total, progress
@@ -285,7 +287,7 @@ def build_native(
         If the folder does not exist, a platform can't be built for, or the interface is none of this drive.
     """
     pair, surface, first_stage = whole_drive(drive, surface)
-    interface = checked_interface(interface, first_stage)
+    interface = with_damping(checked_interface(interface, first_stage), pair, surface)
     if len(interface.losses) > MOST_LOSS_ROWS:
         raise ArgumentError("losses", f"has {len(interface.losses)} rows; a native FMU has {MOST_LOSS_ROWS} at most")
     names = tuple(dict.fromkeys(platforms)) or platforms_of(fmi_version)
@@ -293,13 +295,17 @@ def build_native(
         _compiler(name)
         if name not in platforms_of(fmi_version):
             raise ArgumentError("platforms", f"FMI {fmi_version} does not know it, FMI 3.0 does", name)
+    if largest_torque is not None and not 0.0 < largest_torque < math.inf:
+        raise ArgumentError("largest_torque", "it must be finite and above zero (N*m)", largest_torque)
     with edge.written_whole(path) as temporary:
         libraries = _binaries(fmi_version, names, compiled)
         if made is None:
-            made = tables.compute(pair, surface, workers=workers, total=total, progress=progress)
-        kept = from_tables(variables(pair, surface, interface, fmi_version))
+            made = tables.compute(
+                pair, surface, largest_load=largest_torque, workers=workers, total=total, progress=progress
+            )
+        kept = from_tables(variables(pair, surface, interface, fmi_version, ratio_of(pair, first_stage)))
         plain = write(made, interface, kept, first_stage=first_stage)
-        token = f"{{{uuid.uuid5(_SPACE, __version__ + hashlib.sha256(plain).hexdigest())}}}"
+        token = token_of(__version__ + hashlib.sha256(plain).hexdigest())
         contents = {
             "modelDescription.xml": _xml(_description(fmi_version, token, kept, interface, made)),
             f"resources/{TABLE}": named(plain, token),

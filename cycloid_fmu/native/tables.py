@@ -26,7 +26,7 @@ from scipy import ndimage
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact.transmission import drive_of, slices_needed, solve
-from cycloid_fmu.fmu.constants import MOST_LOADS
+from cycloid_fmu.fmu.constants import LARGEST_LOAD, MOST_LOADS
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.surface import ErrorSurface, alike
 
@@ -35,7 +35,6 @@ Array32 = NDArray[np.float32]
 
 ACCURACY = 0.02 / 3600 * math.pi / 180  # rad: what the deviation may err
 RANGE_SHARE = 1e-3  # of the transmission error's range over the crank angle, where that is more
-LARGEST_LOAD = 2.5  # times the rated torque: what reducers' makers allow for a moment (emergency stop)
 _SAMPLES = (16, 128, 1024)  # crank angles a mesh pitch: the fewest, doubled to the most of any drive and of few pitches
 _MOST_ANGLES = 200_000  # in all, of more than 128 a mesh pitch
 _SHARE = 1.1  # of the allowed error that a cell between loads may have in its middle

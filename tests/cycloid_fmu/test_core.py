@@ -20,6 +20,7 @@ KINDS = {
     "kinematic": Interface(losses=((0.0, 0.9, 0.85, 0.1, 0.1),)),
     "compliant": Interface("compliant"),
     "inertia": Interface("compliant", 0.05),
+    "joint": Interface("compliant", 0.05, crank_inertia=1e-2),
 }
 STEPS = int(float(os.environ.get("CYCLOID_STEPS", "1e6")))
 
@@ -66,6 +67,8 @@ def nonsense(core, v, steps, seed):
                 value = crank
             elif name == "flange_b.phi":
                 value = crank / ERRORS.ratio + random.normal(0.0, 3e-4)
+            elif name == "flange_a.tau":
+                value = random.normal(0.0, 1.0)
             else:
                 value = random.normal(0.0, 20.0 if name.endswith(".w") else 100.0)
             core.put(v[name], value)
@@ -90,7 +93,7 @@ def nonsense(core, v, steps, seed):
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_nonsense_gives_anything_but_numbers_or_a_refusal(resources, kind):
     core, v = started(resources(kind))
-    made, refused = nonsense(core, v, 60 if kind == "inertia" else 150, 3)
+    made, refused = nonsense(core, v, 60 if "output_inertia" in v else 150, 3)
     assert min(made, refused) > 2
 
 
@@ -98,7 +101,7 @@ def test_no_nonsense_gives_anything_but_numbers_or_a_refusal(resources, kind):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_million_steps_of_nonsense(resources, kind, record_property):
     core, v = started(resources(kind))
-    steps = STEPS // {"kinematic": 2, "compliant": 6, "inertia": 30}[kind]
+    steps = STEPS // {"kinematic": 2, "compliant": 6, "inertia": 30, "joint": 90}[kind]
     made, refused = nonsense(core, v, steps, 4)
     record_property(f"{kind}: random steps made and refused, none with a number that is none", f"{made} and {refused}")
     assert min(made, refused) > 0.01 * steps
@@ -116,8 +119,11 @@ def test_states_taken_and_restored_at_random_reproduce_bit_by_bit(resources, kin
     def walk(core, moves):
         found = []
         for crank, speed, load in moves:
-            core.put(v["flange_a.phi"], crank)
-            core.put(v["flange_a.w"], speed)
+            if core.table[v["flange_a.phi"]].causality == "input":
+                core.put(v["flange_a.phi"], crank)
+                core.put(v["flange_a.w"], speed)
+            else:
+                core.put(v["flange_a.tau"], 0.2 * speed)
             if "flange_b.tau" in v and core.table[v["flange_b.tau"]].causality == "input":
                 core.put(v["flange_b.tau"], load)
             else:

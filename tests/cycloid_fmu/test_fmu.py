@@ -80,7 +80,7 @@ def test_every_variable_is_described_with_its_unit(fmu):
     displays = {d.name for d in units["rad"].displayUnits}
     assert variables["transmission_error"].displayUnit in displays
     assert float(variables["backlash"].min) == 0.0
-    assert len(description.initialUnknowns) == len(description.outputs) == 9
+    assert len(description.initialUnknowns) == len(description.outputs) == 10
     assert {u.variable.name for u in description.initialUnknowns} == {u.variable.name for u in description.outputs}
 
 

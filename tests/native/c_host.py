@@ -1,4 +1,4 @@
-"""What the tests of the native FMU share: its interfaces, and how C is compiled beside it."""
+"""What the tests of the native FMU share: its interfaces, an instance of one, and how C is compiled beside it."""
 
 import os
 import shutil
@@ -6,7 +6,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+import fmpy
 import pytest
+from fmpy.fmi2 import FMU2Slave
 
 from cycloid_fmu.fmu.variables import Interface
 from cycloid_fmu.native import build as native_build
@@ -14,8 +16,8 @@ from cycloid_fmu.native import build as native_build
 HERE = Path(__file__).parent
 INTERFACES = {
     "kinematic": Interface(losses=((0.0, 0.9, 0.85, 0.01, 0.02), (100.0, 0.95, 0.9, 0.02, 0.03))),
-    "compliant": Interface("compliant"),
-    "inertia": Interface("compliant", 0.5),
+    "compliant": Interface("compliant", mesh_damping=0.0),
+    "inertia": Interface("compliant", 0.5, mesh_damping=0.0),
 }
 
 
@@ -37,6 +39,52 @@ def compiled(target, sources, *flags, compiler=COMPILER):
         check=True,
     )  # fmt: skip
     return target
+
+
+class Slave:
+    """A native FMI 2.0 FMU in fmpy; values by name, what was logged in `said`."""
+
+    def __init__(self, path, folder):
+        description = fmpy.read_model_description(str(path))
+        self.references = {v.name: v.valueReference for v in description.modelVariables}
+        self.said = []
+        self.fmi = FMU2Slave(
+            guid=description.guid, unzipDirectory=fmpy.extract(str(path), unzipdir=str(folder)),
+            modelIdentifier=description.coSimulation.modelIdentifier, instanceName="drive",
+        )  # fmt: skip
+        logger = fmpy.fmi2.fmi2CallbackLoggerTYPE(lambda *words: self.said.append(words[4].decode()))
+        self._kept = fmpy.fmi2.fmi2CallbackFunctions(
+            logger,
+            fmpy.fmi2.fmi2CallbackAllocateMemoryTYPE(fmpy.calloc),
+            fmpy.fmi2.fmi2CallbackFreeMemoryTYPE(fmpy.free),
+        )
+        self.fmi.instantiate(callbacks=self._kept)
+
+    def start(self, **values):
+        self.put(**values)
+        self.fmi.setupExperiment(startTime=0.0)
+        self.fmi.enterInitializationMode()
+        self.fmi.exitInitializationMode()
+
+    def put(self, **values):
+        for name, value in values.items():
+            name = name.replace("flange_a_", "flange_a.").replace("flange_b_", "flange_b.")
+            setter = self.fmi.setBoolean if name == "backlash_on" else self.fmi.setReal
+            setter([self.references[name]], [value])
+
+    def get(self, *names):
+        return self.fmi.getReal([self.references[name] for name in names])
+
+
+def native_of(folder, drive, surface, made, interface):
+    """A native FMU for this machine, compiled with the system's compiler."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CC", COMPILER[0] if len(COMPILER) == 1 else "")
+        native_build.build_native(
+            drive, folder / "drive.fmu", surface, interface=interface, made=made,
+            platforms=[native_build.this_platform()],
+        )  # fmt: skip
+    return folder / "drive.fmu"
 
 
 def run_host(program, library, uri, guid, *words, prefix=(), **environment):

@@ -1,4 +1,4 @@
-"""The library before pythonfmu's in an FMU of FMI 2.0: all calls go on as they are but for the resources' path."""
+"""The library before pythonfmu's in an FMU of FMI 2.0: calls go on as they are but for the resources' path."""
 
 import ctypes
 import os
@@ -132,7 +132,8 @@ def test_every_call_goes_on_as_it_is(placed):
         called += 1
         function, values = library[name], [3 + i if kind == "i" else 0.5 + i for i, kind in enumerate(kinds)]
         function.argtypes = [ctypes.c_size_t if kind == "i" else ctypes.c_double for kind in kinds]
-        assert function(*values) == 2
+        # A step that is discarded behind is an error before.
+        assert function(*values) == (3 if name == "fmi2DoStep" else 2)
         found = seen(folder)
         assert found.last == name
         whole, real = ([v for v, k in zip(values, kinds, strict=True) if k == kind] for kind in "id")

@@ -14,9 +14,9 @@ from types import SimpleNamespace
 import fmpy
 import numpy as np
 import pytest
-from c_host import COMPILER, HERE, INTERFACES, WINE, compiled, needs, needs_wine, zig
+from c_host import COMPILER, HERE, INTERFACES, WINE, Slave, compiled, native_of, needs, needs_wine, zig
 from common import ARCSEC, EXAMPLES, PAIR, make_pair
-from fmpy.fmi2 import FMU2Slave
+from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -54,41 +54,6 @@ def rows_of(text):
     return np.array([[float(cell) for cell in line.split(",")] for line in text.splitlines()])
 
 
-class Slave:
-    """A native FMI 2.0 FMU in fmpy; values by name, what was logged in `said`."""
-
-    def __init__(self, path, folder):
-        description = fmpy.read_model_description(str(path))
-        self.references = {v.name: v.valueReference for v in description.modelVariables}
-        self.said = []
-        self.fmi = FMU2Slave(
-            guid=description.guid, unzipDirectory=fmpy.extract(str(path), unzipdir=str(folder)),
-            modelIdentifier=description.coSimulation.modelIdentifier, instanceName="drive",
-        )  # fmt: skip
-        logger = fmpy.fmi2.fmi2CallbackLoggerTYPE(lambda *words: self.said.append(words[4].decode()))
-        self._kept = fmpy.fmi2.fmi2CallbackFunctions(
-            logger,
-            fmpy.fmi2.fmi2CallbackAllocateMemoryTYPE(fmpy.calloc),
-            fmpy.fmi2.fmi2CallbackFreeMemoryTYPE(fmpy.free),
-        )
-        self.fmi.instantiate(callbacks=self._kept)
-
-    def start(self, **values):
-        self.put(**values)
-        self.fmi.setupExperiment(startTime=0.0)
-        self.fmi.enterInitializationMode()
-        self.fmi.exitInitializationMode()
-
-    def put(self, **values):
-        for name, value in values.items():
-            name = name.replace("flange_a_", "flange_a.").replace("flange_b_", "flange_b.")
-            setter = self.fmi.setBoolean if name == "backlash_on" else self.fmi.setReal
-            setter([self.references[name]], [value])
-
-    def get(self, *names):
-        return self.fmi.getReal([self.references[name] for name in names])
-
-
 @pytest.fixture
 def slave(built, tmp_path):
     made = []
@@ -101,17 +66,6 @@ def slave(built, tmp_path):
     for each in made:
         if each.fmi.component:
             each.fmi.freeInstance()
-
-
-def native_of(folder, drive, surface, made, interface):
-    """A native FMU for this machine, compiled with the system's compiler."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("CC", COMPILER[0] if len(COMPILER) == 1 else "")
-        native_build.build_native(
-            drive, folder / "drive.fmu", surface, interface=interface, made=made,
-            platforms=[native_build.this_platform()],
-        )  # fmt: skip
-    return folder / "drive.fmu"
 
 
 # --- tables ---
@@ -413,7 +367,9 @@ def test_an_output_inertia_follows_the_exact_model_under_a_load_that_turns_round
     assert interpolated[-1, 2] * interpolated[0, 2] < 0.0
 
 
-def test_compliant_torques_are_the_derivatives_of_its_energy(slave, drive):
+@pytest.mark.parametrize(("least", "most"), [(1.9e-4, 2.6e-4), (8e-4, 2e-3)])
+def test_compliant_torques_are_the_derivatives_of_its_energy(slave, drive, least, most):
+    """Beyond the tables too."""
     native, ratio = slave("compliant"), drive.pair.ratio
     native.start()
     random = np.random.default_rng(6)
@@ -423,7 +379,7 @@ def test_compliant_torques_are_the_derivatives_of_its_energy(slave, drive):
         return native.get("elastic_energy")[0]
 
     for _ in range(100):
-        crank, off = random.uniform(-9, 9), random.choice([-1, 1]) * random.uniform(1.9e-4, 2.6e-4)
+        crank, off = random.uniform(-9, 9), random.choice([-1, 1]) * random.uniform(least, most)
         output, step = crank / ratio + off, 1e-8
         by_output = (energy(crank, output + step) - energy(crank, output - step)) / (2 * step)
         by_crank = (energy(crank + step * 30, output) - energy(crank - step * 30, output)) / (60 * step)
@@ -656,24 +612,99 @@ def test_what_can_not_be_set_is_an_error_with_a_message_that_says_why(slave, val
 @pytest.mark.parametrize(
     ("kind", "values", "step", "said"),
     [
-        ("kinematic", {"flange_b_tau": 1e9}, 1e-3, "1e+09 N.m: the FMU's table reaches 452.5 N.m"),
+        ("kinematic", {"flange_b_tau": 1e9}, 1e-3, "1e+09 N.m, which turns the output by more than 0.01 rad"),
         ("kinematic", {}, -1e-3, "a step of -0.001 s: it must be finite and not below 0"),
-        ("compliant", {}, 2e-3, "a step of 0.002 s: largest_step is 0.001 s"),
         ("compliant", {"flange_b_phi": 0.1}, 1e-3, "it must stay within 0.01 rad"),
+        ("compliant", {"flange_a_w": 1e9, "flange_b_w": 1e9 / -39, "mesh_damping": 1.0}, 1e3, "divided into more than"),
         ("inertia", {"flange_b_tau": 1e9}, 1e-3, "rad"),
+        ("inertia", {"flange_a_w": 1e9}, 1e-3, "divided into more than"),
     ],
 )
-def test_a_refused_step_is_discarded_and_leaves_all_as_it_was(slave, kind, values, step, said):
+def test_a_refused_step_is_an_error_said_once_and_leaves_all_as_it_was(slave, kind, values, step, said):
     native = slave(kind)
     native.start(flange_a_phi=0.3, **({"flange_b_phi": 0.3 / -39} if kind == "compliant" else {}))
     before = native.get("flange_b.phi", "backlash")
     native.put(**values)
-    with pytest.raises(Exception, match="discard"):
+    with pytest.raises(FMICallException) as refused:
         native.fmi.doStep(0.0, step)
-    assert said in native.said[-1]
-    native.put(**({"flange_b_tau": 0.0} if kind != "compliant" else {"flange_b_phi": 0.3 / -39}))
+    assert refused.value.status == fmpy.fmi2.fmi2Error
+    assert len(native.said) == 1
+    assert said in native.said[0]
+    native.put(**dict.fromkeys(values, 0.0) | ({"flange_b_phi": 0.3 / -39} if kind == "compliant" else {}))
     assert native.get("flange_b.phi", "backlash") == before
     native.fmi.doStep(0.0, 1e-3)
+
+
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_steps_longer_than_the_largest_inside_are_made_and_one_that_can_not_be_made_ends_the_run(built, version):
+    path, ratio = str(built("compliant", version)), -39.0
+    turning = {"flange_a.w": 10.0, "flange_b.w": 10.0 / ratio}
+    done = fmpy.simulate_fmu(path, stop_time=0.5, step_size=0.05, output_interval=0.05, start_values=turning)
+    assert done["time"][-1] == pytest.approx(0.5)
+    with pytest.raises(FMICallException):
+        fmpy.simulate_fmu(path, stop_time=2.0, start_values={"flange_b.w": 1.0})
+
+
+def test_libcosim_stops_at_a_step_that_can_not_be_made(built):
+    from libcosimpy.CosimExecution import CosimExecution
+    from libcosimpy.CosimManipulator import CosimManipulator
+    from libcosimpy.CosimSlave import CosimLocalSlave
+
+    execution = CosimExecution.from_step_size(step_size=10_000_000)
+    index = execution.add_local_slave(CosimLocalSlave(fmu_path=str(built("compliant")), instance_name="drive"))
+    given = CosimManipulator.create_override()
+    execution.add_manipulator(manipulator=given)
+    assert execution.step()
+    given.slave_real_values(index, [2], [0.1])
+    assert not execution.step()
+    assert not execution.step()
+
+
+def test_fmuloader_is_told_of_a_step_that_can_not_be_made(built):
+    from fmuloader.fmi3 import Fmi3Slave
+
+    path = built("compliant", "3.0")
+    description = fmpy.read_model_description(str(path))
+    host = Fmi3Slave(str(path), model_identifier=description.coSimulation.modelIdentifier)
+    host.instantiate_co_simulation("drive", instantiation_token=description.instantiationToken)
+    host.enter_initialization_mode(start_time=0.0)
+    host.exit_initialization_mode()
+    host.do_step(0.0, 0.01)
+    host.set_float64([2], [0.1])
+    with pytest.raises(Exception, match=r"(?i)error"):
+        host.do_step(0.01, 0.01)
+    host.free_instance()
+
+
+def test_beyond_the_tables_all_goes_on_along_the_last_tangent_and_it_is_said_once(drive, slave):
+    reach = drive.tables.positive.load[-1]
+    native = slave()
+    native.start(flange_a_phi=0.4, flange_b_tau=reach)
+    assert not native.fmi.getBoolean([native.references["outside_range"]])[0]
+    at_reach, stiffness = native.get("transmission_error", "torsional_stiffness")
+    for i, load in enumerate((1.5 * reach, 4.0 * reach)):
+        native.put(flange_b_tau=load)
+        native.fmi.doStep(1e-3 * i, 1e-3)
+        assert native.fmi.getBoolean([native.references["outside_range"]])[0]
+        error, stays, pressure = native.get("transmission_error", "torsional_stiffness", "max_contact_pressure")
+        assert error - at_reach == pytest.approx((load - reach) / stiffness, rel=1e-6)
+        assert stays == pytest.approx(stiffness, rel=1e-9)
+        assert pressure > 0.0
+    native.put(flange_b_tau=0.5 * reach)
+    native.fmi.doStep(3e-3, 1e-3)
+    assert not native.fmi.getBoolean([native.references["outside_range"]])[0]
+    assert len(native.said) == 1
+    assert "beyond the 452.5 N.m of the FMU's tables" in native.said[0]
+
+
+def test_tables_reach_as_far_as_asked(drive, tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr(tables, "compute", lambda *a, largest_load, **k: asked.append(largest_load) or drive.tables)
+    monkeypatch.setattr(native_build, "binary", lambda name: name.encode())
+    native_build.build_native(drive.pair, tmp_path / "d.fmu", drive.surface, largest_torque=1e3)
+    assert asked == [1e3]
+    with pytest.raises(edge.InputError, match="largest_torque"):
+        native_build.build_native(drive.pair, tmp_path / "d.fmu", drive.surface, largest_torque=-1.0)
 
 
 @settings(max_examples=40)

@@ -1,7 +1,7 @@
 /* What hosts load as the library of an FMI 2.0 FMU that runs in Python: it stands before pythonfmu's, which lies beside
    it and takes the resources' URI for a path, so that it finds nothing where letters are percent-encoded. The URI becomes
-   a path here; every call goes on to pythonfmu's library as it is. Compiled beforehand, as an FMU that runs in Python is
-   built without a compiler: `python tests/native/front.py`. */
+   a path here, and a discarded step an error; every other call goes on to pythonfmu's library as it is. Compiled
+   beforehand, as an FMU that runs in Python is built without a compiler: `python tests/native/front.py`. */
 #ifdef _WIN32
 #include <windows.h>
 #else
@@ -21,7 +21,7 @@
 /* Hash of the source, by which a test knows whether the library was compiled from it. */
 FMI2_Export const char front_source[] = SOURCE_HASH;
 
-#define FUNCTIONS(X)                                                                                                   \
+#define FORWARDED(X)                                                                                                   \
     X(SetDebugLogging, (fmi2Component c, fmi2Boolean on, size_t n, const fmi2String categories[]),                     \
       (c, on, n, categories))                                                                                          \
     X(SetupExperiment,                                                                                                 \
@@ -57,13 +57,15 @@ FMI2_Export const char front_source[] = SOURCE_HASH;
     X(GetRealOutputDerivatives,                                                                                        \
       (fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Integer orders[], fmi2Real v[]),             \
       (c, r, n, orders, v))                                                                                            \
-    X(DoStep, (fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boolean no_state), (c, time, step, no_state))        \
     X(CancelStep, (fmi2Component c), (c))                                                                              \
     X(GetStatus, (fmi2Component c, const fmi2StatusKind kind, fmi2Status *v), (c, kind, v))                            \
     X(GetRealStatus, (fmi2Component c, const fmi2StatusKind kind, fmi2Real *v), (c, kind, v))                          \
     X(GetIntegerStatus, (fmi2Component c, const fmi2StatusKind kind, fmi2Integer *v), (c, kind, v))                    \
     X(GetBooleanStatus, (fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *v), (c, kind, v))                    \
     X(GetStringStatus, (fmi2Component c, const fmi2StatusKind kind, fmi2String *v), (c, kind, v))
+#define FUNCTIONS(X)                                                                                                   \
+    FORWARDED(X)                                                                                                       \
+    X(DoStep, (fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boolean no_state), (c, time, step, no_state))
 
 #ifdef _WIN32
 enum { PATH_SIZE = 512 }; /* Windows has 260; no function may take a page of the stack, as no stack probe is linked */
@@ -285,8 +287,14 @@ void fmi2FreeInstance(fmi2Component c) {
     }
 }
 
+/* What is refused can't be made by a shorter step either: of a discarded one importers end in silence, or never. */
+fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real step, fmi2Boolean no_state) {
+    fmi2Status status = behind.DoStep(c, time, step, no_state);
+    return status == fmi2Discard ? fmi2Error : status;
+}
+
 #define X(NAME, PARAMETERS, ARGUMENTS)                                                                                 \
     fmi2Status fmi2##NAME PARAMETERS {                                                                                 \
         return behind.NAME ARGUMENTS;                                                                                  \
     }
-FUNCTIONS(X)
+FORWARDED(X)

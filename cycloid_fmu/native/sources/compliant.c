@@ -3,8 +3,6 @@
 
 #include <math.h>
 
-static const double RATED = 0.4; /* of the last load of the tables */
-
 static double clipped(double value, double limit) {
     return value > limit ? limit : value < -limit ? -limit : value;
 }
@@ -34,16 +32,16 @@ double friction_strain(const struct state *s) {
 
 int compliant_solve(struct drive *drive, char message[MESSAGE_SIZE]) {
     const struct state *s = &drive->state;
-    double ratio = drive->table->ratio;
+    double ratio = drive->table->ratio, slope;
     if (drive->solved) {
         return 0;
     }
-    if (teeth_press(drive, s->crank_angle, s->output_angle - s->crank_angle / ratio, &drive->pressed, message)) {
+    if (teeth_press(drive, drive_angle(drive), s->output_angle - drive_angle(drive) / ratio, &drive->pressed, message)) {
         return 1;
     }
     drive->damping = damping_of(drive, drive->pressed.by_rotation, s->output_speed - s->crank_speed / ratio);
     drive->strain = clipped(friction_strain(s) / FRICTION_DISPLACEMENT, 1.0);
-    drive->loss_torque = losses_torque(drive, drive->pressed.by_angle - drive->damping / ratio);
+    drive->loss_torque = losses_torque(drive, drive->pressed.by_angle - drive->damping / ratio, s->crank_speed, &slope);
     drive->solved = 1;
     return 0;
 }
@@ -54,7 +52,7 @@ double compliant_power(const struct drive *drive) {
         + drive->damping * (s->output_speed - s->crank_speed / drive->table->ratio);
 }
 
-/* Both flanges move on at their speeds. */
+/* Both flanges move on at their speeds; what they dissipate is summed in parts. */
 int compliant_move(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
     double crank = s->crank_angle, output = s->output_angle, lost, all, before = 0.0;
@@ -63,8 +61,14 @@ int compliant_move(struct drive *drive, double step, char message[MESSAGE_SIZE])
     rub(drive, output - s->seen, &all);
     s->seen = output;
     if (lossy) {
+        double chunks = fmax(1.0, ceil(step / s->largest_step * (1.0 - STEP_TOLERANCE)));
         double parts = fmax(fabs(crank_way) / CRANK_STEP, fabs(way - crank_way / drive->table->ratio) / DEVIATION_STEP);
-        count = parts < 1.0 ? 1 : parts < MOST_PARTS ? (int)ceil(parts) : MOST_PARTS;
+        parts = fmax(chunks, ceil(fmin(parts, chunks * MOST_PARTS)));
+        if (parts > MOST_SUB_STEPS) {
+            return drive_refuse(message, "a step of %g s is divided into more than %g parts: make it shorter.", step,
+                          MOST_SUB_STEPS);
+        }
+        count = (int)parts;
         drive->solved = 0;
         if (compliant_solve(drive, message)) {
             return 1;
@@ -91,63 +95,167 @@ int compliant_move(struct drive *drive, double step, char message[MESSAGE_SIZE])
     return 0;
 }
 
-/* One sub-step of the output's inertia: the mean torque is the energy's difference over the way, so nothing is gained. */
-static int swing(struct drive *drive, double part, char message[MESSAGE_SIZE]) {
-    struct state *s = &drive->state;
-    double ideal = s->crank_angle / drive->table->ratio, turning = s->crank_speed / drive->table->ratio;
-    double start = s->output_angle, speed = s->output_speed, bristle = s->bristle, inertia = s->output_inertia;
-    double way, lost = 0.0, damping = 0.0;
-    struct pressed before, after;
-    int i;
-    if (teeth_press(drive, s->crank_angle, start - ideal, &before, message)) {
-        return 1;
+/* What changes over a way, by its difference: the mean of its derivative over the way, and how that mean changes with the
+   way's end. Over a way too short for a difference it is the mean of both ends. */
+struct mean {
+    double value, slope;
+};
+
+static struct mean mean_over(double way, double shortest, double difference, double at_start, double at_end, double slope) {
+    struct mean found;
+    if (fabs(way) > shortest) {
+        found.value = difference / way;
+        found.slope = (at_end - found.value) / way;
+    } else {
+        found.value = 0.5 * (at_start + at_end);
+        found.slope = 0.5 * slope;
     }
-    after = before;
-    way = part * speed + 0.5 * part * part / inertia * (s->torque - before.by_rotation);
-    for (i = 0; i < MOST_ITERATIONS; i++) {
-        double mean, work, friction, missing, stiff, change;
-        int far = fabs(way) > SAME_PLACE;
-        if (teeth_press(drive, s->crank_angle, start + way - ideal, &after, message)) {
-            return 1;
-        }
-        mean = far ? (after.energy - before.energy) / way : 0.5 * (before.by_rotation + after.by_rotation);
-        damping = damping_of(drive, mean, way / part - turning);
-        s->bristle = bristle;
-        work = rub(drive, way, &lost);
-        friction = far ? work / way : s->friction_torque * bristle / FRICTION_DISPLACEMENT;
-        missing = s->torque - mean - damping - friction - 2.0 * inertia * (way - part * speed) / (part * part);
-        stiff = 0.5 * fmax(before.stiffness, after.stiffness) + s->mesh_damping / part;
-        change = missing / (2.0 * inertia / (part * part) + stiff);
-        if (fabs(change) <= LAST_CHANGE + LAST_SHARE * fabs(way)) {
-            break;
-        }
-        way += change;
-    }
-    s->seen = s->output_angle = start + way;
-    s->output_speed = 2.0 * way / part - speed;
-    s->dissipated_energy += lost + damping * (way - turning * part)
-        + losses_torque(drive, after.by_angle - damping / drive->table->ratio) * s->crank_speed * part;
-    return 0;
+    return found;
 }
 
+static double by_phase(const struct drive *drive, const struct pressed *at) {
+    return at->by_angle + at->by_rotation / drive->table->ratio;
+}
+
+/* Where a sub-step is: ways of crank and output, what is stored in the middle of the crank's way before and after the
+   deviation changed and at the end, and what acts on the way. */
+struct swing {
+    double turn, way, damping, lost, crank_torque, crank_loss;
+    struct pressed before, after, end;
+};
+
+enum { SWUNG, FAILED, TOO_LONG };
+
+/* One sub-step by the implicit midpoint rule with means in place of derivatives: the crank goes half its way at the same
+   deviation, the deviation changes, the crank goes the other half. What is done is what is stored and lost, so nothing is
+   gained. Without an inertia the crank's way is given. */
+static int swing(struct drive *drive, double part, struct pressed *at, struct swing *w, char message[MESSAGE_SIZE]) {
+    const struct state *s = &drive->state;
+    const double ratio = drive->table->ratio, friction = s->friction_torque, bristle = s->bristle, start = s->turned;
+    const double a = 2.0 * s->crank_inertia / (part * part), b = 2.0 * s->output_inertia / (part * part);
+    const double deviation = s->output_angle - start / ratio;
+    const int held = s->crank_inertia == 0.0;
+    double change, change_a = 0.0, share;
+    int i, last = 0;
+    w->way = part * s->output_speed + (s->torque - at->by_rotation) / b;
+    if (!held) {
+        w->turn = part * s->crank_speed + (s->crank_torque - at->by_angle) / a;
+    }
+    for (i = 0; i < MOST_ITERATIONS; i++) {
+        struct mean contact, rubbing, crank, loss;
+        double off = w->way - w->turn / ratio, damped, k, q, r, missing, missing_a;
+        if ((i == 0 || !held) && teeth_press(drive, start + 0.5 * w->turn, deviation, &w->before, message)) {
+            return FAILED;
+        }
+        if (teeth_press(drive, start + 0.5 * w->turn, deviation + off, &w->after, message)
+            || ((!held || last) && teeth_press(drive, start + w->turn, deviation + off, &w->end, message))) {
+            return FAILED;
+        }
+        contact = mean_over(off, SAME_PLACE, w->after.energy - w->before.energy, w->before.by_rotation, w->after.by_rotation,
+                            fmax(w->before.stiffness, w->after.stiffness));
+        w->damping = damping_of(drive, contact.value, off / part);
+        damped = fabs(w->damping) < fabs(contact.value) ? s->mesh_damping / part
+                                                        : copysign(contact.slope, off * contact.value);
+        drive->state.bristle = bristle;
+        rubbing = mean_over(w->way, SAME_PLACE, rub(drive, w->way, &w->lost), friction / FRICTION_DISPLACEMENT * bristle,
+                            friction / FRICTION_DISPLACEMENT * s->bristle, friction / FRICTION_DISPLACEMENT);
+        k = contact.slope + damped;
+        r = b + rubbing.slope + k;
+        missing = s->torque - contact.value - w->damping - rubbing.value - b * (w->way - part * s->output_speed);
+        if (!held || last) {
+            crank = mean_over(w->turn, SAME_PLACE * fabs(ratio), w->before.energy - at->energy + w->end.energy - w->after.energy,
+                              by_phase(drive, at), by_phase(drive, &w->end), 0.0);
+            w->crank_torque = crank.value - (contact.value + w->damping) / ratio;
+            w->crank_loss = losses_torque(drive, w->crank_torque, w->turn / part, &loss.slope);
+        }
+        if (last) {
+            return SWUNG;
+        }
+        if (held) {
+            change = missing / r;
+        } else {
+            missing_a = s->crank_torque - w->crank_torque - w->crank_loss - a * (w->turn - part * s->crank_speed);
+            q = a + loss.slope / part;
+            k /= ratio;
+            missing /= q * r + (r - k * ratio) * k / ratio;
+            missing_a /= q * r + (r - k * ratio) * k / ratio;
+            change = missing * (q + k / ratio) + missing_a * k;
+            change_a = missing_a * r + missing * k;
+        }
+        share = ldexp(LAST_SHARE, i < MOST_DOUBLED ? i : MOST_DOUBLED);
+        last = fabs(change) <= LAST_CHANGE + share * fabs(w->way)
+            && fabs(change_a) <= LAST_CHANGE * fabs(ratio) + share * fabs(w->turn);
+        w->way += change;
+        w->turn += change_a;
+    }
+    drive->state.bristle = bristle;
+    return TOO_LONG;
+}
+
+/* The longest sub-step: a share of the fastest swing and of the mesh's passing. */
+static double longest(const struct drive *drive, double crank_speed) {
+    const struct state *s = &drive->state;
+    const struct side *side = &drive->table->side[0];
+    const double ratio = drive->table->ratio;
+    struct place place = table_place(drive->table, 0.0);
+    double stiffness = teeth_stiffness(drive, &place, side->reach, 1.0, 0.0), swing;
+    stiffness = 1.0 / (1.0 / stiffness + s->series_compliance);
+    swing = (stiffness + s->friction_torque / FRICTION_DISPLACEMENT) / s->output_inertia;
+    swing += s->crank_inertia > 0.0 ? stiffness / (ratio * ratio * s->crank_inertia) : 0.0;
+    return fmin(s->largest_step, fmin(SUB_STEP / sqrt(swing), MESH_STEP / fmax(fabs(crank_speed), 1e-30)));
+}
+
+/* Inertias inside: they move under the torques on them and the contacts between; without an inertia the crank goes from
+   where it stood to where its angle and speed lead. */
 int compliant_swing(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
-    const struct side *side = &drive->table->side[0];
-    struct place place = table_place(drive->table, 0.0);
-    double crank = s->crank_angle, count, stiffness, i;
-    stiffness = teeth_stiffness(drive, &place, RATED * side->load[side->loads - 1], 1.0, 0.0);
-    stiffness = 1.0 / (1.0 / stiffness + s->series_compliance) + s->friction_torque / FRICTION_DISPLACEMENT;
-    count = fmax(1.0, ceil(step * sqrt(stiffness / s->output_inertia) / SUB_STEP));
-    if (!(count <= MOST_SUB_STEPS)) {
-        return drive_refuse(message, "output_inertia = %g kg.m2: so small a one swings more than %g sub-steps in this step.",
-                      s->output_inertia, MOST_SUB_STEPS);
+    const double ratio = drive->table->ratio;
+    const int held = s->crank_inertia == 0.0;
+    const double goal = s->crank_angle + s->crank_speed * step, before = s->dissipated_energy;
+    double left = step, work = 0.0, count = 0.0, rest = 1.0;
+    struct pressed at;
+    if (held && step == 0.0) {
+        s->turned = s->crank_angle;
     }
-    for (i = 0.0; i < count && step > 0.0; i += 1.0) {
-        s->crank_angle = crank + s->crank_speed * step * (i + 0.5) / count;
-        if (swing(drive, step / count, message)) {
+    if (teeth_press(drive, s->turned, s->output_angle - s->turned / ratio, &at, message)) {
+        return 1;
+    }
+    s->outside = 0.0;
+    while (left > 0.0) {
+        double speed = held ? (goal - s->turned) / left : s->crank_speed;
+        double parts = fmax(ceil(left / longest(drive, speed) * (1.0 - STEP_TOLERANCE)), rest), part = left / parts;
+        struct swing w;
+        int found;
+        if (!(++count <= MOST_SUB_STEPS && parts <= MOST_SUB_STEPS)) {
+            return drive_refuse(message, "a step of %g s is divided into more than %g parts: it is too long for so fast a motion "
+                          "or so small an inertia.", step, MOST_SUB_STEPS);
+        }
+        w.turn = speed * part;
+        found = swing(drive, part, &at, &w, message);
+        if (found == FAILED) {
             return 1;
         }
+        if (found == TOO_LONG) {
+            rest = 2.0 * parts;
+            continue;
+        }
+        rest = fmax(1.0, parts - 1.0);
+        work += (w.crank_torque + w.crank_loss) * part;
+        s->turned = parts > 1.0 || !held ? s->turned + w.turn : goal;
+        s->seen = s->output_angle = s->output_angle + w.way;
+        s->output_speed = 2.0 * w.way / part - s->output_speed;
+        if (!held) {
+            s->crank_speed = 2.0 * w.turn / part - s->crank_speed;
+        }
+        s->dissipated_energy += w.lost + w.damping * (w.way - w.turn / ratio) + w.crank_loss * w.turn;
+        s->outside = s->outside != 0.0 || teeth_outside(drive, w.end.load, w.end.side) ? 1.0 : 0.0;
+        at = w.end;
+        left = parts > 1.0 ? left - part : 0.0;
     }
-    s->crank_angle = crank + s->crank_speed * step;
+    s->crank_angle = s->turned;
+    if (step > 0.0) {
+        s->mean_torque = work / step;
+        s->mean_loss = (s->dissipated_energy - before) / step;
+    }
     return 0;
 }

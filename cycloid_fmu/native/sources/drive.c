@@ -16,6 +16,11 @@ int drive_kinematic(const struct drive *drive) {
     return drive->table->offers == INTERFACE_KINEMATIC;
 }
 
+double drive_angle(const struct drive *drive) {
+    const struct state *s = &drive->state;
+    return drive_kinematic(drive) ? s->placed : drive->table->offers == INTERFACE_INERTIA ? s->turned : s->crank_angle;
+}
+
 static int move(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
     drive->placed = drive->solved = 0;
@@ -38,22 +43,20 @@ static int move(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
 static int guarded(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
     struct state kept;
     int failed;
-    memcpy(&kept, &drive->state, offsetof(struct state, loss)); /* a step leaves the losses */
+    /* A step leaves the losses, and of the kinematic interface all that it has not. */
+    size_t size = drive_kinematic(drive) ? offsetof(struct state, bristle) : offsetof(struct state, loss);
+    memcpy(&kept, &drive->state, size);
     failed = move(drive, step, message);
     if (failed) {
-        memcpy(&drive->state, &kept, offsetof(struct state, loss));
+        memcpy(&drive->state, &kept, size);
         drive->placed = drive->solved = 0;
     }
     return failed;
 }
 
 int drive_step(struct drive *drive, double time, double step, char message[MESSAGE_SIZE]) {
-    double largest = drive->state.largest_step;
     if (!(step >= 0.0 && step < HUGE_VAL)) {
         return drive_refuse(message, "a step of %g s: it must be finite and not below %g.", step, 0.0);
-    }
-    if (!drive_kinematic(drive) && step > largest * (1.0 + STEP_TOLERANCE)) {
-        return drive_refuse(message, "a step of %g s: largest_step is %g s.", step, largest);
     }
     if (!(fabs(time + step) < HUGE_VAL)) {
         return drive_refuse(message, "a step from the time %g s over %g s: both must be finite.", time, step);
@@ -86,10 +89,20 @@ int drive_start(struct drive *drive, char message[MESSAGE_SIZE]) {
     drive->placed = drive->solved = 0;
     drive->state.settled = drive->state.bristle = drive->state.dissipated_energy = 0.0;
     if (!failed && drive->table->offers == INTERFACE_INERTIA) {
+        struct state *s = &drive->state;
+        if (s->crank_inertia > 0.0) {
+            s->crank_angle = s->crank_angle_start;
+            s->crank_speed = s->crank_speed_start;
+        }
+        s->turned = s->crank_angle;
         failed = rest_on_load(drive, message);
     }
     drive->state.seen = drive->state.output_angle;
     failed = failed || guarded(drive, 0.0, message);
+    if (!failed && drive->table->offers == INTERFACE_INERTIA) {
+        drive->state.mean_torque = drive->pressed.by_angle - drive->damping / drive->table->ratio + drive->loss_torque;
+        drive->state.mean_loss = compliant_power(drive);
+    }
     if (failed) {
         drive->state = kept;
         drive->placed = drive->solved = 0;
@@ -104,6 +117,7 @@ static double *stored(struct drive *drive, const struct variable *variable) {
     switch (variable->field) {
     case CRANK_ANGLE: return &s->crank_angle;
     case CRANK_SPEED: return &s->crank_speed;
+    case CRANK_TORQUE: return &s->crank_torque;
     case OUTPUT_ANGLE: return &s->output_angle;
     case OUTPUT_SPEED: return &s->output_speed;
     case TORQUE: return &s->torque;
@@ -113,6 +127,9 @@ static double *stored(struct drive *drive, const struct variable *variable) {
     case MESH_DAMPING: return &s->mesh_damping;
     case LARGEST_STEP: return &s->largest_step;
     case OUTPUT_INERTIA: return &s->output_inertia;
+    case CRANK_INERTIA: return &s->crank_inertia;
+    case CRANK_ANGLE_START: return &s->crank_angle_start;
+    case CRANK_SPEED_START: return &s->crank_speed_start;
     case TIME: return &s->time;
     default: return variable->field >= LOSS_TABLE ? &s->loss[variable->field - LOSS_TABLE] : NULL;
     }
@@ -189,23 +206,37 @@ static int load_of(struct drive *drive, double *load, double *side) {
     return *load > 0.0 || (s->loose == 0.0 && teeth_play(drive, drive_place(drive)).width == 0.0);
 }
 
+int drive_outside(const struct drive *drive) {
+    const struct state *s = &drive->state;
+    const struct side *side = drive->table->side; /* asked at each step: no calls */
+    if (drive->table->offers == INTERFACE_KINEMATIC) {
+        return s->load > side[s->side > 0.0 ? 0 : 1].reach;
+    }
+    return s->outside != 0.0 || (drive->solved && teeth_outside(drive, drive->pressed.load, drive->pressed.side));
+}
+
 static double output(struct drive *drive, int field) {
     struct state *s = &drive->state;
     const struct place *place = drive_place(drive);
     int still = drive_kinematic(drive);
-    double torque, ratio = drive->table->ratio, load, side;
+    double torque, ratio = drive->table->ratio, load, side, slope;
     int pressed = load_of(drive, &load, &side);
     switch (field) {
     case CRANK_TORQUE:
         if (still) {
             torque = kinematic_crank_torque(drive);
-            return torque + losses_torque(drive, torque);
+            return torque + losses_torque(drive, torque, s->crank_speed, &slope);
+        }
+        if (drive->table->offers == INTERFACE_INERTIA) {
+            return s->mean_torque;
         }
         return drive->pressed.by_angle - drive->damping / ratio + drive->loss_torque;
+    case CRANK_ANGLE: return drive_angle(drive);
+    case CRANK_SPEED: return s->crank_speed;
     case OUTPUT_ANGLE: return s->output_angle;
     case OUTPUT_SPEED: return still ? kinematic_speed(drive) : s->output_speed;
     case TORQUE: return drive->pressed.by_rotation + drive->damping + s->friction_torque * drive->strain;
-    case TRANSMISSION_ERROR: return still ? s->deviation : s->output_angle - s->crank_angle / ratio;
+    case TRANSMISSION_ERROR: return still ? s->deviation : s->output_angle - drive_angle(drive) / ratio;
     case BACKLASH:
         return s->backlash_on == 0.0 ? 0.0 : drive->b > 0.0 ? reducer_backlash(drive) : teeth_play(drive, place).width;
     case TORSIONAL_STIFFNESS: {
@@ -222,17 +253,21 @@ static double output(struct drive *drive, int field) {
         if (!pressed) {
             return 0.0;
         }
-        told = table_told_place(drive->table, still ? s->placed : s->crank_angle);
+        told = table_told_place(drive->table, drive_angle(drive));
         return field == CONTACT_COUNT ? table_contact_count(teeth_side(drive, side), &told, load)
                                       : table_pressure(teeth_side(drive, side), &told, load);
     }
     case POWER_LOSS:
         if (still) {
-            return losses_torque(drive, kinematic_crank_torque(drive)) * s->crank_speed
+            return losses_torque(drive, kinematic_crank_torque(drive), s->crank_speed, &slope) * s->crank_speed
                 + s->friction_torque * fabs(kinematic_speed(drive));
+        }
+        if (drive->table->offers == INTERFACE_INERTIA) {
+            return s->mean_loss;
         }
         return compliant_power(drive)
             + (fabs(friction_strain(s)) >= FRICTION_DISPLACEMENT ? s->friction_torque * fabs(s->output_speed) : 0.0);
+    case OUTSIDE_RANGE: return drive_outside(drive);
     case ELASTIC_ENERGY:
         return drive->pressed.energy
             + 0.5 * s->friction_torque * FRICTION_DISPLACEMENT * drive->strain * drive->strain;

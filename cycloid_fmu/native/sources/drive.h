@@ -12,7 +12,12 @@ struct state {
     double friction_torque, series_compliance, backlash_on, mesh_damping, largest_step, output_inertia;
     double settled, placed, deviation, load, side, pushed; /* kinematic: at the last step */
     double gear, loose; /* of a reducer: the gear's own deviation, and whether the plays around it leave it unloaded */
-    double bristle, seen, dissipated_energy;               /* compliant */
+    /* What the kinematic interface has not. */
+    double bristle, seen, dissipated_energy;
+    /* With an inertia inside: where the crank stands, as its angle may be set to where it goes next; and of the last step
+       its mean torque and what was lost, and whether a torque was beyond the tables. */
+    double turned, mean_torque, mean_loss, outside;
+    double crank_torque, crank_inertia, crank_angle_start, crank_speed_start; /* of a crank with one */
     double loss[MOST_LOSS_ROWS * LOSS_COLUMNS];
 };
 
@@ -48,6 +53,7 @@ void drive_open(struct drive *drive, struct table *table);
 void drive_reset(struct drive *drive);
 int drive_start(struct drive *drive, char message[MESSAGE_SIZE]);
 int drive_step(struct drive *drive, double time, double step, char message[MESSAGE_SIZE]);
+int drive_outside(const struct drive *drive); /* whether its torque is, or in the last step was, beyond the tables */
 int drive_get(struct drive *drive, const struct variable *variable, double *value, char message[MESSAGE_SIZE]);
 int drive_set(struct drive *drive, const struct variable *variable, double value, char message[MESSAGE_SIZE]);
 
@@ -61,13 +67,15 @@ void drive_state_read(struct drive *drive, const unsigned char *blob);
 /* Of the drive's own files alone. */
 int drive_refuse(char message[MESSAGE_SIZE], const char *format, double value, double limit);
 int drive_kinematic(const struct drive *drive);
+double drive_angle(const struct drive *drive);         /* of the crank */
 const struct place *drive_place(struct drive *drive); /* of the state */
 
 int losses_check(const struct drive *drive, char message[MESSAGE_SIZE]);
 int losses_dissipate(const struct drive *drive); /* whether they, or the damping, take anything */
-double losses_torque(const struct drive *drive, double torque);
+double losses_torque(const struct drive *drive, double torque, double speed, double *slope);
 
 const struct side *teeth_side(const struct drive *drive, double direction);
+int teeth_outside(const struct drive *drive, double load, double side); /* whether the tables don't reach there */
 struct play teeth_play(const struct drive *drive, const struct place *place);
 /* Torque of the crank from the contacts: the energy's derivative at fixed output. */
 double teeth_crank_torque(const struct drive *drive, const struct place *place, double load, double side,

@@ -12,7 +12,7 @@ static void log_message(struct instance *instance, int status, const char *messa
     format_of(message, format, sizeof format);
     if (functions != NULL && functions->logger != NULL) {
         functions->logger(functions->componentEnvironment, instance->name, (fmi2Status)status,
-                          status == STATUS_DISCARD ? "logStatusDiscard" : "logStatusError", format);
+                          status == STATUS_WARNING ? "logStatusWarning" : "logStatusError", format);
     }
 }
 
@@ -25,7 +25,7 @@ const char *fmi2GetVersion(void) {
 }
 
 fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const fmi2String categories[]) {
-    (void)c, (void)on, (void)n, (void)categories; /* only what is refused is logged, and that always */
+    (void)c, (void)on, (void)n, (void)categories; /* what is refused and the one warning are logged always */
     return fmi2OK;
 }
 

@@ -9,7 +9,7 @@ static void log_message(struct instance *instance, int status, const char *messa
     fmi3LogMessageCallback callback = (fmi3LogMessageCallback)instance->callback3;
     if (callback != NULL) {
         callback(instance->environment, (fmi3Status)status,
-                 status == STATUS_DISCARD ? "logStatusDiscard" : "logStatusError", message);
+                 status == STATUS_WARNING ? "logStatusWarning" : "logStatusError", message);
     }
 }
 
@@ -18,7 +18,7 @@ const char *fmi3GetVersion(void) {
 }
 
 fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n, const fmi3String categories[]) {
-    (void)c, (void)on, (void)n, (void)categories; /* only what is refused is logged, and that always */
+    (void)c, (void)on, (void)n, (void)categories; /* what is refused and the one warning are logged always */
     return fmi3OK;
 }
 

@@ -1,5 +1,6 @@
 #include "instance.h"
 
+#include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -108,7 +109,14 @@ int instance_start(struct instance *instance) {
 int instance_step(struct instance *instance, double time, double step) {
     int status = in_phase(instance, STEPPING, "a step");
     if (status == STATUS_OK && drive_step(&instance->drive, time, step, instance->message)) {
-        return instance_refuse(instance, STATUS_DISCARD, "%s", instance->message);
+        return instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
+    }
+    if (status == STATUS_OK && !instance->warned && drive_outside(&instance->drive)) {
+        const struct side *side = instance->table->side;
+        instance->warned = 1;
+        instance_refuse(instance, STATUS_WARNING, "at %g s the torque is beyond the %g N.m of the FMU's tables: they go on "
+                        "along the last tangent (--largest-torque makes them longer). This is said once.", time + step,
+                        fmin(side[0].reach, side[1].reach));
     }
     return status;
 }
@@ -121,6 +129,7 @@ int instance_terminate(struct instance *instance) {
 
 int instance_reset(struct instance *instance) {
     drive_reset(&instance->drive);
+    instance->warned = 0;
     instance->phase = INSTANTIATED;
     return STATUS_OK;
 }

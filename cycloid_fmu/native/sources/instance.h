@@ -15,6 +15,7 @@ struct instance {
     void (*log)(struct instance *instance, int status, const char *message);
     void *environment, *callback; /* callback: FMI 2.0's callback functions */
     void (*callback3)(void);      /* FMI 3.0's logMessage */
+    int warned; /* that the tables were left */
     char message[MESSAGE_SIZE];
 };
 

@@ -6,7 +6,7 @@
 
 const struct place *drive_place(struct drive *drive) {
     if (!drive->placed) {
-        drive->place = table_place(drive->table, drive_kinematic(drive) ? drive->state.placed : drive->state.crank_angle);
+        drive->place = table_place(drive->table, drive_kinematic(drive) ? drive->state.placed : drive_angle(drive));
         drive->placed = 1;
         drive->at_load = 0.0;
     }
@@ -19,10 +19,6 @@ int kinematic_gear(struct drive *drive, const struct play *play, double torque, 
     struct state *s = &drive->state;
     double side = torque == 0.0 ? (end < 0.0 ? -1.0 : 1.0) : copysign(1.0, torque), load = fabs(torque);
     const struct side *table = teeth_side(drive, side);
-    if (!(load <= table->load[table->loads - 1])) {
-        return drive_refuse(message, "flange_b.tau and friction_torque make %g N.m: the FMU's table reaches %g N.m; build it with "
-                      "a larger rated torque.", torque, table->load[table->loads - 1]);
-    }
     s->load = load;
     s->side = torque == 0.0 ? end : side;
     if (torque == 0.0) {
@@ -33,6 +29,10 @@ int kinematic_gear(struct drive *drive, const struct play *play, double torque, 
     drive->at = table_at(table, &drive->place, load);
     drive->at_load = side * load;
     *deviation = side * (drive->at.deviation - play->offset);
+    if (!(fabs(*deviation) < LARGEST_TRANSMISSION_ERROR)) {
+        return drive_refuse(message, "flange_b.tau and friction_torque make %g N.m, which turns the output by more than %g rad.",
+                      torque, LARGEST_TRANSMISSION_ERROR);
+    }
     return 0;
 }
 

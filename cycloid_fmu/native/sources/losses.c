@@ -35,11 +35,13 @@ int losses_dissipate(const struct drive *drive) {
     return found;
 }
 
-double losses_torque(const struct drive *drive, double torque) {
-    double speed = drive->state.crank_speed, size = fabs(speed), at[LOSS_COLUMNS], lost, ramp;
+/* The same formula as in cycloid_fmu/fmu/losses.py; and its derivative by the speed where it goes through zero. */
+double losses_torque(const struct drive *drive, double torque, double speed, double *slope) {
+    double size = fabs(speed), at[LOSS_COLUMNS], lost, asked, bearing;
     const double *rows = drive->state.loss;
     int i, j, last = drive->rows - 1;
-    if (speed == 0.0 || drive->rows == 0) {
+    *slope = 0.0;
+    if (drive->rows == 0) {
         return 0.0;
     }
     memcpy(at, rows + last * LOSS_COLUMNS, sizeof at);
@@ -53,11 +55,16 @@ double losses_torque(const struct drive *drive, double torque) {
             break;
         }
     }
-    if (torque * speed >= 0.0) {
-        lost = fabs(torque) * (1.0 / at[1] - 1.0) + at[3];
+    asked = copysign(torque, torque * speed);
+    bearing = at[1] == 1.0 && at[2] == 1.0 ? 0.5 * at[3] : (at[3] - at[4]) * at[2] / (at[1] * at[2] - 1.0);
+    if (asked >= at[1] * bearing - at[3]) {
+        lost = (asked + at[3]) / at[1] - asked;
     } else {
-        lost = fabs(torque) * (1.0 - at[2]) + at[4];
+        lost = at[2] * (asked + at[4]) - asked;
     }
-    ramp = size / LOSS_SPEED;
-    return copysign(lost * (ramp < 1.0 ? ramp : 1.0), speed);
+    if (size < LOSS_SPEED) {
+        *slope = lost / LOSS_SPEED;
+        return *slope * speed;
+    }
+    return copysign(lost, speed);
 }

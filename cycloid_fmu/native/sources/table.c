@@ -87,6 +87,12 @@ struct loaded table_at(const struct side *side, const struct place *place, doubl
         rca += r * (double)c[0];
         rcb += r * (double)c[1];
     }
+    if (u > 1.0) { /* beyond the last load */
+        found.deviation = b + (load - side->load[j + 1]) * cb;
+        found.compliance = cb;
+        found.rate = rb + (load - side->load[j + 1]) * rcb;
+        return found;
+    }
     found.deviation = hermite(u, h, a, b, ca, cb);
     found.compliance = hermite_slope(u, h, a, b, ca, cb);
     found.rate = hermite(u, h, ra, rb, rca, rcb);
@@ -109,8 +115,9 @@ double table_load(const struct side *side, const struct place *place, double dev
     if (goal <= a) {
         return 0.0;
     }
-    if (!(goal <= b)) {
-        return HUGE_VAL;
+    if (goal > b) {
+        double compliance = blend(side->compliance, side->loads, place, high, place->weight) + series;
+        return side->load[high] + (goal - b) / (compliance > LEAST_COMPLIANCE ? compliance : LEAST_COMPLIANCE);
     }
     while (high - low > 1) {
         uint32_t middle = (low + high) / 2;
@@ -147,7 +154,8 @@ double table_load(const struct side *side, const struct place *place, double dev
 void table_energy(const struct side *side, const struct place *place, double load, double *energy, double *rate) {
     uint32_t cell = cell_of(side->load, side->loads, load), i, j;
     double of_deviation[MOST_LOADS], of_compliance[MOST_LOADS];
-    double h = side->load[cell + 1] - side->load[cell], u = (load - side->load[cell]) / h, u2 = u * u;
+    double h = side->load[cell + 1] - side->load[cell], beyond = load - side->reach;
+    double u = beyond > 0.0 ? 1.0 : (load - side->load[cell]) / h, u2 = u * u;
     memset(of_deviation, 0, (cell + 2) * sizeof *of_deviation);
     memset(of_compliance, 0, (cell + 2) * sizeof *of_compliance);
     for (j = 0; j < cell; j++) {
@@ -161,6 +169,10 @@ void table_energy(const struct side *side, const struct place *place, double loa
     of_deviation[cell + 1] += h * (u2 * u - 0.5 * u2 * u2);
     of_compliance[cell] += h * h * (0.5 * u2 - 2.0 / 3.0 * u2 * u + 0.25 * u2 * u2);
     of_compliance[cell + 1] += h * h * (0.25 * u2 * u2 - u2 * u / 3.0);
+    if (beyond > 0.0) {
+        of_deviation[cell + 1] += beyond;
+        of_compliance[cell + 1] += 0.5 * beyond * beyond;
+    }
     *energy = *rate = 0.0;
     for (i = 0; i < 4; i++) {
         const float *x = side->deviation + (size_t)place->node[i] * side->loads;

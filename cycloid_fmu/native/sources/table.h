@@ -19,6 +19,7 @@ struct variable {
 /* One direction of torque; spline coefficients, the loads of one crank angle side by side. */
 struct side {
     uint32_t loads, told_loads; /* told: of contact count and pressure, from which nothing follows */
+    double reach; /* the last load */
     double load[MOST_LOADS], told_load[MOST_LOADS];
     float *deviation, *compliance;
     uint8_t *contact_count;
@@ -57,8 +58,9 @@ struct place table_place(const struct table *table, double crank_angle);
 struct place table_told_place(const struct table *table, double crank_angle); /* of contact count and pressure */
 struct loaded table_at(const struct side *side, const struct place *place, double load);
 struct loaded table_at_node(const struct side *side, const struct place *place, uint32_t node);
+/* Beyond the last load all goes on along the tangent there: the compliance stays. */
 /* Load at which the deviation, with a further compliance in series and less an offset, is the given one; 0 below the
-   first. Above the last load it is infinite. */
+   first. */
 double table_load(const struct side *side, const struct place *place, double deviation, double offset, double series);
 /* Integral of the deviation over the load, and of its rate. */
 void table_energy(const struct side *side, const struct place *place, double load, double *energy, double *rate);

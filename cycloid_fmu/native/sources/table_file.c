@@ -126,7 +126,8 @@ static void read_side(struct reader *reader, const struct table *table, struct s
     uint32_t i, j;
     read_loads(reader, side->loads, side->load);
     read_loads(reader, side->told_loads, side->told_load);
-    if (side->load[side->loads - 1] != side->told_load[side->told_loads - 1]) {
+    side->reach = side->load[side->loads - 1];
+    if (side->reach != side->told_load[side->told_loads - 1]) {
         reader->failed = 1;
     }
     side->deviation = channels(reader, table->angles, side->loads);

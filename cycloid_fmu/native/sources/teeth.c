@@ -6,6 +6,10 @@ const struct side *teeth_side(const struct drive *drive, double direction) {
     return &drive->table->side[direction > 0.0 ? 0 : 1];
 }
 
+int teeth_outside(const struct drive *drive, double load, double side) {
+    return load > teeth_side(drive, side)->reach;
+}
+
 struct play teeth_play(const struct drive *drive, const struct place *place) {
     struct play play;
     play.end[0] = table_at_node(&drive->table->side[0], place, 0);
@@ -54,11 +58,6 @@ int teeth_press(const struct drive *drive, double crank_angle, double deviation,
     play = teeth_play(drive, &place);
     found->side = deviation > play.end[0].deviation - play.offset ? 1.0 : -1.0;
     found->load = table_load(teeth_side(drive, found->side), &place, found->side * deviation, play.offset, series);
-    if (!(found->load < HUGE_VAL)) {
-        const struct side *side = teeth_side(drive, found->side);
-        return drive_refuse(message, "flange_b.phi is %g rad from flange_a.phi/ratio, where the torque is beyond the %g N.m "
-                      "of the FMU's table: build it with a larger rated torque.", deviation, side->load[side->loads - 1]);
-    }
     found->by_angle = teeth_crank_torque(drive, &place, found->load, found->side, play.offset_rate, &energy);
     found->by_rotation = found->side * found->load;
     found->energy = found->load * (found->side * deviation + play.offset) - energy
