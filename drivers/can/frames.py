@@ -75,6 +75,7 @@ class FrameReader:
         self._blocks = hub.subscribe(identifier)
         self._events: collections.deque[Event] = collections.deque()
         self._last_seen = -1
+        self._first: int | None = None  # SYNC of the first frame that had one
         self._newest: int | None = None
         self._last: tuple[float, bytearray, float] | None = None
         self._jumps = ClockJumps()
@@ -199,6 +200,10 @@ class FrameReader:
         self._say_count(second & same, frames, "skipped: a duplicate of the frame before, or without a SYNC of its own")
         self._say_count(second & ~same, frames, "skipped: without a SYNC of its own, so its instant is unknown")
         before[second] |= np.where(same, DUPLICATE, GAP)[second]
+        if self._first is None and len(answered := sync[sync >= 0]):
+            self._first = int(answered[0])
+        # A frame that answers an earlier SYNC is counted by that one, which has no sample; not before the first sample.
+        self.lost += int(np.count_nonzero(second & ~same & (sync == self._first)))
         return np.asarray((sync >= 0) & ~second)
 
     def _clocked(

@@ -109,6 +109,18 @@ def test_an_interface_that_tells_of_no_drops_is_judged_by_its_stamps(hub, counte
     assert reader.lost == 1234
 
 
+def test_answers_that_come_behind_a_later_sync_are_lost(hub):
+    """Also at the beginning, where no sample stands before the SYNC that have none."""
+    reader = FrameReader(hub, INPUT, 4, 1, "input_angle")
+    for n in (0, 10):
+        syncs, answers = zip(*map(cycle, range(n, n + 4)), strict=True)
+        handed(hub, [*syncs, *answers, *flat(map(cycle, range(n + 4, n + 10)))])
+    found = reader.read(0.0)
+    assert found.payloads.view("<i4").ravel().tolist() == [0, *range(4, 11), *range(14, 20)]
+    assert np.flatnonzero(found.status).tolist() == [1, 7, 8]
+    assert reader.lost == 6
+
+
 def test_frames_without_sync_are_counted_over_a_gap_by_their_usual_pace(hub):
     reader = FrameReader(hub, INPUT, 4, None, "torque")
     frames = [frame(INPUT, struct.pack("<i", n), 100.0 + 0.01 * n) for n in [*range(100), *range(600, 700)]]
