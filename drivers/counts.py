@@ -12,7 +12,7 @@ from drivers import recording_format as rf
 
 _PACE_KEPT, _PACE_LEAST = 512, 8
 _SPEED_SECONDS = 0.02  # of readings without a gap, from which a speed is known
-_LOOK_AHEAD = 16  # readings over which late ones may catch up
+_LOOK_AHEAD, _LATEST = 16, 0.1  # readings, and seconds, within which late ones catch up
 
 
 def unwrap(
@@ -156,10 +156,10 @@ def wraps(step: npt.NDArray[np.int64], modulus: int, expected: npt.NDArray[np.fl
 
 def missing_by_pace(
     times: npt.NDArray[np.float64], steps: npt.NDArray[np.float64], gaps: npt.NDArray[np.bool_], period: float
-) -> npt.NDArray[np.int64]:
-    """Return how many readings are missing before each, by the time that passed, shape (n,).
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+    """Return how many readings are missing before each, by the time that passed, and which only waited, shape (n,) both.
 
-    Readings that only came late are followed by others early; what is lost stays missing.
+    Readings that only came late are followed by others early, which waited with them; what is lost stays missing.
 
     Parameters
     ----------
@@ -170,11 +170,15 @@ def missing_by_pace(
     period
         Usual time between readings, s.
     """
-    missing = np.zeros(len(times), np.int64)
+    missing, waited = np.zeros(len(times), np.int64), np.zeros(len(times), np.bool_)
     for i in np.flatnonzero(gaps):
-        ahead = times[i : i + _LOOK_AHEAD] - (times[i] - steps[i])
-        missing[i] = max(int(np.min(np.rint(ahead / period) - np.arange(1, len(ahead) + 1))), 0)
-    return missing
+        end = i + max(_LOOK_AHEAD, math.ceil(_LATEST / period))
+        passed = np.rint((times[i:end] - (times[i] - steps[i])) / period)
+        more = passed - np.arange(1, len(passed) + 1)
+        in_time = int(np.argmin(more))
+        missing[i] = max(int(more[in_time]), 0)
+        waited[i + 1 : i + 1 + in_time] = True
+    return missing, waited
 
 
 class Pace:

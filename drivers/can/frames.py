@@ -256,7 +256,7 @@ class FrameReader:
             return np.zeros(len(step), np.int64)
         longest = math.inf if self.hub.tells_drops else self._pace.longest
         gaps = behind | (step > (1.5 * self.period if self.period is not None else longest))
-        return missing_by_pace(times, step, gaps & ~jumps, period)
+        return missing_by_pace(times, step, gaps & ~jumps, period)[0]
 
     def _say_count(self, which: npt.NDArray[np.bool_], frames: Frames, what: str) -> None:
         if which.any():

@@ -328,12 +328,13 @@ class AsciiCounter(SerialEncoder):
         `first`: the first line has none before it; `odd`: steps that are not usual ones.
         """
         period = self._pace.period
-        missing = np.zeros(len(times), np.int64) if period is None else missing_by_pace(times, step, gaps, period)
+        missing, waited = missing_by_pace(times, step, gaps & (period is not None), period or 1.0)
         if missing.any():
             self._lost += int(missing.sum())
             where = arrived[np.flatnonzero(missing)[0]]
             self.say(where, f"{int(missing.sum())} line missing by the usual time between them")
-        plain = (step >= 0) & (missing == 0) & ~np.asarray(odd)  # late ones too: those behind them come early
+        # Late ones too: those behind them come early; but not what waited at a gap, as the gap itself is left out.
+        plain = (step >= 0) & (missing == 0) & ~waited & ~np.asarray(odd)
         plain[0] &= not first
         self._pace.add(*step[plain].tolist())
         return missing

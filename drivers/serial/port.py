@@ -206,8 +206,8 @@ class PortHub:
                         with self._lock:
                             if asked:
                                 self._put_back(newest)
-                            elif (ready := self.port.in_waiting) >= _BUFFER_FULL:
-                                notes[answers] = "the port's buffer was full: bytes may be lost"
+                            else:
+                                ready = self.port.in_waiting
                             done, stood, ended = self._exchange(question, asked, ended)
                             if not asked:  # behind what waited more may come that did: the driver passes it on in parts
                                 fresh = 0 if done.late or (fresh < _FRESH and ready > _FEW_BYTES) else fresh + 1
@@ -217,6 +217,8 @@ class PortHub:
                             notes.update(dict.fromkeys(queues, said))
                         block = blocks[answers]
                         block.append(done._replace(note=notes.pop(answers, "")))
+                        if not asked and len(done.answer) >= _BUFFER_FULL:  # what was lost came behind what waited
+                            notes[answers] = "the port's buffer was full: bytes may be lost"
                         newest = block if asked else []
                 if newest:
                     with self._lock:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import termios
 import time
+import tty
 
 import can
 import numpy as np
@@ -230,7 +231,28 @@ def test_running_numbers_that_went_round_unseen_are_counted_by_the_time():
 def test_readings_that_only_come_late_are_not_missing():
     times = np.array([0.0, 1.0, 2.0, 6.4, 6.5, 6.6, 6.7, 7.0, 8.0, 20.0, 21.0])
     steps = np.diff(times, prepend=-1.0)
-    assert missing_by_pace(times, steps, steps > 1.5, 1.0).tolist() == [0] * 9 + [11, 0]
+    missing, waited = missing_by_pace(times, steps, steps > 1.5, 1.0)
+    assert missing.tolist() == [0] * 9 + [11, 0]
+    assert np.flatnonzero(waited).tolist() == [4, 5, 6, 7]
+    times = np.array([0.0, *[0.06] * 30, 0.062, 0.064])  # a thirtieth that came late waited for 2 ms
+    steps = np.diff(times, prepend=-0.002)
+    assert not missing_by_pace(times, steps, steps > 0.003, 0.002)[0].any()
+
+
+def test_lines_that_waited_behind_a_gap_do_not_quicken_the_pace():
+    """Without number and clock: in turn 200 lines in time, 100 lost, and 20 that come at once because they waited."""
+    config = AsciiConfig(protocol="ascii", port="p", line="{counts}", counts_per_turn=100_000)
+    counter = AsciiCounter("output_angle", config, PortConfig(url="loop://"))
+    counter._skipping = False
+    for turn in range(20):
+        lines = range(320 * turn, 320 * (turn + 1))
+        came = [(n + 1, n) for n in lines[:200]] + [(lines[-1] + 1, n) for n in lines[300:]]
+        noted = {lines[300]: "the port's buffer was full: bytes may be lost"}
+        exchanges = [Exchange(0.002 * when, b"%d\n" % n, noted.get(n, "")) for when, n in came]
+        for block in (exchanges[:100], exchanges[100:]):
+            counter._answers.put(block, len(block))
+            counter.read(0.0)
+    assert counter.lost == pytest.approx(20 * 100, rel=0.005)
 
 
 def test_a_pace_is_known_from_few_readings_and_not_from_a_pause():
@@ -271,6 +293,34 @@ def test_a_line_that_waited_has_an_instant_only_by_its_device_s_clock():
         samples = counter.read(0.0)
         assert samples.counts.tolist() == kept
         assert (samples.status & rf.GAP).astype(bool).tolist() == [n == 3 and len(kept) == 2 for n in kept]
+
+
+@linux
+def test_behind_a_full_buffer_is_a_gap():
+    """512 lines of 8 bytes fill it; what came then was lost, to the end of a line."""
+    bench, line = pty.openpty()
+    tty.setraw(line)
+    config, port = AsciiConfig(protocol="ascii", port="p", line="{counts}", counts_per_turn=10_000), os.ttyname(line)
+    counter = AsciiCounter("output_angle", config, PortConfig(url=port))
+    counter.hub = serial_port.ports.acquire(PortConfig(url=port))
+    os.write(bench, b"".join(b"%07d\n" % n for n in range(512)))
+    while counter.hub.port.in_waiting < 4095:
+        pass
+    counter.start()
+    blocks = []
+    for more in ((700, 701), (702, 703)):
+        while (block := counter.read(1.0)) is None:
+            pass
+        blocks.append(block)
+        os.write(bench, b"%07d\n%07d\n" % more)
+    while sum(map(len, blocks)) < 515:
+        if (block := counter.read(1.0)) is not None:
+            blocks.append(block)
+    counter.close()
+    assert np.concatenate([b.counts for b in blocks]).tolist() == [*range(1, 512), 700, 701, 702, 703]
+    assert np.flatnonzero(np.concatenate([b.status for b in blocks])).tolist() == [511]
+    os.close(bench)
+    os.close(line)
 
 
 @linux
