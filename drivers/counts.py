@@ -157,7 +157,7 @@ def wraps(step: npt.NDArray[np.int64], modulus: int, expected: npt.NDArray[np.fl
 def missing_by_pace(
     times: npt.NDArray[np.float64], steps: npt.NDArray[np.float64], gaps: npt.NDArray[np.bool_], period: float
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
-    """Return how many readings are missing before each, by the time that passed, and which only waited, shape (n,) both.
+    """Return how many readings are missing before each by the time that passed, and which only waited, shape (n,) each.
 
     Readings that only came late are followed by others early, which waited with them; what is lost stays missing.
 
