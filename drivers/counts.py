@@ -11,7 +11,7 @@ import numpy.typing as npt
 from drivers import recording_format as rf
 
 _PACE_KEPT, _PACE_LEAST = 512, 8
-_SPEED_SECONDS = 0.02  # of readings without a gap, from which a speed is known
+_SPEED_SECONDS, _LEAST_SECONDS = 1.0, 0.02  # of readings without a gap, from which a speed is known
 _LOOK_AHEAD, _LATEST = 16, 0.1  # readings, and seconds, within which late ones catch up
 
 
@@ -60,7 +60,7 @@ class UnseenTurns:
     def __init__(self, modulus: int) -> None:
         self._modulus = modulus
         self._last: tuple[float, int] | None = None
-        self._speed: float | None = None
+        self._ways: collections.deque[tuple[float, float]] = collections.deque()  # s and counts, without a gap
 
     def __call__(
         self, times: npt.NDArray[np.float64], counts: npt.NDArray[np.int64], gaps: npt.NDArray[np.bool_]
@@ -79,17 +79,23 @@ class UnseenTurns:
             if not len(part):
                 continue
             i = int(part[0])
-            if gaps[i] and self._last is not None and self._speed is not None:
-                turned = self._speed * (times[i] - self._last[0])
+            if gaps[i] and self._last is not None and (speed := self._speed()) is not None:
+                turned = speed * (times[i] - self._last[0])
                 unseen[i] = abs(turned) >= self._modulus / 2
                 if unseen[i]:
                     rounds = round((turned - float(counts[i] - self._last[1])) / self._modulus)
                     counts[i:] += rounds * self._modulus
-            lasts = float(times[part[-1]] - times[i])
-            if lasts > _SPEED_SECONDS:
-                self._speed = float(counts[part[-1]] - counts[i]) / lasts
+            from_time, from_count = self._last if self._last is not None and not gaps[i] else (times[i], counts[i])
             self._last = float(times[part[-1]]), int(counts[part[-1]])
+            self._ways.append((self._last[0] - float(from_time), float(self._last[1] - from_count)))
+            while sum(lasts for lasts, _ in self._ways) - self._ways[0][0] > _SPEED_SECONDS:
+                self._ways.popleft()
         return counts, unseen
+
+    def _speed(self) -> float | None:
+        """Return the mean speed, counts/s, of the last second without a gap, as one instant may be 25 ms off."""
+        lasts = sum(lasts for lasts, _ in self._ways)
+        return sum(way for _, way in self._ways) / lasts if lasts > _LEAST_SECONDS else None
 
 
 def counts_to_value(

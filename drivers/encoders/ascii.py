@@ -161,10 +161,8 @@ class AsciiCounter(SerialEncoder):
         self._pace = Pace()
 
     def question(self, port: Any) -> bytes:
-        """Return what came, or the line asked for; see `SerialEncoder.question`."""
-        if self._request:
-            return ask(port, self._request, 0) + bytes(port.read_until(b"\n", LONGEST_LINE))
-        return bytes(port.read(1)) + bytes(port.read(port.in_waiting))
+        """Return the line asked for; see `SerialEncoder.question`."""
+        return ask(port, self._request, 0) + bytes(port.read_until(b"\n", LONGEST_LINE))
 
     def set_up(self, hub: PortHub) -> None:
         """Wait for a line that fits; see `HubEncoder.set_up`."""

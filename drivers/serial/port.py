@@ -127,7 +127,10 @@ class PortHub:
         An exchange that takes half of `ANSWER_SECONDS` has no instant that is known well enough.
         """
         before = steady_time()
-        answer = question(self.port)
+        answer = question(self.port) if asked else bytes(self.port.read(1))
+        came = steady_time()
+        if not asked:
+            answer += bytes(self.port.read(self.port.in_waiting))
         after = steady_time()
         apart, took, longest = before - (ended or before), after - before, ANSWER_SECONDS / 2
         if asked:
@@ -136,7 +139,9 @@ class PortHub:
             return Exchange((before + after) / 2, answer, late=late), stood, after
         # Reading ends with the first byte, or after ANSWER_SECONDS without one.
         stood = apart + took if apart + took > 1.5 * ANSWER_SECONDS else 0.0
-        late = bool(stood) or (apart + took > longest and answer.count(b"\n") > 1)
+        late = bool(stood) or after - came > longest
+        if apart + took > longest and not late:  # to wait for one line is usual, to find several at once is not
+            late = answer.count(b"\n") > 1 or self.port.in_waiting > _FEW_BYTES
         return Exchange(after, answer, late=late), stood, after
 
     def _surplus(self) -> bytes:

@@ -21,7 +21,7 @@ from drivers.can.bus import frame_key, open_bus
 from drivers.can.frames import FrameReader
 from drivers.can.hub import BEHIND_GAP, hubs
 from drivers.can.socketcan import CountingSocketcanBus
-from drivers.counts import Pace, judge_sequence, missing_by_pace
+from drivers.counts import Pace, UnseenTurns, judge_sequence, missing_by_pace, unwrap
 from drivers.encoder import BusConfig, PortConfig
 from drivers.encoders.amt21 import Amt21Config, Amt21Encoder, check_bits
 from drivers.encoders.ascii import AsciiConfig, AsciiCounter
@@ -264,6 +264,35 @@ def test_a_pace_is_known_from_few_readings_and_not_from_a_pause():
     uneven = Pace()
     uneven.add(*[0.01, 0.1, 1.0] * 10)
     assert uneven.longest == np.inf
+
+
+def test_a_late_reading_before_a_gap_costs_no_turn():
+    """One turn a second, 5.2 s without a reading; the last before it is stamped 25 ms late, as an exchange may be."""
+    unseen = UnseenTurns(4096)
+    taken = np.concatenate([np.arange(0.0, 1.0, 0.001), np.arange(6.2, 6.4, 0.001)])
+    counts = np.rint(4096 * taken).astype(np.int64)
+    gaps = np.diff(taken, prepend=0.0) > 0.1
+    times = np.where(np.append(gaps[1:], False), taken + 0.025, taken)
+    found = 0
+    for block in np.split(np.arange(1200), 24):
+        shortest, _ = unwrap(counts[block] % 4096, 4096, found)
+        found = int(unseen(times[block], shortest, gaps[block])[0][-1])
+    assert found == counts[-1]
+
+
+@linux
+def test_a_line_has_no_instant_where_the_recorder_was_held_up_behind_its_first_byte(monkeypatch):
+    bench, line = pty.openpty()
+    tty.setraw(line)
+    hub = serial_port.ports.acquire(PortConfig(url=os.ttyname(line)))
+    for instants, late in (((0.0, 0.08, 0.08), False), ((0.0, 0.01, 0.137), True)):
+        monkeypatch.setattr(serial_port, "steady_time", iter(instants).__next__)
+        os.write(bench, b"1\n")
+        exchange = hub.exchange(lambda port: b"", False)
+        assert (exchange.answer, exchange.late) == (b"1\n", late)
+    serial_port.ports.release(hub)
+    os.close(bench)
+    os.close(line)
 
 
 def test_an_answer_that_took_too_long_has_no_instant():
