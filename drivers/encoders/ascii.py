@@ -157,7 +157,7 @@ class AsciiCounter(SerialEncoder):
         self._device = 0.0  # the device's clock, continuous, in its own unit
         self._device_start: float | None = None
         self._ticks: tuple[float, float] | None = None
-        self._noted = self._doubtful = False
+        self._noted, self._doubtful = 0, False
         self._pace = Pace()
 
     def question(self, port: Any) -> bytes:
@@ -210,7 +210,8 @@ class AsciiCounter(SerialEncoder):
         lines: list[_Line] = []
         for exchange in exchanges:
             when, data, note, late = exchange
-            self._noted |= bool(note)
+            if note:  # where a line has begun, what is lost may be in it or behind it
+                self._noted = 1 + bool(self._rest)
             if self._request and not data.endswith(b"\n"):
                 ended = [data]
             else:
@@ -219,8 +220,8 @@ class AsciiCounter(SerialEncoder):
                     ended.append(self._rest[:64])
                     self._rest = b""
             for text in ended:
-                lines.append(_Line(when, text, self._noted, late))
-                self._noted = False
+                lines.append(_Line(when, text, self._noted > 0, late))
+                self._noted = max(0, self._noted - 1)
         if lines and self._skipping:  # where the listening began, the line had begun before
             self._skipping = False
             return lines[1:]
