@@ -24,7 +24,7 @@ import cycloid_fmu as cy
 from cycloid_fmu import edge
 from cycloid_fmu.fmu.build import build_fmu, read_losses
 from cycloid_fmu.fmu.run import read_motion, stated_drive, units_of
-from cycloid_fmu.reducer.lost_motion import read_reducer
+from cycloid_fmu.reducer.description import read_reducer
 from cycloid_fmu.studies.tolerance import Checkpoint, Study
 from cycloid_fmu.surfaces.measuring import measured_surface, read_points
 from cycloid_fmu.surfaces.surface import surface_of_pair

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -349,6 +349,16 @@ def _law(pair: Pair, slices: int) -> tuple[float, float, float, float, float]:
     largest_log_radius = g.pin_circle_radius if g.contact_law == "capped" else math.inf
     return (g.pin_radius, g.face_width / slices, material.gear.compliance, material.pin.compliance,
             largest_log_radius)  # fmt: skip
+
+
+class NearDrives(Protocol):
+    """Drives near those that were solved: at several loads, by their errors or what stands for them."""
+
+    def loaded(self, sweep_number: int, errors: Array, /) -> tuple[Array, Array]:
+        """Return transmission error (rad) and largest pressure (Pa), each (drives, angles)."""
+
+    def play(self, sweep_number: int, errors: Array, /) -> tuple[Array, Array]:
+        """Return backlash (rad, NaN without a free position) and interference (m), each (drives, angles)."""
 
 
 class Screen:

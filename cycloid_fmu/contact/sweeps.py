@@ -13,7 +13,7 @@ from cycloid_fmu.contact.energy import crank_side
 from cycloid_fmu.contact.equilibrium import equilibrium, load, rotational_stiffness
 from cycloid_fmu.contact.load_sharing import ContactLines, load_sharing, write_contact_lines
 from cycloid_fmu.contact.local_frame import local_frame
-from cycloid_fmu.contact.placement import BOUNDED, place
+from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
 from cycloid_fmu.contact.play import play
 from cycloid_fmu.contact.problem import Problem
 from cycloid_fmu.contact.rows import Rows, contact_rows, disc_slice_pin
@@ -58,8 +58,8 @@ def sweep(
     Parameters
     ----------
     thetas, torques
-        Crank angles (rad), shape (angles,); torques (N·m), shape (torques,), at 0 the deviation is the middle of the
-        play.
+        Crank angles (rad), shape (angles,); torques (N·m), shape (torques, angles), at 0 the deviation is the middle of
+        the play.
     with_play, low, high, gap
         Whether to solve the play, and what it is written to, as in `sweep_play`.
     found, lines
@@ -68,12 +68,12 @@ def sweep(
     """
     if with_play:
         sweep_play(problem, thetas, first, last, low, high, gap)
-    for k in range(torques.size):
-        contacts, torque = contact_rows(problem), torques[k]
+    for k in range(torques.shape[0]):
+        contacts = contact_rows(problem)
         deviation, stiffness = found.deviation[k], found.stiffness[k]
         x = 0.0
         for i in range(first, last):
-            cold = i == first
+            cold, torque = i == first, torques[k, i]
             if torque == 0.0:
                 start, end, _ = play(problem, thetas[i], x, contacts, cold)
                 cold = False
@@ -126,6 +126,16 @@ def sweep_contacts(problem: Problem, thetas: Array, torque: float, deviation: Ar
         x, _ = equilibrium(problem, thetas[i], torque, x, contacts, i == 0)
         deviation[i] = x
         table[i] = contacts
+
+
+@compiled
+def sweep_crank_torque(problem: Problem, thetas: Array, deviation: Array, crank_torque: Array) -> None:
+    """Write the crank's torque (N·m) at solved deviations (rad), shapes (angles,), 0 where nothing touches."""
+    contacts = contact_rows(problem)
+    for i in range(thetas.size):
+        place(problem, thetas[i], deviation[i], contacts, i == 0, CLEAR, BOUNDED)
+        load(problem, thetas[i], deviation[i], contacts)
+        crank_torque[i], _ = crank_side(problem, thetas[i], deviation[i], contacts)
 
 
 @compiled

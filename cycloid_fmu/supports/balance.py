@@ -26,6 +26,7 @@ _LONGEST = 25e-6  # m: a step is no longer than this
 _REACH = 4e-6  # m: pins nearer than this are solved at every step, the others once the discs have moved as far
 _HELD = 1e-3  # N/m: keeps a rotation in reach that nothing holds yet; it pulls to where the step began
 _ITERATIONS = 60
+_LAST_ITERATIONS = 600  # a drive that hangs in its clearances finds its place in small steps
 
 
 class Work(NamedTuple):
@@ -400,14 +401,14 @@ def _direction(problem: Problem, assembly: Assembly, work: Work) -> float:
 @part
 def balance(
     problem: Problem, assembly: Assembly, theta: float, torque: float, centring: float, q: Array, contacts: Rows,
-    work: Work,
+    work: Work, iterations: int,
 ) -> int:  # fmt: skip
     """Solve the balance from q, which is overwritten; returns the number of steps, 0 where it was not found.
 
     A step is shortened where the work along it has turned round: energies are convex but for small turns.
     """
     assemble(problem, assembly, theta, torque, centring, q, contacts, work)
-    for iteration in range(_ITERATIONS):
+    for iteration in range(iterations):
         left = _longest(problem, assembly, work.residual, -1.0)
         if left < assembly.balanced:
             return iteration + 1
@@ -450,8 +451,9 @@ def settle(
             work.moved[0] = math.inf
         spring, found = 1e8 if stage == 2 else CENTRING, 0
         while True:
-            found = balance(problem, assembly, theta, torque, spring, q, contacts, work)
-            total += found if found > 0 else _ITERATIONS
+            most = _LAST_ITERATIONS if stage == 2 and spring == CENTRING else _ITERATIONS
+            found = balance(problem, assembly, theta, torque, spring, q, contacts, work, most)
+            total += found if found > 0 else most
             if spring == CENTRING:
                 break
             spring = max(0.1 * spring, CENTRING)

@@ -264,15 +264,15 @@ def _add_seat(
 
 @compiled
 def sweep_supported_sensitivities(
-    problem: Problem, assembly: Assembly, thetas: Array, torque: float, places: Array, errors: Array, laws: Array,
+    problem: Problem, assembly: Assembly, thetas: Array, torques: Array, places: Array, errors: Array, laws: Array,
     by_angle: Array, by_torque: Array, work: Work,
 ) -> bool:  # fmt: skip
     """Write the derivatives of the deviation at places that balance; returns whether there are any.
 
     Parameters
     ----------
-    thetas, torque, places
-        Crank angles (rad), shape (angles,); torque (N·m); the unknowns there, shape (angles, unknowns).
+    thetas, torques, places
+        Crank angles (rad) and the torque at each (N·m), shape (angles,); the unknowns there, shape (angles, unknowns).
     errors, laws, by_angle, by_torque
         Zeros, overwritten: derivatives of x by every displacement, in the order of
         `surfaces.structured.displacement_layout`, shape (angles, displacements), and by each bearing's logarithm of
@@ -284,7 +284,7 @@ def sweep_supported_sensitivities(
         theta = thetas[i]
         q = places[i]
         work.moved[0] = math.inf
-        assemble(problem, assembly, theta, torque, CENTRING, q, contacts, work)
+        assemble(problem, assembly, theta, torques[i], CENTRING, q, contacts, work)
         if not _row_of_rotation(problem, assembly, work):
             return False
         row = work.step

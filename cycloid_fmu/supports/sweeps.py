@@ -79,9 +79,9 @@ def _forces(problem: Problem, assembly: Assembly, theta: float, q: Array, found:
 
 @compiled
 def sweep_supported(
-    problem: Problem, assembly: Assembly, thetas: Array, torque: float, with_forces: bool, found: Found, work: Work
+    problem: Problem, assembly: Assembly, thetas: Array, torques: Array, with_forces: bool, found: Found, work: Work
 ) -> None:
-    """Solve crank angles at one torque, each from its neighbours."""
+    """Solve crank angles, each at its torque and from its neighbours."""
     contacts = contact.contact_rows(problem)
     q = work.place
     for i in range(thetas.size):
@@ -91,7 +91,7 @@ def sweep_supported(
             share = (theta - thetas[i - 1]) / (thetas[i - 1] - thetas[i - 2])
             for k in range(q.size):
                 q[k] += share * (q[k] - found.place[i - 2, k])
-        found.steps[i] = settle(problem, assembly, theta, torque, q, contacts, work, not step < NEIGHBOUR)
+        found.steps[i] = settle(problem, assembly, theta, torques[i], q, contacts, work, not step < NEIGHBOUR)
         for k in range(q.size):
             found.place[i, k] = q[k]
         found.stiffness[i] = torsional_stiffness(problem, assembly, work)

@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 POINTS = 1 << 15  # most points of a turn: orders up to a quarter of them are resolved
 _FIRST = 1 << 20  # samples from which the number of points is found
 _RAMP = np.pi / 648000.0  # over a whole recording: what runs away by less gets no note
+_ROOM = 1 << 20  # points that are taken at once, of all the turns in which they lie
+LOCKED = float(np.radians(1.0))  # of the crank: what windup of a locked input's own fixture it may show
 _REVERSAL = np.radians(2.0)  # of the crank: what turns back less is vibration; beyond the lost motion of any drive
 
 
@@ -64,7 +66,7 @@ class _Fold:
         angle = self._first[0][0]
         whole = round((self._held - 1) * min(1.0, self._turn / self.way)) if self.way else 1
         self.points = min(max(1, whole), POINTS)
-        self._spacing = min(self._turn, self.way or self._turn) / self.points
+        self._spacing = max(min(self._turn, self.way or self._turn) / self.points, self._turn / POINTS)
         # The points' borders lie midway between the first turn's samples.
         self._origin = self._begins = float(angle[0])
         self.shift = float(np.mod(angle[0], self._turn) - 0.5 * self._spacing)
@@ -86,19 +88,28 @@ class _Fold:
         if restarted:
             self.finish()
             self._begins = float(angle[0])
+        travel = self.direction * (angle - self._begins) + 0.5 * self._spacing
+        turn = np.maximum((travel / self._turn + 1e-9).astype(np.int64), self._open_turn)
+        low = self._open_turn
+        rows = int(turn.max()) - low + 1
+        if rows * self.whole > _ROOM and angle.size > 1:
+            half = angle.size // 2
+            self._take(angle[:half], error[:half], torque[:half], False)
+            self._take(angle[half:], error[half:], torque[half:], False)
+            return
+        if rows * self.whole > _ROOM:  # in the turns that one sample skips there is nothing
+            self.finish()
+            low = self._open_turn = int(turn[0])
+            rows = 1
         self.samples += angle.size
         error = error - self._reference
         t = torque - self._torque_reference
         self._torque += np.array([t.sum(), t @ t])
         x = angle - self._origin
         self._line += np.array([angle.size, x.sum(), error.sum(), x @ x, x @ error])
-        travel = self.direction * (angle - self._begins) + 0.5 * self._spacing
-        turn = np.maximum((travel / self._turn + 1e-9).astype(np.int64), self._open_turn)
         place = np.mod(angle - self.shift, self._turn) / self._spacing + 1e-9
         point = np.minimum(place.astype(np.int64), self.whole - 1)
         inside = (place - (point + 0.5)) * self._spacing
-        low = self._open_turn
-        rows = int(turn.max()) - low + 1
         key = point if rows == 1 else point + (turn - low) * self.whole
         size = rows * self.whole
         found = np.empty((5, rows, self.whole))
@@ -321,19 +332,20 @@ class Folding:
         Raises
         ------
         edge.InputError
-            If the crank does not turn, or its two angles do not belong to this ratio.
+            If the crank turns by no more than `LOCKED`, or its two angles do not belong to this ratio.
         """
         if self._waiting:
             self._fold()
         folds = sorted(self._folds.values(), key=lambda f: -f.way)
         for fold in folds:
             fold.finish()
-        if folds[0].way == 0.0:
-            raise edge.InputError(f"{self.source}: the crank does not turn; a curve needs a run in motion.")
         notes = [*stream.notes, *blocks.notes()]
         kept = [f for f in folds if f.way > 0.01 * folds[0].way and f.samples > 1]
-        if not kept:
-            raise edge.InputError(f"{self.source}: the crank does not turn; a curve needs a run in motion.")
+        if folds[0].way <= LOCKED or not kept:
+            raise edge.InputError(
+                f"{self.source}: the input does not turn further than {np.degrees(folds[0].way):.3g}°, as one that is "
+                f"locked; a curve needs a run in which it turns by more than {np.degrees(LOCKED):g}°."
+            )
         few = sum(f.samples for f in folds if f not in kept)
         if self._stood + few:
             notes.append(
@@ -419,7 +431,7 @@ def curves(recordings: Source | Iterable[Source], drive: Drive | float, *, keep_
     Raises
     ------
     edge.InputError
-        If a recording can't be read, its crank does not turn, or its angles do not belong to the ratio.
+        If a recording can't be read, its crank hardly turns, or its angles do not belong to the ratio.
 
     Examples
     --------
@@ -430,7 +442,7 @@ def curves(recordings: Source | Iterable[Source], drive: Drive | float, *, keep_
     >>> round(float(np.ptp(curve.transmission_error)) * 1e6)
     20
     """
-    ratio = drive if isinstance(drive, float | int) else drive.pair.ratio
+    ratio = drive if isinstance(drive, float | int) else drive.ratio
     found: list[Curve] = []
     for source in [recordings] if isinstance(recordings, Source) else recordings:
         recording = open_source(source)
