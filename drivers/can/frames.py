@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import collections
+import contextlib
 import dataclasses
 import math
 import time
@@ -13,6 +14,7 @@ import numpy.typing as npt
 from drivers.can.bus import frame_name
 from drivers.can.hub import BEHIND_GAP, NO_SYNC, CanHub, Frames, joined_frames
 from drivers.counts import Pace, judge_sequence, missing_by_pace
+from drivers.encoder import EncoderConnectionError
 from drivers.hubs import drained
 from drivers.recording_format import DUPLICATE, GAP, OUT_OF_ORDER, ClockJumps, Event, FloatArray, IntArray
 
@@ -107,7 +109,11 @@ class FrameReader:
         """Say what is missing behind the last sample, now that no more is read."""
         self.hub.finish()
         if self.sync_step is not None and self._newest is not None:
-            missing = self.hub.sync // self.sync_step - self._newest - 1  # the newest may still be answered
+            sync, unread = self.hub.handed_on, []
+            with contextlib.suppress(EncoderConnectionError):  # said before, where the bus broke
+                # What came behind the end is answered, though not recorded.
+                unread = [int(block.sync[-1]) // self.sync_step for _, block in self._blocks.take(0.0)]
+            missing = sync // self.sync_step - max([self._newest, *unread]) - 1  # the newest may still be answered
             if missing > 0:
                 self.lost += missing
                 self.say(time.time(), f"{missing} SYNC without a sample behind the last one")

@@ -156,6 +156,16 @@ def test_what_is_missing_behind_the_last_sample_is_said(hub):
     assert any("4 SYNC without a sample behind the last one" in event.text for event in reader.events())
 
 
+def test_what_comes_behind_the_end_is_not_lost(hub):
+    """The bus goes on between the last reading and the end."""
+    reader = FrameReader(hub, INPUT, 4, 1, "input_angle")
+    handed(hub, flat(cycle(n) for n in range(10)))
+    reader.read(0.0)
+    handed(hub, flat(cycle(n) for n in range(10, 40)))
+    reader.finish()
+    assert reader.lost == 0
+
+
 def test_frames_in_another_format_are_other_frames(tmp_path, bus_name):
     """29 bits of the same number, or CAN FD: neither is a sample; a description says which frames it means."""
     motion = simulate_motion(lambda a, t: -a / 39, SimulatedRun(torque=5.0, turns=1))
