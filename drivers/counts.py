@@ -11,8 +11,8 @@ import numpy.typing as npt
 from drivers import recording_format as rf
 
 _PACE_KEPT, _PACE_LEAST = 512, 8
-_SPEED_SECONDS = 0.02  # of readings without a gap, from which a speed is known
-_LOOK_AHEAD = 16  # readings over which late ones may catch up
+_SPEED_SECONDS, _LEAST_SECONDS = 1.0, 0.02  # of readings without a gap, from which a speed is known
+_LOOK_AHEAD, _LATEST = 16, 0.1  # readings, and seconds, within which late ones catch up
 
 
 def unwrap(
@@ -60,7 +60,7 @@ class UnseenTurns:
     def __init__(self, modulus: int) -> None:
         self._modulus = modulus
         self._last: tuple[float, int] | None = None
-        self._speed: float | None = None
+        self._ways: collections.deque[tuple[float, float]] = collections.deque()  # s and counts, without a gap
 
     def __call__(
         self, times: npt.NDArray[np.float64], counts: npt.NDArray[np.int64], gaps: npt.NDArray[np.bool_]
@@ -79,17 +79,23 @@ class UnseenTurns:
             if not len(part):
                 continue
             i = int(part[0])
-            if gaps[i] and self._last is not None and self._speed is not None:
-                turned = self._speed * (times[i] - self._last[0])
+            if gaps[i] and self._last is not None and (speed := self._speed()) is not None:
+                turned = speed * (times[i] - self._last[0])
                 unseen[i] = abs(turned) >= self._modulus / 2
                 if unseen[i]:
                     rounds = round((turned - float(counts[i] - self._last[1])) / self._modulus)
                     counts[i:] += rounds * self._modulus
-            lasts = float(times[part[-1]] - times[i])
-            if lasts > _SPEED_SECONDS:
-                self._speed = float(counts[part[-1]] - counts[i]) / lasts
+            from_time, from_count = self._last if self._last is not None and not gaps[i] else (times[i], counts[i])
             self._last = float(times[part[-1]]), int(counts[part[-1]])
+            self._ways.append((self._last[0] - float(from_time), float(self._last[1] - from_count)))
+            while sum(lasts for lasts, _ in self._ways) - self._ways[0][0] > _SPEED_SECONDS:
+                self._ways.popleft()
         return counts, unseen
+
+    def _speed(self) -> float | None:
+        """Return the mean speed, counts/s, of the last second without a gap, as one instant may be 25 ms off."""
+        lasts = sum(lasts for lasts, _ in self._ways)
+        return sum(way for _, way in self._ways) / lasts if lasts > _LEAST_SECONDS else None
 
 
 def counts_to_value(
@@ -156,10 +162,10 @@ def wraps(step: npt.NDArray[np.int64], modulus: int, expected: npt.NDArray[np.fl
 
 def missing_by_pace(
     times: npt.NDArray[np.float64], steps: npt.NDArray[np.float64], gaps: npt.NDArray[np.bool_], period: float
-) -> npt.NDArray[np.int64]:
-    """Return how many readings are missing before each, by the time that passed, shape (n,).
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+    """Return how many readings are missing before each by the time that passed, and which only waited, shape (n,) each.
 
-    Readings that only came late are followed by others early; what is lost stays missing.
+    Readings that only came late are followed by others early, which waited with them; what is lost stays missing.
 
     Parameters
     ----------
@@ -170,11 +176,15 @@ def missing_by_pace(
     period
         Usual time between readings, s.
     """
-    missing = np.zeros(len(times), np.int64)
+    missing, waited = np.zeros(len(times), np.int64), np.zeros(len(times), np.bool_)
     for i in np.flatnonzero(gaps):
-        ahead = times[i : i + _LOOK_AHEAD] - (times[i] - steps[i])
-        missing[i] = max(int(np.min(np.rint(ahead / period) - np.arange(1, len(ahead) + 1))), 0)
-    return missing
+        end = i + max(_LOOK_AHEAD, math.ceil(_LATEST / period))
+        passed = np.rint((times[i:end] - (times[i] - steps[i])) / period)
+        more = passed - np.arange(1, len(passed) + 1)
+        in_time = int(np.argmin(more))
+        missing[i] = max(int(more[in_time]), 0)
+        waited[i + 1 : i + 1 + in_time] = True
+    return missing, waited
 
 
 class Pace:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import collections
+import contextlib
 import dataclasses
 import math
 import time
@@ -13,6 +14,7 @@ import numpy.typing as npt
 from drivers.can.bus import frame_name
 from drivers.can.hub import BEHIND_GAP, NO_SYNC, CanHub, Frames, joined_frames
 from drivers.counts import Pace, judge_sequence, missing_by_pace
+from drivers.encoder import EncoderConnectionError
 from drivers.hubs import drained
 from drivers.recording_format import DUPLICATE, GAP, OUT_OF_ORDER, ClockJumps, Event, FloatArray, IntArray
 
@@ -75,6 +77,7 @@ class FrameReader:
         self._blocks = hub.subscribe(identifier)
         self._events: collections.deque[Event] = collections.deque()
         self._last_seen = -1
+        self._first: int | None = None  # SYNC of the first frame that had one
         self._newest: int | None = None
         self._last: tuple[float, bytearray, float] | None = None
         self._jumps = ClockJumps()
@@ -106,7 +109,11 @@ class FrameReader:
         """Say what is missing behind the last sample, now that no more is read."""
         self.hub.finish()
         if self.sync_step is not None and self._newest is not None:
-            missing = self.hub.sync // self.sync_step - self._newest - 1  # the newest may still be answered
+            sync, unread = self.hub.handed_on, []
+            with contextlib.suppress(EncoderConnectionError):  # said before, where the bus broke
+                # What came behind the end is answered, though not recorded.
+                unread = [int(block.sync[-1]) // self.sync_step for _, block in self._blocks.take(0.0)]
+            missing = sync // self.sync_step - max([self._newest, *unread]) - 1  # the newest may still be answered
             if missing > 0:
                 self.lost += missing
                 self.say(time.time(), f"{missing} SYNC without a sample behind the last one")
@@ -199,6 +206,10 @@ class FrameReader:
         self._say_count(second & same, frames, "skipped: a duplicate of the frame before, or without a SYNC of its own")
         self._say_count(second & ~same, frames, "skipped: without a SYNC of its own, so its instant is unknown")
         before[second] |= np.where(same, DUPLICATE, GAP)[second]
+        if self._first is None and len(answered := sync[sync >= 0]):
+            self._first = int(answered[0])
+        # A frame that answers an earlier SYNC is counted by that one, which has no sample; not before the first sample.
+        self.lost += int(np.count_nonzero(second & ~same & (sync == self._first)))
         return np.asarray((sync >= 0) & ~second)
 
     def _clocked(
@@ -251,7 +262,7 @@ class FrameReader:
             return np.zeros(len(step), np.int64)
         longest = math.inf if self.hub.tells_drops else self._pace.longest
         gaps = behind | (step > (1.5 * self.period if self.period is not None else longest))
-        return missing_by_pace(times, step, gaps & ~jumps, period)
+        return missing_by_pace(times, step, gaps & ~jumps, period)[0]
 
     def _say_count(self, which: npt.NDArray[np.bool_], frames: Frames, what: str) -> None:
         if which.any():

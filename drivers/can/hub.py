@@ -78,8 +78,9 @@ class CanHub:
     ----------
     network
         A `canopen.Network` for SDO, NMT, heartbeat and EMCY, fed by the reader.
-    gaps, sync
-        Gaps of the bus so far, and the running number of the newest SYNC.
+    gaps, sync, handed_on
+        Gaps of the bus so far, the running number of the newest SYNC, and of the newest up to which all frames are in
+        the queues.
     tells_drops
         Whether each frame that was not taken in time is known to be so: by the kernel's count, or because the bus
         keeps all. Where it is not, gaps are told by the stamps alone.
@@ -95,6 +96,7 @@ class CanHub:
         self._wanted = frozenset({SYNC_ID})
         self._events: collections.deque[Event] = collections.deque()
         self.sync, self._sync_time, self._sync_device = NO_SYNC, 0.0, 0.0
+        self.handed_on = NO_SYNC
         self._counter, self._counter_max = 0, SYNC_COUNTER_MAX
         self._pace, self._floor = Pace(), math.inf
         self._produced: collections.deque[tuple[int, float]] = collections.deque()
@@ -346,6 +348,7 @@ class CanHub:
             )  # fmt: skip
             for blocks in queues:
                 blocks.put(frames, len(mine))
+        self.handed_on = self.sync
 
     def _state(self) -> tuple[int, float, float, int]:
         """Return what the next frame is bound to: number, time and own stamp of the SYNC; and the gaps so far."""

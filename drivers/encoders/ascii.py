@@ -157,14 +157,12 @@ class AsciiCounter(SerialEncoder):
         self._device = 0.0  # the device's clock, continuous, in its own unit
         self._device_start: float | None = None
         self._ticks: tuple[float, float] | None = None
-        self._noted = self._doubtful = False
+        self._noted, self._doubtful = 0, False
         self._pace = Pace()
 
     def question(self, port: Any) -> bytes:
-        """Return what came, or the line asked for; see `SerialEncoder.question`."""
-        if self._request:
-            return ask(port, self._request, 0) + bytes(port.read_until(b"\n", LONGEST_LINE))
-        return bytes(port.read(1)) + bytes(port.read(port.in_waiting))
+        """Return the line asked for; see `SerialEncoder.question`."""
+        return ask(port, self._request, 0) + bytes(port.read_until(b"\n", LONGEST_LINE))
 
     def set_up(self, hub: PortHub) -> None:
         """Wait for a line that fits; see `HubEncoder.set_up`."""
@@ -212,7 +210,8 @@ class AsciiCounter(SerialEncoder):
         lines: list[_Line] = []
         for exchange in exchanges:
             when, data, note, late = exchange
-            self._noted |= bool(note)
+            if note:  # where a line has begun, what is lost may be in it or behind it
+                self._noted = 1 + bool(self._rest)
             if self._request and not data.endswith(b"\n"):
                 ended = [data]
             else:
@@ -221,8 +220,8 @@ class AsciiCounter(SerialEncoder):
                     ended.append(self._rest[:64])
                     self._rest = b""
             for text in ended:
-                lines.append(_Line(when, text, self._noted, late))
-                self._noted = False
+                lines.append(_Line(when, text, self._noted > 0, late))
+                self._noted = max(0, self._noted - 1)
         if lines and self._skipping:  # where the listening began, the line had begun before
             self._skipping = False
             return lines[1:]
@@ -328,12 +327,13 @@ class AsciiCounter(SerialEncoder):
         `first`: the first line has none before it; `odd`: steps that are not usual ones.
         """
         period = self._pace.period
-        missing = np.zeros(len(times), np.int64) if period is None else missing_by_pace(times, step, gaps, period)
+        missing, waited = missing_by_pace(times, step, gaps & (period is not None), period or 1.0)
         if missing.any():
             self._lost += int(missing.sum())
             where = arrived[np.flatnonzero(missing)[0]]
             self.say(where, f"{int(missing.sum())} line missing by the usual time between them")
-        plain = (step >= 0) & (missing == 0) & ~np.asarray(odd)  # late ones too: those behind them come early
+        # Late ones too: those behind them come early; but not what waited at a gap, as the gap itself is left out.
+        plain = (step >= 0) & (missing == 0) & ~waited & ~np.asarray(odd)
         plain[0] &= not first
         self._pace.add(*step[plain].tolist())
         return missing

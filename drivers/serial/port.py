@@ -127,7 +127,10 @@ class PortHub:
         An exchange that takes half of `ANSWER_SECONDS` has no instant that is known well enough.
         """
         before = steady_time()
-        answer = question(self.port)
+        answer = question(self.port) if asked else bytes(self.port.read(1))
+        came = steady_time()
+        if not asked:
+            answer += bytes(self.port.read(self.port.in_waiting))
         after = steady_time()
         apart, took, longest = before - (ended or before), after - before, ANSWER_SECONDS / 2
         if asked:
@@ -136,7 +139,9 @@ class PortHub:
             return Exchange((before + after) / 2, answer, late=late), stood, after
         # Reading ends with the first byte, or after ANSWER_SECONDS without one.
         stood = apart + took if apart + took > 1.5 * ANSWER_SECONDS else 0.0
-        late = bool(stood) or (apart + took > longest and answer.count(b"\n") > 1)
+        late = bool(stood) or after - came > longest
+        if apart + took > longest and not late:  # to wait for one line is usual, to find several at once is not
+            late = answer.count(b"\n") > 1 or self.port.in_waiting > _FEW_BYTES
         return Exchange(after, answer, late=late), stood, after
 
     def _surplus(self) -> bytes:
@@ -206,8 +211,8 @@ class PortHub:
                         with self._lock:
                             if asked:
                                 self._put_back(newest)
-                            elif (ready := self.port.in_waiting) >= _BUFFER_FULL:
-                                notes[answers] = "the port's buffer was full: bytes may be lost"
+                            else:
+                                ready = self.port.in_waiting
                             done, stood, ended = self._exchange(question, asked, ended)
                             if not asked:  # behind what waited more may come that did: the driver passes it on in parts
                                 fresh = 0 if done.late or (fresh < _FRESH and ready > _FEW_BYTES) else fresh + 1
@@ -217,6 +222,8 @@ class PortHub:
                             notes.update(dict.fromkeys(queues, said))
                         block = blocks[answers]
                         block.append(done._replace(note=notes.pop(answers, "")))
+                        if not asked and len(done.answer) >= _BUFFER_FULL:  # what was lost came behind what waited
+                            notes[answers] = "the port's buffer was full: bytes may be lost"
                         newest = block if asked else []
                 if newest:
                     with self._lock:

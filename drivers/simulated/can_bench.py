@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-import threading
+import queue
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -128,8 +129,9 @@ class SimulatedCanBench(SimulatedBench):
     ----------
     sent
         Samples sent so far.
-    sent_at
-        When each was, seconds since 1970 by this process's clock, shape (samples,); 0 where it was not.
+    sent_at, sent_by
+        Between which instants each was taken, s since 1970 by this process's clock, shape (samples,); 0 where it was
+        not sent. An interface's own clock stamps both alike; what answers another's SYNC is taken from that on.
     """
 
     def __init__(
@@ -151,6 +153,7 @@ class SimulatedCanBench(SimulatedBench):
         self.bus_config, self.allow = BusConfig(interface=interface, channel=channel), (interface,)
         self.counts_per_turn = {_INPUT_NODE: input_counts_per_turn, _OUTPUT_NODE: output_counts_per_turn}
         self.clock_drift, self._powered = clock_drift, time.time()
+        self._stamped = interface == "virtual" or clock_drift is not None  # by itself, not by the kernel
         if clock_drift is not None and speed_factor is None:
             speed_factor = 1.0
         own = 2 * math.pi / motion.run.samples_per_turn / motion.run.speed
@@ -164,13 +167,12 @@ class SimulatedCanBench(SimulatedBench):
         self._pace = self._interval / own
         if interface != "virtual":
             self._timer = self._interval
-        self._syncs = threading.Semaphore(0)
+        self._syncs: queue.SimpleQueue[float] = queue.SimpleQueue()  # when each came
         self.sent = 0
-        self.sent_at = np.zeros(motion.run.samples)
+        self.sent_at, self.sent_by = np.zeros((2, motion.run.samples))
 
     def _open(self) -> None:
-        stamped = self.bus_config.interface == "virtual" or self.clock_drift is not None
-        options: dict[str, Any] = {"preserve_timestamps": True} if stamped else {}
+        options: dict[str, Any] = {"preserve_timestamps": True} if self._stamped else {}
         self._bus = open_bus(self.bus_config, **options)
         self._network = _StampedNetwork(self._bus, self._stamp)
         self._network.connect()
@@ -183,7 +185,7 @@ class SimulatedCanBench(SimulatedBench):
             local.nmt.state = "PRE-OPERATIONAL"
             self._nodes[node] = local
         if self.trigger == "sync":
-            self._network.subscribe(SYNC_ID, lambda *_: self._syncs.release())
+            self._network.subscribe(SYNC_ID, lambda _, __, stamp: self._syncs.put(stamp))
 
     def _close(self) -> None:
         for node in self._nodes.values():
@@ -259,6 +261,7 @@ class SimulatedCanBench(SimulatedBench):
         begun, ends = time.time(), math.inf
         send, interval, stamped = self._bus.send, self._interval, self._stamp
         pace = self._pace if self.clock_drift is not None else 1.0
+        own = self._stamped and self.trigger != "sync"
         for i, sample in enumerate(frames):
             while not any(self._operational()):
                 ends = min(ends, time.monotonic() + _END_SECONDS)
@@ -267,27 +270,36 @@ class SimulatedCanBench(SimulatedBench):
             ends = math.inf
             if self._stopping.is_set():
                 return
-            if self.trigger == "sync":
-                while not self._syncs.acquire(timeout=0.05):
-                    if self._stopping.is_set() or not any(self._operational()):
-                        return
-            elif interval:
-                wait = begun + i * interval - time.time()
-                if wait > 0 and self._stopping.wait(wait):
-                    return
+            asked = self._asked() if self.trigger == "sync" else self._due(begun + i * interval)
+            if asked is None:
+                return
             if i in at:
                 self._befall(at[i], silent)
-            self.sent_at[i] = time.time()
+            now, due = time.time(), begun + float(self.motion.time[i]) * pace
+            self.sent_at[i] = due if own else asked
             for identifier, data, stamp in sample:
                 node = nodes.get(identifier)
                 if node is not None and (node.nmt.state != "OPERATIONAL" or silent.get(node.id, -1) > i):
                     continue
                 # What answers another's SYNC is stamped by the clock that stamps that.
-                when = stamped(self.sent_at[i] if self.trigger == "sync" else begun + stamp * pace)
+                when = stamped(now if self.trigger == "sync" else begun + stamp * pace)
                 send(can.Message(timestamp=when, arbitration_id=identifier, is_extended_id=False, data=data))
             for number in [n for n, end in silent.items() if end == i]:
                 self._nodes[number].nmt.start_heartbeat(self._nodes[number].sdo[HEARTBEAT_TIME].raw)
+            self.sent_by[i] = due if own else time.time()
             self.sent = i + 1
+
+    def _due(self, due: float) -> float | None:
+        """Wait until then and return when that is, None where the bench is stopped meanwhile."""
+        wait = due - time.time()
+        return None if wait > 0 and self._stopping.wait(wait) else time.time()
+
+    def _asked(self) -> float | None:
+        """Wait for another's SYNC and return when it came, None where nobody is there any more."""
+        while not self._stopping.is_set() and any(self._operational()):
+            with contextlib.suppress(queue.Empty):
+                return self._syncs.get(timeout=0.05)
+        return None
 
     def _befall(self, fault: Fault, silent: dict[int, int]) -> None:
         """Let happen to a node, or the bus, what is not in its data frames."""

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import termios
 import time
+import tty
 
 import can
 import numpy as np
@@ -20,7 +21,7 @@ from drivers.can.bus import frame_key, open_bus
 from drivers.can.frames import FrameReader
 from drivers.can.hub import BEHIND_GAP, hubs
 from drivers.can.socketcan import CountingSocketcanBus
-from drivers.counts import Pace, judge_sequence, missing_by_pace
+from drivers.counts import Pace, UnseenTurns, judge_sequence, missing_by_pace, unwrap
 from drivers.encoder import BusConfig, PortConfig
 from drivers.encoders.amt21 import Amt21Config, Amt21Encoder, check_bits
 from drivers.encoders.ascii import AsciiConfig, AsciiCounter
@@ -109,6 +110,18 @@ def test_an_interface_that_tells_of_no_drops_is_judged_by_its_stamps(hub, counte
     assert reader.lost == 1234
 
 
+def test_answers_that_come_behind_a_later_sync_are_lost(hub):
+    """Also at the beginning, where no sample stands before the SYNC that have none."""
+    reader = FrameReader(hub, INPUT, 4, 1, "input_angle")
+    for n in (0, 10):
+        syncs, answers = zip(*map(cycle, range(n, n + 4)), strict=True)
+        handed(hub, [*syncs, *answers, *flat(map(cycle, range(n + 4, n + 10)))])
+    found = reader.read(0.0)
+    assert found.payloads.view("<i4").ravel().tolist() == [0, *range(4, 11), *range(14, 20)]
+    assert np.flatnonzero(found.status).tolist() == [1, 7, 8]
+    assert reader.lost == 6
+
+
 def test_frames_without_sync_are_counted_over_a_gap_by_their_usual_pace(hub):
     reader = FrameReader(hub, INPUT, 4, None, "torque")
     frames = [frame(INPUT, struct.pack("<i", n), 100.0 + 0.01 * n) for n in [*range(100), *range(600, 700)]]
@@ -141,6 +154,16 @@ def test_what_is_missing_behind_the_last_sample_is_said(hub):
     reader.finish()
     assert reader.lost == 4, "the newest SYNC may still be answered"
     assert any("4 SYNC without a sample behind the last one" in event.text for event in reader.events())
+
+
+def test_what_comes_behind_the_end_is_not_lost(hub):
+    """The bus goes on between the last reading and the end."""
+    reader = FrameReader(hub, INPUT, 4, 1, "input_angle")
+    handed(hub, flat(cycle(n) for n in range(10)))
+    reader.read(0.0)
+    handed(hub, flat(cycle(n) for n in range(10, 40)))
+    reader.finish()
+    assert reader.lost == 0
 
 
 def test_frames_in_another_format_are_other_frames(tmp_path, bus_name):
@@ -218,7 +241,28 @@ def test_running_numbers_that_went_round_unseen_are_counted_by_the_time():
 def test_readings_that_only_come_late_are_not_missing():
     times = np.array([0.0, 1.0, 2.0, 6.4, 6.5, 6.6, 6.7, 7.0, 8.0, 20.0, 21.0])
     steps = np.diff(times, prepend=-1.0)
-    assert missing_by_pace(times, steps, steps > 1.5, 1.0).tolist() == [0] * 9 + [11, 0]
+    missing, waited = missing_by_pace(times, steps, steps > 1.5, 1.0)
+    assert missing.tolist() == [0] * 9 + [11, 0]
+    assert np.flatnonzero(waited).tolist() == [4, 5, 6, 7]
+    times = np.array([0.0, *[0.06] * 30, 0.062, 0.064])  # a thirtieth that came late waited for 2 ms
+    steps = np.diff(times, prepend=-0.002)
+    assert not missing_by_pace(times, steps, steps > 0.003, 0.002)[0].any()
+
+
+def test_lines_that_waited_behind_a_gap_do_not_quicken_the_pace():
+    """Without number and clock: in turn 200 lines in time, 100 lost, and 20 that come at once because they waited."""
+    config = AsciiConfig(protocol="ascii", port="p", line="{counts}", counts_per_turn=100_000)
+    counter = AsciiCounter("output_angle", config, PortConfig(url="loop://"))
+    counter._skipping = False
+    for turn in range(20):
+        lines = range(320 * turn, 320 * (turn + 1))
+        came = [(n + 1, n) for n in lines[:200]] + [(lines[-1] + 1, n) for n in lines[300:]]
+        noted = {lines[300]: "the port's buffer was full: bytes may be lost"}
+        exchanges = [Exchange(0.002 * when, b"%d\n" % n, noted.get(n, "")) for when, n in came]
+        for block in (exchanges[:100], exchanges[100:]):
+            counter._answers.put(block, len(block))
+            counter.read(0.0)
+    assert counter.lost == pytest.approx(20 * 100, rel=0.005)
 
 
 def test_a_pace_is_known_from_few_readings_and_not_from_a_pause():
@@ -230,6 +274,35 @@ def test_a_pace_is_known_from_few_readings_and_not_from_a_pause():
     uneven = Pace()
     uneven.add(*[0.01, 0.1, 1.0] * 10)
     assert uneven.longest == np.inf
+
+
+def test_a_late_reading_before_a_gap_costs_no_turn():
+    """One turn a second, 5.2 s without a reading; the last before it is stamped 25 ms late, as an exchange may be."""
+    unseen = UnseenTurns(4096)
+    taken = np.concatenate([np.arange(1000), np.arange(6200, 6400)]) / 1000
+    counts = np.rint(4096 * taken).astype(np.int64)
+    gaps = np.diff(taken, prepend=0.0) > 0.1
+    times = np.where(np.append(gaps[1:], False), taken + 0.025, taken)
+    found = 0
+    for block in np.split(np.arange(1200), 24):
+        shortest, _ = unwrap(counts[block] % 4096, 4096, found)
+        found = int(unseen(times[block], shortest, gaps[block])[0][-1])
+    assert found == counts[-1]
+
+
+@linux
+def test_a_line_has_no_instant_where_the_recorder_was_held_up_behind_its_first_byte(monkeypatch):
+    bench, line = pty.openpty()
+    tty.setraw(line)
+    hub = serial_port.ports.acquire(PortConfig(url=os.ttyname(line)))
+    for instants, late in (((0.0, 0.08, 0.08), False), ((0.0, 0.01, 0.137), True)):
+        monkeypatch.setattr(serial_port, "steady_time", iter(instants).__next__)
+        os.write(bench, b"1\n")
+        exchange = hub.exchange(lambda port: b"", False)
+        assert (exchange.answer, exchange.late) == (b"1\n", late)
+    serial_port.ports.release(hub)
+    os.close(bench)
+    os.close(line)
 
 
 def test_an_answer_that_took_too_long_has_no_instant():
@@ -259,6 +332,35 @@ def test_a_line_that_waited_has_an_instant_only_by_its_device_s_clock():
         samples = counter.read(0.0)
         assert samples.counts.tolist() == kept
         assert (samples.status & rf.GAP).astype(bool).tolist() == [n == 3 and len(kept) == 2 for n in kept]
+
+
+@linux
+def test_behind_a_full_buffer_is_a_gap():
+    """512 lines of 8 bytes fill it; what came then was lost, to the end of a line."""
+    bench, line = pty.openpty()
+    tty.setraw(line)
+    config, port = AsciiConfig(protocol="ascii", port="p", line="{counts}", counts_per_turn=10_000), os.ttyname(line)
+    counter = AsciiCounter("output_angle", config, PortConfig(url=port))
+    counter.hub = serial_port.ports.acquire(PortConfig(url=port))
+    os.write(bench, b"".join(b"%07d\n" % n for n in range(512)))
+    while counter.hub.port.in_waiting < 4095:
+        pass
+    counter.start()
+    blocks = []
+    for more in ((700, 701), (702, 703)):
+        while (block := counter.read(1.0)) is None:
+            pass
+        blocks.append(block)
+        os.write(bench, b"%07d\n%07d\n" % more)
+    while sum(map(len, blocks)) < 515:
+        if (block := counter.read(1.0)) is not None:
+            blocks.append(block)
+    counter.close()
+    assert np.concatenate([b.counts for b in blocks]).tolist() == [*range(1, 512), 700, 701, 702, 703]
+    marked = np.flatnonzero(np.concatenate([b.status for b in blocks])).tolist()
+    assert marked in ([511], [510, 511]), "the line that the port has the beginning of may be marked too"
+    os.close(bench)
+    os.close(line)
 
 
 @linux

@@ -4,6 +4,7 @@ The bench, in this process, knows what it sent and when; its line holds no more 
 not come. `CYCLOID_STOPS` is how many stops each protocol and source of time gets in the slow campaign.
 """
 
+import contextlib
 import datetime
 import json
 import os
@@ -30,7 +31,9 @@ GROUP = f"239.78.{os.getpid() // 256 % 256}.{os.getpid() % 256}"
 VCAN = "vcan0"
 
 RECORDER = """
-import json, sys
+import json, os, sys
+if hasattr(os, "sched_setscheduler"):
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))  # as busy as the machine, other than the bench
 from drivers.can import drops
 from drivers.recorder.session import RecordingInterrupted, record
 drops.RECEIVE_BUFFER = int(sys.argv[1])
@@ -41,6 +44,23 @@ try:
 except RecordingInterrupted as interrupt:
     print(json.dumps(dict(interrupt.recorded.lost)))
 """
+
+
+@contextlib.contextmanager
+def prompt():
+    """Let the threads begun in it, a bench's, go before all others where that is permitted: a device has its own time.
+
+    Where it is not, a busy machine makes the bench late, and what is told by its clock or its pace is off by so much.
+    """
+    try:
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
+    except (AttributeError, OSError):  # Linux alone has it, for those with the right
+        yield
+        return
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def motion(rate):
@@ -108,14 +128,14 @@ def can_case(folder, bus, case, stops, record_property):
     if bus == "socketcan" and "clock_drift" in options:
         return  # its stamps are the kernel's
     sent = motion(100 if options.get("trigger") == "sync" else 500)
-    with SimulatedCanBench(sent, interface=bus, channel=BUSES[bus], speed_factor=1.0, **options) as bench:
+    with prompt(), SimulatedCanBench(sent, interface=bus, channel=BUSES[bus], speed_factor=1.0, **options) as bench:
         bench.write_wiring(folder / "BENCH.toml", ratio=-39)
         seed = list(CAN).index(case)
         recording, told, start = recorded_over_stops(
             folder, bench, stops, seed, "untold" if "not told" in case else "told"
         )
     angles = {"input_angle": sent.input_angle, "output_angle": sent.output_angle}
-    own, total, late = {}, 0, []
+    own, total, off = {}, 0, []
     for name, angle in angles.items():
         samples = recording.samples[name]
         own[name] = np.rint((samples.value - angle[0]) / (angle[1] - angle[0])).astype(int)
@@ -123,12 +143,12 @@ def can_case(folder, bus, case, stops, record_property):
         assert_told(told[name], missing)
         total += missing
         clean = samples.status & ~np.uint8(rf.ROLLOVER) == 0
-        late.append((recording.aligned_time(name) + start - bench.sent_at[own[name]])[clean])
+        taken = recording.aligned_time(name) + start
+        off.append(np.maximum(bench.sent_at[own[name]] - taken, taken - bench.sent_by[own[name]])[clean])
         stood = np.diff(samples.time_host) > 0.09
         if "clock_drift" not in options:
             assert np.all(samples.status[1:][stood] & rf.GAP)
-    # To less than the bench's thread may be late itself; a SYNC of before a gap would be a tenth of a second off.
-    assert np.max(np.abs(np.concatenate(late))) < 0.05
+    assert np.max(np.concatenate(off)) < 1e-3, "the next SYNC is 2 ms off"
     one, other = (recording.samples[name] for name in angles)
     if options.get("trigger") != "timer":
         _, i, j = np.intersect1d(one.time_host, other.time_host, return_indices=True)
@@ -166,7 +186,7 @@ LINES = {
 @pytest.mark.slow(30)
 @pytest.mark.parametrize("case", LINES)
 def test_stops_at_random_of_a_line_that_sends(tmp_path, case, record_property):
-    with SimulatedAsciiBench(motion(500)) as bench:
+    with prompt(), SimulatedAsciiBench(motion(500)) as bench:
         bench.receive_buffer = SERIAL_BUFFER
         toml = bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
         toml.write_text(toml.read_text().replace(LINES["number and clock"], LINES[case]))
@@ -179,10 +199,10 @@ def test_stops_at_random_of_a_line_that_sends(tmp_path, case, record_property):
     clean = samples.status == 0
     late = (recording.aligned_time("output_angle") + start - when[own])[clean]
     # Without a clock of its own a line's instant is when it came; what may have waited longer is left out.
-    assert np.max(np.abs(late)) < 0.06
+    assert np.max(np.abs(late)) < (2e-3 if "clock" in case else 0.06)
     assert missing > 0 or STOPS < 10  # a few short stops may lose nothing
-    # Of lines without number and clock a gap's length is known to 0.06 s, 30 lines, as their instants are.
-    assert_told(told["output_angle"], missing, 1 + 30 * STOPS if case == "neither" else 1)
+    # Of lines without number and clock a gap's length is known to 0.06 s, 30 lines, as their instants are: by chance.
+    assert_told(told["output_angle"], missing, 1 + 30 * STOPS**0.5 if case == "neither" else 1)
     record_property(f"lines with {case}: stops, lines lost, told", f"{STOPS}, {missing}, {told['output_angle']}")
 
 
@@ -190,7 +210,7 @@ def test_stops_at_random_of_a_line_that_sends(tmp_path, case, record_property):
 @pytest.mark.parametrize("kind", [SimulatedAmt21Bench, SimulatedModbusBench])
 def test_stops_at_random_of_devices_that_are_asked(tmp_path, kind, record_property):
     sent = motion(1000)  # so a single-turn encoder turns several times in a gap
-    with kind(sent) as bench:
+    with prompt(), kind(sent) as bench:
         bench.receive_buffer = SERIAL_BUFFER
         bench.write_wiring(tmp_path / "BENCH.toml", ratio=-39)
         recording, told, start = recorded_over_stops(tmp_path, bench, STOPS, 7)
@@ -204,8 +224,13 @@ def test_stops_at_random_of_devices_that_are_asked(tmp_path, kind, record_proper
         # An exchange of half ANSWER_SECONDS may be off by half of that.
         assert np.max(np.abs(samples.value - turned)[clean]) < 0.03 * abs(angle[-1] / sent.time[-1]) + 5e-4
         assert np.all(samples.status[1:][np.diff(samples.time_host) > 0.3] & rf.GAP)
-        answered = np.array(bench.answered_at[address]) - start
-        first, last = (int(np.argmin(np.abs(answered - samples.time_host[i]))) for i in (0, -1))
+        answered_at = np.array(bench.answered_at[address])
+        if name == "input_angle":  # an instant may be 25 ms off, an angle is one of few answers
+            numbers = np.rint((samples.value[[0, -1]] - angle[0]) / (angle[1] - angle[0]))
+            alike = [answered_at[np.equal(bench.answered[address], number)] for number in numbers]
+            near = samples.time_host[[0, -1]] + start
+            ends = [at[np.argmin(np.abs(at - when))] for at, when in zip(alike, near, strict=True)]
+        first, last = np.searchsorted(answered_at, ends).tolist()
         total += last - first + 1 - len(samples)
     assert_told(sum(told.values()), total, 4)  # where each of two begins and ends is known to one answer
     record_property(f"{kind.__name__}: stops, answers lost, told", f"{STOPS}, {total}, {sum(told.values())}")
