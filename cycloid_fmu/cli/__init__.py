@@ -12,4 +12,4 @@ app = commands.command_line(
 
 def main() -> None:
     """Run the command line."""
-    commands.run(app)
+    commands.main(app)

@@ -22,7 +22,6 @@ import numpy as np
 import pydantic
 from numba import njit
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri
 
 from cycloid_fmu import edge
 from cycloid_fmu.edge import Angle, Config, Length
@@ -301,6 +300,8 @@ def within_tolerance(probability: Array, tolerance: float, distribution: Distrib
     """
     if distribution == "uniform":
         return tolerance * (2.0 * probability - 1.0)
+    from scipy.special import ndtr, ndtri  # only here: a drive's file is read without
+
     tail = ndtr(-3.0)
     return np.asarray(np.clip(ndtri(tail + probability * (1.0 - 2.0 * tail)) / 3.0, -1.0, 1.0) * tolerance)
 
@@ -406,6 +407,8 @@ def sample_profile(
     A standard normal field, smooth by its correlation lengths or white, is taken element by element through the stated
     distribution (a Gaussian copula): each element has exactly that distribution and the range keeps its tolerance.
     """
+    from scipy.special import ndtr
+
     if errors.correlation is None:
         field = generator.standard_normal((surfaces, profile, width))
     else:

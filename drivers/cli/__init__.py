@@ -16,4 +16,4 @@ app = commands.command_line(
 
 def main() -> NoReturn:
     """Run the command line."""
-    commands.run(app)
+    commands.main(app)
