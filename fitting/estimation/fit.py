@@ -597,15 +597,17 @@ def turn_bootstrap(estimate: Estimate, pair: Pair, draws: int, seed: int) -> Arr
     step *= observed.weight * problem.scale[errors, None]
     generator = np.random.default_rng(seed)
     moved = np.zeros((draws, len(estimate.chosen)))
+    left = left_of(observed, estimate.linear, estimate.state)
     for curve, part in zip(observed.curves, np.split(np.arange(observed.measured.size), observed.ends), strict=True):
         if curve.each_turn is None:
             continue
         there = np.isfinite(curve.each_turn)
-        turns = np.where(there, curve.each_turn - curve.transmission_error, 0.0)
-        taken = generator.multinomial(len(turns), np.full(len(turns), 1.0 / len(turns)), size=draws).astype(float)
-        mean = taken @ turns / np.maximum(taken @ there, 1.0)
+        # A turn's share in the step: few points have a sample of every turn.
+        own = np.where(there, curve.each_turn - curve.transmission_error + left[part], 0.0) / there.sum(axis=0)
+        turns = len(own)
+        taken = generator.multinomial(turns, np.full(turns, 1.0 / turns), size=draws).astype(float)
         # The turns drawn scatter less than turns do, by one of their number.
-        moved += np.sqrt(len(turns) / (len(turns) - 1.0)) * mean @ step[:, part].T
+        moved += np.sqrt(turns / (turns - 1.0)) * taken @ (own @ step[:, part].T)
     inside = observed.weight > 0.0
     white = np.sqrt(((step[:, inside] / observed.weight[inside]) ** 2).sum(axis=1))
     return np.array([moved.std(axis=0), white])

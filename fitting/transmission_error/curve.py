@@ -49,8 +49,8 @@ class Curve:
     turns
         Output turns recorded in this direction.
     grid
-        Points of a whole turn, and the crank angle (rad) at which the first begins; (0, 0) where points and samples
-        are the same.
+        As many even points over a whole turn as samples were taken in one, and the crank angle (rad) at which the first
+        begins; (0, 0) where the points are these.
     angle_variance
         Variance of the crank angles within each point, rad², or None where a point is one angle.
     torque_each
@@ -122,7 +122,8 @@ def noise_of(curve: Curve) -> float:
     """
     repeated = np.isfinite(curve.standard_error)
     if np.count_nonzero(repeated) > 20:
-        return float(np.sqrt(np.mean(curve.standard_error[repeated] ** 2)))
+        single = np.mean(curve.standard_error[repeated] ** 2 * curve.sample_count[repeated])
+        return float(np.sqrt(single / np.median(curve.sample_count)))
     differences = np.diff(curve.transmission_error, 6)
     return float(np.median(np.abs(differences)) / 0.6745 / np.sqrt(924.0)) if differences.size else 0.0
 

@@ -1,7 +1,8 @@
 """From a recording to its transmission error curves: over one output turn, averaged over turns, one direction each.
 
 The samples are taken block by block and folded as they come, so that hours at kilohertz need no more memory than one
-output turn.
+output turn. Samples of different turns share a point only where their angles are as good as the same: where sampling is
+not in step with the crank they lie up to a sample's spacing apart, and there pins come into contact and leave it.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ from fitting.recordings.sources import Source, open_source
 from fitting.transmission_error.curve import Curve
 
 Array = NDArray[np.float64]
-POINTS = 1 << 15  # most points of a turn: orders up to a quarter of them are resolved
+POINTS = 1 << 15  # most even points of a turn: orders up to a quarter of them are resolved
+_PITCH = 20  # points that the crank's way from one pin to the next is divided into, where turns are not in step
+_FINEST = 1 << 18  # most points of a turn then
 _FIRST = 1 << 20  # samples from which the number of points is found
 _RAMP = np.pi / 648000.0  # over a whole recording: what runs away by less gets no note
 _REVERSAL = np.radians(2.0)  # of the crank: what turns back less is vibration; beyond the lost motion of any drive
@@ -33,10 +36,10 @@ class _Fold:
     A point's mean is that of its turns' means, so that a standstill or a slow stretch weighs no more than it should.
     """
 
-    def __init__(self, ratio: float, direction: int, *, keep_turns: bool) -> None:
+    def __init__(self, ratio: float, direction: int, *, keep_turns: bool, evenly: bool) -> None:
         self._turn = 2.0 * np.pi * abs(ratio)
-        self._kept: list[Array] | None = [] if keep_turns else None
-        self.ratio, self.direction = ratio, direction
+        self._kept: list[tuple[NDArray[np.int64], Array]] | None = [] if keep_turns else None
+        self.ratio, self.direction, self._evenly = ratio, direction, evenly
         self.samples = 0
         self.points = 0
         self._first: list[tuple[Array, Array, Array, bool]] = []
@@ -64,19 +67,22 @@ class _Fold:
         angle = self._first[0][0]
         whole = round((self._held - 1) * min(1.0, self._turn / self.way)) if self.way else 1
         self.points = min(max(1, whole), POINTS)
-        self._spacing = min(self._turn, self.way or self._turn) / self.points
+        spacing = min(self._turn, self.way or self._turn) / self.points
         # The points' borders lie midway between the first turn's samples.
         self._origin = self._begins = float(angle[0])
+        even = self.points if self.way >= self._turn else max(1, round(self._turn / spacing))
+        self.grid = (even, float(np.mod(angle[0], self._turn) - 0.5 * spacing))
+        parts = 1 if self._evenly else max(1, round(min(_PITCH * self.ratio**2, _FINEST) / even))
+        self.whole, self._spacing = even * parts, spacing / parts
         self.shift = float(np.mod(angle[0], self._turn) - 0.5 * self._spacing)
-        self.whole = self.points if self.way >= self._turn else max(1, round(self._turn / self._spacing))
         self._reference = float(self._first[0][1][0])
         self._torque_reference = float(self._first[0][2][0])
-        shape = (self.whole,)
-        self.count = np.zeros(shape, np.int64)
-        self.repeats = np.zeros(shape)
-        # Over turns: mean error, its square, mean angle, mean squared angle, mean torque; and of the turn under way:
-        # samples, error, angle, squared angle, torque.
-        self._sums, self._open = np.zeros((5, self.whole)), np.zeros((5, self.whole))
+        self.count = np.zeros(self.whole, np.int64)
+        self.repeats = np.zeros(self.whole, np.int64)
+        # Over turns: mean error, its square, mean angle, mean squared angle, mean torque; and of the turn under way,
+        # at the points that it has: samples, error, angle, squared angle, torque.
+        self._sums = np.zeros((5, self.whole))
+        self._open_points, self._open = np.zeros(0, np.int64), np.zeros((5, 0))
         self._open_turn = 0
         waiting, self._first = self._first, []
         for part in waiting:
@@ -97,32 +103,30 @@ class _Fold:
         place = np.mod(angle - self.shift, self._turn) / self._spacing + 1e-9
         point = np.minimum(place.astype(np.int64), self.whole - 1)
         inside = (place - (point + 0.5)) * self._spacing
-        low = self._open_turn
-        rows = int(turn.max()) - low + 1
-        key = point if rows == 1 else point + (turn - low) * self.whole
-        size = rows * self.whole
-        found = np.empty((5, rows, self.whole))
-        found[0] = np.bincount(key, minlength=size).reshape(rows, -1)
-        for number, weights in enumerate((error, inside, inside * inside, t), start=1):
-            found[number] = np.bincount(key, weights, size).reshape(rows, -1)
-        found[:, 0] += self._open
-        self._close(found[:, :-1])
-        self._open = found[:, -1]
-        self._open_turn = low + rows - 1
+        last = int(turn.max()) - self._open_turn
+        key = np.concatenate([self._open_points, point + (turn - self._open_turn) * self.whole])
+        key, at = np.unique(key, return_inverse=True)
+        values = (np.ones(angle.size), error, inside, inside * inside, t)
+        found = np.array([
+            np.bincount(at, np.concatenate([before, now]), key.size)
+            for before, now in zip(self._open, values, strict=True)
+        ])  # fmt: skip
+        closed = int(np.searchsorted(key, last * self.whole))
+        self._close(key[:closed], found[:, :closed])
+        self._open_points, self._open = key[closed:] - last * self.whole, found[:, closed:]
+        self._open_turn += last
 
-    def _close(self, found: Array) -> None:
-        samples = found[0]
-        with np.errstate(invalid="ignore", divide="ignore"):
-            mean = np.where(samples > 0, found[1:] / samples, 0.0)
-        self.count += samples.sum(axis=0).astype(np.int64)
-        self.repeats += (samples > 0).sum(axis=0)
-        self._sums[0] += mean[0].sum(axis=0)
-        self._sums[1] += (mean[0] ** 2).sum(axis=0)
-        self._sums[2] += mean[1].sum(axis=0)
-        self._sums[3] += mean[2].sum(axis=0)
-        self._sums[4] += mean[3].sum(axis=0)
-        if self._kept is not None:
-            self._kept += [one for one in np.where(samples > 0, mean[0], np.nan) if np.isfinite(one).any()]
+    def _close(self, key: NDArray[np.int64], found: Array) -> None:
+        """Add whole turns to the sums: sums over the samples at points, turns counted in whole turns of points."""
+        turn, point = np.divmod(key, self.whole)
+        samples, mean = found[0], found[1:] / found[0]
+        np.add.at(self.count, point, samples.astype(np.int64))
+        np.add.at(self.repeats, point, 1)
+        for total, one in zip(self._sums, (mean[0], mean[0] ** 2, *mean[1:]), strict=True):
+            np.add.at(total, point, one)
+        if self._kept is not None and key.size:
+            borders = np.flatnonzero(np.diff(turn)) + 1
+            self._kept += zip(np.split(point, borders), np.split(mean[0], borders), strict=True)
 
     def drift(self) -> float:
         """Return the slope of the transmission error over the crank angle."""
@@ -141,8 +145,8 @@ class _Fold:
         if not self.points:
             self._begin()
         if self.points:
-            self._close(self._open[:, None, :])
-            self._open = np.zeros_like(self._open)
+            self._close(self._open_points, self._open)
+            self._open_points, self._open = np.zeros(0, np.int64), np.zeros((5, 0))
             self._open_turn = 0
 
     def curve(
@@ -158,7 +162,13 @@ class _Fold:
         angle = np.mod(self.shift + (filled + 0.5) * self._spacing + inside, self._turn)
         sequence = np.argsort(angle)
         torque, torque2 = self._torque / self.samples
-        kept = None if self._kept is None else (np.array(self._kept) + self._reference)[:, filled][:, sequence]
+        kept = None
+        if self._kept is not None:
+            kept = np.full((len(self._kept), sequence.size), np.nan)
+            column = np.zeros(self.whole, np.int64)
+            column[filled[sequence]] = np.arange(sequence.size)
+            for row, (points, values) in zip(kept, self._kept, strict=True):
+                row[column[points]] = values + self._reference
         return Curve(
             input_angle=angle[sequence],
             transmission_error=(error + self._reference)[sequence],
@@ -175,7 +185,7 @@ class _Fold:
             notes=notes,
             implausible=implausible,
             turns=self.way / self._turn,
-            grid=(self.whole, self.shift),
+            grid=self.grid,
             angle_variance=np.maximum(inside2 - inside**2, 0.0)[sequence],
             torque_each=(each + self._torque_reference)[sequence],
             each_turn=kept,
@@ -197,11 +207,14 @@ class Folding:
         The recording's name, for messages.
     keep_turns
         Whether the curves keep every turn by itself too.
+    evenly
+        Whether a turn has as many points as samples were taken in one, which orders need; else samples of different
+        turns share a point only where their angles are as good as the same.
     """
 
-    def __init__(self, ratio: float, source: str, *, keep_turns: bool = False) -> None:
+    def __init__(self, ratio: float, source: str, *, keep_turns: bool = False, evenly: bool = False) -> None:
         self.ratio, self.source = ratio, source
-        self._folds = {way: _Fold(ratio, way, keep_turns=keep_turns) for way in (1, -1)}
+        self._folds = {way: _Fold(ratio, way, keep_turns=keep_turns, evenly=evenly) for way in (1, -1)}
         self._direction = 0
         self._furthest = np.nan
         self._start = np.nan
@@ -405,7 +418,8 @@ def curves(recordings: Source | Iterable[Source], drive: Drive | float, *, keep_
     """Return the transmission error curves of recordings: of each direction, the one it turned further first.
 
     The crank angle is folded to one output turn and divided into as many points as samples were taken in a turn (at
-    most `POINTS`); what falls into a point is averaged within each turn and then over turns, angle and error alike.
+    most `POINTS`), or into twenty for each pin that the crank passes where that is more. What falls into a point is
+    averaged within each turn and then over turns, angle and error alike; a point without a sample is left out.
 
     Parameters
     ----------

@@ -1,0 +1,49 @@
+"""Turns that are not in step with the crank: samples of one turn lie between those of another, where pins touch."""
+
+import os
+
+import numpy as np
+import pytest
+from sampled_drives import SAMPLINGS, SMALL, coverage, recorded
+
+import fitting
+from cycloid_fmu.surfaces.surface import surface_of_pair
+
+
+@pytest.fixture(scope="module")
+def small(nominal):
+    return nominal.replace(**SMALL)
+
+
+def test_samples_of_other_turns_stay_where_they_were_taken(small):
+    """Three turns at 20.7 samples a crank turn; 24 in step are three at each angle."""
+    generator = np.random.default_rng(0)
+    for each, points in ((20.7, 683), (24.0, 264)):
+        run = recorded(small, surface_of_pair(small), 60.0, generator, each=each, turns=3)
+        (curve,) = fitting.curves(run, small.ratio)
+        assert curve.input_angle.size == pytest.approx(points, abs=20)
+        assert curve.sample_count.sum() == round(33 * each)
+        # A hundredth of the way between pins, not the half of it that lies between samples.
+        assert np.sqrt(curve.angle_variance.max()) < 0.025 * 2.0 * np.pi / small.pins
+
+
+def test_turns_out_of_step_do_not_bias(small):
+    """An error was eighteen standard errors off, and a quarter of the intervals missed."""
+    found = np.concatenate([[*one.values()] for one in coverage(small, 20.7, 3, 3)])
+    assert found.size > 50
+    assert 1.96 * np.abs(found).max() < 4.5
+    assert np.mean(np.abs(found) < 1.0) > 0.88
+
+
+@pytest.mark.slow(6)
+@pytest.mark.parametrize(("each", "turns"), SAMPLINGS)
+def test_coverage_of_every_sampling(small, each, turns, record_property):
+    """95 % intervals hold the truth, in step and out; a tenth of CYCLOID_SEEDS drives, else of 200."""
+    drives = max(1, int(os.environ.get("CYCLOID_SEEDS", "200")) // 10)
+    found = np.concatenate([[*one.values()] for one in coverage(small, each, turns, drives)])
+    inside = np.abs(found) < 1.0
+    said = f"{inside.mean():.3f} of {inside.size}, {drives} drives"
+    record_property(f"{each:g} samples a crank turn, {turns} turns: 95 % intervals that hold the truth", said)
+    spread = 2.0 * np.sqrt(0.05 * 0.95 / inside.size)
+    assert 0.92 - 2.0 * spread <= inside.mean() <= 0.98 + 2.0 * spread
+    assert 1.96 * np.abs(found).max() < 5.0
