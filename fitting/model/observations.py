@@ -179,7 +179,8 @@ def observations(
         if curve.branch:
             continue
         names.append(f"output_angle_drift_{number}")
-        place = curve.input_angle / (2.0 * np.pi * ratio)
+        # What creeps does so with time, over all turns, whose points lie between one another.
+        place = (curve.input_angle if curve.travel is None else curve.travel) / (2.0 * np.pi * ratio)
         columns.append(np.concatenate([np.zeros(sum(sizes[:number])), place - place.mean(),
                                        np.zeros(sum(sizes[number + 1 :]))]))  # fmt: skip
         priors.append(DRIFT)

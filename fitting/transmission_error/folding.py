@@ -43,20 +43,21 @@ class _Fold:
         self.samples = 0
         self.points = 0
         self._first: list[tuple[Array, Array, Array, bool]] = []
+        self._travelled = self._furthest = 0.0
         self._held = 0
         self._torque = np.zeros(2)
         self._line = np.zeros(5)
         self.way = 0.0
 
-    def add(self, angle: Array, error: Array, torque: Array, way: float, *, restarted: bool) -> None:
-        """Take crank angles, transmission errors and torques in the order of time; `restarted` after a reversal."""
+    def add(self, angle: Array, error: Array, beside: Array, way: float, *, restarted: bool) -> None:
+        """Take crank angles, transmission errors, and torques beside speeds; `restarted` after a reversal."""
         if not angle.size:
             return
         self.way += way
         if self.points:
-            self._take(angle, error, torque, restarted)
+            self._take(angle, error, beside, restarted)
             return
-        self._first.append((angle.copy(), error.copy(), torque.copy(), restarted))
+        self._first.append((angle.copy(), error.copy(), beside.copy(), restarted))
         self._held += angle.size
         if self._held >= _FIRST:
             self._begin()
@@ -76,25 +77,26 @@ class _Fold:
         self.whole, self._spacing = even * parts, spacing / parts
         self.shift = float(np.mod(angle[0], self._turn) - 0.5 * self._spacing)
         self._reference = float(self._first[0][1][0])
-        self._torque_reference = float(self._first[0][2][0])
+        self._torque_reference = float(self._first[0][2][0, 0])
         self.count = np.zeros(self.whole, np.int64)
         self.repeats = np.zeros(self.whole, np.int64)
-        # Over turns: mean error, its square, mean angle, mean squared angle, mean torque; and of the turn under way,
-        # at the points that it has: samples, error, angle, squared angle, torque.
-        self._sums = np.zeros((5, self.whole))
-        self._open_points, self._open = np.zeros(0, np.int64), np.zeros((5, 0))
+        # Over turns: mean error, its square, mean angle, mean squared angle, mean torque, speed and way; and of the turn
+        # under way, at the points that it has: samples, error, angle, squared angle, torque, speed, way.
+        self._sums = np.zeros((7, self.whole))
+        self._open_points, self._open = np.zeros(0, np.int64), np.zeros((7, 0))
         self._open_turn = 0
         waiting, self._first = self._first, []
         for part in waiting:
             self._take(*part)
 
-    def _take(self, angle: Array, error: Array, torque: Array, restarted: bool) -> None:
+    def _take(self, angle: Array, error: Array, beside: Array, restarted: bool) -> None:
         if restarted:
             self.finish()
+            self._travelled = self._furthest
             self._begins = float(angle[0])
         self.samples += angle.size
         error = error - self._reference
-        t = torque - self._torque_reference
+        t = beside[0] - self._torque_reference
         self._torque += np.array([t.sum(), t @ t])
         x = angle - self._origin
         self._line += np.array([angle.size, x.sum(), error.sum(), x @ x, x @ error])
@@ -106,7 +108,8 @@ class _Fold:
         last = int(turn.max()) - self._open_turn
         key = np.concatenate([self._open_points, point + (turn - self._open_turn) * self.whole])
         key, at = np.unique(key, return_inverse=True)
-        values = (np.ones(angle.size), error, inside, inside * inside, t)
+        values = (np.ones(angle.size), error, inside, inside * inside, t, beside[1], travel + self._travelled)
+        self._furthest = float(values[-1][-1])
         found = np.array([
             np.bincount(at, np.concatenate([before, now]), key.size)
             for before, now in zip(self._open, values, strict=True)
@@ -146,7 +149,7 @@ class _Fold:
             self._begin()
         if self.points:
             self._close(self._open_points, self._open)
-            self._open_points, self._open = np.zeros(0, np.int64), np.zeros((5, 0))
+            self._open_points, self._open = np.zeros(0, np.int64), np.zeros((7, 0))
             self._open_turn = 0
 
     def curve(
@@ -156,7 +159,7 @@ class _Fold:
         """Return what was folded."""
         filled = np.flatnonzero(self.repeats)
         n = self.repeats[filled]
-        error, squares, inside, inside2, each = self._sums[:, filled] / n
+        error, squares, inside, inside2, each, speed, travel = self._sums[:, filled] / n
         with np.errstate(invalid="ignore", divide="ignore"):
             standard_error = np.sqrt(np.maximum(squares - error**2, 0.0) / (n - 1.0))
         angle = np.mod(self.shift + (filled + 0.5) * self._spacing + inside, self._turn)
@@ -188,6 +191,8 @@ class _Fold:
             grid=self.grid,
             angle_variance=np.maximum(inside2 - inside**2, 0.0)[sequence],
             torque_each=(each + self._torque_reference)[sequence],
+            speed=speed[sequence],
+            travel=travel[sequence],
             each_turn=kept,
         )
 
@@ -225,7 +230,7 @@ class Folding:
         self._last: tuple[float, float] | None = None
         self._recounted = 0
         self._restarted = False
-        self._waiting: list[tuple[Array, Array, Array]] = []
+        self._waiting: list[tuple[Array, Array, Array]] = []  # crank angle, transmission error, torque and speed
 
     def add(self, block: Block) -> None:
         """Take the next block."""
@@ -237,7 +242,10 @@ class Folding:
         self._last = (float(angle[-1]), float(output[-1]))
         if np.isnan(self._furthest):
             self._furthest = self._start = float(angle[0])
-        self._waiting.append((angle, output - angle / self.ratio, block.torque))
+        passed = np.gradient(block.time) if angle.size > 1 else np.zeros(1)
+        turned = np.gradient(angle) if angle.size > 1 else np.zeros(1)
+        speed = np.divide(turned, passed, out=np.zeros(angle.size), where=passed > 0.0)
+        self._waiting.append((angle, output - angle / self.ratio, np.vstack([block.torque, speed])))
         # Which way the crank turns shows once it is away from where it began.
         if self._direction or sum(part[0].size for part in self._waiting) > _FIRST or self._is_away(angle):
             self._fold()
@@ -246,11 +254,11 @@ class Folding:
         return bool((np.abs(angle - self._start) > _REVERSAL).any())
 
     def _fold(self) -> None:
-        angle, error, torque = (np.concatenate(parts) for parts in zip(*self._waiting, strict=True))
+        angle, error, beside = (np.concatenate(parts, axis=-1) for parts in zip(*self._waiting, strict=True))
         self._waiting.clear()
         begin = 0
         while begin < angle.size:
-            begin = self._stretch(angle, error, torque, begin)
+            begin = self._stretch(angle, error, beside, begin)
 
     def _recount(self, angle: Array, output: Array, gaps: NDArray[np.int64]) -> Array:
         """Add the turns of the crank that the output shows to have passed in a gap."""
@@ -269,7 +277,7 @@ class Folding:
                 self._recounted += 1
         return angle
 
-    def _stretch(self, angle: Array, error: Array, torque: Array, begin: int) -> int:
+    def _stretch(self, angle: Array, error: Array, beside: Array, begin: int) -> int:
         """Fold from `begin` to the next reversal and return where that is."""
         part = angle[begin:]
         if self._direction == 0:
@@ -291,16 +299,16 @@ class Folding:
                 end = (
                     int(np.argmax(ahead[: back[0] + 1])) + 1 if ahead[: back[0] + 1].max() >= d * self._furthest else 0
                 )
-                self._take(part[:end], error[begin : begin + end], torque[begin : begin + end], reached[:end])
+                self._take(part[:end], error[begin : begin + end], beside[:, begin : begin + end], reached[:end])
                 self._reversing += int(back[0]) - end
                 self._direction = -d
                 self._furthest = float(part[back[0]])
                 self._restarted = True
                 return begin + int(back[0])
-        self._take(part, error[begin:], torque[begin:], reached)
+        self._take(part, error[begin:], beside[:, begin:], reached)
         return angle.size
 
-    def _take(self, angle: Array, error: Array, torque: Array, reached: Array) -> None:
+    def _take(self, angle: Array, error: Array, beside: Array, reached: Array) -> None:
         if not angle.size:
             return
         before = self._direction * self._furthest
@@ -317,8 +325,8 @@ class Folding:
             standing[starts[grows[starts]]] = False
             self._stood += int(np.count_nonzero(standing))
             moving = ~standing
-            angle, error, torque = angle[moving], error[moving], torque[moving]
-        self._folds[self._direction].add(angle, error, torque, way, restarted=self._restarted)
+            angle, error, beside = angle[moving], error[moving], beside[:, moving]
+        self._folds[self._direction].add(angle, error, beside, way, restarted=self._restarted)
         self._restarted &= not angle.size
 
     def curves(self, stream: Recording | RecordingStream, blocks: PlausibleBlocks) -> list[Curve]:

@@ -4,10 +4,12 @@ import os
 
 import numpy as np
 import pytest
-from sampled_drives import SAMPLINGS, SMALL, coverage, recorded
+from sampled_drives import ARCSEC, LOADS, SAMPLINGS, SMALL, coverage, distances, random_drive, recorded
 
 import fitting
+from cycloid_fmu.drive import Drive
 from cycloid_fmu.surfaces.surface import surface_of_pair
+from fitting.estimation.identify import identify
 
 
 @pytest.fixture(scope="module")
@@ -47,3 +49,19 @@ def test_coverage_of_every_sampling(small, each, turns, record_property):
     spread = 2.0 * np.sqrt(0.05 * 0.95 / inside.size)
     assert 0.92 - 2.0 * spread <= inside.mean() <= 0.98 + 2.0 * spread
     assert 1.96 * np.abs(found).max() < 5.0
+
+
+def test_a_zero_that_creeps_over_turns_out_of_step_is_no_noise(small):
+    """10″ over four turns, of which every angle sees another part."""
+    generator = np.random.default_rng(5)
+    surface, values = random_drive(small, generator, 0.3e-6)
+    whole = 4.0 * 2.0 * np.pi * 11.0
+    runs = [
+        recorded(
+            small, surface, load, generator, each=24.37, turns=4, left=lambda a, load: 10 * ARCSEC * abs(a) / whole
+        )
+        for load in LOADS
+    ]
+    found = identify(runs, Drive(small), held_out=False)
+    assert found.residual < 0.52 * ARCSEC
+    assert 1.96 * max(abs(z) for z in distances(found, values).values()) < 4.5
