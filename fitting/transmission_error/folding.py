@@ -1,8 +1,8 @@
 """From a recording to its transmission error curves: over one output turn, averaged over turns, one direction each.
 
 The samples are taken block by block and folded as they come, so that hours at kilohertz need no more memory than one
-output turn. Samples of different turns share a point only where their angles are as good as the same: where sampling is
-not in step with the crank they lie up to a sample's spacing apart, and there pins come into contact and leave it.
+output turn. Turns share a point only where their angles are as good as the same: where sampling is not in step with the
+crank their samples lie up to a sample's spacing apart, and there pins come into contact and leave it.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 POINTS = 1 << 15  # most even points of a turn: orders up to a quarter of them are resolved
 _PITCH = 20  # points that the crank's way from one pin to the next is divided into, where turns are not in step
 _FINEST = 1 << 18  # most points of a turn then
+_SHARED = 1.1  # points that turns in step have, of those that each has; others keep every sample as a point
 _FIRST = 1 << 20  # samples from which the number of points is found
 _RAMP = np.pi / 648000.0  # over a whole recording: what runs away by less gets no note
 _REVERSAL = np.radians(2.0)  # of the crank: what turns back less is vibration; beyond the lost motion of any drive
@@ -44,6 +45,7 @@ class _Fold:
         self.points = 0
         self._first: list[tuple[Array, Array, Array, bool]] = []
         self._travelled = self._furthest = 0.0
+        self._turns = 0  # before the last reversal
         self._held = 0
         self._torque = np.zeros(2)
         self._line = np.zeros(5)
@@ -74,13 +76,17 @@ class _Fold:
         even = self.points if self.way >= self._turn else max(1, round(self._turn / spacing))
         self.grid = (even, float(np.mod(angle[0], self._turn) - 0.5 * spacing))
         parts = 1 if self._evenly else max(1, round(min(_PITCH * self.ratio**2, _FINEST) / even))
-        self.whole, self._spacing = even * parts, spacing / parts
+        self._whole, self._spacing = even * parts, spacing / parts
         self.shift = float(np.mod(angle[0], self._turn) - 0.5 * self._spacing)
+        self._apart = 1
+        if not self._evenly and self._held <= POINTS and not self._in_step():
+            self._apart = int(self.way / self._turn) + 2 + sum(restarted for *_, restarted in self._first)
+        self.whole = self._whole * self._apart
         self._reference = float(self._first[0][1][0])
         self._torque_reference = float(self._first[0][2][0, 0])
         self.count = np.zeros(self.whole, np.int64)
         self.repeats = np.zeros(self.whole, np.int64)
-        # Over turns: mean error, its square, mean angle, mean squared angle, mean torque, speed and way; and of the turn
+        # Over turns: mean error, its square, mean angle, mean squared angle, mean torque, speed and way; of the turn
         # under way, at the points that it has: samples, error, angle, squared angle, torque, speed, way.
         self._sums = np.zeros((7, self.whole))
         self._open_points, self._open = np.zeros(0, np.int64), np.zeros((7, 0))
@@ -89,10 +95,17 @@ class _Fold:
         for part in waiting:
             self._take(*part)
 
+    def _in_step(self) -> bool:
+        """Whether the samples of all turns share their points."""
+        angle = np.concatenate([part[0] for part in self._first])
+        point = (np.mod(angle - self.shift, self._turn) / self._spacing + 1e-9).astype(np.int64)
+        return np.unique(point).size * self.way < _SHARED * self._held * self._turn
+
     def _take(self, angle: Array, error: Array, beside: Array, restarted: bool) -> None:
         if restarted:
             self.finish()
             self._travelled = self._furthest
+            self._turns = (self._turns + 1) % self._apart
             self._begins = float(angle[0])
         self.samples += angle.size
         error = error - self._reference
@@ -103,8 +116,9 @@ class _Fold:
         travel = self.direction * (angle - self._begins) + 0.5 * self._spacing
         turn = np.maximum((travel / self._turn + 1e-9).astype(np.int64), self._open_turn)
         place = np.mod(angle - self.shift, self._turn) / self._spacing + 1e-9
-        point = np.minimum(place.astype(np.int64), self.whole - 1)
+        point = np.minimum(place.astype(np.int64), self._whole - 1)
         inside = (place - (point + 0.5)) * self._spacing
+        point += self._whole * ((turn + self._turns) % self._apart)
         last = int(turn.max()) - self._open_turn
         key = np.concatenate([self._open_points, point + (turn - self._open_turn) * self.whole])
         key, at = np.unique(key, return_inverse=True)
@@ -150,6 +164,7 @@ class _Fold:
         if self.points:
             self._close(self._open_points, self._open)
             self._open_points, self._open = np.zeros(0, np.int64), np.zeros((7, 0))
+            self._turns = (self._turns + self._open_turn) % self._apart
             self._open_turn = 0
 
     def curve(
@@ -425,9 +440,10 @@ def _ramp_note(fold: _Fold, source: str) -> list[str]:
 def curves(recordings: Source | Iterable[Source], drive: Drive | float, *, keep_turns: bool = False) -> list[Curve]:
     """Return the transmission error curves of recordings: of each direction, the one it turned further first.
 
-    The crank angle is folded to one output turn and divided into as many points as samples were taken in a turn (at
-    most `POINTS`), or into twenty for each pin that the crank passes where that is more. What falls into a point is
-    averaged within each turn and then over turns, angle and error alike; a point without a sample is left out.
+    The crank angle is folded to one output turn. Where all turns were sampled at the same angles they are averaged
+    there; else every sample is a point of its own. Of more than `POINTS` samples those are averaged that lie within a
+    twentieth of the crank's way from one pin to the next, or a `POINTS`-th of the turn where that is more: within each
+    turn and then over turns, angle and error alike.
 
     Parameters
     ----------
