@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from cycloid_fmu.fmu.run import simulate_fmu
     from cycloid_fmu.fmu.variables import Interface
     from cycloid_fmu.geometry.pair import Material, Pair
-    from cycloid_fmu.reducer.lost_motion import Reducer, budget, read_reducer
+    from cycloid_fmu.reducer.description import Reducer, read_reducer
+    from cycloid_fmu.reducer.lost_motion import budget
     from cycloid_fmu.surfaces.files import read_surface
     from cycloid_fmu.surfaces.sampling import Tolerances, read_tolerances
     from cycloid_fmu.surfaces.surface import ErrorSurface
@@ -30,7 +31,8 @@ _HOMES = {
     "fmu.run": ("simulate_fmu",),
     "fmu.variables": ("Interface",),
     "geometry.pair": ("Material", "Pair"),
-    "reducer.lost_motion": ("Reducer", "budget", "read_reducer"),
+    "reducer.description": ("Reducer", "read_reducer"),
+    "reducer.lost_motion": ("budget",),
     "surfaces.files": ("read_surface",),
     "surfaces.sampling": ("Tolerances", "read_tolerances"),
     "surfaces.surface": ("ErrorSurface",),

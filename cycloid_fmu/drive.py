@@ -14,15 +14,17 @@ from numpy.typing import ArrayLike, NDArray
 from cycloid_fmu import edge
 from cycloid_fmu.errors.kinds import KINDS, kind_of, structured_names
 from cycloid_fmu.errors.stated import Errors
-from cycloid_fmu.geometry.pair import ANGLES, Pair, read_pair
+from cycloid_fmu.geometry.pair import ANGLES, Pair
 from cycloid_fmu.surfaces.provenance import drive_hash, drive_text, stating
-from cycloid_fmu.surfaces.structured import profile_wave
+from cycloid_fmu.surfaces.structured import dimensions, profile_wave
 from cycloid_fmu.surfaces.surface import ErrorSurface, check_surface, stated_values, surface_of_pair
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from cycloid_fmu.fmu.variables import Interface
+    from cycloid_fmu.reducer.description import Reducer
+    from cycloid_fmu.reducer.first_stage import FirstStage
     from cycloid_fmu.studies.yields import Findings
     from cycloid_fmu.supports.figures import BearingLoad, Share
     from cycloid_fmu.surfaces.sampling import Tolerances
@@ -56,9 +58,12 @@ class Drive:
     Parameters
     ----------
     pair
-        The gear pair; the errors that it states are the drive's unless a surface is given.
+        The gear pair; the errors that it states are the drive's unless a surface is given. Or an RV reducer: then its
+        cycloid stage, its errors, and its first stage.
     surface
         What really was made, of the same pair.
+    first_stage
+        What turns the cranks, where it is not a motor.
 
     Attributes
     ----------
@@ -66,6 +71,9 @@ class Drive:
         The pair with the errors that the drive has.
     surface
         The drive's errors as an error surface.
+    first_stage
+        The involute stage before the cranks: transmission error, stiffness and play are then those of the output with
+        the sun locked. None without one.
 
     Raises
     ------
@@ -88,14 +96,22 @@ class Drive:
 
     pair: Pair
     surface: ErrorSurface
+    first_stage: FirstStage | None
 
-    def __init__(self, pair: Pair, surface: ErrorSurface | None = None) -> None:
+    def __init__(
+        self, pair: Pair | Reducer, surface: ErrorSurface | None = None, first_stage: FirstStage | None = None
+    ) -> None:
+        if not isinstance(pair, Pair):
+            from cycloid_fmu.reducer.lost_motion import parts_of
+
+            pair, made, first_stage = parts_of(pair)
+            surface = made if surface is None else surface
         if surface is None:
             surface = surface_of_pair(pair)
         else:
             check_surface(pair, surface, "the pair", "the surface")
             pair = pair if surface_of_pair(pair) == surface else stating(pair, surface)
-        self.__dict__.update(pair=pair, surface=surface)
+        self.__dict__.update(pair=pair, surface=surface, first_stage=first_stage)
 
     def __setattr__(self, name: str, value: object) -> None:
         raise AttributeError(f"{name}: a drive can't be changed; make another with replace")
@@ -108,11 +124,17 @@ class Drive:
 
     def __repr__(self) -> str:
         pair, errors = self.pair, ", ".join(self.pair.errors) or "none"
-        return f"Drive({pair.gear_teeth}/{pair.pins}, discs {pair.discs}, errors: {errors}, hash {self.hash})"
+        first = "" if self.first_stage is None else f", first stage {self.first_stage.text}"
+        return f"Drive({pair.gear_teeth}/{pair.pins}, discs {pair.discs}, errors: {errors}{first}, hash {self.hash})"
+
+    @property
+    def ratio(self) -> float:
+        """Signed ratio of the input's rotation, the crank's or behind a first stage the sun's, to the output's."""
+        return self.pair.ratio if self.first_stage is None else self.first_stage.ratio(self.pair.gear_teeth)
 
     @property
     def text(self) -> str:
-        """The drive as the text of a pair file, the same for the same drive, however it was made.
+        """The gear pair and its errors as the text of a pair file, the same however they were made.
 
         Form and wear of elements are not part of it.
         """
@@ -121,7 +143,7 @@ class Drive:
     @functools.cached_property
     def hash(self) -> str:
         """Fingerprint of all values, 16 hexadecimal digits: the same for the same drive, however it was made."""
-        return drive_hash(self.pair, self.surface)
+        return drive_hash(self.pair, self.surface, "" if self.first_stage is None else self.first_stage.text)
 
     def replace(self, errors: Mapping[str, Any] | None = None, **changes: Any) -> Self:
         """Return the drive with other values, checked as reading a file does.
@@ -143,13 +165,15 @@ class Drive:
         given = {names.get(name, name): value for name, value in (errors or {}).items()}
         surface = changes.pop("surface", self.surface)
         if surface == surface_of_pair(self.pair):
-            return type(self)(self.pair.replace(errors=given, **changes))
+            return type(self)(self.pair.replace(errors=given, **changes), None, self.first_stage)
         pair, stated = self.pair.nominal.replace(**changes), Errors(given)
         changed = {kind.name for kind in KINDS.values() if kind.file_key in given}
         kept = {name: values for name, values in surface.errors.items() if name not in changed}
         values = {**kept, **stated_values(pair, stated)}
         # What was fitted together with other values is not their covariance.
-        return type(self)(pair, surface.replace(pair=pair, errors=values, covariance=None, covariance_of=()))
+        return type(self)(
+            pair, surface.replace(pair=pair, errors=values, covariance=None, covariance_of=()), self.first_stage
+        )
 
     def analyze(
         self,
@@ -190,13 +214,13 @@ class Drive:
             If a torque can't be carried.
         """
         from cycloid_fmu.contact.transmission import slices_needed
-        from cycloid_fmu.supports.transmission import analyze
+        from cycloid_fmu.reducer.transmission import analyze
 
         if crank_angle is None:
             crank_angle = np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False)
         given = [torque] if isinstance(torque, str) or np.ndim(torque) == 0 else list(torque)  # type: ignore[arg-type]
         return analyze(
-            self.pair, self.surface, [_torque(t) for t in given], crank_angle,
+            self.pair, self.surface, self.first_stage, [_torque(t) for t in given], crank_angle,
             slices or slices_needed(self.surface), with_elements=slices is not None,
             workers=workers or os.cpu_count() or 1, progress=progress,
         )  # fmt: skip
@@ -225,9 +249,9 @@ class Drive:
         >>> [share.part for share in cy.Drive(pair).compliance()]
         ['mesh', 'main bearing']
         """
-        from cycloid_fmu.supports.figures import compliance
+        from cycloid_fmu.reducer.transmission import compliance
 
-        return compliance(self.pair, progress=progress)
+        return compliance(self.pair, self.first_stage, progress=progress)
 
     def bearing_loads(self, torque: float | str, *, angles: int = ANGLES, turns: int = 1) -> list[BearingLoad]:
         """Largest and equivalent load of every bearing over whole crank turns, and its basic rating life (ISO 281).
@@ -244,11 +268,11 @@ class Drive:
         edge.InputError
             If the pair has no supports or the torque can't be carried.
         """
+        from cycloid_fmu.reducer.transmission import solve
         from cycloid_fmu.supports.figures import bearing_loads
-        from cycloid_fmu.supports.transmission import solve
 
         crank_angle = np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False)
-        found = solve(self.pair, self.surface, [_torque(torque)], crank_angle, with_play=False)
+        found = solve(self.pair, self.surface, self.first_stage, [_torque(torque)], crank_angle, with_play=False)
         return bearing_loads(self.pair, found)
 
     def sensitivity(
@@ -295,7 +319,8 @@ class Drive:
         import xarray as xr
 
         from cycloid_fmu.contact.transmission import slices_needed
-        from cycloid_fmu.supports.transmission import LAWS, error_sensitivity
+        from cycloid_fmu.reducer.transmission import error_sensitivity
+        from cycloid_fmu.supports.transmission import LAWS
 
         if crank_angle is None:
             crank_angle = np.linspace(0.0, 2.0 * math.pi, angles, endpoint=False)
@@ -305,7 +330,7 @@ class Drive:
             if name not in known and kind_of(name) is None and profile_wave(name, 1) is None:
                 raise edge.ArgumentError("errors", f"no structured error; {edge.did_you_mean(name, known)}", name)
         _, jacobian = error_sensitivity(
-            self.pair, self.surface, _torque(torque), crank_angle, names, slices_needed(self.surface)
+            self.pair, self.surface, self.first_stage, _torque(torque), crank_angle, names, slices_needed(self.surface)
         )
         units = {"units": "rad/m, rad/rad", "long_name": "derivative of the transmission error", "drive": self.hash}
         places = {"error": names, "crank_angle": np.atleast_1d(crank_angle)}
@@ -338,7 +363,8 @@ class Drive:
         """
         from cycloid_fmu.surfaces.sampling import sample_surface
 
-        return type(self)(self.pair.nominal, sample_surface(self.pair, _tolerances(tolerances), seed))
+        made = sample_surface(self.pair, _tolerances(tolerances), seed)
+        return type(self)(self.pair.nominal, made, self.first_stage)
 
     def study(
         self,
@@ -392,7 +418,7 @@ class Drive:
         loads = [rated, -rated] if torque is None and rated is not None else torque or ()
         study = Study(
             self.pair, _tolerances(tolerances), samples, seed, tuple(_torque(t) for t in loads),
-            angles=angles,
+            angles=angles, first_stage=self.first_stage,
         )  # fmt: skip
         yields.check(study, "pair", "tolerances", to_first_order=first_order is not None)
         return yields.conduct(study, first_order, workers=workers or os.cpu_count() or 1, progress=progress)
@@ -441,6 +467,7 @@ class Drive:
         from cycloid_fmu.wear.law import Load, WearLaw, read_wear_law
         from cycloid_fmu.wear.life import run_wear
 
+        refuse_first_stage(self, "wear")
         source = "law" if isinstance(law, WearLaw) else str(law)
         stated = law if isinstance(law, WearLaw) else read_wear_law(law)
         loads = (Load(torque=_torque(torque), crank_turns=1.0),)
@@ -519,13 +546,22 @@ class Drive:
             write_pair(self.pair, target)
 
 
+def refuse_first_stage(drive: Drive, what: str) -> None:
+    """Refuse, with an `edge.InputError`, a drive behind a first stage where `what` knows the cycloid stage alone."""
+    if drive.first_stage is not None:
+        raise edge.ArgumentError("drive", f"{what} knows no first stage of an RV reducer yet; give its pair alone")
+
+
 def read_drive(path: str | os.PathLike[str], surface: str | os.PathLike[str] | None = None) -> Drive:
-    """Return the drive of a pair file, with the errors that it states or those of an error surface.
+    """Return the drive of a pair file or a reducer file, with the errors that it states or those of an error surface.
+
+    Where a reducer file contradicts itself, an `edge.InputWarning` says what is used.
 
     Raises
     ------
     edge.InputError
-        If a file can't be read or the surface belongs to another pair; it names the file, the field and the value.
+        If a file can't be read, the surface belongs to another pair or a drive with these errors can't have been made;
+        it names the file, the field and the value.
 
     Examples
     --------
@@ -538,14 +574,15 @@ def read_drive(path: str | os.PathLike[str], surface: str | os.PathLike[str] | N
     >>> cy.read_drive("drive.toml") == drive
     True
     """
+    from cycloid_fmu.reducer.drive_file import parts_of_file
     from cycloid_fmu.surfaces.files import read_surface
 
-    pair = read_pair(path)
-    if surface is None:
-        return Drive(pair)
-    made = read_surface(surface)
-    check_surface(pair, made, str(path), str(surface))
-    return Drive(pair, made)
+    pair, made, first_stage = parts_of_file(path)
+    if surface is not None:
+        made = read_surface(surface)
+        check_surface(pair, made, str(path), str(surface))
+        dimensions(pair, made, f"{surface}: errors")
+    return Drive(pair, made, first_stage)
 
 
 def field_units(data: xr.Dataset) -> xr.Dataset:

@@ -13,7 +13,7 @@ from pydantic_core.core_schema import CoreSchema, ModelSchema
 from cycloid_fmu import edge
 from cycloid_fmu.errors.kinds import KINDS, ErrorKind
 from cycloid_fmu.geometry import pair
-from cycloid_fmu.reducer import lost_motion as reducer
+from cycloid_fmu.reducer import description as reducer
 from cycloid_fmu.surfaces import sampling
 from cycloid_fmu.wear import law as wear_law
 from drivers.encoder import protocols
@@ -39,9 +39,9 @@ STATED_BY = {pair._Geometry: pair.Pair, pair._File: pair.Pair, sampling.file_mod
 QUANTITIES = {
     "m": "length", "rad": "angle", "N*m": "torque", "Pa": "pressure", "s": "time", "rad/s": "speed",
     "K": "temperature", "N": "force", "N/m": "stiffness", "N*m/rad": "torsional stiffness",
-    "1/Pa": "pressure viscosity", "m^2/N": "wear coefficient",
+    "1/K": "thermal expansion", "1/Pa": "pressure viscosity", "m^2/N": "wear coefficient",
 }  # fmt: skip
-ELSEWHERE = ("stage",)  # a reducer's [pair], [modification] and [material] are those of a pair file
+ELSEWHERE = ("stage",)  # a reducer's [pair], [modification], [material] and [supports] are those of a pair file
 INTRODUCTION = """# Files
 
 Quantities are text with a unit (`"64 mm"`), angles too; a key that is not listed is refused. The first line of every
@@ -83,7 +83,8 @@ def _meanings(text: str) -> dict[str, str]:
 def _kind(schema: dict, definitions: dict) -> str:
     """How a value is written."""
     if "quantity" in schema:
-        return f'{QUANTITIES[schema["si"]]}, `"{schema["quantity"]}"`'
+        limits = f", {schema['limits']}" if "limits" in schema else ""
+        return f'{QUANTITIES[schema["si"]]}, `"{schema["quantity"]}"`{limits}'
     if "anyOf" in schema:
         kinds = dict.fromkeys(_kind(s, definitions) for s in schema["anyOf"] if s.get("type") != "null")
         return " or ".join(kinds)

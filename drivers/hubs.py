@@ -7,9 +7,10 @@ import collections
 import errno
 import threading
 from collections.abc import Callable
-from typing import Any, Generic, Protocol, Self, TypeVar
+from typing import Any, ClassVar, Generic, Literal, Protocol, Self, TypeVar
 
-from drivers.encoder import BusConfig, Encoder, EncoderError, PlcConfig, PortConfig
+from cycloid_fmu import edge
+from drivers.encoder import BusConfig, Encoder, EncoderError, PlcConfig, PortConfig, Wiring
 from drivers.recording_format import Event
 
 BLOCK_SECONDS = 0.05  # of a block, and so of what a kill can cost besides the batch being written
@@ -143,13 +144,30 @@ class HubEncoder(Encoder, Generic[Hub]):
         The channel's table in the `BENCH.toml`.
     line
         The bus, port or PLC.
+
+    Attributes
+    ----------
+    shared
+        The hubs of all such encoders.
+    line
+        Key of the channel's table that names the hub's own.
     """
 
     shared: SharedHubs[Any]
+    line: ClassVar[Literal["bus", "port", "plc"]]
 
     def __init__(self, name: str, config: Any, line: BusConfig | PortConfig | PlcConfig) -> None:
         self.name, self.config, self._line = name, config, line
         self.hub: Hub | None = None
+
+    @classmethod
+    def from_config(cls, name: str, config: Any, wiring: Wiring) -> Self:
+        """Return the encoder of a `[channel.name]`; see `Encoder.from_config`."""
+        line = getattr(wiring, cls.line)(getattr(config, cls.line), name)
+        try:
+            return cls(name, config, line)
+        except edge.InputError as problem:
+            raise edge.InputError(f"{wiring.source}: [channel.{name}] {problem}") from None
 
     @abc.abstractmethod
     def set_up(self, hub: Hub) -> None:

@@ -193,7 +193,7 @@ def test_every_key_of_a_pair_file_has_its_own_meaning(tmp_path, monkeypatch):
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in section.splitlines() if line[:3] == "| `"]
     meanings = {cells[0]: cells[-1] for cells in rows if len(cells) == 4}
     assert {f"`{name}`" for name in (*Pair.model_fields, "isometric", "offset")} - set(meanings) == {
-        "`modification`", "`material`", "`errors`", "`supports`"
+        "`modification`", "`material`", "`errors`", "`supports`", "`temperature`", "`expansion`"
     }  # fmt: skip
     assert all(meanings.values())
     assert len(set(meanings.values())) == len(meanings)

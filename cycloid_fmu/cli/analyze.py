@@ -35,6 +35,13 @@ def analyze(
             min=1, help="Slices across the face, with contact lines and element pressures.", show_default=False
         ),
     ] = None,
+    temperature: Annotated[
+        str | None,
+        typer.Option(
+            metavar='"ring = 50 degC, discs = 60 degC"',
+            help="Temperatures of ring, pins, discs, carrier and crank, or one of all; else those of the pair file.",
+        ),
+    ] = None,
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
@@ -46,15 +53,18 @@ def analyze(
 
     from cycloid_fmu.contact.transmission import Interrupted, notes, slices_needed
     from cycloid_fmu.drive import read_drive
-    from cycloid_fmu.supports import transmission
+    from cycloid_fmu.geometry.temperature import parse_temperatures
+    from cycloid_fmu.reducer import transmission
 
     drive = read_drive(pair_file, surface_file)
+    if temperature is not None:
+        drive = drive.replace(temperature=parse_temperatures(temperature, drive.pair.temperature))
     used = slices or slices_needed(drive.surface)
     angle = np.linspace(0.0, 2.0 * np.pi * turns, angles, endpoint=False)
     with commands.progress("crank angles", angles * len(torque)) as progress:
         try:
             found = transmission.solve(
-                drive.pair, drive.surface, torque, angle, used, with_elements=slices is not None,
+                drive.pair, drive.surface, drive.first_stage, torque, angle, used, with_elements=slices is not None,
                 workers=os.cpu_count() or 1, progress=progress,
             )  # fmt: skip
         except Interrupted as interrupted:
@@ -68,7 +78,8 @@ def analyze(
     shares = drive.compliance() if supported and (plot is not None or not as_json) else []
     if output is not None or plot is not None or as_json:
         # Only here: xarray takes longer to load than the sweep.
-        data = transmission.labelled(drive.pair, drive.surface, found, used, complete=finished == angles)
+        whole = finished == angles
+        data = transmission.labelled(drive.pair, drive.surface, drive.first_stage, found, used, complete=whole)
         if output is not None:
             edge.write_netcdf(data, output)
         if plot is not None:
@@ -82,7 +93,9 @@ def analyze(
         if as_json:
             commands.print_json({str(k): v.values for k, v in {**data.coords, **data.data_vars}.items()})
     if not as_json:
-        _print(found, f"{pair_file.name}, {finished} crank angles over {turns} turn(s)")
+        held = "" if drive.first_stage is None else f", ratio {drive.ratio:g}, sun locked"
+        warm = "" if drive.pair.temperature is None else f", {drive.pair.temperature}"
+        _print(found, f"{pair_file.name}, {finished} crank angles over {turns} turn(s){held}{warm}")
         if drive.pair.supports is not None:
             _print_bearings(drive, found, shares)
     for note in notes(drive.pair, found):
@@ -133,6 +146,7 @@ def _print_bearings(drive: Drive, found: Transmission, shares: list[Share]) -> N
     if not math.isnan(left):
         rows.append(["left to the catalogue's", f"{left * 1e6:.4f}", f"{1.0 / (whole + left) / edge.ARCMIN:.1f}", ""])
     commands.print_table(
-        "Where compliance and lost motion come from, as drawn",
+        "Where compliance and lost motion come from, as drawn"
+        + ("" if drive.pair.temperature is None else ", at 20 °C"),
         ["part", "compliance, µrad/(N·m)", "stiffness with it, N·m/arcmin", "lost motion"], rows,
     )  # fmt: skip

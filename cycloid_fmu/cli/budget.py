@@ -26,11 +26,12 @@ def budget(
     Example: [cyan]cycloid-fmu budget rv.toml --plot budget.png[/]
     """
     from cycloid_fmu.reducer import lost_motion as rv
+    from cycloid_fmu.reducer.description import contradictions, read_reducer, values_of
     from cycloid_fmu.reducer.stack import stack as scattered
     from cycloid_fmu.reducer.stack import stack_summary
 
-    reducer = rv.read_reducer(reducer_file)
-    warnings = rv.contradictions(reducer, str(reducer_file))
+    reducer = read_reducer(reducer_file)
+    warnings = contradictions(reducer, str(reducer_file))
     found = rv.budget(reducer)
     remarks = rv.remarks(reducer, found)
     with commands.progress("reducers", samples) as progress:
@@ -45,7 +46,7 @@ def budget(
             {**found, "ratio": reducer.ratio, "stack": scatter, "remarks": remarks, "warnings": warnings}
         )
         return
-    values, closed = rv.values_of(reducer), found["standard"]
+    values, closed = values_of(reducer), found["standard"]
     terms = sorted((n for n in rv.TERMS if any(v[n] for v in found.values())), key=lambda n: -abs(closed[n]))
     rows = []
     for name in (*terms, "interaction", *rv.STAGES, "total"):

@@ -56,33 +56,29 @@ def build(
 
     Example: [cyan]cycloid-fmu build pair.toml --surface identified.nc -o drive.fmu[/]
     """
+    from cycloid_fmu.drive import read_drive
     from cycloid_fmu.fmu.build import build_fmu, read_losses
     from cycloid_fmu.fmu.variables import LOSSLESS, Interface
-    from cycloid_fmu.reducer.drive_file import drive_of_file
 
     if platforms and not native:
         raise edge.InputError("--platform: only a --native FMU has platforms; one in Python runs where Python does.")
     offered = Interface(interface, output_inertia, LOSSLESS if losses is None else read_losses(losses))  # type: ignore[arg-type]
-    drive, surface, warnings = drive_of_file(pair_file, surface_file)
-    for warning in warnings:
-        typer.echo(warning, err=True)
+    drive = read_drive(pair_file, surface_file)
     options: dict[str, Any] = {"interface": offered, "fmi_version": fmi_version}
     if not native:
-        build_fmu(drive, output, surface, **options)
+        build_fmu(drive, output, **options)
         return
-    from cycloid_fmu.geometry.pair import Pair
     from cycloid_fmu.native.build import build_native, platforms_of
     from cycloid_fmu.native.tables import LARGEST_LOAD, PROBES
 
-    pair = drive if isinstance(drive, Pair) else drive.stage
-    if pair.rated_torque is None:
+    if drive.pair.rated_torque is None:
         raise edge.InputError(
             f"{pair_file}: [pair] rated_torque is missing; state it: the tables reach {LARGEST_LOAD:g} times as far."
         )
     names = platforms or platforms_of(fmi_version)  # type: ignore[arg-type]
     with commands.Bar("compiling", len(names)) as bar:
         made = build_native(
-            drive, output, surface, **options, platforms=names, workers=os.cpu_count() or 1,
+            drive, output, **options, platforms=names, workers=os.cpu_count() or 1,
             compiled=lambda name: bar.advance(), progress=bar.advance,
             total=lambda count: bar.update(completed=0, total=count, description="crank angles"),
         )  # fmt: skip

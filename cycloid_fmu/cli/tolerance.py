@@ -153,11 +153,14 @@ def _print_figures(found: Findings, title: str) -> None:
 
 
 def _print_allocation(found: Findings, allocation: Allocation) -> None:
+    from cycloid_fmu.errors.kinds import KINDS
+
+    kinds = {kind.tolerance.key: kind for kind in KINDS.values() if kind.tolerance is not None}
     tolerances = found.result.study.tolerances
     rows = []
     for name, scale in zip(found.result.study.factors, allocation.scale, strict=True):
         stated = getattr(tolerances, name)
-        factor, unit = (1e3, "mrad") if name.startswith("misalignment") else (1e6, "µm")
+        factor, unit = (1e3, "mrad") if kinds[name].unit == "rad" else (1e6, "µm")
         for field in ("single", "cumulative") if hasattr(stated, "single") else ("tolerance",):
             width = getattr(stated, field) * factor
             cost = tolerances.costs.get(name, 1.0) / scale

@@ -39,7 +39,7 @@ def wear(
 
     Example: [cyan]cycloid-fmu wear pair.toml --wear wear.toml --torque "-400 N*m" --crank-turns 3e6 -o worn.nc[/]
     """
-    from cycloid_fmu.drive import read_drive
+    from cycloid_fmu.drive import read_drive, refuse_first_stage
     from cycloid_fmu.surfaces.files import write_surface
     from cycloid_fmu.wear import life
     from cycloid_fmu.wear.law import duty_cycle, read_wear_law
@@ -47,6 +47,7 @@ def wear(
     law = read_wear_law(wear_file)
     loads, turns = duty_cycle(law, torque, crank_turns, duty_file, str(wear_file))
     drive = read_drive(pair_file, surface_file)
+    refuse_first_stage(drive, "wear")
     with commands.Bar("crank turns", turns or 1.0) as bar:
         run = life.run_wear(
             drive.pair, drive.surface, law, loads, turns, str(wear_file), workers=os.cpu_count() or 1,

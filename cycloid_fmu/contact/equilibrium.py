@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from cycloid_fmu.contact.compiling import compiled, inlined, part
+from cycloid_fmu.contact.compiling import compiled, inlined, part, spliced
 from cycloid_fmu.contact.hertz import hertz
 from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
 from cycloid_fmu.contact.problem import Problem
@@ -110,7 +110,7 @@ def behind_compliance(
     return _balance(problem, theta, 0.0, compliance, flange, 1.0, x, contacts, cold)
 
 
-@part
+@spliced
 def _balance(
     problem: Problem,
     theta: float,
@@ -127,7 +127,6 @@ def _balance(
     stiffness = 0.0
     for _ in range(100):
         place(problem, theta, x, contacts, cold, CLEAR, BOUNDED)
-        # Not a literal False in a second call, for which everything would be compiled again; so everywhere here.
         cold = False
         balance, stiffness = load(problem, theta, x, contacts)
         short = share * (torque - balance) + hold * (flange - x)

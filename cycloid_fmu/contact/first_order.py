@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,7 +159,7 @@ def _equilibrium(
             arm += x * rate
             force, spring, _ = contact.hertz(
                 -gap, rows[k, _CURVATURE], pin_radius, width, compliance_gear, compliance_pin, largest_log_radius,
-                forces[k],
+                forces[k], 0.0,
             )  # fmt: skip
             forces[k] = force
             moment += force * arm
@@ -225,7 +225,6 @@ def _sweep_sensitivities(
     compliance_pin: float, largest_log_radius: float, torque: Array, deviation: Array, each: Array, by_torque: Array,
 ) -> None:  # fmt: skip
     gaps, forces = np.empty(contacts.rows.shape[1]), np.empty(contacts.rows.shape[1])
-    each[:] = 0.0
     x = 0.0
     for i in range(contacts.number.size):
         rows, count, out = contacts.rows[i], contacts.number[i], each[i]
@@ -236,6 +235,8 @@ def _sweep_sensitivities(
         )  # fmt: skip
         deviation[i] = contacts.deviation[i] + x
         stiffness = 0.0
+        for column in range(out.size):
+            out[column] = 0.0
         for k in range(count):
             if forces[k] <= 0.0:
                 continue
@@ -243,7 +244,7 @@ def _sweep_sensitivities(
             arm = one[_ARM] + x * one[_RATE]
             force, spring, _ = contact.hertz(
                 0.5 * x * x * one[_RATE] + x * one[_ARM] - gaps[k], one[_CURVATURE], pin_radius, width,
-                compliance_gear, compliance_pin, largest_log_radius, forces[k],
+                compliance_gear, compliance_pin, largest_log_radius, forces[k], 0.0,
             )  # fmt: skip
             stiffness += spring * arm * arm + force * one[_RATE]
             opened = spring * arm
@@ -349,6 +350,16 @@ def _law(pair: Pair, slices: int) -> tuple[float, float, float, float, float]:
     largest_log_radius = g.pin_circle_radius if g.contact_law == "capped" else math.inf
     return (g.pin_radius, g.face_width / slices, material.gear.compliance, material.pin.compliance,
             largest_log_radius)  # fmt: skip
+
+
+class NearDrives(Protocol):
+    """Drives near those that were solved: at several loads, by their errors or what stands for them."""
+
+    def loaded(self, sweep_number: int, errors: Array, /) -> tuple[Array, Array]:
+        """Return transmission error (rad) and largest pressure (Pa), each (drives, angles)."""
+
+    def play(self, sweep_number: int, errors: Array, /) -> tuple[Array, Array]:
+        """Return backlash (rad, NaN without a free position) and interference (m), each (drives, angles)."""
 
 
 class Screen:

@@ -56,8 +56,10 @@ def load_sharing(problem: Problem, contacts: Rows, pin_force: Array, pin_pressur
     contact_count, max_contact_pressure
         Pins that carry more than 1 % of the most loaded pin's force; Pa.
     """
-    pin_force[:] = 0.0
-    pin_pressure[:] = 0.0
+    discs, pins = pin_force.shape
+    for disc in range(discs):
+        for pin in range(pins):
+            pin_force[disc, pin] = pin_pressure[disc, pin] = 0.0
     for row in range(contacts.shape[0]):
         force = contacts[row].force
         if force <= 0.0:
@@ -67,13 +69,15 @@ def load_sharing(problem: Problem, contacts: Rows, pin_force: Array, pin_pressur
         pin_force[disc, pin] += force
         pin_pressure[disc, pin] = max(pin_pressure[disc, pin], pressure)
     largest_force = largest_pressure = 0.0
-    for disc, pin in np.ndindex(pin_force.shape):
-        largest_force = max(largest_force, float(pin_force[disc, pin]))
-        largest_pressure = max(largest_pressure, float(pin_pressure[disc, pin]))
+    for disc in range(discs):
+        for pin in range(pins):
+            largest_force = max(largest_force, float(pin_force[disc, pin]))
+            largest_pressure = max(largest_pressure, float(pin_pressure[disc, pin]))
     count = 0
-    for disc, pin in np.ndindex(pin_force.shape):
-        if pin_force[disc, pin] > _COUNTED * largest_force:
-            count += 1
+    for disc in range(discs):
+        for pin in range(pins):
+            if pin_force[disc, pin] > _COUNTED * largest_force:
+                count += 1
     return count, largest_pressure
 
 
@@ -98,8 +102,10 @@ def write_contact_lines(
     points, gear_map, pin_map = lines.flank_alpha, lines.gear_pressure[load], lines.pin_pressure[load]
     slice_force, slice_direction = lines.slice_force[load, angle], lines.slice_direction[load, angle]
     elements, angles = gear_map.shape[2], pin_map.shape[1]
-    slice_force[:] = 0.0
-    slice_direction[:] = 0.0
+    for disc in range(slice_force.shape[0]):
+        for pin in range(slice_force.shape[1]):
+            for slice_ in range(slice_force.shape[2]):
+                slice_force[disc, pin, slice_] = slice_direction[disc, pin, slice_] = 0.0
     arc = math.hypot(lines.flank_x[2] - lines.flank_x[1], lines.flank_y[2] - lines.flank_y[1])
     for row in range(contacts.shape[0]):
         contact = contacts[row]

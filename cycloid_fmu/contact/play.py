@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from cycloid_fmu.contact.compiling import compiled, part
+from cycloid_fmu.contact.compiling import compiled, part, spliced
 from cycloid_fmu.contact.equilibrium import to_touch
 from cycloid_fmu.contact.local_frame import local_frame
 from cycloid_fmu.contact.placement import CLEAR, place
@@ -91,7 +91,7 @@ def play(problem: Problem, theta: float, x: float, contacts: Rows, cold: bool) -
     return low, _first_touch(problem, theta, x, contacts, cold, 1.0), 0.0
 
 
-@part
+@spliced
 def _first_touch(problem: Problem, theta: float, x: float, contacts: Rows, cold: bool, direction: float) -> float:
     # What a flank with deviations predicts reaches no farther than its next element.
     clear = CLEAR if problem.deviations is None else math.inf

@@ -58,7 +58,8 @@ def sensitivities(problem: Problem, theta: float, x: float, contacts: Rows, out:
     pins = problem.teeth + 1
     radial, tangential, radius = BODY_COUNT, BODY_COUNT + pins, BODY_COUNT + 2 * pins
     pitch = BODY_COUNT + 3 * pins
-    out[:] = 0.0
+    for column in range(out.size):
+        out[column] = 0.0
     stiffness = 0.0
     for row in range(contacts.shape[0]):
         contact = contacts[row]

@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cycloid_fmu.contact.compiling import Array, compiled
+from cycloid_fmu.contact.compiling import Array, compiled, spliced
 from cycloid_fmu.contact.energy import crank_side
 from cycloid_fmu.contact.equilibrium import equilibrium, load, rotational_stiffness
 from cycloid_fmu.contact.load_sharing import ContactLines, load_sharing, write_contact_lines
 from cycloid_fmu.contact.local_frame import local_frame
-from cycloid_fmu.contact.placement import BOUNDED, place
+from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
 from cycloid_fmu.contact.play import play
 from cycloid_fmu.contact.problem import Problem
 from cycloid_fmu.contact.rows import Rows, contact_rows, disc_slice_pin
@@ -58,8 +58,8 @@ def sweep(
     Parameters
     ----------
     thetas, torques
-        Crank angles (rad), shape (angles,); torques (N·m), shape (torques,), at 0 the deviation is the middle of the
-        play.
+        Crank angles (rad), shape (angles,); torques (N·m), shape (torques, angles), at 0 the deviation is the middle of
+        the play.
     with_play, low, high, gap
         Whether to solve the play, and what it is written to, as in `sweep_play`.
     found, lines
@@ -67,13 +67,13 @@ def sweep(
         know of none.
     """
     if with_play:
-        sweep_play(problem, thetas, first, last, low, high, gap)
-    for k in range(torques.size):
-        contacts, torque = contact_rows(problem), torques[k]
+        _solve_play(problem, thetas, first, last, low, high, gap)
+    for k in range(torques.shape[0]):
+        contacts = contact_rows(problem)
         deviation, stiffness = found.deviation[k], found.stiffness[k]
         x = 0.0
         for i in range(first, last):
-            cold = i == first
+            cold, torque = i == first, torques[k, i]
             if torque == 0.0:
                 start, end, _ = play(problem, thetas[i], x, contacts, cold)
                 cold = False
@@ -102,6 +102,11 @@ def sweep_play(problem: Problem, thetas: Array, first: int, last: int, low: Arra
     low, high, gap
         Overwritten from `first` to `last`, shape (angles,): ends of the play (rad) and interference (m), as `play`.
     """
+    _solve_play(problem, thetas, first, last, low, high, gap)
+
+
+@spliced
+def _solve_play(problem: Problem, thetas: Array, first: int, last: int, low: Array, high: Array, gap: Array) -> None:
     contacts = contact_rows(problem)
     for i in range(first, last):
         cold = i == first or math.isnan(low[i - 1])
@@ -126,6 +131,16 @@ def sweep_contacts(problem: Problem, thetas: Array, torque: float, deviation: Ar
         x, _ = equilibrium(problem, thetas[i], torque, x, contacts, i == 0)
         deviation[i] = x
         table[i] = contacts
+
+
+@compiled
+def sweep_crank_torque(problem: Problem, thetas: Array, deviation: Array, crank_torque: Array) -> None:
+    """Write the crank's torque (N·m) at solved deviations (rad), shapes (angles,), 0 where nothing touches."""
+    contacts = contact_rows(problem)
+    for i in range(thetas.size):
+        place(problem, thetas[i], deviation[i], contacts, i == 0, CLEAR, BOUNDED)
+        load(problem, thetas[i], deviation[i], contacts)
+        crank_torque[i], _ = crank_side(problem, thetas[i], deviation[i], contacts)
 
 
 @compiled
@@ -173,11 +188,12 @@ def sweep_flank_sensitivities(
     """
     contacts = contact_rows(problem)
     pitch = 2.0 * math.pi / problem.teeth
-    out[:] = 0.0
     for i in range(thetas.size):
         place(problem, thetas[i], deviation[i], contacts, i == 0, math.inf, BOUNDED)
         load(problem, thetas[i], deviation[i], contacts)
         stiffness = 0.0
+        for wave in range(waves.shape[0]):
+            out[i, wave] = 0.0
         for row in range(contacts.shape[0]):
             contact = contacts[row]
             if contact.force <= 0.0:

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import threading
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import contact, edge
-from cycloid_fmu.geometry.pair import Pair, smallest_convex_radius
+from cycloid_fmu.contact.parts import Stopped, solve_in_parts
+from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_normals, flank_points
+from cycloid_fmu.geometry.temperature import missing_for_clearances
 from cycloid_fmu.surfaces.provenance import provenance
-from cycloid_fmu.surfaces.structured import PROFILE_POINTS, displacement_columns, displacements, profile_wave
+from cycloid_fmu.surfaces.structured import (
+    PROFILE_POINTS,
+    dimensions,
+    displacement_columns,
+    displacements,
+    profile_wave,
+)
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
 if TYPE_CHECKING:
@@ -39,7 +45,7 @@ class Transmission:
     Attributes
     ----------
     torque, crank_angle
-        Shapes (torques,) and (angles,): N·m on the output, rad.
+        Shapes (torques,), or (torques, angles) as given, and (angles,): N·m on the output, rad.
     transmission_error, torsional_stiffness, contact_count, max_contact_pressure
         Shape (torques, angles): rad at the output, N·m/rad, pins, Pa.
     pin_force, pin_pressure
@@ -53,6 +59,8 @@ class Transmission:
     gear_element_pressure, pin_element_pressure
         Shapes (torques, discs, teeth, profile, slices) and (torques, pins, angle, slices), or size 0: the largest
         pressure that each element has seen, Pa.
+    crank_torque
+        Torque of the environment on the crank, shape (torques, angles), N·m; None where it was not asked for.
     """
 
     torque: Array
@@ -70,6 +78,7 @@ class Transmission:
     slice_direction: NDArray[np.float32]
     gear_element_pressure: Array
     pin_element_pressure: Array
+    crank_torque: Array | None = field(default=None, kw_only=True)
 
     @property
     def backlash(self) -> Array:
@@ -109,21 +118,20 @@ def drive_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> contact.Prob
 
 
 def mesh_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> contact.Problem:
-    """Return the contact problem of gear and pins alone, whatever holds them; parameters are those of `drive_of`."""
+    """Return the contact problem of gear and pins alone, whatever holds them, at the pair's temperatures.
+
+    Parameters are those of `drive_of`.
+    """
     direction = 2.0 * np.pi * np.arange(pair.pins) / pair.pins
-    made = displacements(pair, surface, {
-        "crank_throw": pair.eccentricity, "generating_pin_radius": pair.generating_pin_radius,
-        "generating_circle_radius": pair.generating_circle_radius, "pin_radial": pair.pin_circle_radius,
-        "pin_radius": pair.pin_radius,
-    })  # fmt: skip
-    _check_made(pair, made)
-    angle = direction + made["pin_tangential"] / pair.pin_circle_radius
+    warm = pair.at_temperature
+    made = dimensions(pair, surface)
+    angle = direction + made["pin_tangential"] / warm.pin_circle_radius
     z = pair.face_width * ((np.arange(slices) + 0.5) / slices - 0.5)
     stray = _stray(pair, surface)
     return contact.Problem(
         circle_radius=float(made["generating_circle_radius"]),
         generating_radius=float(made["generating_pin_radius"]),
-        generating_eccentricity=pair.eccentricity,
+        generating_eccentricity=warm.eccentricity,
         eccentricity=float(made["crank_throw"]),
         teeth=pair.gear_teeth,
         ring=pair.output == "ring",
@@ -141,39 +149,14 @@ def mesh_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> contact.Probl
         slice_width=pair.face_width / slices,
         compliance_gear=pair.material.gear.compliance,
         compliance_pin=pair.material.pin.compliance,
-        largest_log_radius=pair.pin_circle_radius if pair.contact_law == "capped" else math.inf,
+        largest_log_radius=warm.pin_circle_radius if pair.contact_law == "capped" else math.inf,
         stray=stray,
         seat_gap=0.0,
         seat_compliance=0.0,
-        root_phase=_root_phase(pair, stray, float(made["generating_circle_radius"])),
-        root_margin=1e-6 + 1.5 * pair.pin_circle_radius * float(np.ptp(made["tooth_turn"], axis=1).max()),
+        root_phase=_root_phase(warm, stray, float(made["generating_circle_radius"])),
+        root_margin=1e-6 + 1.5 * warm.pin_circle_radius * float(np.ptp(made["tooth_turn"], axis=1).max()),
         deviations=_deviations(pair, surface, z),
     )
-
-
-def _check_made(pair: Pair, made: Mapping[str, Any]) -> None:
-    """Refuse a drive that can't have been made: what a pair is checked for as drawn, with its errors."""
-    circle, pin = float(made["generating_circle_radius"]), float(made["generating_pin_radius"])
-    why = ""
-    if not made["crank_throw"] > 0.0:
-        why = f"the eccentricity is {made['crank_throw'] * 1e3:.6g} mm; it must stay above zero"
-    elif pair.eccentricity * pair.pins >= circle:
-        why = f"the generating circle's radius is {circle * 1e3:.6g} mm; it must stay above eccentricity x pins"
-    elif not 0.0 < pin < (smallest := smallest_convex_radius(circle, pair.eccentricity, pair.pins)):
-        why = f"the flank's generating pin radius is {pin * 1e3:.6g} mm"
-        why += "; it must stay above zero" if pin <= 0.0 else f"; the flank is undercut from {smallest * 1e3:.6g} mm on"
-    elif not made["pin_radius"].min() > 0.0:
-        why = f"a pin's radius is {made['pin_radius'].min() * 1e3:.6g} mm; it must stay above zero"
-    else:
-        place = made["pin_radial"] * np.exp(
-            1j * (2.0 * np.pi * np.arange(pair.pins) / pair.pins + made["pin_tangential"] / pair.pin_circle_radius)
-        )
-        room = np.abs(place - np.roll(place, -1)) - made["pin_radius"] - np.roll(made["pin_radius"], -1)
-        if not room.min() > 0.0:
-            first = int(room.argmin())
-            why = f"pins {first} and {(first + 1) % pair.pins} overlap by {-room.min() * 1e6:.6g} um"
-    if why:
-        raise edge.InputError(f"errors: with these, {why}.")
 
 
 def _deviations(pair: Pair, surface: ErrorSurface, z: Array) -> contact.Deviations | None:
@@ -211,8 +194,9 @@ def _pins_of(values: Array, z: Array, face_width: float) -> Array:
 def _flank_points(pair: Pair, surface: ErrorSurface, elements: int) -> tuple[Array, Array, Array, Array, Array]:
     """Parameters, points and normals of tooth 0's ends and its elements' middles on the flank that was made."""
     alpha = np.concatenate([[0.0], equal_arc_parameters(pair, elements), [2.0 * np.pi / pair.gear_teeth]])
-    errors, drawn = displacements(pair, surface, {}), pair.modification
-    made = pair.replace(
+    warm = pair.at_temperature
+    errors, drawn = displacements(pair, surface, {}), warm.modification
+    made = warm.replace(
         isometric=drawn.isometric + errors["generating_pin_radius"],
         offset=drawn.offset + errors["generating_circle_radius"],
     )
@@ -265,6 +249,12 @@ def _contiguous(values: ArrayLike) -> Array:
     return np.array(values, dtype=float, order="C", ndmin=1)
 
 
+def along_sweep(torques: Array, angles: Array) -> Array:
+    """Return torques (N·m), shape (torques,) or (torques, angles), at every crank angle, shape (torques, angles)."""
+    each = torques if torques.ndim == 2 else torques[:, None]
+    return np.array(np.broadcast_to(each, (each.shape[0], angles.size)))
+
+
 def carried(contacts: contact.Rows) -> Array:
     """Torque that contacts carry, N·m: force times arm, summed over the rows, shape (..., rows), of each."""
     force, arm = contacts["force"], contacts["arm"]
@@ -305,11 +295,9 @@ def _check_again(drive: contact.Problem, crank_angle: Array, torque: Array, fall
         check_balance(torque[i], carried(rows))
 
 
-def _lines(
-    pair: Pair, surface: ErrorSurface, problem: contact.Problem, places: tuple[int, ...]
-) -> contact.ContactLines:
-    """Return empty contact lines, of the surface's elements or as many as by default."""
-    g, slices = pair, problem.centre_x.size
+def empty_lines(pair: Pair, surface: ErrorSurface, slices: int, places: tuple[int, ...]) -> contact.ContactLines:
+    """Return empty contact lines at `places` (torques, angles, discs, pins), of the surface's elements or the usual."""
+    g = pair
     profile = PROFILE_ELEMENTS if surface.gear_deviation is None else surface.gear_deviation.shape[2]
     around = ANGLE_ELEMENTS if surface.pin_deviation is None else surface.pin_deviation.shape[1]
     alpha, x, y, _, _ = _flank_points(pair, surface, profile)
@@ -346,7 +334,8 @@ def solve(
     pair, surface
         The nominal pair and its errors.
     torque
-        Torques of the environment on the output, N·m; at 0 the transmission error is the middle of the play.
+        Torques of the environment on the output, N·m, shape (torques,), or (torques, angles) where they change along
+        the sweep; at 0 the transmission error is the middle of the play.
     crank_angle
         Crank angles, rad; neighbours should be neighbours in the array, each solution starts from the one before.
     slices
@@ -372,50 +361,41 @@ def solve(
     torques, angles = _contiguous(torque), _contiguous(crank_angle)
     if not (np.isfinite(torques).all() and np.isfinite(angles).all()):
         raise ValueError("torque and crank_angle must be finite")
-    loads, places = (torques.size, angles.size), (torques.size, angles.size, g.discs, g.pins)
+    at_angles = along_sweep(torques, angles)
+    loads, places = at_angles.shape, (*at_angles.shape, g.discs, g.pins)
     deviation, stiffness, pressure = (np.full(loads, np.nan) for _ in range(3))
     found = contact.LoadedSweep(
         deviation, stiffness, np.zeros(loads, dtype=np.int64), pressure, np.zeros(places), np.zeros(places)
     )
     low, high, gap = (np.full(angles.size, np.nan) for _ in range(3))
-    lines = _lines(pair, surface, problem, places) if with_elements else None
+    lines = empty_lines(pair, surface, slices, places) if with_elements else None
     merging = threading.Lock()
 
-    def part(first: int) -> int:
-        last = min(first + PART, angles.size)
+    def part(first: int, last: int) -> None:
         # Parts that are solved at once each raise pressures of their own.
         mine = lines and lines._replace(
             gear_pressure=np.zeros_like(lines.gear_pressure), pin_pressure=np.zeros_like(lines.pin_pressure)
         )
-        contact.sweep(problem, angles, torques, first, last, with_play, low, high, gap, found, mine)
+        contact.sweep(problem, angles, at_angles, first, last, with_play, low, high, gap, found, mine)
         if lines is not None and mine is not None:
             with merging:
                 np.maximum(lines.gear_pressure, mine.gear_pressure, out=lines.gear_pressure)
                 np.maximum(lines.pin_pressure, mine.pin_pressure, out=lines.pin_pressure)
-        return last - first
 
     def result(done: slice) -> Transmission:
-        kept = lines or no_lines(torques.size)
+        kept = lines or no_lines(loads[0])
         return Transmission(
             torques, angles[done], deviation[:, done], stiffness[:, done], found.contact_count[:, done],
             pressure[:, done], found.pin_force[:, done], found.pin_pressure[:, done], low[done], high[done], gap[done],
             kept.slice_force[:, done], kept.slice_direction[:, done], kept.gear_pressure, kept.pin_pressure,
         )  # fmt: skip
 
-    finished = 0
-    # One thread needs no pool: a study of thousands of drives would start one for each.
-    with ThreadPoolExecutor(workers) if workers > 1 else contextlib.nullcontext() as pool:
-        parts = range(0, angles.size, PART)
-        try:
-            for size in map(part, parts) if pool is None else pool.map(part, parts):
-                finished += size
-                progress(size * torques.size)
-        except KeyboardInterrupt:
-            if pool is not None:
-                pool.shutdown(cancel_futures=True)
-            raise Interrupted(result(slice(0, finished))) from None
-    for k, load in enumerate(torques):
-        _check_again(problem, angles, np.full(angles.size, load), stiffness[k] <= 0.0)
+    try:
+        solve_in_parts(part, angles.size, PART, workers, lambda size: progress(size * loads[0]))
+    except Stopped as stopped:
+        raise Interrupted(result(slice(0, stopped.finished))) from None
+    for k in range(loads[0]):
+        _check_again(problem, angles, at_angles[k], stiffness[k] <= 0.0)
     return result(slice(None))
 
 
@@ -508,6 +488,8 @@ def notes(pair: Pair, found: Transmission) -> list[str]:
             f"Without load the pair interferes by up to {found.interference.max() * 1e6:.3g} um: it has no play there. "
             "A modification that removes material is an isometric above zero or an offset below zero."
         )
+    if missing := missing_for_clearances(pair):
+        said.append(f"Clearances stay as drawn at these temperatures for what is not stated: {', '.join(missing)}.")
     return said
 
 
@@ -563,6 +545,8 @@ def labelled(pair: Pair, surface: ErrorSurface, result: Transmission, slices: in
     data = dataset_of(pair, result)
     data.attrs.update(provenance(pair, surface), slices=slices, complete=int(complete))
     data.attrs["notes"] = "\n".join(notes(pair, result))
+    if pair.temperature is not None:
+        data.attrs["temperature"] = str(pair.temperature)
     if pair.supports is None:
         data["torsional_stiffness"].attrs["long_name"] += ", mesh alone, rigid bodies"
     return data

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -98,6 +99,8 @@ def show_legend(axis: Axes, **options: Any) -> None:
 
 def plot_bearings(data: xr.Dataset, pair: Pair, shares: Sequence[Share]) -> Figure:
     """Forces of the bearings and shifts of the discs over the crank, and where compliance and lost motion come from."""
+    from cycloid_fmu.supports.figures import remaining
+
     figure, axes = new_figure(3, 2)
     angle = np.degrees(data["crank_angle"].values)
     first = data.isel(torque=0)
@@ -121,16 +124,18 @@ def plot_bearings(data: xr.Dataset, pair: Pair, shares: Sequence[Share]) -> Figu
     axes[3].set(xlabel="x [µm]", ylabel="y [µm]", title="shift of each disc's centre")
     axes[3].set_aspect("equal", "datalim")
     show_legend(axes[3])
-    parts = [share.part for share in shares]
-    for axis, lengths, label in (
-        (axes[4], [share.compliance * 1e6 for share in shares], "compliance [µrad/(N·m)]"),
-        (axes[5], [share.lost_motion * ARCMIN for share in shares], "lost motion [arcmin]"),
-    ):
-        axis.barh(parts, lengths, color="#4c78a8")
+    soft = {share.part: share.compliance * 1e6 for share in shares}
+    left = math.nan if pair.supports is None else remaining(pair.supports, shares)
+    if soft and not math.isnan(left):
+        soft["left to the catalogue's"] = left * 1e6
+    lost = {share.part: share.lost_motion * ARCMIN for share in shares}
+    for axis, lengths, label in ((axes[4], soft, "compliance [µrad/(N·m)]"), (axes[5], lost, "lost motion [arcmin]")):
+        axis.barh(list(lengths), list(lengths.values()), color="#4c78a8")
         axis.invert_yaxis()
-        axis.set(xlabel=label, title="as drawn, part by part")
-        if not parts:
+        axis.set(xlabel=label, title="as drawn, part by part" + (", at 20 °C" if "temperature" in data.attrs else ""))
+        if not lengths:
             axis.text(0.5, 0.5, "needs a rated torque", ha="center", transform=axis.transAxes)
+    _show_temperature(figure, data)
     return figure
 
 
@@ -162,7 +167,13 @@ def plot_analysis(data: xr.Dataset) -> Figure:
     axes[5].set(xlabel="crank angle [°]", ylabel="pin", title=f"force of each pin, {torque:g} N·m, disc 0")
     axes[5].title.set_fontsize(9)
     figure.colorbar(image, ax=axes[5], label="N")
+    _show_temperature(figure, data)
     return figure
+
+
+def _show_temperature(figure: Figure, data: xr.Dataset) -> None:
+    if "temperature" in data.attrs:
+        figure.suptitle(data.attrs["temperature"], fontsize=9)
 
 
 def plot_lines(data: xr.Dataset) -> Figure:
@@ -197,6 +208,7 @@ def plot_lines(data: xr.Dataset) -> Figure:
         figure.colorbar(shown, ax=axis, label="largest pressure [MPa]")
     axes[2].set_title("over all teeth and crank angles", fontsize=9)
     axes[3].set_title("over all pins and crank angles", fontsize=9)
+    _show_temperature(figure, data)
     return figure
 
 

@@ -15,6 +15,7 @@ import signal
 import sys
 import textwrap
 import time
+import warnings
 from collections.abc import Callable, Collection, Iterator, MutableMapping, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
@@ -32,6 +33,7 @@ from cycloid_fmu.edge.problems import (
     INTERRUPTED,
     ArgumentError,
     InputError,
+    InputWarning,
     did_you_mean,
     shown,
     without_controls,
@@ -169,6 +171,15 @@ def run(app: typer.Typer) -> NoReturn:
     if not debug:  # what libraries log, and what their half-made objects complain of, is in our own sentence
         logging.disable(logging.CRITICAL)
         sys.unraisablehook = lambda complaint: None
+    shown = warnings.showwarning
+
+    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+        if issubclass(category, InputWarning):
+            _say(str(message))
+        else:
+            shown(message, category, *where, **more)
+
+    setattr(warnings, "showwarning", show)  # noqa: B010 - the signature of typeshed is longer than needed
     try:
         code = app(prog_name=app.info.name, standalone_mode=False)
     except InputError as problem:

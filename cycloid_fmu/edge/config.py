@@ -68,6 +68,7 @@ TorsionalStiffness = Annotated[float, *_in_unit("N*m/rad")]
 Seconds = Annotated[float, *_in_unit("s")]
 Speed = Annotated[float, *_in_unit("rad/s")]
 Temperature = Annotated[float, *_in_unit("K")]
+ThermalExpansion = Annotated[float, *_in_unit("1/K")]
 PressureViscosity = Annotated[float, *_in_unit("1/Pa")]
 WearCoefficient = Annotated[float, *_in_unit("m^2/N")]
 

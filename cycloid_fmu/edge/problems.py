@@ -13,6 +13,10 @@ _LONGEST = 2000  # characters of a sentence
 _CONTROLS = frozenset([*range(0x20), *range(0x7F, 0xA0), *range(0x202A, 0x202F), *range(0x2066, 0x206A)])
 
 
+class InputWarning(UserWarning):
+    """Input that contradicts itself and can be used all the same; the sentence says how."""
+
+
 class InputError(ValueError):
     """What a user gave can't be used; the text is one sentence that says where, what and what is allowed.
 

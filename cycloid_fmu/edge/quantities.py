@@ -26,8 +26,8 @@ _RAISED = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺", "0123456789-+")
 _SYMBOL = re.compile(r"(?:\*\*|\^)\s*(?P<exponent>[+-]?\d+)|(?P<sign>[*·⋅×/()])|(?P<unit>[°%]?[^\W\d]\w*|[°%1])|\s+")
 EXAMPLES = {
     "m": "64 mm", "rad": "0.5 arcmin", "N": "5 N", "N*m": "181 N*m", "Pa": "206 GPa", "s": "10 ms", "rad/s": "15 rpm",
-    "K": "300 K", "rad/(N*m)": "0.02 arcsec/(N*m)", "1/Pa": "2.2e-8 1/Pa", "m^2/N": "1e-18 m^2/N",
-    "kg*m^2": "0.05 kg*m^2", "N/m": "400 N/um", "N*m/rad": "49 N*m/arcmin",
+    "K": "20 degC", "1/K": "11.5e-6 1/K", "rad/(N*m)": "0.02 arcsec/(N*m)", "1/Pa": "2.2e-8 1/Pa",
+    "m^2/N": "1e-18 m^2/N", "kg*m^2": "0.05 kg*m^2", "N/m": "400 N/um", "N*m/rad": "49 N*m/arcmin",
 }  # fmt: skip
 # The usual units, so that reading them takes no half a second to load pint; a test compares each with pint.
 USUAL = {
@@ -45,6 +45,7 @@ USUAL = {
     "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0},
     "rad/s": {"rad/s": 1.0, "deg/s": math.pi / 180.0, "rpm": 0.10471975511965977},
     "K": {"K": 1.0},
+    "1/K": {"1/K": 1.0, "um/(m*K)": 1e-6},
     "1/Pa": {"1/Pa": 1.0},
     "m^2/N": {"m^2/N": 1.0},
     "kg*m^2": {"kg*m^2": 1.0},
@@ -53,6 +54,7 @@ USUAL = {
     },
     "N/m": {"N/m": 1.0, "N/mm": 1e3, "N/um": 1e6, "N/µm": 1e6, "kN/mm": 1e6},
 }  # fmt: skip
+_CELSIUS, _ICE = ("degC", "°C"), 273.15  # the one unit with an offset: a temperature, never a difference
 
 
 @functools.cache
@@ -171,7 +173,7 @@ def parse_quantity(value: object, si: str) -> float:
     value
         One finite number with a decimal point, a space and a unit. Newton metres may be written as Nm.
     si
-        The SI unit asked for, as pint writes it: "m", "rad", "N*m".
+        The SI unit asked for, as pint writes it: "m", "rad", "N*m". A temperature, "K", may be in "degC".
 
     Raises
     ------
@@ -188,9 +190,10 @@ def parse_quantity(value: object, si: str) -> float:
     if match is None or len(match[1]) > _LONGEST:
         raise ValueError(how)
     # In decimals: "1.3 mm" is 0.0013 and not a last bit beside it, as the same value written in metres is.
-    scale = unit_scale(match[2].strip(), si)
+    celsius = si == "K" and match[2].strip() in _CELSIUS
+    scale, offset = (1.0, _ICE) if celsius else (unit_scale(match[2].strip(), si), 0.0)
     try:
-        number = float(Decimal(match[1]) * Decimal(repr(scale)))
+        number = float(Decimal(match[1]) * Decimal(repr(scale)) + Decimal(repr(offset)))
     except DecimalException:  # beyond any number
         raise ValueError(how) from None
     if not math.isfinite(number):
@@ -206,4 +209,6 @@ def format_quantity(value: float, si: str, unit: str) -> str:
     >>> format_quantity(0.064, "m", "mm")
     '64 mm'
     """
+    if si == "K" and unit in _CELSIUS:
+        return f"{float(Decimal(repr(value)) - Decimal(repr(_ICE))):.15g} {unit}"
     return f"{value / unit_scale(unit, si):.15g} {unit}"

@@ -22,8 +22,9 @@ from cycloid_fmu.fmu.parts import parts, write_archive
 from cycloid_fmu.fmu.pythonfmu_builder import build_archive
 from cycloid_fmu.fmu.variables import INTERFACES, Interface, InterfaceKind, LossRow, variables
 from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.reducer.description import Reducer
 from cycloid_fmu.reducer.first_stage import FirstStage
-from cycloid_fmu.reducer.lost_motion import Reducer, first_stage_of, surface_of_reducer
+from cycloid_fmu.reducer.lost_motion import parts_of
 from cycloid_fmu.surfaces.files import write_surface
 from cycloid_fmu.surfaces.surface import DEVIATIONS, ErrorSurface, surface_of_pair
 
@@ -48,6 +49,10 @@ class DriveWithErrors(Protocol):
     def surface(self) -> ErrorSurface:
         """Its errors."""
 
+    @property
+    def first_stage(self) -> FirstStage | None:
+        """What turns the cranks of an RV reducer."""
+
 
 AnyDrive = Pair | Reducer | DriveWithErrors
 
@@ -55,10 +60,11 @@ AnyDrive = Pair | Reducer | DriveWithErrors
 def whole_drive(drive: AnyDrive, surface: ErrorSurface | None) -> tuple[Pair, ErrorSurface, FirstStage | None]:
     """Return the pair, its errors (those given, else the drive's own), and what stands before the pair in a reducer."""
     if isinstance(drive, Reducer):
-        return drive.stage, surface or surface_of_reducer(drive), first_stage_of(drive)
+        pair, made, first_stage = parts_of(drive)
+        return pair, surface or made, first_stage
     if isinstance(drive, Pair):
         return drive, surface or surface_of_pair(drive), None
-    return drive.pair, surface or drive.surface, None
+    return drive.pair, surface or drive.surface, drive.first_stage
 
 
 def build_fmu(
@@ -103,7 +109,7 @@ def build_fmu(
             "interface": dataclasses.asdict(interface),
         }
         if first_stage is not None:
-            numbers["first_stage"] = dataclasses.asdict(first_stage)
+            numbers["first_stage"] = json.loads(first_stage.text)
         (place / NUMBERS).write_text(json.dumps(numbers, indent=1), encoding="utf-8")
         with (place / SURFACE).open("wb") as file:
             arrays = {**surface.errors, **{name: getattr(surface, name) for name in DEVIATIONS}}
@@ -130,6 +136,10 @@ def checked_interface(interface: InterfaceKind | Interface, first_stage: FirstSt
         raise ArgumentError("interface", f"it must be one of {', '.join(INTERFACES)}", interface.kind)
     if first_stage is not None and interface.kind == "compliant":
         raise ArgumentError("interface", "an RV reducer has the kinematic interface alone", interface.kind)
+    if first_stage is not None and math.isfinite(first_stage.crank_stiffness):
+        raise edge.InputError(
+            "[involute]: the FMU of a reducer has a rigid first stage yet; remove face_width or mesh_stiffness."
+        )
     if interface.output_inertia != 0.0 and interface.kind == "kinematic":
         raise ArgumentError("output_inertia", "is for the compliant interface; the kinematic one has none")
     if not 0.0 <= interface.output_inertia < math.inf:

@@ -19,7 +19,10 @@ from cycloid_fmu import edge
 from cycloid_fmu.edge import Config, Length
 from cycloid_fmu.errors.kinds import KINDS, LARGEST_DEVIATION, kinds_of
 from cycloid_fmu.errors.stated import Errors
+from cycloid_fmu.geometry import sizes
+from cycloid_fmu.geometry import temperature as thermal
 from cycloid_fmu.geometry.supports import Supports
+from cycloid_fmu.geometry.temperature import Expansions, Temperatures
 
 FORMAT = "cycloid-pair/1"
 ANGLES = 367  # of a sweep over a crank turn where no one says: a prime, so that no number of pins is in step with it
@@ -99,10 +102,10 @@ class _Geometry(Config):
 
     gear_teeth: int = pydantic.Field(ge=6, le=120, strict=True)
     pins: int | None = pydantic.Field(default=None, strict=True)
-    pin_circle_radius: PositiveLength
-    pin_radius: PositiveLength
-    eccentricity: PositiveLength
-    face_width: PositiveLength
+    pin_circle_radius: sizes.CircleRadius
+    pin_radius: sizes.PinRadius
+    eccentricity: sizes.Eccentricity
+    face_width: sizes.Width
     discs: int = pydantic.Field(default=1, ge=1, le=4, strict=True)
     output: Literal["gear", "ring"] = "gear"
     rated_torque: PositiveTorque | None = None
@@ -117,6 +120,8 @@ class _File(Config):
     modification: Modification = Modification()
     material: Materials = Materials()
     supports: Supports | None = None
+    temperature: Temperatures | None = None
+    expansion: Expansions = Expansions()
 
 
 class Pair(Config):
@@ -153,6 +158,10 @@ class Pair(Config):
         Profile modification of the gear and the materials of both flanks.
     supports
         What holds discs and carrier; None for rigid bearings.
+    temperature
+        Of the bodies; None for the drawing's, 20 °C.
+    expansion
+        By how much the bodies grow with it.
     errors
         What is stated of how it was really made, by the keys of a pair file's `[errors]`.
 
@@ -178,10 +187,10 @@ class Pair(Config):
 
     gear_teeth: int = pydantic.Field(ge=6, le=120, strict=True)
     pins: int = pydantic.Field(strict=True)
-    pin_circle_radius: PositiveLength
-    pin_radius: PositiveLength
-    eccentricity: PositiveLength
-    face_width: PositiveLength
+    pin_circle_radius: sizes.CircleRadius
+    pin_radius: sizes.PinRadius
+    eccentricity: sizes.Eccentricity
+    face_width: sizes.Width
     discs: int = pydantic.Field(default=1, ge=1, le=4, strict=True)
     output: Literal["gear", "ring"] = "gear"
     rated_torque: PositiveTorque | None = None
@@ -190,6 +199,8 @@ class Pair(Config):
     modification: Modification = Modification()
     material: Materials = Materials()
     supports: Supports | None = None
+    temperature: Temperatures | None = None
+    expansion: Expansions = Expansions()
     errors: pydantic.InstanceOf[Errors] = Errors()
 
     def __init__(self, /, **values: Any) -> None:
@@ -235,6 +246,16 @@ class Pair(Config):
             else:
                 found |= {"roller": (count,), "roller_hole": (self.discs, count)}
         return found
+
+    @property
+    def at_temperature(self) -> Pair:
+        """The pair as drawn, of the size that its discs have at their temperature; itself without temperatures."""
+        return self if self.temperature is None else self.grown  # kept in itself a pair would never end to be compared
+
+    @functools.cached_property
+    def grown(self) -> Pair:
+        """What `at_temperature` makes of a pair with temperatures."""
+        return thermal.at_temperature(self)
 
     @property
     def nominal(self) -> Self:
@@ -316,6 +337,11 @@ def _contradictions(pair: Pair) -> list[tuple[str, str]]:
         return [("pair", f"pin_radius = {_mm(pair.pin_radius)}: {sentence}")]
     found = []
     found += _contradictions_of_supports(pair)
+    if not found:
+        try:
+            _ = pair.at_temperature
+        except edge.InputError as problem:
+            found.append(("temperature", f"at these temperatures, {problem}".rstrip(".")))
     possible = kinds_of(pair)
     for kind in KINDS.values():
         stated = getattr(pair.errors, kind.file_key)
@@ -394,6 +420,8 @@ _SHOWN_UNITS = {
     "N/m": ("N/um",),
     "N*m/rad": ("N*m/arcmin",),
     "N": ("kN",),
+    "K": (),
+    "1/K": (),
 }
 
 
@@ -447,6 +475,10 @@ def _text_of(pair: Pair) -> str:
             table = getattr(pair.supports, name)
             if isinstance(table, Config) and table != type(table)():
                 lines += _table_lines(f"supports.{name}", table, type(table))
+    if pair.temperature is not None:
+        lines += _table_lines("temperature", pair.temperature, Temperatures)
+    if pair.expansion != Expansions():
+        lines += _table_lines("expansion", pair.expansion, Expansions)
     kinds = {kind.file_key: kind for kind in KINDS.values()}
     for title, of_supports in (("errors", False), ("errors.supports", True)):
         stated = {key: value for key, value in pair.errors.items() if kinds[key].of_supports == of_supports}
@@ -484,8 +516,9 @@ def pair_of_tables(tables: Mapping[str, Any], source: str) -> Pair:
     geometry = {name: getattr(file.pair, name) for name in _Geometry.model_fields}
     try:
         return Pair(
-            **geometry, modification=file.modification, material=file.material, supports=file.supports, errors=errors
-        )
+            **geometry, modification=file.modification, material=file.material, supports=file.supports,
+            temperature=file.temperature, expansion=file.expansion, errors=errors,
+        )  # fmt: skip
     except ContradictionError as problem:
         raise edge.InputError(f"{source}: [{problem.table}] {problem}") from None
 

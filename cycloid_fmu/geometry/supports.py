@@ -9,6 +9,7 @@ import pydantic
 
 from cycloid_fmu import edge
 from cycloid_fmu.edge import Angle, Config, Length
+from cycloid_fmu.geometry import sizes
 
 
 def _positive(value: float) -> float:
@@ -24,7 +25,6 @@ def _clearance(value: float) -> float:
 
 
 LARGEST_CLEARANCE = 2e-4
-PositiveLength = Annotated[Length, pydantic.AfterValidator(_positive)]
 Clearance = Annotated[Length, pydantic.AfterValidator(_clearance)]
 PositiveForce = Annotated[edge.Force, pydantic.AfterValidator(_positive)]
 TorsionalStiffness = Annotated[edge.TorsionalStiffness, pydantic.AfterValidator(_positive)]
@@ -49,6 +49,8 @@ class Bearing(Config):
         Diametral: the radial displacement begins to press at half of it, m.
     dynamic_capacity
         Basic dynamic radial load rating C of ISO 281, N, for its life; None where no one asks.
+    raceway_diameter
+        Of the outer raceway, m: with it the clearance follows the temperatures of the bodies around the rollers.
 
     Examples
     --------
@@ -59,10 +61,11 @@ class Bearing(Config):
 
     stiffness: Stiffness | None = None
     rollers: int | None = pydantic.Field(default=None, ge=3, le=500, strict=True)
-    roller_length: PositiveLength | None = None
+    roller_length: sizes.Width | None = None
     rigid: bool = pydantic.Field(default=False, strict=True)
     clearance: Clearance = 0.0
     dynamic_capacity: PositiveForce | None = None
+    raceway_diameter: sizes.CircleRadius | None = None
 
     @property
     def is_rigid(self) -> bool:
@@ -92,11 +95,14 @@ class OutputRoller(Config):
         Whether it does not give way, as one that states no stiffness.
     clearance
         Twice what the hole's radius is larger than the roller's and the eccentricity, m.
+    radius
+        Of a roller, m: with it the clearance follows the temperatures of discs and carrier.
     """
 
     stiffness: Stiffness | None = None
     rigid: bool = pydantic.Field(default=False, strict=True)
     clearance: Clearance = 0.0
+    radius: sizes.PinRadius | None = None
 
     @pydantic.model_validator(mode="after")
     def _one_law(self) -> OutputRoller:
@@ -160,7 +166,7 @@ class Supports(Config):
 
     kind: Literal["cranks", "output_rollers"]
     count: int = pydantic.Field(ge=2, le=40, strict=True)
-    circle_radius: PositiveLength
+    circle_radius: sizes.CircleRadius
     first_angle: Angle = 0.0
     turning_arm: Bearing = Bearing()
     crank_shaft: Bearing = Bearing()

@@ -95,7 +95,7 @@ def write(
         )  # fmt: skip
     sides = (tables.positive, tables.negative)
     rest = tables.rest_torque if tables.rest_torque.any() else np.empty(0)
-    stage = (0.0, 0.0, 0.0, 0.0) if first_stage is None else dataclasses.astuple(first_stage)
+    stage = (0.0, 0.0, 0.0, 0.0) if first_stage is None else dataclasses.astuple(first_stage)[:4]
     counts = [count for s in sides for count in (s.load.size, s.told_load.size)]
     body += struct.pack("<7d", tables.ratio, tables.period, tables.allowed, *stage)
     body += struct.pack("<7I", tables.rest_torque.size, tables.positive.pressure.shape[1], rest.size, *counts)

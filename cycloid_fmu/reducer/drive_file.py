@@ -3,45 +3,34 @@
 from __future__ import annotations
 
 import os
+import warnings
 
 from cycloid_fmu import edge
 from cycloid_fmu.geometry.pair import Pair, read_pair
-from cycloid_fmu.reducer.lost_motion import FORMAT, Reducer, contradictions, read_reducer
-from cycloid_fmu.surfaces.files import read_surface
-from cycloid_fmu.surfaces.surface import ErrorSurface, check_surface
+from cycloid_fmu.reducer.description import FORMAT, contradictions, read_reducer
+from cycloid_fmu.reducer.first_stage import FirstStage
+from cycloid_fmu.reducer.lost_motion import parts_of
+from cycloid_fmu.surfaces.structured import dimensions
+from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
 
 
-def drive_of_file(
-    path: str | os.PathLike[str], surface_file: str | os.PathLike[str] | None = None
-) -> tuple[Pair | Reducer, ErrorSurface | None, list[str]]:
-    """Return what an FMU is built from, of a pair file or a reducer file.
+def parts_of_file(path: str | os.PathLike[str]) -> tuple[Pair, ErrorSurface, FirstStage | None]:
+    """Return the pair of a pair file or a reducer file, the errors that it states, and a reducer's first stage.
 
-    Parameters
-    ----------
-    path
-        A file of the format cycloid-pair/1 or cycloid-reducer/1.
-    surface_file
-        The errors; without it those that the file states.
-
-    Returns
-    -------
-    drive, surface, warnings
-        The surface of `surface_file`, None without one; sentences where a reducer file contradicts itself.
+    Where a reducer file contradicts itself, an `edge.InputWarning` says what is used.
 
     Raises
     ------
     edge.InputError
-        If a file can't be read, or the surface belongs to another pair.
+        If the file can't be read, or a drive with its errors can't have been made.
     """
-    warnings = list[str]()
-    drive: Pair | Reducer
     if edge.format_of(path) == FORMAT:
-        drive = read_reducer(path)
-        warnings = contradictions(drive, str(path))
+        reducer = read_reducer(path)
+        for contradiction in contradictions(reducer, str(path)):
+            warnings.warn(contradiction, edge.InputWarning, stacklevel=3)
+        pair, surface, first_stage = parts_of(reducer)
     else:
-        drive = read_pair(path)
-    if surface_file is None:
-        return drive, None, warnings
-    surface = read_surface(surface_file)
-    check_surface(drive if isinstance(drive, Pair) else drive.stage, surface, str(path), str(surface_file))
-    return drive, surface, warnings
+        pair, first_stage = read_pair(path), None
+        surface = surface_of_pair(pair)
+    dimensions(pair, surface, f"{path}: errors")
+    return pair, surface, first_stage

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import json
+import math
 
 
 @dataclasses.dataclass(frozen=True)
 class FirstStage:
-    """Kinematics of the involute stage that turns the cranks, and the plays around the cycloid stage.
+    """The involute stage that turns the cranks, and the plays around the cycloid stage.
 
     Attributes
     ----------
@@ -16,13 +18,16 @@ class FirstStage:
     sun_play
         Free rotation of the sun with the planets held, two-sided, rad.
     bearing_play
-        Free rotation of the carrier against the cycloid gears, two-sided, rad.
+        Free rotation of the carrier against the cycloid gears, two-sided, rad; 0 where bearings are modelled.
+    crank_stiffness
+        Torque on the cranks, all of them, for each radian that they turn against sun and carrier, N·m/rad.
     """
 
     sun_teeth: int
     planet_teeth: int
     sun_play: float
     bearing_play: float
+    crank_stiffness: float = math.inf
 
     @property
     def sun_share(self) -> float:
@@ -30,9 +35,23 @@ class FirstStage:
         return self.sun_teeth / self.planet_teeth
 
     @property
+    def crank_play(self) -> float:
+        """Free rotation of the cranks with sun and carrier held, two-sided, rad."""
+        return self.sun_share * self.sun_play
+
+    @property
     def crank_share(self) -> float:
         """Crank turn for each turn of the output with the sun locked, 1 + z_1/z_2."""
         return 1.0 + self.sun_share
+
+    def ratio(self, gear_teeth: int) -> float:
+        """Return the whole reducer's ratio, 1 + z_2 z_p/z_1; > 0, the output turns as the sun does."""
+        return 1.0 + (gear_teeth + 1) / self.sun_share
+
+    @property
+    def text(self) -> str:
+        """Its values as JSON, SI, without what is rigid."""
+        return json.dumps({name: value for name, value in vars(self).items() if math.isfinite(value)})
 
 
 def sun_locked_share(crank_share: float, gear_teeth: int) -> float:

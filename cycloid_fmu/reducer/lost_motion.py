@@ -2,37 +2,36 @@
 
 Source: Liu et al., "Analysis of the coaxiality-geometric hysteresis model of a rotate vector reducer" (2022), in short
 the RV paper; docs/theory/reducer.md says which of its equations hold. Plays are two-sided, in radians at the output,
-> 0 is clearance. The file `cycloid-reducer/1` is read here; everything leaves this module in SI units.
+> 0 is clearance.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-import os
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Literal
 
 import numpy as np
-import pydantic
 from numpy.typing import ArrayLike, NDArray
 
-from cycloid_fmu import contact, edge
-from cycloid_fmu.contact.transmission import drive_of
-from cycloid_fmu.edge import ARCMIN, Angle, Config
-from cycloid_fmu.errors.kinds import LARGEST_DEVIATION
-from cycloid_fmu.geometry.pair import Pair, PositiveLength, pair_of_tables
-from cycloid_fmu.reducer.first_stage import FirstStage, sun_locked_share
-from cycloid_fmu.surfaces.sampling import Distribution
+from cycloid_fmu import contact
+from cycloid_fmu.contact.transmission import mesh_of
+from cycloid_fmu.edge import ARCMIN
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.geometry.supports import Bearing
+from cycloid_fmu.reducer.description import Reducer, Stated, surface_of_reducer, values_of
+from cycloid_fmu.reducer.first_stage import FirstStage
+from cycloid_fmu.supports.transmission import solve
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
 Array = NDArray[np.float64]
 Variant = Literal["standard", "as_printed", "geometric", "geometric_sun_locked"]
 VARIANTS: tuple[Variant, ...] = ("standard", "as_printed", "geometric", "geometric_sun_locked")
-FORMAT = "cycloid-reducer/1"
 STAGES = ("involute", "cycloid", "bearings")
 # Of the closed form a term is called contradicted where the contact model differs by more than this share of it.
 _AGREES = 0.05
+_STIFF = 1e9  # N/m: of a turning arm that no one states; a play does not depend on it
 _STAGE_OF = {"base_tangent_length": "involute", "crank_bearing_clearance": "bearings"}
 TERMS = {
     "base_tangent_length": "thinner sun teeth: common normal shorter than without play",
@@ -51,238 +50,6 @@ TERMS = {
 }
 
 
-class Deviation(Config):
-    """A deviation that lies within `value` ± `tolerance`, m.
-
-    In a file a length alone has no tolerance; `{ value, tolerance }` and `{ lower, upper }` may name a `distribution`,
-    "normal" (three standard deviations at the tolerance, cut off there) or "uniform".
-    """
-
-    value: edge.Length = 0.0
-    tolerance: edge.Length = 0.0
-    distribution: Distribution = "normal"
-
-
-def _deviation(given: Any) -> Any:
-    """Read a deviation in any of its three ways; values stay text, so that they are read once."""
-    if not isinstance(given, dict):
-        given = {"value": given}
-    table = dict(given)
-    if {"lower", "upper"} <= table.keys() and not {"value", "tolerance"} & table.keys():
-        lower, upper = (edge.parse_quantity(table.pop(k), "m") for k in ("lower", "upper"))
-        if lower >= upper:
-            raise ValueError("lower must be below upper: a distribution needs a width")
-        table.update(value=f"{0.5 * (lower + upper):.17g} m", tolerance=f"{0.5 * (upper - lower):.17g} m")
-    elif "value" not in table:
-        raise ValueError(
-            'write "10 um", { value = "10 um", tolerance = "2 um" } or { lower = "8 um", upper = "12 um" }'
-        )
-    value, tolerance = (edge.parse_quantity(table.get(k, "0 m"), "m") for k in ("value", "tolerance"))
-    if "tolerance" in table and tolerance <= 0.0:
-        raise ValueError("a distribution needs a width: write a tolerance above zero, or the value alone")
-    if abs(value) + tolerance > LARGEST_DEVIATION:
-        raise ValueError("deviations must lie between -1 mm and 1 mm")
-    return table
-
-
-OfDeviation = Annotated[Deviation, pydantic.BeforeValidator(_deviation)]
-
-
-class Deviations(Config):
-    """What was really made: the RV paper's table 9, its δ and E.
-
-    Attributes
-    ----------
-    base_tangent_length
-        Deviation of the sun's common normal (base tangent length), E_w < 0 thinner teeth; the paper's E_ws and E_wi are
-        its upper and lower limit.
-    pin_circle_radius, pin_radius, eccentricity, isometric, offset
-        δr_p, δr_rp, δe, δΔr_rp, δΔr_p with the signs of the pair file's `[errors]`.
-    pin_hole_clearance
-        δJ, diametral clearance of a pin in its hole.
-    gear_runout
-        ΔF_r, radial runout of the cycloid gear's ring: twice its eccentricity.
-    pin_tangential
-        δt, circumferential position of the pins; the contact model takes it with alternating sign.
-    tooth_cumulative_pitch
-        ΔF_p, largest less smallest tooth position; the contact model takes it as one wave round the gear.
-    crank_bearing_clearance
-        Δu, diametral clearance.
-    """
-
-    base_tangent_length: OfDeviation = Deviation()
-    pin_circle_radius: OfDeviation = Deviation()
-    pin_radius: OfDeviation = Deviation()
-    pin_hole_clearance: OfDeviation = Deviation()
-    gear_runout: OfDeviation = Deviation()
-    pin_tangential: OfDeviation = Deviation()
-    tooth_cumulative_pitch: OfDeviation = Deviation()
-    isometric: OfDeviation = Deviation()
-    offset: OfDeviation = Deviation()
-    eccentricity: OfDeviation = Deviation()
-    crank_bearing_clearance: OfDeviation = Deviation()
-
-
-def _below_right_angle(value: float) -> float:
-    if not 0.0 <= value < 0.25 * math.pi:
-        raise ValueError("it must lie between 0 and 45 deg")
-    return value
-
-
-class Involute(Config):
-    """The first stage: a sun in mesh with the planets on the crank shafts.
-
-    Attributes
-    ----------
-    centre_distance
-        Sun to planet, which is the radius of the crank shafts' circle, m; from module and teeth where not stated.
-    shaft_tilt
-        The RV paper's β, tilt of the input shaft, rad (`shaft_tilt`).
-    shaft_displacement
-        The RV paper's a_1, radial displacement of the sun in mesh, m.
-    """
-
-    sun_teeth: int = pydantic.Field(ge=6, le=200, strict=True)
-    planet_teeth: int = pydantic.Field(ge=6, le=200, strict=True)
-    module: PositiveLength
-    pressure_angle: Annotated[Angle, pydantic.AfterValidator(_below_right_angle)] = math.radians(20.0)
-    centre_distance: PositiveLength | None = None
-    shaft_tilt: Annotated[Angle, pydantic.AfterValidator(_below_right_angle)] = 0.0
-    shaft_displacement: edge.Length = 0.0
-
-    @property
-    def crank_circle_radius(self) -> float:
-        """a_0, m."""
-        return self.centre_distance or 0.5 * self.module * (self.sun_teeth + self.planet_teeth)
-
-    @property
-    def sun_base_radius(self) -> float:
-        """Radius of the sun's base circle, m z_1 cos α/2, m."""
-        return 0.5 * self.module * self.sun_teeth * math.cos(self.pressure_angle)
-
-
-class Stated(Config):
-    """What a drawing or paper states although it follows from the rest; the closed forms then use it as stated.
-
-    Attributes
-    ----------
-    shortening
-        K_1; else eccentricity x pins/pin circle radius.
-    sun_pitch_radius
-        r_1, m; else module x sun teeth/2.
-    """
-
-    shortening: float | None = pydantic.Field(default=None, gt=0.0, lt=1.0)
-    sun_pitch_radius: PositiveLength | None = None
-
-
-class Reducer(Config):
-    """An RV reducer, SI units, validated: pin ring fixed, sun in, carrier out.
-
-    Attributes
-    ----------
-    stage
-        The cycloid stage; its errors are those of `deviations`.
-    involute, stated, deviations
-        The first stage, what is stated although it follows from the rest, and the deviations of both stages.
-
-    Examples
-    --------
-    >>> import cycloid_fmu as cy
-    >>> stage = cy.Pair(
-    ...     gear_teeth=39, pin_circle_radius="52 mm", pin_radius="2 mm", eccentricity="0.9 mm", face_width="14 mm"
-    ... )
-    >>> involute = {"sun_teeth": 12, "planet_teeth": 42, "module": "1.5 mm"}
-    >>> cy.Reducer(stage=stage, involute=involute).ratio
-    141.0
-    """
-
-    stage: Pair
-    involute: Involute
-    stated: Stated = Stated()
-    deviations: Deviations = Deviations()
-
-    @property
-    def ratio(self) -> float:
-        """Total ratio 1 + z_2 z_p/(z_1 (z_p - z_c)) (RV paper, equation 4); > 0, the output turns as the sun does."""
-        g = self.stage
-        return 1.0 + self.involute.planet_teeth * g.pins / (self.involute.sun_teeth * (g.pins - g.gear_teeth))
-
-    @property
-    def sun_locked(self) -> float:
-        """Share of a play with the crank locked that is left with the sun locked (`first_stage.sun_locked_share`)."""
-        return sun_locked_share(self.crank_share, self.stage.gear_teeth)
-
-    @property
-    def crank_share(self) -> float:
-        """Crank turn for each turn of the output with the sun locked, 1 + z_1/z_2."""
-        return 1.0 + self.involute.sun_teeth / self.involute.planet_teeth
-
-
-def parse_reducer(text: str, source: str) -> Reducer:
-    """Return the reducer that a TOML text describes.
-
-    Raises
-    ------
-    edge.InputError
-        If it is not a valid reducer; one sentence a problem, naming field, value and `source`.
-    """
-    table = edge.toml_table(text, FORMAT, source)
-    stage: dict[str, Any] = {k: table.pop(k) for k in ("pair", "modification", "material") if k in table}
-    if "stage" in table:
-        raise edge.InputError(f"{source}: stage is not a key known here; check its spelling or remove it.")
-    pair = pair_of_tables(stage, source)
-    if pair.output != "gear":
-        raise edge.InputError(f'{source}: [pair] output = "ring": an RV reducer\'s pin ring is fixed; write "gear".')
-    return edge.validated(Reducer, {**table, "stage": pair}, source)
-
-
-def read_reducer(path: str | os.PathLike[str]) -> Reducer:
-    """Return the reducer of a file; an `edge.InputError` names what is wrong in it.
-
-    Examples
-    --------
-    >>> import cycloid_fmu as cy, pathlib
-    >>> lines = ['format = "cycloid-reducer/1"', "[pair]", "gear_teeth = 39", 'pin_circle_radius = "52 mm"',
-    ...          'pin_radius = "2 mm"', 'eccentricity = "0.9 mm"', 'face_width = "14 mm"', "[involute]",
-    ...          "sun_teeth = 12", "planet_teeth = 42", 'module = "1.5 mm"']
-    >>> _ = pathlib.Path("rv.toml").write_text(chr(10).join(lines))
-    >>> cy.read_reducer("rv.toml").ratio
-    141.0
-    """
-    return parse_reducer(edge.read_text(path), str(path))
-
-
-def contradictions(reducer: Reducer, source: str) -> list[str]:
-    """Return one sentence for each stated number that another contradicts; it names both and says which is used."""
-    g, involute, stated = reducer.stage, reducer.involute, reducer.stated
-    found = []
-    follows = g.eccentricity * g.pins / g.pin_circle_radius
-    if stated.shortening is not None and abs(stated.shortening / follows - 1.0) > 1e-3:
-        circle = g.eccentricity * g.pins / stated.shortening
-        found.append(
-            f'{source}: [stated] shortening = {stated.shortening:g} means a pin circle radius of "{circle * 1e3:.6g} '
-            f'mm", but [pair] pin_circle_radius = "{g.pin_circle_radius * 1e3:.6g} mm" means {follows:.4f}: the closed '
-            "forms use the stated shortening, the contact model the radius."
-        )
-    pitch = 0.5 * involute.module * involute.sun_teeth
-    if stated.sun_pitch_radius is not None and abs(stated.sun_pitch_radius / pitch - 1.0) > 1e-3:
-        found.append(
-            f'{source}: [stated] sun_pitch_radius = "{stated.sun_pitch_radius * 1e3:.6g} mm", but [involute] module = '
-            f'"{involute.module * 1e3:.6g} mm" with {involute.sun_teeth} teeth means "{pitch * 1e3:.6g} mm": '
-            "the closed forms use the stated radius, geometry the module."
-        )
-    unshifted = 0.5 * involute.module * (involute.sun_teeth + involute.planet_teeth)
-    if involute.centre_distance is not None and abs(involute.centre_distance - unshifted) > involute.module:
-        found.append(
-            f'{source}: [involute] centre_distance = "{involute.centre_distance * 1e3:.6g} mm", but module = '
-            f'"{involute.module * 1e3:.6g} mm" with {involute.sun_teeth} and {involute.planet_teeth} teeth means '
-            f'"{unshifted * 1e3:.6g} mm": the cranks stand on the stated centre distance; the play of the first stage '
-            "takes no centre distance."
-        )
-    return found
-
-
 def shaft_tilt(displacement: ArrayLike, length: float) -> Array:
     """Return the tilt of a shaft, rad, whose end is displaced radially: β = arcsin(Y/L) (RV paper, equation 1).
 
@@ -294,13 +61,6 @@ def shaft_tilt(displacement: ArrayLike, length: float) -> Array:
         L of the shaft, m.
     """
     return np.asarray(np.arcsin(np.asarray(displacement, dtype=float) / length))
-
-
-def values_of(reducer: Reducer) -> dict[str, float]:
-    """Return the amount behind each of `TERMS`, m: the nominal modifications and the deviations' values."""
-    m = reducer.stage.modification
-    stated = {name: getattr(reducer.deviations, name).value for name in Deviations.model_fields}
-    return {"isometric_modification": m.isometric, "offset_modification": m.offset, **stated}
 
 
 def _shortening(reducer: Reducer) -> float:
@@ -399,34 +159,6 @@ def as_printed(reducer: Reducer, values: Mapping[str, ArrayLike]) -> dict[str, A
     }
 
 
-def surface_of_reducer(reducer: Reducer, values: Mapping[str, float] | None = None) -> ErrorSurface:
-    """Return the error surface of the cycloid stage that the deviations describe.
-
-    The runout is an offset of the gear that stands still while the gear turns, so that over an output turn it meets the
-    pitch error in every direction; a pin in its hole gives way by half the clearance, so it is as much thinner.
-
-    Parameters
-    ----------
-    values
-        Amount behind each of `TERMS`, m; the reducer's own where not given.
-    """
-    v = values_of(reducer) if values is None else values
-    g, m = reducer.stage, reducer.stage.modification
-    pin, tooth = np.arange(g.pins), np.arange(g.gear_teeth)
-    wave = 0.5 * v["tooth_cumulative_pitch"] * np.cos(2.0 * np.pi * tooth / g.gear_teeth)
-    return ErrorSurface(
-        reducer.stage,
-        pin_circle_radius=v["pin_circle_radius"],
-        pin_radius=v["pin_radius"] - 0.5 * v["pin_hole_clearance"],
-        eccentricity=v["eccentricity"],
-        isometric=v["isometric_modification"] - m.isometric + v["isometric"],
-        offset=v["offset_modification"] - m.offset + v["offset"],
-        centre_distance_x=0.5 * v["gear_runout"],
-        pin_tangential=v["pin_tangential"] * np.where(pin % 2 == 0, 1.0, -1.0),
-        tooth_cumulative_pitch=np.tile(wave, (g.discs, 1)),
-    )
-
-
 @dataclasses.dataclass(frozen=True)
 class Play:
     """The cycloid stage's play with the crank locked, over crank angles of one output turn; arrays (angles,).
@@ -447,12 +179,13 @@ class Play:
 def contact_play(reducer: Reducer, surface: ErrorSurface, angles: int) -> Play:
     """Return the play of the contact model at so many crank angles, spread evenly over one output turn.
 
-    Angles that share no factor with the teeth meet every tooth in another phase of the mesh.
+    It is the mesh's between rigid bodies, whatever holds them. Angles that share no factor with the teeth meet every
+    tooth in another phase of the mesh.
     """
     teeth = reducer.stage.gear_teeth
     low, high, gap = np.empty(angles), np.empty(angles), np.empty(angles)
     crank = 2.0 * np.pi * teeth * np.arange(angles) / angles
-    contact.sweep_play(drive_of(reducer.stage, surface), crank, 0, angles, low, high, gap)
+    contact.sweep_play(mesh_of(reducer.stage, surface), crank, 0, angles, low, high, gap)
     free = np.where(np.isnan(high), 0.0, high - low)
     return Play(free, gap, 0.5 * (low + high))
 
@@ -462,7 +195,8 @@ def geometric(reducer: Reducer) -> dict[str, float]:
 
     A term is the mean play less the mean play without that amount. Where there is interference there is no play to
     compare, so pins are thinned for the terms, not for the play, until all is free; what the terms' sum lacks of the
-    play is `interaction`. With the crank locked the first stage takes no part.
+    play is `interaction`. With the crank locked the first stage takes no part. The bearings' term is that of the model
+    with the stage's supports (`bearing_share`), without them the closed form.
 
     Returns
     -------
@@ -488,6 +222,7 @@ def geometric(reducer: Reducer) -> dict[str, float]:
     terms = dict.fromkeys(names, 0.0) | {n: mean[0] - m for n, m in zip(without, mean[1:], strict=True)}
     cycloid = float(whole.backlash.mean())
     bearings = float(outer_stages(reducer, values, reducer.involute.sun_base_radius)["crank_bearing_clearance"])
+    bearings *= bearing_share(reducer, thinned[0]) if bearings != 0.0 else 1.0
     middle = whole.transmission_error[~np.isnan(whole.transmission_error)]
     return {
         "base_tangent_length": 0.0,
@@ -506,6 +241,33 @@ def geometric(reducer: Reducer) -> dict[str, float]:
     }
 
 
+def bearing_share(reducer: Reducer, surface: ErrorSurface) -> float:
+    """Return how much more play the crank bearings' clearance makes on the stage's supports than by the closed form.
+
+    Of the model it is the mean play with this clearance in the turning arms less that with none, crank locked, whatever
+    else the supports state as it is; turning arms that are stated rigid are springs here. 1 without supports.
+
+    Raises
+    ------
+    edge.InputError
+        If there are supports and no rated torque.
+    """
+    pair, supports, values = reducer.stage, reducer.stage.supports, values_of(reducer)
+    if supports is None:
+        return 1.0
+    if values["crank_bearing_clearance"] <= 0.0:
+        values["crank_bearing_clearance"] = 1e-6  # play grows with the clearance
+    arm = Bearing(stiffness=_STIFF) if supports.turning_arm.is_rigid else supports.turning_arm
+    angles = 2 * pair.gear_teeth + 1
+    crank = 2.0 * np.pi * pair.gear_teeth * np.arange(angles) / angles
+    plays = []
+    for clearance in (values["crank_bearing_clearance"], 0.0):
+        held = pair.replace(supports=supports.replace(turning_arm=arm.replace(clearance=clearance)))
+        plays.append(float(solve(held, surface.replace(pair=held), [], crank).backlash.mean()))
+    closed = outer_stages(reducer, values, reducer.involute.sun_base_radius)["crank_bearing_clearance"]
+    return (plays[0] - plays[1]) / float(closed)
+
+
 def with_sun_locked(reducer: Reducer, crank_locked: Mapping[str, float]) -> dict[str, float]:
     """Return the budget of `geometric` as the bench measures it, the sun locked instead of the crank.
 
@@ -519,14 +281,28 @@ def with_sun_locked(reducer: Reducer, crank_locked: Mapping[str, float]) -> dict
     return found
 
 
-def first_stage_of(reducer: Reducer) -> FirstStage:
-    """Return what the FMU puts around the cycloid stage: the teeth, and the plays that the deviations make."""
+def parts_of(reducer: Reducer) -> tuple[Pair, ErrorSurface, FirstStage]:
+    """Return what a reducer is made of: its cycloid stage, the stage's errors and the first stage, as made.
+
+    Where the stage has bearings that give way, the clearance of its crank bearings is the turning arms'; else it is a
+    play beside the stage.
+    """
     outer = outer_stages(reducer, values_of(reducer), reducer.involute.sun_base_radius)
-    return FirstStage(
-        sun_teeth=reducer.involute.sun_teeth,
-        planet_teeth=reducer.involute.planet_teeth,
-        sun_play=max(0.0, float(outer["base_tangent_length"]) * reducer.ratio),
-        bearing_play=max(0.0, float(outer["crank_bearing_clearance"])),
+    stage, involute, beside = reducer.stage, reducer.involute, float(outer["crank_bearing_clearance"])
+    supports = stage.supports
+    if supports is not None and not supports.turning_arm.is_rigid:
+        arm = supports.turning_arm.replace(clearance=reducer.turning_arm_clearance)
+        stage, beside = stage.replace(supports=supports.replace(turning_arm=arm)), 0.0
+    return (
+        stage,
+        surface_of_reducer(reducer.replace(stage=stage)),
+        FirstStage(
+            sun_teeth=involute.sun_teeth,
+            planet_teeth=involute.planet_teeth,
+            sun_play=max(0.0, float(outer["base_tangent_length"]) * reducer.ratio),
+            bearing_play=max(0.0, beside),
+            crank_stiffness=(reducer.planets or 1) * involute.one_mesh * involute.planet_base_radius**2,
+        ),
     )
 
 
@@ -569,12 +345,15 @@ def remarks(reducer: Reducer, found: Mapping[str, Mapping[str, float]]) -> dict[
     values = values_of(reducer)
     unstated = standard(reducer.replace(stated=Stated()), values)
     said = {}
-    for name in (n for n in TERMS if n not in _STAGE_OF):
+    modelled = {"crank_bearing_clearance"} if reducer.stage.supports is not None else set[str]()
+    for name in (n for n in TERMS if n not in _STAGE_OF or n in modelled):
         a, b = closed[name], exact[name]
         if abs(a - b) <= _AGREES * abs(a) + 1e-9:
             continue
         text = f"geometry gives {b * ARCMIN:+.4f}′"
-        if name == "gear_runout":
+        if name in modelled:
+            text += " on the stage's bearings: their clearance lets the discs shift as well as turn"
+        elif name == "gear_runout":
             swing = runout_error(reducer, values[name]) * ARCMIN
             text += f": as an eccentricity it is a transmission error, {swing:.3f}′ peak to peak, not play"
         elif name == "tooth_cumulative_pitch":

@@ -10,15 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cycloid_fmu.reducer.description import Deviations, Reducer, surface_of_reducer, values_of
 from cycloid_fmu.reducer.lost_motion import (
-    Deviations,
-    Reducer,
+    bearing_share,
     contact_play,
     outer_stages,
     standard,
     summed,
-    surface_of_reducer,
-    values_of,
 )  # fmt: skip
 from cycloid_fmu.surfaces.sampling import error_stream, within_tolerance
 
@@ -79,12 +77,14 @@ def stack(
     closed = summed(standard(reducer, {**{n: np.full(samples, v) for n, v in values.items()}, **drawn}))
     exact, pressed = np.empty(samples), np.empty(samples, dtype=bool)
     angles = reducer.stage.gear_teeth + 2
+    loose = "crank_bearing_clearance" in free or values["crank_bearing_clearance"] != 0.0
+    share = bearing_share(reducer, surface_of_reducer(reducer)) if loose else 1.0
     for i in range(samples):
         one = values | {n: float(v[i]) for n, v in drawn.items()}
         play = contact_play(reducer, surface_of_reducer(reducer, one), angles)
         outer = outer_stages(reducer, one, reducer.involute.sun_base_radius)
         exact[i] = float(outer["base_tangent_length"]) + reducer.sun_locked * (
-            float(outer["crank_bearing_clearance"]) + float(play.backlash.mean())
+            share * float(outer["crank_bearing_clearance"]) + float(play.backlash.mean())
         )
         pressed[i] = play.interference.max() > 0.0
         progress(1)

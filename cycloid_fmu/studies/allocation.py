@@ -2,13 +2,15 @@
 
 A tolerance's cost is taken as inversely proportional to its width, the usual reciprocal law: at a width s times the
 stated one it costs c/s, c its relative cost as stated. The same drives are scaled throughout (common random numbers),
-to first order in their errors; the exact kernel confirms what is found on other drives.
+to first order in their errors; the exact kernel confirms what is found on other drives. On rigid bearings that is about
+the error-free drive; where errors open and close bearings' clearances it is about each drive, solved at every step.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +18,9 @@ from numpy.typing import NDArray
 from cycloid_fmu import edge
 from cycloid_fmu.errors.kinds import KINDS
 from cycloid_fmu.studies.tolerance import (
+    PLAY_STEP,
     Study,
+    crank_angles,
     demand,
     figures_of,
     figures_to_first_order,
@@ -26,6 +30,7 @@ from cycloid_fmu.studies.tolerance import (
     surface_of,
     yields,
 )
+from cycloid_fmu.supports.transmission import PLAY_LOAD, sensitivity, solve
 from cycloid_fmu.surfaces.structured import displacement_vector
 from cycloid_fmu.surfaces.surface import ErrorSurface, nominal_surface
 
@@ -33,6 +38,7 @@ Array = NDArray[np.float64]
 NARROWEST, WIDEST = 0.05, 4.0  # of the stated tolerances
 _ROUNDS = 12
 _SLOPE_STEP = 0.03  # of a tolerance's logarithm
+_ON_BEARINGS = 256  # drives with supports on which tolerances are found: each is solved at every step
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,11 +73,11 @@ def errors_of_factors(study: Study, place: Array) -> Array:
         Points of the unit cube, shape (drives, factors); the displacements are those of `displacement_vector`.
     """
     kinds = {kind.tolerance.key: kind.name for kind in KINDS.values() if kind.tolerance is not None}
-    rows = []
+    rows, none = [], displacement_vector(study.pair, nominal_surface(study.pair))
     for point in place:
         drawn = surface_of(study, point)
         alone = (ErrorSurface(study.pair, {kinds[name]: drawn.errors[kinds[name]]}) for name in study.factors)
-        rows.append([displacement_vector(study.pair, surface) for surface in alone])
+        rows.append([displacement_vector(study.pair, surface) - none for surface in alone])
     return np.swapaxes(np.array(rows), 0, 1)
 
 
@@ -85,6 +91,80 @@ def scaled(study: Study, scale: Array) -> Study:
     return dataclasses.replace(study, tolerances=study.tolerances.replace(**changes))
 
 
+class Nearby:
+    """Drives on bearings at some widths of the tolerances, solved, and what they do at widths near by.
+
+    It stands in for `contact.first_order.Screen`, whose first order about the error-free drive would leave every
+    bearing's clearance where that drive has it.
+
+    Parameters
+    ----------
+    study
+        With supports and a rated torque.
+    place
+        The drives, points of the unit cube, shape (drives, factors).
+    errors
+        What `errors_of_factors` gives for them.
+    scale
+        The widths relative to the stated ones, shape (factors,).
+    workers
+        Threads.
+    """
+
+    def __init__(self, study: Study, place: Array, errors: Array, scale: Array, workers: int = 1) -> None:
+        self._scale = scale
+        pair, angles = study.pair, crank_angles(study)
+        assert pair.rated_torque is not None
+        few = angles[::PLAY_STEP]
+        ends = (PLAY_LOAD * pair.rated_torque, -PLAY_LOAD * pair.rated_torque)
+        sweeps = [*((t, angles) for t in study.torque), *((t, few) for t in (*pair.lost_motion_loads, *ends))]
+        limited = study.tolerances.limits.max_contact_pressure is not None
+        at = scaled(study, scale)
+        steps = _SLOPE_STEP * scale
+        wider = [scaled(study, scale + step) for step in np.diag(steps)] if limited else []
+
+        def largest(one: Study, point: Array) -> Array:
+            found = solve(pair, surface_of(one, point), study.torque, angles, with_play=False)
+            return np.asarray(found.max_contact_pressure.max(axis=1))
+
+        def solved(drive: int) -> tuple[list[Array], list[Array], Array, Array]:
+            deviations, slopes = [], []
+            surface = surface_of(at, place[drive])
+            for number, (torque, theta) in enumerate(sweeps):
+                one = sensitivity(pair, surface, torque, theta)
+                # The play lies between the places where the tangents of two small torques meet none.
+                left = torque * one.by_torque if number >= len(sweeps) - len(ends) else 0.0
+                deviations.append(one.transmission_error - left)
+                slopes.append(errors[:, drive] @ one.by_displacement.T)
+            pressure, rates = np.zeros(len(study.torque)), np.zeros((scale.size, len(study.torque)))
+            if limited:
+                pressure = largest(at, place[drive])
+                rates = (np.array([largest(one, place[drive]) for one in wider]) - pressure) / steps[:, None]
+            return deviations, slopes, pressure, rates
+
+        with ThreadPoolExecutor(workers) as pool:
+            drives = list(pool.map(solved, range(len(place))))
+        self._deviation = [np.array([one[0][k] for one in drives]) for k in range(len(sweeps))]
+        self._slope = [np.array([one[1][k] for one in drives]) for k in range(len(sweeps))]
+        self._pressure, self._rate = np.array([one[2] for one in drives]), np.array([one[3] for one in drives])
+
+    def loaded(self, sweep_number: int, scale: Array, /) -> tuple[Array, Array]:
+        """Return transmission error (drives, angles), rad, and largest pressure, (drives, 1), Pa, at widths near by.
+
+        The pressure is known at the study's torques, where it has a limit; else it is 0.
+        """
+        moved = scale - self._scale
+        deviation = self._deviation[sweep_number] + np.tensordot(moved, self._slope[sweep_number], (0, 1))
+        known = min(sweep_number, self._pressure.shape[1] - 1)
+        pressure = self._pressure[:, known] + np.tensordot(moved, self._rate[:, :, known], (0, 1))
+        return deviation, pressure[:, None]
+
+    def play(self, sweep_number: int, scale: Array, /) -> tuple[Array, Array]:
+        """Return backlash (rad) and interference (m, none), each (drives, angles)."""
+        above, below = (self.loaded(sweep_number + k, scale)[0] for k in range(2))
+        return np.maximum(above - below, 0.0), np.zeros_like(above)
+
+
 def allocate(
     study: Study,
     target: float,
@@ -96,7 +176,8 @@ def allocate(
 ) -> Allocation:
     """Return the cheapest tolerances by which a share `target` of the drives keeps all the study's limits.
 
-    They are found on the study's own drives and confirmed on as many others, drawn with the next seed.
+    They are found on the study's own drives, of a pair with supports on the first `_ON_BEARINGS` of them, and confirmed
+    on as many others as the study has, drawn with the next seed.
 
     From the stated tolerances on, the logarithm of the demand that the share just meets is made linear in the
     logarithms of the widths; the cheapest step within a shrinking region has a closed form, c/(s λ) = slope.
@@ -129,11 +210,24 @@ def allocate(
             )
     costs = np.array([study.tolerances.costs.get(name, 1.0) for name in study.factors])
     place = points(study)
-    errors, screen = errors_of_factors(study, place), screen_of(study, WIDEST)
+    if study.pair.supports is not None:
+        place = place[:_ON_BEARINGS]
+    errors = errors_of_factors(study, place)
+    screen = screen_of(study, WIDEST) if study.pair.supports is None else None
 
-    def demands(scale: Array) -> Array:
-        values = figures_to_first_order(study, screen, np.tensordot(scale, errors, 1))
-        return np.asarray(np.max([*demand(study, values).values()], axis=0))
+    def demands_about(width: Array) -> Callable[[Array], Array]:
+        """Return the demand of every drive over the scale, which holds near these widths."""
+        near = Nearby(study, place, errors, width, workers) if screen is None else None
+
+        def demands(scale: Array) -> Array:
+            if near is None:
+                assert screen is not None
+                values = figures_to_first_order(study, screen, np.tensordot(scale, errors, 1))
+            else:
+                values = figures_to_first_order(study, near, scale)
+            return np.asarray(np.max([*demand(study, values).values()], axis=0))
+
+        return demands
 
     def reached(scale: Array) -> float:
         return float(np.mean(demands(scale) <= 1.0))
@@ -147,6 +241,8 @@ def allocate(
         return float(np.log(max((weight * ordered).sum() / weight.sum(), 1e-6)))
 
     width = np.zeros(costs.size)
+    demands = demands_about(np.exp(width))
+    stated_yield = reached(np.ones(costs.size))
     low, high = np.log(NARROWEST), np.log(WIDEST)
     for step in range(_ROUNDS):
         region = 0.6 * 0.77**step
@@ -158,6 +254,7 @@ def allocate(
             slope[i] = (edge_of(np.exp(moved)) - here) / _SLOPE_STEP
         box = np.maximum(width - region, low), np.minimum(width + region, high)
         width = _cheapest_step(width, here, slope, costs, *box)
+        demands = demands_about(np.exp(width))
         progress(1)
     scale = np.exp(width)
     # The linear step may end beyond the target: narrow all alike until it is met, first to first order, then exactly.
@@ -180,7 +277,7 @@ def allocate(
     scale = narrower * scale
     return Allocation(
         scale=scale, cost=float((costs / scale).sum()), stated_cost=float(costs.sum()),
-        exact_yield=exact, stated_yield=reached(np.ones(costs.size)),
+        exact_yield=exact, stated_yield=stated_yield,
     )  # fmt: skip
 
 

@@ -22,13 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact.first_order import Screen
+from cycloid_fmu.contact.first_order import NearDrives, Screen
 from cycloid_fmu.contact.transmission import SLICES_MISALIGNED, slices_needed
 from cycloid_fmu.geometry.pair import ANGLES, LOST_MOTION, Pair
-from cycloid_fmu.supports.transmission import solve
+from cycloid_fmu.reducer.first_stage import FirstStage
+from cycloid_fmu.reducer.transmission import solve
 from cycloid_fmu.surfaces.sampling import LARGEST_SEED, AngleError, Tolerances, surface_at
 from cycloid_fmu.surfaces.structured import displacement_vector
-from cycloid_fmu.surfaces.surface import Elements, ErrorSurface
+from cycloid_fmu.surfaces.surface import Elements, ErrorSurface, nominal_surface
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -70,6 +71,8 @@ class Study:
         Loads on the output, N·m, not zero.
     angles, turns
         Crank angles evenly from 0 over so many crank turns, end excluded.
+    first_stage
+        What turns the cranks of an RV reducer: figures are then those with the sun locked.
     """
 
     pair: Pair
@@ -80,6 +83,7 @@ class Study:
     design: Design = "sobol"
     angles: int = ANGLES
     turns: int = 1
+    first_stage: FirstStage | None = None
 
     @property
     def factors(self) -> tuple[str, ...]:
@@ -106,6 +110,7 @@ class Study:
             "angles": self.angles,
             "turns": self.turns,
             "versions": versions(),
+            **({} if self.first_stage is None else {"first_stage": self.first_stage.text}),
         }
 
 
@@ -201,8 +206,11 @@ def crank_angles(study: Study) -> Array:
 def figures_of(study: Study, surface: ErrorSurface) -> Array:
     """Return the figures of one drive in the order of `Study.columns`, by the exact kernel."""
     angles, slices = crank_angles(study), slices_needed(surface)
-    loaded = solve(study.pair, surface, study.torque, angles, slices, with_play=False)
-    free = solve(study.pair, surface, study.pair.lost_motion_loads, angles[::PLAY_STEP], slices)
+    first = study.first_stage
+    loaded = solve(study.pair, surface, first, study.torque, angles, slices, with_play=False, with_stiffness=False)
+    free = solve(
+        study.pair, surface, first, study.pair.lost_motion_loads, angles[::PLAY_STEP], slices, with_stiffness=False
+    )
     backlash = np.where(np.isnan(free.backlash), 0.0, free.backlash)
     found: dict[str, Any] = {
         "angular_transmission_error": np.ptp(loaded.transmission_error, axis=1),
@@ -218,7 +226,9 @@ def figures_of(study: Study, surface: ErrorSurface) -> Array:
 
 
 def check_first_order(study: Study, tolerances_source: str) -> None:
-    """Refuse, with an `edge.InputError`, form deviations: first order takes errors of size and place alone."""
+    """Refuse, with an `edge.InputError`, what first order does not take: form deviations, a first stage."""
+    if study.first_stage is not None:
+        raise edge.InputError("[involute]: to first order no first stage is known; solve the drives exactly.")
     for name in study.factors:
         if name.endswith("_profile"):
             raise edge.InputError(
@@ -247,7 +257,7 @@ def screen_of(study: Study, largest: float = 1.0) -> Screen:
     return Screen(study.pair, loads, SLICES_MISALIGNED if tilted else 1, 20e-6 + 3.0 * largest * reach)
 
 
-def figures_to_first_order(study: Study, screen: Screen, errors: Array) -> Array:
+def figures_to_first_order(study: Study, screen: NearDrives, errors: Array) -> Array:
     """Return the figures of drives in the order of `Study.columns`, to first order, shape (drives, columns).
 
     Parameters
@@ -294,7 +304,8 @@ def _screening_task(wanted: dict[str, str], study: Study, first: int, rows: Arra
     if key not in _screens:
         _screens.clear()
         _screens[key] = screen_of(study)
-    errors = np.array([displacement_vector(study.pair, surface_of(study, row)) for row in rows])
+    drawn = displacement_vector(study.pair, nominal_surface(study.pair))
+    errors = np.array([displacement_vector(study.pair, surface_of(study, row)) - drawn for row in rows])
     return first, figures_to_first_order(study, _screens[key], errors)
 
 
@@ -553,8 +564,11 @@ def screened(
     share
         Of the samples, above 0 and at most 1.
     workers, scheduler, progress
-        As in `run`; each confirmed sample is told of once more.
+        As in `run`; each confirmed sample is told of once more. An `edge.InputError` refuses a pair with supports.
     """
+    if study.pair.supports is not None:
+        problem = "first order does not see errors open and close bearings' clearances; leave it out with supports"
+        raise edge.ArgumentError("screen", problem, share)
     place = points(study)
     values = np.empty((len(place), len(study.columns)))
     size = 16 * CHUNK

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cycloid_fmu import edge
-from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.reducer.drive_file import parts_of_file
 from cycloid_fmu.studies.tolerance import (
     Array,
     Checkpoint,
@@ -90,12 +90,12 @@ def read_study(
     edge.InputError
         If a file can't be read, or there is neither a torque nor a rated torque.
     """
-    pair, tolerances = read_pair(pair_file), read_tolerances(tolerances_file)
+    (pair, _, first_stage), tolerances = parts_of_file(pair_file), read_tolerances(tolerances_file)
     if not torque:
         if pair.rated_torque is None:
             raise edge.ArgumentError("torque", f"is missing; give it, or state [pair] rated_torque in {pair_file}")
         torque = (pair.rated_torque, -pair.rated_torque)
-    return Study(pair, tolerances, torque=tuple(torque), **settings)
+    return Study(pair, tolerances, torque=tuple(torque), first_stage=first_stage, **settings)
 
 
 def check(study: Study, pair_source: str, tolerances_source: str, *, to_first_order: bool = False) -> None:

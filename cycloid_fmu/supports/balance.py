@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact import Array, Problem, Rows, part
+from cycloid_fmu.contact import Array, Problem, Rows, part, spliced
 from cycloid_fmu.contact.equilibrium import load
 from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
 from cycloid_fmu.supports.assembly import Assembly
@@ -26,6 +26,7 @@ _LONGEST = 25e-6  # m: a step is no longer than this
 _REACH = 4e-6  # m: pins nearer than this are solved at every step, the others once the discs have moved as far
 _HELD = 1e-3  # N/m: keeps a rotation in reach that nothing holds yet; it pulls to where the step began
 _ITERATIONS = 60
+_LAST_ITERATIONS = 600  # a drive that hangs in its clearances finds its place in small steps
 
 
 class Work(NamedTuple):
@@ -68,7 +69,7 @@ def work_of(unknowns: int, discs: int) -> Work:
     )  # fmt: skip
 
 
-@part
+@spliced
 def _place_discs(problem: Problem, assembly: Assembly, theta: float, q: Array, contacts: Rows, work: Work) -> None:
     """Put the discs where q says and solve the gaps that this can close."""
     x = q[0]
@@ -88,7 +89,7 @@ def _place_discs(problem: Problem, assembly: Assembly, theta: float, q: Array, c
     place(problem, theta, x, contacts, cold, clear, BOUNDED)
 
 
-@part
+@spliced
 def _add_mesh(problem: Problem, theta: float, x: float, contacts: Rows, work: Work) -> None:
     """Add the pins' forces on the discs and their derivatives."""
     residual, jacobian = work.residual, work.jacobian
@@ -210,7 +211,7 @@ def crank_displacement(
     return dx - q[shaft] + ex, dy - q[shaft + 1] + ey, hx, hy, ax, ay
 
 
-@part
+@spliced
 def _add_cranks(problem: Problem, assembly: Assembly, theta: float, q: Array, centring: float, work: Work) -> None:
     jacobian = work.jacobian
     discs = problem.shift_x.size
@@ -251,7 +252,7 @@ def roller_displacement(
     return wx, wy, hx, hy, ax, ay, beyond
 
 
-@part
+@spliced
 def _add_rollers(problem: Problem, assembly: Assembly, theta: float, q: Array, centring: float, work: Work) -> None:
     jacobian = work.jacobian
     discs = problem.shift_x.size
@@ -368,7 +369,7 @@ def hold(problem: Problem, assembly: Assembly, work: Work, held: float) -> None:
             work.matrix[i, i] += held
 
 
-@part
+@spliced
 def torsional_stiffness(problem: Problem, assembly: Assembly, work: Work) -> float:
     """dT/dx = 1/(H⁻¹)_xx where the torque balances, N·m/rad; NaN where nothing holds."""
     hold(problem, assembly, work, _HELD)
@@ -397,17 +398,17 @@ def _direction(problem: Problem, assembly: Assembly, work: Work) -> float:
     return 0.0
 
 
-@part
+@spliced
 def balance(
     problem: Problem, assembly: Assembly, theta: float, torque: float, centring: float, q: Array, contacts: Rows,
-    work: Work,
+    work: Work, iterations: int,
 ) -> int:  # fmt: skip
     """Solve the balance from q, which is overwritten; returns the number of steps, 0 where it was not found.
 
     A step is shortened where the work along it has turned round: energies are convex but for small turns.
     """
     assemble(problem, assembly, theta, torque, centring, q, contacts, work)
-    for iteration in range(_ITERATIONS):
+    for iteration in range(iterations):
         left = _longest(problem, assembly, work.residual, -1.0)
         if left < assembly.balanced:
             return iteration + 1
@@ -434,7 +435,7 @@ def balance(
     return 0
 
 
-@part
+@spliced
 def settle(
     problem: Problem, assembly: Assembly, theta: float, torque: float, q: Array, contacts: Rows, work: Work, cold: bool
 ) -> int:
@@ -450,8 +451,9 @@ def settle(
             work.moved[0] = math.inf
         spring, found = 1e8 if stage == 2 else CENTRING, 0
         while True:
-            found = balance(problem, assembly, theta, torque, spring, q, contacts, work)
-            total += found if found > 0 else _ITERATIONS
+            most = _LAST_ITERATIONS if stage == 2 and spring == CENTRING else _ITERATIONS
+            found = balance(problem, assembly, theta, torque, spring, q, contacts, work, most)
+            total += found if found > 0 else most
             if spring == CENTRING:
                 break
             spring = max(0.1 * spring, CENTRING)

@@ -86,7 +86,7 @@ def compliance(pair: Pair, *, progress: Callable[[int], None] = lambda stages: N
     Parameters
     ----------
     pair
-        With supports and rated torque; errors that it states are left out.
+        With supports and rated torque; errors and temperatures that it states are left out.
     progress
         Told after each part.
 
@@ -100,7 +100,7 @@ def compliance(pair: Pair, *, progress: Callable[[int], None] = lambda stages: N
     edge.InputError
         If the pair has no supports or no rated torque, or it can't be carried.
     """
-    pair = pair.nominal
+    pair = pair.nominal.replace(temperature=None)
     if pair.supports is None:
         raise edge.InputError("the pair has no [supports]: its compliance is that of the mesh alone, rigid bodies.")
     if pair.rated_torque is None:

@@ -7,9 +7,10 @@ one linear solution a crank angle, whatever the number of errors (docs/theory/su
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact import Array, Problem, Rows, compiled, part
+from cycloid_fmu.contact import Array, Problem, Rows, compiled, part, spliced
 from cycloid_fmu.contact.sensitivity import (
     BODY_COUNT,
     CENTRE_X,
@@ -36,7 +37,7 @@ from cycloid_fmu.supports.bearing import CENTRING, Bearing, by_clearance, push
 TURNING_ARM, CRANK_SHAFT, MAIN, OUTPUT_ROLLER = range(4)
 
 
-@part
+@spliced
 def _row_of_rotation(problem: Problem, assembly: Assembly, work: Work) -> bool:
     """Write λ into `work.step`."""
     hold(problem, assembly, work, 0.0)
@@ -49,7 +50,7 @@ def _row_of_rotation(problem: Problem, assembly: Assembly, work: Work) -> bool:
     return solve_linear(matrix, work.step)
 
 
-@part
+@spliced
 def _add_mesh(
     problem: Problem, theta: float, x: float, contacts: Rows, row: Array, out: Array, by_angle: Array
 ) -> None:
@@ -123,19 +124,70 @@ def _law_columns(bearing: Bearing, r: float, along: float, law: int, out: Array)
     out[2 * law + 1] -= by_clearance(bearing, r) * along
 
 
+class _Joint(NamedTuple):
+    """A crank's bearing or an output roller in a disc's hole."""
+
+    disc: int
+    number: int
+    x: float  # displacement d, m
+    y: float
+    r: float  # its length
+    force: float
+    stiffness: float
+    hole_x: float  # arms of disc and carrier, m
+    hole_y: float
+    carrier_x: float
+    carrier_y: float
+    along_x: float  # λ·∂d/∂q
+    along_y: float
+
+
 @part
+def _add_places(
+    problem: Problem, theta: float, q: Array, row: Array, out: Array, first: int, count: int, joint: _Joint,
+    by_angle: Array, vx: float, vy: float,
+) -> None:  # fmt: skip
+    """Subtract λ·∂r/∂p of the place of a joint's hole in its disc and of the joint's in the carrier.
+
+    And of the crank angle, where beside the carrier's turn d changes by v with it.
+    """
+    carrier, holes = -theta / problem.teeth, problem.shift_x.size * count
+    x, y, r, force, stiffness, lx, ly = (
+        joint.x, joint.y, joint.r, joint.force, joint.stiffness, joint.along_x, joint.along_y
+    )  # fmt: skip
+    fx, fy = (force * x / r, force * y / r) if r > 0.0 else (0.0, 0.0)
+    turned, carried = row[FIRST_DISC + 3 * joint.disc + 2], row[0]
+    gx, gy = _stiff(
+        force, stiffness, x, y, r, vx + (joint.hole_y - joint.carrier_y) / problem.teeth,
+        vy - (joint.hole_x - joint.carrier_x) / problem.teeth,
+    )  # fmt: skip
+    by_angle[0] -= gx * lx + gy * ly
+    by_angle[0] -= (
+        (fx * joint.hole_x + fy * joint.hole_y) * turned - (fx * joint.carrier_x + fy * joint.carrier_y) * carried
+    ) / problem.teeth
+    disc_angle, carrier_angle = carrier + q[FIRST_DISC + 3 * joint.disc + 2], carrier + q[0]
+    for axis in range(2):
+        angle = disc_angle + 0.5 * math.pi * axis
+        ux, uy = math.cos(angle), math.sin(angle)
+        gx, gy = _stiff(force, stiffness, x, y, r, ux, uy)
+        column = first + axis * holes + joint.disc * count + joint.number
+        out[column] -= gx * lx + gy * ly + (fy * ux - fx * uy) * turned
+        angle = carrier_angle + 0.5 * math.pi * axis
+        ux, uy = math.cos(angle), math.sin(angle)
+        gx, gy = _stiff(force, stiffness, x, y, r, -ux, -uy)
+        column = first + 2 * holes + axis * count + joint.number
+        out[column] -= gx * lx + gy * ly - (fy * ux - fx * uy) * carried
+
+
+@spliced
 def _add_cranks(
     problem: Problem, assembly: Assembly, theta: float, q: Array, row: Array, out: Array, first: int, laws: Array,
     by_angle: Array,
 ) -> None:  # fmt: skip
     discs, count, teeth = problem.shift_x.size, assembly.place_x.size, problem.teeth
-    hole_x, hole_y = first, first + discs * count
-    carrier_x = hole_y + discs * count
-    carrier_y, throw = carrier_x + count, carrier_x + 2 * count
+    throw = first + 2 * (discs + 1) * count
     phase = throw + discs * count
-    carrier = -theta / teeth
-    x = q[0]
-    cx, sx = math.cos(carrier + x), math.sin(carrier + x)
+    carrier, e = -theta / teeth, assembly.eccentricity
     for k in range(count):
         shaft = FIRST_DISC + 3 * discs + 2 * k
         for disc in range(discs):
@@ -144,33 +196,19 @@ def _add_cranks(
             dx, dy, hx, hy, ax, ay = crank_displacement(assembly, carrier, theta, problem.crank_phase[disc], q, disc, k)
             r = math.hypot(dx, dy)
             force, stiffness = push(assembly.turning_arm, r)
-            fx, fy = (force * dx / r, force * dy / r) if r > 0.0 else (0.0, 0.0)
-            # λ·∂d/∂q: what λ does to the displacement.
+            # What λ does to the displacement.
             lx = row[at] - row[1] - row[shaft] - hy * row[at + 2] + ay * row[0]
             ly = row[at + 1] - row[2] - row[shaft + 1] + hx * row[at + 2] - ax * row[0]
-            cy, sy = math.cos(carrier + q[at + 2]), math.sin(carrier + q[at + 2])
-            for axis in range(2):
-                vx, vy = (cy, sy) if axis == 0 else (-sy, cy)
-                gx, gy = _stiff(force, stiffness, dx, dy, r, vx, vy)
-                column = (hole_x if axis == 0 else hole_y) + one
-                out[column] -= gx * lx + gy * ly + (fy * vx - fx * vy) * row[at + 2]
-                vx, vy = (cx, sx) if axis == 0 else (-sx, cx)
-                gx, gy = _stiff(force, stiffness, dx, dy, r, -vx, -vy)
-                column = (carrier_x if axis == 0 else carrier_y) + k
-                out[column] -= gx * lx + gy * ly - (fy * vx - fx * vy) * row[0]
-            angle, length = crank + assembly.phase[disc, k], assembly.eccentricity + assembly.throw[disc, k]
+            angle, length = crank + assembly.phase[disc, k], e + assembly.throw[disc, k]
             ux, uy = math.cos(angle), math.sin(angle)
             gx, gy = _stiff(force, stiffness, dx, dy, r, -ux, -uy)
             out[throw + one] -= gx * lx + gy * ly
             out[CRANK_THROW] -= gx * lx + gy * ly
             gx, gy = _stiff(force, stiffness, dx, dy, r, length * uy, -length * ux)
             out[phase + one] -= gx * lx + gy * ly
-            e = assembly.eccentricity
-            vx = -e * math.sin(crank) + length * uy + (hy - ay) / teeth
-            vy = e * math.cos(crank) - length * ux - (hx - ax) / teeth
-            gx, gy = _stiff(force, stiffness, dx, dy, r, vx, vy)
-            by_angle[0] -= gx * lx + gy * ly
-            by_angle[0] -= ((fx * hx + fy * hy) * row[at + 2] - (fx * ax + fy * ay) * row[0]) / teeth
+            vx, vy = length * uy - e * math.sin(crank), e * math.cos(crank) - length * ux
+            joint = _Joint(disc, k, dx, dy, r, force, stiffness, hx, hy, ax, ay, lx, ly)
+            _add_places(problem, theta, q, row, out, first, count, joint, by_angle, vx, vy)
             if r > 0.0:
                 _law_columns(assembly.turning_arm, r, (dx * lx + dy * ly) / r, TURNING_ARM, laws)
         r = math.hypot(q[shaft], q[shaft + 1])
@@ -179,21 +217,18 @@ def _add_cranks(
             _law_columns(assembly.crank_shaft, r, along, CRANK_SHAFT, laws)
 
 
-@part
+@spliced
 def _add_rollers(
     problem: Problem, assembly: Assembly, theta: float, q: Array, row: Array, out: Array, first: int, laws: Array,
     by_angle: Array,
 ) -> None:  # fmt: skip
     discs, count, teeth = problem.shift_x.size, assembly.place_x.size, problem.teeth
-    hole_x, hole_y = first, first + discs * count
-    carrier_x = hole_y + discs * count
-    carrier_y, throw = carrier_x + count, carrier_x + 2 * count
+    throw = first + 2 * (discs + 1) * count
     phase = throw + discs
     play = phase + discs
     carrier = -theta / teeth
     shaft = FIRST_DISC + 3 * discs
     e, kw = assembly.eccentricity, assembly.output_roller
-    cx, sx = math.cos(carrier + q[0]), math.sin(carrier + q[0])
     for disc in range(discs):
         at = FIRST_DISC + 3 * disc
         crank = theta + problem.crank_phase[disc]
@@ -214,34 +249,21 @@ def _add_rollers(
         by_angle[0] -= gx * lx + gy * ly
         if r > 0.0:
             _law_columns(assembly.turning_arm, r, (dx * lx + dy * ly) / r, TURNING_ARM, laws)
-        cy, sy = math.cos(carrier + q[at + 2]), math.sin(carrier + q[at + 2])
         for i in range(count):
             wx, wy, hx, hy, ax, ay, beyond = roller_displacement(assembly, carrier, crank, q, disc, i)
             beyond -= assembly.hole_play[disc, i]
             if beyond <= 0.0:
                 continue
-            one = disc * count + i
             r = math.hypot(wx, wy)
             force = kw * beyond
-            fx, fy = force * wx / r, force * wy / r
             lx = row[at] - row[1] - hy * row[at + 2] + ay * row[0]
             ly = row[at + 1] - row[2] + hx * row[at + 2] - ax * row[0]
             along = (wx * lx + wy * ly) / r
-            for axis in range(2):
-                vx, vy = (cy, sy) if axis == 0 else (-sy, cy)
-                gx, gy = _stiff(force, kw, wx, wy, r, vx, vy)
-                column = (hole_x if axis == 0 else hole_y) + one
-                out[column] -= gx * lx + gy * ly + (fy * vx - fx * vy) * row[at + 2]
-                vx, vy = (cx, sx) if axis == 0 else (-sx, cx)
-                gx, gy = _stiff(force, kw, wx, wy, r, -vx, -vy)
-                column = (carrier_x if axis == 0 else carrier_y) + i
-                out[column] -= gx * lx + gy * ly - (fy * vx - fx * vy) * row[0]
-            out[play + one] += kw * along
-            vx = -e * math.sin(crank) + (hy - ay) / teeth
-            vy = e * math.cos(crank) - (hx - ax) / teeth
-            gx, gy = _stiff(force, kw, wx, wy, r, vx, vy)
-            by_angle[0] -= gx * lx + gy * ly
-            by_angle[0] -= ((fx * hx + fy * hy) * row[at + 2] - (fx * ax + fy * ay) * row[0]) / teeth
+            out[play + disc * count + i] += kw * along
+            joint = _Joint(disc, i, wx, wy, r, force, kw, hx, hy, ax, ay, lx, ly)
+            _add_places(
+                problem, theta, q, row, out, first, count, joint, by_angle, -e * math.sin(crank), e * math.cos(crank)
+            )
             laws[2 * OUTPUT_ROLLER] -= force * along
             laws[2 * OUTPUT_ROLLER + 1] += 0.5 * kw * along
     _add_seat(assembly, assembly.crank_shaft, q, row, shaft, CRANK_SHAFT, out, laws)
@@ -264,15 +286,15 @@ def _add_seat(
 
 @compiled
 def sweep_supported_sensitivities(
-    problem: Problem, assembly: Assembly, thetas: Array, torque: float, places: Array, errors: Array, laws: Array,
+    problem: Problem, assembly: Assembly, thetas: Array, torques: Array, places: Array, errors: Array, laws: Array,
     by_angle: Array, by_torque: Array, work: Work,
 ) -> bool:  # fmt: skip
     """Write the derivatives of the deviation at places that balance; returns whether there are any.
 
     Parameters
     ----------
-    thetas, torque, places
-        Crank angles (rad), shape (angles,); torque (N·m); the unknowns there, shape (angles, unknowns).
+    thetas, torques, places
+        Crank angles (rad) and the torque at each (N·m), shape (angles,); the unknowns there, shape (angles, unknowns).
     errors, laws, by_angle, by_torque
         Zeros, overwritten: derivatives of x by every displacement, in the order of
         `surfaces.structured.displacement_layout`, shape (angles, displacements), and by each bearing's logarithm of
@@ -284,7 +306,7 @@ def sweep_supported_sensitivities(
         theta = thetas[i]
         q = places[i]
         work.moved[0] = math.inf
-        assemble(problem, assembly, theta, torque, CENTRING, q, contacts, work)
+        assemble(problem, assembly, theta, torques[i], CENTRING, q, contacts, work)
         if not _row_of_rotation(problem, assembly, work):
             return False
         row = work.step

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact import Array, Problem, compiled, part
+from cycloid_fmu.contact import Array, Problem, compiled, spliced
+from cycloid_fmu.contact.load_sharing import write_contact_lines
 from cycloid_fmu.supports.assembly import Assembly
 from cycloid_fmu.supports.balance import (
     FIRST_DISC,
@@ -41,7 +42,7 @@ class Found(NamedTuple):
     output_roller: Array
 
 
-@part
+@spliced
 def _forces(problem: Problem, assembly: Assembly, theta: float, q: Array, found: Found, i: int) -> float:
     """Write every bearing's force; returns the crank torque."""
     discs = problem.shift_x.size
@@ -79,9 +80,10 @@ def _forces(problem: Problem, assembly: Assembly, theta: float, q: Array, found:
 
 @compiled
 def sweep_supported(
-    problem: Problem, assembly: Assembly, thetas: Array, torque: float, with_forces: bool, found: Found, work: Work
-) -> None:
-    """Solve crank angles at one torque, each from its neighbours."""
+    problem: Problem, assembly: Assembly, thetas: Array, torques: Array, with_forces: bool, found: Found, work: Work,
+    lines: contact.ContactLines,
+) -> None:  # fmt: skip
+    """Solve crank angles, each at its torque and from its neighbours, and write contact lines where these are any."""
     contacts = contact.contact_rows(problem)
     q = work.place
     for i in range(thetas.size):
@@ -91,7 +93,7 @@ def sweep_supported(
             share = (theta - thetas[i - 1]) / (thetas[i - 1] - thetas[i - 2])
             for k in range(q.size):
                 q[k] += share * (q[k] - found.place[i - 2, k])
-        found.steps[i] = settle(problem, assembly, theta, torque, q, contacts, work, not step < NEIGHBOUR)
+        found.steps[i] = settle(problem, assembly, theta, torques[i], q, contacts, work, not step < NEIGHBOUR)
         for k in range(q.size):
             found.place[i, k] = q[k]
         found.stiffness[i] = torsional_stiffness(problem, assembly, work)
@@ -99,3 +101,5 @@ def sweep_supported(
             found.crank_torque[i] = _forces(problem, assembly, theta, q, found, i)
             count, pressure = contact.load_sharing(problem, contacts, found.pin_force[i], found.pin_pressure[i])
             found.contact_count[i], found.max_contact_pressure[i] = count, pressure
+            if lines.slice_force.size > 0:
+                write_contact_lines(problem, lines, 0, i, theta, q[0], contacts)

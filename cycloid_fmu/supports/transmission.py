@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
@@ -12,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact import Problem, transmission
+from cycloid_fmu.contact import ContactLines, Problem, transmission
+from cycloid_fmu.contact.parts import Stopped, solve_in_parts
 from cycloid_fmu.contact.transmission import Interrupted, Transmission
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.supports import Bearing
@@ -49,10 +49,11 @@ def _law(stated: Bearing) -> bearing.Bearing:
 
 
 def assembly_of(pair: Pair, surface: ErrorSurface) -> Assembly:
-    """Return what holds the discs of a pair with supports, as numbers and arrays."""
+    """Return what holds the discs of a pair with supports, as numbers and arrays, at its temperatures."""
+    made = displacements(pair, surface, {})
+    pair = pair.at_temperature
     supports = pair.supports
     assert supports is not None
-    made = displacements(pair, surface, {})
     angle = supports.first_angle + 2.0 * np.pi * np.arange(supports.count) / supports.count
     roller = supports.output_roller
     play = np.zeros((pair.discs, supports.count)) if roller is None else made["hole_play"] + 0.5 * roller.clearance
@@ -88,9 +89,10 @@ def assembly_of(pair: Pair, surface: ErrorSurface) -> Assembly:
 
 def problem_of(pair: Pair, surface: ErrorSurface, slices: int = 1) -> Problem:
     """Return the mesh of a pair with supports: discs stand where bearings let them, pins give in their seats."""
+    mesh = transmission.mesh_of(pair, surface, slices)
+    pair = pair.at_temperature
     supports = pair.supports
     assert supports is not None
-    mesh = transmission.mesh_of(pair, surface, slices)
     seat = supports.pin_seat
     compliance = 0.0 if seat.stiffness_per_width is None else 1.0 / (seat.stiffness_per_width * mesh.slice_width)
     none = np.zeros(slices)
@@ -114,8 +116,8 @@ class OnBearings(Transmission):
         Shape (torques, angles, discs, cranks), N; one crank with output rollers.
     crank_bearing_force
         Shape (torques, angles, cranks), N.
-    main_bearing_force, crank_torque
-        Shape (torques, angles): N, N·m.
+    main_bearing_force
+        Shape (torques, angles), N.
     output_roller_force
         Shape (torques, angles, discs, rollers), N; none with cranks.
     """
@@ -126,7 +128,6 @@ class OnBearings(Transmission):
     crank_bearing_force: Array
     main_bearing_force: Array
     output_roller_force: Array
-    crank_torque: Array
 
 
 def _empty(pair: Pair, loads: int, angles: int) -> Found:
@@ -179,74 +180,80 @@ def solve(
     Raises
     ------
     edge.InputError
-        If a torque can't be carried, or contact lines are asked for with supports.
+        If a torque can't be carried.
     """
     if pair.supports is None:
         return transmission.solve(
             pair, surface, torque, crank_angle, slices, with_play=with_play, with_elements=with_elements,
             workers=workers, progress=progress,
         )  # fmt: skip
-    if with_elements:
-        raise edge.ArgumentError("slices", "contact lines and element pressures are not known with supports", slices)
     torques, angles = np.array(torque, dtype=float, ndmin=1), np.array(crank_angle, dtype=float, ndmin=1)
     if not (np.isfinite(torques).all() and np.isfinite(angles).all()):
         raise ValueError("torque and crank_angle must be finite")
-    loads = np.concatenate([_play_loads(pair) if with_play or 0.0 in torques else [], torques])
-    first = loads.size - torques.size
+    at_angles = transmission.along_sweep(torques, angles)
+    first = 2 if with_play or 0.0 in at_angles else 0
+    if first:
+        at_angles = np.concatenate([transmission.along_sweep(np.array(play_loads(pair)), angles), at_angles])
 
-    def result(found: Found, done: slice) -> OnBearings:
-        return _result(pair, torques, angles[done], loads, _of(found, np.s_[:, done]))
+    places = (len(torques), angles.size, pair.discs, pair.pins)
+    lines = transmission.no_lines(len(torques))
+    if with_elements:
+        lines = transmission.empty_lines(pair, surface, slices, places)
+    found = _empty(pair, len(at_angles), angles.size)
+
+    def result(done: slice) -> OnBearings:
+        kept = lines._replace(slice_force=lines.slice_force[:, done], slice_direction=lines.slice_direction[:, done])
+        return _result(pair, torques, angles[done], at_angles[:, done], first, _of(found, np.s_[:, done]), kept)
 
     try:
-        found = _solved(
-            pair, surface, loads, angles, slices, first, workers, lambda size: progress(size * torques.size)
-        )
-    except _Stopped as stopped:
-        raise Interrupted(result(stopped.found, slice(0, stopped.finished))) from None
-    return result(found, slice(None))
+        _solve(
+            pair, surface, at_angles, angles, slices, found, first, workers,
+            lambda size: progress(size * len(torques)), lines,
+        )  # fmt: skip
+    except Stopped as stopped:
+        raise Interrupted(result(slice(0, stopped.finished))) from None
+    return result(slice(None))
 
 
-class _Stopped(KeyboardInterrupt):
-    def __init__(self, found: Found, finished: int) -> None:
-        super().__init__()
-        self.found, self.finished = found, finished
-
-
-def _solved(
-    pair: Pair, surface: ErrorSurface, loads: Sequence[float] | Array, angles: Array, slices: int, first: int = 0,
-    workers: int = 1, progress: Callable[[int], None] = lambda angles: None,
-) -> Found:  # fmt: skip
-    """Return places at every load but 0 and crank angle, and from the load `first` on forces; told parts of angles."""
-    found, assembly = _empty(pair, len(loads), angles.size), assembly_of(pair, surface)
+def _solve(
+    pair: Pair, surface: ErrorSurface, torques: Array, angles: Array, slices: int, found: Found, first: int = 0,
+    workers: int = 1, progress: Callable[[int], None] = lambda angles: None, lines: ContactLines | None = None,
+) -> None:  # fmt: skip
+    """Find places at every torque but 0, shape (torques, angles), and forces of the torques from `first` on."""
+    merging, none = threading.Lock(), transmission.no_lines(1)
+    assembly = assembly_of(pair, surface)
     mesh = problem_of(pair, surface, slices)
 
-    def part(start: int) -> int:
-        last = min(start + _PART, angles.size)
+    def part(start: int, last: int) -> None:
         # Each thread moves discs of its own.
         shift_x, shift_y, turn = (np.zeros(pair.discs) for _ in range(3))
         problem = mesh._replace(shift_x=shift_x, shift_y=shift_y, turn=turn)
-        for k, load in enumerate(loads):
-            if load != 0.0:
+        for k, torque in enumerate(torques):
+            if torque.any():
                 here = _of(found, np.s_[k, start:last])
                 work = work_of(here.place.shape[-1], pair.discs)
-                sweep_supported(problem, assembly, angles[start:last], float(load), k >= first, here, work)
-        return last - start
+                mine = none if lines is None or k < first else _lines_of(lines, k - first, slice(start, last))
+                sweep_supported(problem, assembly, angles[start:last], torque[start:last], k >= first, here, work, mine)
+                if lines is not None and k >= first:
+                    with merging:
+                        gear, pin = lines.gear_pressure[k - first], lines.pin_pressure[k - first]
+                        np.maximum(gear, mine.gear_pressure[0], out=gear)
+                        np.maximum(pin, mine.pin_pressure[0], out=pin)
 
-    finished = 0
-    with ThreadPoolExecutor(workers) if workers > 1 else contextlib.nullcontext() as pool:
-        parts = range(0, angles.size, _PART)
-        try:
-            for size in map(part, parts) if pool is None else pool.map(part, parts):
-                finished += size
-                progress(size)
-        except KeyboardInterrupt:
-            if pool is not None:
-                pool.shutdown(cancel_futures=True)
-            raise _Stopped(found, finished) from None
-    for k, load in enumerate(loads):
-        if load != 0.0 and not found.steps[k].all():
-            raise _unbalanced(load, angles[np.argmin(found.steps[k])])
-    return found
+    solve_in_parts(part, angles.size, _PART, workers, progress)
+    for k, torque in enumerate(torques):
+        if torque.any() and not found.steps[k].all():
+            at = int(np.argmin(found.steps[k]))
+            raise _unbalanced(torque[at], angles[at])
+
+
+def _lines_of(lines: ContactLines, load: int, angles: slice) -> ContactLines:
+    """Return the lines of one torque at some angles, with pressures of their own, which threads do not share."""
+    one = np.s_[load : load + 1]
+    return lines._replace(
+        slice_force=lines.slice_force[one, angles], slice_direction=lines.slice_direction[one, angles],
+        gear_pressure=np.zeros_like(lines.gear_pressure[one]), pin_pressure=np.zeros_like(lines.pin_pressure[one]),
+    )  # fmt: skip
 
 
 def _unbalanced(torque: float, crank_angle: float) -> edge.InputError:
@@ -256,7 +263,8 @@ def _unbalanced(torque: float, crank_angle: float) -> edge.InputError:
     )
 
 
-def _play_loads(pair: Pair) -> list[float]:
+def play_loads(pair: Pair) -> list[float]:
+    """Return the torques on whose tangents the ends of the play lie, N·m; an `edge.InputError` without a rated one."""
     if pair.rated_torque is None:
         raise edge.InputError(
             f"rated_torque is missing; with [supports] the play is what {PLAY_LOAD:g} of it leaves at no torque."
@@ -264,23 +272,25 @@ def _play_loads(pair: Pair) -> list[float]:
     return [-PLAY_LOAD * pair.rated_torque, PLAY_LOAD * pair.rated_torque]
 
 
-def _result(pair: Pair, torques: Array, angles: Array, loads: Array, found: Found) -> OnBearings:
-    """Return what was found at `loads`, the play's two before the torques."""
-    deviation, first = found.place[..., 0], loads.size - torques.size
+def _result(
+    pair: Pair, torques: Array, angles: Array, at_angles: Array, first: int, found: Found, lines: ContactLines
+) -> OnBearings:  # fmt: skip
+    """Return what was found, the play's two torques, if `first` is 2, before the others."""
+    deviation = found.place[..., 0]
     low = high = np.full(angles.size, np.nan)
     if first:
         # Where the tangents at a small torque either way meet no torque: without clearance but with errors no place is
         # without energy, yet the output swings.
-        ends = deviation[:2] - loads[:2, None] / found.stiffness[:2]
+        ends = deviation[:2] - at_angles[:2] / found.stiffness[:2]
         middle = ends.mean(axis=0)
         low, high = np.minimum(ends[0], middle), np.maximum(ends[1], middle)
-        deviation = np.where(loads[:, None] == 0.0, middle, deviation)
+        deviation = np.where(at_angles == 0.0, middle, deviation)
     kept = _of(found, np.s_[first:])
     discs = pair.discs
     return OnBearings(
         torques, angles, deviation[first:], kept.stiffness, kept.contact_count, kept.max_contact_pressure,
         kept.pin_force, kept.pin_pressure, low, high, np.zeros(angles.size),
-        *transmission.no_lines(torques.size)[:4],
+        *lines[:4],
         disc_shift_x=kept.place[..., 3 : 3 + 3 * discs : 3],
         disc_shift_y=kept.place[..., 4 : 3 + 3 * discs : 3],
         turning_arm_force=kept.turning_arm,
@@ -323,9 +333,9 @@ class Sensitivity:
 
 
 def sensitivity(
-    pair: Pair, surface: ErrorSurface, torque: float, crank_angle: ArrayLike, slices: int = 1
+    pair: Pair, surface: ErrorSurface, torque: ArrayLike, crank_angle: ArrayLike, slices: int = 1
 ) -> Sensitivity:
-    """Return the transmission error of a drive on its bearings at one torque, differentiated.
+    """Return the transmission error of a drive on its bearings at one torque, or one for each angle, differentiated.
 
     Raises
     ------
@@ -333,22 +343,29 @@ def sensitivity(
         If a torque can't be carried.
     """
     angles = np.array(crank_angle, dtype=float, ndmin=1)
-    found = _solved(pair, surface, [torque], angles, slices)
+    at_angles = transmission.along_sweep(np.array(torque, dtype=float, ndmin=2), angles)
+    found = _empty(pair, 1, angles.size)
+    _solve(pair, surface, at_angles, angles, slices, found)
     size = max(place.stop for place in displacement_layout(pair).values())
     each, laws = np.zeros((angles.size, size)), np.zeros((angles.size, len(LAWS)))
     by_angle, by_torque = (np.zeros(angles.size) for _ in range(2))
     if not sweep_supported_sensitivities(
-        problem_of(pair, surface, slices), assembly_of(pair, surface), angles, torque, found.place[0], each, laws,
+        problem_of(pair, surface, slices), assembly_of(pair, surface), angles, at_angles[0], found.place[0], each, laws,
         by_angle, by_torque, work_of(found.place.shape[-1], pair.discs),
     ):  # fmt: skip
-        raise _unbalanced(torque, angles[0])
+        raise _unbalanced(float(at_angles[0, 0]), angles[0])
     return Sensitivity(found.place[0, :, 0].copy(), each, laws, by_angle, by_torque)
 
 
 def error_sensitivity(
-    pair: Pair, surface: ErrorSurface, torque: float, crank_angle: ArrayLike, names: list[str], slices: int = 1
+    pair: Pair, surface: ErrorSurface, torque: ArrayLike, crank_angle: ArrayLike, names: list[str], slices: int = 1
 ) -> tuple[Array, Array]:
-    """Return the transmission error at one torque, and its derivatives by named errors or bearings (`LAWS`).
+    """Return the transmission error at a torque, or one for each angle, with its derivatives by errors or bearings.
+
+    Parameters
+    ----------
+    names
+        Structured errors, and bearings' stiffnesses and clearances by `LAWS`.
 
     Returns
     -------
@@ -386,28 +403,3 @@ def labelled(pair: Pair, surface: ErrorSurface, found: Transmission, slices: int
                 data[name].attrs.update(units=unit, long_name=text)
         data["backlash"].attrs["long_name"] = f"play: what {PLAY_LOAD:g} of the rated torque leaves at no torque"
     return data
-
-
-def analyze(
-    pair: Pair,
-    surface: ErrorSurface,
-    torque: ArrayLike,
-    crank_angle: ArrayLike,
-    slices: int = 1,
-    *,
-    with_elements: bool = False,
-    workers: int = 1,
-    progress: Callable[[int], None] = lambda angles: None,
-) -> xr.Dataset:
-    """Return the labelled dataset of `solve`.
-
-    Interrupted, it returns the crank angles that were finished, and the attribute `complete` is 0.
-    """
-    complete = True
-    try:
-        found = solve(
-            pair, surface, torque, crank_angle, slices, with_elements=with_elements, workers=workers, progress=progress
-        )
-    except Interrupted as interrupted:
-        found, complete = interrupted.result, False
-    return labelled(pair, surface, found, slices, complete=complete)

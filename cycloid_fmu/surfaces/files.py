@@ -68,6 +68,9 @@ def read_surface(path: str | os.PathLike[str]) -> ErrorSurface:
     True
     """
     data = edge.netcdf(path, FORMAT)
+    for name, variable in data.variables.items():
+        if name != "parameter" and variable.dtype.kind not in "fiu":
+            raise edge.InputError(f"{path}: {name} must hold numbers.")
     pair = parse_pair(data.attrs.get("pair", ""), f"{path} (its pair)")
     for name in FIRST_KINDS:
         # A kind that came later is zero in a file that was written before.

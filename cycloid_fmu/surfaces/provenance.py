@@ -23,9 +23,9 @@ def drive_text(pair: Pair, surface: ErrorSurface) -> str:
     return stating(pair, surface).text
 
 
-def drive_hash(pair: Pair, surface: ErrorSurface) -> str:
-    """Return the fingerprint of all values of a drive, 16 hexadecimal digits."""
-    return hashlib.sha256(f"{pair.nominal.text}{surface.hash}".encode()).hexdigest()[:16]
+def drive_hash(pair: Pair, surface: ErrorSurface, first_stage: str = "") -> str:
+    """Return the fingerprint of all values of a drive, its first stage's text among them, 16 hexadecimal digits."""
+    return hashlib.sha256(f"{pair.nominal.text}{surface.hash}{first_stage}".encode()).hexdigest()[:16]
 
 
 def provenance(pair: Pair, surface: ErrorSurface) -> dict[str, str]:

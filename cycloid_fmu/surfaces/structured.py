@@ -15,8 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cycloid_fmu import edge
 from cycloid_fmu.errors.kinds import BODIES, EACH_PIN, EACH_SUPPORT, KINDS, ErrorKind, kind_of, kinds_of, wave_of
-from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.geometry.pair import Pair, smallest_convex_radius
+from cycloid_fmu.geometry.temperature import displaced_by_temperature
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
 Array = NDArray[np.float64]
@@ -125,7 +127,7 @@ def displacement_layout(pair: Pair) -> dict[str, slice]:
 
 
 def displacements(pair: Pair, surface: ErrorSurface, nominal: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what all errors of a surface displace, added to nominal values by the displacements' names.
+    """Return what all errors of a surface and the temperatures displace, added to nominal values by their names.
 
     The result has a value for every name of `BODIES`, an array (pins,) for each of `EACH_PIN`, `tooth_turn`
     (discs, teeth) and, of a pair with supports, an array for each of `EACH_SUPPORT`, in m and rad.
@@ -136,10 +138,58 @@ def displacements(pair: Pair, surface: ErrorSurface, nominal: Mapping[str, Any])
     found |= {name: np.zeros(pair.places[place]) for name, place in EACH_SUPPORT.items() if place in pair.places}
     for name, value in nominal.items():
         found[name] = value + found[name] if np.ndim(found[name]) else value
+    for name, value in displaced_by_temperature(pair).items():
+        found[name] = found[name] + value
     for name, kind in kinds_of(pair).items():
         for displaced, displacement in kind.displaces.items():
             found[displaced] = found[displaced] + displacement(pair, surface.errors[name])
     return found
+
+
+def dimensions(pair: Pair, surface: ErrorSurface, source: str = "errors") -> dict[str, Any]:
+    """Return the dimensions of a drive with its errors, at its temperatures, as `displacements` does.
+
+    Parameters
+    ----------
+    source
+        Where the errors are stated, for messages.
+
+    Raises
+    ------
+    edge.InputError
+        If the drive can't have been made: what a pair is checked for as drawn, with its errors.
+    """
+    if pair.temperature is not None:
+        source = source.replace("errors", "temperature and errors")
+    warm = pair.at_temperature
+    made = displacements(pair, surface, {
+        "crank_throw": warm.eccentricity, "generating_pin_radius": warm.generating_pin_radius,
+        "generating_circle_radius": warm.generating_circle_radius, "pin_radial": warm.pin_circle_radius,
+        "pin_radius": warm.pin_radius,
+    })  # fmt: skip
+    pair = warm
+    circle, pin = float(made["generating_circle_radius"]), float(made["generating_pin_radius"])
+    why = ""
+    if not made["crank_throw"] > 0.0:
+        why = f"the eccentricity is {made['crank_throw'] * 1e3:.6g} mm; it must stay above zero"
+    elif pair.eccentricity * pair.pins >= circle:
+        why = f"the generating circle's radius is {circle * 1e3:.6g} mm; it must stay above eccentricity x pins"
+    elif not 0.0 < pin < (smallest := smallest_convex_radius(circle, pair.eccentricity, pair.pins)):
+        why = f"the flank's generating pin radius is {pin * 1e3:.6g} mm"
+        why += "; it must stay above zero" if pin <= 0.0 else f"; the flank is undercut from {smallest * 1e3:.6g} mm on"
+    elif not made["pin_radius"].min() > 0.0:
+        why = f"a pin's radius is {made['pin_radius'].min() * 1e3:.6g} mm; it must stay above zero"
+    else:
+        place = made["pin_radial"] * np.exp(
+            1j * (2.0 * np.pi * np.arange(pair.pins) / pair.pins + made["pin_tangential"] / pair.pin_circle_radius)
+        )
+        room = np.abs(place - np.roll(place, -1)) - made["pin_radius"] - np.roll(made["pin_radius"], -1)
+        if not room.min() > 0.0:
+            first = int(room.argmin())
+            why = f"pins {first} and {(first + 1) % pair.pins} overlap by {-room.min() * 1e6:.6g} um"
+    if why:
+        raise edge.InputError(f"{source}: with these, {why}.")
+    return made
 
 
 def displacement_vector(pair: Pair, surface: ErrorSurface) -> Array:

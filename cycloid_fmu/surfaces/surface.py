@@ -21,6 +21,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.errors.kinds import KINDS, ErrorKind, by_file_key, kinds_of
 from cycloid_fmu.errors.stated import Errors, values_of
 from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.geometry.temperature import Expansions
 
 Array = NDArray[np.float64]
 ORIGINS = ("nominal", "sampled", "measured", "identified", "worn")
@@ -35,6 +36,11 @@ DEVIATION_TEXTS = {
     "pin_curvature": "curvature that wear adds to each element of the pins, > 0 convex",
 }
 LARGEST_ELEMENT = 5e-4
+# Values of a pair that are none of what was made: its loads, limits and temperatures.
+_OF_NO_SURFACE: Mapping[str, Any] = {
+    "rated_torque": None, "pressure_limit": None, "contact_law": "capped", "temperature": None,
+    "expansion": Expansions(),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -212,7 +218,7 @@ class ErrorSurface:
     @functools.cached_property
     def hash(self) -> str:
         """Fingerprint of the values: the first 16 hexadecimal digits of SHA-256 over pair, errors and deviations."""
-        made = self.pair.replace(**dict.fromkeys(("rated_torque", "pressure_limit")), contact_law="capped")
+        made = self.pair.replace(**_OF_NO_SURFACE)
         digest = hashlib.sha256(made.text.encode())
         for name, value in self._values().items():
             # An error that is zero everywhere is the same drive as one that no one spoke of.
@@ -387,12 +393,14 @@ def alike(surface: ErrorSurface) -> tuple[bool, bool]:
 
 def _shown(value: Any) -> str:
     """Return a value of a pair's field as a sentence shows it."""
+    if value is None or isinstance(value, edge.Config):
+        return "not stated" if value is None else "stated"
     return f"{value:.9g}" if isinstance(value, float) else str(value)
 
 
 def _difference(field: str, one: Any, other: Any) -> tuple[str, Any, Any] | None:
     """Return the first field in which two values differ by more than rounding, with both values, None without one."""
-    if isinstance(one, edge.Config):
+    if isinstance(one, edge.Config) and isinstance(other, edge.Config):
         parts = (
             _difference(f"[{field.split()[-1]}] {name}", getattr(one, name), getattr(other, name))
             for name in type(one).model_fields
@@ -414,8 +422,10 @@ def check_surface(pair: Pair, surface: ErrorSurface, pair_source: str, surface_s
     """
     mine, theirs = pair.nominal, surface.pair
     for name in type(pair).model_fields:
+        if name in _OF_NO_SURFACE:
+            continue
         field, one, other = _difference(f"[pair] {name}", getattr(mine, name), getattr(theirs, name)) or ("", 0, 0)
-        if field and name not in ("rated_torque", "contact_law", "pressure_limit"):
+        if field:
             raise edge.InputError(
                 f"{surface_source}: this surface belongs to another pair: {field} is {_shown(other)} there and "
                 f"{_shown(one)} in {pair_source}."

@@ -15,6 +15,7 @@ class CanEncoder(HubEncoder[CanHub]):
     """A sensor on a CAN bus, whose `set_up` makes the `reader`; see `HubEncoder`."""
 
     shared = hubs
+    line = "bus"
     reader: FrameReader
 
     def __init__(self, name: str, config: Any, bus: BusConfig) -> None:

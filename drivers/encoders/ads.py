@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import collections
 import contextlib
-from typing import Annotated, Any, Self
+from typing import Annotated
 
 import numpy as np
 import pydantic
@@ -46,6 +46,7 @@ class AdsEncoder(HubEncoder[PlcHub]):
 
     configuration = AdsConfig
     shared = plcs
+    line = "plc"
 
     def __init__(self, name: str, config: AdsConfig, plc: PlcConfig) -> None:
         super().__init__(name, config, plc)
@@ -57,15 +58,6 @@ class AdsEncoder(HubEncoder[PlcHub]):
         self._last: tuple[int, int] | None = None
         self._counts: int | None = None
         self._lost = 0
-
-    @classmethod
-    def from_config(cls, name: str, config: Any, wiring: Any) -> Self:
-        """Return the encoder of a `[channel.name]`; see `Encoder.from_config`."""
-        plc = wiring.plc(config.plc, name)
-        try:
-            return cls(name, config, plc)
-        except edge.InputError as problem:
-            raise edge.InputError(f"{wiring.source}: [channel.{name}] {problem}") from None
 
     def set_up(self, hub: PlcHub) -> None:
         """See `HubEncoder.set_up`."""

@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 import serial
 
-from cycloid_fmu import edge
 from drivers.counts import UnseenTurns
 from drivers.encoder import (
     EncoderConnectionError,
@@ -27,6 +26,7 @@ class SerialEncoder(HubEncoder[PortHub]):
     """What all encoders on serial ports share: one question, put again and again, and its answers."""
 
     shared = ports
+    line = "port"
     where: str
     asked = True  # False: the device sends by itself
 
@@ -37,15 +37,6 @@ class SerialEncoder(HubEncoder[PortHub]):
         self._pending = 0
         self._lost = 0
         self._started = False
-
-    @classmethod
-    def from_config(cls, name: str, config: Any, wiring: Any) -> Self:
-        """Return the encoder of a `[channel.name]`; see `Encoder.from_config`."""
-        port = wiring.port(config.port, name)
-        try:
-            return cls(name, config, port)
-        except edge.InputError as problem:
-            raise edge.InputError(f"{wiring.source}: [channel.{name}] {problem}") from None
 
     @abc.abstractmethod
     def question(self, port: Any) -> bytes:

@@ -60,5 +60,6 @@ def ensemble(drive: Drive, count: int = 20, seed: int = 0) -> list[Drive]:
         if shift.size > len(names):
             one = with_scatter(pair, one, shift[len(names) :])
         attributes = {**surface.attributes, "ensemble_seed": seed, "ensemble_number": number}
-        drives.append(Drive(pair, one.replace(covariance=None, covariance_of=(), attributes=attributes)))
+        made = one.replace(covariance=None, covariance_of=(), attributes=attributes)
+        drives.append(Drive(pair, made, drive.first_stage))
     return drives

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cycloid_fmu import edge
-from cycloid_fmu.drive import Drive
+from cycloid_fmu.drive import Drive, refuse_first_stage
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.arguments import positive
@@ -115,6 +115,7 @@ def plan(
     >>> len(last.standard_error) > len(first.standard_error)
     True
     """
+    refuse_first_stage(drive, "identification")
     pair = drive.pair
     given = [torque] if isinstance(torque, float | int | str) else torque
     loads = {positive(one, "N*m", "torque") for one in given}

@@ -19,6 +19,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD
 from fitting.figures.figure import DEFINITIONS, UNITS, Figure
 from fitting.recordings.recording import Recording
+from fitting.transmission_error.folding import LOCKED
 
 Array = NDArray[np.float64]
 
@@ -30,7 +31,6 @@ NEAR = 0.01  # a value "at" a torque is that of the line through the samples thi
 FRICTION_NEAR = 0.05
 _LOBE = 0.20  # a half loop goes beyond this
 _REST = 0.025  # and begins and ends below this
-LOCKED = math.radians(1.0)  # of the crank: what windup of a locked input's own fixture it may show
 
 
 @dataclass(frozen=True)

@@ -200,7 +200,7 @@ def metrics(
         raise edge.ArgumentError("ratio", "give the signed ratio input/output, such as -39", ratio)
     rated = None if rated_torque is None else positive(rated_torque, "N*m", "rated_torque")
     if drive is not None:
-        ratio, rated = drive.pair.ratio, drive.pair.rated_torque if rated is None else rated
+        ratio, rated = drive.ratio, drive.pair.rated_torque if rated is None else rated
     given = [recordings] if isinstance(recordings, Source) else list(recordings)
     surveyed: list[Surveyed] = []
     problems: list[str] = []

@@ -18,16 +18,16 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.contact.transmission import error_sensitivity, solve
-from cycloid_fmu.drive import Drive
+from cycloid_fmu.drive import Drive, refuse_first_stage
 from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD, Pair
 from cycloid_fmu.surfaces.surface import ErrorSurface
-from fitting.figures.hysteresis import FRICTION, FRICTION_NEAR, LOCKED, Lobe, LoopData, branch_line
+from fitting.figures.hysteresis import FRICTION, FRICTION_NEAR, Lobe, LoopData, branch_line
 from fitting.figures.survey import Surveyed, survey
 from fitting.recordings.plausible import PlausibleBlocks
 from fitting.recordings.recording import Recording, RecordingStream
 from fitting.recordings.sources import Source, open_source
 from fitting.transmission_error.curve import Curve
-from fitting.transmission_error.folding import curves
+from fitting.transmission_error.folding import LOCKED, curves
 
 Array = NDArray[np.float64]
 
@@ -94,6 +94,7 @@ def observed_curves(
     edge.InputError
         If a recording can't be read, is of another drive, or gives neither.
     """
+    refuse_first_stage(drive, "identification")
     pair = drive.pair
     given = [recordings] if isinstance(recordings, Source | Curve) else list(recordings)
     found = [one for one in given if isinstance(one, Curve)]

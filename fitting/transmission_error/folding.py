@@ -28,6 +28,9 @@ _FINEST = 1 << 18  # most points of a turn then
 _SHARED = 1.1  # points that turns in step have, of those that each has; others keep every sample as a point
 _FIRST = 1 << 20  # samples from which the number of points is found
 _RAMP = np.pi / 648000.0  # over a whole recording: what runs away by less gets no note
+_ROOM = 1 << 20  # points that turns have that are kept apart
+_FAR = 1e12  # turns that one sample may skip
+LOCKED = float(np.radians(1.0))  # of the crank: what windup of a locked input's own fixture it may show
 _REVERSAL = np.radians(2.0)  # of the crank: what turns back less is vibration; beyond the lost motion of any drive
 
 
@@ -70,7 +73,7 @@ class _Fold:
         angle = self._first[0][0]
         whole = round((self._held - 1) * min(1.0, self._turn / self.way)) if self.way else 1
         self.points = min(max(1, whole), POINTS)
-        spacing = min(self._turn, self.way or self._turn) / self.points
+        spacing = max(min(self._turn, self.way or self._turn) / self.points, self._turn / POINTS)
         # The points' borders lie midway between the first turn's samples.
         self._origin = self._begins = float(angle[0])
         even = self.points if self.way >= self._turn else max(1, round(self._turn / spacing))
@@ -79,8 +82,10 @@ class _Fold:
         self._whole, self._spacing = even * parts, spacing / parts
         self.shift = float(np.mod(angle[0], self._turn) - 0.5 * self._spacing)
         self._apart = 1
-        if not self._evenly and self._held <= POINTS and not self._in_step():
-            self._apart = int(self.way / self._turn) + 2 + sum(restarted for *_, restarted in self._first)
+        apart = int(self.way / self._turn) + 2 + sum(restarted for *_, restarted in self._first)
+        few = self._held <= POINTS and apart * self._whole <= _ROOM
+        if not self._evenly and few and not self._in_step():
+            self._apart = apart
         self.whole = self._whole * self._apart
         self._reference = float(self._first[0][1][0])
         self._torque_reference = float(self._first[0][2][0, 0])
@@ -114,7 +119,7 @@ class _Fold:
         x = angle - self._origin
         self._line += np.array([angle.size, x.sum(), error.sum(), x @ x, x @ error])
         travel = self.direction * (angle - self._begins) + 0.5 * self._spacing
-        turn = np.maximum((travel / self._turn + 1e-9).astype(np.int64), self._open_turn)
+        turn = np.maximum(np.minimum(travel / self._turn + 1e-9, _FAR).astype(np.int64), self._open_turn)
         place = np.mod(angle - self.shift, self._turn) / self._spacing + 1e-9
         point = np.minimum(place.astype(np.int64), self._whole - 1)
         inside = (place - (point + 0.5)) * self._spacing
@@ -357,19 +362,20 @@ class Folding:
         Raises
         ------
         edge.InputError
-            If the crank does not turn, or its two angles do not belong to this ratio.
+            If the crank turns by no more than `LOCKED`, or its two angles do not belong to this ratio.
         """
         if self._waiting:
             self._fold()
         folds = sorted(self._folds.values(), key=lambda f: -f.way)
         for fold in folds:
             fold.finish()
-        if folds[0].way == 0.0:
-            raise edge.InputError(f"{self.source}: the crank does not turn; a curve needs a run in motion.")
         notes = [*stream.notes, *blocks.notes()]
         kept = [f for f in folds if f.way > 0.01 * folds[0].way and f.samples > 1]
-        if not kept:
-            raise edge.InputError(f"{self.source}: the crank does not turn; a curve needs a run in motion.")
+        if folds[0].way <= LOCKED or not kept:
+            raise edge.InputError(
+                f"{self.source}: the input does not turn further than {np.degrees(folds[0].way):.3g}°, as one that is "
+                f"locked; a curve needs a run in which it turns by more than {np.degrees(LOCKED):g}°."
+            )
         few = sum(f.samples for f in folds if f not in kept)
         if self._stood + few:
             notes.append(
@@ -457,7 +463,7 @@ def curves(recordings: Source | Iterable[Source], drive: Drive | float, *, keep_
     Raises
     ------
     edge.InputError
-        If a recording can't be read, its crank does not turn, or its angles do not belong to the ratio.
+        If a recording can't be read, its crank hardly turns, or its angles do not belong to the ratio.
 
     Examples
     --------
@@ -468,7 +474,7 @@ def curves(recordings: Source | Iterable[Source], drive: Drive | float, *, keep_
     >>> round(float(np.ptp(curve.transmission_error)) * 1e6)
     20
     """
-    ratio = drive if isinstance(drive, float | int) else drive.pair.ratio
+    ratio = drive if isinstance(drive, float | int) else drive.ratio
     found: list[Curve] = []
     for source in [recordings] if isinstance(recordings, Source) else recordings:
         recording = open_source(source)

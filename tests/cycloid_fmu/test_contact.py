@@ -4,7 +4,7 @@ import math
 import numba
 import numpy as np
 import pytest
-from common import ARCSEC, CASES, PAIR, make_pair
+from common import ARCSEC, CASES, EXAMPLES, PAIR, make_pair
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -12,8 +12,10 @@ from cycloid_fmu import contact, edge
 from cycloid_fmu.contact import compiling
 from cycloid_fmu.contact.deviations import Facing, added_curvature
 from cycloid_fmu.contact.transmission import drive_of, error_sensitivity, notes, solve
+from cycloid_fmu.drive import read_drive
 from cycloid_fmu.errors.kinds import structured_names
-from cycloid_fmu.geometry.pair import ANGLES, parse_pair, read_pair
+from cycloid_fmu.geometry.pair import ANGLES, parse_pair, read_pair, write_pair
+from cycloid_fmu.surfaces.files import write_surface
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
 
@@ -504,6 +506,28 @@ def test_a_drive_that_can_not_have_been_made_is_refused(errors, sentence):
         pair = make_pair().replace(pin_radius="4.4 mm")
     with pytest.raises(edge.InputError, match=sentence):
         drive_of(pair, surface_of_pair(pair.replace(errors=errors)))
+
+
+def test_the_file_whose_errors_can_not_have_been_made_is_named(tmp_path):
+    """Pair files, reducer files and surfaces are refused as they are read."""
+    drawn, file, surface = (
+        make_pair(eccentricity="0.99 mm", pin_radius="4.2 mm"),
+        tmp_path / "a.toml",
+        tmp_path / "a.nc",
+    )
+    made = drawn.replace(errors={"pin_radius": 9.9e-4})
+    write_pair(made, file)
+    with pytest.raises(edge.InputError, match=r"a\.toml: errors: with these, pins \d+ and \d+ overlap by"):
+        read_drive(file)
+    write_pair(drawn, file)
+    write_surface(surface_of_pair(made), surface)
+    with pytest.raises(edge.InputError, match=r"a\.nc: errors: with these, pins \d+ and \d+ overlap by"):
+        read_drive(file, surface)
+    (tmp_path / "rv.toml").write_text(
+        (EXAMPLES / "rv-20e.toml").read_text().replace('eccentricity = "5 um"', 'eccentricity = "-0.95 mm"')
+    )
+    with pytest.raises(edge.InputError, match=r"rv\.toml: deviations: with these, the eccentricity is -0\.05 mm"):
+        read_drive(tmp_path / "rv.toml")
 
 
 def test_results_outside_the_model_say_so():

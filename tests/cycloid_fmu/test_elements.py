@@ -180,6 +180,7 @@ def test_a_surface_goes_through_its_file_bit_for_bit(tmp_path):
         (lambda d: d.isel(tooth=slice(0, 38)), "38"),
         (lambda d: d.where(d["profile"] > 3), "not finite"),
         (lambda d: d * 1e3, "half a millimetre"),
+        (lambda d: d.astype(str), "gear_deviation must hold numbers"),
         (lambda d: d.transpose("tooth", "disc", "profile", "width"), "dimensions"),
     ],
 )

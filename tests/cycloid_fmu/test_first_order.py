@@ -11,8 +11,9 @@ from cycloid_fmu.contact.first_order import Screen, contacts_of, sensitivities
 from cycloid_fmu.contact.transmission import error_sensitivity, solve
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.studies import tolerance
-from cycloid_fmu.studies.allocation import allocate, errors_of_factors, scaled
-from cycloid_fmu.studies.tolerance import Study, points, screened, surface_of
+from cycloid_fmu.studies.allocation import Nearby, allocate, errors_of_factors, scaled
+from cycloid_fmu.studies.tolerance import Study, figures_to_first_order, points, screened, surface_of
+from cycloid_fmu.supports.transmission import sensitivity
 from cycloid_fmu.surfaces.sampling import parse_tolerances, read_tolerances
 from cycloid_fmu.surfaces.structured import displacement_vector
 from cycloid_fmu.surfaces.surface import nominal_surface
@@ -153,6 +154,53 @@ def test_allocation_is_the_optimum_of_two_linear_errors():
     costs = np.array([1.0, 1.0])
     costs[order[0]] = 6.0
     assert found.cost == pytest.approx((costs / found.scale).sum())
+
+
+ON_BEARINGS = (
+    '[hole_x]\ntolerance = "5 um"\n[hole_y]\ntolerance = "5 um"\n[crank_throw]\ntolerance = "3 um"\n'
+    '[pin_pitch]\nsingle = "2 um"\ncumulative = "8 um"\n'
+)
+
+
+def test_first_order_on_bearings_is_about_each_drive(record_property):
+    """Errors open and close clearances: about the error-free drive a tenth is missed, about each drive itself 1 %."""
+    pair = read_pair(EXAMPLES / "drive-39-40-bearings.toml")
+    limits = '[limits]\nlost_motion = "150 arcsec"\nmax_contact_pressure = "2 GPa"\n'
+    study = Study(pair, parse_tolerances(HEAD + ON_BEARINGS + limits, "t.toml"), 8, 1, (543.0,), angles=50)
+    place, scale = points(study), np.array([0.8, 0.8, 0.8, 1.2])
+    errors = errors_of_factors(study, place)
+    exact = tolerance.run(scaled(study, scale))
+    near = Nearby(study, place, errors, np.ones(4))
+    found = dict(zip(study.columns, figures_to_first_order(study, near, scale).T, strict=True))
+    sure = dict(zip(study.columns, exact.values.T, strict=True))
+    crank = tolerance.crank_angles(study)
+    one = sensitivity(pair, nominal_surface(pair), 543.0, crank)
+    about_none = [np.ptp(one.transmission_error + one.by_displacement @ e) for e in np.tensordot(scale, errors, 1)]
+    error = sure["angular_transmission_error", 0]
+    record_property("first order about the error-free drive", f"{np.abs(about_none / error - 1).max():.1%}")
+    record_property(
+        "first order about each drive", f"{np.abs(found['angular_transmission_error', 0] / error - 1).max():.2%}"
+    )
+    assert 0.05 < np.abs(about_none / error - 1).max() < 0.2
+    assert found["angular_transmission_error", 0] == pytest.approx(error, rel=0.01)
+    assert found["mean_transmission_error", 0] == pytest.approx(sure["mean_transmission_error", 0], abs=0.05 * ARCSEC)
+    assert found["max_contact_pressure", 0] == pytest.approx(sure["max_contact_pressure", 0], rel=0.02)
+    assert found["lost_motion", None] == pytest.approx(sure["lost_motion", None], abs=2 * ARCSEC)
+    assert found["backlash", None] == pytest.approx(sure["backlash", None], abs=5 * ARCSEC)
+
+
+def test_allocation_on_bearings_widens_what_hardly_matters():
+    """Pins all alike thicker make play, holes and throws the transmission error that is limited."""
+    pair = read_pair(EXAMPLES / "drive-39-40-bearings.toml")
+    limits = '[limits]\nangular_transmission_error = "9 arcsec"\n'
+    text = '[hole_x]\ntolerance = "4 um"\n[crank_throw]\ntolerance = "3 um"\n[pin_radius]\ntolerance = "1 um"\n'
+    study = Study(pair, parse_tolerances(HEAD + text + limits, "t.toml"), 8, 1, (543.0,), angles=12)
+    found = allocate(study, 0.75, "t.toml")
+    assert found.exact_yield >= 0.75
+    assert found.scale[0] > 2.0 * found.scale[1:].max()
+    assert found.cost < found.stated_cost
+    with pytest.raises(edge.InputError, match="leave it out with supports"):
+        screened(study, 0.5)
 
 
 @pytest.mark.parametrize(

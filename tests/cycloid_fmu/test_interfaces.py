@@ -24,7 +24,7 @@ from cycloid_fmu.fmu.core import MAGIC, state_from_bytes, state_to_bytes
 from cycloid_fmu.fmu.run import open_fmu, simulate
 from cycloid_fmu.fmu.variables import Interface, variables
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
-from cycloid_fmu.reducer.lost_motion import read_reducer
+from cycloid_fmu.reducer.description import read_reducer
 from cycloid_fmu.surfaces.surface import surface_of_pair
 
 ERRORS = read_pair(CASES / "errors-39-40.toml")

@@ -15,6 +15,7 @@ from cycloid_fmu.fmu.reducer_model import ReducerModel, ReducerState
 from cycloid_fmu.fmu.stepped_model import state_fields
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
 from cycloid_fmu.reducer import lost_motion as rv
+from cycloid_fmu.reducer.description import read_reducer, surface_of_reducer
 from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
 
 PLAY = parse_pair(PAIR + '[modification]\noffset = "-40 um"\nisometric = "-15 um"\n', "play.toml")
@@ -189,12 +190,12 @@ def test_an_error_set_is_an_error_built_in():
 
 
 def models():
-    whole = rv.read_reducer(EXAMPLES / "rv-20e.toml")
-    surface = rv.surface_of_reducer(whole)
+    whole = read_reducer(EXAMPLES / "rv-20e.toml")
+    surface = surface_of_reducer(whole)
     return {
         "drive": (DriveModel, DriveState, (PLAY, nominal_surface(PLAY))),
         "compliant": (CompliantModel, CompliantState, (PLAY, nominal_surface(PLAY))),
-        "reducer": (ReducerModel, ReducerState, (whole.stage, surface, rv.first_stage_of(whole))),
+        "reducer": (ReducerModel, ReducerState, (whole.stage, surface, rv.parts_of(whole)[2])),
     }
 
 

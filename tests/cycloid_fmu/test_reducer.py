@@ -11,21 +11,18 @@ from hypothesis import strategies as st
 
 from cycloid_fmu import edge
 from cycloid_fmu.edge import ARCMIN
+from cycloid_fmu.reducer.description import contradictions, parse_reducer, read_reducer, surface_of_reducer, values_of
 from cycloid_fmu.reducer.lost_motion import (
     STAGES,
     TERMS,
     budget,
     contact_play,
-    contradictions,
-    parse_reducer,
     play_alone,
-    read_reducer,
+    remarks,
     runout_error,
     shaft_tilt,
     standard,
     summed,
-    surface_of_reducer,
-    values_of,
 )
 from cycloid_fmu.reducer.stack import stack
 
@@ -261,7 +258,7 @@ def test_contradicting_numbers_are_named_with_the_one_that_is_used():
         ("pins = 40", "pins = 42", ("pins = 42", "40")),
         ("discs = 1", 'output = "ring"\ndiscs = 1', ("output", "fixed")),
         ("reducer/1", "reducer/7", ("format", "cycloid-reducer/1")),
-        ("[deviations]", '[errors]\npin_radius = "1 um"\n[deviations]', ("errors", "not a key")),
+        ("[deviations]", '[errors]\npin_radius = "1 um"\n[deviations]', ("[errors]", "[deviations]")),
     ],
 )
 def test_bad_reducers_are_one_sentence(old, new, said):
@@ -295,6 +292,37 @@ def test_the_cycloid_stage_alone_is_a_pair_file(tmp_path):
     from cycloid_fmu.geometry.pair import parse_pair
 
     assert parse_pair(RV.stage.text, "inner") == RV.stage
+
+
+SUPPORTS = '[supports]\nkind = "cranks"\ncount = 3\ncircle_radius = "27.5 mm"\n'
+
+
+def test_supports_of_a_reducer_are_its_stage_s(found):
+    """They hold the discs; the terms of the mesh stay the mesh's."""
+    held = parse_reducer(TEXT.replace("[involute]", SUPPORTS + "[involute]"), "rv.toml")
+    assert held.stage.supports.count == 3
+    assert contact_play(held, surface_of_reducer(held), 29).backlash.mean() == pytest.approx(
+        contact_play(RV, surface_of_reducer(RV), 29).backlash.mean(), rel=1e-12
+    )
+
+
+@pytest.mark.parametrize(("cranks", "more"), [(2, 1.16), (3, 1.03)])
+def test_bearings_give_more_play_than_the_closed_form(cranks, more):
+    """Their clearance lets the discs shift as well as turn: of two cranks by a sixth, of three within the limit."""
+    text = TEXT.replace("[involute]", SUPPORTS.replace("count = 3", f"count = {cranks}") + "[involute]")
+    held = parse_reducer(text, "rv.toml")
+    budgeted = budget(held)
+    closed, exact = (budgeted[v]["crank_bearing_clearance"] for v in ("standard", "geometric"))
+    assert exact == pytest.approx(more * closed, rel=0.01)
+    assert budgeted["geometric"]["total"] == pytest.approx(budgeted["geometric"]["cycloid"] + exact)
+    assert ("crank_bearing_clearance" in remarks(held, budgeted)) == (cranks == 2)
+    assert contradictions(held, "rv.toml") == contradictions(RV, "rv.toml")
+    other = (
+        'circle_radius = "29 mm"\n[supports.turning_arm]\nrollers = 15\nroller_length = "7 mm"\nclearance = "8 um"\n'
+    )
+    said = contradictions(parse_reducer(text.replace('circle_radius = "27.5 mm"\n', other), "rv.toml"), "rv.toml")
+    assert 'circle_radius = "29 mm", but [involute] puts the cranks at "27.5 mm"' in said[-2]
+    assert 'clearance = "8 um", but [deviations] crank_bearing_clearance = "2 um"' in said[-1]
 
 
 def test_budget_from_the_command_line(command, tmp_path):

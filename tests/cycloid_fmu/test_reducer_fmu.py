@@ -13,12 +13,13 @@ from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.reducer_model import ReducerModel
 from cycloid_fmu.fmu.run import described, simulate_fmu
 from cycloid_fmu.reducer import lost_motion as rv
+from cycloid_fmu.reducer.description import read_reducer, surface_of_reducer
 from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.surfaces.surface import nominal_surface
 
-RV = rv.read_reducer(EXAMPLES / "rv-20e.toml")
-SURFACE = rv.surface_of_reducer(RV)
-STAGE = rv.first_stage_of(RV)
+RV = read_reducer(EXAMPLES / "rv-20e.toml")
+SURFACE = surface_of_reducer(RV)
+STAGE = rv.parts_of(RV)[2]
 TIGHT = dataclasses.replace(STAGE, sun_play=0.0, bearing_play=0.0)
 
 

@@ -16,6 +16,7 @@ from cycloid_fmu.contact import transmission as on_rigid
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
 from cycloid_fmu.supports.balance import work_of
 from cycloid_fmu.supports.bearing import linear, push, rollers
+from cycloid_fmu.supports.figures import remaining
 from cycloid_fmu.supports.sweeps import sweep_supported
 from cycloid_fmu.supports.transmission import _empty, assembly_of, problem_of, sensitivity, solve
 from cycloid_fmu.surfaces.structured import displacement_layout
@@ -256,6 +257,54 @@ def test_seats_and_clearances_only_soften():
         last = stiffness
 
 
+def test_a_drive_that_hangs_in_its_clearances_is_balanced():
+    """A carrier with clearance in a ring that leaves much play: no other place than this takes so many steps."""
+    drawn = read_pair(EXAMPLES / "drive-39-40-bearings.toml").nominal
+    main = drawn.supports.main.replace(clearance=5e-6)
+    pair = drawn.replace(errors={"pin_circle_radius": 22e-6}, supports=drawn.supports.replace(main=main))
+    found = solved(pair, [-0.181], np.array([187 * 2.0 * np.pi / 367]), with_play=False)
+    assert found.pin_force.max() > 0.1
+
+
+def test_contact_lines_lie_where_the_discs_then_stand():
+    """Rigid bearings have those of the rigid drive; on bearings they add up to the pins' forces, by any threads."""
+    pair = cy.Pair(**SIZES, discs=2, supports={"kind": "cranks", "count": 3, "circle_radius": "36 mm"})
+    angles = np.linspace(0.0, 0.3, 66)
+    bare = pair.replace(supports=None)
+    known = on_rigid.solve(bare, surface_of_pair(bare), [150.0], angles, 3, with_play=False, with_elements=True)
+    rigid = solve(pair, surface_of_pair(pair), [150.0], angles, 3, with_play=False, with_elements=True)
+    assert rigid.slice_force == pytest.approx(known.slice_force, rel=1e-3, abs=0.5)
+    assert rigid.slice_direction == pytest.approx(known.slice_direction, abs=1e-5)
+    assert rigid.gear_element_pressure == pytest.approx(known.gear_element_pressure, rel=1e-3, abs=2e6)
+    assert rigid.pin_element_pressure == pytest.approx(known.pin_element_pressure, rel=1e-3, abs=2e6)
+    soft = made("cranks", 2)
+    found = [solve(soft, surface_of_pair(soft), [150.0, -20.0], angles, 3, with_elements=True, workers=workers)
+             for workers in (1, 2)]  # fmt: skip
+    assert found[0].slice_force.sum(axis=-1) == pytest.approx(found[0].pin_force, rel=1e-5)
+    for load in range(2):
+        largest = found[0].max_contact_pressure[load].max()
+        assert 0.9 * largest < found[0].pin_element_pressure[load].max() <= (1.0 + 1e-9) * largest
+    for name in ("slice_force", "slice_direction", "gear_element_pressure", "pin_element_pressure"):
+        assert (getattr(found[0], name) == getattr(found[1], name)).all()
+
+
+@pytest.mark.parametrize(("example", "column"), [("drive-39-40-bearings", 2), ("rv-20e-bearings", 3)])
+def test_stiffness_of_the_examples_is_the_theory_page_s(example, column):
+    """Every number of the page's table, what is left to the catalogue's stiffness included."""
+    page = (EXAMPLES.parent / "docs" / "theory" / "supports.md").read_text(encoding="utf-8")
+    lines = page.split("| with one part more")[1].splitlines()
+    rows = [[cell.strip() for cell in line.split("|")] for line in lines[2:] if line.startswith("|")]
+    drive, arcmin = cy.read_drive(EXAMPLES / f"{example}.toml"), edge.unit_scale("N*m/arcmin", "N*m/rad")
+    shares = drive.compliance()
+    each = [one.compliance for one in shares]
+    stiffness = [f"{1.0 / soft / arcmin:.0f}" for soft in np.cumsum(each)]
+    assert [row[column] for row in rows] == [*stiffness, *(["–", "–", "–"] if column == 2 else ["–", "49"])]
+    if (catalogue := drive.pair.supports.catalogue_stiffness) is not None:
+        each += [remaining(drive.pair.supports, shares), 1.0 / catalogue]
+        assert [row[4] for row in rows] == [f"{soft * 1e6:.3f}" for soft in each]
+        assert [row[5] for row in rows[:-1]] == [f"{soft * catalogue:.1%}".replace("%", " %") for soft in each[:-1]]
+
+
 def test_two_cranks_with_clearance_make_order_80_and_three_do_not():
     """Order 80 of the crank in the output, without any error, as the contract states."""
     angles = np.linspace(0.0, 2.0 * np.pi * 39, 39 * 240, endpoint=False)
@@ -357,7 +406,10 @@ def test_sensitivities_are_differences(kind):
     def te(problem, assembly, torque=150.0, at=angles):
         found = _empty(pair, 1, at.size)
         here = type(found)(*(array[0] for array in found))
-        sweep_supported(problem, assembly, at, torque, False, here, work_of(here.place.shape[-1], 2))
+        sweep_supported(
+            problem, assembly, at, np.full(at.size, torque), False, here, work_of(here.place.shape[-1], 2),
+            on_rigid.no_lines(1),
+        )  # fmt: skip
         return here.place[:, 0]
 
     def check(by, plus, minus, scale=step):

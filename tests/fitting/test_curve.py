@@ -1,5 +1,6 @@
 import itertools
 import re
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -7,6 +8,7 @@ import xarray as xr
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+import drivers
 import fitting
 from cycloid_fmu import edge
 from fitting.figures.metrics import figures_of
@@ -74,8 +76,49 @@ def test_a_wrong_ratio_is_refused(ratio):
 
 
 def test_no_motion_is_refused():
-    with pytest.raises(edge.InputError, match="does not turn"):
+    with pytest.raises(edge.InputError, match="does not turn further than 0°"):
         fitting.curves(recorded(np.zeros(10), 0.0), -39.0)[0]
+
+
+def test_a_recorded_loop_is_no_curve(tmp_path):
+    """The locked input's noise makes a way of some arcseconds, of which an output turn has a milliard points."""
+    with drivers.simulate_bench(
+        lambda angle, torque: -angle / 39.0 + 1e-5 * torque, ratio=-39.0, torque=200.0, turns=2, samples_per_turn=400,
+        hysteresis=True, noise="0.1 arcsec", interface="virtual",
+    ) as bench:  # fmt: skip
+        bench.record(tmp_path / "loop.arrows")
+    with pytest.raises(edge.InputError) as problem:
+        fitting.curves(fitting.read_recordings(tmp_path / "loop.arrows"), -39.0)
+    match = re.fullmatch(
+        r".*loop\.arrows: the input does not turn further than (\S+)°.*more than 1°\.", str(problem.value)
+    )
+    assert match is not None
+    assert 0.1 / 3600 < float(match[1]) < 1.0 / 3600
+
+
+def test_a_crank_that_stood_while_a_million_samples_came_is_refused_too():
+    with pytest.raises(edge.InputError, match="does not turn further"):
+        fitting.curves(recorded(np.linspace(0.0, 1e-6, (1 << 20) + 1), 0.0, ratio=39.0), -39.0)
+
+
+def test_memory_does_not_grow_with_the_speed_behind_a_slow_beginning():
+    """As many points as a turn may have, then 500 turns in one block."""
+    slow, fast = np.linspace(0.0, 250.0, 1 << 20), np.arange(1, 1 << 17)
+    angle = np.append(slow, 250.0 + fast)
+    made = recorded(angle, 1e-4 * np.cos(angle))
+    folding = Folding(-39.0, "run.arrows")
+    tracemalloc.start()
+    try:
+        for part in (slice(0, slow.size), slice(slow.size, None)):
+            folding.add(Block(*(v[part] for v in (made.time, made.input_angle, made.output_angle, made.torque,
+                                                  made.status))))  # fmt: skip
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 400e6
+    (curve,) = folding.curves(made, PlausibleBlocks(made, -39.0))
+    assert curve.sample_count.sum() == angle.size
+    assert curve.transmission_error == pytest.approx(1e-4 * np.cos(curve.input_angle), abs=1e-6)
 
 
 def test_curve_file(tmp_path):

@@ -34,6 +34,7 @@ from cycloid_fmu.native import build as native_build
 from cycloid_fmu.native import tables
 from cycloid_fmu.native.table_file import HEAD, TABLE, constants_header, write
 from cycloid_fmu.reducer import lost_motion as rv
+from cycloid_fmu.reducer.description import read_reducer
 from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
 
 ARM = Path("/usr/aarch64-linux-gnu")  # Debian's libc6-arm64-cross
@@ -322,7 +323,7 @@ def pressed(tmp_path_factory):
 @pytest.fixture(scope="module")
 def reducer(tmp_path_factory):
     """Likewise of an RV reducer: the sun turns the crank through planets with play, the carrier plays in bearings."""
-    whole = rv.read_reducer(EXAMPLES / "rv-20e.toml")
+    whole = read_reducer(EXAMPLES / "rv-20e.toml")
     folder = tmp_path_factory.mktemp("reducer")
     return coarse(folder, whole.stage, nominal_surface(whole.stage), whole)
 
@@ -330,7 +331,7 @@ def reducer(tmp_path_factory):
 def coarse(folder, pair, surface, whole=None):
     made = tables.compute(pair, surface, accuracy=0.3 * ARCSEC)
     path = native_of(folder, whole or pair, surface, made, INTERFACES["kinematic"])
-    stage = [rv.first_stage_of(whole)] if whole else []
+    stage = [rv.parts_of(whole)[2]] if whole else []
     return SimpleNamespace(path=path, tables=made, drive=(pair, surface, *stage))
 
 

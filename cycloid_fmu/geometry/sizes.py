@@ -1,0 +1,37 @@
+"""How large the parts of a drive can be: a length beyond these limits has slipped by a unit.
+
+The drives that catalogues and papers show have pin circles of some 10 mm to some 500 mm radius. The limits, chosen
+here, lie a decade beyond: a usual drive's length in metres or micrometres instead of millimetres is outside.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import pydantic
+
+from cycloid_fmu.edge import Length, format_quantity
+from cycloid_fmu.edge.quantities import EXAMPLES
+
+
+def _between(least: float, most: float) -> tuple[pydantic.AfterValidator, Any]:
+    """Return what makes a length one that lies between two, m."""
+    low, high = (format_quantity(limit, "m", "mm" if limit < 1.0 else "m") for limit in (least, most))
+
+    def check(value: float) -> float:
+        if not least <= value <= most:
+            raise ValueError(f"it must lie between {low} and {high}")
+        return value
+
+    said: dict[str, Any] = {"quantity": EXAMPLES["m"], "si": "m", "limits": f"{low} … {high}"}
+    return pydantic.AfterValidator(check), pydantic.Field(json_schema_extra=said)
+
+
+CircleRadius = Annotated[Length, *_between(1e-3, 5.0)]
+"""Of pins, cranks or output rollers, and of what else stands on such a circle."""
+PinRadius = Annotated[Length, *_between(20e-6, 0.5)]
+Eccentricity = Annotated[Length, *_between(10e-6, 0.25)]
+Width = Annotated[Length, *_between(0.1e-3, 2.0)]
+"""Of a gear's face, and the length of a bearing's roller."""
+Module = Annotated[Length, *_between(0.05e-3, 60e-3)]
+"""Of involute gears: the series of DIN 780-1."""
