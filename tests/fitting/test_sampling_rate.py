@@ -31,24 +31,25 @@ def test_samples_of_other_turns_stay_where_they_were_taken(small):
 
 def test_turns_out_of_step_do_not_bias(small):
     """An error was eighteen standard errors off, and a quarter of the intervals missed."""
-    found = np.concatenate([[*one.values()] for one in coverage(small, 20.7, 3, 3)])
-    assert found.size > 50
+    found = np.concatenate([[*one.values()] for one in coverage(small, 20.7, 3, 2)])
+    assert found.size > 35
     assert 1.96 * np.abs(found).max() < 4.5
     assert np.mean(np.abs(found) < 1.0) > 0.88
 
 
-@pytest.mark.slow(6)
-@pytest.mark.parametrize(("each", "turns"), SAMPLINGS)
-def test_coverage_of_every_sampling(small, each, turns, record_property):
-    """95 % intervals hold the truth, in step and out; a tenth of CYCLOID_SEEDS drives, else of 200."""
-    drives = max(1, int(os.environ.get("CYCLOID_SEEDS", "200")) // 10)
-    found = np.concatenate([[*one.values()] for one in coverage(small, each, turns, drives)])
-    inside = np.abs(found) < 1.0
-    said = f"{inside.mean():.3f} of {inside.size}, {drives} drives"
-    record_property(f"{each:g} samples a crank turn, {turns} turns: 95 % intervals that hold the truth", said)
-    spread = 2.0 * np.sqrt(0.05 * 0.95 / inside.size)
-    assert 0.92 - 2.0 * spread <= inside.mean() <= 0.98 + 2.0 * spread
-    assert 1.96 * np.abs(found).max() < 5.0
+@pytest.mark.slow(10)
+def test_coverage_of_every_sampling(small, record_property):
+    """95 % intervals hold the truth, in step and out; a tenth of CYCLOID_SEEDS drives, else of 200; some with few."""
+    seeds = int(os.environ.get("CYCLOID_SEEDS", "200"))
+    drives = max(1, seeds // 10)
+    for each, turns in SAMPLINGS[:: 1 if seeds >= 40 else 3]:
+        found = np.concatenate([[*one.values()] for one in coverage(small, each, turns, drives)])
+        inside = np.abs(found) < 1.0
+        said = f"{inside.mean():.3f} of {inside.size}, {drives} drives"
+        record_property(f"{each:g} samples a crank turn, {turns} turns: 95 % intervals that hold the truth", said)
+        spread = 2.0 * np.sqrt(0.05 * 0.95 / inside.size)
+        assert 0.92 - 2.0 * spread <= inside.mean() <= 0.98 + 2.0 * spread, (each, turns)
+        assert 1.96 * np.abs(found).max() < 5.0, (each, turns)
 
 
 def test_a_zero_that_creeps_over_turns_out_of_step_is_no_noise(small):

@@ -13,7 +13,7 @@ from cycloid_fmu import edge
 from fitting.estimation.result import as_json
 from fitting.reports.report import report
 
-QUICK = [effect for effect in EFFECTS if effect.startswith(("none", "crank bearing", "zero"))]
+QUICK = [effect for effect in EFFECTS if effect.startswith(("none", "crank bearing"))]
 
 
 @pytest.fixture(scope="module")
@@ -76,15 +76,16 @@ def test_the_noise_of_the_fit_is_no_yardstick(small):
 
 
 @pytest.mark.slow(20)
-@pytest.mark.parametrize("effect", EFFECTS)
-def test_effects_are_explained_or_told(small, effect, record_property):
-    """Right causes, few false alarms, coverage; a fortieth of CYCLOID_SEEDS drives, else of 200."""
-    drives = max(1, int(os.environ.get("CYCLOID_SEEDS", "200")) // 40)
-    found = [judged(effect, small, seed) for seed in range(drives)]
-    right = sum(one for one, _ in found)
-    stated = np.abs(np.concatenate([one for _, one in found]))
-    inside = f", {np.mean(stated < 1.0):.3f} of {stated.size} intervals hold the truth" if stated.size else ""
-    record_property(effect, f"told rightly in {right} of {drives} drives{inside}")
-    assert right >= 0.8 * drives
-    if stated.size:
-        assert np.mean(stated < 1.0) >= 0.90 - 2.0 * np.sqrt(0.1 * 0.9 / stated.size)
+def test_effects_are_explained_or_told(small, record_property):
+    """Right causes, few false alarms, coverage; a fortieth of CYCLOID_SEEDS drives, else of 200, or some effects."""
+    seeds = int(os.environ.get("CYCLOID_SEEDS", "200"))
+    drives = max(1, seeds // 40)
+    for effect in list(EFFECTS)[:: 1 if seeds >= 40 else 5]:
+        found = [judged(effect, small, seed) for seed in range(drives)]
+        right = sum(one for one, _ in found)
+        stated = np.abs(np.concatenate([one for _, one in found]))
+        inside = f", {np.mean(stated < 1.0):.3f} of {stated.size} intervals hold the truth" if stated.size else ""
+        record_property(effect, f"told rightly in {right} of {drives} drives{inside}")
+        assert right >= 0.8 * drives, effect
+        if stated.size:
+            assert np.mean(stated < 1.0) >= 0.90 - 2.0 * np.sqrt(0.1 * 0.9 / stated.size), effect
