@@ -3,6 +3,7 @@
 `python tests/benches_as_they_are.py DRIVES` prints the table of docs/identify.md.
 """
 
+import contextlib
 import sys
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 from sampled_drives import ARCSEC, LOADS, SMALL, distances, random_drive
 
 import fitting
+from cycloid_fmu import edge
 from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import Pair, read_pair
@@ -102,9 +104,13 @@ def _moved(pair, surface, **by):
 
 def identified(effect, pair, seed, *, each=24.37, turns=2, loads=LOADS):
     """What is identified of a random drive with an effect, and its errors."""
-    generator = np.random.default_rng([8, seed])
-    surface, values = random_drive(pair, generator, 0.3e-6)
-    runs = [recorded(effect, pair, surface, load, generator, each, turns) for load in loads]
+    for again in range(10):
+        generator = np.random.default_rng([8, seed, again][: 3 if again else 2])
+        surface, values = random_drive(pair, generator, 0.3e-6)
+        # A drive on bearings may have an angle at which its balance is not found.
+        with contextlib.suppress(edge.InputError):
+            runs = [recorded(effect, pair, surface, load, generator, each, turns) for load in loads]
+            break
     return identify(runs, Drive(pair)), values
 
 
