@@ -74,12 +74,14 @@ def identify(
 
 
 def _print(result: Identification) -> None:
+    typer.echo(result.verdict.sentence)
     rows, held = [], []
     for p in result.parameters:
         factor, unit = options.FIELD_UNITS[p.unit]
         low, high = (v * factor for v in p.interval)
         if p.held is None:
-            rows.append([p.name, f"{p.value * factor:.3f}", f"{low:.3f} … {high:.3f}", unit])
+            interval = "withheld" if math.isnan(low) else f"{low:.3f} … {high:.3f}"
+            rows.append([p.name, f"{p.value * factor:.3f}", interval, unit])
         else:
             held.append([p.name, p.held])
     commands.print_table("Identified errors", ["error", "identified", "95 % interval", "unit"], rows)

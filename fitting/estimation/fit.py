@@ -26,8 +26,6 @@ from cycloid_fmu.surfaces.structured import profile_names, structured_value, uni
 from cycloid_fmu.surfaces.surface import LARGEST_ELEMENT, surface_of_pair
 from fitting.model.identifiability import UNKNOWN
 from fitting.model.observations import (
-    CREEP,
-    NO_CREEP,
     PROFILE_ORDERS,
     Linear,
     LinearisationPoint,
@@ -127,7 +125,7 @@ class _Normal:
     outlying: Array
 
 
-class _Problem:
+class Problem:
     """Everything that a fit may change as one vector: errors, nuisances, scatter, each in units of a usual size."""
 
     def __init__(
@@ -135,6 +133,7 @@ class _Problem:
     ) -> None:
         self.pair, self.chosen, self.around = pair, list(chosen), around
         self.prior = surface_of_pair(pair)
+        self.bounds = [_stated(name) for name in chosen]
         self.columns_of_chosen = [observed.errors.index(n) for n in chosen]
         known = np.isfinite(observed.bench_prior)
         crank = [_CRANK_SCALE] if observed.fit_crank else []
@@ -154,15 +153,15 @@ class _Problem:
             n: slice(p.start + self.first_scatter, p.stop + self.first_scatter) for n, p in scatter_parts(pair).items()
         }
         self.bench = slice(len(chosen), len(chosen) + known.size)
-        creeping = observed.creeping
-        if creeping.stop:
-            self.parts[CREEP] = slice(creeping.start + len(chosen), creeping.stop + len(chosen))
-            self.scale[self.parts[CREEP]] = _CREEP_SCALE
+        for group, part in observed.estimated.items():
+            self.parts[group] = slice(part.start + len(chosen), part.stop + len(chosen))
+            self.scale[self.parts[group]] = _CREEP_SCALE
         self.fit_crank, self.with_loops = observed.fit_crank, loops > 0
         crank_name = ["crank_angle_offset"] if observed.fit_crank else []
         self.names = [*chosen, *observed.bench_names, *observed.friction_names, *crank_name, *scatter_names(pair)]
 
     def unknowns(self, state: State) -> Array:
+        """Return the vector of a state."""
         plain = with_scatter(self.pair, state.surface, -state.scatter)
         errors = [structured_value(self.pair, plain, n) for n in self.chosen]
         crank = [state.crank_offset] if self.fit_crank else []
@@ -179,6 +178,7 @@ class _Problem:
         return columns
 
     def state(self, unknowns: Array) -> State:
+        """Return the state of a vector."""
         values = unknowns * self.scale
         errors = dict(zip(self.chosen, values[: len(self.chosen)], strict=True))
         scatter = values[self.first_scatter :]
@@ -191,7 +191,12 @@ class _Problem:
             crank_offset=float(values[self.first_scatter - 1]) if self.fit_crank else 0.0,
         )
 
+    def is_possible(self, unknowns: Array) -> bool:
+        """Whether all errors are such as a surface may have."""
+        return all(low < value < high for value, (low, high) in zip(unknowns * self.scale, self.bounds, strict=False))
+
     def precision(self, scatter: Mapping[str, float]) -> Array:
+        """Return how exactly each unknown is known before measuring, 1/variance in its scale."""
         found: Array = self.known.copy()
         for name, part in self.parts.items():
             found[part] = (self.scale[part.start] / max(scatter.get(name, 0.0), 1e-2 * NO_SCATTER)) ** 2
@@ -259,7 +264,7 @@ def fit(
     pinned
         Errors held at these values, m or rad.
     """
-    problem = _Problem(pair, observed, chosen, around)
+    problem = Problem(pair, observed, chosen, around)
     unknowns = problem.unknowns(state)
     pins = {list(chosen).index(n): value for n, value in (pinned or {}).items()}
     mean = np.zeros(unknowns.size)
@@ -284,6 +289,8 @@ def fit(
         promised = float(2.0 * slope @ step - step @ gram @ step)
         if promised < gain and settled:
             break
+        while not problem.is_possible(unknowns + step) and np.abs(step).max() > 0.0:
+            step *= 0.5
         then = problem.normal(unknowns + step, observed, limit)
         done += 1
         gained = misfit - _misfit(then, limit) - float(precision @ (away + step) ** 2)
@@ -312,9 +319,7 @@ def fit(
     unlikelihood = misfit + float(np.linalg.slogdet(gram)[1] - np.log(precision).sum() - 2.0 * np.log(seen).sum())
     state, linear = problem.state(unknowns), now.linear
     off = np.abs(observed.weight * left_of(observed, linear, state)) > _each_point(observed, limit)
-    prior = observed.bench_prior.copy()
-    prior[observed.creeping] = max(scatter.get(CREEP, 0.0), NO_CREEP)
-    observed = dataclasses.replace(observed, weight=np.where(off, 0.0, observed.weight), bench_prior=prior)
+    observed = dataclasses.replace(observed, weight=np.where(off, 0.0, observed.weight)).with_sizes(scatter)
     return Estimate(observed, tuple(chosen), state, scatter, linear, misfit, unlikelihood, done)
 
 
@@ -337,7 +342,7 @@ def _at_noise(observed: Observations, normal: _Normal, variance: Array) -> tuple
 
 
 def _variances(
-    problem: _Problem,
+    problem: Problem,
     observed: Observations,
     normal: _Normal,
     scatter: Mapping[str, float],
@@ -373,7 +378,7 @@ def _variances(
 
 
 def _ahead(
-    problem: _Problem, normal: _Normal, scatter: Mapping[str, float], unknowns: Array, mean: Array, pins: list[int]
+    problem: Problem, normal: _Normal, scatter: Mapping[str, float], unknowns: Array, mean: Array, pins: list[int]
 ) -> Array:
     """Return the Gauss-Newton step."""
     precision = problem.precision(scatter)
@@ -382,14 +387,17 @@ def _ahead(
     return np.asarray(linalg.solve(normal.gram.sum(axis=0) + np.diag(precision), slope, assume_a="pos"))
 
 
+def _stated(name: str) -> tuple[float, float]:
+    """What a pair file may state of an error."""
+    largest = {"m": LARGEST_DEVIATION, "rad": LARGEST_MISALIGNMENT}[unit_of(name)]
+    largest = LARGEST_ELEMENT if name in profile_names(PROFILE_ORDERS) else largest
+    return -largest, largest
+
+
 def possible(pair: Pair, name: str) -> tuple[float, float]:
     """Return what an error can be, m or rad: what a pair file may state, and what still makes a gear pair."""
     g = pair
-    low, high = {"m": (-LARGEST_DEVIATION, LARGEST_DEVIATION), "rad": (-LARGEST_MISALIGNMENT, LARGEST_MISALIGNMENT)}[
-        unit_of(name)
-    ]
-    if name in profile_names(PROFILE_ORDERS):
-        low, high = -LARGEST_ELEMENT, LARGEST_ELEMENT
+    low, high = _stated(name)
     if name == "eccentricity":
         low, high = max(low, -g.eccentricity), min(high, g.pin_circle_radius / g.pins - g.eccentricity)
     if name == "pin_circle_radius":
@@ -427,7 +435,7 @@ def confirmed(pair: Pair, estimate: Estimate, gain: float) -> tuple[Estimate, lm
     """
     from lmfit import Minimizer, Parameters
 
-    problem, observed = _Problem(pair, estimate.observed, estimate.chosen), estimate.observed
+    problem, observed = Problem(pair, estimate.observed, estimate.chosen), estimate.observed
     prior = np.sqrt(problem.precision(estimate.scatter))
     parameters = Parameters()
     for name, value in zip(problem.names, problem.unknowns(estimate.state) * problem.scale, strict=True):
@@ -500,7 +508,7 @@ def freedom(pair: Pair, estimate: Estimate, covariance: Array, known: Collection
     count, size = len(estimate.chosen), spread_of(pair, {}).size
     parts = {n: slice(p.start + len(covariance) - size, p.stop + len(covariance) - size)
              for n, p in scatter_parts(pair).items()}  # fmt: skip
-    parts[CREEP] = slice(*(count + end for end in (estimate.observed.creeping.start, estimate.observed.creeping.stop)))
+    parts |= {n: slice(count + p.start, count + p.stop) for n, p in estimate.observed.estimated.items()}
     variance = np.diag(covariance)[:count]
     blur = np.zeros(count)
     for name, part in parts.items():
@@ -589,7 +597,7 @@ def turn_bootstrap(estimate: Estimate, pair: Pair, draws: int, seed: int) -> Arr
     turning = [observed.curves[i] for i in observed.running]
     if any(c.each_turn is None or len(c.each_turn) < TURNS for c in turning):
         raise ValueError(f"every curve needs at least {TURNS} turns")
-    problem = _Problem(pair, observed, estimate.chosen)
+    problem = Problem(pair, observed, estimate.chosen)
     columns = problem.columns(observed, estimate.linear)
     gram = columns.T @ columns
     errors = slice(0, len(estimate.chosen))
@@ -597,15 +605,17 @@ def turn_bootstrap(estimate: Estimate, pair: Pair, draws: int, seed: int) -> Arr
     step *= observed.weight * problem.scale[errors, None]
     generator = np.random.default_rng(seed)
     moved = np.zeros((draws, len(estimate.chosen)))
+    left = left_of(observed, estimate.linear, estimate.state)
     for curve, part in zip(observed.curves, np.split(np.arange(observed.measured.size), observed.ends), strict=True):
         if curve.each_turn is None:
             continue
         there = np.isfinite(curve.each_turn)
-        turns = np.where(there, curve.each_turn - curve.transmission_error, 0.0)
-        taken = generator.multinomial(len(turns), np.full(len(turns), 1.0 / len(turns)), size=draws).astype(float)
-        mean = taken @ turns / np.maximum(taken @ there, 1.0)
+        # A turn's share in the step: few points have a sample of every turn.
+        own = np.where(there, curve.each_turn - curve.transmission_error + left[part], 0.0) / there.sum(axis=0)
+        turns = len(own)
+        taken = generator.multinomial(turns, np.full(turns, 1.0 / turns), size=draws).astype(float)
         # The turns drawn scatter less than turns do, by one of their number.
-        moved += np.sqrt(len(turns) / (len(turns) - 1.0)) * mean @ step[:, part].T
+        moved += np.sqrt(turns / (turns - 1.0)) * taken @ (own @ step[:, part].T)
     inside = observed.weight > 0.0
     white = np.sqrt(((step[:, inside] / observed.weight[inside]) ** 2).sum(axis=1))
     return np.array([moved.std(axis=0), white])

@@ -24,11 +24,22 @@ from cycloid_fmu.surfaces.sampling import Tolerances, read_tolerances
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import DEVIATIONS, surface_of_pair
 from fitting.estimation.fit import NO_SCATTER, OUTLYING, TURNS, Estimate, fit
-from fitting.estimation.result import HeldOut, Identification, is_uneven, result_of
+from fitting.estimation.result import Identification, is_uneven, result_of
+from fitting.estimation.validation import (
+    HeldOut,
+    Residual,
+    Verdict,
+    likely_causes,
+    mispredicted,
+    verdict_of,
+    yardsticks,
+)
+from fitting.model.discrepancy import GIVE, causes, given_way
 from fitting.model.identifiability import chosen_errors
 from fitting.model.loops import observed_curves, on_the_curves_zero
 from fitting.model.observations import (
     CREEP,
+    MISFIT,
     NO_CREEP,
     Linear,
     LinearisationPoint,
@@ -49,11 +60,14 @@ from fitting.transmission_error.curve import Curve
 
 Array = NDArray[np.float64]
 
-_MISPREDICTED = 1.5  # times the noise: a fit that predicts no better is no start for another
+_MISPREDICTED = 1.5  # times the noise: a fit that predicts no better is no start for another, and not explained
 _START_POINTS = 4000  # of all curves together, for the way from the prior
 _STARTS, _START_EVALUATIONS = 5, 30
 _AGREE = 0.01  # of the points: two starts ended alike where -2 log likelihood differs by less, the noise by 0.5 %
 _CRANK_STARTS = (0.0, -0.25, 0.25, 0.5)  # pin pitches, where the crank's zero is not known
+_MISFIT = 2e-6  # rad: from where the size of a cause of misfit is estimated
+_MISFITS = 5  # fits with causes of misfit at most
+_SETTLED = 1e-7, 1e-7, 1e-7, 1e-4  # m and rad: supports that give way by no more have been found
 _CHOICES = 3  # of errors to fit, which change where the state at which they are chosen does
 # A fit ends where a step gains less than this of the sum of squares in units of the noise: what moves one estimate by a
 # standard error at most, and by a tenth where it is shared among all. lmfit's steps follow.
@@ -159,15 +173,20 @@ def identify(
         with threadpool_limits(limits=1, user_api="blas"):
             kept, start = kept_back(running) if held_out else (), None
             predicted = None
+            rest = [*(c for i, c in enumerate(running) if i not in kept), *loops]
             if kept:
                 progress("fitting without the curves kept back")
-                rest = [*(c for i, c in enumerate(running) if i not in kept), *loops]
                 start = _fitted(rest, pair, None, prior, progress)
                 predicted = _predicted(pair, start, [running[i] for i in kept])
-                if predicted.residual > _MISPREDICTED * predicted.noise or is_uneven(start):
+                if predicted.residual > _MISPREDICTED * start.noise or is_uneven(start):
                     start = None
-            found = _fitted([*running, *loops], pair, start, prior, progress)
-            result = result_of(pair, found, predicted, prior.scatter, profiled, bootstrap, _GAIN, progress)
+            found, verdict = _validated([*running, *loops], pair, start, prior, progress)
+            if predicted is not None and verdict.state == "explained" and _is_mispredicted(predicted):
+                # The first fit may have ended beside its best optimum, which the whole one has found.
+                progress("fitting without the curves kept back, from there")
+                predicted = _predicted(pair, _fitted(rest, pair, found, prior, progress), [running[i] for i in kept])
+                verdict = mispredicted(verdict, predicted) if _is_mispredicted(predicted) else verdict
+            result = result_of(pair, found, verdict, predicted, prior.scatter, profiled, bootstrap, _GAIN, progress)
     except np.linalg.LinAlgError:
         raise edge.InputError(
             "the equations of the fit are singular, as they are where curves have no noise; add some to simulated ones."
@@ -214,20 +233,95 @@ def _predicted(pair: Pair, fit: Estimate, curves: Sequence[Curve]) -> HeldOut:
     columns = observed.bench[inside][:, own]
     left = left[inside] - columns @ np.linalg.lstsq(columns, left[inside], rcond=None)[0]
     loads = ", ".join(f"{c.torque:+.4g} N·m" for c in curves)
-    return HeldOut(loads, float(np.sqrt(np.mean(left**2))), fit.noise)
+    counted = np.zeros(inside.size)
+    counted[inside] = left
+    yardstick = yardsticks(dataclasses.replace(observed, weight=inside.astype(float)), counted)
+    return HeldOut(loads, float(np.sqrt(np.mean(left**2))), float(np.sqrt(np.mean(yardstick**2))))
+
+
+def _no_scatter(pair: Pair) -> dict[str, float]:
+    return {**dict.fromkeys(scatter_parts(pair), NO_SCATTER), CREEP: NO_CREEP}
+
+
+def _is_mispredicted(predicted: HeldOut) -> bool:
+    return predicted.residual > _MISPREDICTED * predicted.noise
+
+
+def _validated(
+    curves: Sequence[Curve],
+    pair: Pair,
+    start: Estimate | None,
+    known: Prior,
+    progress: Callable[[str], None],
+) -> tuple[Estimate, Verdict]:
+    """Fit curves, and where the errors do not explain them fit what most likely does beside them."""
+    found = _fitted(curves, pair, start, known, progress)
+    progress("testing what is left")
+    likely = likely_causes(Residual(pair, found), causes(pair, found.observed, found.linear))
+    if likely.columns:
+        # The scatter has swallowed what it could of the causes.
+        found = _without_scatter(pair, found)
+    give: Array | None = None
+    coefficients, verdict = np.zeros(0), None
+    for _ in range(_MISFITS if likely.columns else 0):
+        taken = 0.0 if give is None else likely.columns[GIVE] @ coefficients
+        misfit = likely.columns, give, taken
+        found = _fitted(curves, pair, found, known, progress, misfit)
+        verdict = verdict_of(pair, found, likely)
+        before = give
+        part = found.observed.estimated.get(f"{MISFIT}_{GIVE}")
+        if part is not None:
+            coefficients = found.state.bench[part]
+            give = given_way(pair, found.observed, coefficients)
+        if give is None or (before is not None and (np.abs(give - before) < _SETTLED).all()):
+            if verdict.state != "not explained":
+                break
+            likely = likely_causes(Residual(pair, found), causes(pair, found.observed, found.linear), likely)
+        else:
+            # Supports that gave way have moved the contacts: what more of it does is taken there.
+            moved = dataclasses.replace(found.observed, give=give)
+            there = causes(pair, moved, linearise(pair, moved, found.state))
+            likely = dataclasses.replace(likely, columns={n: there.get(n, one) for n, one in likely.columns.items()})
+    return found, verdict or verdict_of(pair, found, likely)
 
 
 def _fitted(
-    curves: Sequence[Curve], pair: Pair, start: Estimate | None, known: Prior, progress: Callable[[str], None]
+    curves: Sequence[Curve],
+    pair: Pair,
+    start: Estimate | None,
+    known: Prior,
+    progress: Callable[[str], None],
+    misfit: tuple[Mapping[str, Array], Array | None, Array | float] | None = None,
 ) -> Estimate:
     observed = observations(curves, pair, profile=known.profile)
+    if misfit is not None:
+        observed = observed.with_misfit(*misfit)
     rough = _starting_estimate(pair, observed, start, progress)
-    state, scatter = rough.state, rough.scatter
-    prior = observed.bench_prior.copy()
-    prior[observed.creeping] = max(scatter.get(CREEP, 0.0), NO_CREEP)
+    state, scatter = rough.state, {**dict.fromkeys(observed.estimated, _MISFIT), **rough.scatter}
     weight = observed.weight * np.median(rough.observed.weight) / np.median(observed.weight)
-    observed = dataclasses.replace(observed, weight=weight, bench_prior=prior)
-    linear, before = linearise(pair, observed, state), list(rough.chosen)
+    observed = dataclasses.replace(observed, weight=weight).with_sizes(scatter)
+    estimate = _settled(pair, observed, dataclasses.replace(rough, state=state, scatter=scatter), known, progress)
+    if not known.scatter and len(_chosen(estimate.observed, estimate.linear, pair, {})) > len(estimate.chosen):
+        # A scatter that does what errors would hides them.
+        again = _settled(pair, observed, _without_scatter(pair, estimate), known, progress)
+        estimate = again if len(again.chosen) > len(estimate.chosen) else estimate
+    return dataclasses.replace(estimate, disagreeing=rough.disagreeing)
+
+
+def _without_scatter(pair: Pair, found: Estimate) -> Estimate:
+    """The same, from where the scatter of pins and teeth grows from nothing once more."""
+    surface = with_scatter(pair, found.state.surface, -found.state.scatter)
+    state = dataclasses.replace(found.state, surface=surface, scatter=np.zeros_like(found.state.scatter))
+    sizes = {n: v for n, v in found.scatter.items() if n.startswith(MISFIT)}
+    return dataclasses.replace(found, state=state, scatter={**_no_scatter(pair), **sizes})
+
+
+def _settled(
+    pair: Pair, observed: Observations, start: Estimate, known: Prior, progress: Callable[[str], None]
+) -> Estimate:
+    """Fit from a start, until the errors that are chosen where it ends are those that were fitted."""
+    state, scatter = start.state, start.scatter
+    linear, before = linearise(pair, observed, state), list(start.chosen)
     chosen = _chosen(observed, linear, pair, scatter)
     for _ in range(_CHOICES):
         state = _carried_over(pair, observed, linear, state, before, chosen)
@@ -237,7 +331,7 @@ def _fitted(
         chosen = _chosen(estimate.observed, linear, pair, scatter)
         if chosen == before:
             break
-    return dataclasses.replace(estimate, disagreeing=rough.disagreeing)
+    return estimate
 
 
 def _carried_over(
@@ -290,16 +384,18 @@ def _starting_estimate(
         return state, linear
 
     if start is not None:
-        state = start.state
-        if start.observed.bench_names != observed.bench_names:
-            state, _ = zeroed(observed, state, None)
+        if len(start.observed.curves) != len(observed.curves):
+            state, _ = zeroed(observed, start.state, None)
+        else:
+            known = dict(zip(start.observed.bench_names, start.state.bench, strict=True))
+            state = dataclasses.replace(start.state, bench=np.array([known.get(n, 0.0) for n in observed.bench_names]))
         return dataclasses.replace(start, state=state)
     few, fewer = observed.thinned(_START_POINTS), observed.thinned(_START_POINTS // 2)
     loads = np.array([0.0 if c.branch else abs(c.torque) for c in few.curves])
     high, all_of_them = np.flatnonzero(loads > 0.7 * loads.max()), np.arange(loads.size)
     generator = np.random.default_rng(0)
     # A scatter that grows from nothing as the data ask for it leads past most of the wrong minima.
-    unknown = {**dict.fromkeys(scatter_parts(pair), NO_SCATTER), CREEP: NO_CREEP}
+    unknown = _no_scatter(pair)
     pitch = 2.0 * np.pi / pair.pins if observed.fit_crank else 0.0
 
     def ended(

@@ -26,11 +26,12 @@ from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import displacement_columns, displacement_layout, structured_value, unit_of
 from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
 from fitting.estimation.fit import NO_SCATTER, Estimate, confirmed, freedom, profile_interval, turn_bootstrap
+from fitting.estimation.validation import HeldOut, Verdict
 from fitting.model.identifiability import weakness
 from fitting.model.loops import LoopFit, play_of
 from fitting.model.observations import left_of, scatter_columns, scatter_names, scatter_parts, spread_of, with_scatter
 from fitting.model.prior import tolerances_of
-from fitting.transmission_error.curve import Curve, noise_of
+from fitting.transmission_error.curve import Curve
 
 if TYPE_CHECKING:
     import lmfit
@@ -40,7 +41,6 @@ FORMAT = "cycloid-identification/1"
 
 _CONFIDENCE = 0.95
 _NORMAL = float(stdtrit(np.inf, 0.5 + 0.5 * _CONFIDENCE))  # standard errors in half an interval
-_UNEXPLAINED = 2.0  # times its noise: a residual above this is another drive's
 _LEFT = 1.3  # times its noise: a curve of which more is left is not explained wholly
 _ANGLES = 720  # of a crank turn that count as different: samples in step with it are closer than that
 _TOLD = 1.5  # angles of the crank in all curves for each single displacement: with fewer a fit finds many minima
@@ -51,6 +51,9 @@ _AT_BOUND = 1e-3  # of the bound: lmfit ends so close beside it
 @dataclass(frozen=True)
 class Parameter:
     """One structured error after the fit: SI value, standard error and 95 % interval, or why it is held.
+
+    The interval is NaN where the verdict is that the errors do not explain the curves; the standard error is the fit's
+    alone.
 
     `data_share` says how much of what is known of it comes from the data: 1 minus the ratio of its variance after and
     before measuring.
@@ -66,20 +69,13 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class HeldOut:
-    """Curves kept from the fit and predicted by it: their loads in words, rms of what is left, and their noise, rad."""
-
-    loads: str
-    residual: float
-    noise: float
-
-
-@dataclass(frozen=True)
 class Identification:
     """The result of a fit.
 
     Attributes
     ----------
+    verdict
+        Whether the errors explain the curves, and what most likely does beside them.
     parameters
         All structured errors, fitted and held.
     singles
@@ -91,7 +87,8 @@ class Identification:
         All structured errors and the bench's nuisances in SI: values, standard errors, correlations, and what each
         error can be as bounds. Those that are held do not vary; their standard error is what they may be unmeasured.
     surface
-        The identified error surface, the pins' and teeth's own scatter included.
+        The identified error surface, the pins' and teeth's own scatter included; without a covariance where the errors
+        do not explain the curves.
     correlation
         Of the fitted parameters, in the order of `fitted`.
     singular_values, weak_combinations
@@ -127,6 +124,7 @@ class Identification:
     An example is that of `fitting.identify`.
     """
 
+    verdict: Verdict
     parameters: tuple[Parameter, ...]
     singles: tuple[Parameter, ...]
     bench: dict[str, float]
@@ -191,6 +189,7 @@ def _inflation(residuals: Sequence[Array]) -> float:
 def result_of(
     pair: Pair,
     fit: Estimate,
+    verdict: Verdict,
     predicted: HeldOut | None,
     known: Mapping[str, float],
     profiled: Sequence[str],
@@ -202,8 +201,9 @@ def result_of(
 
     Parameters
     ----------
-    pair, fit, predicted
-        The nominal pair, where its fit ended, and what was predicted of curves kept back.
+    pair, fit, verdict, predicted
+        The nominal pair, where its fit ended, whether it explains the curves, and what was predicted of curves kept
+        back.
     known, profiled, bootstrap, progress
         `scatter` and the others of `fitting.estimation.identify.identify`.
     gain
@@ -218,7 +218,7 @@ def result_of(
     optimum, found, every = confirmed(pair, dataclasses.replace(fit, observed=observed), gain)
     fit = dataclasses.replace(optimum, observed=fit.observed)
     state, linear = fit.state, fit.linear
-    fitted = linear.model + observed.bench @ state.bench
+    fitted = np.concatenate([c.transmission_error for c in observed.curves]) - left_of(observed, linear, state)
     if bootstrap:
         progress("drawing turns")
         turns, white = turn_bootstrap(fit, pair, bootstrap, seed=0)
@@ -249,11 +249,14 @@ def result_of(
             one = _parameter(name, structured_value(pair, prior, name), float(tolerance), float(tolerance),
                              reasons[name])  # fmt: skip
         parameters.append(one)
-    singles = _singles(pair, state.surface, chosen, every, spread) if known else ()
+    singles = list(_singles(pair, state.surface, chosen, every, spread)) if known else []
+    if verdict.state == "not explained":
+        parameters, singles = [_withheld(one) for one in parameters], [_withheld(one) for one in singles]
+    told = verdict.state != "not explained"
     surface = state.surface.replace(
         origin="identified",
-        covariance_of=(*chosen, *scatter_names(pair)),
-        covariance=every,
+        covariance_of=(*chosen, *scatter_names(pair)) if told else (),
+        covariance=every if told else None,
         attributes={"data": " ".join(f"{c.checksum}" for c in observed.curves)},
     )
     used = (observed.weight > 0.0) & ~observed.of_loops
@@ -262,8 +265,9 @@ def result_of(
     for curve, part in zip(observed.curves, np.split(observed.weight, observed.ends), strict=True):
         outliers[curve.source] += int(np.count_nonzero(part == 0.0))
     return Identification(
+        verdict=verdict,
         parameters=tuple(parameters),
-        singles=singles,
+        singles=tuple(singles),
         bench=bench,
         lmfit_parameters=lmfit_parameters,
         surface=surface,
@@ -273,7 +277,7 @@ def result_of(
         noise=float(np.sqrt(1.0 / np.mean((inflation * observed.weight[used]) ** 2))),
         scatter={n: fit.scatter[n] for n in scatter_parts(pair)},
         inflation=inflation,
-        residual=float(np.sqrt(np.mean((observed.measured - fitted)[used] ** 2))),
+        residual=float(np.sqrt(np.mean(left_of(observed, linear, state)[used] ** 2))),
         outliers=outliers,
         held_out=predicted,
         fitted_curves=tuple(parts[i] for i in observed.running),
@@ -281,7 +285,7 @@ def result_of(
         checksums={c.source: c.checksum for c in observed.curves},
         implausible={c.source: c.implausible for c in observed.curves},
         notes=(
-            *_notes(pair, fit),
+            *_notes(pair, fit, verdict),
             *(
                 f"{n} ends at {found[n].value * 1e3:.2g} {'mm' if unit_of(n) == 'm' else 'mrad'}, as far as it can be; "
                 "check counts per turn, directions and the pair file."
@@ -325,6 +329,10 @@ def _parameter(
 ) -> Parameter:
     interval = (value - quantile * sigma, value + quantile * sigma)
     return Parameter(name, unit_of(name), value, sigma, interval, max(1.0 - (sigma / before) ** 2, 0.0), held)
+
+
+def _withheld(one: Parameter) -> Parameter:
+    return one if one.held else dataclasses.replace(one, interval=(math.nan, math.nan))
 
 
 def _singles(
@@ -396,8 +404,8 @@ def _ambiguity(pair: Pair, fit: Estimate) -> list[str]:
     return notes
 
 
-def _notes(pair: Pair, fit: Estimate) -> tuple[str, ...]:
-    """Say what the curves lack, and whether the errors explain them."""
+def _notes(pair: Pair, fit: Estimate, verdict: Verdict) -> tuple[str, ...]:
+    """Say what the curves lack."""
     notes = []
     running = fit.observed.running
     curves = [fit.observed.curves[i] for i in running]
@@ -421,19 +429,8 @@ def _notes(pair: Pair, fit: Estimate) -> tuple[str, ...]:
             notes.append(
                 f"{curve.source}: it covers {turns:.2f} of an output turn; pins and teeth are less well resolved."
             )
-    rest = np.split(left_of(fit.observed, fit.linear, fit.state), fit.observed.ends)
-    counted = np.split(fit.observed.weight > 0.0, fit.observed.ends)
-    excess = [rest[i][counted[i]].std() / max(noise_of(fit.observed.curves[i]), 1e-12) for i in running]
-    if np.median(excess) > _UNEXPLAINED:
-        notes.append(
-            f"No error of this pair explains the curves: what is left is {np.median(excess):.1f} times their noise; is "
-            "this the drive of the pair file, and are counts per turn and directions right?"
-        )
-    elif max(excess) > _LEFT:
-        notes.append(
-            f"No error of this pair explains all of {curves[int(np.argmax(excess))].source}: what is left is "
-            f"{max(excess):.1f} times its noise, so the intervals may be too narrow."
-        )
+    if verdict.state == "not explained":
+        notes.append("Is this the drive of the pair file, and are counts per turn and directions right?")
     notes += _ambiguity(pair, fit)
     gear = np.abs(fit.linear.model - fit.linear.model.mean()).max()
     names = fit.observed.bench_names
@@ -457,8 +454,17 @@ def _as_json(one: Parameter) -> dict[str, Any]:
 
 def as_json(result: Identification) -> dict[str, Any]:
     """Return an identification as the content of a `cycloid-identification/1` file (SI)."""
+    verdict = result.verdict
     return {
+        "verdict": verdict.sentence,
         "format": FORMAT,
+        "validation": {
+            "state": verdict.state,
+            "misfits": [dataclasses.asdict(m) for m in verdict.misfits],
+            "noise": verdict.noise,
+            "residual": verdict.residual,
+            "failed": list(verdict.failed),
+        },
         "drive": result.drive.hash,
         "pair": result.pair.nominal.text,
         "parameters": {p.name: _as_json(p) for p in result.parameters},

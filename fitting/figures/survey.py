@@ -142,7 +142,7 @@ def survey(
     """
     ratio = stream.ratio if ratio is None else ratio
     overview = _Overview()
-    folding = None if ratio is None else Folding(ratio, stream.source)
+    folding = None if ratio is None else Folding(ratio, stream.source, evenly=True)
     blocks = PlausibleBlocks(stream, ratio)
     for block in blocks:
         overview.add(block)

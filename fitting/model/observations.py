@@ -19,7 +19,13 @@ from cycloid_fmu.contact import first_order
 from cycloid_fmu.contact.transmission import error_sensitivity, solve
 from cycloid_fmu.errors.kinds import structured_names
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.surfaces.structured import displacement_columns, displacement_layout, displacement_vector
+from cycloid_fmu.surfaces.structured import (
+    displacement_columns,
+    displacement_layout,
+    displacement_vector,
+    structured_value,
+    with_structured,
+)
 from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
 from fitting.transmission_error.curve import Curve, noise_of
 
@@ -32,6 +38,8 @@ PROFILE_ORDERS = (1, 2, 3, 4)  # of the profile deviation that all teeth share, 
 OUTPUT_ENCODER, INPUT_ENCODER = 2e-4, 5e-5
 DRIFT = 5e-5  # rad an output turn: how far the angles' zeros may creep while the bench warms up
 CREEP = "output_angle_creep"  # what a common zero has moved from one recording to the next; how far, the fit estimates
+MISFIT = "misfit"  # what the model does not hold, by cause; how large, the fit estimates
+GIVES = ("centre_distance_x", "centre_distance_y", "eccentricity")  # what moves where supports give way
 NO_CREEP = 1e-8  # rad
 _REACH = 80e-6  # m: gaps that errors and the rotation may close where contacts are taken to first order
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
@@ -62,6 +70,8 @@ class Observations:
     errors, profile
         The structured errors considered, and {order of the profile deviation: what it may be before anything is
         measured, m} of those that are among them.
+    give
+        How far supports have given way in each curve, shape (curves, 4): `GIVES`, m, and the crank, rad.
     """
 
     curves: tuple[Curve, ...]
@@ -75,6 +85,7 @@ class Observations:
     with_loops: bool
     errors: tuple[str, ...]
     profile: Mapping[str, float]
+    give: Array | None = None
 
     @property
     def running(self) -> list[int]:
@@ -92,10 +103,40 @@ class Observations:
         return ("friction_torque", "loop_friction_torque") if self.with_loops else ("friction_torque",)
 
     @property
-    def creeping(self) -> slice:
-        """Which of the bench's nuisances are the creep of each recording's zero."""
-        found = [i for i, name in enumerate(self.bench_names) if name.startswith(CREEP)]
-        return slice(found[0], found[-1] + 1) if found else slice(0, 0)
+    def estimated(self) -> dict[str, slice]:
+        """Groups of the bench's nuisances whose common size the fit estimates: creeping zeros, causes of misfit."""
+        groups: dict[str, slice] = {}
+        for i, name in enumerate(self.bench_names):
+            if name.startswith((CREEP, MISFIT)):
+                group = name.rpartition("_")[0]
+                groups[group] = slice(groups[group].start if group in groups else i, i + 1)
+        return groups
+
+    def with_sizes(self, sizes: Mapping[str, float]) -> Observations:
+        """The same with the sizes of these groups, rad, as what their nuisances may be."""
+        prior = self.bench_prior.copy()
+        for group, part in self.estimated.items():
+            prior[part] = max(sizes.get(group, 0.0), NO_CREEP)
+        return dataclasses.replace(self, bench_prior=prior)
+
+    def with_misfit(
+        self, columns: Mapping[str, Array], give: Array | None = None, taken: Array | float = 0.0
+    ) -> Observations:
+        """The same with what causes of misfit may add.
+
+        Parameters
+        ----------
+        columns
+            {cause: shape (points, columns)}, whose coefficients are rad.
+        give, taken
+            As in `Observations`, and what its columns add at that, shape (points,), rad: the model has it already.
+        """
+        names = [f"{MISFIT}_{cause}_{i}" for cause, one in columns.items() for i in range(one.shape[1])]
+        return dataclasses.replace(
+            self, bench_names=(*self.bench_names, *names), bench=np.hstack([self.bench, *columns.values()]),
+            bench_prior=np.concatenate([self.bench_prior, np.full(len(names), NO_CREEP)]), give=give,
+            measured=self.measured + taken,
+        )  # fmt: skip
 
     @property
     def ends(self) -> NDArray[np.int64]:
@@ -120,6 +161,7 @@ class Observations:
         return dataclasses.replace(
             self, curves=tuple(self.curves[n] for n in numbers), measured=self.measured[part],
             weight=self.weight[part], bench=self.bench[part],
+            give=None if self.give is None else self.give[list(numbers)],
         )  # fmt: skip
 
 
@@ -179,7 +221,8 @@ def observations(
         if curve.branch:
             continue
         names.append(f"output_angle_drift_{number}")
-        place = curve.input_angle / (2.0 * np.pi * ratio)
+        # What creeps does so with time, over all turns, whose points lie between one another.
+        place = (curve.input_angle if curve.travel is None else curve.travel) / (2.0 * np.pi * ratio)
         columns.append(np.concatenate([np.zeros(sum(sizes[:number])), place - place.mean(),
                                        np.zeros(sum(sizes[number + 1 :]))]))  # fmt: skip
         priors.append(DRIFT)
@@ -319,9 +362,14 @@ def linearised_curve(
     friction = state.loop_friction if curve.branch else state.friction
     torque, least = curve.torque_at_points + against * friction, _LEAST_TORQUE * curve.torque
     torque = np.where(np.abs(torque) < abs(least), least, torque)
+    surface, crank = state.surface, state.crank_offset
+    if observed.give is not None:
+        *moved, turned = observed.give[number]
+        values = {n: structured_value(pair, surface, n) + one for n, one in zip(GIVES, moved, strict=True)}
+        surface, crank = with_structured(pair, surface, values), crank + turned
     if around is None:
         model, jacobian, each, further = error_sensitivity(
-            pair, state.surface, torque, curve.input_angle + state.crank_offset, list(observed.errors)
+            pair, surface, torque, curve.input_angle + crank, list(observed.errors)
         )
         by_crank, by_torque = further.T
     else:

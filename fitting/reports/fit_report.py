@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -75,7 +76,8 @@ def _intervals(parameters: Sequence[Parameter]) -> Panel:
 
 _ARC = 1.0 / ARCSEC
 
-_ABOVE = """<h2>Errors</h2>
+_ABOVE = """<p id="verdict"><strong>{{ verdict }}</strong></p>
+<h2>Errors</h2>
 <table id="errors"><thead><tr><th>Error</th><th>Identified</th><th>95 % interval</th><th>Unit</th>
 <th>From the data</th></tr></thead><tbody>
 {% for r in known %}<tr><td>{{ r.name }}</td><td class="number">{{ r.value }}</td><td class="number">{{ r.interval }}
@@ -113,7 +115,8 @@ other.</p>
 def _row(one: Parameter) -> dict[str, str]:
     factor, unit = _FIELD_UNITS[one.unit]
     low, high = (v * factor for v in one.interval)
-    return {"name": one.name, "value": f"{one.value * factor:.3f}", "interval": f"{low:.3f} … {high:.3f}",
+    interval = "withheld" if math.isnan(low) else f"{low:.3f} … {high:.3f}"
+    return {"name": one.name, "value": f"{one.value * factor:.3f}", "interval": interval,
             "unit": unit, "share": f"{100.0 * one.data_share:.1f} %", "held": one.held or ""}  # fmt: skip
 
 
@@ -157,7 +160,8 @@ def write_fit_report(result: Identification, path: str | os.PathLike[str]) -> No
     target, pair = edge.output_path(path, "path", FORMATS), result.pair
     text = html_page(
         "Identified drive", f"{pair.gear_teeth}/{pair.pins}, {len(result.curves)} curves, {made_now()}",
-        _ABOVE, fit_panels(result), _BELOW, known=[_row(p) for p in result.parameters if p.held is None],
+        _ABOVE, fit_panels(result), _BELOW, verdict=result.verdict.sentence,
+        known=[_row(p) for p in result.parameters if p.held is None],
         trust=_trust(result), correlation=_correlation(result), weak=result.weak_combinations,
         held=[p for p in result.parameters if p.held is not None], singles=[_row(p) for p in result.singles],
         bench=[(n, f"{v:.4g} {_bench_unit(n)}") for n, v in result.bench.items()], notes=result.notes,

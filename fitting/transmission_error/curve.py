@@ -49,12 +49,15 @@ class Curve:
     turns
         Output turns recorded in this direction.
     grid
-        Points of a whole turn, and the crank angle (rad) at which the first begins; (0, 0) where points and samples
-        are the same.
+        As many even points over a whole turn as samples were taken in one, and the crank angle (rad) at which the first
+        begins; (0, 0) where the points are these.
     angle_variance
         Variance of the crank angles within each point, rad², or None where a point is one angle.
     torque_each
         Mean torque of the samples in each point, N·m, or None where it is not known how it varies.
+    speed, travel
+        Mean speed of the crank in each point (rad/s, or rad a sample where no times are known), and the mean of how far
+        it had turned since the recording began (rad, > 0); None where not known.
     each_turn
         Transmission error of every turn by itself, shape (turns, points), rad, NaN where a turn has no sample; None
         where the turns were not kept.
@@ -93,6 +96,8 @@ class Curve:
     grid: tuple[int, float] = (0, 0.0)
     angle_variance: Array | None = None
     torque_each: Array | None = None
+    speed: Array | None = None
+    travel: Array | None = None
     each_turn: Array | None = None
     branch: str = ""
     implausible: int = 0
@@ -104,14 +109,10 @@ class Curve:
 
     def points(self, chosen: slice | NDArray[np.int64] | NDArray[np.bool_]) -> Curve:
         """Some of the points; those of a grid no more."""
-        variance, torque = self.angle_variance, self.torque_each
-        return dataclasses.replace(
-            self, grid=(0, 0.0), input_angle=self.input_angle[chosen], standard_error=self.standard_error[chosen],
-            transmission_error=self.transmission_error[chosen], sample_count=self.sample_count[chosen],
-            angle_variance=None if variance is None else variance[chosen],
-            torque_each=None if torque is None else torque[chosen],
-            each_turn=None if self.each_turn is None else self.each_turn[:, chosen],
-        )  # fmt: skip
+        each = ("input_angle", "transmission_error", "standard_error", "sample_count", "angle_variance", "torque_each",
+                "speed", "travel", "each_turn")  # fmt: skip
+        there = {name: values for name in each if (values := getattr(self, name)) is not None}
+        return dataclasses.replace(self, grid=(0, 0.0), **{n: values[..., chosen] for n, values in there.items()})
 
 
 def noise_of(curve: Curve) -> float:
@@ -122,7 +123,8 @@ def noise_of(curve: Curve) -> float:
     """
     repeated = np.isfinite(curve.standard_error)
     if np.count_nonzero(repeated) > 20:
-        return float(np.sqrt(np.mean(curve.standard_error[repeated] ** 2)))
+        single = np.mean(curve.standard_error[repeated] ** 2 * curve.sample_count[repeated])
+        return float(np.sqrt(single / np.median(curve.sample_count)))
     differences = np.diff(curve.transmission_error, 6)
     return float(np.median(np.abs(differences)) / 0.6745 / np.sqrt(924.0)) if differences.size else 0.0
 

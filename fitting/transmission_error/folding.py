@@ -1,7 +1,8 @@
 """From a recording to its transmission error curves: over one output turn, averaged over turns, one direction each.
 
 The samples are taken block by block and folded as they come, so that hours at kilohertz need no more memory than one
-output turn.
+output turn. Turns share a point only where their angles are as good as the same: where sampling is not in step with the
+crank their samples lie up to a sample's spacing apart, and there pins come into contact and leave it.
 """
 
 from __future__ import annotations
@@ -21,10 +22,14 @@ from fitting.recordings.sources import Source, open_source
 from fitting.transmission_error.curve import Curve
 
 Array = NDArray[np.float64]
-POINTS = 1 << 15  # most points of a turn: orders up to a quarter of them are resolved
+POINTS = 1 << 15  # most even points of a turn: orders up to a quarter of them are resolved
+_PITCH = 20  # points that the crank's way from one pin to the next is divided into, where turns are not in step
+_FINEST = 1 << 18  # most points of a turn then
+_SHARED = 1.1  # points that turns in step have, of those that each has; others keep every sample as a point
 _FIRST = 1 << 20  # samples from which the number of points is found
 _RAMP = np.pi / 648000.0  # over a whole recording: what runs away by less gets no note
-_ROOM = 1 << 20  # points that are taken at once, of all the turns in which they lie
+_ROOM = 1 << 20  # points that turns have that are kept apart
+_FAR = 1e12  # turns that one sample may skip
 LOCKED = float(np.radians(1.0))  # of the crank: what windup of a locked input's own fixture it may show
 _REVERSAL = np.radians(2.0)  # of the crank: what turns back less is vibration; beyond the lost motion of any drive
 
@@ -35,27 +40,29 @@ class _Fold:
     A point's mean is that of its turns' means, so that a standstill or a slow stretch weighs no more than it should.
     """
 
-    def __init__(self, ratio: float, direction: int, *, keep_turns: bool) -> None:
+    def __init__(self, ratio: float, direction: int, *, keep_turns: bool, evenly: bool) -> None:
         self._turn = 2.0 * np.pi * abs(ratio)
-        self._kept: list[Array] | None = [] if keep_turns else None
-        self.ratio, self.direction = ratio, direction
+        self._kept: list[tuple[NDArray[np.int64], Array]] | None = [] if keep_turns else None
+        self.ratio, self.direction, self._evenly = ratio, direction, evenly
         self.samples = 0
         self.points = 0
         self._first: list[tuple[Array, Array, Array, bool]] = []
+        self._travelled = self._furthest = 0.0
+        self._turns = 0  # before the last reversal
         self._held = 0
         self._torque = np.zeros(2)
         self._line = np.zeros(5)
         self.way = 0.0
 
-    def add(self, angle: Array, error: Array, torque: Array, way: float, *, restarted: bool) -> None:
-        """Take crank angles, transmission errors and torques in the order of time; `restarted` after a reversal."""
+    def add(self, angle: Array, error: Array, beside: Array, way: float, *, restarted: bool) -> None:
+        """Take crank angles, transmission errors, and torques beside speeds; `restarted` after a reversal."""
         if not angle.size:
             return
         self.way += way
         if self.points:
-            self._take(angle, error, torque, restarted)
+            self._take(angle, error, beside, restarted)
             return
-        self._first.append((angle.copy(), error.copy(), torque.copy(), restarted))
+        self._first.append((angle.copy(), error.copy(), beside.copy(), restarted))
         self._held += angle.size
         if self._held >= _FIRST:
             self._begin()
@@ -66,74 +73,82 @@ class _Fold:
         angle = self._first[0][0]
         whole = round((self._held - 1) * min(1.0, self._turn / self.way)) if self.way else 1
         self.points = min(max(1, whole), POINTS)
-        self._spacing = max(min(self._turn, self.way or self._turn) / self.points, self._turn / POINTS)
+        spacing = max(min(self._turn, self.way or self._turn) / self.points, self._turn / POINTS)
         # The points' borders lie midway between the first turn's samples.
         self._origin = self._begins = float(angle[0])
+        even = self.points if self.way >= self._turn else max(1, round(self._turn / spacing))
+        self.grid = (even, float(np.mod(angle[0], self._turn) - 0.5 * spacing))
+        parts = 1 if self._evenly else max(1, round(min(_PITCH * self.ratio**2, _FINEST) / even))
+        self._whole, self._spacing = even * parts, spacing / parts
         self.shift = float(np.mod(angle[0], self._turn) - 0.5 * self._spacing)
-        self.whole = self.points if self.way >= self._turn else max(1, round(self._turn / self._spacing))
+        self._apart = 1
+        apart = int(self.way / self._turn) + 2 + sum(restarted for *_, restarted in self._first)
+        few = self._held <= POINTS and apart * self._whole <= _ROOM
+        if not self._evenly and few and not self._in_step():
+            self._apart = apart
+        self.whole = self._whole * self._apart
         self._reference = float(self._first[0][1][0])
-        self._torque_reference = float(self._first[0][2][0])
-        shape = (self.whole,)
-        self.count = np.zeros(shape, np.int64)
-        self.repeats = np.zeros(shape)
-        # Over turns: mean error, its square, mean angle, mean squared angle, mean torque; and of the turn under way:
-        # samples, error, angle, squared angle, torque.
-        self._sums, self._open = np.zeros((5, self.whole)), np.zeros((5, self.whole))
+        self._torque_reference = float(self._first[0][2][0, 0])
+        self.count = np.zeros(self.whole, np.int64)
+        self.repeats = np.zeros(self.whole, np.int64)
+        # Over turns: mean error, its square, mean angle, mean squared angle, mean torque, speed and way; of the turn
+        # under way, at the points that it has: samples, error, angle, squared angle, torque, speed, way.
+        self._sums = np.zeros((7, self.whole))
+        self._open_points, self._open = np.zeros(0, np.int64), np.zeros((7, 0))
         self._open_turn = 0
         waiting, self._first = self._first, []
         for part in waiting:
             self._take(*part)
 
-    def _take(self, angle: Array, error: Array, torque: Array, restarted: bool) -> None:
+    def _in_step(self) -> bool:
+        """Whether the samples of all turns share their points."""
+        angle = np.concatenate([part[0] for part in self._first])
+        point = (np.mod(angle - self.shift, self._turn) / self._spacing + 1e-9).astype(np.int64)
+        return np.unique(point).size * self.way < _SHARED * self._held * self._turn
+
+    def _take(self, angle: Array, error: Array, beside: Array, restarted: bool) -> None:
         if restarted:
             self.finish()
+            self._travelled = self._furthest
+            self._turns = (self._turns + 1) % self._apart
             self._begins = float(angle[0])
-        travel = self.direction * (angle - self._begins) + 0.5 * self._spacing
-        turn = np.maximum((travel / self._turn + 1e-9).astype(np.int64), self._open_turn)
-        low = self._open_turn
-        rows = int(turn.max()) - low + 1
-        if rows * self.whole > _ROOM and angle.size > 1:
-            half = angle.size // 2
-            self._take(angle[:half], error[:half], torque[:half], False)
-            self._take(angle[half:], error[half:], torque[half:], False)
-            return
-        if rows * self.whole > _ROOM:  # in the turns that one sample skips there is nothing
-            self.finish()
-            low = self._open_turn = int(turn[0])
-            rows = 1
         self.samples += angle.size
         error = error - self._reference
-        t = torque - self._torque_reference
+        t = beside[0] - self._torque_reference
         self._torque += np.array([t.sum(), t @ t])
         x = angle - self._origin
         self._line += np.array([angle.size, x.sum(), error.sum(), x @ x, x @ error])
+        travel = self.direction * (angle - self._begins) + 0.5 * self._spacing
+        turn = np.maximum(np.minimum(travel / self._turn + 1e-9, _FAR).astype(np.int64), self._open_turn)
         place = np.mod(angle - self.shift, self._turn) / self._spacing + 1e-9
-        point = np.minimum(place.astype(np.int64), self.whole - 1)
+        point = np.minimum(place.astype(np.int64), self._whole - 1)
         inside = (place - (point + 0.5)) * self._spacing
-        key = point if rows == 1 else point + (turn - low) * self.whole
-        size = rows * self.whole
-        found = np.empty((5, rows, self.whole))
-        found[0] = np.bincount(key, minlength=size).reshape(rows, -1)
-        for number, weights in enumerate((error, inside, inside * inside, t), start=1):
-            found[number] = np.bincount(key, weights, size).reshape(rows, -1)
-        found[:, 0] += self._open
-        self._close(found[:, :-1])
-        self._open = found[:, -1]
-        self._open_turn = low + rows - 1
+        point += self._whole * ((turn + self._turns) % self._apart)
+        last = int(turn.max()) - self._open_turn
+        key = np.concatenate([self._open_points, point + (turn - self._open_turn) * self.whole])
+        key, at = np.unique(key, return_inverse=True)
+        values = (np.ones(angle.size), error, inside, inside * inside, t, beside[1], travel + self._travelled)
+        self._furthest = float(values[-1][-1])
+        found = np.array([
+            np.bincount(at, np.concatenate([before, now]), key.size)
+            for before, now in zip(self._open, values, strict=True)
+        ])  # fmt: skip
+        closed = int(np.searchsorted(key, last * self.whole))
+        self._close(key[:closed], found[:, :closed])
+        self._open_points, self._open = key[closed:] - last * self.whole, found[:, closed:]
+        self._open_turn += last
 
-    def _close(self, found: Array) -> None:
-        samples = found[0]
-        with np.errstate(invalid="ignore", divide="ignore"):
-            mean = np.where(samples > 0, found[1:] / samples, 0.0)
-        self.count += samples.sum(axis=0).astype(np.int64)
-        self.repeats += (samples > 0).sum(axis=0)
-        self._sums[0] += mean[0].sum(axis=0)
-        self._sums[1] += (mean[0] ** 2).sum(axis=0)
-        self._sums[2] += mean[1].sum(axis=0)
-        self._sums[3] += mean[2].sum(axis=0)
-        self._sums[4] += mean[3].sum(axis=0)
-        if self._kept is not None:
-            self._kept += [one for one in np.where(samples > 0, mean[0], np.nan) if np.isfinite(one).any()]
+    def _close(self, key: NDArray[np.int64], found: Array) -> None:
+        """Add whole turns to the sums: sums over the samples at points, turns counted in whole turns of points."""
+        turn, point = np.divmod(key, self.whole)
+        samples, mean = found[0], found[1:] / found[0]
+        np.add.at(self.count, point, samples.astype(np.int64))
+        np.add.at(self.repeats, point, 1)
+        for total, one in zip(self._sums, (mean[0], mean[0] ** 2, *mean[1:]), strict=True):
+            np.add.at(total, point, one)
+        if self._kept is not None and key.size:
+            borders = np.flatnonzero(np.diff(turn)) + 1
+            self._kept += zip(np.split(point, borders), np.split(mean[0], borders), strict=True)
 
     def drift(self) -> float:
         """Return the slope of the transmission error over the crank angle."""
@@ -152,8 +167,9 @@ class _Fold:
         if not self.points:
             self._begin()
         if self.points:
-            self._close(self._open[:, None, :])
-            self._open = np.zeros_like(self._open)
+            self._close(self._open_points, self._open)
+            self._open_points, self._open = np.zeros(0, np.int64), np.zeros((7, 0))
+            self._turns = (self._turns + self._open_turn) % self._apart
             self._open_turn = 0
 
     def curve(
@@ -163,13 +179,19 @@ class _Fold:
         """Return what was folded."""
         filled = np.flatnonzero(self.repeats)
         n = self.repeats[filled]
-        error, squares, inside, inside2, each = self._sums[:, filled] / n
+        error, squares, inside, inside2, each, speed, travel = self._sums[:, filled] / n
         with np.errstate(invalid="ignore", divide="ignore"):
             standard_error = np.sqrt(np.maximum(squares - error**2, 0.0) / (n - 1.0))
         angle = np.mod(self.shift + (filled + 0.5) * self._spacing + inside, self._turn)
         sequence = np.argsort(angle)
         torque, torque2 = self._torque / self.samples
-        kept = None if self._kept is None else (np.array(self._kept) + self._reference)[:, filled][:, sequence]
+        kept = None
+        if self._kept is not None:
+            kept = np.full((len(self._kept), sequence.size), np.nan)
+            column = np.zeros(self.whole, np.int64)
+            column[filled[sequence]] = np.arange(sequence.size)
+            for row, (points, values) in zip(kept, self._kept, strict=True):
+                row[column[points]] = values + self._reference
         return Curve(
             input_angle=angle[sequence],
             transmission_error=(error + self._reference)[sequence],
@@ -186,9 +208,11 @@ class _Fold:
             notes=notes,
             implausible=implausible,
             turns=self.way / self._turn,
-            grid=(self.whole, self.shift),
+            grid=self.grid,
             angle_variance=np.maximum(inside2 - inside**2, 0.0)[sequence],
             torque_each=(each + self._torque_reference)[sequence],
+            speed=speed[sequence],
+            travel=travel[sequence],
             each_turn=kept,
         )
 
@@ -208,11 +232,14 @@ class Folding:
         The recording's name, for messages.
     keep_turns
         Whether the curves keep every turn by itself too.
+    evenly
+        Whether a turn has as many points as samples were taken in one, which orders need; else samples of different
+        turns share a point only where their angles are as good as the same.
     """
 
-    def __init__(self, ratio: float, source: str, *, keep_turns: bool = False) -> None:
+    def __init__(self, ratio: float, source: str, *, keep_turns: bool = False, evenly: bool = False) -> None:
         self.ratio, self.source = ratio, source
-        self._folds = {way: _Fold(ratio, way, keep_turns=keep_turns) for way in (1, -1)}
+        self._folds = {way: _Fold(ratio, way, keep_turns=keep_turns, evenly=evenly) for way in (1, -1)}
         self._direction = 0
         self._furthest = np.nan
         self._start = np.nan
@@ -223,7 +250,7 @@ class Folding:
         self._last: tuple[float, float] | None = None
         self._recounted = 0
         self._restarted = False
-        self._waiting: list[tuple[Array, Array, Array]] = []
+        self._waiting: list[tuple[Array, Array, Array]] = []  # crank angle, transmission error, torque and speed
 
     def add(self, block: Block) -> None:
         """Take the next block."""
@@ -235,7 +262,10 @@ class Folding:
         self._last = (float(angle[-1]), float(output[-1]))
         if np.isnan(self._furthest):
             self._furthest = self._start = float(angle[0])
-        self._waiting.append((angle, output - angle / self.ratio, block.torque))
+        passed = np.gradient(block.time) if angle.size > 1 else np.zeros(1)
+        turned = np.gradient(angle) if angle.size > 1 else np.zeros(1)
+        speed = np.divide(turned, passed, out=np.zeros(angle.size), where=passed > 0.0)
+        self._waiting.append((angle, output - angle / self.ratio, np.vstack([block.torque, speed])))
         # Which way the crank turns shows once it is away from where it began.
         if self._direction or sum(part[0].size for part in self._waiting) > _FIRST or self._is_away(angle):
             self._fold()
@@ -244,11 +274,11 @@ class Folding:
         return bool((np.abs(angle - self._start) > _REVERSAL).any())
 
     def _fold(self) -> None:
-        angle, error, torque = (np.concatenate(parts) for parts in zip(*self._waiting, strict=True))
+        angle, error, beside = (np.concatenate(parts, axis=-1) for parts in zip(*self._waiting, strict=True))
         self._waiting.clear()
         begin = 0
         while begin < angle.size:
-            begin = self._stretch(angle, error, torque, begin)
+            begin = self._stretch(angle, error, beside, begin)
 
     def _recount(self, angle: Array, output: Array, gaps: NDArray[np.int64]) -> Array:
         """Add the turns of the crank that the output shows to have passed in a gap."""
@@ -267,7 +297,7 @@ class Folding:
                 self._recounted += 1
         return angle
 
-    def _stretch(self, angle: Array, error: Array, torque: Array, begin: int) -> int:
+    def _stretch(self, angle: Array, error: Array, beside: Array, begin: int) -> int:
         """Fold from `begin` to the next reversal and return where that is."""
         part = angle[begin:]
         if self._direction == 0:
@@ -289,16 +319,16 @@ class Folding:
                 end = (
                     int(np.argmax(ahead[: back[0] + 1])) + 1 if ahead[: back[0] + 1].max() >= d * self._furthest else 0
                 )
-                self._take(part[:end], error[begin : begin + end], torque[begin : begin + end], reached[:end])
+                self._take(part[:end], error[begin : begin + end], beside[:, begin : begin + end], reached[:end])
                 self._reversing += int(back[0]) - end
                 self._direction = -d
                 self._furthest = float(part[back[0]])
                 self._restarted = True
                 return begin + int(back[0])
-        self._take(part, error[begin:], torque[begin:], reached)
+        self._take(part, error[begin:], beside[:, begin:], reached)
         return angle.size
 
-    def _take(self, angle: Array, error: Array, torque: Array, reached: Array) -> None:
+    def _take(self, angle: Array, error: Array, beside: Array, reached: Array) -> None:
         if not angle.size:
             return
         before = self._direction * self._furthest
@@ -315,8 +345,8 @@ class Folding:
             standing[starts[grows[starts]]] = False
             self._stood += int(np.count_nonzero(standing))
             moving = ~standing
-            angle, error, torque = angle[moving], error[moving], torque[moving]
-        self._folds[self._direction].add(angle, error, torque, way, restarted=self._restarted)
+            angle, error, beside = angle[moving], error[moving], beside[:, moving]
+        self._folds[self._direction].add(angle, error, beside, way, restarted=self._restarted)
         self._restarted &= not angle.size
 
     def curves(self, stream: Recording | RecordingStream, blocks: PlausibleBlocks) -> list[Curve]:
@@ -416,8 +446,10 @@ def _ramp_note(fold: _Fold, source: str) -> list[str]:
 def curves(recordings: Source | Iterable[Source], drive: Drive | float, *, keep_turns: bool = False) -> list[Curve]:
     """Return the transmission error curves of recordings: of each direction, the one it turned further first.
 
-    The crank angle is folded to one output turn and divided into as many points as samples were taken in a turn (at
-    most `POINTS`); what falls into a point is averaged within each turn and then over turns, angle and error alike.
+    The crank angle is folded to one output turn. Where all turns were sampled at the same angles they are averaged
+    there; else every sample is a point of its own. Of more than `POINTS` samples those are averaged that lie within a
+    twentieth of the crank's way from one pin to the next, or a `POINTS`-th of the turn where that is more: within each
+    turn and then over turns, angle and error alike.
 
     Parameters
     ----------

@@ -15,6 +15,7 @@ def test_identify_from_the_command_line(command, tmp_path):
         "--plot", "fit.png", "--report", "fit.html", "--bootstrap", "50",
     )  # fmt: skip
     assert run.returncode == 0, run.stderr
+    assert run.stdout.startswith("Explained")
     assert "centre_distance_x" in run.stdout
     assert "Measured and fitted" in (tmp_path / "fit.html").read_text()
     fit = json.loads((tmp_path / "fit.json").read_text())

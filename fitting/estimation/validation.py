@@ -1,0 +1,366 @@
+"""Whether a fit explains its data: tests that can fail, and what most likely makes them fail.
+
+The yardstick is never the noise that was fitted with the model, which swallows what the model does not hold. It is what
+turns and repeats scatter, and where nothing was repeated the floor between the orders of what is left: a drive and its
+bench err at orders, noise does between them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, special
+
+from cycloid_fmu.edge import ARCSEC
+from cycloid_fmu.geometry.pair import Pair
+from fitting.estimation.fit import Estimate, Problem
+from fitting.model.discrepancy import SENTENCES, is_whole, waves, way
+from fitting.model.observations import MISFIT, Observations, left_of
+
+Array = NDArray[np.float64]
+
+_FALSE = 2e-3  # how often a test alarms where there is nothing, all that it looks at together
+_MORE = 1.15  # times the yardstick: what is left counts as more than noise
+_SEEN = 1e-3  # of a column's square: what the errors leave of it; with less a cause can't be told from them
+_TOLD = 0.02  # of what curves tell of the fit's unknowns: what they alone tell is not held against others
+_ORDERS = 12  # most orders that are named
+_HIGHEST = 4096  # order of the output that is looked at
+_REPEATED = 100  # points of a curve with several turns that tell its noise
+_ALIKE = 0.8  # of the best cause's gain: one that gains as much can't be told from it
+_SMALL = 0.01  # of the largest cause: what adds less is not stated
+_WHOLE = 0.15  # of what the turns resolve: an order so near a whole number is one
+_NAMED = 4  # causes and orders that a sentence names
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """Something that the model of the pair does not hold.
+
+    Attributes
+    ----------
+    cause
+        As in `fitting.model.discrepancy.SENTENCES`, or "orders".
+    size
+        rms of what it adds to the transmission error, rad.
+    alike
+        Other causes that can't be told from it in these curves.
+    orders
+        Of the output, where the cause is not known by more.
+    """
+
+    cause: str
+    size: float
+    alike: tuple[str, ...] = ()
+    orders: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether the errors of the pair explain the curves.
+
+    Attributes
+    ----------
+    state
+        "explained"; "explained but for" causes that are part of the fit, so that the intervals allow for them; or "not
+        explained", where no interval is stated.
+    misfits
+        What the model of the pair does not hold, likeliest first.
+    noise, residual
+        Of a point by the yardstick, and rms of what is left, rad: geometric means over the curves.
+    failed
+        What fails, in words; none where the curves are explained.
+    """
+
+    state: str
+    misfits: tuple[Misfit, ...]
+    noise: float
+    residual: float
+    failed: tuple[str, ...]
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in one line."""
+        named = ", ".join(_in_words(m) for m in self.misfits[:_NAMED])
+        if self.state == "explained":
+            return (
+                f"Explained: what is left of the curves, {self.residual * ARCSEC:.2f}″, is their noise, at every "
+                "order, load and direction."
+            )
+        if self.state == "explained but for":
+            return f"Explained but for {named}; the intervals allow for it."
+        likely = f" Likely causes: {named}." if named else ""
+        return f"Not explained: {'; '.join(self.failed)}.{likely} No intervals are stated."
+
+
+def _in_words(misfit: Misfit) -> str:
+    if misfit.orders:
+        named = ", ".join(f"{order:.4g}" for order in misfit.orders[:_NAMED])
+        more = " and others" if len(misfit.orders) > _NAMED else ""
+        of = "" if all(is_whole(order) for order in misfit.orders) else ", not whole: another stage or shaft"
+        kind = "orders" if len(misfit.orders) > 1 else "order"
+        return f"{kind} {named}{more} of the output{of} ({misfit.size * ARCSEC:.2g}″)"
+    named = " or ".join(SENTENCES[cause] for cause in (misfit.cause, *misfit.alike))
+    return f"{named} ({misfit.size * ARCSEC:.2g}″)"
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Curves kept from the fit and predicted by the pair's errors: loads in words, rms of what is left, and noise, rad.
+
+    The noise is what repeats, or stands between the orders of what is left of these curves.
+    """
+
+    loads: str
+    residual: float
+    noise: float
+
+
+def mispredicted(verdict: Verdict, predicted: HeldOut) -> Verdict:
+    """Return the verdict where curves kept back are not what a fit of the others predicts."""
+    share = predicted.residual / predicted.noise
+    failed = f"{predicted.loads}, kept from the fit, were predicted to {share:.2g} times their noise"
+    return dataclasses.replace(verdict, state="not explained", failed=(*verdict.failed, failed))
+
+
+class Residual:
+    """What is left of a fit in units of its noise, and what moving any unknown would change of it.
+
+    Parameters
+    ----------
+    pair, estimate
+        The nominal pair and where the fit ended.
+    """
+
+    def __init__(self, pair: Pair, estimate: Estimate) -> None:
+        problem = Problem(pair, estimate.observed, estimate.chosen)
+        self.observed = estimate.observed
+        self.weight = self.observed.weight
+        self.left = self.weight * left_of(self.observed, estimate.linear, estimate.state)
+        self.columns = problem.columns(self.observed, estimate.linear)
+        precision = problem.precision(estimate.scatter)
+        self.information = self.columns.T @ self.columns + np.diag(precision)
+        self._factor = linalg.cho_factor(self.information)
+        # The fit ends where a step gains little; the tests stand at the optimum.
+        slope = self.columns.T @ self.left - precision * problem.unknowns(estimate.state)
+        self.left = self.left - self.columns @ linalg.cho_solve(self._factor, slope)
+
+    def beyond(self, columns: Array) -> Array:
+        """What the unknowns of the fit can't do of columns, in units of the noise, shape (points, columns)."""
+        own = self.weight[:, None] * columns
+        found: Array = own - self.columns @ linalg.cho_solve(self._factor, self.columns.T @ own)
+        return found
+
+    def score(self, columns: Array) -> tuple[float, Array]:
+        """Chance that noise alone looks as much like these columns, and the part of what is left that they are.
+
+        A score test (Rao, Proc. Camb. Phil. Soc. 44 (1948) 50): the model is not fitted again.
+        """
+        own, beyond = self.weight[:, None] * columns, self.beyond(columns)
+        size = np.sqrt((own**2).sum(axis=0))
+        values, vectors = np.linalg.eigh(own.T @ beyond / np.outer(size, size))
+        told = values > _SEEN
+        if not told.any():
+            return 1.0, np.zeros_like(self.left)
+        slopes = (vectors.T @ ((own.T @ self.left) / size))[told]
+        chance = float(special.chdtrc(np.count_nonzero(told), float(slopes**2 @ (1.0 / values[told]))))
+        coefficients = vectors[:, told] @ (slopes / values[told]) / size
+        return chance, np.asarray(beyond @ coefficients)
+
+    def take(self, columns: Array) -> None:
+        """Take columns among the unknowns of the fit."""
+        own = self.weight[:, None] * columns
+        _, part = self.score(columns)
+        size = (own**2).sum(axis=0)
+        cross = self.columns.T @ own
+        self.information = np.block([
+            [self.information, cross], [cross.T, own.T @ own + np.diag(_SEEN * size)],
+        ])  # fmt: skip
+        self.columns = np.hstack([self.columns, own])
+        self._factor = linalg.cho_factor(self.information)
+        self.left = self.left - part
+
+    def contradicts(self, numbers: Sequence[int]) -> float:
+        """Chance that noise alone makes some curves and the others disagree as much about the fit's unknowns."""
+        places = np.split(np.arange(self.left.size), self.observed.ends)
+        part = np.concatenate([places[n] for n in numbers])
+        columns = self.columns[part]
+        own = columns.T @ columns
+        score = columns.T @ self.left[part]
+        spread = own - own @ linalg.cho_solve(self._factor, own)
+        size = np.sqrt(np.maximum(np.diag(own), 1e-12 * np.diag(own).max()))
+        values, vectors = np.linalg.eigh(spread / np.outer(size, size))
+        told = values > _TOLD
+        slopes = (vectors.T @ (score / size))[told]
+        return float(special.chdtrc(max(np.count_nonzero(told), 1), float(slopes**2 @ (1.0 / values[told]))))
+
+
+def order_powers(observed: Observations, left: Array) -> tuple[int, list[Array]]:
+    """Return the power of what is left at the orders of the output.
+
+    Returns
+    -------
+    turns
+        Of the output in every curve: entry k of a power is order (k + 1)/turns.
+    powers
+        Of each running curve, in units of what white noise has.
+    """
+    parts = np.split(np.arange(left.size), observed.ends)
+    ways = {i: way(observed.curves[i]) for i in observed.running}
+    turns = max(1, min(round(float(np.ptp(one))) for one in ways.values()))
+    found = []
+    for number, turned in ways.items():
+        part = parts[number]
+        highest = min(part.size // 2, _HIGHEST * turns)
+        points = 1 << int(np.ceil(np.log2(32 * max(highest, 2))))
+        place = np.mod(turned / turns, 1.0)
+        gathered = np.bincount((place * points).astype(np.int64) % points, left[part], points)
+        count = max(np.count_nonzero(observed.weight[part]), 1)
+        found.append(np.abs(np.fft.rfft(gathered)[1 : highest + 1]) ** 2 / count)
+    return turns, found
+
+
+def yardsticks(observed: Observations, left: Array) -> Array:
+    """Noise of a point of each running curve, in units of the noise of `left`, by what repeats or between orders."""
+    found = []
+    parts = np.split(np.arange(left.size), observed.ends)
+    for number, power in zip(observed.running, order_powers(observed, left)[1], strict=True):
+        curve, part = observed.curves[number], parts[number]
+        slope = np.abs(np.gradient(curve.transmission_error, curve.input_angle)) if part.size > 2 else np.zeros(1)
+        spread = np.zeros(1) if curve.angle_variance is None else np.sqrt(curve.angle_variance)
+        told = np.isfinite(curve.standard_error) & (slope * spread < 0.2 * curve.standard_error)
+        if np.count_nonzero(told) > _REPEATED:
+            scatter = (curve.standard_error * observed.weight[part])[told]
+            found.append(float(np.sqrt(np.mean(scatter**2))))
+        else:
+            found.append(float(np.sqrt(np.median(power) / np.log(2.0))) if power.size > 20 else 1.0)
+    return np.array(found)
+
+
+def peak(observed: Observations, left: Array) -> float | None:
+    """Order of the output that stands out of what is left the most, in one curve or in all together; None of none."""
+    turns, powers = order_powers(observed, left)
+    least = min(p.size for p in powers)
+    looked = least + sum(p.size for p in powers)
+    together = np.sum([p[:least] for p in powers], axis=0)
+    chances = [special.gammaincc(len(powers), together), *(np.exp(-p) for p in powers)]
+    best = min(chances, key=lambda one: float(one.min()))
+    if float(best.min()) * looked > _FALSE:
+        return None
+    # Between the orders that the turns resolve.
+    near = (int(np.argmin(best)) + 1 + np.linspace(-1.0, 1.0, 41)) / turns
+    parts = np.split(np.arange(left.size), observed.ends)
+    power = sum(np.abs(np.exp(-2j * np.pi * np.outer(near, way(observed.curves[i]))) @ left[parts[i]]) ** 2
+                for i in observed.running)  # fmt: skip
+    order = float(near[int(np.argmax(power))])
+    return float(round(order)) if abs(order - round(order)) * turns < _WHOLE and round(order) else order
+
+
+def groups_of(observed: Observations) -> dict[str, list[int]]:
+    """Curves that a load or a direction has in common, in words, where there are others to hold them against."""
+    running = observed.running
+    torque = np.array([observed.curves[i].torque for i in running])
+    sizes = np.abs(torque)
+    order = np.argsort(sizes)
+    loads = np.split(order, np.flatnonzero(np.diff(sizes[order]) > 0.05 * sizes.max()) + 1)
+    found = {f"{sizes[one].mean():.4g} N·m": [running[i] for i in one] for one in loads}
+    if len(found) < 2:
+        found = {}
+    ways = {name: [running[i] for i in np.flatnonzero(np.sign(torque) == sign)]
+            for name, sign in (("the positive torques", 1.0), ("the negative torques", -1.0))}  # fmt: skip
+    return {**found, **({} if min(map(len, ways.values())) == 0 else ways)}
+
+
+def failures(residual: Residual, left: Array) -> tuple[list[str], Array]:
+    """Return what fails of what is left, in words, and the yardsticks."""
+    observed = residual.observed
+    failed = []
+    order = peak(observed, left)
+    if order is not None:
+        failed.append(f"order {order:.4g} of the output stands out of the noise")
+    yardstick = yardsticks(observed, left)
+    excess = float(np.exp(-np.mean(np.log(np.maximum(yardstick, 1e-9)))))
+    # A median of n squares of noise is uncertain by 1.44/√n of it.
+    if excess > max(_MORE, np.exp(4.0 * 0.72 / np.sqrt(0.5 * np.count_nonzero(~observed.of_loops)))):
+        failed.append(f"{excess:.2g} times the noise is left")
+    groups = groups_of(observed)
+    contradicting = [name for name, one in groups.items() if residual.contradicts(one) * len(groups) < _FALSE]
+    if contradicting:
+        failed.append(f"{', '.join(contradicting)} and the others contradict one another")
+    return failed, yardstick
+
+
+@dataclass(frozen=True)
+class Likely:
+    """Causes that what is left looks like: {cause: columns}, what can't be told from each, orders of "orders"."""
+
+    columns: dict[str, Array]
+    alike: dict[str, tuple[str, ...]]
+    orders: tuple[float, ...]
+
+
+def likely_causes(residual: Residual, columns: Mapping[str, Array], known: Likely | None = None) -> Likely:
+    """Return causes that what is left looks like, the likeliest first, each beside those before it.
+
+    Parameters
+    ----------
+    residual
+        What is left of the fit; it takes the causes among its unknowns.
+    columns
+        As `fitting.model.discrepancy.causes` returns them.
+    known
+        Those that are part of the fit already.
+    """
+    found = {name: columns[name] for name in known.columns if name in columns} if known else {}
+    alike = dict(known.alike) if known else {}
+    rest = {name: one for name, one in columns.items() if name not in found}
+    while rest:
+        scores = {name: residual.score(one) for name, one in rest.items()}
+        told = [n for n, (chance, _) in scores.items() if chance * len(columns) < _FALSE]
+        if not told:
+            break
+        gains = {name: float(residual.left @ scores[name][1]) - rest[name].shape[1] for name in told}
+        best = max(told, key=lambda n: gains[n])
+        alike[best] = tuple(n for n in told if n != best and gains[n] > _ALIKE * gains[best])
+        found[best] = rest.pop(best)
+        residual.take(found[best])
+    orders = list(known.orders) if known else []
+    for _ in range(_ORDERS):
+        order = peak(residual.observed, residual.left)
+        if order is None or order in orders:
+            break
+        orders.append(order)
+        residual.take(waves(residual.observed, order))
+    if orders:
+        found["orders"] = np.hstack([waves(residual.observed, order) for order in orders])
+    return Likely(found, alike, tuple(orders))
+
+
+def verdict_of(pair: Pair, estimate: Estimate, likely: Likely) -> Verdict:
+    """Return the verdict on a fit.
+
+    Parameters
+    ----------
+    pair, estimate
+        The nominal pair and where the fit ended, with the causes among its unknowns.
+    likely
+        The causes that are.
+    """
+    observed, residual = estimate.observed, Residual(pair, estimate)
+    failed, yardstick = failures(residual, residual.left)
+    used = (observed.weight > 0.0) & ~observed.of_loops
+    misfits = []
+    for group, part in observed.estimated.items():
+        cause = group.removeprefix(f"{MISFIT}_")
+        if cause in likely.columns:
+            size = float(np.sqrt(np.mean((observed.bench[used, part] @ estimate.state.bench[part]) ** 2)))
+            misfits.append(Misfit(cause, size, likely.alike.get(cause, ()), likely.orders if cause == "orders" else ()))
+    largest = max((m.size for m in misfits), default=0.0)
+    misfits = [m for m in misfits if m.size > _SMALL * largest]
+    state = "not explained" if failed else "explained but for" if misfits else "explained"
+    rms = float(np.sqrt(np.mean((residual.left[used] / observed.weight[used]) ** 2)))
+    noise = float(np.exp(np.mean(np.log(yardstick * estimate.noises[observed.running]))))
+    return Verdict(state, tuple(misfits), noise, rms, tuple(failed))

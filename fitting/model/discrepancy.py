@@ -1,0 +1,196 @@
+"""What real drives and benches do that the model of rigid supports and quiet encoders does not hold, cause by cause.
+
+A discrepancy in the sense of Kennedy and O'Hagan (J. R. Stat. Soc. B 63 (2001) 425): a function of crank angle, output
+angle and torque beside the model, here of low rank, each cause with a few columns whose size is estimated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu.geometry.pair import Pair
+from fitting.model.observations import GIVES, Linear, Observations
+from fitting.transmission_error.curve import Curve
+
+Array = NDArray[np.float64]
+
+GIVE = "support_give"
+RUN_OUT = (1, 2, 3)  # orders of a shaft that its encoder and couplings make
+_SLOW = 6  # degree of what a zero drifts over a recording
+_CRANK = 100.0  # rad of the crank for one of the transmission error
+_STEADY = 1e-3  # of the speed: what changes less shows no lag
+SENTENCES = {
+    GIVE: "supports that give way or have play under load",
+    "compliance": "more that gives way between the encoders than the gear pair",
+    "friction": "friction that grows with the load",
+    "torque_ripple": "torque that the sensor does not see",
+    "run_out": "run-out of a shaft or its encoder",
+    "drift": "a zero that drifts within a recording",
+    "clock_lag": "one angle's clock that is late",
+}
+
+
+def causes(pair: Pair, observed: Observations, linear: Linear) -> dict[str, Array]:
+    """Return what each cause may add to the transmission error, near a state of the model.
+
+    Parameters
+    ----------
+    pair, observed, linear
+        The nominal pair, the observations, and the model at the state.
+
+    Returns
+    -------
+    columns
+        {cause as in `SENTENCES`: shape (points, columns)}, each near 1, so that its coefficient is rad. A cause that
+        these recordings can't show is left out.
+    """
+    curves = observed.curves
+    sizes = [c.input_angle.size for c in curves]
+    torque = np.concatenate([c.torque_at_points for c in curves])
+    load = torque / max(float(np.abs(torque).max()), 1e-9)
+    running = ~observed.of_loops
+    crank = np.concatenate([c.input_angle for c in curves])
+    ratio = abs(curves[0].ratio)
+    against = np.repeat([-float(c.direction) * np.sign(c.ratio) for c in curves], sizes)
+    found = {
+        GIVE: _give(pair, observed, linear),
+        "compliance": [load, load * np.abs(load)],
+        "friction": [linear.by_friction * np.abs(load)],
+        "torque_ripple": [
+            linear.by_friction * against * load * wave * running
+            for angle in (crank, 2.0 * crank, crank / ratio)
+            for wave in (np.cos(angle), np.sin(angle))
+        ],
+        "run_out": [
+            wave * running
+            for order in RUN_OUT
+            for angle in (crank / ratio, crank)
+            for wave in (np.cos(order * angle), np.sin(order * angle))
+        ],
+        "drift": _of_curves(observed, [_drifts(way(c)) for c in curves]),
+    }
+    lags = [np.zeros(c.input_angle.size) if c.speed is None else _changing(c.speed) for c in curves]
+    if any(lag.any() for lag in lags):
+        # A late output angle is that of the crank a moment before. At a steady speed it is an offset, as play is.
+        found["clock_lag"] = [-np.concatenate(lags) * (1.0 / curves[0].ratio + linear.by_crank)]
+    every = {
+        name: np.column_stack(columns if name == GIVE else [_unit(one) for one in columns])
+        for name, columns in found.items()
+        if columns
+    }
+    return {name: columns for name, columns in every.items() if columns.any()}
+
+
+def _give(pair: Pair, observed: Observations, linear: Linear) -> list[Array]:
+    """Shifts of ring and disc that grow with the load or come with its side, each in turn for each way of `_growth`."""
+    shifts = [linear.structured[:, observed.errors.index(n)] for n in GIVES]
+    # A disc on a crank that gives way leads or lags it, as if the crank stood elsewhere.
+    growth = _growth(observed, np.concatenate([c.torque_at_points for c in observed.curves]))
+    each = zip((*shifts, linear.by_crank), _units(pair), strict=True)
+    return [shift * unit * of for shift, unit in each for of in growth]
+
+
+def _growth(observed: Observations, torque: Array) -> tuple[Array, Array, Array]:
+    largest = max(float(np.abs(c.torque_at_points).max()) for c in observed.curves)
+    return torque / largest, np.abs(torque) / largest, np.sign(torque)
+
+
+def _units(pair: Pair) -> Array:
+    """Shift (m, of the crank rad) for a coefficient of one: some rad of the transmission error."""
+    return np.array([pair.gear_teeth * pair.eccentricity] * len(GIVES) + [_CRANK])
+
+
+def given_way(pair: Pair, observed: Observations, coefficients: Array) -> Array:
+    """Return how far supports have given way in each curve.
+
+    Parameters
+    ----------
+    pair, observed
+        The nominal pair and the observations.
+    coefficients
+        Of the columns of `GIVE`, rad.
+
+    Returns
+    -------
+    shifts
+        Shape (curves, 4), as `Observations.give`; none of loops, whose torque varies.
+    """
+    growth = np.array(_growth(observed, np.array([c.torque for c in observed.curves])))
+    shifts: Array = (coefficients.reshape(-1, len(growth)) @ growth).T * _units(pair)
+    shifts[[i for i, c in enumerate(observed.curves) if c.branch]] = 0.0
+    return shifts
+
+
+def way(curve: Curve) -> Array:
+    """Output turns from where a curve begins to each point, growing with time where that is known."""
+    turned = curve.input_angle if curve.travel is None else curve.travel
+    found: Array = turned / (2.0 * np.pi * abs(curve.ratio))
+    return found
+
+
+def is_whole(order: float) -> bool:
+    """Whether an order repeats with the output's turns."""
+    return abs(order - round(order)) < 1e-6
+
+
+def waves(observed: Observations, order: float) -> Array:
+    """Return columns of an order of the output.
+
+    Parameters
+    ----------
+    observed
+        The observations.
+    order
+        Of the output: one that repeats with it is of one size or grows with the torque, alike in both directions or
+        not; any other stands elsewhere in each curve.
+
+    Returns
+    -------
+    columns
+        Shape (points, columns), each with a root mean square of 1.
+    """
+    if not is_whole(order):
+        phases = [2.0 * np.pi * order * way(c) for c in observed.curves]
+        every = _of_curves(observed, [[np.cos(phase), np.sin(phase)] for phase in phases])
+        return np.column_stack([_unit(one) for one in every])
+    torque = np.concatenate([c.torque_at_points for c in observed.curves])
+    phase = order * np.concatenate([c.input_angle / abs(c.ratio) for c in observed.curves])
+    running = (~observed.of_loops).astype(float)
+    return np.column_stack([
+        _unit(wave * of * running)
+        for wave in (np.cos(phase), np.sin(phase))
+        for of in (np.ones_like(torque), np.sign(torque), torque)
+    ])  # fmt: skip
+
+
+def _unit(column: Array) -> Array:
+    size = float(np.sqrt(np.mean(column**2)))
+    found: Array = column / size if size > 0.0 else column
+    return found
+
+
+def _drifts(turned: Array) -> list[Array]:
+    """Legendre polynomials over a recording, beyond the straight line: anything slow."""
+    share = 2.0 * (turned - turned.min()) / max(float(np.ptp(turned)), 1e-12) - 1.0
+    return list(np.polynomial.legendre.legvander(share, _SLOW)[:, 2:].T)
+
+
+def _of_curves(observed: Observations, each: Sequence[Sequence[Array]]) -> list[Array]:
+    """Columns that are those of one curve there and zero elsewhere; none of loops."""
+    found = []
+    ends = [0, *observed.ends.tolist(), observed.measured.size]
+    for number in observed.running:
+        for values in each[number]:
+            column = np.zeros(observed.measured.size)
+            column[ends[number] : ends[number + 1]] = values
+            found.append(column)
+    return found
+
+
+def _changing(speed: Array) -> Array:
+    """The speed, or zero where it is steady."""
+    steady = float(speed.std()) < _STEADY * abs(float(speed.mean()))
+    return np.zeros_like(speed) if steady else speed
