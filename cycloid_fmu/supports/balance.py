@@ -26,6 +26,7 @@ _LONGEST = 25e-6  # m: a step is no longer than this
 _REACH = 4e-6  # m: pins nearer than this are solved at every step, the others once the discs have moved as far
 _HELD = 1e-3  # N/m: keeps a rotation in reach that nothing holds yet; it pulls to where the step began
 _ITERATIONS = 60
+_JUMP = 1e-10  # m: where no longer step leads on, forces jump, as where a pin leaves the second of two teeth at a root
 _LAST_ITERATIONS = 600  # a drive that hangs in its clearances finds its place in small steps
 
 
@@ -415,9 +416,10 @@ def balance(
         share = _direction(problem, assembly, work)
         if share == 0.0:
             return 0
-        step = work.step
-        if _longest(problem, assembly, step, 1.0) < _EXACT:
+        step, longest = work.step, _longest(problem, assembly, work.step, 1.0)
+        if longest < _EXACT:
             return iteration + 1
+        whole = share
         downhill = 0.0
         for i in range(step.size):
             work.before[i] = q[i]
@@ -432,6 +434,8 @@ def balance(
             if now <= -0.5 * downhill:
                 break
             share *= min(max(downhill / (downhill - now), 0.1), 0.5)
+        if iterations == _LAST_ITERATIONS and share * longest < _JUMP and share < 1e-3 * whole:
+            return iteration + 1
     return 0
 
 

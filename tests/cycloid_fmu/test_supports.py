@@ -5,9 +5,11 @@ import math
 
 import numpy as np
 import pytest
+from benches_as_they_are import on_bearings
 from common import ARCSEC, DATA, EXAMPLES
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sampled_drives import SMALL, random_drive
 from scipy.integrate import quad
 
 import cycloid_fmu as cy
@@ -286,6 +288,15 @@ def test_contact_lines_lie_where_the_discs_then_stand():
         assert 0.9 * largest < found[0].pin_element_pressure[load].max() <= (1.0 + 1e-9) * largest
     for name in ("slice_force", "slice_direction", "gear_element_pressure", "pin_element_pressure"):
         assert (getattr(found[0], name) == getattr(found[1], name)).all()
+
+
+def test_a_pin_that_passes_a_root_between_unlike_teeth_is_balanced():
+    """It is on both teeth, on one or on none for some mrad of the crank: forces jump, the discs' places are found."""
+    generator, drawn = np.random.default_rng(0), cy.Pair(**SMALL, face_width=0.012, rated_torque=200.0)
+    floating, surface = on_bearings(drawn, random_drive(drawn, generator, 0.3e-6)[0])
+    angles = -89.53944349327529 + np.array([-3e-3, -1e-4, 0.0, 1e-4, 3e-3])
+    place = solve(floating, surface, [-60.0], angles, with_play=False).transmission_error[0]
+    assert np.ptp(place) < 1.5 * ARCSEC
 
 
 @pytest.mark.parametrize(("example", "column"), [("drive-39-40-bearings", 2), ("rv-20e-bearings", 3)])
