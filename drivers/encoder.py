@@ -168,9 +168,9 @@ class Wiring:
 
     def _named(self, table: Mapping[str, Line], name: str, kind: str, channel: str) -> Line:
         if name not in table:
-            there = ", ".join(f'"{k}"' for k in table) or "none"
+            there = ", ".join(edge.shown(k) for k in table) or "none"
             raise edge.InputError(
-                f'{self.source}: [channel.{channel}] {kind} = "{name}": there is no [{kind}.{name}]; '
+                f"{self.source}: [channel.{channel}] {kind} = {edge.shown(name)}: there is no {kind} of this name; "
                 f"the file has {there}."
             )
         return table[name]

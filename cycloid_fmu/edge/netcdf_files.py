@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cycloid_fmu.edge.files import MOST_BYTES, check_format, existing, written_whole
-from cycloid_fmu.edge.problems import InputError, parsed_by_others
+from cycloid_fmu.edge.problems import InputError, parsed_by_others, shown
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -36,7 +36,12 @@ def netcdf(path: str | os.PathLike[str], wanted_format: str) -> xr.Dataset:
     with refusing, h5netcdf.File(str(path), "r", backend="pyfive") as file:
         _check_contained(Path(path), file.variables)
         data = xr.open_dataset(H5NetCDFStore(file)).load()
-    check_format(data.attrs.get("format"), wanted_format, str(path))
+    texts = {"format": data.attrs.get("format"), "pair": data.attrs.get("pair")}
+    texts |= {f"the unit of {name}": one.attrs.get("units") for name, one in data.variables.items()}
+    for name, text in texts.items():
+        if not isinstance(text, str | None):
+            raise InputError(f"{path}: {name} is {shown(text)}; it must be text.")
+    check_format(texts["format"], wanted_format, str(path))
     return data
 
 

@@ -203,6 +203,17 @@ def test_a_wrong_surface_file_is_one_sentence(tmp_path, change, said):
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.parametrize("name", ["format", "pair", "units"])
+def test_a_surface_file_s_texts_are_texts(tmp_path, name):
+    write_surface(flanks(surface_of_pair(ERRORS), 10, 2, 1e-6), tmp_path / "s.nc")
+    with xr.open_dataset(tmp_path / "s.nc") as opened:
+        data = opened.load()
+    (data["gear_deviation"] if name == "units" else data).attrs[name] = np.arange(3)
+    data.to_netcdf(tmp_path / "bad.nc", engine="h5netcdf")
+    with pytest.raises(edge.InputError, match=r"bad\.nc: .*is \[0 1 2\]; it must be text\.$"):
+        read_surface(tmp_path / "bad.nc")
+
+
 def test_a_truncated_surface_file_is_one_sentence(tmp_path):
     write_surface(flanks(surface_of_pair(ERRORS), 50, 5, 1e-6), tmp_path / "s.nc")
     whole = (tmp_path / "s.nc").read_bytes()

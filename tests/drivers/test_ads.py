@@ -152,7 +152,7 @@ def test_a_sample_found_half_written_is_left_out(tmp_path, host):
         (f'ring = "{RING}"', 'ring = "Recorder.Rang"', 'has no variable "Recorder.Rang"'),
         ("column = 3", "column = 4", "the ring has 3 columns"),
         ("column = 3", "column = 0", "column"),
-        ('plc = "plc1"', 'plc = "plc2"', 'there is no \\[plc.plc2\\]; the file has "plc1"'),
+        ('plc = "plc1"', 'plc = "plc\\n2"', 'plc = "plc 2": there is no plc of this name; the file has "plc1"'),
         ("torque_per_count", "counts_per_turn = 4\ntorque_per_count", "one of counts_per_turn"),
         ('host = "127', 'host = "127.255', "host|does not answer"),
     ],
