@@ -555,7 +555,8 @@ class Drive:
 def refuse_first_stage(drive: Drive, what: str) -> None:
     """Refuse, with an `edge.InputError`, a drive behind a first stage where `what` knows the cycloid stage alone."""
     if drive.first_stage is not None:
-        raise edge.ArgumentError("drive", f"{what} knows no first stage of an RV reducer yet; give its pair alone")
+        problem = f"has the first stage of an RV reducer, which {what} does not take into account yet"
+        raise edge.ArgumentError("drive", f"{problem}; give its pair alone")
 
 
 def read_drive(path: str | os.PathLike[str], surface: str | os.PathLike[str] | None = None) -> Drive:

@@ -176,7 +176,7 @@ def test_what_knows_the_cycloid_stage_alone_says_so():
         lambda: fitting.identify([], drive),
         lambda: drive.wear(None, 100.0, 1.0),
     ):
-        with pytest.raises(edge.InputError, match="no first stage of an RV reducer yet"):
+        with pytest.raises(edge.InputError, match="has the first stage of an RV reducer, which"):
             ask()
 
 
