@@ -213,7 +213,10 @@ class RecordingReader:
             raise edge.InputError(f"{self.source}: the file is empty; it was cut before the header of a recording.")
         self._file = pa.OSFile(self.source, "rb")
         with edge.parsed_by_others(self.source, "this is not a recording, or it was cut within its header"):
-            schema = pa.ipc.read_schema(pa.ipc.read_message(self._file))
+            message = pa.ipc.read_message(self._file)
+            if message.type != "schema":  # Arrow does not ask, and ends the process
+                raise ValueError(f"it begins with {message.type}, not with a schema")
+            schema = pa.ipc.read_schema(message)
             names = edge.listed(schema.names)
         self.header, self.problems = _header(schema.metadata, self.source)
         expected = recording_schema(self.header)

@@ -154,6 +154,11 @@ def pieces_of(file: BenchFile, names: Sequence[str]) -> Iterator[Piece]:
     taken = 0
     try:
         for piece in file.pieces(names):
+            for name, values in piece.values.items():
+                if getattr(values, "ndim", 1) != 1:
+                    raise edge.InputError(
+                        f"{file.source}: {edge.shown(name)} holds arrays; it must be a number a sample."
+                    )
             taken += max(map(len, piece.values.values()))
             yield piece
     except edge.InputError:

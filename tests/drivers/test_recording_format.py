@@ -240,3 +240,22 @@ def test_a_damaged_header_is_named_and_an_old_one_without_a_checksum_is_read(tmp
     assert b"header_crc32" not in old.read_bytes()
     assert read_recording(old).problems == ()
     assert read_recording(old).header == HEADER
+
+
+def test_a_recording_that_begins_with_no_schema_is_refused(tmp_path):
+    """Arrow takes any message for a schema, and ends the process."""
+    path = write(tmp_path / "run.arrows", [block("torque", 0, 4)])
+    data = bytearray(path.read_bytes())
+    place = next(at for at in range(8, 64) if data[at] and message_type(data, at) == "unknown")
+    data[place] = 0
+    path.write_bytes(data)
+    with pytest.raises(edge.InputError, match="it begins with unknown, not with a schema"):
+        read_recording(path)
+
+
+def message_type(data, place):
+    """What Arrow takes a recording's first message for, with a byte of it zero."""
+    try:
+        return pa.ipc.read_message(pa.py_buffer(bytes(data[:place]) + b"\0" + bytes(data[place + 1 :]))).type
+    except (pa.ArrowException, OSError):
+        return ""
