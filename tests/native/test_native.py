@@ -7,7 +7,6 @@ import shutil
 import struct
 import subprocess
 import zipfile
-import zlib
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -32,7 +31,7 @@ from cycloid_fmu.fmu.variables import Interface, from_tables, variables
 from cycloid_fmu.geometry.pair import parse_pair, read_pair
 from cycloid_fmu.native import build as native_build
 from cycloid_fmu.native import tables
-from cycloid_fmu.native.table_file import HEAD, TABLE, constants_header, write
+from cycloid_fmu.native.table_file import HEAD, TABLE, constants_header, sealed, write
 from cycloid_fmu.reducer import lost_motion as rv
 from cycloid_fmu.reducer.description import read_reducer
 from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair
@@ -71,26 +70,43 @@ def slave(built, tmp_path):
 # --- tables ---
 
 
-def against_the_exact_model(native, pair, surface, period, largest, probes):
-    """Largest error of the transmission error (rad), and rms of pressure and crank torque over those of themselves.
+def against_the_exact_model(native, pair, surface, made, probes):
+    """Largest error of the transmission error (rad), and `tables.Errors` of what the library says.
 
-    At random crank angles and torques: evenly, and evenly in the logarithm.
+    At random crank angles and torques: evenly, and evenly in the logarithm. The crank turns at 1 rad/s.
     """
-    random = np.random.default_rng(7)
+    random, largest = np.random.default_rng(7), made.positive.load[-1]
     size = np.where(random.random(probes) < 0.5, random.uniform(0.0, 1.0, probes), 10 ** random.uniform(-4, 0, probes))
     torque = largest * size * random.choice([-1.0, 1.0], probes)
-    angle = np.sort(random.uniform(0.0, period, probes))
-    model, found = DriveModel(pair, surface), np.empty((2, probes, 3))
+    angle = np.sort(random.uniform(0.0, made.period, probes))
+    model, found = DriveModel(pair, surface), np.empty((2, 5, probes))
+    model.crank_speed = 1.0
     for i in range(probes):
         model.crank_angle, model.torque = angle[i], torque[i]
         model.advance()
-        found[0, i] = model.transmission_error, model.max_contact_pressure, model.crank_torque
+        found[0, :, i] = (
+            model.transmission_error, model.torsional_stiffness, model.output_speed - 1.0 / pair.ratio,
+            model.crank_torque, model.max_contact_pressure,
+        )  # fmt: skip
         native.put(flange_a_phi=angle[i], flange_b_tau=torque[i])
         native.fmi.doStep(0.0, 1e-3)
-        found[1, i] = native.get("transmission_error", "max_contact_pressure", "flange_a.tau")
-    off = np.abs(found[1] - found[0])
-    rms = np.sqrt(np.mean(off**2, axis=0) / np.mean(found[0] ** 2, axis=0))
-    return off[:, 0].max(), rms[1], rms[2]
+        found[1, :, i] = native.get(
+            "transmission_error", "torsional_stiffness", "flange_b.w", "flange_a.tau", "max_contact_pressure"
+        )
+    found[1, 2] -= 1.0 / pair.ratio
+    exact, interpolated = (tables.States(*channels) for channels in found)
+    off = np.abs(interpolated.deviation - exact.deviation).max()
+    return off, tables.errors_of(made, interpolated, exact, torque)
+
+
+def within(found, told):
+    """Whether errors are those told, as far as two random draws agree about quantiles, means of squares and extremes."""
+    assert found.stiffness[0] < 1.3 * told.stiffness[0]
+    assert found.pressure[0] < 1.3 * told.pressure[0]
+    assert found.speed < 1.2 * told.speed
+    assert found.crank_torque[0] < 1.1 * told.crank_torque[0]
+    for largest, largest_told in zip(*([e.stiffness[1], e.pressure[1], e.crank_torque[1]] for e in (found, told))):
+        assert largest < 2.0 * largest_told
 
 
 @pytest.fixture(scope="module")
@@ -101,29 +117,38 @@ def without_losses(drive, tmp_path_factory):
 def test_tables_keep_their_accuracy_at_crank_angles_and_torques_they_were_not_made_at(
     drive, slave, without_losses, record_property
 ):
-    native, largest = slave(path=without_losses), drive.tables.positive.load[-1]
-    native.start()
-    error, pressure, torque = against_the_exact_model(
-        native, drive.pair, drive.surface, drive.tables.period, largest, 3000
-    )
+    native = slave(path=without_losses)
+    native.start(flange_a_w=1.0)
+    error, errors = against_the_exact_model(native, drive.pair, drive.surface, drive.tables, 3000)
     record_property("native TE, largest error", f"{error / ARCSEC:.4f}″")
     assert error < 0.02 * ARCSEC
     assert error <= 1.05 * drive.tables.largest_error
-    assert pressure < 0.005
-    assert torque < 0.005
+    within(errors, drive.tables.errors)
+    assert errors.stiffness[0] < tables.STIFFNESS_SHARE
+    assert errors.pressure[0] < 0.005
+    assert errors.pressure[1] < 0.05
+    assert errors.speed < tables.SPEED_SHARE
+    assert errors.crank_torque[1] < 0.005
 
 
 def test_what_the_tables_say_they_err_is_what_the_library_errs(drive, slave, without_losses):
-    """Python's interpolation, by which tables are refined, and C's give the same deviation."""
+    """Python's interpolation, by which tables are refined, and C's give the same."""
     native, random = slave(path=without_losses), np.random.default_rng(5)
-    native.start()
+    native.start(flange_a_w=1.0)
     angle, torque = random.uniform(-50.0, 50.0, 400), random.uniform(0.01, 450.0, 400) * random.choice([-1, 1], 400)
     found = []
     for one, load in zip(angle, torque, strict=True):
         native.put(flange_a_phi=one, flange_b_tau=load)
         native.fmi.doStep(0.0, 1e-3)
-        found += native.get("transmission_error")
-    np.testing.assert_allclose(tables.deviation(drive.tables, angle, torque), found, rtol=0.0, atol=1e-15)
+        found.append(
+            native.get(
+                "transmission_error", "torsional_stiffness", "flange_b.w", "flange_a.tau", "max_contact_pressure"
+            )
+        )
+    expected = tables.interpolated(drive.tables, angle, torque)
+    expected.rate[:] += 1.0 / drive.pair.ratio
+    np.testing.assert_allclose(expected.deviation, np.array(found)[:, 0], rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(np.array(expected)[1:].T, np.array(found)[:, 1:], rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
@@ -148,8 +173,8 @@ def test_tables_of_a_drive_with_all_errors_keep_their_accuracy_over_the_whole_pe
     made = tables.compute(pair, surface, workers=2)
     path = native_of(tmp_path, pair, surface, made, Interface())
     native = slave(path=path)
-    native.start()
-    largest, pressure, _ = against_the_exact_model(native, pair, surface, made.period, made.positive.load[-1], 20000)
+    native.start(flange_a_w=1.0)
+    largest, errors = against_the_exact_model(native, pair, surface, made, 20000)
     torques = np.array([-1.0, 1.0]) * 181.0
     error = solve(pair, surface, torques, np.linspace(0.0, made.period, 20000)).transmission_error
     with zipfile.ZipFile(path) as archive:
@@ -161,7 +186,8 @@ def test_tables_of_a_drive_with_all_errors_keep_their_accuracy_over_the_whole_pe
     assert made.largest_error <= allowed
     # What the FMU tells of itself holds at other places too, which find other extremes.
     assert largest <= 1.05 * made.largest_error
-    assert pressure < 0.005
+    within(errors, made.errors)
+    assert errors.pressure[0] < 0.01
     assert size < 9e6  # and five libraries of some 0.1 MB
 
 
@@ -732,8 +758,7 @@ def test_a_table_with_a_right_checksum_and_wrong_contents_is_refused(unpacked, h
         changed = bytearray(data)
         for place in random.integers(HEAD.size, len(data), 3):
             changed[place] = random.integers(256)
-        struct.pack_into("<I", changed, 12, zlib.crc32(changed[HEAD.size :]))
-        (tmp_path / "drive.table").write_bytes(changed)
+        (tmp_path / "drive.table").write_bytes(sealed(bytes(changed[HEAD.size :])))
         assert host(fmu, "run", 5, uri=tmp_path.as_uri(), fails=None) in (0, 1)
 
 

@@ -51,7 +51,7 @@ int instance_open(struct instance *instance, const char *name, const char *token
                         resources == NULL ? "" : resources);
         return 1;
     }
-    instance->table = table_read(path, instance->message);
+    instance->table = table_open(path, instance->message);
     if (instance->table == NULL) {
         instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
         return 1;
@@ -67,7 +67,7 @@ int instance_open(struct instance *instance, const char *name, const char *token
 
 void instance_close(struct instance *instance) {
     if (instance != NULL) {
-        table_free(instance->table);
+        table_close(instance->table);
         free(instance->name);
         free(instance);
     }
