@@ -41,10 +41,10 @@ STIFFNESS_SHARE = 0.02  # of itself: what the stiffness may err in `MOST_STATES`
 SPEED_SHARE = 0.2  # of its own: rms that the ripple of the output's speed may err by
 MOST_STATES = 0.95
 TOLD_FROM = 0.01  # of the largest torque: where these hold, and what is told of them
-_MOST_VALUES = 8_000_000  # deviations and compliances that finer stiffness and speed may make: 16 MB
+_MOST_VALUES = 7_000_000  # deviations and compliances that finer stiffness and speed may make: 14 MB
 _SAMPLES = (16, 128, 1024)  # crank angles a mesh pitch: the fewest, doubled to the most of any drive and of few pitches
 _MOST_ANGLES = 200_000  # in all, of more than 128 a mesh pitch
-_SHARE = 1.1  # of the allowed error that a cell between loads may have in its middle
+_SHARE = 0.7  # of the allowed error that a cell between loads may have in its middle
 _NEIGHBOURS, _REACHES = 5, (1.0, 0.5, 0.25)  # places drawn around each of the worst probes, and how far: cells
 _BLAMED = 2 / 3  # of what stiffness and speed err: the cells that make so much of it are halved
 _WORST = 200  # probes that tell whether loads or crank angles are too few
@@ -52,10 +52,10 @@ _DIRECTIONS = (1.0, -1.0)
 _SPREAD = 1000  # random crank angles at which the loads are chosen
 _FIRST_SLOPE = 0.125  # of the first torque: where the slope at zero load is taken, which Hertz's logarithm has infinite
 # Contact count and pressure are told, nothing follows from them: their crank angles are the fewest of a mesh pitch.
-_TOLD_LOADS = 32  # at most
-_PRESSURE_STEP = 1e-3  # of the largest pressure's square
-_STEPS = 40  # of the stored deviation, and of what a stored compliance adds to it, in what it may err
-_COMPLIANCE_SHARE = 0.002  # largest step of the stored compliance, of its mean
+_TOLD_LOADS = 24  # at most
+_PRESSURE_STEP = 2.5e-3  # of the largest pressure's square
+_STEPS = 16  # of the stored deviation, and of what a stored compliance adds to it, in what it may err
+_COMPLIANCE_SHARE = 0.005  # largest step of the stored compliance, of its mean
 _MOST_STEPS = 65000  # of any channel, in 16 bits
 PROBES = 20000  # random crank angles and torques at which the finished tables are held against the model
 
@@ -501,13 +501,13 @@ def _assembled(
 def _missing_loads(
     pair: Pair, surface: ErrorSurface, loads: Sequence[Array], probed: _Probed, off: Array, allowed: float
 ) -> tuple[list[Array], bool]:
-    """Return the middles of the cells that are too wide for what tables err by, and whether angles are too wide too.
+    """Return the middles of the cells that are too wide for what tables err by, and whether rather angles are too wide.
 
     Where exact nodes at the probe's own crank angle err by half as much, the load's cell is to blame.
     """
     worst = np.argsort(-np.abs(off))[: min(int(np.sum(np.abs(off) > allowed)), _WORST)]
     further: list[set[float]] = [set() for _ in loads]
-    by_angle = False
+    by_angle = 0
     for i in worst:
         side = int(probed.torque[i] < 0.0)
         direction, load = _DIRECTIONS[side], abs(float(probed.torque[i]))
@@ -518,8 +518,8 @@ def _missing_loads(
         if abs(found - direction * probed.exact.deviation[i]) > 0.5 * abs(off[i]):
             further[side].add(_middle(low, high))
         else:
-            by_angle = True
-    return [np.array(sorted(middles)) for middles in further], by_angle
+            by_angle += 1
+    return [np.array(sorted(middles)) for middles in further], 2 * by_angle > worst.size
 
 
 def _missing_elsewhere(
