@@ -20,6 +20,7 @@ from cycloid_fmu.surfaces.structured import structured_value
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
 InterfaceKind = Literal["kinematic", "compliant"]
+Kind = Literal["real", "integer", "boolean"]
 INTERFACES: tuple[InterfaceKind, ...] = ("kinematic", "compliant")
 ORDERS = (1, 2, 3)
 LossRow = tuple[float, float, float, float, float]
@@ -138,7 +139,7 @@ class Variable:
     start: float | tuple[float, ...] | None = None
     depends: tuple[str, ...] = ()
     initially: tuple[str, ...] = ()
-    kind: Literal["real", "integer", "boolean"] = "real"
+    kind: Kind = "real"
     dimensions: tuple[int, ...] = ()
     baked: bool = False
     derivative_of: str | None = None
