@@ -387,7 +387,8 @@ def compute(
     pair, surface
         The nominal pair and its errors.
     accuracy
-        What the deviation may err, rad; or `RANGE_SHARE` of its range over the crank angle, where that is more.
+        What the deviation may err, rad; or `RANGE_SHARE` of its range over the crank angle, where that is more. What
+        stiffness and speed may err, `STIFFNESS_SHARE` and `SPEED_SHARE`, is in proportion.
     largest_load
         Largest |torque|, N·m; 2.5 times the rated torque where None.
     workers
@@ -458,7 +459,7 @@ def compute(
         further, by_angle = (
             _missing_loads(pair, surface, loads, probed, off, allowed)
             if coarse
-            else _missing_elsewhere(pair, surface, tables, chosen, room)
+            else _missing_elsewhere(pair, surface, tables, chosen, room, accuracy / ACCURACY)
         )
         enough = max(a.size + b.size for a, b in zip(loads, further, strict=True)) > MOST_LOADS
         if by_angle and 2 * samples <= most and (coarse or room >= sum(n.size for n in loads)):
@@ -523,17 +524,18 @@ def _missing_loads(
 
 
 def _missing_elsewhere(
-    pair: Pair, surface: ErrorSurface, tables: Tables, probed: _Probed, room: int
+    pair: Pair, surface: ErrorSurface, tables: Tables, probed: _Probed, room: int, looser: float
 ) -> tuple[list[Array], bool]:
     """Return the middles of the cells, of no more than there is room for, that make stiffness and speed err most.
 
-    None where both are within what they may err; and whether angles are too wide for the stiffness.
+    None where both are within `looser` times what they may err; and whether angles are too wide for the stiffness.
     """
     theta, torque, e = probed
     f = interpolated(tables, theta, torque)
     told = np.abs(torque) >= TOLD_FROM * tables.positive.load[-1]
-    stiff = told & (np.abs(f.stiffness / e.stiffness - 1.0) > STIFFNESS_SHARE)
-    speed = np.where(told, np.square((f.rate - e.rate) / SPEED_SHARE) / np.mean(np.square(e.rate[told])), 0.0)
+    allowed = looser * STIFFNESS_SHARE
+    stiff = told & (np.abs(f.stiffness / e.stiffness - 1.0) > allowed)
+    speed = np.where(told, np.square((f.rate - e.rate) / (looser * SPEED_SHARE)) / np.mean(np.square(e.rate[told])), 0.0)
     too_stiff, too_fast = stiff.sum() > (1.0 - MOST_STATES) * told.sum(), speed.sum() > told.sum()
     blame = too_stiff * stiff / (1.0 - MOST_STATES) + too_fast * speed
     cells: list[tuple[float, int, float]] = []
@@ -547,19 +549,19 @@ def _missing_elsewhere(
     kept = cells[: max(min(int(until), room), 0)]
     further = [np.array(sorted(middle for _, side, middle in kept if side == k)) for k in range(len(_DIRECTIONS))]
     some = np.flatnonzero(stiff)[:: max(int(stiff.sum()) // _WORST, 1)] if too_stiff else np.empty(0, dtype=int)
-    by_load = sum(_blames_load(pair, surface, tables, theta[i], torque[i], e.stiffness[i]) for i in some)
+    by_load = sum(_blames_load(pair, surface, tables, theta[i], torque[i], e.stiffness[i], allowed) for i in some)
     return further, bool(2 * by_load < some.size)
 
 
 def _blames_load(
-    pair: Pair, surface: ErrorSurface, tables: Tables, theta: float, torque: float, stiffness: float
+    pair: Pair, surface: ErrorSurface, tables: Tables, theta: float, torque: float, stiffness: float, allowed: float
 ) -> bool:
-    """Whether exact nodes at a probe's own crank angle give another stiffness too."""
+    """Whether exact nodes at a probe's own crank angle err by more than is allowed too."""
     side, direction = (tables.positive, 1.0) if torque > 0.0 else (tables.negative, -1.0)
     (j,), (u,), (h,) = _cells(side.load, np.array([abs(torque)]))
     ends = _solved(pair, surface, direction, side.load[j : j + 2], np.array([theta]))
     x, c = ends.deviation[:, 0], ends.compliance[:, 0]
-    return bool(abs(stiffness * _slope(u, h, x, c) - 1.0) > STIFFNESS_SHARE)
+    return bool(abs(stiffness * _slope(u, h, x, c) - 1.0) > allowed)
 
 
 def interpolated(tables: Tables, crank_angle: ArrayLike, torque: ArrayLike) -> States:

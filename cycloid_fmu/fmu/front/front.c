@@ -1,8 +1,8 @@
 /* What hosts load as the library of an FMI 2.0 FMU that runs in Python: it stands before pythonfmu's, which lies beside
    it and takes the resources' URI for a path, so that it finds nothing where letters are percent-encoded. The URI becomes
    a path here, a discarded step an error, and why something is refused is logged whether the host asks for it or not, as
-   by a native FMU; every other call goes on to pythonfmu's library as it is. Compiled
-   beforehand, as an FMU that runs in Python is built without a compiler: `python tests/native/front.py`. */
+   by a native FMU; every other call goes on to pythonfmu's library as it is. Compiled beforehand, as an FMU that runs in
+   Python is built without a compiler: `python tests/native/front.py`. */
 #ifdef _WIN32
 #include <windows.h>
 #else
