@@ -62,7 +62,7 @@ def checked_resources(resources: Path) -> dict[str, bytes]:
         try:
             return (resources / name).read_bytes()
         except OSError as problem:
-            raise RuntimeError(f"{resources / name}: it can't be read: {problem.strerror}; build the FMU again") from None
+            raise RuntimeError(f"{resources / name}: it can't be read: {problem.strerror}") from None
 
     rows = [line.partition("  ") for line in read(SUMS).decode("ascii", "replace").splitlines()]
     found = {}
@@ -156,7 +156,9 @@ class Core:
         self._quick = {
             reference: (setter, -_LARGEST if v.least is None else v.least, _LARGEST if v.most is None else v.most)
             for reference, v in self.table.items()
-            if v.kind == "real" and (setter := self._setters[reference]) is not None and not v.dimensions and v.variability != "fixed"
+            if (setter := self._setters[reference]) is not None
+            and (v.kind, v.dimensions) == ("real", ())
+            and v.variability != "fixed"
         }
 
     def _access(self, variable: Variable) -> tuple[Callable[[], Any], Callable[[Any], None] | None]:

@@ -11,7 +11,6 @@ import functools
 import hashlib
 import io
 import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -112,6 +111,4 @@ def _read(data: bytes) -> Tables:
             (float(stiffness[0]), float(stiffness[1])), (float(pressure[0]), float(pressure[1])),
             float(file["errors"][4]), (float(crank[0]), float(crank[1])),
         )  # fmt: skip
-        return Tables(
-            positive=sides[0], negative=sides[1], rest_torque=file["rest_torque"], errors=errors, **scalars
-        )
+        return Tables(positive=sides[0], negative=sides[1], rest_torque=file["rest_torque"], errors=errors, **scalars)

@@ -2,8 +2,8 @@
 
 The file, little endian: magic, version, size of the rest and two sums of its words; then the FMU's token, interface and
 variables; ratio, period, what stands before the drive, torques; and of each direction, crank angle and load the
-deviation, its derivative by the load, the square of the largest pressure (each in whole steps of 16 bits) and the contact
-count. C uses them where they lie, once the deviation's differences from angle to angle are summed.
+deviation, its derivative by the load, the square of the largest pressure (each in whole steps of 16 bits) and the
+contact count. C uses them where they lie, once the deviation's differences from angle to angle are summed.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import inspect
 import math
 import re
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sized
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,7 +99,7 @@ def write(
     counts = [count for s in sides for count in (s.load.size, s.told_load.size)]
     body += struct.pack("<7d", tables.ratio, tables.period, tables.allowed, *stage)
     body += struct.pack("<7I", tables.rest_torque.size, tables.positive.pressure.shape[1], rest.size, *counts)
-    body = _aligned(body)
+    body += _padding(body)
     for side in sides:
         for numbers in (side.load, side.told_load, side.base, *side.steps):
             body += numbers.astype("<f8").tobytes()
@@ -110,17 +110,23 @@ def write(
         body += _words(np.diff(whole, axis=1, prepend=0.0) % 65536.0)
         for values, step in zip((side.compliance, side.pressure), side.steps[1:], strict=True):
             body += _words(np.round(values / step[:, None]))
-        body = _aligned(body + side.contact_count.T.astype("u1").tobytes())
-    return sealed(_aligned(body + rest.astype("<f8").tobytes()) + _aligned(_text(token)))
+        body += side.contact_count.T.astype("u1").tobytes()
+        body += _padding(body)
+    return sealed(bytes(body + rest.astype("<f8").tobytes() + _last(token)))
 
 
 def named(file: bytes, token: str) -> bytes:
     """Return a file written without a token with one."""
-    return sealed(file[HEAD.size : -len(_aligned(_text("")))] + _aligned(_text(token)))
+    return sealed(file[HEAD.size : -len(_last(""))] + _last(token))
 
 
-def _aligned(body: bytes) -> bytes:
-    return body + bytes(-len(body) % 8)
+def _padding(body: Sized) -> bytes:
+    """Return what makes a whole number of 8 bytes."""
+    return bytes(-len(body) % 8)
+
+
+def _last(token: str) -> bytes:
+    return _text(token) + _padding(_text(token))
 
 
 def sealed(body: bytes) -> bytes:
@@ -145,6 +151,6 @@ def _field(variable: Variable) -> int:
 
 def _words(whole: NDArray[np.float64]) -> bytes:
     """Return whole numbers, shape (loads, angles), as 16 bits without a sign, the loads of an angle side by side."""
-    if not (0.0 <= whole.min() and whole.max() < 65536.0):
+    if whole.min() < 0.0 or whole.max() >= 65536.0:
         raise ValueError("the accuracy is finer than a file of tables can store")
     return np.ascontiguousarray(whole.T).astype("<u2").tobytes()

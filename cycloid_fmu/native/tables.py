@@ -98,7 +98,7 @@ class Side:
 
 
 class States(NamedTuple):
-    """What a drive does at crank angles and torques, arrays of one shape.
+    """What a drive does at crank angles and torques, arrays of one shape; NaN is what an exact model does not say.
 
     Attributes
     ----------
@@ -180,12 +180,16 @@ class Tables:
         if self.errors is None:
             return text
         stiffness, pressure, crank = self.errors.stiffness, self.errors.pressure, self.errors.crank_torque
-        return (
-            f"{text}; from {TOLD_FROM * reach:.2g} N.m on the stiffness by at most {100 * stiffness[0]:.2g} % in "
+        text += (
+            f"; from {TOLD_FROM * reach:.2g} N.m on the stiffness by at most {100 * stiffness[0]:.2g} % in "
             f"{100 * MOST_STATES:.0f} of 100 states and {100 * stiffness[1]:.2g} % in all, the pressure by "
-            f"{100 * pressure[0]:.2g} % and {100 * pressure[1]:.2g} %, the ripple of the output's speed by "
-            f"{100 * self.errors.speed:.2g} % (rms), the crank's torque by {100 * crank[0]:.2g} % (rms) and at most "
-            f"{100 * crank[1]:.2g} %"
+            f"{100 * pressure[0]:.2g} % and {100 * pressure[1]:.2g} %"
+        )
+        if math.isnan(self.errors.speed):
+            return text
+        return (
+            f"{text}, the ripple of the output's speed by {100 * self.errors.speed:.2g} % (rms), the crank's torque by "
+            f"{100 * crank[0]:.2g} % (rms) and at most {100 * crank[1]:.2g} %"
         )
 
 
@@ -243,8 +247,8 @@ def _solved(
 
 
 def _hermite(
-    share: float | Array, width: float | Array, deviation: Sequence[Array] | Array32,
-    compliance: Sequence[Array] | Array32,
+    share: float | Array, width: float | Array, deviation: Sequence[Array] | Array | Array32,
+    compliance: Sequence[Array] | Array | Array32,
 ) -> Array:  # fmt: skip
     """Hermite's interpolation between the values and slopes at both ends of a cell, at a share (0 to 1) of it."""
     s, h = share, width
@@ -252,7 +256,9 @@ def _hermite(
     return np.asarray(value + h * s * (1.0 - s) ** 2 * compliance[0] + h * s * s * (s - 1.0) * compliance[1])
 
 
-def _slope(share: float | Array, width: float | Array, deviation: Array | Array32, compliance: Array | Array32) -> Array:
+def _slope(
+    share: float | Array, width: float | Array, deviation: Array | Array32, compliance: Array | Array32
+) -> Array:
     """Derivative of Hermite's interpolation by the load."""
     u, v = share, 1.0 - share
     slopes = v * (1.0 - 3.0 * u) * compliance[0] + u * (3.0 * u - 2.0) * compliance[1]
@@ -442,14 +448,12 @@ def compute(
                 exact[k] = _with_loads(kept, loads[k][anew:], solved(direction, more, angles), more)
                 loads[k] = np.union1d(loads[k], more)
 
-    def random_places() -> _Probed:
-        nonlocal drawn
-        drawn += 1
-        return _probed(pair, surface, *_places(period, largest_load, PROBES, drawn))
+    def random_places(seed: int) -> _Probed:
+        return _probed(pair, surface, *_places(period, largest_load, PROBES, seed))
 
     exact = [solved(d, n, angles) for d, n in zip(_DIRECTIONS, loads, strict=True)]
-    drawn = 0
-    chosen = random_places()
+    drawn = 1
+    chosen = random_places(drawn)
     tables = _assembled(pair, surface, period, loads, exact, angles, allowed)
     probed = _around_the_worst(tables, pair, surface, chosen, pitch / samples, drawn)
     while True:
@@ -468,7 +472,8 @@ def compute(
             with_more(further)
         else:
             # Held against places that nothing was chosen by; where they find more, they are chosen by too.
-            fresh = random_places()
+            drawn += 1
+            fresh = random_places(drawn)
             near = _around_the_worst(tables, pair, surface, fresh, pitch / samples, drawn)
             probed = _together(probed, near)
             if coarse or np.abs(_off(tables, near)).max() <= allowed:
@@ -535,7 +540,8 @@ def _missing_elsewhere(
     told = np.abs(torque) >= TOLD_FROM * tables.positive.load[-1]
     allowed = looser * STIFFNESS_SHARE
     stiff = told & (np.abs(f.stiffness / e.stiffness - 1.0) > allowed)
-    speed = np.where(told, np.square((f.rate - e.rate) / (looser * SPEED_SHARE)) / np.mean(np.square(e.rate[told])), 0.0)
+    most = looser * SPEED_SHARE * np.sqrt(np.mean(np.square(e.rate[told])))
+    speed = np.where(told & np.isfinite(e.rate), np.square((f.rate - e.rate) / most), 0.0)
     too_stiff, too_fast = stiff.sum() > (1.0 - MOST_STATES) * told.sum(), speed.sum() > told.sum()
     blame = too_stiff * stiff / (1.0 - MOST_STATES) + too_fast * speed
     cells: list[tuple[float, int, float]] = []
@@ -581,24 +587,16 @@ def interpolated(tables: Tables, crank_angle: ArrayLike, torque: ArrayLike) -> S
         here = signed * direction > 0.0
         load, among, weight, by_angle = np.abs(signed[here]), nodes[:, here], weights[:, here], rates[:, here]
         j, u, h = _cells(side.load, load)
-
-        def ends(row: NDArray[np.int64] | int, of: Array, at: NDArray[np.int64]) -> list[Array]:
-            """Deviations, then compliances, at both ends of cells."""
-            return [
-                np.array([np.sum(of * values[k, at], axis=0) for k in (row, row + 1)])
-                for values in (side.deviation, side.compliance)
-            ]
-
-        x, c = ends(j, weight, among)
+        x, c = _ends(side, j, weight, among)
         found.deviation[here] = direction * _hermite(u, h, x, c)
         found.stiffness[here] = 1.0 / np.maximum(_slope(u, h, x, c), LEAST_COMPLIANCE)
-        x, c = ends(j, by_angle, among)
+        x, c = _ends(side, j, by_angle, among)
         found.rate[here] = direction * _hermite(u, h, x, c)
         energy_rate = _integral(u, h, x, c)
         for k in range(side.load.size - 1):  # the whole cells below
             above = j > k
             width = float(side.load[k + 1] - side.load[k])
-            energy_rate[above] += _integral(1.0, width, *ends(k, by_angle[:, above], among[:, above]))
+            energy_rate[above] += _integral(1.0, width, *_ends(side, k, by_angle[:, above], among[:, above]))
         rest = np.sum(weight * tables.rest_torque[among], axis=0)
         found.crank_torque[here] = rest - direction * load / tables.ratio - energy_rate
         j, u, _ = _cells(side.told_load, load)
@@ -615,6 +613,15 @@ def _place(period: float, angles: int, theta: Array) -> tuple[NDArray[np.int64],
     weights = np.array([(1.0 - s) ** 3, 3.0 * s**3 - 6.0 * s**2 + 4.0, 1.0 + 3.0 * s + 3.0 * s**2 - 3.0 * s**3, s**3])
     rates = np.array([-((1.0 - s) ** 2), 3.0 * s**2 - 4.0 * s, 1.0 + 2.0 * s - 3.0 * s**2, s**2])
     return (first + np.arange(-1, 3)[:, None]) % angles, weights / 6.0, 0.5 * angles / period * rates
+
+
+def _ends(side: Side, cell: NDArray[np.int64] | int, weights: Array, nodes: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Deviations and compliances at both ends of cells, or their rates by the crank angle, shape (2, places)."""
+    x, c = (
+        np.array([np.sum(weights * values[row, nodes], axis=0) for row in (cell, cell + 1)])
+        for values in (side.deviation, side.compliance)
+    )
+    return x, c
 
 
 def _cells(loads: Array, load: Array) -> tuple[NDArray[np.int64], Array, Array]:
