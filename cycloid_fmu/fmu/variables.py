@@ -273,7 +273,7 @@ def _further(interface: Interface) -> list[Variable]:
 def _told(pair: Pair, placed: tuple[str, ...], ratio: float) -> list[Variable]:
     """What a model around the drive asks of it."""
     found = [
-        Variable("outside_range", "whether a torque is beyond a native FMU's tables, which go on along their tangent",
+        Variable("outside_range", "whether a torque is beyond a native FMU's tables, of no stated accuracy there",
                  "output", "discrete", kind="boolean", depends=placed),
         Variable("ratio", "flange_a.phi/flange_b.phi of the ideal drive", "local", "constant", "1", start=ratio,
                  baked=True),

@@ -274,7 +274,7 @@ def build_native(
     platforms
         Keys of `PLATFORMS`; all that the FMI version knows where empty.
     largest_torque
-        How far the tables reach, N·m; 2.5 times the rated torque where None. Beyond they go on along the tangent.
+        How far the tables reach, N·m; 2.5 times the rated torque where None. Beyond they have no stated accuracy.
     made
         Tables of this drive; where None those that are kept of it (`table_cache`), else they are computed.
     workers, total, progress

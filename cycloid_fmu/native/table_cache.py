@@ -82,6 +82,8 @@ def _written(made: Tables) -> bytes:
         e = made.errors
         arrays["errors"] = [*e.stiffness, *e.pressure, e.speed, *e.crank_torque]
     for name, side in (("positive", made.positive), ("negative", made.negative)):
+        arrays[f"{name}_far"] = np.array(side.far[1:])
+        arrays[f"{name}_far_load"] = side.far[0]
         for field in _SIDE:
             arrays[f"{name}_{field}"] = getattr(side, field)
         for i, (field, step) in enumerate(zip(("deviation", "compliance", "pressure"), side.steps, strict=True)):
@@ -105,7 +107,8 @@ def _read(data: bytes) -> Tables:
             fields = {field: file[f"{name}_{field}"] for field in _SIDE}
             for field, step in zip(("deviation", "compliance", "pressure"), steps, strict=True):
                 fields[field] = np.cumsum(fields[field], axis=1) * step[:, None]
-            sides.append(Side(**fields, steps=steps))
+            far = float(file[f"{name}_far_load"]), *file[f"{name}_far"]
+            sides.append(Side(**fields, steps=steps, far=far))
         scalars = {name: float(file[name]) for name in _SCALARS}
         errors = Errors(
             (float(stiffness[0]), float(stiffness[1])), (float(pressure[0]), float(pressure[1])),

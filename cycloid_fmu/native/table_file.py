@@ -96,20 +96,24 @@ def write(
     sides = (tables.positive, tables.negative)
     rest = tables.rest_torque if tables.rest_torque.any() else np.empty(0)
     stage = (0.0, 0.0, 0.0, 0.0) if first_stage is None else dataclasses.astuple(first_stage)[:4]
-    counts = [count for s in sides for count in (s.load.size, s.told_load.size)]
+    counts = [count for s in sides for count in (s.load.size + 1, s.told_load.size)]
     body += struct.pack("<7d", tables.ratio, tables.period, tables.allowed, *stage)
     body += struct.pack("<7I", tables.rest_torque.size, tables.positive.pressure.shape[1], rest.size, *counts)
     body += _padding(body)
     for side in sides:
-        for numbers in (side.load, side.told_load, side.base, *side.steps):
+        far, far_deviation, far_compliance = side.far
+        steps = [np.append(s, s[-1]) for s in side.steps[:2]]
+        deviation = np.vstack([side.deviation, far_deviation])
+        base = np.round(0.5 * (deviation.min(axis=1) + deviation.max(axis=1)) / steps[0]) * steps[0]
+        for numbers in (np.append(side.load, far), side.told_load, base, *steps, side.steps[2]):
             body += numbers.astype("<f8").tobytes()
-        whole = np.round((side.deviation - side.base[:, None]) / side.steps[0][:, None])
+        whole = np.round((deviation - base[:, None]) / steps[0][:, None])
         if not np.abs(whole).max() < 32768.0:
             raise ValueError("the accuracy is finer than a file of tables can store")
         # Of differences from angle to angle the ZIP makes half of what it makes of the numbers themselves.
         body += _words(np.diff(whole, axis=1, prepend=0.0) % 65536.0)
-        for values, step in zip((side.compliance, side.pressure), side.steps[1:], strict=True):
-            body += _words(np.round(values / step[:, None]))
+        body += _words(np.round(np.vstack([side.compliance, far_compliance]) / steps[1][:, None]))
+        body += _words(np.round(side.pressure / side.steps[2][:, None]))
         body += side.contact_count.T.astype("u1").tobytes()
         body += _padding(body)
     return sealed(bytes(body + rest.astype("<f8").tobytes() + _last(token)))

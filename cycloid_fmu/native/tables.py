@@ -12,6 +12,7 @@ own error, and no path makes or loses energy. Between the two sides at zero torq
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import heapq
 import itertools
@@ -26,6 +27,7 @@ from scipy import ndimage
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact.transmission import drive_of, slices_needed, solve
+from cycloid_fmu.edge import InputError
 from cycloid_fmu.fmu.constants import LARGEST_LOAD, LEAST_COMPLIANCE, MOST_LOADS
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.surface import ErrorSurface, alike
@@ -54,6 +56,7 @@ _FIRST_SLOPE = 0.125  # of the first torque: where the slope at zero load is tak
 # Contact count and pressure are told, nothing follows from them: their crank angles are the fewest of a mesh pitch.
 _TOLD_LOADS = 24  # at most
 _PRESSURE_STEP = 2.5e-3  # of the largest pressure's square
+_FAR = (4.0, 2.0, 1.2)  # times the last load: the first at which contacts can balance it ends the cell beyond
 _STEPS = 16  # of the stored deviation, and of what a stored compliance adds to it, in what it may err
 _COMPLIANCE_SHARE = 0.005  # largest step of the stored compliance, of its mean
 _MOST_STEPS = 65000  # of any channel, in 16 bits
@@ -80,6 +83,9 @@ class Side:
         force, so nearly linear in the load.
     steps
         What deviation, compliance and pressure of each load are whole multiples of.
+    far
+        Load beyond the last, N·m, and coefficients of the deviation and of the compliance there, each of shape
+        (angles,): between lies a last cell, of no stated accuracy, and beyond it all goes on along the tangent.
     """
 
     load: Array
@@ -89,12 +95,7 @@ class Side:
     contact_count: NDArray[np.uint8]
     pressure: Array
     steps: tuple[Array, Array, Array]
-
-    @property
-    def base(self) -> Array:
-        """Whole steps near the middle of each load's deviations, shape (loads,), rad."""
-        step = self.steps[0]
-        return np.asarray(np.round(0.5 * (self.deviation.min(axis=1) + self.deviation.max(axis=1)) / step) * step)
+    far: tuple[float, Array, Array]
 
 
 class States(NamedTuple):
@@ -298,7 +299,7 @@ def _chosen_loads(
     known = {load: at(load, loads[1]) for load in loads}
     cells = [halved(low, high) for low, high in itertools.pairwise(loads)]
     heapq.heapify(cells)
-    while -cells[0][0] > allowed and len(loads) < MOST_LOADS:
+    while -cells[0][0] > allowed and len(loads) < MOST_LOADS - 1:  # and one beyond
         _, low, middle, high = heapq.heappop(cells)
         loads.append(middle)
         if low == 0.0:
@@ -329,7 +330,7 @@ def _coefficients(values: Array | Array32) -> Array:
     return np.asarray(ndimage.spline_filter1d(values, order=3, axis=-1, mode="grid-wrap"))
 
 
-def _side(loads: Array, exact: _Solved, step: float, told: int) -> Side:
+def _side(loads: Array, exact: _Solved, far: tuple[float, _Solved], step: float, told: int) -> Side:
     """Turn nodes into coefficients that are monotone in the load for every crank angle, rounded as they are stored.
 
     Where the coefficients satisfy Fritsch and Carlson's condition (SIAM J. Numer. Anal. 17 (1980) 238), every spline
@@ -355,7 +356,19 @@ def _side(loads: Array, exact: _Solved, step: float, told: int) -> Side:
     c = np.minimum(np.maximum(_coefficients(exact.compliance), 0.0), most)
     c = np.minimum(np.floor(c / c_fine), _MOST_STEPS) * c_fine
     p = np.maximum(np.round(_coefficients(square) / p_fine), 0.0) * p_fine
-    return Side(loads, x, c, loads[some], count.astype(np.uint8), p, steps)
+    return Side(loads, x, c, loads[some], count.astype(np.uint8), p, steps, _far_end(loads[-1], x[-1], c[-1], *far))
+
+
+def _far_end(
+    last: float, deviation: Array, compliance: Array, load: float, exact: _Solved
+) -> tuple[float, Array, Array]:
+    """Return the end of the cell beyond the last load, its tangent one for all crank angles: none changes beyond it.
+
+    What a tangent changes with the angle makes a crank torque that grows with the square of what is beyond.
+    """
+    x = np.maximum(_coefficients(exact.deviation[0]), deviation + compliance * (load - last) / 3.0)
+    c = min(float(exact.compliance.mean()), 3.0 * float((x - deviation).min()) / (load - last))
+    return load, x, np.full(x.shape, max(c, 0.0))
 
 
 def _rest_torque(pair: Pair, surface: ErrorSurface, angles: Array) -> Array:
@@ -435,6 +448,7 @@ def compute(
         total(angles[1::2].size * sum(n.size for n in loads))
         for k, direction in enumerate(_DIRECTIONS):
             exact[k] = _with_angles(exact[k], solved(direction, loads[k], angles[1::2]))
+            far[k] = far[k][0], _with_angles(far[k][1], solved(direction, np.array([far[k][0]]), angles[1::2]))
 
     def with_more(further: Sequence[Array]) -> None:
         """Put loads between."""
@@ -452,9 +466,10 @@ def compute(
         return _probed(pair, surface, *_places(period, largest_load, PROBES, seed))
 
     exact = [solved(d, n, angles) for d, n in zip(_DIRECTIONS, loads, strict=True)]
+    far = [_far(pair, surface, d, n[-1], angles, one) for d, n, one in zip(_DIRECTIONS, loads, exact, strict=True)]
     drawn = 1
     chosen = random_places(drawn)
-    tables = _assembled(pair, surface, period, loads, exact, angles, allowed)
+    tables = _assembled(pair, surface, period, loads, exact, angles, allowed, far)
     probed = _around_the_worst(tables, pair, surface, chosen, pitch / samples, drawn)
     while True:
         off = np.abs(_off(tables, probed))
@@ -465,7 +480,7 @@ def compute(
             if coarse
             else _missing_elsewhere(pair, surface, tables, chosen, room, accuracy / ACCURACY)
         )
-        enough = max(a.size + b.size for a, b in zip(loads, further, strict=True)) > MOST_LOADS
+        enough = max(a.size + b.size for a, b in zip(loads, further, strict=True)) >= MOST_LOADS
         if by_angle and 2 * samples <= most and (coarse or room >= sum(n.size for n in loads)):
             closer()
         elif any(n.size for n in further) and not enough:
@@ -479,7 +494,7 @@ def compute(
             if coarse or np.abs(_off(tables, near)).max() <= allowed:
                 break
             continue
-        tables = _assembled(pair, surface, period, loads, exact, angles, allowed)
+        tables = _assembled(pair, surface, period, loads, exact, angles, allowed, far)
     found = interpolated(tables, fresh.crank_angle, fresh.torque)
     return dataclasses.replace(
         tables,
@@ -488,14 +503,26 @@ def compute(
     )
 
 
+def _far(
+    pair: Pair, surface: ErrorSurface, direction: float, last: float, angles: Array, exact: _Solved
+) -> tuple[float, _Solved]:
+    """Solve the model at a load far beyond the last."""
+    for times in _FAR:
+        with contextlib.suppress(InputError):  # contacts can't balance every load
+            return times * last, _solved(pair, surface, direction, np.array([times * last]), angles)
+    end = _Solved(*(channel[-1:] for channel in exact))
+    beyond = (_FAR[-1] - 1.0) * last
+    return _FAR[-1] * last, end._replace(deviation=end.deviation + np.float32(beyond) * end.compliance)
+
+
 def _assembled(
     pair: Pair, surface: ErrorSurface, period: float, loads: Sequence[Array], exact: Sequence[_Solved], angles: Array,
-    allowed: float,
+    allowed: float, far: Sequence[tuple[float, _Solved]],
 ) -> Tables:  # fmt: skip
     told = angles.size // (mesh_pitches(pair, surface) * _SAMPLES[0])
     spread = max(float(np.ptp(one.deviation, axis=1).max()) for one in exact)
     step = max(allowed / _STEPS, 1.2 * spread / _MOST_STEPS)
-    made = [_side(n, one, step, told) for n, one in zip(loads, exact, strict=True)]
+    made = [_side(n, one, f, step, told) for n, one, f in zip(loads, exact, far, strict=True)]
     rest = _coefficients(_rest_torque(pair, surface, angles))
     rest_step = _rest_step(rest)
     # Where there is hardly any play the splines of its two ends must not cross.

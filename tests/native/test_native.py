@@ -810,20 +810,27 @@ def test_fmuloader_is_told_of_a_step_that_can_not_be_made(built):
     host.free_instance()
 
 
-def test_beyond_the_tables_all_goes_on_along_the_last_tangent_and_it_is_said_once(drive, slave):
-    reach = drive.tables.positive.load[-1]
-    native = slave()
+def test_beyond_the_tables_all_goes_on_near_the_exact_model_and_it_is_said_once(drive, slave, without_losses):
+    reach, ratio = drive.tables.positive.load[-1], drive.pair.ratio
+    native = slave(path=without_losses)
     native.start(flange_a_phi=0.4, flange_b_tau=reach)
     assert not native.fmi.getBoolean([native.references["outside_range"]])[0]
-    at_reach, stiffness = native.get("transmission_error", "torsional_stiffness")
-    for i, load in enumerate((1.5 * reach, 4.0 * reach)):
-        native.put(flange_b_tau=load)
+    found = []
+    for i, times in enumerate((1.5, 2.5, 3.9, 5.0, 6.0)):
+        native.put(flange_b_tau=times * reach)
         native.fmi.doStep(1e-3 * i, 1e-3)
         assert native.fmi.getBoolean([native.references["outside_range"]])[0]
-        error, stays, pressure = native.get("transmission_error", "torsional_stiffness", "max_contact_pressure")
-        assert error - at_reach == pytest.approx((load - reach) / stiffness, rel=1e-6)
-        assert stays == pytest.approx(stiffness, rel=1e-9)
-        assert pressure > 0.0
+        found.append(native.get("transmission_error", "torsional_stiffness", "max_contact_pressure", "flange_a.tau"))
+        error, stiffness, pressure, crank = found[-1]
+        exact = solve(drive.pair, drive.surface, [times * reach], [0.4])
+        assert error == pytest.approx(exact.transmission_error[0, 0], rel=0.02)
+        assert stiffness == pytest.approx(exact.torsional_stiffness[0, 0], rel=0.2)
+        assert pressure == pytest.approx(exact.max_contact_pressure[0, 0], rel=0.2)
+        assert crank == pytest.approx(-times * reach / ratio, rel=0.02)
+    # From 4 times the last load on along the tangent.
+    (near, stays, *_), (far, stiffness, *_) = found[-2:]
+    assert far - near == pytest.approx(reach / stiffness, rel=1e-6)
+    assert stays == pytest.approx(stiffness, rel=1e-9)
     native.put(flange_b_tau=0.5 * reach)
     native.fmi.doStep(3e-3, 1e-3)
     assert not native.fmi.getBoolean([native.references["outside_range"]])[0]

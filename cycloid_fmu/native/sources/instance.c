@@ -114,8 +114,8 @@ int instance_step(struct instance *instance, double time, double step) {
     if (status == STATUS_OK && !instance->warned && drive_outside(&instance->drive)) {
         const struct side *side = instance->table->side;
         instance->warned = 1;
-        instance_refuse(instance, STATUS_WARNING, "at %g s the torque is beyond the %g N.m of the FMU's tables: they go on "
-                        "along the last tangent (--largest-torque makes them longer). This is said once.", time + step,
+        instance_refuse(instance, STATUS_WARNING, "at %g s the torque is beyond the %g N.m of the FMU's tables: what goes "
+                        "on there has no stated accuracy (--largest-torque makes them longer). This is said once.", time + step,
                         fmin(side[0].reach, side[1].reach));
     }
     return status;

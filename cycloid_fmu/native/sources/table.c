@@ -180,7 +180,7 @@ double table_load(const struct side *side, const struct place *place, double dev
 void table_energy(const struct side *side, const struct place *place, double load, double *energy, double *rate) {
     uint32_t cell = cell_of(side->load, side->loads, load), i, j;
     double of_deviation[MOST_LOADS], of_compliance[MOST_LOADS];
-    double h = side->load[cell + 1] - side->load[cell], beyond = load - side->reach;
+    double h = side->load[cell + 1] - side->load[cell], beyond = load - side->load[side->loads - 1];
     double u = beyond > 0.0 ? 1.0 : (load - side->load[cell]) / h, u2 = u * u;
     memset(of_deviation, 0, (cell + 2) * sizeof *of_deviation);
     memset(of_compliance, 0, (cell + 2) * sizeof *of_compliance);

@@ -19,7 +19,7 @@ struct variable {
 /* One direction of torque; spline coefficients, the loads of one crank angle side by side, in steps of each load. */
 struct side {
     uint32_t loads, told_loads; /* told: of contact count and pressure, from which nothing follows */
-    double reach; /* the last load */
+    double reach; /* the last load but one, up to which the accuracy is stated */
     double load[MOST_LOADS], told_load[MOST_LOADS];
     double base[MOST_LOADS], step[MOST_LOADS]; /* of the deviation: where it begins, and a step of it */
     double compliance_step[MOST_LOADS], pressure_step[MOST_LOADS];
@@ -65,7 +65,7 @@ struct place table_place(const struct table *table, double crank_angle);
 struct place table_told_place(const struct table *table, double crank_angle); /* of contact count and pressure */
 struct loaded table_at(const struct side *side, const struct place *place, double load);
 struct loaded table_at_node(const struct side *side, const struct place *place, uint32_t node);
-/* Beyond the last load all goes on along the tangent there: the compliance stays. */
+/* Beyond the very last load all goes on along the tangent there: the compliance stays. */
 /* Load at which the deviation, with a further compliance in series and less an offset, is the given one; 0 below the
    first. */
 double table_load(const struct side *side, const struct place *place, double deviation, double offset, double series);

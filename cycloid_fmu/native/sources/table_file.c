@@ -155,10 +155,8 @@ static void read_side(struct reader *reader, const struct table *table, struct s
     uint32_t j;
     read_loads(reader, side->loads, side->load);
     read_loads(reader, side->told_loads, side->told_load);
-    side->reach = side->load[side->loads - 1];
-    if (side->reach != side->told_load[side->told_loads - 1]) {
-        reader->failed = 1;
-    }
+    side->reach = side->told_load[side->told_loads - 1]; /* one cell goes further */
+    reader->failed |= side->reach != side->load[side->loads - 2];
     for (j = 0; j < side->loads; j++) {
         side->base[j] = number(reader);
         reader->failed |= !(fabs(side->base[j]) < 1e20);
@@ -241,7 +239,7 @@ static void read_body(struct reader *reader, struct table *table) {
         struct side *side = &table->side[i];
         side->loads = (uint32_t)whole(reader, 4);
         side->told_loads = (uint32_t)whole(reader, 4);
-        if (side->loads < 2 || side->loads > MOST_LOADS || side->told_loads < 2 || side->told_loads > MOST_LOADS) {
+        if (side->loads < 3 || side->loads > MOST_LOADS || side->told_loads < 2 || side->told_loads > MOST_LOADS) {
             reader->failed = 1;
         }
     }
