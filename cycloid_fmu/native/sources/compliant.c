@@ -198,7 +198,7 @@ static double longest(const struct drive *drive, double crank_speed) {
     const struct side *side = &drive->table->side[0];
     const double ratio = drive->table->ratio;
     struct place place = table_place(drive->table, 0.0);
-    double stiffness = teeth_stiffness(drive, &place, side->load[side->loads - 1], 1.0, 0.0), swing;
+    double stiffness = teeth_stiffness(drive, &place, side->reach, 1.0, 0.0), swing;
     stiffness = 1.0 / (1.0 / stiffness + s->series_compliance);
     swing = (stiffness + s->friction_torque / FRICTION_DISPLACEMENT) / s->output_inertia;
     swing += s->crank_inertia > 0.0 ? stiffness / (ratio * ratio * s->crank_inertia) : 0.0;
