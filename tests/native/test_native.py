@@ -529,6 +529,24 @@ def test_reference_results_are_the_exact_analysis(drive, reference):
     assert torque.min() < 0.0 < torque.max()
 
 
+@pytest.mark.parametrize(("error", "share"), [("centre distance", 0.04), ("wave", 0.18), ("each pin", 0.6)])
+def test_errors_to_first_order_would_be_too_coarse_for_parameters_of_native_fmus(drive, error, share):
+    pins = drive.pair.pins
+    shape = {
+        "wave": np.cos(6.0 * np.pi * np.arange(pins) / pins),
+        "each pin": np.random.default_rng(1).normal(size=pins),
+    }
+    angle = np.linspace(0.0, 2.0 * np.pi, 499)
+
+    def deviation(size):
+        changed = {"centre_distance_x": size} if error == "centre distance" else {"pin_radial": size * shape[error]}
+        return solve(drive.pair, drive.surface.replace(**changed), [181.0], angle).transmission_error[0]
+
+    tiny, change = 1e-10, deviation(3e-6) - deviation(0.0)
+    off = change - 3e-6 * (deviation(tiny) - deviation(-tiny)) / (2.0 * tiny)
+    assert np.sqrt(np.mean(off**2) / np.mean(change**2)) == pytest.approx(share, rel=0.25)
+
+
 # --- tables that are kept ---
 
 
