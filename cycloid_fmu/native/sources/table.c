@@ -37,18 +37,22 @@ struct place table_told_place(const struct table *table, double crank_angle) {
     return place_among(table->period, table->told_angles, crank_angle);
 }
 
-/* Deviation of a load's node, or its rate where the weights are rates, whose sum is 0. */
+/* Sum of weights: 1, or 0 of those of a derivative, which has nothing of the base. */
+static double whole(const double weight[4]) {
+    return (weight[0] + weight[3]) + (weight[1] + weight[2]);
+}
+
 static double blend(const struct side *side, const struct place *place, uint32_t load, const double weight[4]) {
     double sum = 0.0;
     int i;
     for (i = 0; i < 4; i++) {
         sum += weight[i] * (double)side->deviation[(size_t)place->node[i] * side->loads + load];
     }
-    return side->step[load] * sum;
+    return whole(weight) * side->base[load] + side->step[load] * sum;
 }
 
 static double deviation_at(const struct side *side, const struct place *place, uint32_t load) {
-    return side->base[load] + blend(side, place, load, place->weight);
+    return blend(side, place, load, place->weight);
 }
 
 static double blend_steps(const uint16_t *values, const double *step, uint32_t loads, const struct place *place,
@@ -105,8 +109,8 @@ struct loaded table_at(const struct side *side, const struct place *place, doubl
         rca += r * (double)c[0];
         rcb += r * (double)c[1];
     }
-    a = side->base[j] + side->step[j] * a;
-    b = side->base[j + 1] + side->step[j + 1] * b;
+    a = whole(place->weight) * side->base[j] + side->step[j] * a;
+    b = whole(place->weight) * side->base[j + 1] + side->step[j + 1] * b;
     ra *= side->step[j];
     rb *= side->step[j + 1];
     ca *= side->compliance_step[j];
@@ -201,7 +205,7 @@ void table_energy(const struct side *side, const struct place *place, double loa
     }
     *energy = *rate = 0.0;
     for (j = 0; j < cell + 2; j++) {
-        *energy += of_deviation[j] * side->base[j];
+        *energy += whole(place->weight) * of_deviation[j] * side->base[j];
         of_deviation[j] *= side->step[j];
         of_compliance[j] *= side->compliance_step[j];
     }
