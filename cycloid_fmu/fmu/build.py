@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from cycloid_fmu import __version__, edge
-from cycloid_fmu.contact.transmission import slices_needed, solve
+from cycloid_fmu.contact.transmission import slices_needed
 from cycloid_fmu.edge import ArgumentError
 from cycloid_fmu.fmu.constants import DAMPING_TIME
 from cycloid_fmu.fmu.core import FORMAT, NUMBERS, SURFACE
@@ -27,6 +27,7 @@ from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.reducer.description import Reducer
 from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.reducer.lost_motion import parts_of
+from cycloid_fmu.supports.transmission import solve
 from cycloid_fmu.surfaces.files import write_surface
 from cycloid_fmu.surfaces.surface import DEVIATIONS, ErrorSurface, surface_of_pair
 

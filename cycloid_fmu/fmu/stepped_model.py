@@ -15,12 +15,14 @@ from cycloid_fmu.contact.transmission import drive_of, slices_needed
 from cycloid_fmu.errors.kinds import structured_names
 from cycloid_fmu.fmu.losses import check_losses
 from cycloid_fmu.fmu.mesh import ContactTeeth, StepError
+from cycloid_fmu.fmu.on_bearings import SupportedTeeth
 from cycloid_fmu.fmu.variables import LOSSLESS, ORDERS
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import ErrorSurface, surface_after
 
 _Kind = TypeVar("_Kind")
+Teeth = ContactTeeth | SupportedTeeth
 
 
 @dataclass_transform()
@@ -72,7 +74,7 @@ class State:
     _play: tuple[float, float, float] | None = None  # both ends (rad), and above 0 that there is none (m)
     _crank: tuple[float, float] | None = None  # torque of the crank (N·m), and dφ_b/dθ
     _sharing: tuple[int, float] | None = None  # pins in contact, and the largest pressure (Pa)
-    _teeth: ContactTeeth = field(init=False)
+    _teeth: Teeth = field(init=False)
 
     def state(self) -> dict[str, Any]:
         """Return a copy of the state as plain values (for JSON)."""
@@ -129,11 +131,13 @@ class SteppedModel(State):
         self._x = self._stiffness = self._side = 0.0
         self._forget()
 
-    def _made_teeth(self) -> ContactTeeth:
+    def _made_teeth(self) -> Teeth:
         worn = self.surface if self.surface.life is None else surface_after(self.surface, self._crank_turns_worn)
         surface = with_structured(self.pair, worn, self._changed())
-        drive = drive_of(self.pair, surface, slices_needed(surface))
-        return ContactTeeth(drive, (self.pair.discs, self.pair.pins))
+        slices = slices_needed(surface)
+        if self.pair.supports is not None:
+            return SupportedTeeth(self.pair, surface, slices)
+        return ContactTeeth(drive_of(self.pair, surface, slices), (self.pair.discs, self.pair.pins))
 
     def _forget(self) -> None:
         self._play = self._crank = self._sharing = None
@@ -195,7 +199,7 @@ class SteppedModel(State):
         low, high, interference = self._solve_play()
         return 0.5 * side * (high - low) if interference == 0.0 else 0.0
 
-    def _shift_rate(self, side: float, teeth: ContactTeeth, theta: float) -> float:
+    def _shift_rate(self, side: float, teeth: Teeth, theta: float) -> float:
         """Change of `_shift` with the crank's angle (1)."""
         if self.backlash_on:
             return 0.0
