@@ -123,7 +123,7 @@ def stored(bearing: Bearing, r: float) -> float:
         return 0.5 * bearing.stiffness * beyond * beyond
     s = bearing.half_clearance / r
     value, _ = _chebyshev(bearing.energy_factor, s)
-    return bearing.stiffness / (_EXPONENT + 1.0) * r ** (19.0 / 9.0) * (1.0 - s) ** (47.0 / 18.0) * value
+    return float(bearing.stiffness / (_EXPONENT + 1.0) * r ** (19.0 / 9.0) * (1.0 - s) ** (47.0 / 18.0) * value)
 
 
 @part
