@@ -27,7 +27,7 @@ from cycloid_fmu.fmu.description import Version
 from cycloid_fmu.fmu.mesh import StepError
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.reducer_model import ReducerModel
-from cycloid_fmu.fmu.variables import ATTRIBUTES, Interface, Variable, variables
+from cycloid_fmu.fmu.variables import ATTRIBUTES, Interface, Variable, stiffness_text, variables
 from cycloid_fmu.geometry.pair import Pair, parse_pair
 from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.surfaces.surface import ErrorSurface, Life
@@ -48,14 +48,17 @@ def model_of(
     pair: Pair, surface: ErrorSurface, interface: Interface, first_stage: FirstStage | None = None
 ) -> DriveModel | CompliantModel:
     """Return the model behind an interface."""
+    model: DriveModel | CompliantModel
     if interface.kind == "compliant":
         inertias = interface.output_inertia, interface.crank_inertia
         model = CompliantModel(pair, surface, interface.losses, *inertias)
         model.mesh_damping = interface.mesh_damping or 0.0
-        return model
-    if first_stage is not None:
-        return ReducerModel(pair, surface, first_stage, interface.losses)
-    return DriveModel(pair, surface, interface.losses)
+    elif first_stage is not None:
+        model = ReducerModel(pair, surface, first_stage, interface.losses)
+    else:
+        model = DriveModel(pair, surface, interface.losses)
+    model.series_compliance, model.friction_torque = interface.series_compliance, interface.friction_torque
+    return model
 
 
 class Core:
@@ -76,6 +79,8 @@ class Core:
         What the FMU offers.
     table
         Its variables by reference.
+    told
+        What it says of how stiff it is.
     faults
         What was refused and not set right since: a sentence for each variable's reference.
     """
@@ -98,6 +103,7 @@ class Core:
         self.interface = interface = interface_from(numbers["interface"])
         self.model = model_of(pair, surface, interface, None if stage is None else FirstStage(**stage))
         self.table = dict(enumerate(variables(pair, surface, interface, version, self.model.ratio)))
+        self.told = stiffness_text(pair, interface)
         self.faults: dict[int, str] = {}
         self.time = 0.0
         self._hash = hashlib.sha256(text + stored).digest()

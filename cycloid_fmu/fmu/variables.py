@@ -73,6 +73,13 @@ class Interface:
         flows from a to b and from b to a (1), friction torque at flange_a in the same two cases (N·m).
     driven
         What `flange_a` is: "crank", or "sun" of an RV reducer.
+    stiffness
+        Of the whole drive as a catalogue or a measured loop states it, N·m/rad: what the drive gives way less is put in
+        series, `series_compliance`.
+    series_compliance, friction_torque
+        What the parameters of these names start with, rad/(N·m) and N·m.
+    own_stiffness
+        Found as the FMU is built (`fmu.chain.own_stiffness`), N·m/rad.
 
     Examples
     --------
@@ -89,6 +96,10 @@ class Interface:
     driven: Literal["crank", "sun"] = "crank"
     crank_inertia: float = 0.0
     mesh_damping: float | None = None
+    stiffness: float | None = None
+    series_compliance: float = 0.0
+    friction_torque: float = 0.0
+    own_stiffness: float | None = None
 
     @property
     def step(self) -> float:
@@ -144,7 +155,18 @@ class Variable:
     derivative_of: str | None = None
 
 
-def _flanges(interface: Interface) -> list[Variable]:
+def stiffness_text(pair: Pair, interface: Interface) -> str:
+    """Return what an FMU says of how stiff it is."""
+    text = "mesh alone, rigid bodies" if pair.supports is None else "mesh and bearings"
+    if interface.own_stiffness is not None:
+        own, series, arcmin = interface.own_stiffness, interface.series_compliance, UNITS["N.m/rad"][1]["N.m/arcmin"]
+        text += f": {own * arcmin:.4g} N.m/arcmin"
+        if series > 0.0:
+            text += f", {arcmin / (1.0 / own + series):.4g} with the series_compliance that it starts with"
+    return text
+
+
+def _flanges(pair: Pair, interface: Interface) -> list[Variable]:
     driven, dynamic = interface.driven, interface.kind == "compliant"
     inside, both = not dynamic or interface.output_inertia > 0.0, interface.crank_inertia > 0.0
     moved = dynamic and inside  # by inertias inside: all that comes out is of their state, whatever goes in
@@ -182,8 +204,8 @@ def _flanges(interface: Interface) -> list[Variable]:
                  display="arcsec", nominal=1e-4, depends=placed),
         Variable("backlash", f"free rotation of the output with the {driven} locked; 0 where there is none", "output",
                  unit="rad", display="arcsec", least=0.0, nominal=1e-4, depends=crank),
-        Variable("torsional_stiffness", "torsional stiffness at the output, mesh alone, rigid bodies", "output",
-                 unit="N.m/rad", display="N.m/arcmin", least=0.0, nominal=1e5, depends=placed),
+        Variable("torsional_stiffness", f"torsional stiffness at the output; {stiffness_text(pair, interface)}",
+                 "output", unit="N.m/rad", display="N.m/arcmin", least=0.0, nominal=1e5, depends=placed),
         Variable("max_contact_pressure", "largest contact pressure", "output", unit="Pa", display="MPa", least=0.0,
                  nominal=1e9, depends=placed),
     ]  # fmt: skip
@@ -204,9 +226,9 @@ def _parameters(pair: Pair, surface: ErrorSurface, interface: Interface) -> list
         ))  # fmt: skip
     found += [
         Variable("friction_torque", "dry friction at the output", "parameter", "tunable", "N.m", least=0.0, nominal=1.0,
-                 start=0.0),
+                 start=interface.friction_torque),
         Variable("series_compliance", "compliance of the rest of the chain", "parameter", "tunable", "rad/(N.m)",
-                 "arcsec/(N.m)", 0.0, nominal=1e-6, start=0.0),
+                 "arcsec/(N.m)", 0.0, nominal=1e-6, start=interface.series_compliance),
     ]  # fmt: skip
     if surface.life is not None:
         turns = float(surface.life.crank_turns[-1])
@@ -323,7 +345,7 @@ def variables(
     ratio
         Angle of `flange_a` over that of `flange_b`; the pair's where None.
     """
-    flanges = _flanges(interface)
+    flanges = _flanges(pair, interface)
     shape = next(v.depends for v in flanges if v.name == "transmission_error")
     count = Variable(
         "contact_count", "pins that carry more than 1 % of the most loaded pin's force", "output", "discrete",
