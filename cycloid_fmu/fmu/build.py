@@ -144,8 +144,6 @@ def checked_interface(interface: InterfaceKind | Interface, first_stage: FirstSt
     interface = Interface(interface) if isinstance(interface, str) else interface
     if interface.kind not in INTERFACES:
         raise ArgumentError("interface", f"it must be one of {', '.join(INTERFACES)}", interface.kind)
-    if first_stage is not None and interface.kind == "compliant":
-        raise ArgumentError("interface", "an RV reducer has the kinematic interface alone", interface.kind)
     if interface.output_inertia != 0.0 and interface.kind == "kinematic":
         raise ArgumentError("output_inertia", "is for the compliant interface; the kinematic one has none")
     for name, unit in (("output_inertia", "kg*m^2"), ("crank_inertia", "kg*m^2"), ("mesh_damping", "N*m*s/rad")):

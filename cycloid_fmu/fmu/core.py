@@ -26,7 +26,7 @@ from cycloid_fmu.fmu.compliant_model import CompliantModel
 from cycloid_fmu.fmu.description import Version
 from cycloid_fmu.fmu.mesh import StepError
 from cycloid_fmu.fmu.model import DriveModel
-from cycloid_fmu.fmu.reducer_model import ReducerModel
+from cycloid_fmu.fmu.reducer_model import CompliantReducer, ReducerModel
 from cycloid_fmu.fmu.variables import ATTRIBUTES, Interface, Variable, stiffness_text, variables
 from cycloid_fmu.geometry.pair import Pair, parse_pair
 from cycloid_fmu.reducer.first_stage import FirstStage
@@ -51,7 +51,10 @@ def model_of(
     model: DriveModel | CompliantModel
     if interface.kind == "compliant":
         inertias = interface.output_inertia, interface.crank_inertia
-        model = CompliantModel(pair, surface, interface.losses, *inertias)
+        if first_stage is None:
+            model = CompliantModel(pair, surface, interface.losses, *inertias)
+        else:
+            model = CompliantReducer(pair, surface, first_stage, interface.losses, *inertias)
         model.mesh_damping = interface.mesh_damping or 0.0
     elif first_stage is not None:
         model = ReducerModel(pair, surface, first_stage, interface.losses)
