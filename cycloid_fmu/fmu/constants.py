@@ -22,7 +22,6 @@ STAGE_STEP = 1e-13  # rad of the output: last step of the iteration for a reduce
 STAGE_SHARE = 1e-12  # of the torque: last change of the crank's torque, likewise
 STAGE_ITERATIONS = 50  # for a reducer's crank angle
 STAGE_DIFFERENCE = 1e-6  # rad of the crank, for the change of its torque
-STAGE_FREE = 1e-7  # J: no more is stored where the plays around a reducer's gears leave them free
 STEP_TOLERANCE = 1e-9  # share by which a communication step may exceed `largest_step`
 LARGEST_LOAD = 2.5  # times the rated torque: what reducers' makers allow for a moment (emergency stop)
 MOST_LOADS = 192  # nodes of one direction of torque in the tables

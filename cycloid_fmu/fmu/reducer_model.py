@@ -13,13 +13,15 @@ import math
 from collections.abc import Sequence
 
 from cycloid_fmu.fmu.compliant_model import CompliantModel, Place
-from cycloid_fmu.fmu.constants import STAGE_DIFFERENCE, STAGE_FREE, STAGE_ITERATIONS, STAGE_SHARE, STAGE_STEP
+from cycloid_fmu.fmu.constants import STAGE_DIFFERENCE, STAGE_ITERATIONS, STAGE_SHARE, STAGE_STEP
 from cycloid_fmu.fmu.model import DriveModel, DriveState
 from cycloid_fmu.fmu.stepped_model import SteppedModel, state_fields
 from cycloid_fmu.fmu.variables import LOSSLESS
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.reducer.first_stage import FirstStage, sun_locked_share
 from cycloid_fmu.surfaces.surface import ErrorSurface
+
+_FREE = 1e-7  # J: no more is stored where the plays around the gears leave them free
 
 
 class _Staged(SteppedModel):
@@ -225,7 +227,7 @@ class CompliantReducer(_Staged, CompliantModel):
         other = self._within_plays(theta, deviation, -first)
         if -first * other[3] < 0.0:
             return other[:3]
-        if min(found[0], other[0]) <= STAGE_FREE:
+        if min(found[0], other[0]) <= _FREE:
             return (other if other[0] <= found[0] else self._within_plays(theta, deviation, first))[:3]
         # Pressed gears between free plays: where the energy is least.
         ends = [(-first, other[3]), (first, found[3])]

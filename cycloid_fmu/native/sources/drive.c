@@ -72,11 +72,21 @@ int drive_step(struct drive *drive, double time, double step, char message[MESSA
 static int rest_on_load(struct drive *drive, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
     double friction = s->friction_torque, speed;
-    int failed;
+    int failed, i;
     s->friction_torque = s->settled = 0.0;
+    drive->resting = 1;
     failed = kinematic_follow(drive, message);
     drive->placed = 1;
     speed = failed ? 0.0 : kinematic_speed(drive);
+    drive->resting = drive->placed = 0;
+    for (i = 0; !failed && drive->b > 0.0 && s->torque != 0.0 && i < 5; i++) {
+        /* A compliance in series turns the crank a little otherwise at rest (docs/theory/fmu.md). */
+        failed = teeth_press(drive, s->turned, s->output_angle - s->turned / drive->ratio, &drive->pressed, message);
+        if (!failed && drive->pressed.stiffness > 0.0) {
+            s->output_angle += (s->torque - drive->pressed.by_rotation)
+                * (1.0 / drive->pressed.stiffness + s->series_compliance);
+        }
+    }
     s->friction_torque = friction;
     s->output_speed = speed;
     return failed;
@@ -100,7 +110,7 @@ int drive_start(struct drive *drive, char message[MESSAGE_SIZE]) {
     drive->state.seen = drive->state.output_angle;
     failed = failed || guarded(drive, 0.0, message);
     if (!failed && drive->table->offers == INTERFACE_INERTIA) {
-        drive->state.mean_torque = drive->pressed.by_angle - drive->damping / drive->table->ratio + drive->loss_torque;
+        drive->state.mean_torque = drive->pressed.by_angle - drive->damping / drive->ratio + drive->loss_torque;
         drive->state.mean_loss = compliant_power(drive);
     }
     if (failed) {
@@ -219,7 +229,7 @@ static double output(struct drive *drive, int field) {
     struct state *s = &drive->state;
     const struct place *place = drive_place(drive);
     int still = drive_kinematic(drive);
-    double torque, ratio = drive->table->ratio, load, side, slope;
+    double torque, ratio = drive->ratio, load, side, slope;
     int pressed = load_of(drive, &load, &side);
     switch (field) {
     case CRANK_TORQUE:
@@ -238,11 +248,13 @@ static double output(struct drive *drive, int field) {
     case TORQUE: return drive->pressed.by_rotation + drive->damping + s->friction_torque * drive->strain;
     case TRANSMISSION_ERROR: return still ? s->deviation : s->output_angle - drive_angle(drive) / ratio;
     case BACKLASH:
-        return s->backlash_on == 0.0 ? 0.0 : drive->b > 0.0 ? reducer_backlash(drive) : teeth_play(drive, place).width;
+        return s->backlash_on == 0.0 ? 0.0 : drive->b == 0.0 ? teeth_play(drive, place).width
+            : still ? reducer_backlash(drive, s->placed, s->gear)
+                    : reducer_backlash(drive, drive->pressed.crank, drive->pressed.deviation);
     case TORSIONAL_STIFFNESS: {
         double stiffness;
         if (drive->b > 0.0) {
-            return reducer_stiffness(drive);
+            return still ? reducer_stiffness(drive) : reducer_pressed_stiffness(drive);
         }
         stiffness = teeth_stiffness(drive, place, load, side, load > 0.0 ? 0.0 : teeth_play(drive, place).width);
         return stiffness > 0.0 ? 1.0 / (1.0 / stiffness + s->series_compliance) : 0.0;
@@ -253,7 +265,7 @@ static double output(struct drive *drive, int field) {
         if (!pressed) {
             return 0.0;
         }
-        told = table_told_place(drive->table, drive_angle(drive));
+        told = table_told_place(drive->table, still || drive->b == 0.0 ? drive_angle(drive) : drive->pressed.crank);
         return field == CONTACT_COUNT ? table_contact_count(teeth_side(drive, side), &told, load)
                                       : table_pressure(teeth_side(drive, side), &told, load);
     }
