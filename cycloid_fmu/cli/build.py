@@ -40,6 +40,10 @@ def build(
             "kg*m^2", "Inertia on the crank inside as well: that flange too then takes a torque.", show_default=False
         ),
     ] = 0.0,
+    support_flange: Annotated[
+        bool,
+        typer.Option("--support-flange", help="A housing that turns: its motion in, the torque on it out."),
+    ] = False,
     losses: Annotated[
         Path | None,
         typer.Option(
@@ -97,8 +101,10 @@ def build(
     table, friction = LOSSLESS if losses is None else read_losses(losses), 0.0
     if loop is not None:
         stiffness, friction = read_loop(loop)
+    kind: Any = interface
     offered = Interface(
-        interface, output_inertia, table, crank_inertia=crank_inertia, stiffness=stiffness, friction_torque=friction,  # type: ignore[arg-type]
+        kind, output_inertia, table, crank_inertia=crank_inertia, stiffness=stiffness, friction_torque=friction,
+        support_flange=support_flange,
     )  # fmt: skip
     drive = read_drive(pair_file, surface_file)
     options: dict[str, Any] = {"interface": offered, "fmi_version": fmi_version}

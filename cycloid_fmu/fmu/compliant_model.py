@@ -81,6 +81,7 @@ class CompliantState(State):
     _turned: float = 0.0  # where the crank stands, as its angle may be set to where it goes next, rad
     _mean_torque: float = 0.0  # of the crank in the last step, N·m
     _mean_loss: float = 0.0  # likewise, W
+    _mean_output: float = 0.0  # likewise, of the output, N·m
     _bristle: float = 0.0  # how far friction is strained, rad
     _seen: float = 0.0  # the output angle that friction has followed to, rad
     _solved_at: Sequence[float] = ()
@@ -226,7 +227,8 @@ class CompliantModel(SteppedModel, CompliantState):
         self._bristle = self.dissipated_energy = 0.0
         if not self._held:
             if not self._led:
-                self.crank_angle, self.crank_speed = self.crank_angle_start, self.crank_speed_start
+                self.crank_angle = self.crank_angle_start - self._support_angle
+                self.crank_speed = self.crank_speed_start - self._support_speed
             self._turned = self.crank_angle
             still = self._still()
             shared = {name: getattr(self, name) for name in _SHARED}
@@ -242,6 +244,7 @@ class CompliantModel(SteppedModel, CompliantState):
         if not self._held:
             transmitted = self._solve()[1]
             self._mean_torque, self._mean_loss = transmitted + self._lost(transmitted), self._power()
+            self._mean_output = self._load_torque
 
     def _move(self, step: float) -> None:
         """Move the flanges on for a step, from the inputs' values at its start."""
@@ -249,6 +252,7 @@ class CompliantModel(SteppedModel, CompliantState):
             self._follow(step)
         else:
             self._swing(step)
+        self._support_angle += self._support_speed * step
         self._solve()
 
     def _follow(self, step: float) -> None:
@@ -302,6 +306,7 @@ class CompliantModel(SteppedModel, CompliantState):
     def _swing(self, step: float) -> None:
         """The inertias move under the torques on them and the contacts; a crank without goes where it is led."""
         goal, before, left = self.crank_angle + self.crank_speed * step, self.dissipated_energy, step
+        speed_before = self.output_speed
         if self._led and step == 0.0:
             self._turned = self.crank_angle
         work, count, fewest = 0.0, 0, 1
@@ -328,6 +333,7 @@ class CompliantModel(SteppedModel, CompliantState):
         self.crank_angle = self._turned
         if step > 0.0:
             self._mean_torque, self._mean_loss = work / step, (self.dissipated_energy - before) / step
+            self._mean_output = self._load_torque - self.output_inertia * (self.output_speed - speed_before) / step
 
     def _pressed(self, crank_angle: float, deviation: float) -> Place:
         return Place(*self._contact(self._reduced(crank_angle), deviation), self._stiffness)
@@ -426,6 +432,17 @@ class CompliantModel(SteppedModel, CompliantState):
     @torque.setter
     def torque(self, value: float) -> None:
         self._load_torque = value
+
+    @property
+    def support_torque(self) -> float:
+        """Torque into the drive at the housing, N·m; with an inertia inside its mean over the last step."""
+        return -(self.crank_torque + (self.torque if self._held else self._mean_output))
+
+    def _turn_housing(self, angle: float, speed: float) -> None:
+        super()._turn_housing(angle, speed)
+        self._turned -= angle
+        self.output_angle -= angle
+        self.output_speed -= speed
 
     @property
     def transmission_error(self) -> float:

@@ -27,14 +27,14 @@ from cycloid_fmu.fmu.description import Version
 from cycloid_fmu.fmu.mesh import StepError
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.reducer_model import CompliantReducer, ReducerModel
-from cycloid_fmu.fmu.variables import ATTRIBUTES, Interface, Variable, stiffness_text, variables
+from cycloid_fmu.fmu.variables import ABSOLUTE, ATTRIBUTES, Interface, Variable, stiffness_text, variables
 from cycloid_fmu.geometry.pair import Pair, parse_pair
 from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.surfaces.surface import ErrorSurface, Life
 
 NUMBERS, SURFACE = "pair.json", "surface.npz"
 FORMAT = 2  # of these files; 1 had the pair as numbers instead of its text
-MAGIC, STATE_VERSION = b"cycloid state\0\0\0", 4
+MAGIC, STATE_VERSION = b"cycloid state\0\0\0", 5
 _LARGEST = sys.float_info.max
 _HEAD = struct.Struct("<16sII32sQ")  # magic, version, checksum, hash of the resources, length
 
@@ -135,7 +135,7 @@ class Core:
         if cell:
             i, j = int(cell[1]) - 1, int(cell[2]) - 1
             return (lambda: model.loss_table[i][j]), functools.partial(model.set_loss, i, j)
-        attribute = ATTRIBUTES.get(name, name)
+        attribute = (ABSOLUTE if self.interface.support_flange else {}).get(name) or ATTRIBUTES.get(name, name)
         setter = None if variable.causality in ("output", "local") else functools.partial(setattr, model, attribute)
         return functools.partial(getattr, model, attribute), setter
 

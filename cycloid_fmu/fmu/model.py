@@ -164,3 +164,8 @@ class DriveModel(SteppedModel, DriveState):
         """Power lost in the mesh and bearings and to the friction at the output, W."""
         lost, _ = loss_torque(self.loss_table, self.crank_speed, self._lever * self._crank_side()[0])
         return lost * self.crank_speed + self.friction_torque * abs(self.output_speed)
+
+    @property
+    def support_torque(self) -> float:
+        """Torque into the drive at the housing, N·m."""
+        return -(self.crank_torque + self.torque)

@@ -66,6 +66,8 @@ class State:
     errors: dict[str, float] = field(default_factory=dict)
     pin_arrays: dict[str, list[float]] = field(default_factory=dict)
     loss_table: list[list[float]] = field(default_factory=list)
+    _support_angle: float = 0.0  # of the housing, whose axes all other angles are in, rad
+    _support_speed: float = 0.0
     _crank_turns_worn: float = 0.0
     _theta: float = 0.0  # the crank's angle, reduced, rad
     _x: float = 0.0  # deviation of the flange that the teeth alone make, rad
@@ -89,6 +91,18 @@ class State:
         self._teeth.restore(state["_teeth"])
 
 
+def _absolute(name: str, of_housing: str) -> property:
+    """An angle or speed seen from where the housing turns."""
+
+    def get(self: Any) -> float:
+        return float(getattr(self, name) + getattr(self, of_housing))
+
+    def put(self: Any, value: float) -> None:
+        setattr(self, name, value - getattr(self, of_housing))
+
+    return property(get, put)
+
+
 class SteppedModel(State):
     """A cycloid-pin drive with history, stepped by `advance`; a subclass says how it moves (`_move`).
 
@@ -99,6 +113,11 @@ class SteppedModel(State):
     losses
         Rows of the loss table (`variables.Interface.losses`).
     """
+
+    absolute_crank_angle = _absolute("crank_angle", "_support_angle")
+    absolute_crank_speed = _absolute("crank_speed", "_support_speed")
+    absolute_output_angle = _absolute("output_angle", "_support_angle")
+    absolute_output_speed = _absolute("output_speed", "_support_speed")
 
     def __init__(self, pair: Pair, surface: ErrorSurface, losses: Sequence[Sequence[float]] = LOSSLESS) -> None:
         super().__init__()
@@ -183,6 +202,36 @@ class SteppedModel(State):
             surface_after(self.surface, turns)
             self._crank_turns_worn = turns
             self._rebuild()
+
+    @property
+    def support_angle(self) -> float:
+        """Of the housing, rad. All angles and speeds but the `absolute` ones are seen from it."""
+        return self._support_angle
+
+    @support_angle.setter
+    def support_angle(self, angle: float) -> None:
+        self._turn_housing(angle - self._support_angle, 0.0)
+        self._support_angle = angle
+
+    @property
+    def support_speed(self) -> float:
+        """Of the housing, rad/s."""
+        return self._support_speed
+
+    @support_speed.setter
+    def support_speed(self, speed: float) -> None:
+        self._turn_housing(0.0, speed - self._support_speed)
+        self._support_speed = speed
+
+    def _turn_housing(self, angle: float, speed: float) -> None:
+        """See from a housing that stands and turns otherwise what does not move with it."""
+        self.crank_angle -= angle
+        self.crank_speed -= speed
+
+    @property
+    def support_torque(self) -> float:
+        """Torque into the drive at the housing, N·m."""
+        raise NotImplementedError
 
     def _reduced(self, crank_angle: float) -> float:
         return crank_angle - self._period * math.floor(crank_angle / self._period)

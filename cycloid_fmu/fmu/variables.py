@@ -29,6 +29,13 @@ LARGEST_STEP = 1e-3  # s: default of `largest_step`
 ATTRIBUTES = {
     "flange_a.phi": "crank_angle", "flange_a.w": "crank_speed", "flange_a.tau": "crank_torque",
     "flange_b.phi": "output_angle", "flange_b.w": "output_speed", "flange_b.tau": "torque",
+    "support.phi": "support_angle", "support.w": "support_speed", "support.tau": "support_torque",
+}  # fmt: skip
+
+# With a support flange the flanges' angles and speeds are absolute.
+ABSOLUTE = {
+    "flange_a.phi": "absolute_crank_angle", "flange_a.w": "absolute_crank_speed",
+    "flange_b.phi": "absolute_output_angle", "flange_b.w": "absolute_output_speed",
 }  # fmt: skip
 
 # unit: exponents of SI base units, then display units with their factor
@@ -76,6 +83,8 @@ class Interface:
     stiffness
         Of the whole drive as a catalogue or a measured loop states it, N·m/rad: what the drive gives way less is put in
         series, `series_compliance`.
+    support_flange
+        Whether the housing turns: the flanges' angles and speeds are absolute then.
     series_compliance, friction_torque
         What the parameters of these names start with, rad/(N·m) and N·m.
     own_stiffness
@@ -100,6 +109,7 @@ class Interface:
     series_compliance: float = 0.0
     friction_torque: float = 0.0
     own_stiffness: float | None = None
+    support_flange: bool = False
 
     @property
     def step(self) -> float:
@@ -307,6 +317,25 @@ def _told(pair: Pair, placed: tuple[str, ...], ratio: float) -> list[Variable]:
     return found
 
 
+def _with_support(table: Sequence[Variable], inside: bool) -> list[Variable]:
+    """Add the housing's flange; what follows the driven shaft's motion follows from the housing's as well."""
+    follows = {"flange_a.phi": "support.phi", "flange_a.w": "support.w"}
+    found = [
+        dataclasses.replace(v, depends=(*v.depends, *(other for name, other in follows.items() if name in v.depends)))
+        for v in table
+    ]
+    given = () if inside else (*(v.name for v in table if v.causality == "input"), *follows.values())
+    text = "torque to hold the housing" + (", mean over the last step" if inside else "")
+    return [
+        *found,
+        Variable("support.phi", "housing angle, counter-clockwise", "input", unit="rad", display="deg", nominal=1.0,
+                 start=0.0),
+        Variable("support.w", "housing speed", "input", unit="rad/s", display="rev/min", nominal=1.0, start=0.0,
+                 derivative_of="support.phi"),
+        Variable("support.tau", text, "output", unit="N.m", nominal=100.0, depends=given),
+    ]  # fmt: skip
+
+
 def _arrays(pair: Pair, surface: ErrorSurface, placed: tuple[str, ...]) -> list[Variable]:
     shape = (pair.discs, pair.pins)
     found = [Variable("time", "time", "independent", unit="s")]
@@ -353,6 +382,9 @@ def variables(
     )  # fmt: skip
     found = [*flanges, count, *_parameters(pair, surface, interface), *_further(interface)]
     found += _told(pair, shape, pair.ratio if ratio is None else ratio)
+    if interface.support_flange:
+        found = _with_support(found, interface.output_inertia > 0.0)
+        shape = next(v.depends for v in found if v.name == "transmission_error")
     if fmi_version == "3.0":
         found += _arrays(pair, surface, shape)
     errors = tuple(v.name for v in found if v.baked and v.causality == "parameter")
@@ -361,7 +393,7 @@ def variables(
     if interface.kind == "compliant":
         lossy = (*lossy, "mesh_damping")
     initially = {"backlash": (*errors, "backlash_on"), "power_loss": lossy, "flange_a.tau": lossy,
-                 "flange_b.tau": lossy, "dissipated_energy": ()}  # fmt: skip
+                 "flange_b.tau": lossy, "support.tau": lossy, "dissipated_energy": ()}  # fmt: skip
     return tuple(
         dataclasses.replace(v, initially=initially.get(v.name, shaping)) if v.causality == "output" else v
         for v in found

@@ -213,6 +213,7 @@ int compliant_swing(struct drive *drive, double step, char message[MESSAGE_SIZE]
     const double ratio = drive->ratio;
     const int held = s->crank_inertia == 0.0;
     const double goal = s->crank_angle + s->crank_speed * step, before = s->dissipated_energy;
+    const double speed_before = s->output_speed;
     double left = step, work = 0.0, count = 0.0, rest = 1.0;
     struct pressed at;
     if (held && step == 0.0) {
@@ -256,6 +257,7 @@ int compliant_swing(struct drive *drive, double step, char message[MESSAGE_SIZE]
     s->crank_angle = s->turned;
     if (step > 0.0) {
         s->mean_torque = work / step;
+        s->mean_output = s->torque - s->output_inertia * (s->output_speed - speed_before) / step;
         s->mean_loss = (s->dissipated_energy - before) / step;
     }
     return 0;

@@ -31,6 +31,7 @@ static int move(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
                                                      : compliant_move(drive, step, message)) {
         return 1;
     }
+    s->support_angle += s->support_speed * step;
     drive->placed = drive->solved = 0;
     if (!(fabs(s->crank_angle) < HUGE_VAL && fabs(s->output_angle) < HUGE_VAL && fabs(s->dissipated_energy) < HUGE_VAL
           && fabs(s->output_speed) < HUGE_VAL)) {
@@ -112,6 +113,7 @@ int drive_start(struct drive *drive, char message[MESSAGE_SIZE]) {
     if (!failed && drive->table->offers == INTERFACE_INERTIA) {
         drive->state.mean_torque = drive->pressed.by_angle - drive->damping / drive->ratio + drive->loss_torque;
         drive->state.mean_loss = compliant_power(drive);
+        drive->state.mean_output = drive->state.torque;
     }
     if (failed) {
         drive->state = kept;
@@ -140,8 +142,37 @@ static double *stored(struct drive *drive, const struct variable *variable) {
     case CRANK_INERTIA: return &s->crank_inertia;
     case CRANK_ANGLE_START: return &s->crank_angle_start;
     case CRANK_SPEED_START: return &s->crank_speed_start;
+    case SUPPORT_ANGLE: return &s->support_angle;
+    case SUPPORT_SPEED: return &s->support_speed;
     case TIME: return &s->time;
     default: return variable->field >= LOSS_TABLE ? &s->loss[variable->field - LOSS_TABLE] : NULL;
+    }
+}
+
+/* What the housing adds to a variable. */
+static double of_housing(const struct drive *drive, int field) {
+    switch (field) {
+    case CRANK_ANGLE:
+    case CRANK_ANGLE_START:
+    case OUTPUT_ANGLE: return drive->state.support_angle;
+    case CRANK_SPEED:
+    case CRANK_SPEED_START:
+    case OUTPUT_SPEED: return drive->state.support_speed;
+    default: return 0.0;
+    }
+}
+
+/* See from a housing that stands and turns otherwise what does not move with it. */
+static void turn_housing(struct drive *drive, double angle, double speed) {
+    struct state *s = &drive->state;
+    s->crank_angle -= angle;
+    s->crank_speed -= speed;
+    s->crank_angle_start -= angle;
+    s->crank_speed_start -= speed;
+    if (!drive_kinematic(drive)) {
+        s->turned -= angle;
+        s->output_angle -= angle;
+        s->output_speed -= speed;
     }
 }
 
@@ -200,7 +231,11 @@ int drive_set(struct drive *drive, const struct variable *variable, double value
                  value, variable->least, variable->most);
         return 1;
     }
-    *kept = value;
+    if (variable->field == SUPPORT_ANGLE || variable->field == SUPPORT_SPEED) {
+        double change = value - *kept;
+        turn_housing(drive, variable->field == SUPPORT_ANGLE ? change : 0.0, variable->field == SUPPORT_SPEED ? change : 0.0);
+    }
+    *kept = value - of_housing(drive, variable->field);
     drive->solved = 0;
     if (!drive_kinematic(drive)) {
         drive->placed = 0;
@@ -241,10 +276,14 @@ static double output(struct drive *drive, int field) {
             return s->mean_torque;
         }
         return drive->pressed.by_angle - drive->damping / ratio + drive->loss_torque;
-    case CRANK_ANGLE: return drive_angle(drive);
-    case CRANK_SPEED: return s->crank_speed;
-    case OUTPUT_ANGLE: return s->output_angle;
-    case OUTPUT_SPEED: return still ? kinematic_speed(drive) : s->output_speed;
+    case CRANK_ANGLE: return drive_angle(drive) + s->support_angle;
+    case CRANK_SPEED: return s->crank_speed + s->support_speed;
+    case OUTPUT_ANGLE: return s->output_angle + s->support_angle;
+    case OUTPUT_SPEED: return (still ? kinematic_speed(drive) : s->output_speed) + s->support_speed;
+    case SUPPORT_TORQUE:
+        return -(output(drive, CRANK_TORQUE)
+                 + (still ? s->torque
+                          : drive->table->offers == INTERFACE_INERTIA ? s->mean_output : output(drive, TORQUE)));
     case TORQUE: return drive->pressed.by_rotation + drive->damping + s->friction_torque * drive->strain;
     case TRANSMISSION_ERROR: return still ? s->deviation : s->output_angle - drive_angle(drive) / ratio;
     case BACKLASH:
@@ -291,7 +330,7 @@ static double output(struct drive *drive, int field) {
 int drive_get(struct drive *drive, const struct variable *variable, double *value, char message[MESSAGE_SIZE]) {
     const double *kept = variable->causality == CAUSALITY_OUTPUT ? NULL : stored(drive, variable);
     if (kept != NULL || variable->baked) {
-        *value = kept != NULL ? *kept : variable->start;
+        *value = kept != NULL ? *kept + of_housing(drive, variable->field) : variable->start;
         return 0;
     }
     if (drive->initializing) {

@@ -16,7 +16,9 @@ struct state {
     double bristle, seen, dissipated_energy;
     /* With an inertia inside: where the crank stands, as its angle may be set to where it goes next; and of the last step
        its mean torque and what was lost, and whether a torque was beyond the tables. */
-    double turned, mean_torque, mean_loss, outside;
+    double turned, mean_torque, mean_output, mean_loss, outside;
+    /* Of the housing, whose axes all other angles and speeds are in; those of the variables are absolute. */
+    double support_angle, support_speed;
     double crank_torque, crank_inertia, crank_angle_start, crank_speed_start; /* of a crank with one */
     double loss[MOST_LOSS_ROWS * LOSS_COLUMNS];
 };
