@@ -28,7 +28,7 @@ from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.reducer.description import Reducer
 from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.reducer.lost_motion import parts_of
-from cycloid_fmu.supports.transmission import solve
+from cycloid_fmu.supports.transmission import play_loads, solve
 from cycloid_fmu.surfaces.files import write_surface
 from cycloid_fmu.surfaces.surface import DEVIATIONS, ErrorSurface, surface_of_pair
 
@@ -169,6 +169,8 @@ def completed(
         As `checked_interface` and `chain.with_chain` do.
     """
     checked = checked_interface(interface, first_stage)
+    if pair.supports is not None:
+        play_loads(pair)  # refused without a rated torque
     return with_damping(with_chain(checked, pair, surface, first_stage), pair, surface)
 
 

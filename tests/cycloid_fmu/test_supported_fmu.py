@@ -200,3 +200,22 @@ def test_a_built_fmu_is_what_analyze_says(tmp_path):
     away = found["transmission_error"] - wanted.transmission_error.values[0]
     assert np.abs(away[1:]).max() < 1e-3 * ARCSEC
     assert found["flange_a.tau"][1:] == pytest.approx(wanted.crank_torque.values[0][1:], rel=1e-6)
+
+
+@pytest.mark.parametrize("case", NAMES)
+def test_a_place_is_the_same_wherever_the_drive_came_from(case):
+    """Jumps of crank, torque and flanges, through the play and beyond the rated torque, against a drive just made."""
+    generator = np.random.default_rng(5)
+    held, pressed = DriveModel(*drive(case)), CompliantModel(*drive(case))
+    for _ in range(25):
+        crank, deviation = generator.uniform(0.0, 50.0), generator.uniform(-2e-3, 2e-3)
+        torque = held.pair.rated_torque * generator.choice([5e-4, 0.01, 0.5, 2.5]) * generator.uniform(-1.0, 1.0)
+        alone, apart = DriveModel(*drive(case)), CompliantModel(*drive(case))
+        for model in (held, alone):
+            model.crank_angle, model.torque = crank, torque
+            model.advance()
+        for model in (pressed, apart):
+            put(model, crank, deviation)
+        assert held.transmission_error == pytest.approx(alone.transmission_error, abs=1e-5 * ARCSEC)
+        assert pressed.torque == pytest.approx(apart.torque, abs=1e-6 * held.pair.rated_torque)
+        assert pressed.elastic_energy == pytest.approx(apart.elastic_energy, abs=1e-7)
