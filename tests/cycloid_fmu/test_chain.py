@@ -126,3 +126,9 @@ def test_every_fmu_says_how_stiff_it_is(tmp_path):
     held = read_pair(EXAMPLES / "drive-39-40-bearings.toml")
     said = native_build.stiffness_text(held, completed("kinematic", held, surface_of_pair(held), None))
     assert said.startswith("mesh and bearings: ")
+
+
+def test_the_page_says_how_stiff_the_example_is():
+    text = (EXAMPLES.parent / "docs" / "fmu.md").read_text(encoding="utf-8")
+    stiffness = own_stiffness(*parts_of(cy.read_reducer(EXAMPLES / "rv-20e.toml"))) / edge.ARCMIN
+    assert f"{stiffness:.3g} N·m/arcmin of `examples/rv-20e.toml`" in " ".join(text.split())
