@@ -89,7 +89,7 @@ class SupportedTeeth:
     """Gear, pins and bearings at a crank angle θ (rad), with the methods and units of `mesh.ContactTeeth`.
 
     Below `PLAY_LOAD` of the rated torque the output goes along the tangent there, which leaves the play at no torque
-    (`supports.transmission.play_loads`). `press` solves every torque: inside that play less than `PLAY_LOAD` of it is left.
+    (`supports.transmission.play_loads`). `press` solves every torque: inside that play less than that is left.
 
     Parameters
     ----------
