@@ -12,10 +12,10 @@ from cycloid_fmu.surfaces.surface import Life, nominal_surface
 
 EXAMPLE = "drive-39-40.toml"
 INTERFACES = {
-    "kinematic": Interface(),
-    "compliant": Interface("compliant"),
-    "inertia inside": Interface("compliant", output_inertia=1.0),
-    "both inside": Interface("compliant", output_inertia=1.0, crank_inertia=1e-3),
+    "kinematic": Interface(support_flange=True),
+    "compliant": Interface("compliant", support_flange=True),
+    "inertia inside": Interface("compliant", output_inertia=1.0, support_flange=True),
+    "both inside": Interface("compliant", output_inertia=1.0, crank_inertia=1e-3, support_flange=True),
 }
 SECTIONS: tuple[tuple[str, str, Callable[[Variable], bool]], ...] = (
     (
@@ -48,7 +48,7 @@ INTRODUCTION = f"""# FMU variables
 
 What an FMU of `cycloid-fmu build` has, in each [interface](../fmu.md): the causality of each variable, – where the
 interface lacks it. *Inertia inside* is the compliant interface with `--output-inertia`, *both inside* with
-`--crank-inertia` as well. FMI 2.0 and 3.0 have the same
+`--crank-inertia` as well. `support` is there with `--support-flange` alone. FMI 2.0 and 3.0 have the same
 names and value references. In the FMU of an RV reducer `flange_a` is the sun. What a
 [native FMU](../native.md) has in its tables is a *constant* there: it can be read but not set.
 

@@ -40,11 +40,30 @@ def build(
             "kg*m^2", "Inertia on the crank inside as well: that flange too then takes a torque.", show_default=False
         ),
     ] = 0.0,
+    support_flange: Annotated[
+        bool,
+        typer.Option("--support-flange", help="A housing that turns: its motion in, the torque on it out."),
+    ] = False,
     losses: Annotated[
         Path | None,
         typer.Option(
             metavar="LOSSES.csv",
             help="Losses: speed \\[rpm],eta_mf1 [1],eta_mf2 [1],tau_bf1 [N*m],tau_bf2 [N*m], as Modelica's LossyGear.",
+        ),
+    ] = None,
+    stiffness: Annotated[
+        float | None,
+        commands.quantity_option(
+            "N*m/rad",
+            'Of the whole drive, such as a catalogue\'s "49 N*m/arcmin": what this one gives way less is in series.',
+            show_default=False,
+        ),
+    ] = None,
+    loop: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FIGURES.json",
+            help="Stiffness and dry friction of a measured loop, as cycloid-fit metrics -o writes its figures.",
         ),
     ] = None,
     fmi_version: Annotated[str, commands.choice_option(("2.0", "3.0"), "FMI version.", "--fmi")] = "2.0",
@@ -70,14 +89,23 @@ def build(
     """
     from cycloid_fmu.drive import read_drive
     from cycloid_fmu.fmu.build import build_fmu, read_losses
+    from cycloid_fmu.fmu.chain import read_loop
     from cycloid_fmu.fmu.variables import LOSSLESS, Interface
 
     if platforms and not native:
         raise edge.InputError("--platform: only a --native FMU has platforms; one in Python runs where Python does.")
     if largest_torque is not None and not native:
         raise edge.InputError("--largest-torque: only a --native FMU has tables; one in Python solves every torque.")
-    table = LOSSLESS if losses is None else read_losses(losses)
-    offered = Interface(interface, output_inertia, table, crank_inertia=crank_inertia)  # type: ignore[arg-type]
+    if loop is not None and stiffness is not None:
+        raise edge.InputError("--loop: it has a stiffness; leave out --stiffness, or give the stiffness alone.")
+    table, friction = LOSSLESS if losses is None else read_losses(losses), 0.0
+    if loop is not None:
+        stiffness, friction = read_loop(loop)
+    kind: Any = interface
+    offered = Interface(
+        kind, output_inertia, table, crank_inertia=crank_inertia, stiffness=stiffness, friction_torque=friction,
+        support_flange=support_flange,
+    )  # fmt: skip
     drive = read_drive(pair_file, surface_file)
     options: dict[str, Any] = {"interface": offered, "fmi_version": fmi_version}
     if not native:

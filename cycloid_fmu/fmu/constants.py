@@ -30,4 +30,4 @@ LEAST_COMPLIANCE = 1e-12  # rad/(N.m): between nodes a table may have none
 LAST_CELL_SHARE = 1e-9  # of a cell between two loads: a step of the search this short is the last
 MOST_LOSS_ROWS = 64  # of the loss table in a native FMU
 TABLE_VERSION = 6  # of the file of tables
-STATE_VERSION = 4  # of the native FMU's serialised state
+STATE_VERSION = 6  # of the native FMU's serialised state

@@ -27,8 +27,8 @@ from cycloid_fmu.fmu.compliant_model import CompliantModel
 from cycloid_fmu.fmu.description import Version
 from cycloid_fmu.fmu.mesh import StepError
 from cycloid_fmu.fmu.model import DriveModel
-from cycloid_fmu.fmu.reducer_model import ReducerModel
-from cycloid_fmu.fmu.variables import ATTRIBUTES, Interface, Kind, Variable, variables
+from cycloid_fmu.fmu.reducer_model import CompliantReducer, ReducerModel
+from cycloid_fmu.fmu.variables import ABSOLUTE, ATTRIBUTES, Interface, Kind, Variable, stiffness_text, variables
 from cycloid_fmu.geometry.pair import Pair, parse_pair
 from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.surfaces.surface import ErrorSurface, Life
@@ -88,14 +88,20 @@ def model_of(
     pair: Pair, surface: ErrorSurface, interface: Interface, first_stage: FirstStage | None = None
 ) -> DriveModel | CompliantModel:
     """Return the model behind an interface."""
+    model: DriveModel | CompliantModel
     if interface.kind == "compliant":
         inertias = interface.output_inertia, interface.crank_inertia
-        model = CompliantModel(pair, surface, interface.losses, *inertias)
+        if first_stage is None:
+            model = CompliantModel(pair, surface, interface.losses, *inertias)
+        else:
+            model = CompliantReducer(pair, surface, first_stage, interface.losses, *inertias)
         model.mesh_damping = interface.mesh_damping or 0.0
-        return model
-    if first_stage is not None:
-        return ReducerModel(pair, surface, first_stage, interface.losses)
-    return DriveModel(pair, surface, interface.losses)
+    elif first_stage is not None:
+        model = ReducerModel(pair, surface, first_stage, interface.losses)
+    else:
+        model = DriveModel(pair, surface, interface.losses)
+    model.series_compliance, model.friction_torque = interface.series_compliance, interface.friction_torque
+    return model
 
 
 class Core:
@@ -116,6 +122,8 @@ class Core:
         What the FMU offers.
     table
         Its variables by reference.
+    told
+        What it says of how stiff it is.
     faults
         What was refused and not set right since: a sentence for each variable's reference.
     phase
@@ -145,6 +153,7 @@ class Core:
         if variables_hash(table) != numbers["variables"]:
             raise RuntimeError(f"{built}, whose variables are others: {again}")
         self.table = dict(enumerate(table))
+        self.told = stiffness_text(pair, interface)
         self.phase = INSTANTIATED
         self.faults: dict[int, str] = {}
         self.time = 0.0
@@ -176,7 +185,7 @@ class Core:
         if cell:
             i, j = int(cell[1]) - 1, int(cell[2]) - 1
             return (lambda: model.loss_table[i][j]), functools.partial(model.set_loss, i, j)
-        attribute = ATTRIBUTES.get(name, name)
+        attribute = (ABSOLUTE if self.interface.support_flange else {}).get(name) or ATTRIBUTES.get(name, name)
         setter = None if variable.causality in ("output", "local") else functools.partial(setattr, model, attribute)
         return functools.partial(getattr, model, attribute), setter
 

@@ -11,8 +11,8 @@ import math
 from collections.abc import Sequence
 
 from cycloid_fmu.fmu.losses import loss_torque
-from cycloid_fmu.fmu.mesh import ContactTeeth, StepError
-from cycloid_fmu.fmu.stepped_model import State, SteppedModel, state_fields
+from cycloid_fmu.fmu.mesh import StepError
+from cycloid_fmu.fmu.stepped_model import State, SteppedModel, Teeth, state_fields
 from cycloid_fmu.fmu.variables import LOSSLESS
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.surface import ErrorSurface
@@ -45,7 +45,7 @@ class DriveModel(SteppedModel, DriveState):
         super()._rebuild()
         self._pushed = 0.0
 
-    def _pressed(self, theta: float, x: float, teeth: ContactTeeth | None = None) -> tuple[float, float]:
+    def _pressed(self, theta: float, x: float, teeth: Teeth | None = None) -> tuple[float, float]:
         """Torque of the crank by teeth in contact, the model's own or others, and dφ_b/dθ at constant torque."""
         teeth = teeth or self._teeth
         torque, rate = teeth.crank_side(theta, x)
@@ -164,3 +164,8 @@ class DriveModel(SteppedModel, DriveState):
         """Power lost in the mesh and bearings and to the friction at the output, W."""
         lost, _ = loss_torque(self.loss_table, self.crank_speed, self._lever * self._crank_side()[0])
         return lost * self.crank_speed + self.friction_torque * abs(self.output_speed)
+
+    @property
+    def support_torque(self) -> float:
+        """Torque into the drive at the housing, N·m."""
+        return -(self.crank_torque + self.torque)

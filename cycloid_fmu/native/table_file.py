@@ -33,7 +33,8 @@ _FIELDS = (
     "crank_angle", "crank_speed", "crank_torque", "output_angle", "output_speed", "torque", "transmission_error",
     "backlash", "torsional_stiffness", "max_contact_pressure", "contact_count", "friction_torque", "series_compliance",
     "power_loss", "backlash_on", "elastic_energy", "dissipated_energy", "mesh_damping", "largest_step",
-    "output_inertia", "crank_inertia", "crank_angle_start", "crank_speed_start", "outside_range", "time", "loss_table",
+    "output_inertia", "crank_inertia", "crank_angle_start", "crank_speed_start", "outside_range", "support_angle",
+    "support_speed", "support_torque", "time", "loss_table",
 )  # fmt: skip
 
 
