@@ -15,6 +15,8 @@ from typing import Literal
 import numpy as np
 
 from cycloid_fmu.errors.kinds import KINDS, kind_of, structured_names, wave_of
+from cycloid_fmu.fmu.constants import REFERENCE_TEMPERATURE
+from cycloid_fmu.fmu.friction import FLANGES, LIMITS, Friction, Law, law_of
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import structured_value
 from cycloid_fmu.surfaces.surface import ErrorSurface
@@ -45,6 +47,8 @@ UNITS: dict[str, tuple[dict[str, int], dict[str, float]]] = {
     "W": ({"kg": 1, "m": 2, "s": -3}, {}),
     "J": ({"kg": 1, "m": 2, "s": -2}, {}),
     "m": ({"m": 1}, {"um": 1e6, "mm": 1e3}),
+    "K": ({"K": 1}, {}),
+    "1/K": ({"K": -1}, {"%/K": 100.0}),
     "s": ({"s": 1}, {"ms": 1e3}),
     "1": ({}, {"%": 100.0}),
 }
@@ -73,6 +77,8 @@ class Interface:
         flows from a to b and from b to a (1), friction torque at flange_a in the same two cases (N·m).
     driven
         What `flange_a` is: "crank", or "sun" of an RV reducer.
+    input_friction, output_friction
+        Friction at `flange_a`, where it adds to the losses, and at `flange_b`.
 
     Examples
     --------
@@ -89,6 +95,18 @@ class Interface:
     driven: Literal["crank", "sun"] = "crank"
     crank_inertia: float = 0.0
     mesh_damping: float | None = None
+    input_friction: Friction = Friction()
+    output_friction: Friction = Friction()
+
+    @property
+    def laws(self) -> tuple[Law, Law]:
+        """Friction at both flanges."""
+        return law_of(self.input_friction, 0), law_of(self.output_friction, 1)
+
+    @property
+    def warms(self) -> bool:
+        """Whether friction depends on temperature: then the FMU has that as an input."""
+        return any(law.temperature_coefficient != 0.0 for law in self.laws)
 
     @property
     def step(self) -> float:
@@ -203,8 +221,8 @@ def _parameters(pair: Pair, surface: ErrorSurface, interface: Interface) -> list
             kind.limit, 1e-4 if kind.unit == "rad" else 1e-6, structured_value(pair, surface, name), baked=True,
         ))  # fmt: skip
     found += [
-        Variable("friction_torque", "dry friction at the output", "parameter", "tunable", "N.m", least=0.0, nominal=1.0,
-                 start=0.0),
+        Variable("friction_torque", "Coulomb friction at the output", "parameter", "tunable", "N.m", least=0.0,
+                 nominal=1.0, start=interface.laws[1].coulomb),
         Variable("series_compliance", "compliance of the rest of the chain", "parameter", "tunable", "rad/(N.m)",
                  "arcsec/(N.m)", 0.0, nominal=1e-6, start=0.0),
     ]  # fmt: skip
@@ -285,6 +303,37 @@ def _told(pair: Pair, placed: tuple[str, ...], ratio: float) -> list[Variable]:
     return found
 
 
+def _friction(interface: Interface) -> list[Variable]:
+    """What friction is made of at both flanges, and its temperature where it depends on that."""
+    texts = {
+        "coulomb": "Coulomb friction",
+        "load_share": "more of it for each N.m that the teeth take or give at that flange",
+        "stribeck": "more of it at rest, going with exp(-(w/stribeck_speed)^2)",
+        "stribeck_speed": "speed at which that has fallen to 1/e",
+        "viscous": "viscous friction",
+        "presliding_angle": "angle over which friction builds up under the rated torque",
+        "temperature_coefficient": "b: friction goes with exp(-b (temperature - reference_temperature))",
+        "reference_temperature": "temperature at which friction is stated",
+    }
+    displays = {"stribeck_speed": "rev/min", "load_share": "%", "presliding_angle": "arcsec"}
+    found = []
+    for flange, law in zip(FLANGES, interface.laws, strict=True):
+        for name, text in texts.items():
+            if (flange == "output" and name == "coulomb") or ("temperature" in name and not interface.warms):
+                continue
+            unit, least, most, nominal = LIMITS[name]
+            found.append(Variable(
+                f"{flange}_friction.{name}", f"at flange_{'ab'[flange == 'output']}: {text}", "parameter", "tunable",
+                unit, displays.get(name), least, most, nominal, getattr(law, name),
+            ))  # fmt: skip
+    if interface.warms:
+        found.append(Variable(
+            "temperature", "temperature of what rubs", "input", unit="K", least=173.15, most=573.15, nominal=300.0,
+            start=REFERENCE_TEMPERATURE,
+        ))  # fmt: skip
+    return found
+
+
 def _arrays(pair: Pair, surface: ErrorSurface, placed: tuple[str, ...]) -> list[Variable]:
     shape = (pair.discs, pair.pins)
     found = [Variable("time", "time", "independent", unit="s")]
@@ -330,12 +379,16 @@ def variables(
         kind="integer", least=0.0, most=float(pair.pins * pair.discs), depends=shape,
     )  # fmt: skip
     found = [*flanges, count, *_parameters(pair, surface, interface), *_further(interface)]
-    found += _told(pair, shape, pair.ratio if ratio is None else ratio)
+    found += [*_told(pair, shape, pair.ratio if ratio is None else ratio), *_friction(interface)]
+    if interface.warms:
+        # Friction tells where the output stands, and so all that depends on that.
+        found = [dataclasses.replace(v, depends=(*v.depends, "temperature")) if v.depends else v for v in found]
     if fmi_version == "3.0":
         found += _arrays(pair, surface, shape)
     errors = tuple(v.name for v in found if v.baked and v.causality == "parameter")
     shaping = (*errors, "series_compliance", "backlash_on")
-    lossy = (*shaping, *(v.name for v in found if v.name.startswith("loss_table")))
+    rubbing = tuple(v.name for v in found if v.name.startswith(("loss_table", "input_friction", "output_friction")))
+    lossy = (*shaping, *rubbing, "friction_torque")
     if interface.kind == "compliant":
         lossy = (*lossy, "mesh_damping")
     initially = {"backlash": (*errors, "backlash_on"), "power_loss": lossy, "flange_a.tau": lossy,
