@@ -20,6 +20,7 @@ from cycloid_fmu.fmu.constants import (
     FRICTION_ITERATIONS,
     INPUT_PRESLIDING_ANGLE,
     INPUT_STRIBECK_SPEED,
+    MOST_LOAD_SHARE,
     OUTPUT_PRESLIDING_ANGLE,
     OUTPUT_STRIBECK_SPEED,
     PRESLIDING_TIME,
@@ -88,7 +89,7 @@ NO_FRICTION = (
 # What is allowed: unit, least, most, and a typical size.
 LIMITS: dict[str, tuple[str, float, float | None, float]] = {
     "coulomb": ("N.m", 0.0, None, 1.0),
-    "load_share": ("1", 0.0, 0.9, 0.1),
+    "load_share": ("1", 0.0, MOST_LOAD_SHARE, 0.1),
     "stribeck": ("N.m", 0.0, None, 1.0),
     "stribeck_speed": ("rad/s", 1e-6, None, 1.0),
     "viscous": ("N.m.s/rad", 0.0, None, 1e-3),

@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from cycloid_fmu.fmu.constants import FRICTION_SHARE
+from cycloid_fmu.fmu.constants import FRICTION_SHARE, MOST_LOAD_SHARE
 from cycloid_fmu.fmu.friction import UNSTRAINED, Pressed, balanced, held_strains
 from cycloid_fmu.fmu.mesh import ContactTeeth, StepError
 from cycloid_fmu.fmu.stepped_model import State, SteppedModel, state_fields
@@ -203,11 +203,10 @@ class DriveModel(SteppedModel, DriveState):
 
         `towards` is the torque on the output, signed as it moves: the teeth bear |towards - F|.
         """
-        share = self._laws[1].load_share
         bare = self._yields(1, 0.0, self._output_pace())[1]
-        warm = (self._yields(1, 1.0, self._output_pace())[1] - bare) if share > 0.0 else 0.0
-        sliding = (bare + warm * towards) / (1.0 + warm)
-        return sliding if sliding <= towards else (bare - warm * towards) / (1.0 - warm)
+        share = self._yields(1, 1.0, self._output_pace())[1] - bare
+        sliding = (bare + share * towards) / (1.0 + share)
+        return sliding if sliding <= towards else (bare - share * towards) / (1.0 - min(share, MOST_LOAD_SHARE))
 
     @property
     def output_angle(self) -> float:
