@@ -11,6 +11,7 @@ OUTPUT_STRIBECK_SPEED = 0.05  # rad/s of flange_b likewise
 REFERENCE_TEMPERATURE = 293.15  # K at which friction is stated
 UNRATED_LOAD = 100.0  # N.m: stands for the rated torque where none is stated
 MOST_LOAD_SHARE = 0.9  # of friction in the load at flange_b: beyond, it would jam
+FRICTION_ROUNDING = 1e-9  # of the torque or angle at which elements slide: nearer to it they do
 FRICTION_ITERATIONS = 40  # of the kinematic interface's output angle
 FRICTION_SHARE = 1e-10  # of the friction torque: its last change there
 DAMPING_TIME = 1e-4  # s: default mesh damping over the stiffness at the rated torque

@@ -18,6 +18,7 @@ from cycloid_fmu.edge import ArgumentError
 from cycloid_fmu.fmu.constants import (
     FRICTION_ELEMENTS,
     FRICTION_ITERATIONS,
+    FRICTION_ROUNDING,
     INPUT_PRESLIDING_ANGLE,
     INPUT_STRIBECK_SPEED,
     MOST_LOAD_SHARE,
@@ -31,7 +32,6 @@ from cycloid_fmu.fmu.losses import Row, lost_torque
 # Springs alike whose yield strains are evenly spaced up to the presliding angle (Iwan's uniform distribution): torque
 # over strain is a parabola, F (1 - (1 - z/z_p)²), in chords.
 SHARES = tuple(2.0 * i / (FRICTION_ELEMENTS * (FRICTION_ELEMENTS + 1.0)) for i in range(1, FRICTION_ELEMENTS + 1))
-ROUNDING = 1e-9  # of the torque at which elements slide
 UNSTRAINED = (0.0,) * FRICTION_ELEMENTS
 
 
@@ -281,9 +281,10 @@ def press(
         torque += found
         # What its damping makes slide counts as sliding, for it soon does.
         reached = elastic + damped
-        slides = reached >= most - ROUNDING * high if speed > 0.0 else reached <= least + ROUNDING * low
+        slides = reached >= most - FRICTION_ROUNDING * high if speed > 0.0 else reached <= least + FRICTION_ROUNDING * low
         power += speed * (found if slides else damped)
-        stored += 0.5 * elastic * elastic / stiffness
+        held = strain if way == 0.0 else elastic / stiffness  # what yields less now is not lost yet
+        stored += 0.5 * stiffness * held * held
     return Pressed(torque, power, stored)
 
 

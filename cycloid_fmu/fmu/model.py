@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from cycloid_fmu.fmu.constants import FRICTION_SHARE, MOST_LOAD_SHARE
+from cycloid_fmu.fmu.constants import FRICTION_ROUNDING, FRICTION_SHARE, MOST_LOAD_SHARE
 from cycloid_fmu.fmu.friction import UNSTRAINED, Pressed, balanced, held_strains
 from cycloid_fmu.fmu.mesh import ContactTeeth, StepError
 from cycloid_fmu.fmu.stepped_model import State, SteppedModel, state_fields
@@ -164,7 +164,7 @@ class DriveModel(SteppedModel, DriveState):
         for sliding, side in ((low, 1.0), (high, -1.0)):
             deviation = self._elastic(load - sliding, side)
             reached, _ = held(deviation, load - sliding)
-            if abs(reached) >= abs(sliding) * (1.0 - 1e-12) and (deviation - before) * side <= 0.0:
+            if abs(reached) >= abs(sliding) * (1.0 - FRICTION_ROUNDING) and (deviation - before) * side <= 0.0:
                 self._pushed = side
                 return kept()
         if low < load < high:
@@ -177,7 +177,7 @@ class DriveModel(SteppedModel, DriveState):
                     reached, slope = held(place, 0.0)
                     return reached - load, slope
 
-                balanced(more, places[0], places[1], before, 1e-15)
+                balanced(more, places[0], places[1], before, FRICTION_ROUNDING * self._laws[1].presliding_angle)
                 self._pushed = 0.0
                 self._hold(at[0])
                 return kept()
@@ -248,7 +248,7 @@ class DriveModel(SteppedModel, DriveState):
         stiffness = self._elements[1]
         if stiffness == 0.0 or self._stiffness <= 0.0:
             return 1.0
-        way = math.copysign(1e-12, self.crank_speed * rate)
+        way = math.copysign(FRICTION_ROUNDING, self.crank_speed * rate) * self._laws[1].presliding_angle
         yields = self._yields(1, self.torque - stiffness * sum(self._strains[1]), self._output_pace())
         return 1.0 / (1.0 + held_strains(self._strains[1], way, stiffness, *yields)[1] / self.torsional_stiffness)
 

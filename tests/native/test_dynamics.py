@@ -230,7 +230,7 @@ def test_a_motor_inside_stops_in_its_friction_without_chattering(joint, kind):
     interface = Interface("compliant", ARM, ((0.0, 1.0, 1.0, 0.02, 0.02),), crank_inertia=1e-4)
     found = joint(kind, interface, crank_speed_start=2.0, **CHAIN)
     speeds = []
-    for i in range(150):
+    for i in range(600):
         found.step(1e-3 * i, 1e-3)
         speeds += found.get("flange_a.w")
     assert np.abs(speeds[-20:]).max() < 1e-3

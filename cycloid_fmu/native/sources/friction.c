@@ -5,8 +5,6 @@
 #include <math.h>
 #include <string.h>
 
-static const double ROUNDING = 1e-9; /* of the torque at which elements slide */
-
 static double share_of(int element) {
     return 2.0 * (element + 1) / (FRICTION_ELEMENTS * (FRICTION_ELEMENTS + 1.0));
 }
@@ -160,11 +158,12 @@ struct rubbing friction_press(const struct drive *drive, int flange, double way,
     for (i = 0; i < FRICTION_ELEMENTS; i++) {
         double least = -share_of(i) * yields.low, most = share_of(i) * yields.high;
         double elastic = clipped(stiffness * (drive->state.strain[flange][i] + way), least, most);
-        double reached = elastic + damped, torque = clipped(reached, least, most);
-        int slides = speed > 0.0 ? reached >= most - ROUNDING * yields.high : reached <= least + ROUNDING * yields.low;
+        double reached = elastic + damped, torque = clipped(reached, least, most), held;
+        int slides = speed > 0.0 ? reached >= most - FRICTION_ROUNDING * yields.high : reached <= least + FRICTION_ROUNDING * yields.low;
         found.torque += torque;
         found.power += speed * (slides ? torque : damped);
-        found.stored += 0.5 * elastic * elastic / stiffness;
+        held = way == 0.0 ? drive->state.strain[flange][i] : elastic / stiffness; /* what yields less now is not lost yet */
+        found.stored += 0.5 * stiffness * held * held;
     }
     return found;
 }

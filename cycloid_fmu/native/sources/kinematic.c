@@ -162,7 +162,7 @@ static int carried(struct drive *drive, const struct play *play, double before, 
             return 1;
         }
         reached = friction_held(drive, OUTPUT, *deviation - before, load - ends[i], pace(drive), following, &slope);
-        if (fabs(reached) >= fabs(ends[i]) * (1.0 - 1e-12) && (*deviation - before) * side <= 0.0) {
+        if (fabs(reached) >= fabs(ends[i]) * (1.0 - FRICTION_ROUNDING) && (*deviation - before) * side <= 0.0) {
             s->pushed = side;
             memcpy(s->strain[OUTPUT], following, sizeof following);
             return 0;
@@ -180,7 +180,7 @@ static int carried(struct drive *drive, const struct play *play, double before, 
             for (i = 0; i < FRICTION_ITERATIONS; i++) {
                 reached = friction_held(drive, OUTPUT, search.at - before, 0.0, pace(drive), following, &slope);
                 *deviation = search.at;
-                if (search_on(&search, reached - load, slope, 1e-15)) {
+                if (search_on(&search, reached - load, slope, FRICTION_ROUNDING * s->friction[OUTPUT].presliding_angle)) {
                     break;
                 }
             }
@@ -263,8 +263,8 @@ double kinematic_yielding(struct drive *drive, double speed, double stiffness) {
     if (drive->element[OUTPUT] == 0.0 || !drive->rubs[OUTPUT] || stiffness <= 0.0) {
         return 1.0;
     }
-    friction_held(drive, OUTPUT, copysign(1e-12, speed), drive->state.torque - friction_strained(drive, OUTPUT), pace(drive),
-                  following, &slope);
+    friction_held(drive, OUTPUT, copysign(FRICTION_ROUNDING, speed) * drive->state.friction[OUTPUT].presliding_angle,
+                  drive->state.torque - friction_strained(drive, OUTPUT), pace(drive), following, &slope);
     return 1.0 / (1.0 + slope / stiffness);
 }
 
