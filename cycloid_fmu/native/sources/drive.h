@@ -71,6 +71,8 @@ struct drive {
     struct place place;
     struct loaded at; /* what the contacts do there under `at_load`, where that is not 0 */
     double at_load;
+    int driven; /* whether the kinematic interface's `crank_torque` is that of the state; likewise */
+    double crank_torque;
     int solved; /* whether the following belong to the state; likewise */
     struct pressed pressed;
     double damping;

@@ -5,9 +5,8 @@
 #include <math.h>
 #include <string.h>
 
-static double share_of(int element) {
-    return 2.0 * (element + 1) / (FRICTION_ELEMENTS * (FRICTION_ELEMENTS + 1.0));
-}
+/* Share of the first element in what slides; of the others twice, three times, ... that. */
+static const double SHARE = 2.0 / (FRICTION_ELEMENTS * (FRICTION_ELEMENTS + 1.0));
 
 static double clipped(double value, double least, double most) {
     return value < least ? least : value > most ? most : value;
@@ -74,10 +73,11 @@ struct slid friction_slide(const double strain[FRICTION_ELEMENTS], double follow
                            double stiffness, struct yields yields) {
     struct slid found = {0.0, 0.0, 0.0};
     double damping = time > 0.0 ? stiffness * PRESLIDING_TIME / time : 0.0;
-    double bound = way > 0.0 ? yields.high : -yields.low;
+    double low = SHARE * yields.low / stiffness, high = SHARE * yields.high / stiffness;
+    double bound = SHARE * (way > 0.0 ? yields.high : -yields.low);
     int i;
     for (i = 0; i < FRICTION_ELEMENTS; i++) {
-        double share = share_of(i), least = -share * yields.low / stiffness, most = share * yields.high / stiffness;
+        double least = -(i + 1) * low, most = (i + 1) * high;
         double start = clipped(strain[i], least, most), end = start + way, stuck, mean, change, damped, room;
         if (least <= end && end <= most) {
             stuck = way;
@@ -86,11 +86,12 @@ struct slid friction_slide(const double strain[FRICTION_ELEMENTS], double follow
         } else {
             end = way > 0.0 ? most : least;
             stuck = end - start;
-            change = 0.5 * stiffness * (stuck / way) * (stuck / way);
+            change = stuck / way;
+            change *= 0.5 * stiffness * change;
             mean = stiffness * end - change * way;
         }
         damped = damping * stuck;
-        room = share * bound - mean;
+        room = (i + 1) * bound - mean;
         if (fabs(damped) >= fabs(room)) {
             damped = room;
             change = 0.0;
@@ -129,10 +130,11 @@ double friction_held(const struct drive *drive, int flange, double way, double l
                      double following[FRICTION_ELEMENTS], double *slope) {
     double stiffness = drive->element[flange], torque = 0.0;
     struct yields yields = friction_yields(drive, flange, load, speed);
+    double low = SHARE * yields.low / stiffness, high = SHARE * yields.high / stiffness;
     int i;
     *slope = 0.0;
     for (i = 0; i < FRICTION_ELEMENTS; i++) {
-        double least = -share_of(i) * yields.low / stiffness, most = share_of(i) * yields.high / stiffness;
+        double least = -(i + 1) * low, most = (i + 1) * high;
         double end = clipped(drive->state.strain[flange][i], least, most) + way;
         *slope += least < end && end < most ? stiffness : 0.0;
         following[i] = clipped(end, least, most);
@@ -156,7 +158,7 @@ struct rubbing friction_press(const struct drive *drive, int flange, double way,
     }
     yields = friction_yields(drive, flange, load, speed);
     for (i = 0; i < FRICTION_ELEMENTS; i++) {
-        double least = -share_of(i) * yields.low, most = share_of(i) * yields.high;
+        double least = -(i + 1) * SHARE * yields.low, most = (i + 1) * SHARE * yields.high;
         double elastic = clipped(stiffness * (drive->state.strain[flange][i] + way), least, most);
         double reached = elastic + damped, torque = clipped(reached, least, most), held;
         int slides = speed > 0.0 ? reached >= most - FRICTION_ROUNDING * yields.high : reached <= least + FRICTION_ROUNDING * yields.low;

@@ -9,6 +9,7 @@ const struct place *drive_place(struct drive *drive) {
         drive->place = table_place(drive->table, drive_kinematic(drive) ? drive->state.placed : drive_angle(drive));
         drive->placed = 1;
         drive->at_load = 0.0;
+        drive->driven = 0;
     }
     return &drive->place;
 }
@@ -270,14 +271,20 @@ double kinematic_yielding(struct drive *drive, double speed, double stiffness) {
 
 double kinematic_crank_torque(struct drive *drive) {
     const struct place *place = drive_place(drive);
-    struct play play = teeth_play(drive, place);
+    struct play play;
     double energy, torque;
+    if (drive->driven) {
+        return drive->crank_torque;
+    }
+    play = teeth_play(drive, place);
+    drive->driven = 1;
+    drive->crank_torque = 0.0;
     if (drive->state.load == 0.0 && (play.width > 0.0 || drive->state.loose != 0.0)) {
         return 0.0;
     }
     torque = teeth_crank_torque(drive, place, drive->state.load, drive->state.side < 0.0 ? -1.0 : 1.0, play.offset_rate,
                              &energy);
-    return drive->b > 0.0 ? -drive->b * torque : torque;
+    return drive->crank_torque = drive->b > 0.0 ? -drive->b * torque : torque;
 }
 
 double kinematic_speed(struct drive *drive) {
