@@ -47,6 +47,10 @@ def build(
             help="Losses: speed \\[rpm],eta_mf1 [1],eta_mf2 [1],tau_bf1 [N*m],tau_bf2 [N*m], as Modelica's LossyGear.",
         ),
     ] = None,
+    friction_file: Annotated[
+        Path | None,
+        typer.Option("--friction", metavar="FRICTION.toml", help="Friction at both flanges (cycloid-friction/1)."),
+    ] = None,
     fmi_version: Annotated[str, commands.choice_option(("2.0", "3.0"), "FMI version.", "--fmi")] = "2.0",
     native: Annotated[
         bool, typer.Option("--native", help="An FMU that needs no Python: C around tables of the contact model.")
@@ -70,6 +74,7 @@ def build(
     """
     from cycloid_fmu.drive import read_drive
     from cycloid_fmu.fmu.build import build_fmu, read_losses
+    from cycloid_fmu.fmu.friction_file import FrictionTables, read_friction
     from cycloid_fmu.fmu.variables import LOSSLESS, Interface
 
     if platforms and not native:
@@ -77,7 +82,11 @@ def build(
     if largest_torque is not None and not native:
         raise edge.InputError("--largest-torque: only a --native FMU has tables; one in Python solves every torque.")
     table = LOSSLESS if losses is None else read_losses(losses)
-    offered = Interface(interface, output_inertia, table, crank_inertia=crank_inertia)  # type: ignore[arg-type]
+    friction = FrictionTables() if friction_file is None else read_friction(friction_file)
+    offered = Interface(
+        interface, output_inertia, table, crank_inertia=crank_inertia,  # type: ignore[arg-type]
+        input_friction=friction.input, output_friction=friction.output,
+    )  # fmt: skip
     drive = read_drive(pair_file, surface_file)
     options: dict[str, Any] = {"interface": offered, "fmi_version": fmi_version}
     if not native:

@@ -24,7 +24,8 @@ from cycloid_fmu import __version__
 from cycloid_fmu.errors.kinds import KINDS
 from cycloid_fmu.fmu.compliant_model import CompliantModel
 from cycloid_fmu.fmu.description import Version
-from cycloid_fmu.fmu.friction import FLANGES, Friction, Law
+from cycloid_fmu.fmu.friction import FLANGES, Law
+from cycloid_fmu.fmu.friction_file import Friction
 from cycloid_fmu.fmu.mesh import StepError
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.reducer_model import ReducerModel
@@ -42,7 +43,7 @@ _HEAD = struct.Struct("<16sII32sQ")  # magic, version, checksum, hash of the res
 
 def interface_from(numbers: dict[str, Any]) -> Interface:
     """Return the interface that a builder wrote into the resources."""
-    made = {name: Friction(*numbers[name]) for name in ("input_friction", "output_friction")}
+    made = {name: Friction(**numbers[name]) for name in ("input_friction", "output_friction")}
     return Interface(**{**numbers, **made, "losses": tuple(tuple(row) for row in numbers["losses"])})
 
 

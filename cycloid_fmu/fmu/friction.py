@@ -14,14 +14,12 @@ import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from cycloid_fmu.edge import ArgumentError
 from cycloid_fmu.fmu.constants import (
     FRICTION_ELEMENTS,
     FRICTION_ITERATIONS,
     FRICTION_ROUNDING,
     INPUT_PRESLIDING_ANGLE,
     INPUT_STRIBECK_SPEED,
-    MOST_LOAD_SHARE,
     OUTPUT_PRESLIDING_ANGLE,
     OUTPUT_STRIBECK_SPEED,
     PRESLIDING_TIME,
@@ -35,41 +33,8 @@ SHARES = tuple(2.0 * i / (FRICTION_ELEMENTS * (FRICTION_ELEMENTS + 1.0)) for i i
 UNSTRAINED = (0.0,) * FRICTION_ELEMENTS
 
 
-class Friction(NamedTuple):
-    """Friction at one flange.
-
-    Attributes
-    ----------
-    coulomb
-        Torque that sliding takes without load, N·m.
-    load_share
-        More of it for each N·m that the teeth take or give at that flange, 1, below 1.
-    stribeck
-        More of it at rest, N·m; it goes with exp(-(w/`stribeck_speed`)²).
-    stribeck_speed
-        rad/s of that flange; where None 2 rad/s at flange_a, 0.05 rad/s at flange_b.
-    viscous
-        Torque over speed, N·m·s/rad.
-    temperature_coefficient, reference_temperature
-        β (1/K) and T_ref (K): all of it, the loss table too, is multiplied by exp(-β(T - T_ref)). Where β is not 0 an
-        FMU has the input `temperature`.
-    presliding_angle
-        Angle of that flange over which friction builds up from rest, under the rated torque, rad; where None 2 mrad at
-        flange_a, 20 µrad at flange_b.
-    """
-
-    coulomb: float = 0.0
-    load_share: float = 0.0
-    stribeck: float = 0.0
-    stribeck_speed: float | None = None
-    viscous: float = 0.0
-    temperature_coefficient: float = 0.0
-    reference_temperature: float = REFERENCE_TEMPERATURE
-    presliding_angle: float | None = None
-
-
 class Law(NamedTuple):
-    """`Friction` without what is left open, numbers alone."""
+    """Friction at one flange, numbers alone: `friction_file.Friction` without what that leaves open."""
 
     coulomb: float
     load_share: float
@@ -82,34 +47,11 @@ class Law(NamedTuple):
 
 
 FLANGES = ("input", "output")
+"""What `flange_a` and `flange_b`, 0 and 1, are called where both have the same."""
 NO_FRICTION = (
     Law(0.0, 0.0, 0.0, INPUT_STRIBECK_SPEED, 0.0, 0.0, REFERENCE_TEMPERATURE, INPUT_PRESLIDING_ANGLE),
     Law(0.0, 0.0, 0.0, OUTPUT_STRIBECK_SPEED, 0.0, 0.0, REFERENCE_TEMPERATURE, OUTPUT_PRESLIDING_ANGLE),
 )
-# What is allowed: unit, least, most, and a typical size.
-LIMITS: dict[str, tuple[str, float, float | None, float]] = {
-    "coulomb": ("N.m", 0.0, None, 1.0),
-    "load_share": ("1", 0.0, MOST_LOAD_SHARE, 0.1),
-    "stribeck": ("N.m", 0.0, None, 1.0),
-    "stribeck_speed": ("rad/s", 1e-6, None, 1.0),
-    "viscous": ("N.m.s/rad", 0.0, None, 1e-3),
-    "temperature_coefficient": ("1/K", -0.1, 0.1, 0.01),
-    "reference_temperature": ("K", 173.15, 573.15, 300.0),
-    "presliding_angle": ("rad", 1e-9, 1.0, 1e-3),
-}
-
-
-def law_of(friction: Friction, flange: int) -> Law:
-    """Return the law of a flange's friction, 0 for `flange_a` and 1 for `flange_b`; an `InputError` refuses it."""
-    law = Law(*(b if a is None else a for a, b in zip(friction, NO_FRICTION[flange], strict=True)))
-    for name, value in law._asdict().items():
-        unit, least, most, _ = LIMITS[name]
-        if not least <= value <= (math.inf if most is None else most) or not value < math.inf:
-            limits = f"not be below {least:g}" if most is None else f"lie between {least:g} and {most:g}"
-            raise ArgumentError(
-                f"{FLANGES[flange]}_friction.{name}", f"it must be finite and {limits} ({unit.replace('.', '*')})", value
-            )
-    return law
 
 
 def factor(law: Law, temperature: float) -> float:
@@ -265,7 +207,12 @@ class Pressed(NamedTuple):
 
 
 def press(
-    strains: Sequence[float], way: float, speed: float, stiffness: float, low: float, high: float,
+    strains: Sequence[float],
+    way: float,
+    speed: float,
+    stiffness: float,
+    low: float,
+    high: float,
     time: float = PRESLIDING_TIME,
 ) -> Pressed:
     """Say what elements do a way (rad) from where they are, at a speed (rad/s).
@@ -281,7 +228,9 @@ def press(
         torque += found
         # What its damping makes slide counts as sliding, for it soon does.
         reached = elastic + damped
-        slides = reached >= most - FRICTION_ROUNDING * high if speed > 0.0 else reached <= least + FRICTION_ROUNDING * low
+        slides = (
+            reached >= most - FRICTION_ROUNDING * high if speed > 0.0 else reached <= least + FRICTION_ROUNDING * low
+        )
         power += speed * (found if slides else damped)
         held = strain if way == 0.0 else elastic / stiffness  # what yields less now is not lost yet
         stored += 0.5 * stiffness * held * held
@@ -334,9 +283,7 @@ class FrictionState:
             )  # fmt: skip
         return found
 
-    def _press(
-        self, flange: int, way: float, speed: float, load: float, time: float = PRESLIDING_TIME
-    ) -> Pressed:
+    def _press(self, flange: int, way: float, speed: float, load: float, time: float = PRESLIDING_TIME) -> Pressed:
         """What the friction of a flange does a way (rad) from where it was moved to, at a speed (rad/s)."""
         stiffness, viscous = self._elements[flange], self._viscous(flange) * speed
         if stiffness == 0.0:

@@ -16,7 +16,8 @@ import numpy as np
 
 from cycloid_fmu.errors.kinds import KINDS, kind_of, structured_names, wave_of
 from cycloid_fmu.fmu.constants import REFERENCE_TEMPERATURE
-from cycloid_fmu.fmu.friction import FLANGES, LIMITS, Friction, Law, law_of
+from cycloid_fmu.fmu.friction import FLANGES, Law
+from cycloid_fmu.fmu.friction_file import LIMITS, Friction
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import structured_value
 from cycloid_fmu.surfaces.surface import ErrorSurface
@@ -101,7 +102,7 @@ class Interface:
     @property
     def laws(self) -> tuple[Law, Law]:
         """Friction at both flanges."""
-        return law_of(self.input_friction, 0), law_of(self.output_friction, 1)
+        return self.input_friction.law(0), self.output_friction.law(1)
 
     @property
     def warms(self) -> bool:

@@ -16,7 +16,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.fmu.build import read_losses
 from cycloid_fmu.fmu.compliant_model import CompliantModel
-from cycloid_fmu.fmu.constants import OUTPUT_PRESLIDING_ANGLE, LARGEST_TRANSMISSION_ERROR
+from cycloid_fmu.fmu.constants import LARGEST_TRANSMISSION_ERROR, OUTPUT_PRESLIDING_ANGLE
 from cycloid_fmu.fmu.losses import interpolated, lost_torque
 from cycloid_fmu.fmu.model import DriveModel, StepError
 from cycloid_fmu.geometry.pair import parse_pair

@@ -15,7 +15,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.fmu.build import with_damping
 from cycloid_fmu.fmu.compliant_model import CompliantModel
 from cycloid_fmu.fmu.core import model_of
-from cycloid_fmu.fmu.friction import Friction
+from cycloid_fmu.fmu.friction_file import Friction
 from cycloid_fmu.fmu.variables import Interface
 from cycloid_fmu.native import build as native_build
 
@@ -123,8 +123,9 @@ def test_work_done_is_stored_lost_or_given_back_through_reversals_and_impacts(jo
     interface = Interface("compliant", ARM)
     if parameters:
         interface = Interface(
-            "compliant", ARM, LOSSY, input_friction=Friction(0.01, 0.02, 0.01, viscous=1e-4),
-            output_friction=Friction(0.0, 0.02, 1.0, viscous=0.5),
+            "compliant", ARM, LOSSY,
+            input_friction=Friction(coulomb=0.01, load_share=0.02, stribeck=0.01, viscous=1e-4),
+            output_friction=Friction(load_share=0.02, stribeck=1.0, viscous=0.5),
         )  # fmt: skip
     found = joint(kind, interface, **parameters)
     lowest = highest = passed = 0.0

@@ -8,14 +8,12 @@ import pytest
 from c_host import Slave, native_of
 from scipy.integrate import solve_ivp
 
-from cycloid_fmu import edge
-from cycloid_fmu.fmu.build import checked_interface
 from cycloid_fmu.fmu.compliant_model import CompliantModel
 from cycloid_fmu.fmu.core import model_of
-from cycloid_fmu.fmu.friction import Friction, law_of, press, slide, yields
+from cycloid_fmu.fmu.friction import press, slide, yields
+from cycloid_fmu.fmu.friction_file import Friction
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.variables import ATTRIBUTES, Interface
-from cycloid_fmu.geometry.pair import Pair
 
 ANGLE = 2e-3  # rad: the presliding angle of flange_a
 KINDS = ("exact", "native")
@@ -126,7 +124,7 @@ def test_a_loop_follows_masing_s_rules_and_remembers_its_reversals():
 def test_what_slides_less_slips_back_and_never_gains():
     """Load, speed and way at random: what elements give back was put in before."""
     random = np.random.default_rng(2)
-    law = law_of(Friction(1.0, 0.3, 0.5, viscous=0.0), 0)
+    law = Friction(coulomb=1.0, load_share=0.3, stribeck=0.5).law(0)
     strains, given, lost = [0.0] * 5, 0.0, 0.0
     for _ in range(3000):
         low, high = yields(law, 10.0 * random.normal(), random.normal(), 293.15)
@@ -145,8 +143,8 @@ def test_what_slides_less_slips_back_and_never_gains():
 @pytest.mark.parametrize("kind", KINDS)
 def test_both_flanges_of_the_compliant_interface_loop_as_masing_has_it(opened, kind):
     """Within the play the teeth give nothing: what is felt at a flange is its friction."""
-    found = opened(kind, Interface("compliant", mesh_damping=0.0, input_friction=Friction(0.02),
-                                   output_friction=Friction(6.0, presliding_angle=1e-5)))  # fmt: skip
+    found = opened(kind, Interface("compliant", mesh_damping=0.0, input_friction=Friction(coulomb=0.02),
+                                   output_friction=Friction(coulomb=6.0, presliding_angle=1e-5)))  # fmt: skip
     found.start()
     (free,) = found.get("backlash")
     assert free > 1.5e-5
@@ -173,7 +171,7 @@ def test_the_loop_of_the_locked_crank_widens_with_the_load(drive, opened, kind, 
         elastic.advance()
         return elastic.output_angle
 
-    law = Friction(coulomb, share, presliding_angle=1e-7)
+    law = Friction(coulomb=coulomb, load_share=share, presliding_angle=1e-7)
     found = opened(kind, Interface(output_friction=law))
     found.start()
     torques = np.concatenate([np.linspace(a, b, 25)[1:] for a, b in ((0, most), (most, -most), (-most, most))])
@@ -196,10 +194,12 @@ def test_the_loop_of_the_locked_crank_widens_with_the_load(drive, opened, kind, 
 def test_friction_of_the_kinematic_output_balances_its_torque_at_every_place(drive, opened, kind):
     """T = M + f: the teeth's torque M at the place, by the drive without friction, and f by Masing's rules."""
     coulomb, angle = 5.0, 1e-5
-    found = opened(kind, Interface(output_friction=Friction(coulomb, presliding_angle=angle)))
+    found = opened(kind, Interface(output_friction=Friction(coulomb=coulomb, presliding_angle=angle)))
     found.start(flange_b_tau=40.0)
     (begun,) = found.get("flange_b.phi")
-    torques = np.concatenate([np.linspace(a, b, 9)[1:] for a, b in ((40, 70), (70, 40), (40, 65), (65, 45), (45, 55), (55, 40), (40, 80))])
+    torques = np.concatenate(
+        [np.linspace(a, b, 9)[1:] for a, b in ((40, 70), (70, 40), (40, 65), (65, 45), (45, 55), (55, 40), (40, 80))]
+    )
     angles = []
     for torque in torques:
         found.put(flange_b_tau=torque)
@@ -227,7 +227,10 @@ def test_a_motor_outside_stops_and_stands(opened, kind, step, late):
     for _ in range(1500):
         found.put(flange_a_phi=angle, flange_a_w=speed)
         found.step(step)
-        before, torque = torque, *found.get("flange_a.tau"),
+        before, torque = (
+            torque,
+            *found.get("flange_a.tau"),
+        )
         change = step * (0.64 * friction - (before if late else torque)) / inertia
         angle, speed = angle + step * (speed + 0.5 * change), speed + change
         speeds.append(speed)
@@ -241,8 +244,8 @@ def test_a_motor_outside_stops_and_stands(opened, kind, step, late):
 @pytest.mark.parametrize("share", [0.64, 0.99, 1.01])
 def test_a_load_below_breakaway_is_held_without_creep(opened, share):
     """Motor and arm inside, the motor's torque raised to a share of what breaks it away, then 100 s."""
-    found = opened("native", Interface("compliant", 2.0, crank_inertia=1e-4, input_friction=Friction(0.05),
-                                       output_friction=Friction(3.0)))  # fmt: skip
+    found = opened("native", Interface("compliant", 2.0, crank_inertia=1e-4, input_friction=Friction(coulomb=0.05),
+                                       output_friction=Friction(coulomb=3.0)))  # fmt: skip
     found.start(series_compliance=5e-6)
     for i in range(500):
         found.put(flange_a_tau=min(i / 400.0, 1.0) * share * 0.05)
@@ -260,7 +263,10 @@ def test_a_load_below_breakaway_is_held_without_creep(opened, share):
 
 MOTOR, ARM, LOAD, LAST = 1e-3, 2.0, 20.0, 0.09
 PLACES = ("flange_a.phi", "flange_a.w", "flange_b.phi", "flange_b.w")
-LAWS = Friction(0.1, 0.02, 0.08, stribeck_speed=3.0, viscous=1e-3), Friction(2.0, 0.02, 1.0, viscous=2.0)
+LAWS = (
+    Friction(coulomb=0.1, load_share=0.02, stribeck=0.08, stribeck_speed=3.0, viscous=1e-3),
+    Friction(coulomb=2.0, load_share=0.02, stribeck=1.0, viscous=2.0),
+)
 
 
 def driving(time):
