@@ -269,7 +269,7 @@ class FrictionState:
         return law.viscous * factor(law, self.temperature) if law.viscous > 0.0 else 0.0
 
     def _rub(self, flange: int, way: float, time: float, load: float) -> Slid:
-        """What the friction of a flange (0, 1) does over a way (rad) in a time (s), under a load (N·m); none is moved."""
+        """What friction of a flange does over a way (rad) in a time (s), under a load (N·m); nothing is moved."""
         speed, stiffness, viscous = way / time if time > 0.0 else 0.0, self._elements[flange], self._viscous(flange)
         if stiffness > 0.0:
             found = slide(self._strains[flange], way, time, stiffness, *self._yields(flange, load, speed))

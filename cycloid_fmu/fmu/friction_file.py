@@ -93,13 +93,13 @@ class _FrictionFile(Config):
 
 
 def read_friction(path: str | os.PathLike[str]) -> FrictionTables:
-    """Return the friction at both flanges that a friction file states; an `edge.InputError` names what is wrong in it.
+    r"""Return the friction at both flanges that a friction file states; an `edge.InputError` names what is wrong in it.
 
     Examples
     --------
     >>> from pathlib import Path
     >>> from cycloid_fmu.fmu.friction_file import read_friction
-    >>> text = 'format = "cycloid-friction/1"\\n[friction.output]\\ncoulomb = "2 N*m"\\n'
+    >>> text = 'format = "cycloid-friction/1"\n[friction.output]\ncoulomb = "2 N*m"\n'
     >>> _ = Path("friction.toml").write_text(text)
     >>> read_friction("friction.toml").output.coulomb
     2.0

@@ -27,6 +27,7 @@ INTERFACES: tuple[InterfaceKind, ...] = ("kinematic", "compliant")
 ORDERS = (1, 2, 3)
 LossRow = tuple[float, float, float, float, float]
 LOSSLESS: tuple[LossRow, ...] = ((0.0, 1.0, 1.0, 0.0, 0.0),)
+FRICTIONLESS = Friction()
 LARGEST_STEP = 1e-3  # s: default of `largest_step`
 # What the models call variables that have another name there.
 ATTRIBUTES = {
@@ -96,8 +97,8 @@ class Interface:
     driven: Literal["crank", "sun"] = "crank"
     crank_inertia: float = 0.0
     mesh_damping: float | None = None
-    input_friction: Friction = Friction()
-    output_friction: Friction = Friction()
+    input_friction: Friction = FRICTIONLESS
+    output_friction: Friction = FRICTIONLESS
 
     @property
     def laws(self) -> tuple[Law, Law]:

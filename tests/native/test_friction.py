@@ -85,11 +85,11 @@ def masing(path, most=1.0, angle=ANGLE):
     A branch after a reversal is the first loading in twice the size; where it comes back to the reversal before, both
     are forgotten, and the branch before goes on.
     """
-    reversals, torque, found, before = [], 0.0, [], 0.0
+    reversals, torque, found, before, going = [], 0.0, [], 0.0, 0.0
     for z in path:
         way = z - before
         if way != 0.0:
-            if found and (direction := math.copysign(1.0, way)) != going:
+            if way * going < 0.0:
                 reversals.append((before, torque))
             going = math.copysign(1.0, way)
             while len(reversals) >= 2 and (z - reversals[-2][0]) * going >= 0.0:
@@ -162,7 +162,7 @@ def test_both_flanges_of_the_compliant_interface_loop_as_masing_has_it(opened, k
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("share", [0.0, 0.05])
 def test_the_loop_of_the_locked_crank_widens_with_the_load(drive, opened, kind, share):
-    """Torque up and down on the output: the teeth bear (T - C)/(1 + s) on the way up, (T + C)/(1 - s) on the way down."""
+    """Torque up and down on the output: the teeth bear (T - C)/(1 + s) on the way up, (T + C)/(1 - s) down."""
     most, coulomb = 120.0, 2.0
     elastic = DriveModel(drive.pair, drive.surface)
 
@@ -197,9 +197,8 @@ def test_friction_of_the_kinematic_output_balances_its_torque_at_every_place(dri
     found = opened(kind, Interface(output_friction=Friction(coulomb=coulomb, presliding_angle=angle)))
     found.start(flange_b_tau=40.0)
     (begun,) = found.get("flange_b.phi")
-    torques = np.concatenate(
-        [np.linspace(a, b, 9)[1:] for a, b in ((40, 70), (70, 40), (40, 65), (65, 45), (45, 55), (55, 40), (40, 80))]
-    )
+    corners = (40, 70, 40, 65, 45, 55, 40, 80)
+    torques = np.concatenate([np.linspace(a, b, 9)[1:] for a, b in itertools.pairwise(corners)])
     angles = []
     for torque in torques:
         found.put(flange_b_tau=torque)
