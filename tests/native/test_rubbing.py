@@ -2,10 +2,12 @@
 
 import itertools
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from c_host import Slave, native_of
+from common import ARCSEC, EXAMPLES
 from scipy.integrate import solve_ivp
 
 from cycloid_fmu.fmu.compliant_model import CompliantModel
@@ -13,7 +15,12 @@ from cycloid_fmu.fmu.core import model_of
 from cycloid_fmu.fmu.friction import press, slide, yields
 from cycloid_fmu.fmu.friction_file import Friction
 from cycloid_fmu.fmu.model import DriveModel
+from cycloid_fmu.fmu.reducer_model import ReducerModel
 from cycloid_fmu.fmu.variables import ATTRIBUTES, Interface
+from cycloid_fmu.native import tables
+from cycloid_fmu.reducer import lost_motion as rv
+from cycloid_fmu.reducer.description import read_reducer
+from cycloid_fmu.surfaces.surface import nominal_surface
 
 ANGLE = 2e-3  # rad: the presliding angle of flange_a
 KINDS = ("exact", "native")
@@ -22,8 +29,8 @@ KINDS = ("exact", "native")
 class Exact:
     """The model in Python with the native FMU's manners."""
 
-    def __init__(self, drive, interface):
-        self.model = model_of(drive.pair, drive.surface, interface)
+    def __init__(self, drive, interface, first_stage=None):
+        self.model = model_of(drive.pair, drive.surface, interface, first_stage)
 
     def put(self, **values):
         for name, value in values.items():
@@ -258,6 +265,105 @@ def test_a_load_below_breakaway_is_held_without_creep(opened, share):
         assert abs(after - reached) < 1e-3 * ANGLE
     else:
         assert after > 3.0 * ANGLE
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_friction_falls_with_the_temperature_and_takes_its_power(opened, kind):
+    """What slides without load: (C + S exp(-(w/w_s)²) + D w) exp(-β (T - T_ref)), and the loss table with it."""
+    law = Friction(coulomb=0.05, stribeck=0.03, stribeck_speed=20.0, viscous=1e-3, temperature_coefficient=0.02,
+                   reference_temperature=300.0)  # fmt: skip
+    found = opened(kind, Interface(losses=((0.0, 1.0, 1.0, 0.01, 0.01),), input_friction=law))
+    found.start()
+    for temperature, speed in ((300.0, 10.0), (335.0, 10.0), (280.0, -40.0)):
+        found.put(temperature=temperature, flange_a_w=speed)
+        found.step()
+        warm = math.exp(-0.02 * (temperature - 300.0))
+        wanted = (0.06 + 0.03 * math.exp(-((speed / 20.0) ** 2)) + 1e-3 * abs(speed)) * warm
+        assert found.get("flange_a.tau") == [pytest.approx(math.copysign(wanted, speed), rel=1e-12)]
+        assert found.get("power_loss") == [pytest.approx(wanted * abs(speed), rel=1e-12)]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("interface", ["kinematic", "compliant", "joint"])
+def test_a_state_holds_what_friction_remembers(opened, kind, interface):
+    laws = {"input_friction": Friction(coulomb=0.02), "output_friction": Friction(coulomb=3.0, load_share=0.02)}
+    inertias = {"output_inertia": 0.5, "crank_inertia": 1e-3} if interface == "joint" else {}
+    offered = Interface("compliant" if inertias else interface, mesh_damping=0.0, **inertias, **laws)
+    found = opened(kind, offered)
+    found.start()
+    outputs = ["flange_a.tau", "flange_b.phi"] if interface == "kinematic" else ["flange_a.tau", "flange_b.tau"]
+    outputs = ["flange_a.phi", "flange_b.phi"] if inertias else outputs
+
+    def gone(steps):
+        felt = []
+        for i in steps:
+            at = 1.2e-3 * math.sin(0.7 * i) * math.exp(-0.02 * i)
+            if inertias:
+                found.put(flange_a_tau=20.0 * at, flange_b_tau=1e3 * at)
+            elif interface == "kinematic":
+                found.put(flange_a_phi=at, flange_b_tau=3e4 * at)
+            else:
+                found.put(flange_a_phi=at, flange_b_phi=0.01 * at)
+            found.step()
+            felt.append(found.get(*outputs))
+        return felt
+
+    gone(range(20))
+    if kind == "exact":
+        state = found.model.state()
+        first, _ = gone(range(20, 40)), found.model.restore(state)
+    else:
+        state = found.slave.fmi.getFMUState()
+        kept = found.slave.fmi.serializeFMUState(state)
+        first = gone(range(20, 40))
+        found.slave.fmi.setFMUState(found.slave.fmi.deserializeFMUState(kept))
+    assert gone(range(20, 40)) == first
+    assert np.ptp(first, axis=0).min() > 0.0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_friction_that_changes_begins_anew_and_what_it_stored_is_lost(opened, kind):
+    found = opened(kind, Interface("compliant", mesh_damping=0.0, output_friction=Friction(coulomb=3.0)))
+    found.start()
+    found.put(flange_b_phi=1.5e-5)
+    found.step()
+    found.step()
+    stored, lost = found.get("elastic_energy", "dissipated_energy")
+    assert stored > 1e-6
+    found.put(friction_torque=4.0)
+    after, more = found.get("elastic_energy", "dissipated_energy")
+    assert after == 0.0
+    assert more - lost == pytest.approx(stored, rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_reducer_s_sun_and_carrier_rub_as_well(tmp_path, kind):
+    """With the sun locked its carrier's loop widens by 2 T_f/k: the torque that holds it there stays the friction."""
+    whole = read_reducer(EXAMPLES / "rv-20e.toml")
+    pair, surface, stage = whole.stage, nominal_surface(whole.stage), rv.parts_of(whole)[2]
+    offered = Interface(driven="sun", output_friction=Friction(coulomb=4.0, presliding_angle=1e-7),
+                        input_friction=Friction(coulomb=0.03))  # fmt: skip
+    if kind == "exact":
+        found = Exact(SimpleNamespace(pair=pair, surface=surface), offered, stage)
+    else:
+        made = tables.compute(pair, surface, accuracy=0.3 * ARCSEC)
+        found = Native(native_of(tmp_path, whole, surface, made, offered), tmp_path / "unpacked")
+    found.start()
+    torques, angles = [*range(0, 101, 10), *range(90, -1, -10), 100], []
+    for torque in torques:
+        found.put(flange_b_tau=float(torque))
+        found.step()
+        angles += found.get("flange_b.phi")
+    elastic = ReducerModel(pair, surface, stage)
+    for torque, at in ((60, angles[6] - angles[0]), (60, angles[14] - angles[0])):
+        elastic.torque = torque - (4.0 if at == angles[6] - angles[0] else -4.0)
+        elastic.advance()
+        assert angles[0] + at == pytest.approx(elastic.output_angle, abs=1e-9 if kind == "exact" else 2e-6)
+    found.put(flange_b_tau=0.0, flange_a_w=100.0, flange_a_phi=0.1)
+    found.step()
+    felt, lost = found.get("flange_a.tau", "power_loss")
+    assert felt == pytest.approx(0.03 - 4.0 / elastic.ratio * -1.0, rel=0.05)
+    assert lost == pytest.approx(100.0 * felt, rel=0.05)
 
 
 MOTOR, ARM, LOAD, LAST = 1e-3, 2.0, 20.0, 0.09
