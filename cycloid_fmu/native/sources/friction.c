@@ -161,7 +161,8 @@ struct rubbing friction_press(const struct drive *drive, int flange, double way,
         double least = -(i + 1) * SHARE * yields.low, most = (i + 1) * SHARE * yields.high;
         double elastic = clipped(stiffness * (drive->state.strain[flange][i] + way), least, most);
         double reached = elastic + damped, torque = clipped(reached, least, most), held;
-        int slides = speed > 0.0 ? reached >= most - FRICTION_ROUNDING * yields.high : reached <= least + FRICTION_ROUNDING * yields.low;
+        double near = FRICTION_ROUNDING * (most - least);
+        int slides = speed > 0.0 ? reached >= most - near : reached <= least + near;
         found.torque += torque;
         found.power += speed * (slides ? torque : damped);
         held = way == 0.0 ? drive->state.strain[flange][i] : elastic / stiffness; /* what yields less now is not lost yet */
