@@ -80,7 +80,8 @@ def yields(
     """
     torque = law.coulomb + law.load_share * abs(load)
     if law.stribeck > 0.0:
-        torque += law.stribeck * math.exp(-min((speed / law.stribeck_speed) ** 2, 700.0))
+        share = speed / law.stribeck_speed
+        torque += law.stribeck * math.exp(-min(share * share, 700.0))
     warmth = factor(law, temperature)
     if table is None:
         return warmth * torque, warmth * torque
