@@ -166,7 +166,8 @@ class DriveModel(SteppedModel, DriveState):
         for sliding, side in ((low, 1.0), (high, -1.0)):
             deviation = self._elastic(load - sliding, side)
             reached, _ = held(deviation, load - sliding)
-            if abs(reached) >= abs(sliding) * (1.0 - FRICTION_ROUNDING) and (deviation - before) * side <= 0.0:
+            slides = reached * sliding >= sliding * sliding * (1.0 - FRICTION_ROUNDING)
+            if slides and (deviation - before) * side <= 0.0:
                 self._pushed = side
                 return kept()
         if low < load < high:

@@ -162,7 +162,7 @@ static int carried(struct drive *drive, const struct play *play, double before, 
             return 1;
         }
         reached = friction_held(drive, OUTPUT, *deviation - before, load - ends[i], pace(drive), following, &slope);
-        if (fabs(reached) >= fabs(ends[i]) * (1.0 - FRICTION_ROUNDING) && (*deviation - before) * side <= 0.0) {
+        if (reached * ends[i] >= ends[i] * ends[i] * (1.0 - FRICTION_ROUNDING) && (*deviation - before) * side <= 0.0) {
             s->pushed = side;
             memcpy(s->strain[OUTPUT], following, sizeof following);
             return 0;
