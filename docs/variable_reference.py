@@ -14,10 +14,12 @@ from cycloid_fmu.surfaces.surface import Life, nominal_surface
 EXAMPLE = "drive-39-40.toml"
 WARM = Friction(temperature_coefficient=0.01)
 INTERFACES = {
-    "kinematic": Interface(input_friction=WARM),
-    "compliant": Interface("compliant", input_friction=WARM),
-    "inertia inside": Interface("compliant", output_inertia=1.0, input_friction=WARM),
-    "both inside": Interface("compliant", output_inertia=1.0, crank_inertia=1e-3, input_friction=WARM),
+    "kinematic": Interface(support_flange=True, input_friction=WARM),
+    "compliant": Interface("compliant", support_flange=True, input_friction=WARM),
+    "inertia inside": Interface("compliant", output_inertia=1.0, support_flange=True, input_friction=WARM),
+    "both inside": Interface(
+        "compliant", output_inertia=1.0, crank_inertia=1e-3, support_flange=True, input_friction=WARM
+    ),
 }
 SECTIONS: tuple[tuple[str, str, Callable[[Variable], bool]], ...] = (
     (
@@ -51,7 +53,7 @@ INTRODUCTION = f"""# FMU variables
 
 What an FMU of `cycloid-fmu build` has, in each [interface](../fmu.md): the causality of each variable, – where the
 interface lacks it. *Inertia inside* is the compliant interface with `--output-inertia`, *both inside* with
-`--crank-inertia` as well. FMI 2.0 and 3.0 have the same
+`--crank-inertia` as well. `support` is there with `--support-flange` alone. FMI 2.0 and 3.0 have the same
 names and value references. In the FMU of an RV reducer `flange_a` is the sun. What a
 [native FMU](../native.md) has in its tables is a *constant* there: it can be read but not set.
 

@@ -44,6 +44,10 @@ def build(
             "kg*m^2", "Inertia on the crank inside as well: that flange too then takes a torque.", show_default=False
         ),
     ] = 0.0,
+    support_flange: Annotated[
+        bool,
+        typer.Option("--support-flange", help="A housing that turns: its motion in, the torque on it out."),
+    ] = False,
     losses: Annotated[
         Path | None,
         typer.Option(
@@ -55,6 +59,21 @@ def build(
     friction_file: Annotated[
         Path | None,
         typer.Option("--friction", metavar="FRICTION.toml", help="Friction at both flanges (cycloid-friction/1)."),
+    ] = None,
+    stiffness: Annotated[
+        float | None,
+        commands.quantity_option(
+            "N*m/rad",
+            'Of the whole drive, such as a catalogue\'s "49 N*m/arcmin": what this one gives way less is in series.',
+            show_default=False,
+        ),
+    ] = None,
+    loop: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FIGURES.json",
+            help="Stiffness and dry friction of a measured loop, as cycloid-fit metrics -o writes its figures.",
+        ),
     ] = None,
     fmi_version: Annotated[str, commands.choice_option(("2.0", "3.0"), "FMI version.", "--fmi")] = "2.0",
     native: Annotated[
@@ -80,6 +99,7 @@ def build(
     from cycloid_fmu.drive import read_drive
     from cycloid_fmu.fmu.bench_losses import is_of_bench
     from cycloid_fmu.fmu.build import build_fmu, ratio_of, read_losses
+    from cycloid_fmu.fmu.chain import read_loop
     from cycloid_fmu.fmu.friction_file import FrictionTables, read_friction
     from cycloid_fmu.fmu.variables import LOSSLESS, Interface
 
@@ -87,6 +107,8 @@ def build(
         raise edge.InputError("--platform: only a --native FMU has platforms; one in Python runs where Python does.")
     if largest_torque is not None and not native:
         raise edge.InputError("--largest-torque: only a --native FMU has tables; one in Python solves every torque.")
+    if loop is not None and stiffness is not None:
+        raise edge.InputError("--loop: it has a stiffness; leave out --stiffness, or give the stiffness alone.")
     drive = read_drive(pair_file, surface_file)
     table, friction = LOSSLESS, FrictionTables()
     if friction_file is not None:
@@ -95,8 +117,14 @@ def build(
         table, friction = _measured(losses, ratio_of(drive.pair, drive.first_stage), friction)
     elif losses is not None:
         table = read_losses(losses)
+    if loop is not None:
+        stiffness, coulomb = read_loop(loop)
+        if friction.output.coulomb > 0.0:
+            raise edge.InputError("--loop: it has a dry friction; remove coulomb from [friction.output].")
+        friction = friction.replace(output=friction.output.replace(coulomb=coulomb))
+    kind: Any = interface
     offered = Interface(
-        interface, output_inertia, table, crank_inertia=crank_inertia,  # type: ignore[arg-type]
+        kind, output_inertia, table, crank_inertia=crank_inertia, stiffness=stiffness, support_flange=support_flange,
         input_friction=friction.input, output_friction=friction.output,
     )  # fmt: skip
     options: dict[str, Any] = {"interface": offered, "fmi_version": fmi_version}

@@ -16,11 +16,18 @@ def inspect(fmu_file: FmuFile, as_json: commands.AsJson = False) -> None:
 
     Example: [cyan]cycloid-fmu inspect drive.fmu[/]
     """
-    from cycloid_fmu.fmu.run import described, stated_drive
+    from cycloid_fmu.fmu.run import described, stated_drive, told
 
     description, problems = described(fmu_file)
     if as_json:
-        commands.print_json({"drive": stated_drive(fmu_file), "variables": description, "problems": problems})
+        commands.print_json(
+            {
+                "drive": stated_drive(fmu_file),
+                "description": told(fmu_file),
+                "variables": description,
+                "problems": problems,
+            }
+        )
     else:
         rows = [
             [v["name"], v["causality"], v["unit"], _shown(v["start"]), v["description"].strip()] for v in description
@@ -30,6 +37,7 @@ def inspect(fmu_file: FmuFile, as_json: commands.AsJson = False) -> None:
             ["variable", "causality", "unit", "start", "meaning"],
             rows,
         )
+        typer.echo(f"{told(fmu_file)}.")
         typer.echo("\n".join(problems) or "fmpy's validation finds nothing to object to.")
     if problems:
         raise typer.Exit(edge.FAILED)

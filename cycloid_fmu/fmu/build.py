@@ -14,8 +14,9 @@ from typing import Protocol
 import numpy as np
 
 from cycloid_fmu import __version__, edge
-from cycloid_fmu.contact.transmission import slices_needed, solve
+from cycloid_fmu.contact.transmission import slices_needed
 from cycloid_fmu.edge import ArgumentError
+from cycloid_fmu.fmu.chain import with_chain
 from cycloid_fmu.fmu.constants import DAMPING_TIME
 from cycloid_fmu.fmu.core import FORMAT, NUMBERS, SURFACE
 from cycloid_fmu.fmu.description import Version
@@ -28,6 +29,7 @@ from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.reducer.description import Reducer
 from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.reducer.lost_motion import parts_of
+from cycloid_fmu.supports.transmission import play_loads, solve
 from cycloid_fmu.surfaces.files import write_surface
 from cycloid_fmu.surfaces.surface import DEVIATIONS, ErrorSurface, surface_of_pair
 
@@ -104,7 +106,7 @@ def build_fmu(
         If the folder does not exist, the loss table is none, or the interface is none of this drive.
     """
     pair, surface, first_stage = whole_drive(drive, surface)
-    interface = with_damping(checked_interface(interface, first_stage), pair, surface)
+    interface = completed(interface, pair, surface, first_stage)
     if fmi_version not in _LIBRARIES:
         raise ArgumentError("fmi_version", "it must be 2.0 or 3.0", fmi_version)
     library = _LIBRARIES[fmi_version]
@@ -146,12 +148,6 @@ def checked_interface(interface: InterfaceKind | Interface, first_stage: FirstSt
     interface = Interface(interface) if isinstance(interface, str) else interface
     if interface.kind not in INTERFACES:
         raise ArgumentError("interface", f"it must be one of {', '.join(INTERFACES)}", interface.kind)
-    if first_stage is not None and interface.kind == "compliant":
-        raise ArgumentError("interface", "an RV reducer has the kinematic interface alone", interface.kind)
-    if first_stage is not None and math.isfinite(first_stage.crank_stiffness):
-        raise edge.InputError(
-            "[involute]: the FMU of a reducer has a rigid first stage yet; remove face_width or mesh_stiffness."
-        )
     if interface.output_inertia != 0.0 and interface.kind == "kinematic":
         raise ArgumentError("output_inertia", "is for the compliant interface; the kinematic one has none")
     for name, unit in (("output_inertia", "kg*m^2"), ("crank_inertia", "kg*m^2"), ("mesh_damping", "N*m*s/rad")):
@@ -166,12 +162,29 @@ def checked_interface(interface: InterfaceKind | Interface, first_stage: FirstSt
     return interface if first_stage is None else dataclasses.replace(interface, driven="sun")
 
 
+def completed(
+    interface: InterfaceKind | Interface, pair: Pair, surface: ErrorSurface, first_stage: FirstStage | None
+) -> Interface:
+    """Return the interface of an FMU of this drive with all that is found as it is built.
+
+    Raises
+    ------
+    edge.InputError
+        As `checked_interface` and `chain.with_chain` do.
+    """
+    checked = checked_interface(interface, first_stage)
+    if pair.supports is not None:
+        play_loads(pair)  # refused without a rated torque
+    return with_damping(with_chain(checked, pair, surface, first_stage), pair, surface)
+
+
 def with_damping(interface: Interface, pair: Pair, surface: ErrorSurface) -> Interface:
     """Return a compliant interface with the mesh damping that it starts with where none is stated."""
     if interface.kind == "kinematic" or interface.mesh_damping is not None:
         return interface
     stiffness = solve(pair, surface, [pair.rated_torque or 100.0], [0.0], slices_needed(surface)).torsional_stiffness
-    return dataclasses.replace(interface, mesh_damping=DAMPING_TIME * float(stiffness[0, 0]))
+    whole = 1.0 / (1.0 / float(stiffness[0, 0]) + interface.series_compliance)
+    return dataclasses.replace(interface, mesh_damping=DAMPING_TIME * whole)
 
 
 def read_losses(path: str | os.PathLike[str]) -> tuple[LossRow, ...]:

@@ -83,12 +83,13 @@ class CompliantState(State):
     _turned: float = 0.0  # where the crank stands, as its angle may be set to where it goes next, rad
     _mean_torque: float = 0.0  # of the crank in the last step, N·m
     _mean_loss: float = 0.0  # likewise, W
+    _mean_output: float = 0.0  # likewise, of the output, N·m
     _seen: float = 0.0  # the output angle that friction has followed to, rad
     _solved_at: Sequence[float] = ()
     _solved: Sequence[float] = ()
 
 
-class _Place(NamedTuple):
+class Place(NamedTuple):
     """Contacts and series compliance at a place: energy (J), derivatives by crank and output angle, stiffness."""
 
     energy: float
@@ -131,6 +132,7 @@ class CompliantModel(SteppedModel, CompliantState):
     ) -> None:
         super().__init__(pair, surface, losses)
         self._held, self._led = output_inertia == 0.0, crank_inertia == 0.0
+        self._geared = 1.0  # the crank's turns of one of the driven shaft
         self.output_inertia, self.crank_inertia = output_inertia, crank_inertia
 
     def _rebuild(self) -> None:
@@ -138,14 +140,26 @@ class CompliantModel(SteppedModel, CompliantState):
         self._solved_at = self._solved = ()
         self._stiffest = 0.0
 
-    def _contact(self, theta: float, deviation: float) -> tuple[float, float, float]:
-        """Energy of contacts and series compliance, with its derivatives by crank and output angle."""
-        flange, rate = deviation, 0.0
+    @staticmethod
+    def _check_deviation(deviation: float) -> None:
         if not -LARGEST_TRANSMISSION_ERROR < deviation < LARGEST_TRANSMISSION_ERROR:
             raise StepError(
                 f"flange_b.phi is {deviation:g} rad from flange_a.phi/ratio: it must stay within "
                 f"{LARGEST_TRANSMISSION_ERROR:g} rad"
             )
+
+    def _gear_compliance(self) -> float:
+        """The compliance in series, seen from the gears, rad/(N·m)."""
+        return self.series_compliance
+
+    def _still(self) -> DriveModel:
+        """Return the quasi-static drive."""
+        return DriveModel(self.pair, self.surface)
+
+    def _contact(self, theta: float, deviation: float) -> tuple[float, float, float]:
+        """Energy of contacts and series compliance, with its derivatives by crank and output angle."""
+        self._check_deviation(deviation)
+        flange, rate = deviation, 0.0
         self._play = self._crank = self._sharing = None
         self._theta = theta
         if not self.backlash_on:
@@ -155,7 +169,7 @@ class CompliantModel(SteppedModel, CompliantState):
                 flange += self._shift(self._side)
                 rate = self._shift_rate(self._side, self._teeth, theta)
         self._x, self._stiffness, energy, by_angle, by_rotation = self._teeth.press(
-            theta, flange, self.series_compliance, self._x
+            theta, flange, self._gear_compliance(), self._x
         )
         return energy, by_angle + rate * by_rotation, by_rotation
 
@@ -195,9 +209,10 @@ class CompliantModel(SteppedModel, CompliantState):
         self._strains, self.dissipated_energy = [list(UNSTRAINED), list(UNSTRAINED)], 0.0
         if not self._held:
             if not self._led:
-                self.crank_angle, self.crank_speed = self.crank_angle_start, self.crank_speed_start
+                self.crank_angle = self.crank_angle_start - self._support_angle
+                self.crank_speed = self.crank_speed_start - self._support_speed
             self._turned = self.crank_angle
-            still = DriveModel(self.pair, self.surface)
+            still = self._still()
             shared = {name: getattr(self, name) for name in _SHARED}
             still.restore({**still.state(), **shared, "torque": self._load_torque})
             still.advance()
@@ -205,12 +220,14 @@ class CompliantModel(SteppedModel, CompliantState):
             for _ in range(5 if self._load_torque != 0.0 else 0):
                 # The energy's torque and that of the quasi-static balance differ a little (`contact.elastic_energy`).
                 torque = self._contact(self._reduced(self.crank_angle), self.transmission_error)[2]
-                self.output_angle += (self._load_torque - torque) * (1.0 / self._stiffness + self.series_compliance)
+                if self._stiffness > 0.0:
+                    self.output_angle += (self._load_torque - torque) * (1.0 / self._stiffness + self.series_compliance)
         self._crank_seen, self._seen = self.crank_angle, self.output_angle
         if not self._held:
             at_crank = self._pressing(0)
             self._mean_torque = self._solve()[1] + at_crank.torque
             self._mean_loss = self._damping_power() + at_crank.power + self._pressing(1).power
+            self._mean_output = self._load_torque
 
     def _move(self, step: float) -> None:
         """Move the flanges on for a step, from the inputs' values at its start."""
@@ -218,6 +235,7 @@ class CompliantModel(SteppedModel, CompliantState):
             self._follow(step)
         else:
             self._swing(step)
+        self._support_angle += self._support_speed * step
         self._solve()
 
     def _follow(self, step: float) -> None:
@@ -269,11 +287,14 @@ class CompliantModel(SteppedModel, CompliantState):
         swing = (stiffness + FRICTION_ELEMENTS * self._elements[1]) / self.output_inertia
         if not self._led:
             swing += (stiffness / self._ratio**2 + FRICTION_ELEMENTS * self._elements[0]) / self.crank_inertia
-        return min(self.largest_step, SUB_STEP / math.sqrt(swing), MESH_STEP / max(abs(crank_speed), 1e-30))
+        return min(
+            self.largest_step, SUB_STEP / math.sqrt(swing), MESH_STEP / max(abs(crank_speed * self._geared), 1e-30)
+        )
 
     def _swing(self, step: float) -> None:
         """The inertias move under the torques on them and the contacts; a crank without goes where it is led."""
         goal, before, left = self.crank_angle + self.crank_speed * step, self.dissipated_energy, step
+        speed_before = self.output_speed
         if self._led and step == 0.0:
             self._turned = self.crank_angle
         work, count, fewest = 0.0, 0, 1
@@ -300,14 +321,15 @@ class CompliantModel(SteppedModel, CompliantState):
         self.crank_angle = self._turned
         if step > 0.0:
             self._mean_torque, self._mean_loss = work / step, (self.dissipated_energy - before) / step
+            self._mean_output = self._load_torque - self.output_inertia * (self.output_speed - speed_before) / step
 
-    def _pressed(self, crank_angle: float, deviation: float) -> _Place:
-        return _Place(*self._contact(self._reduced(crank_angle), deviation), self._stiffness)
+    def _pressed(self, crank_angle: float, deviation: float) -> Place:
+        return Place(*self._contact(self._reduced(crank_angle), deviation), self._stiffness)
 
-    def _by_phase(self, at: _Place) -> float:
+    def _by_phase(self, at: Place) -> float:
         return at.by_angle + at.by_rotation / self._ratio
 
-    def _sub_step(self, part: float, turn: float, at: _Place) -> tuple[float, float, _Place] | None:
+    def _sub_step(self, part: float, turn: float, at: Place) -> tuple[float, float, Place] | None:
         """One sub-step by the implicit midpoint rule with means in place of derivatives.
 
         The crank goes half its way at the same deviation, the deviation changes, the crank goes the other half: what is
@@ -402,6 +424,17 @@ class CompliantModel(SteppedModel, CompliantState):
     @torque.setter
     def torque(self, value: float) -> None:
         self._load_torque = value
+
+    @property
+    def support_torque(self) -> float:
+        """Torque into the drive at the housing, N·m; with an inertia inside its mean over the last step."""
+        return -(self.crank_torque + (self.torque if self._held else self._mean_output))
+
+    def _turn_housing(self, angle: float, speed: float) -> None:
+        super()._turn_housing(angle, speed)
+        self._turned -= angle
+        self.output_angle -= angle
+        self.output_speed -= speed
 
     @property
     def transmission_error(self) -> float:

@@ -28,8 +28,8 @@ from cycloid_fmu.fmu.friction import FLANGES, Law
 from cycloid_fmu.fmu.friction_file import Friction
 from cycloid_fmu.fmu.mesh import StepError
 from cycloid_fmu.fmu.model import DriveModel
-from cycloid_fmu.fmu.reducer_model import ReducerModel
-from cycloid_fmu.fmu.variables import ATTRIBUTES, Interface, Variable, variables
+from cycloid_fmu.fmu.reducer_model import CompliantReducer, ReducerModel
+from cycloid_fmu.fmu.variables import ABSOLUTE, ATTRIBUTES, Interface, Variable, stiffness_text, variables
 from cycloid_fmu.geometry.pair import Pair, parse_pair
 from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.surfaces.surface import ErrorSurface, Life
@@ -54,12 +54,16 @@ def model_of(
     model: DriveModel | CompliantModel
     if interface.kind == "compliant":
         inertias = interface.output_inertia, interface.crank_inertia
-        model = CompliantModel(pair, surface, interface.losses, *inertias)
+        if first_stage is None:
+            model = CompliantModel(pair, surface, interface.losses, *inertias)
+        else:
+            model = CompliantReducer(pair, surface, first_stage, interface.losses, *inertias)
         model.mesh_damping = interface.mesh_damping or 0.0
     elif first_stage is not None:
         model = ReducerModel(pair, surface, first_stage, interface.losses)
     else:
         model = DriveModel(pair, surface, interface.losses)
+    model.series_compliance = interface.series_compliance
     for flange, law in enumerate(interface.laws):
         model.set_friction(flange, **law._asdict())
     return model
@@ -83,6 +87,8 @@ class Core:
         What the FMU offers.
     table
         Its variables by reference.
+    told
+        What it says of how stiff it is.
     faults
         What was refused and not set right since: a sentence for each variable's reference.
     """
@@ -105,6 +111,7 @@ class Core:
         self.interface = interface = interface_from(numbers["interface"])
         self.model = model_of(pair, surface, interface, None if stage is None else FirstStage(**stage))
         self.table = dict(enumerate(variables(pair, surface, interface, version, self.model.ratio)))
+        self.told = stiffness_text(pair, interface)
         self.faults: dict[int, str] = {}
         self.time = 0.0
         self._hash = hashlib.sha256(text + stored).digest()
@@ -140,7 +147,7 @@ class Core:
         if cell:
             i, j = int(cell[1]) - 1, int(cell[2]) - 1
             return (lambda: model.loss_table[i][j]), functools.partial(model.set_loss, i, j)
-        attribute = ATTRIBUTES.get(name, name)
+        attribute = (ABSOLUTE if self.interface.support_flange else {}).get(name) or ATTRIBUTES.get(name, name)
         setter = None if variable.causality in ("output", "local") else functools.partial(setattr, model, attribute)
         return functools.partial(getattr, model, attribute), setter
 

@@ -14,8 +14,8 @@ from typing import Any
 
 from cycloid_fmu.fmu.constants import FRICTION_ROUNDING, FRICTION_SHARE, MOST_LOAD_SHARE
 from cycloid_fmu.fmu.friction import UNSTRAINED, Pressed, balanced, held_strains
-from cycloid_fmu.fmu.mesh import ContactTeeth, StepError
-from cycloid_fmu.fmu.stepped_model import State, SteppedModel, state_fields
+from cycloid_fmu.fmu.mesh import StepError
+from cycloid_fmu.fmu.stepped_model import State, SteppedModel, Teeth, state_fields
 from cycloid_fmu.fmu.variables import LOSSLESS
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.surface import ErrorSurface
@@ -48,7 +48,7 @@ class DriveModel(SteppedModel, DriveState):
         super()._rebuild()
         self._pushed = 0.0
 
-    def _pressed(self, theta: float, x: float, teeth: ContactTeeth | None = None) -> tuple[float, float]:
+    def _pressed(self, theta: float, x: float, teeth: Teeth | None = None) -> tuple[float, float]:
         """Torque of the crank by teeth in contact, the model's own or others, and dφ_b/dθ at constant torque."""
         teeth = teeth or self._teeth
         torque, rate = teeth.crank_side(theta, x)
@@ -272,3 +272,8 @@ class DriveModel(SteppedModel, DriveState):
     def power_loss(self) -> float:
         """Power lost in the mesh and bearings and to friction, W."""
         return sum(self._pressing(flange).power for flange in (0, 1) if self._rubs[flange])
+
+    @property
+    def support_torque(self) -> float:
+        """Torque into the drive at the housing, N·m."""
+        return -(self.crank_torque + self.torque)

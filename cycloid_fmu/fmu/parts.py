@@ -20,6 +20,7 @@ from cycloid_fmu.surfaces.provenance import drive_hash, drive_text
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
 _FLANGE = "Modelica.Mechanics.Rotational.Interfaces.Flange_"
+_SUPPORT = "Modelica.Mechanics.Rotational.Interfaces.Support"
 DRIVE = "documentation/drive.toml"  # the drive that the FMU was built from, as a pair file
 _PAGE = """<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><title>Cycloid drive</title>
@@ -71,13 +72,14 @@ def terminals(interface: Interface) -> bytes:
     SubElement(graphical, "CoordinateSystem", {**corners, "suggestedScalingFactorTo_mm": "0.1"})
     SubElement(graphical, "Icon", corners)
     node = SubElement(root, "Terminals")
-    for end, text in (("a", f"{interface.driven} side"), ("b", "output side")):
-        flange = SubElement(
-            node, "Terminal", name=f"flange_{end}", matchingRule="plug", terminalKind=_FLANGE + end, description=text
-        )
+    ends = [("flange_a", _FLANGE + "a", f"{interface.driven} side"), ("flange_b", _FLANGE + "b", "output side")]
+    if interface.support_flange:
+        ends.append(("support", _SUPPORT, "housing"))
+    for end, kind_of_end, text in ends:
+        flange = SubElement(node, "Terminal", name=end, matchingRule="plug", terminalKind=kind_of_end, description=text)
         for member, kind in (("phi", "signal"), ("w", "signal"), ("tau", "inflow")):
             SubElement(
-                flange, "TerminalMemberVariable", variableName=f"flange_{end}.{member}", memberName=member,
+                flange, "TerminalMemberVariable", variableName=f"{end}.{member}", memberName=member,
                 variableKind=kind,
             )  # fmt: skip
     indent(root)

@@ -12,13 +12,64 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from cycloid_fmu.fmu.compliant_model import CompliantModel, Place
 from cycloid_fmu.fmu.constants import STAGE_DIFFERENCE, STAGE_ITERATIONS, STAGE_SHARE, STAGE_STEP
 from cycloid_fmu.fmu.model import DriveModel, DriveState
-from cycloid_fmu.fmu.stepped_model import state_fields
+from cycloid_fmu.fmu.stepped_model import SteppedModel, state_fields
 from cycloid_fmu.fmu.variables import LOSSLESS
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.reducer.first_stage import FirstStage, sun_locked_share
 from cycloid_fmu.surfaces.surface import ErrorSurface
+
+_FREE = 1e-7  # J: no more is stored where the plays around the gears leave them free
+
+
+class _Staged(SteppedModel):
+    """What a first stage makes of a drive; `crank_angle` is the sun's."""
+
+    _stage: FirstStage
+
+    def _stand_behind(self, first_stage: FirstStage) -> None:
+        self._stage = first_stage
+        self._a, self._b = first_stage.crank_share, first_stage.sun_share
+        self._s = sun_locked_share(self._a, self.pair.gear_teeth)
+        self._ratio = self.pair.gear_teeth / (self._b * self._s)
+        self._period = 2.0 * math.pi * self._ratio
+        self._settle_friction(self._rated())
+
+    @property
+    def _sun_play(self) -> float:
+        return self._stage.sun_play if self.backlash_on else 0.0
+
+    @property
+    def _outer(self) -> float:
+        """Half of what the sun's and the bearings' play are at the output, rad."""
+        return 0.5 * (self._sun_play / self._ratio + self._s * self._stage.bearing_play) if self.backlash_on else 0.0
+
+    def _crank_at(self, sun: float, deviation: float, side: float) -> float:
+        """Where the sun (reduced) and an output that deviates so have the crank, the sun's play on the given side."""
+        ideal = -sun * self.pair.gear_teeth / self._ratio
+        return ideal + self._a * deviation - 0.5 * self._b * side * self._sun_play
+
+    @property
+    def backlash(self) -> float:
+        """Free rotation of the output with the sun locked, rad; that of the outer stages where the gears have none."""
+        self._settle()
+        if not self.backlash_on:
+            return 0.0
+        ends = []
+        for side in (-1.0, 1.0):
+            x = self._x
+            for _ in range(STAGE_ITERATIONS):
+                theta = self._theta + self._a * (side * self._outer + self._s * (x - self._x))
+                low, high, interference = self._teeth.play(theta, x)
+                if interference > 0.0:
+                    return 2.0 * self._outer
+                moved, x = abs((low if side < 0.0 else high) - x), low if side < 0.0 else high
+                if moved < STAGE_STEP:
+                    break
+            ends.append(x)
+        return 2.0 * self._outer + self._s * (ends[1] - ends[0])
 
 
 @state_fields
@@ -28,7 +79,7 @@ class ReducerState(DriveState):
     _torque_rate: float | None = None  # of the crank's torque with its angle, N·m/rad
 
 
-class ReducerModel(DriveModel, ReducerState):
+class ReducerModel(_Staged, DriveModel, ReducerState):
     """An RV reducer with history; `crank_angle` and `crank_torque` are the sun's.
 
     Parameters
@@ -49,29 +100,12 @@ class ReducerModel(DriveModel, ReducerState):
         losses: Sequence[Sequence[float]] = LOSSLESS,
     ) -> None:
         super().__init__(pair, surface, losses)
-        self._a, self._b = first_stage.crank_share, first_stage.sun_share
-        self._s = sun_locked_share(self._a, pair.gear_teeth)
-        self._ratio = pair.gear_teeth / (self._b * self._s)
+        self._stand_behind(first_stage)
         self._lever = -self._b
-        self._stage = first_stage
-        self._settle_friction(self._rated())
-
-    @property
-    def _sun_play(self) -> float:
-        return self._stage.sun_play if self.backlash_on else 0.0
-
-    @property
-    def _outer(self) -> float:
-        """Half of what the sun's and the bearings' play are at the output, rad."""
-        return 0.5 * (self._sun_play / self._ratio + self._s * self._stage.bearing_play) if self.backlash_on else 0.0
 
     def _turn_crank(self, deviation: float, side: float) -> None:
         """Put the crank where the sun and an output that deviates so have it, the sun's play on the given side."""
-        turns = self.crank_angle / (2.0 * math.pi * self._ratio)
-        reduced = 2.0 * math.pi * self._ratio * (turns - math.floor(turns))
-        self._theta = (
-            -reduced * self.pair.gear_teeth / self._ratio + self._a * deviation - 0.5 * self._b * side * self._sun_play
-        )
+        self._theta = self._crank_at(self._reduced(self.crank_angle), deviation, side)
         self._forget()
 
     def _forget(self) -> None:
@@ -150,22 +184,85 @@ class ReducerModel(DriveModel, ReducerState):
         stiffness = self._stiffness * turned**2 + self._a**2 * self._crank_torque_rate()
         return 1.0 / (1.0 / stiffness + self.series_compliance)
 
+
+class CompliantReducer(_Staged, CompliantModel):
+    """An RV reducer between two flanges, those of the sun and of the output.
+
+    The cycloid stage's energy E(θ, φ) is the reducer's under a linear change of coordinates, and the torques are its
+    derivatives. Within the plays around it the crank, without mass, stands where the energy is least: at an end of
+    them, or where nothing is pressed.
+
+    Parameters
+    ----------
+    pair, surface, losses, output_inertia, crank_inertia
+        As of `CompliantModel`; losses and inertia at the sun.
+    first_stage
+        Teeth and plays around the stage.
+    """
+
+    def __init__(
+        self,
+        pair: Pair,
+        surface: ErrorSurface,
+        first_stage: FirstStage,
+        losses: Sequence[Sequence[float]] = LOSSLESS,
+        output_inertia: float = 0.0,
+        crank_inertia: float = 0.0,
+    ) -> None:
+        super().__init__(pair, surface, losses, output_inertia, crank_inertia)
+        self._stand_behind(first_stage)
+        self._geared = pair.gear_teeth / self._ratio
+
+    def _still(self) -> DriveModel:
+        return ReducerModel(self.pair, self.surface, self._stage)
+
+    def _gear_compliance(self) -> float:
+        return self.series_compliance / self._s**2
+
+    def _contact(self, theta: float, deviation: float) -> tuple[float, float, float]:
+        """Energy of contacts and series compliance, with its derivatives by the sun's and the output's angle."""
+        self._check_deviation(deviation)
+        first = 1.0 if deviation >= 0.0 else -1.0
+        found = self._within_plays(theta, deviation, first if self.backlash_on else 0.0)
+        if not self.backlash_on or self._outer == 0.0 or first * found[3] < 0.0:
+            return found[:3]
+        other = self._within_plays(theta, deviation, -first)
+        if -first * other[3] < 0.0:
+            return other[:3]
+        if min(found[0], other[0]) <= _FREE:
+            return (other if other[0] <= found[0] else self._within_plays(theta, deviation, first))[:3]
+        # Pressed gears between free plays: where the energy is least.
+        ends = [(-first, other[3]), (first, found[3])]
+        for _ in range(STAGE_ITERATIONS):
+            (a, rate_a), (b, rate_b) = ends
+            at = min(max((a * rate_b - b * rate_a) / (rate_b - rate_a), min(a, b)), max(a, b))
+            found = self._within_plays(theta, deviation, at)
+            if abs(found[3]) <= STAGE_SHARE * abs(rate_b) or abs(b - a) < STAGE_SHARE:
+                break
+            keeps = (found[3] > 0.0) == (rate_a > 0.0)
+            ends = [(at, found[3]), (b, 0.5 * rate_b)] if keeps else [(at, found[3]), (a, 0.5 * rate_a)]
+        return found[:3]
+
+    def _within_plays(self, sun: float, deviation: float, side: float) -> tuple[float, float, float, float]:
+        """The same with the plays around the stage at a share of their way (-1 to 1), and the derivative by that."""
+        teeth, outer = self.pair.gear_teeth, self._outer
+        theta = self._crank_at(sun, deviation, side)
+        energy, by_angle, gear = super()._contact(theta, (deviation - side * outer) / self._s)
+        by_crank = by_angle - gear / teeth  # at the same deviation of the gear
+        by_output = gear / self._s + self._a * by_crank
+        by_side = -0.5 * self._b * self._sun_play * by_crank - outer / self._s * gear
+        return energy, -self._b * by_angle, by_output, by_side
+
+    def _pressed(self, crank_angle: float, deviation: float) -> Place:
+        at = super()._pressed(crank_angle, deviation)
+        return at._replace(stiffness=at.stiffness / self._s**2)
+
     @property
-    def backlash(self) -> float:
-        """Free rotation of the output with the sun locked, rad; that of the outer stages where the gears have none."""
+    def torsional_stiffness(self) -> float:
+        """Stiffness at the flange with the sun locked, the compliance in series included, N·m/rad."""
         self._settle()
-        if not self.backlash_on:
+        if self._stiffness <= 0.0:
             return 0.0
-        ends = []
-        for side in (-1.0, 1.0):
-            x = self._x
-            for _ in range(STAGE_ITERATIONS):
-                theta = self._theta + self._a * (side * self._outer + self._s * (x - self._x))
-                low, high, interference = self._teeth.play(theta, x)
-                if interference > 0.0:
-                    return 2.0 * self._outer
-                moved, x = abs((low if side < 0.0 else high) - x), low if side < 0.0 else high
-                if moved < STAGE_STEP:
-                    break
-            ends.append(x)
-        return 2.0 * self._outer + self._s * (ends[1] - ends[0])
+        rate = self._teeth.crank_side(self._theta, self._x)[1]
+        stiffness = self._stiffness * (1.0 if math.isnan(rate) else 1.0 - self._a * rate) ** 2
+        return 1.0 / (1.0 / stiffness + self.series_compliance)

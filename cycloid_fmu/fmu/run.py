@@ -54,6 +54,17 @@ def described(path: str | os.PathLike[str]) -> tuple[list[dict[str, Any]], list[
     return variables, validate_fmu(str(path))
 
 
+def told(path: str | os.PathLike[str]) -> str:
+    """Return what the FMU's model description says of it, its stiffness among it.
+
+    Raises
+    ------
+    edge.InputError
+        If the file is no FMU.
+    """
+    return str(_description(path).description or "")
+
+
 def stated_drive(path: str | os.PathLike[str]) -> str:
     """Return the fingerprint of the drive that an FMU was built from, empty where it states none.
 

@@ -119,12 +119,12 @@ class DriveSlave2(DriveSlave, Fmi2Slave):  # type: ignore[misc]
     fmi_version = "2.0"
     author = "cycloid-fmu"
     license = "MIT"
-    description = DESCRIPTION
     version = __version__
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self._open(self.resources, "linux64/pythonfmu-export.so")
+        self.description = f"{DESCRIPTION}; {self.core.told}"
         step = self.core.interface.step
         self.default_experiment = DefaultExperiment(start_time=0.0, stop_time=1.0, step_size=step)
 

@@ -21,8 +21,9 @@ class DriveSlave3(DriveSlave, Fmi3Slave):  # type: ignore[misc]
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
-        self.author, self.license, self.version, self.description = "cycloid-fmu", "MIT", __version__, DESCRIPTION
+        self.author, self.license, self.version = "cycloid-fmu", "MIT", __version__
         self._open(self.resources, "x86_64-linux/CycloidDrive.so")
+        self.description = f"{DESCRIPTION}; {self.core.told}"
         step = self.core.interface.step
         self.default_experiment = DefaultExperiment(start_time=0.0, stop_time=1.0, step_size=step)
         self._sizes = {reference: math.prod(v.dimensions) for reference, v in self.core.table.items()}

@@ -17,12 +17,14 @@ from cycloid_fmu.fmu.constants import REFERENCE_TEMPERATURE, UNRATED_LOAD
 from cycloid_fmu.fmu.friction import NO_FRICTION, UNSTRAINED, FrictionState, Law
 from cycloid_fmu.fmu.losses import check_losses
 from cycloid_fmu.fmu.mesh import ContactTeeth, StepError
+from cycloid_fmu.fmu.on_bearings import SupportedTeeth
 from cycloid_fmu.fmu.variables import LOSSLESS, ORDERS
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import ErrorSurface, surface_after
 
 _Kind = TypeVar("_Kind")
+Teeth = ContactTeeth | SupportedTeeth
 
 
 @dataclass_transform()
@@ -73,6 +75,8 @@ class State:
     friction: list[list[float]] = field(default_factory=lambda: [list(law) for law in NO_FRICTION])
     _strains: list[list[float]] = field(default_factory=lambda: [list(UNSTRAINED), list(UNSTRAINED)])
     _crank_seen: float = 0.0  # the crank angle that friction has followed to, rad
+    _support_angle: float = 0.0  # of the housing, whose axes all other angles are in, rad
+    _support_speed: float = 0.0
     _crank_turns_worn: float = 0.0
     _theta: float = 0.0  # the crank's angle, reduced, rad
     _x: float = 0.0  # deviation of the flange that the teeth alone make, rad
@@ -81,7 +85,7 @@ class State:
     _play: tuple[float, float, float] | None = None  # both ends (rad), and above 0 that there is none (m)
     _crank: tuple[float, float] | None = None  # torque of the crank (N·m), and dφ_b/dθ
     _sharing: tuple[int, float] | None = None  # pins in contact, and the largest pressure (Pa)
-    _teeth: ContactTeeth = field(init=False)
+    _teeth: Teeth = field(init=False)
 
     def state(self) -> dict[str, Any]:
         """Return a copy of the state as plain values (for JSON)."""
@@ -96,6 +100,18 @@ class State:
         self._teeth.restore(state["_teeth"])
 
 
+def _absolute(name: str, of_housing: str) -> property:
+    """An angle or speed seen from where the housing turns."""
+
+    def get(self: Any) -> float:
+        return float(getattr(self, name) + getattr(self, of_housing))
+
+    def put(self: Any, value: float) -> None:
+        setattr(self, name, value - getattr(self, of_housing))
+
+    return property(get, put)
+
+
 class SteppedModel(State, FrictionState):
     """A cycloid-pin drive with history, stepped by `advance`; a subclass says how it moves (`_move`).
 
@@ -106,6 +122,11 @@ class SteppedModel(State, FrictionState):
     losses
         Rows of the loss table (`variables.Interface.losses`).
     """
+
+    absolute_crank_angle = _absolute("crank_angle", "_support_angle")
+    absolute_crank_speed = _absolute("crank_speed", "_support_speed")
+    absolute_output_angle = _absolute("output_angle", "_support_angle")
+    absolute_output_speed = _absolute("output_speed", "_support_speed")
 
     def __init__(self, pair: Pair, surface: ErrorSurface, losses: Sequence[Sequence[float]] = LOSSLESS) -> None:
         super().__init__()
@@ -139,11 +160,13 @@ class SteppedModel(State, FrictionState):
         self._x = self._stiffness = self._side = 0.0
         self._forget()
 
-    def _made_teeth(self) -> ContactTeeth:
+    def _made_teeth(self) -> Teeth:
         worn = self.surface if self.surface.life is None else surface_after(self.surface, self._crank_turns_worn)
         surface = with_structured(self.pair, worn, self._changed())
-        drive = drive_of(self.pair, surface, slices_needed(surface))
-        return ContactTeeth(drive, (self.pair.discs, self.pair.pins))
+        slices = slices_needed(surface)
+        if self.pair.supports is not None:
+            return SupportedTeeth(self.pair, surface, slices)
+        return ContactTeeth(drive_of(self.pair, surface, slices), (self.pair.discs, self.pair.pins))
 
     def _forget(self) -> None:
         self._play = self._crank = self._sharing = None
@@ -227,6 +250,36 @@ class SteppedModel(State, FrictionState):
             self._crank_turns_worn = turns
             self._rebuild()
 
+    @property
+    def support_angle(self) -> float:
+        """Of the housing, rad. All angles and speeds but the `absolute` ones are seen from it."""
+        return self._support_angle
+
+    @support_angle.setter
+    def support_angle(self, angle: float) -> None:
+        self._turn_housing(angle - self._support_angle, 0.0)
+        self._support_angle = angle
+
+    @property
+    def support_speed(self) -> float:
+        """Of the housing, rad/s."""
+        return self._support_speed
+
+    @support_speed.setter
+    def support_speed(self, speed: float) -> None:
+        self._turn_housing(0.0, speed - self._support_speed)
+        self._support_speed = speed
+
+    def _turn_housing(self, angle: float, speed: float) -> None:
+        """See from a housing that stands and turns otherwise what does not move with it."""
+        self.crank_angle -= angle
+        self.crank_speed -= speed
+
+    @property
+    def support_torque(self) -> float:
+        """Torque into the drive at the housing, N·m."""
+        raise NotImplementedError
+
     def _reduced(self, crank_angle: float) -> float:
         return crank_angle - self._period * math.floor(crank_angle / self._period)
 
@@ -242,7 +295,7 @@ class SteppedModel(State, FrictionState):
         low, high, interference = self._solve_play()
         return 0.5 * side * (high - low) if interference == 0.0 else 0.0
 
-    def _shift_rate(self, side: float, teeth: ContactTeeth, theta: float) -> float:
+    def _shift_rate(self, side: float, teeth: Teeth, theta: float) -> float:
         """Change of `_shift` with the crank's angle (1)."""
         if self.backlash_on:
             return 0.0

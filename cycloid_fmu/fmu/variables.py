@@ -33,6 +33,13 @@ LARGEST_STEP = 1e-3  # s: default of `largest_step`
 ATTRIBUTES = {
     "flange_a.phi": "crank_angle", "flange_a.w": "crank_speed", "flange_a.tau": "crank_torque",
     "flange_b.phi": "output_angle", "flange_b.w": "output_speed", "flange_b.tau": "torque",
+    "support.phi": "support_angle", "support.w": "support_speed", "support.tau": "support_torque",
+}  # fmt: skip
+
+# With a support flange the flanges' angles and speeds are absolute.
+ABSOLUTE = {
+    "flange_a.phi": "absolute_crank_angle", "flange_a.w": "absolute_crank_speed",
+    "flange_b.phi": "absolute_output_angle", "flange_b.w": "absolute_output_speed",
 }  # fmt: skip
 
 # unit: exponents of SI base units, then display units with their factor
@@ -79,6 +86,15 @@ class Interface:
         flows from a to b and from b to a (1), friction torque at flange_a in the same two cases (N·m).
     driven
         What `flange_a` is: "crank", or "sun" of an RV reducer.
+    stiffness
+        Of the whole drive as a catalogue or a measured loop states it, N·m/rad: what the drive gives way less is put in
+        series, `series_compliance`.
+    support_flange
+        Whether the housing turns: the flanges' angles and speeds are absolute then.
+    series_compliance
+        What the parameter of this name starts with, rad/(N·m).
+    own_stiffness
+        Found as the FMU is built (`fmu.chain.own_stiffness`), N·m/rad.
     input_friction, output_friction
         Friction at `flange_a`, where it adds to the losses, and at `flange_b`.
 
@@ -97,6 +113,10 @@ class Interface:
     driven: Literal["crank", "sun"] = "crank"
     crank_inertia: float = 0.0
     mesh_damping: float | None = None
+    stiffness: float | None = None
+    series_compliance: float = 0.0
+    own_stiffness: float | None = None
+    support_flange: bool = False
     input_friction: Friction = FRICTIONLESS
     output_friction: Friction = FRICTIONLESS
 
@@ -164,7 +184,18 @@ class Variable:
     derivative_of: str | None = None
 
 
-def _flanges(interface: Interface) -> list[Variable]:
+def stiffness_text(pair: Pair, interface: Interface) -> str:
+    """Return what an FMU says of how stiff it is."""
+    text = "mesh alone, rigid bodies" if pair.supports is None else "mesh and bearings"
+    if interface.own_stiffness is not None:
+        own, series, arcmin = interface.own_stiffness, interface.series_compliance, UNITS["N.m/rad"][1]["N.m/arcmin"]
+        text += f": {own * arcmin:.4g} N.m/arcmin"
+        if series > 0.0:
+            text += f", {arcmin / (1.0 / own + series):.4g} with the series_compliance that it starts with"
+    return text
+
+
+def _flanges(pair: Pair, interface: Interface) -> list[Variable]:
     driven, dynamic = interface.driven, interface.kind == "compliant"
     inside, both = not dynamic or interface.output_inertia > 0.0, interface.crank_inertia > 0.0
     moved = dynamic and inside  # by inertias inside: all that comes out is of their state, whatever goes in
@@ -202,8 +233,8 @@ def _flanges(interface: Interface) -> list[Variable]:
                  display="arcsec", nominal=1e-4, depends=placed),
         Variable("backlash", f"free rotation of the output with the {driven} locked; 0 where there is none", "output",
                  unit="rad", display="arcsec", least=0.0, nominal=1e-4, depends=crank),
-        Variable("torsional_stiffness", "torsional stiffness at the output, mesh alone, rigid bodies", "output",
-                 unit="N.m/rad", display="N.m/arcmin", least=0.0, nominal=1e5, depends=placed),
+        Variable("torsional_stiffness", f"torsional stiffness at the output; {stiffness_text(pair, interface)}",
+                 "output", unit="N.m/rad", display="N.m/arcmin", least=0.0, nominal=1e5, depends=placed),
         Variable("max_contact_pressure", "largest contact pressure", "output", unit="Pa", display="MPa", least=0.0,
                  nominal=1e9, depends=placed),
     ]  # fmt: skip
@@ -226,7 +257,7 @@ def _parameters(pair: Pair, surface: ErrorSurface, interface: Interface) -> list
         Variable("friction_torque", "Coulomb friction at the output", "parameter", "tunable", "N.m", least=0.0,
                  nominal=1.0, start=interface.laws[1].coulomb),
         Variable("series_compliance", "compliance of the rest of the chain", "parameter", "tunable", "rad/(N.m)",
-                 "arcsec/(N.m)", 0.0, nominal=1e-6, start=0.0),
+                 "arcsec/(N.m)", 0.0, nominal=1e-6, start=interface.series_compliance),
     ]  # fmt: skip
     if surface.life is not None:
         turns = float(surface.life.crank_turns[-1])
@@ -336,6 +367,25 @@ def _friction(interface: Interface) -> list[Variable]:
     return found
 
 
+def _with_support(table: Sequence[Variable], inside: bool) -> list[Variable]:
+    """Add the housing's flange; what follows the driven shaft's motion follows from the housing's as well."""
+    follows = {"flange_a.phi": "support.phi", "flange_a.w": "support.w"}
+    found = [
+        dataclasses.replace(v, depends=(*v.depends, *(other for name, other in follows.items() if name in v.depends)))
+        for v in table
+    ]
+    given = () if inside else (*(v.name for v in table if v.causality == "input"), *follows.values())
+    text = "torque to hold the housing" + (", mean over the last step" if inside else "")
+    return [
+        *found,
+        Variable("support.phi", "housing angle, counter-clockwise", "input", unit="rad", display="deg", nominal=1.0,
+                 start=0.0),
+        Variable("support.w", "housing speed", "input", unit="rad/s", display="rev/min", nominal=1.0, start=0.0,
+                 derivative_of="support.phi"),
+        Variable("support.tau", text, "output", unit="N.m", nominal=100.0, depends=given),
+    ]  # fmt: skip
+
+
 def _arrays(pair: Pair, surface: ErrorSurface, placed: tuple[str, ...]) -> list[Variable]:
     shape = (pair.discs, pair.pins)
     found = [Variable("time", "time", "independent", unit="s")]
@@ -374,7 +424,7 @@ def variables(
     ratio
         Angle of `flange_a` over that of `flange_b`; the pair's where None.
     """
-    flanges = _flanges(interface)
+    flanges = _flanges(pair, interface)
     shape = next(v.depends for v in flanges if v.name == "transmission_error")
     count = Variable(
         "contact_count", "pins that carry more than 1 % of the most loaded pin's force", "output", "discrete",
@@ -382,9 +432,17 @@ def variables(
     )  # fmt: skip
     found = [*flanges, count, *_parameters(pair, surface, interface), *_further(interface)]
     found += [*_told(pair, shape, pair.ratio if ratio is None else ratio), *_friction(interface)]
+    if interface.support_flange:
+        found = _with_support(found, interface.output_inertia > 0.0)
     if interface.warms:
         # Friction tells where the output stands, and so all that depends on that.
-        found = [dataclasses.replace(v, depends=(*v.depends, "temperature")) if v.depends else v for v in found]
+        found = [
+            dataclasses.replace(v, depends=(*v.depends, "temperature"))
+            if v.depends and "temperature" not in v.depends
+            else v
+            for v in found
+        ]
+    shape = next(v.depends for v in found if v.name == "transmission_error")
     if fmi_version == "3.0":
         found += _arrays(pair, surface, shape)
     errors = tuple(v.name for v in found if v.baked and v.causality == "parameter")
@@ -394,7 +452,7 @@ def variables(
     if interface.kind == "compliant":
         lossy = (*lossy, "mesh_damping")
     initially = {"backlash": (*errors, "backlash_on"), "power_loss": lossy, "flange_a.tau": lossy,
-                 "flange_b.tau": lossy, "dissipated_energy": ()}  # fmt: skip
+                 "flange_b.tau": lossy, "support.tau": lossy, "dissipated_energy": ()}  # fmt: skip
     return tuple(
         dataclasses.replace(v, initially=initially.get(v.name, shaping)) if v.causality == "output" else v
         for v in found

@@ -20,11 +20,11 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from cycloid_fmu import __version__, edge
 from cycloid_fmu.edge import ArgumentError
-from cycloid_fmu.fmu.build import AnyDrive, checked_interface, ratio_of, whole_drive, with_damping
+from cycloid_fmu.fmu.build import AnyDrive, completed, ratio_of, whole_drive
 from cycloid_fmu.fmu.constants import MOST_LOSS_ROWS
 from cycloid_fmu.fmu.description import Version, model_structure, model_variables, token_of, unit_definitions
 from cycloid_fmu.fmu.parts import parts, write_archive
-from cycloid_fmu.fmu.variables import Interface, InterfaceKind, Variable, from_tables, variables
+from cycloid_fmu.fmu.variables import Interface, InterfaceKind, Variable, from_tables, stiffness_text, variables
 from cycloid_fmu.native import tables
 from cycloid_fmu.native.table_file import TABLE, constants_header, named, write
 from cycloid_fmu.surfaces.surface import ErrorSurface
@@ -202,10 +202,10 @@ def _binaries(version: Version, names: Sequence[str], done: Callable[[str], None
 
 
 def _description(
-    version: Version, token: str, kept: dict[int, Variable], interface: Interface, made: tables.Tables
+    version: Version, token: str, kept: dict[int, Variable], interface: Interface, made: tables.Tables, stiffness: str
 ) -> Element:
     told = list(kept.values())
-    text = f"Cycloid-pin gear drive, {interface.kind}, {made.told}"
+    text = f"Cycloid-pin gear drive, {interface.kind}, {made.told}; {stiffness}"
     common = {
         "fmiVersion": version, "modelName": IDENTIFIER, "guid" if version == "2.0" else "instantiationToken": token,
         "description": text, "author": "cycloid-fmu", "version": __version__, "license": "MIT",
@@ -287,7 +287,7 @@ def build_native(
         If the folder does not exist, a platform can't be built for, or the interface is none of this drive.
     """
     pair, surface, first_stage = whole_drive(drive, surface)
-    interface = with_damping(checked_interface(interface, first_stage), pair, surface)
+    interface = completed(interface, pair, surface, first_stage)
     if len(interface.losses) > MOST_LOSS_ROWS:
         raise ArgumentError("losses", f"has {len(interface.losses)} rows; a native FMU has {MOST_LOSS_ROWS} at most")
     names = tuple(dict.fromkeys(platforms)) or platforms_of(fmi_version)
@@ -307,7 +307,9 @@ def build_native(
         plain = write(made, interface, kept, first_stage=first_stage)
         token = token_of(__version__ + hashlib.sha256(plain).hexdigest())
         contents = {
-            "modelDescription.xml": _xml(_description(fmi_version, token, kept, interface, made)),
+            "modelDescription.xml": _xml(
+                _description(fmi_version, token, kept, interface, made, stiffness_text(pair, interface))
+            ),
             f"resources/{TABLE}": named(plain, token),
             **{f"sources/{name}": data for name, data in _source_files().items()},
             **libraries,

@@ -34,7 +34,8 @@ _FIELDS = (
     "crank_angle", "crank_speed", "crank_torque", "output_angle", "output_speed", "torque", "transmission_error",
     "backlash", "torsional_stiffness", "max_contact_pressure", "contact_count", "series_compliance", "temperature",
     "power_loss", "backlash_on", "elastic_energy", "dissipated_energy", "mesh_damping", "largest_step",
-    "output_inertia", "crank_inertia", "crank_angle_start", "crank_speed_start", "outside_range", "time",
+    "output_inertia", "crank_inertia", "crank_angle_start", "crank_speed_start", "outside_range", "support_angle",
+    "support_speed", "support_torque", "time",
     *(f"{flange}_friction_{name}" for flange in FLANGES for name in Law._fields), "loss_table",
 )  # fmt: skip
 

@@ -25,9 +25,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from cycloid_fmu import contact
-from cycloid_fmu.contact.transmission import drive_of, slices_needed, solve
+from cycloid_fmu.contact.transmission import drive_of, slices_needed
+from cycloid_fmu.errors.kinds import EACH_SUPPORT, kinds_of
 from cycloid_fmu.fmu.constants import LARGEST_LOAD, MOST_LOADS
 from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.supports.transmission import play_loads, solve
 from cycloid_fmu.surfaces.surface import ErrorSurface, alike
 
 Array = NDArray[np.float64]
@@ -41,6 +43,7 @@ _SHARE = 1.1  # of the allowed error that a cell between loads may have in its m
 _NEIGHBOURS, _REACHES = 5, (1.0, 0.5, 0.25)  # places drawn around each of the worst probes, and how far: cells
 _WORST = 200  # probes that tell whether loads or crank angles are too few
 _DIRECTIONS = (1.0, -1.0)
+_LIKE = 512  # probes that are solved one after the other
 _SPREAD = 1000  # random crank angles at which the loads are chosen
 _FIRST_SLOPE = 0.125  # of the first torque: where the slope at zero load is taken, which Hertz's logarithm has infinite
 # Contact count and pressure are told, nothing follows from them: their crank angles are the fewest of a mesh pitch.
@@ -119,9 +122,21 @@ class Tables:
 
 
 def mesh_pitches(pair: Pair, surface: ErrorSurface) -> int:
-    """Return after how many mesh pitches all repeats: 1 where all parts are alike, up to z_c z_p of unequal ones."""
+    """Return after how many mesh pitches all repeats: 1 where all parts are alike, up to z_c z_p of unequal ones.
+
+    Cranks or output rollers stand anew, as teeth do, after z_c over what divides both their count and z_c.
+    """
     teeth_alike, pins_alike = alike(surface)
-    return (1 if pins_alike else pair.pins) * (1 if teeth_alike else pair.gear_teeth)
+    turn = 1 if teeth_alike else pair.gear_teeth
+    if teeth_alike and pair.supports is not None:
+        turn = pair.gear_teeth // (math.gcd(pair.gear_teeth, pair.supports.count) if _evenly_held(surface) else 1)
+    return (1 if pins_alike else pair.pins) * turn
+
+
+def _evenly_held(surface: ErrorSurface) -> bool:
+    """Whether cranks or output rollers, their eccentrics and holes have no errors, and so are alike."""
+    kinds = kinds_of(surface.pair).items()
+    return not any(np.any(surface.errors[name]) for name, kind in kinds if EACH_SUPPORT.keys() & kind.displaces)
 
 
 class _Solved(NamedTuple):
@@ -154,8 +169,10 @@ def _solved(
             end = direction * (one.play_high if direction > 0.0 else one.play_low)
             x = np.where(free, end, x)
             if free.any():
+                # On bearings the play is where the tangent at the first load ends.
+                share = _FIRST_SLOPE if pair.supports is None else 1.0
                 near = solve(
-                    pair, surface, [direction * _FIRST_SLOPE * float(loads[k + 1])], angles, slices, with_play=False,
+                    pair, surface, [direction * share * float(loads[k + 1])], angles, slices, with_play=False,
                     workers=workers,
                 )  # fmt: skip
                 stiffness = np.where(free, near.torsional_stiffness[0], stiffness)
@@ -203,8 +220,11 @@ def _chosen_loads(
         return -float(np.abs(guess - known[middle][0]).max()), low, middle, high
 
     loads = [0.0, 0.01 * largest, 0.1 * largest, largest]
+    if pair.supports is not None:
+        loads.insert(1, play_loads(pair)[1])
     known = {load: at(load, loads[1]) for load in loads}
-    cells = [halved(low, high) for low, high in itertools.pairwise(loads)]
+    # On bearings the first cell is a tangent, which is exact.
+    cells = [halved(low, high) for low, high in itertools.pairwise(loads) if low > 0.0 or pair.supports is None]
     heapq.heapify(cells)
     while -cells[0][0] > allowed and len(loads) < MOST_LOADS:
         _, low, middle, high = heapq.heappop(cells)
@@ -263,6 +283,8 @@ def _side(loads: Array, exact: _Solved, allowed: float, told: int) -> Side:
 
 def _rest_torque(pair: Pair, surface: ErrorSurface, angles: Array) -> Array:
     """Crank torque at zero load, where interference presses the contacts; its mean, which is no energy's, is 0."""
+    if pair.supports is not None:
+        return np.zeros(angles.size)
     slices = slices_needed(surface)
     one = solve(pair, surface, [0.0], angles, slices)
     drive, rows = drive_of(pair, surface, slices), None
@@ -337,7 +359,7 @@ def compute(
         if off.size == 0 or np.abs(off).max() <= allowed:
             # Held against places that nothing was chosen by; where they find more, they are chosen by too.
             drawn += 1
-            fresh = _probed(pair, surface, *_places(period, largest_load, PROBES, drawn))
+            fresh = _probed(pair, surface, *_places(period, largest_load, PROBES, drawn), workers)
             probed = _together(probed, _around_the_worst(tables, pair, surface, fresh, pitch / samples, drawn))
             off = _off(tables, probed)
             if np.abs(off).max() <= allowed:
@@ -482,7 +504,16 @@ def _together(*parts: _Probed) -> _Probed:
     return _Probed(*(np.concatenate(channel, axis=-1) for channel in zip(*parts, strict=True)))
 
 
-def _probed(pair: Pair, surface: ErrorSurface, theta: Array, torque: Array) -> _Probed:
+def _probed(pair: Pair, surface: ErrorSurface, theta: Array, torque: Array, workers: int = 1) -> _Probed:
+    if pair.supports is not None:
+        # What is nearer to no torque lies on a tangent.
+        torque = np.copysign(np.maximum(np.abs(torque), play_loads(pair)[1]), torque)
+        # A place is soon found from one near by under a like torque.
+        rank = np.argsort(np.argsort(torque)) // _LIKE
+        order = np.lexsort((theta, rank))
+        theta, torque = theta[order], torque[order]
+        found = solve(pair, surface, torque[None], theta, slices_needed(surface), with_play=False, workers=workers)
+        return _Probed(theta, torque, found.transmission_error[0])
     drive = drive_of(pair, surface, slices_needed(surface))
     rows = contact.contact_rows(drive)
     exact = [contact.equilibrium(drive, *place, 0.0, rows, True)[0] for place in zip(theta, torque, strict=True)]

@@ -17,17 +17,35 @@ from cycloid_fmu.contact import Array, Problem, Rows, part, spliced
 from cycloid_fmu.contact.equilibrium import load
 from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
 from cycloid_fmu.supports.assembly import Assembly
-from cycloid_fmu.supports.bearing import CENTRING, Bearing, push
+from cycloid_fmu.supports.bearing import Bearing, push
 
 FIRST_DISC = 3
 NEIGHBOUR = 0.1  # rad: from farther a place says little
 _EXACT = 1e-14  # m: a step that changes no more than the last digits
 _LONGEST = 25e-6  # m: a step is no longer than this
 _REACH = 4e-6  # m: pins nearer than this are solved at every step, the others once the discs have moved as far
-_HELD = 1e-3  # N/m: keeps a rotation in reach that nothing holds yet; it pulls to where the step began
+HELD = 1e-3  # N/m: keeps a rotation in reach that nothing holds yet; it pulls to where the step began
 _ITERATIONS = 60
 _JUMP = 1e-10  # m: where no longer step leads on, forces jump, as where a pin leaves the second of two teeth at a root
 _LAST_ITERATIONS = 600  # a drive that hangs in its clearances finds its place in small steps
+
+
+class Load(NamedTuple):
+    """What acts on the carrier: a torque, and a spring from its rotation x to a flange that is held.
+
+    Attributes
+    ----------
+    torque
+        N·m.
+    spring
+        N·m/rad; 0 where no flange is held.
+    flange
+        Rotation of the flange from its ideal place, rad.
+    """
+
+    torque: float
+    spring: float
+    flange: float
 
 
 class Work(NamedTuple):
@@ -290,7 +308,7 @@ def _add_rollers(problem: Problem, assembly: Assembly, theta: float, q: Array, c
 
 @part
 def assemble(
-    problem: Problem, assembly: Assembly, theta: float, torque: float, centring: float, q: Array, contacts: Rows,
+    problem: Problem, assembly: Assembly, theta: float, pull: Load, centring: float, q: Array, contacts: Rows,
     work: Work,
 ) -> None:  # fmt: skip
     """Write what does not balance at q, and its derivatives."""
@@ -310,7 +328,8 @@ def assemble(
     force, stiffness = _spring(assembly.main, r, centring)
     _shift(work, 1, 1.0, 0)
     _add_bearing(work, 2, mx, my, force, stiffness, r)
-    work.residual[0] -= torque
+    work.residual[0] += pull.spring * (q[0] - pull.flange) - pull.torque
+    work.jacobian[0, 0] += pull.spring
 
 
 @part
@@ -360,20 +379,20 @@ def _is_rotation(problem: Problem, i: int) -> bool:
 
 @part
 def hold(problem: Problem, assembly: Assembly, work: Work, held: float) -> None:
-    """Write the derivatives with springs (N/m) that hold rotations and, above `_HELD`, everything."""
+    """Write the derivatives with springs (N/m) that hold rotations and, above `HELD`, everything."""
     for i in range(work.step.size):
         for j in range(work.step.size):
             work.matrix[i, j] = work.jacobian[i, j]
         if _is_rotation(problem, i):
             work.matrix[i, i] += held * assembly.rotation_scale * assembly.rotation_scale
-        elif held > _HELD:
+        elif held > HELD:
             work.matrix[i, i] += held
 
 
 @spliced
 def torsional_stiffness(problem: Problem, assembly: Assembly, work: Work) -> float:
     """dT/dx = 1/(H⁻¹)_xx where the torque balances, N·m/rad; NaN where nothing holds."""
-    hold(problem, assembly, work, _HELD)
+    hold(problem, assembly, work, HELD)
     for i in range(work.step.size):
         work.step[i] = 1.0 if i == 0 else 0.0
     return 1.0 / work.step[0] if solve_linear(work.matrix, work.step) else math.nan
@@ -383,7 +402,7 @@ def torsional_stiffness(problem: Problem, assembly: Assembly, work: Work) -> flo
 def _direction(problem: Problem, assembly: Assembly, work: Work) -> float:
     """Write Newton's step, held back where it is no way down or too long; returns the share of it to go, 0 for none."""
     step, matrix, n = work.step, work.matrix, work.step.size
-    held = _HELD
+    held = HELD
     while held < 1e12:
         for i in range(n):
             step[i] = -work.residual[i]
@@ -401,14 +420,14 @@ def _direction(problem: Problem, assembly: Assembly, work: Work) -> float:
 
 @spliced
 def balance(
-    problem: Problem, assembly: Assembly, theta: float, torque: float, centring: float, q: Array, contacts: Rows,
+    problem: Problem, assembly: Assembly, theta: float, pull: Load, centring: float, q: Array, contacts: Rows,
     work: Work, iterations: int,
 ) -> int:  # fmt: skip
     """Solve the balance from q, which is overwritten; returns the number of steps, 0 where it was not found.
 
     A step is shortened where the work along it has turned round: energies are convex but for small turns.
     """
-    assemble(problem, assembly, theta, torque, centring, q, contacts, work)
+    assemble(problem, assembly, theta, pull, centring, q, contacts, work)
     for iteration in range(iterations):
         left = _longest(problem, assembly, work.residual, -1.0)
         if left < assembly.balanced:
@@ -427,7 +446,7 @@ def balance(
         for _ in range(12):
             for i in range(step.size):
                 q[i] = work.before[i] + share * step[i]
-            assemble(problem, assembly, theta, torque, centring, q, contacts, work)
+            assemble(problem, assembly, theta, pull, centring, q, contacts, work)
             now = 0.0
             for i in range(step.size):
                 now += step[i] * work.residual[i]
@@ -441,9 +460,10 @@ def balance(
 
 @spliced
 def settle(
-    problem: Problem, assembly: Assembly, theta: float, torque: float, q: Array, contacts: Rows, work: Work, cold: bool
-) -> int:
-    """Solve the balance from q or, `cold` or not found, from the ideal place, with springs that grow softer.
+    problem: Problem, assembly: Assembly, theta: float, pull: Load, centring: float, q: Array, contacts: Rows,
+    work: Work, cold: bool,
+) -> int:  # fmt: skip
+    """Solve the balance from q or, `cold` or not found, from the ideal place, with springs (N/m) that grow softer.
 
     Returns the number of steps, 0 where none balances.
     """
@@ -453,14 +473,14 @@ def settle(
             for i in range(q.size):
                 q[i] = 0.0
             work.moved[0] = math.inf
-        spring, found = 1e8 if stage == 2 else CENTRING, 0
+        spring, found = 1e8 if stage == 2 else centring, 0
         while True:
-            most = _LAST_ITERATIONS if stage == 2 and spring == CENTRING else _ITERATIONS
-            found = balance(problem, assembly, theta, torque, spring, q, contacts, work, most)
+            most = _LAST_ITERATIONS if stage == 2 and spring == centring else _ITERATIONS
+            found = balance(problem, assembly, theta, pull, spring, q, contacts, work, most)
             total += found if found > 0 else most
-            if spring == CENTRING:
+            if spring == centring:
                 break
-            spring = max(0.1 * spring, CENTRING)
+            spring = max(0.1 * spring, centring)
         if found > 0:
             return total
     return 0

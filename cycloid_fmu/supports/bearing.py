@@ -32,17 +32,20 @@ class Bearing(NamedTuple):
         Whether rollers carry it, else a linear spring.
     factor
         Of rollers: coefficients of g(s) in `_roller_factor`.
+    energy_factor
+        Of rollers: likewise of their energy.
     """
 
     half_clearance: float
     stiffness: float
     rollers: bool
     factor: Array
+    energy_factor: Array
 
 
 def linear(stiffness: float, clearance: float = 0.0) -> Bearing:
     """Return a bearing that is a spring (N/m) beyond its diametral clearance (m)."""
-    return Bearing(0.5 * clearance, float(stiffness), False, _roller_factor())
+    return Bearing(0.5 * clearance, float(stiffness), False, *_roller_factors())
 
 
 def rollers(number: int, length: float, clearance: float = 0.0) -> Bearing:
@@ -52,18 +55,23 @@ def rollers(number: int, length: float, clearance: float = 0.0) -> Bearing:
     steel); a roller stands between two of them.
     """
     each = 8.06e4 / 2.0**_EXPONENT * (1e3 * length) ** (8.0 / 9.0) * 1e3**_EXPONENT
-    return Bearing(0.5 * clearance, number * each / (2.0 * math.pi), True, _roller_factor())
+    return Bearing(0.5 * clearance, number * each / (2.0 * math.pi), True, *_roller_factors())
 
 
 @functools.cache
-def _roller_factor() -> Array:
-    """Coefficients of g(s) in ∫ max(cos ψ - s, 0)^(10/9) cos ψ dψ = (1 - s)^(29/18) g(s) for s from 0 to 1, by powers.
+def _roller_factors() -> tuple[Array, Array]:
+    """Return `_roller_factor` of a bearing's force and of its energy."""
+    return _roller_factor(_EXPONENT, 1.0), _roller_factor(_EXPONENT + 1.0, 0.0)
+
+
+def _roller_factor(exponent: float, along: float) -> Array:
+    """Coefficients of g(s) in ∫ max(cos ψ - s, 0)^p cos^a ψ dψ = (1 - s)^(p + 1/2) g(s) for s from 0 to 1, by powers.
 
     The integral's ends are Gauss-Jacobi's weight, so g is smooth and its Chebyshev series exact to 1e-14.
     """
     from scipy.special import roots_jacobi
 
-    nodes, weights = roots_jacobi(60, _EXPONENT, _EXPONENT)
+    nodes, weights = roots_jacobi(60, exponent, exponent)
 
     def smooth(s: Array) -> Array:
         share = np.asarray(s)[:, None]
@@ -71,8 +79,8 @@ def _roller_factor() -> Array:
         psi = end * nodes
         # cos ψ - s as a product, over 1 - t².
         inside = 2.0 * np.sin(0.5 * end * (1.0 + nodes)) * np.sin(0.5 * end * (1.0 - nodes)) / (1.0 - nodes**2)
-        integral = end[:, 0] * (weights * inside**_EXPONENT * np.cos(psi)).sum(axis=1)
-        return np.asarray(integral / (1.0 - share[:, 0]) ** (_EXPONENT + 0.5), dtype=np.float64)
+        integral = end[:, 0] * (weights * inside**exponent * np.cos(psi) ** along).sum(axis=1)
+        return np.asarray(integral / (1.0 - share[:, 0]) ** (exponent + 0.5), dtype=np.float64)
 
     series = Chebyshev.interpolate(smooth, _ORDER, domain=[0.0, 1.0])
     return np.array(series.coef, dtype=np.float64)
@@ -103,6 +111,19 @@ def push(bearing: Bearing, r: float) -> tuple[float, float]:
     whole = (1.0 - s) * narrow * value
     by_share = narrow * ((1.0 - s) * rise - 29.0 / 18.0 * value)
     return root * r * whole, root * (10.0 / 9.0 * whole - s * by_share)
+
+
+@part
+def stored(bearing: Bearing, r: float) -> float:
+    """Energy of a bearing displaced by r, ∫ F dr, J."""
+    beyond = r - bearing.half_clearance
+    if beyond <= 0.0:
+        return 0.0
+    if not bearing.rollers:
+        return 0.5 * bearing.stiffness * beyond * beyond
+    s = bearing.half_clearance / r
+    value, _ = _chebyshev(bearing.energy_factor, s)
+    return float(bearing.stiffness / (_EXPONENT + 1.0) * r ** (19.0 / 9.0) * (1.0 - s) ** (47.0 / 18.0) * value)
 
 
 @part

@@ -23,6 +23,7 @@ from cycloid_fmu.contact.sensitivity import (
 from cycloid_fmu.supports.assembly import Assembly
 from cycloid_fmu.supports.balance import (
     FIRST_DISC,
+    Load,
     Work,
     assemble,
     crank_displacement,
@@ -306,7 +307,7 @@ def sweep_supported_sensitivities(
         theta = thetas[i]
         q = places[i]
         work.moved[0] = math.inf
-        assemble(problem, assembly, theta, torques[i], CENTRING, q, contacts, work)
+        assemble(problem, assembly, theta, Load(torques[i], 0.0, 0.0), CENTRING, q, contacts, work)
         if not _row_of_rotation(problem, assembly, work):
             return False
         row = work.step

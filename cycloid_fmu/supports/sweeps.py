@@ -15,6 +15,7 @@ from cycloid_fmu.supports.assembly import Assembly
 from cycloid_fmu.supports.balance import (
     FIRST_DISC,
     NEIGHBOUR,
+    Load,
     Work,
     crank_displacement,
     eccentric,
@@ -22,7 +23,7 @@ from cycloid_fmu.supports.balance import (
     settle,
     torsional_stiffness,
 )
-from cycloid_fmu.supports.bearing import push
+from cycloid_fmu.supports.bearing import CENTRING, push
 
 
 class Found(NamedTuple):
@@ -93,7 +94,9 @@ def sweep_supported(
             share = (theta - thetas[i - 1]) / (thetas[i - 1] - thetas[i - 2])
             for k in range(q.size):
                 q[k] += share * (q[k] - found.place[i - 2, k])
-        found.steps[i] = settle(problem, assembly, theta, torques[i], q, contacts, work, not step < NEIGHBOUR)
+        found.steps[i] = settle(
+            problem, assembly, theta, Load(torques[i], 0.0, 0.0), CENTRING, q, contacts, work, not step < NEIGHBOUR
+        )
         for k in range(q.size):
             found.place[i, k] = q[k]
         found.stiffness[i] = torsional_stiffness(problem, assembly, work)

@@ -3,15 +3,18 @@
 import dataclasses
 import math
 
+import fmpy
 import numpy as np
 import pytest
 from common import EXAMPLES
 from fmpy.validation import validate_fmu
 
 from cycloid_fmu.contact.transmission import solve
+from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.reducer_model import ReducerModel
 from cycloid_fmu.fmu.run import described, simulate_fmu
+from cycloid_fmu.fmu.variables import Interface
 from cycloid_fmu.reducer import lost_motion as rv
 from cycloid_fmu.reducer.description import read_reducer, surface_of_reducer
 from cycloid_fmu.reducer.first_stage import FirstStage
@@ -178,3 +181,19 @@ def test_the_fmu_moves_as_the_model(fmu):
     for i, (angle, torque) in enumerate(zip(angles, torques, strict=True)):
         assert found["flange_b.phi"][i] == pytest.approx(at(model, angle, torque), abs=1e-12)
         assert found["flange_a.tau"][i] == pytest.approx(model.crank_torque, rel=1e-6, abs=1e-9)
+
+
+def test_a_reducer_on_bearings_swings_with_inertias_inside(tmp_path):
+    """From rest on its load it stays there, at the sun's torque that balances it."""
+    reducer = read_reducer(EXAMPLES / "rv-20e-bearings.toml")
+    interface = Interface("compliant", 0.5, crank_inertia=2e-5)
+    build_fmu(reducer, tmp_path / "rv.fmu", interface=interface, fmi_version="3.0")
+    assert validate_fmu(str(tmp_path / "rv.fmu")) == []
+    still = ReducerModel(reducer.stage, *rv.parts_of(reducer)[1:])
+    at(still, 0.0, -80.0)
+    found = fmpy.simulate_fmu(
+        str(tmp_path / "rv.fmu"), stop_time=0.02, step_size=1e-3, output=["flange_b.phi", "flange_a.w"],
+        start_values={"flange_b.tau": -80.0, "flange_a.tau": still.crank_torque},
+    )  # fmt: skip
+    assert np.ptp(found["flange_b.phi"]) < 1e-5
+    assert np.abs(found["flange_a.w"]).max() < 0.5

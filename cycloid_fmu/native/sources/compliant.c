@@ -11,7 +11,7 @@ static double damping_of(const struct drive *drive, double contacts, double spee
 
 int compliant_solve(struct drive *drive, char message[MESSAGE_SIZE]) {
     const struct state *s = &drive->state;
-    double ratio = drive->table->ratio;
+    double ratio = drive->ratio;
     if (drive->solved) {
         return 0;
     }
@@ -25,12 +25,12 @@ int compliant_solve(struct drive *drive, char message[MESSAGE_SIZE]) {
 
 double compliant_power(const struct drive *drive) {
     const struct state *s = &drive->state;
-    return drive->damping * (s->output_speed - s->crank_speed / drive->table->ratio);
+    return drive->damping * (s->output_speed - s->crank_speed / drive->ratio);
 }
 
 /* What the teeth ask for at a flange. */
 static double load_at(const struct drive *drive, int flange) {
-    return flange == OUTPUT ? drive->pressed.by_rotation : drive->pressed.by_angle - drive->damping / drive->table->ratio;
+    return flange == OUTPUT ? drive->pressed.by_rotation : drive->pressed.by_angle - drive->damping / drive->ratio;
 }
 
 /* Friction at the present place and speed, which may have been set since the last step. */
@@ -57,7 +57,7 @@ int compliant_move(struct drive *drive, double step, char message[MESSAGE_SIZE])
     int count = 1, i, flange, rubs = drive->rubs[INPUT] || drive->rubs[OUTPUT], damped = s->mesh_damping > 0.0;
     if (rubs || damped) {
         double chunks = fmax(1.0, ceil(step / s->largest_step * (1.0 - STEP_TOLERANCE)));
-        double parts = fmax(fabs(way[INPUT]) / CRANK_STEP, fabs(way[OUTPUT] - way[INPUT] / drive->table->ratio) / DEVIATION_STEP);
+        double parts = fmax(fabs(way[INPUT]) / CRANK_STEP, fabs(way[OUTPUT] - way[INPUT] / drive->ratio) / DEVIATION_STEP);
         parts = fmax(chunks, ceil(fmin(parts, chunks * MOST_PARTS)));
         if (parts > MOST_SUB_STEPS) {
             return drive_refuse(message, "a step of %g s is divided into more than %g parts: make it shorter.", step,
@@ -119,7 +119,7 @@ static struct mean mean_over(double way, double shortest, double difference, dou
 }
 
 static double by_phase(const struct drive *drive, const struct pressed *at) {
-    return at->by_angle + at->by_rotation / drive->table->ratio;
+    return at->by_angle + at->by_rotation / drive->ratio;
 }
 
 /* Where a sub-step is: ways of crank and output, what is stored in the middle of the crank's way before and after the
@@ -138,7 +138,7 @@ enum { SWUNG, FAILED, TOO_LONG };
    gained. Without an inertia the crank's way is given. */
 static int swing(struct drive *drive, double part, struct pressed *at, struct swing *w, char message[MESSAGE_SIZE]) {
     const struct state *s = &drive->state;
-    const double ratio = drive->table->ratio, start = s->turned;
+    const double ratio = drive->ratio, start = s->turned;
     const double a = 2.0 * s->crank_inertia / (part * part), b = 2.0 * s->output_inertia / (part * part);
     const double deviation = s->output_angle - start / ratio;
     const int held = s->crank_inertia == 0.0;
@@ -207,7 +207,7 @@ static int swing(struct drive *drive, double part, struct pressed *at, struct sw
 static double longest(const struct drive *drive, double crank_speed) {
     const struct state *s = &drive->state;
     const struct side *side = &drive->table->side[0];
-    const double ratio = drive->table->ratio;
+    const double ratio = drive->ratio;
     struct place place = table_place(drive->table, 0.0);
     double stiffness = teeth_stiffness(drive, &place, side->reach, 1.0, 0.0), swing;
     stiffness = 1.0 / (1.0 / stiffness + s->series_compliance);
@@ -215,6 +215,7 @@ static double longest(const struct drive *drive, double crank_speed) {
     if (s->crank_inertia > 0.0) {
         swing += (stiffness / (ratio * ratio) + FRICTION_ELEMENTS * drive->element[INPUT]) / s->crank_inertia;
     }
+    crank_speed *= drive->table->ratio / drive->ratio; /* of the teeth's crank */
     return fmin(s->largest_step, fmin(SUB_STEP / sqrt(swing), MESH_STEP / fmax(fabs(crank_speed), 1e-30)));
 }
 
@@ -222,9 +223,10 @@ static double longest(const struct drive *drive, double crank_speed) {
    where it stood to where its angle and speed lead. */
 int compliant_swing(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
-    const double ratio = drive->table->ratio;
+    const double ratio = drive->ratio;
     const int held = s->crank_inertia == 0.0;
     const double goal = s->crank_angle + s->crank_speed * step, before = s->dissipated_energy;
+    const double speed_before = s->output_speed;
     double left = step, work = 0.0, count = 0.0, rest = 1.0;
     struct pressed at;
     if (held && step == 0.0) {
@@ -269,6 +271,7 @@ int compliant_swing(struct drive *drive, double step, char message[MESSAGE_SIZE]
     s->crank_angle = s->turned;
     if (step > 0.0) {
         s->mean_torque = work / step;
+        s->mean_output = s->torque - s->output_inertia * (s->output_speed - speed_before) / step;
         s->mean_loss = (s->dissipated_energy - before) / step;
     }
     return 0;

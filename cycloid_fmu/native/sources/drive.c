@@ -31,6 +31,7 @@ static int move(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
                                                      : compliant_move(drive, step, message)) {
         return 1;
     }
+    s->support_angle += s->support_speed * step;
     drive->placed = drive->solved = 0;
     if (!(fabs(s->crank_angle) < HUGE_VAL && fabs(s->output_angle) < HUGE_VAL && fabs(s->dissipated_energy) < HUGE_VAL
           && fabs(s->output_speed) < HUGE_VAL)) {
@@ -72,13 +73,25 @@ int drive_step(struct drive *drive, double time, double step, char message[MESSA
 static int rest_on_load(struct drive *drive, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
     const int rubs[2] = {drive->rubs[INPUT], drive->rubs[OUTPUT]};
-    int failed;
+    double speed;
+    int failed, i;
     s->settled = 0.0;
     drive->rubs[INPUT] = drive->rubs[OUTPUT] = 0;
+    drive->resting = 1;
     failed = kinematic_follow(drive, message);
     drive->placed = 1;
-    s->output_speed = failed ? 0.0 : kinematic_speed(drive);
+    speed = failed ? 0.0 : kinematic_speed(drive);
+    drive->resting = drive->placed = 0;
+    for (i = 0; !failed && drive->b > 0.0 && s->torque != 0.0 && i < 5; i++) {
+        /* A compliance in series turns the crank a little otherwise at rest (docs/theory/fmu.md). */
+        failed = teeth_press(drive, s->turned, s->output_angle - s->turned / drive->ratio, &drive->pressed, message);
+        if (!failed && drive->pressed.stiffness > 0.0) {
+            s->output_angle += (s->torque - drive->pressed.by_rotation)
+                * (1.0 / drive->pressed.stiffness + s->series_compliance);
+        }
+    }
     memcpy(drive->rubs, rubs, sizeof rubs);
+    s->output_speed = speed;
     return failed;
 }
 
@@ -103,8 +116,9 @@ int drive_start(struct drive *drive, char message[MESSAGE_SIZE]) {
     failed = failed || guarded(drive, 0.0, message);
     if (!failed && drive->table->offers == INTERFACE_INERTIA) {
         struct rubbing crank = compliant_rubbing(drive, INPUT);
-        drive->state.mean_torque = drive->pressed.by_angle - drive->damping / drive->table->ratio + crank.torque;
+        drive->state.mean_torque = drive->pressed.by_angle - drive->damping / drive->ratio + crank.torque;
         drive->state.mean_loss = compliant_power(drive) + crank.power + compliant_rubbing(drive, OUTPUT).power;
+        drive->state.mean_output = drive->state.torque;
     }
     if (failed) {
         drive->state = kept;
@@ -133,6 +147,8 @@ static double *stored(struct drive *drive, const struct variable *variable) {
     case CRANK_INERTIA: return &s->crank_inertia;
     case CRANK_ANGLE_START: return &s->crank_angle_start;
     case CRANK_SPEED_START: return &s->crank_speed_start;
+    case SUPPORT_ANGLE: return &s->support_angle;
+    case SUPPORT_SPEED: return &s->support_speed;
     case TIME: return &s->time;
     default: break;
     }
@@ -140,6 +156,33 @@ static double *stored(struct drive *drive, const struct variable *variable) {
         return &s->friction[INPUT].coulomb + (variable->field - INPUT_FRICTION_COULOMB);
     }
     return variable->field >= LOSS_TABLE ? &s->loss[variable->field - LOSS_TABLE] : NULL;
+}
+
+/* What the housing adds to a variable. */
+static double of_housing(const struct drive *drive, int field) {
+    switch (field) {
+    case CRANK_ANGLE:
+    case CRANK_ANGLE_START:
+    case OUTPUT_ANGLE: return drive->state.support_angle;
+    case CRANK_SPEED:
+    case CRANK_SPEED_START:
+    case OUTPUT_SPEED: return drive->state.support_speed;
+    default: return 0.0;
+    }
+}
+
+/* See from a housing that stands and turns otherwise what does not move with it. */
+static void turn_housing(struct drive *drive, double angle, double speed) {
+    struct state *s = &drive->state;
+    s->crank_angle -= angle;
+    s->crank_speed -= speed;
+    s->crank_angle_start -= angle;
+    s->crank_speed_start -= speed;
+    if (!drive_kinematic(drive)) {
+        s->turned -= angle;
+        s->output_angle -= angle;
+        s->output_speed -= speed;
+    }
 }
 
 void drive_reset(struct drive *drive) {
@@ -202,7 +245,11 @@ int drive_set(struct drive *drive, const struct variable *variable, double value
                  value, variable->least, variable->most);
         return 1;
     }
-    *kept = value;
+    if (variable->field == SUPPORT_ANGLE || variable->field == SUPPORT_SPEED) {
+        double change = value - *kept;
+        turn_housing(drive, variable->field == SUPPORT_ANGLE ? change : 0.0, variable->field == SUPPORT_SPEED ? change : 0.0);
+    }
+    *kept = value - of_housing(drive, variable->field);
     if (variable->field >= INPUT_FRICTION_COULOMB) {
         friction_settle(drive);
     }
@@ -225,7 +272,7 @@ double drive_stiffness(struct drive *drive) {
     double load, side, stiffness;
     const struct place *place = drive_place(drive);
     if (drive->b > 0.0) {
-        return reducer_stiffness(drive);
+        return drive_kinematic(drive) || drive->resting ? reducer_stiffness(drive) : reducer_pressed_stiffness(drive);
     }
     load_of(drive, &load, &side);
     stiffness = teeth_stiffness(drive, place, load, side, load > 0.0 ? 0.0 : teeth_play(drive, place).width);
@@ -245,7 +292,7 @@ static double output(struct drive *drive, int field) {
     struct state *s = &drive->state;
     const struct place *place = drive_place(drive);
     int still = drive_kinematic(drive);
-    double torque, ratio = drive->table->ratio, load, side;
+    double torque, ratio = drive->ratio, load, side;
     int pressed = load_of(drive, &load, &side);
     switch (field) {
     case CRANK_TORQUE:
@@ -257,14 +304,20 @@ static double output(struct drive *drive, int field) {
             return s->mean_torque;
         }
         return drive->pressed.by_angle - drive->damping / ratio + compliant_rubbing(drive, INPUT).torque;
-    case CRANK_ANGLE: return drive_angle(drive);
-    case CRANK_SPEED: return s->crank_speed;
-    case OUTPUT_ANGLE: return s->output_angle;
-    case OUTPUT_SPEED: return still ? kinematic_speed(drive) : s->output_speed;
+    case CRANK_ANGLE: return drive_angle(drive) + s->support_angle;
+    case CRANK_SPEED: return s->crank_speed + s->support_speed;
+    case OUTPUT_ANGLE: return s->output_angle + s->support_angle;
+    case OUTPUT_SPEED: return (still ? kinematic_speed(drive) : s->output_speed) + s->support_speed;
+    case SUPPORT_TORQUE:
+        return -(output(drive, CRANK_TORQUE)
+                 + (still ? s->torque
+                          : drive->table->offers == INTERFACE_INERTIA ? s->mean_output : output(drive, TORQUE)));
     case TORQUE: return drive->pressed.by_rotation + drive->damping + compliant_rubbing(drive, OUTPUT).torque;
     case TRANSMISSION_ERROR: return still ? s->deviation : s->output_angle - drive_angle(drive) / ratio;
     case BACKLASH:
-        return s->backlash_on == 0.0 ? 0.0 : drive->b > 0.0 ? reducer_backlash(drive) : teeth_play(drive, place).width;
+        return s->backlash_on == 0.0 ? 0.0 : drive->b == 0.0 ? teeth_play(drive, place).width
+            : still ? reducer_backlash(drive, s->placed, s->gear)
+                    : reducer_backlash(drive, drive->pressed.crank, drive->pressed.deviation);
     case TORSIONAL_STIFFNESS: return drive_stiffness(drive);
     case MAX_CONTACT_PRESSURE:
     case CONTACT_COUNT: {
@@ -272,7 +325,7 @@ static double output(struct drive *drive, int field) {
         if (!pressed) {
             return 0.0;
         }
-        told = table_told_place(drive->table, drive_angle(drive));
+        told = table_told_place(drive->table, still || drive->b == 0.0 ? drive_angle(drive) : drive->pressed.crank);
         return field == CONTACT_COUNT ? table_contact_count(teeth_side(drive, side), &told, load)
                                       : table_pressure(teeth_side(drive, side), &told, load);
     }
@@ -296,7 +349,7 @@ static double output(struct drive *drive, int field) {
 int drive_get(struct drive *drive, const struct variable *variable, double *value, char message[MESSAGE_SIZE]) {
     const double *kept = variable->causality == CAUSALITY_OUTPUT ? NULL : stored(drive, variable);
     if (kept != NULL || variable->baked) {
-        *value = kept != NULL ? *kept : variable->start;
+        *value = kept != NULL ? *kept + of_housing(drive, variable->field) : variable->start;
         return 0;
     }
     if (drive->initializing) {

@@ -25,7 +25,9 @@ struct state {
     double seen, dissipated_energy; /* seen: output angle that friction has followed to */
     /* With an inertia inside: where the crank stands, as its angle may be set to where it goes next; and of the last step
        its mean torque and what was lost, and whether a torque was beyond the tables. */
-    double turned, mean_torque, mean_loss, outside;
+    double turned, mean_torque, mean_output, mean_loss, outside;
+    /* Of the housing, whose axes all other angles and speeds are in; those of the variables are absolute. */
+    double support_angle, support_speed;
     double crank_torque, crank_inertia, crank_angle_start, crank_speed_start; /* of a crank with one */
     struct friction friction[2];
     double loss[MOST_LOSS_ROWS * LOSS_COLUMNS];
@@ -40,6 +42,7 @@ struct play {
 /* Contacts and series compliance pressed by a deviation: energy, its derivatives, and how the teeth stand. */
 struct pressed {
     double energy, by_angle, by_rotation, stiffness, load, side;
+    double crank, deviation; /* where the teeth's crank stands, and how far the gear alone is off */
 };
 
 /* Torques at which friction slides towards negative and towards positive angles. */
@@ -67,6 +70,7 @@ struct drive {
     int lossy, rubs[2]; /* whether that takes anything, and whether there is friction at each flange */
     double element[2];  /* stiffness of each of its elements */
     int initializing; /* outputs follow the inputs without a step */
+    int resting;      /* at rest under load, as the kinematic interface is, before an inertia moves */
     int placed;       /* whether `place` is that of the state; of no effect on results */
     struct place place;
     struct loaded at; /* what the contacts do there under `at_load`, where that is not 0 */
@@ -126,7 +130,9 @@ double teeth_crank_torque(const struct drive *drive, const struct place *place, 
                           double offset_rate, double *energy);
 double teeth_stiffness(const struct drive *drive, const struct place *place, double load, double side, double play);
 int teeth_press(const struct drive *drive, double crank_angle, double deviation, struct pressed *found,
-                char message[MESSAGE_SIZE]);
+                char message[MESSAGE_SIZE]); /* of a reducer by its flanges */
+void teeth_press_gear(const struct drive *drive, double crank_angle, double deviation, double series,
+                      struct pressed *found);
 
 int kinematic_follow(struct drive *drive, char message[MESSAGE_SIZE]);
 int kinematic_gear(struct drive *drive, const struct play *play, double torque, double end, double *deviation,
@@ -139,9 +145,12 @@ double kinematic_yielding(struct drive *drive, double speed, double stiffness);
 
 int reducer_elastic(struct drive *drive, double torque, double end, double *deviation, char message[MESSAGE_SIZE]);
 void reducer_hold(struct drive *drive, double deviation);
+/* Contacts and series compliance behind the first stage, by the sun's and the output's angle. */
+void reducer_press(const struct drive *drive, double sun_angle, double deviation, struct pressed *found);
+double reducer_pressed_stiffness(const struct drive *drive);
 double reducer_speed(struct drive *drive);
 double reducer_stiffness(struct drive *drive);
-double reducer_backlash(const struct drive *drive);
+double reducer_backlash(const struct drive *drive, double crank, double gear);
 
 int compliant_solve(struct drive *drive, char message[MESSAGE_SIZE]);
 int compliant_move(struct drive *drive, double step, char message[MESSAGE_SIZE]);

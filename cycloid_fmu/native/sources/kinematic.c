@@ -6,7 +6,9 @@
 
 const struct place *drive_place(struct drive *drive) {
     if (!drive->placed) {
-        drive->place = table_place(drive->table, drive_kinematic(drive) ? drive->state.placed : drive_angle(drive));
+        double crank = drive_kinematic(drive) || drive->resting ? drive->state.placed
+            : drive->b > 0.0 ? drive->pressed.crank : drive_angle(drive);
+        drive->place = table_place(drive->table, crank);
         drive->placed = 1;
         drive->at_load = 0.0;
         drive->driven = 0;

@@ -15,12 +15,16 @@ static double outer_play(const struct drive *drive) {
         : 0.5 * (sun_play(drive) / drive->ratio + drive->s * drive->table->bearing_play);
 }
 
-/* Put the crank where the sun and an output that deviates so have it, the sun's play on the given side. */
+/* Where the sun and an output that deviates so have the crank, the sun's play on the given side. */
+static double crank_at(const struct drive *drive, double sun_angle, double deviation, double side) {
+    double turns = sun_angle / (TWO_PI * drive->ratio), reduced = TWO_PI * drive->ratio * (turns - floor(turns));
+    return reduced * drive->table->ratio / drive->ratio + drive->a * deviation
+        - 0.5 * drive->b * side * sun_play(drive);
+}
+
 static struct play turn_crank(struct drive *drive, double deviation, double side) {
     struct state *s = &drive->state;
-    double turns = s->crank_angle / (TWO_PI * drive->ratio), reduced = TWO_PI * drive->ratio * (turns - floor(turns));
-    s->placed = reduced * drive->table->ratio / drive->ratio + drive->a * deviation
-        - 0.5 * drive->b * side * sun_play(drive);
+    s->placed = crank_at(drive, s->crank_angle, deviation, side);
     drive->placed = 0;
     return teeth_play(drive, drive_place(drive));
 }
@@ -128,14 +132,13 @@ double reducer_stiffness(struct drive *drive) {
     return 1.0 / (1.0 / stiffness + drive->state.series_compliance);
 }
 
-double reducer_backlash(const struct drive *drive) {
-    const struct state *s = &drive->state;
+double reducer_backlash(const struct drive *drive, double crank, double gear) {
     double outer = outer_play(drive), ends[2];
     int side, i;
     for (side = 0; side < 2; side++) {
-        double x = s->gear;
+        double x = gear;
         for (i = 0; i < STAGE_ITERATIONS; i++) {
-            double theta = s->placed + drive->a * ((side == 0 ? -outer : outer) + drive->s * (x - s->gear)), end;
+            double theta = crank + drive->a * ((side == 0 ? -outer : outer) + drive->s * (x - gear)), end;
             struct place place = table_place(drive->table, theta);
             struct play play = teeth_play(drive, &place);
             if (play.width == 0.0) {
@@ -151,4 +154,72 @@ double reducer_backlash(const struct drive *drive) {
         ends[side] = x;
     }
     return 2.0 * outer + drive->s * (ends[1] - ends[0]);
+}
+
+/* By the flanges with the plays around the gears at a share of their way (-1 to 1), and the derivative by that. */
+static double within_plays(const struct drive *drive, double sun_angle, double deviation, double side,
+                           struct pressed *found) {
+    double outer = outer_play(drive), by_crank, gear;
+    teeth_press_gear(drive, crank_at(drive, sun_angle, deviation, side), (deviation - side * outer) / drive->s,
+                     drive->state.series_compliance / (drive->s * drive->s), found);
+    gear = found->by_rotation;
+    by_crank = found->by_angle + gear / drive->table->ratio; /* at the same deviation of the gear */
+    found->by_angle *= -drive->b;
+    found->by_rotation = gear / drive->s + drive->a * by_crank;
+    found->stiffness /= drive->s * drive->s;
+    return -0.5 * drive->b * sun_play(drive) * by_crank - outer / drive->s * gear;
+}
+
+/* The crank, without mass, stands where the energy is least: at an end of the plays, or where nothing is pressed. */
+void reducer_press(const struct drive *drive, double sun_angle, double deviation, struct pressed *found) {
+    double first = deviation >= 0.0 ? 1.0 : -1.0, a = -first, b = first, rate, rate_a, rate_b, start;
+    struct pressed other;
+    int i;
+    if (outer_play(drive) == 0.0) {
+        within_plays(drive, sun_angle, deviation, drive->state.backlash_on != 0.0 ? first : 0.0, found);
+        return;
+    }
+    rate_b = within_plays(drive, sun_angle, deviation, first, found);
+    if (first * rate_b < 0.0) {
+        return;
+    }
+    rate_a = within_plays(drive, sun_angle, deviation, -first, &other);
+    if (-first * rate_a < 0.0 || other.load == 0.0) {
+        *found = other;
+        return;
+    }
+    if (found->load == 0.0) {
+        return;
+    }
+    /* Pressed gears between free plays: where the energy is least. */
+    start = fabs(rate_b);
+    for (i = 0; i < STAGE_ITERATIONS; i++) {
+        double at = (a * rate_b - b * rate_a) / (rate_b - rate_a);
+        at = fmin(fmax(at, fmin(a, b)), fmax(a, b));
+        rate = within_plays(drive, sun_angle, deviation, at, found);
+        if (fabs(rate) <= STAGE_SHARE * start || fabs(b - a) < STAGE_SHARE) {
+            return;
+        }
+        if ((rate > 0.0) == (rate_a > 0.0)) {
+            rate_b *= 0.5;
+        } else {
+            b = a;
+            rate_b = 0.5 * rate_a;
+        }
+        a = at;
+        rate_a = rate;
+    }
+}
+
+double reducer_pressed_stiffness(const struct drive *drive) {
+    const struct pressed *at = &drive->pressed;
+    struct place place = table_place(drive->table, at->crank);
+    struct play play = teeth_play(drive, &place);
+    double stiffness = teeth_stiffness(drive, &place, at->load, at->side, play.width);
+    double turned = 1.0 - drive->a / drive->table->ratio;
+    if (stiffness <= 0.0) {
+        return 0.0;
+    }
+    turned -= drive->a * at->side * (table_at(teeth_side(drive, at->side), &place, at->load).rate - play.offset_rate);
+    return 1.0 / (1.0 / (stiffness * turned * turned) + drive->state.series_compliance);
 }

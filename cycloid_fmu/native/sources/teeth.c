@@ -45,17 +45,11 @@ double teeth_stiffness(const struct drive *drive, const struct place *place, dou
     return 1.0 / (compliance > LEAST_COMPLIANCE ? compliance : LEAST_COMPLIANCE);
 }
 
-int teeth_press(const struct drive *drive, double crank_angle, double deviation, struct pressed *found,
-                 char message[MESSAGE_SIZE]) {
-    struct place place;
-    struct play play;
-    double series = drive->state.series_compliance, energy;
-    if (!(deviation > -LARGEST_TRANSMISSION_ERROR && deviation < LARGEST_TRANSMISSION_ERROR)) {
-        return drive_refuse(message, "flange_b.phi is %g rad from flange_a.phi/ratio: it must stay within %g rad.", deviation,
-                      LARGEST_TRANSMISSION_ERROR);
-    }
-    place = table_place(drive->table, crank_angle);
-    play = teeth_play(drive, &place);
+void teeth_press_gear(const struct drive *drive, double crank_angle, double deviation, double series,
+                      struct pressed *found) {
+    struct place place = table_place(drive->table, crank_angle);
+    struct play play = teeth_play(drive, &place);
+    double energy;
     found->side = deviation > play.end[0].deviation - play.offset ? 1.0 : -1.0;
     found->load = table_load(teeth_side(drive, found->side), &place, found->side * deviation, play.offset, series);
     found->by_angle = teeth_crank_torque(drive, &place, found->load, found->side, play.offset_rate, &energy);
@@ -63,5 +57,20 @@ int teeth_press(const struct drive *drive, double crank_angle, double deviation,
     found->energy = found->load * (found->side * deviation + play.offset) - energy
         - 0.5 * series * found->load * found->load + table_rest_energy(drive->table, &place);
     found->stiffness = teeth_stiffness(drive, &place, found->load, found->side, play.width);
+    found->crank = crank_angle;
+    found->deviation = deviation - series * found->by_rotation;
+}
+
+int teeth_press(const struct drive *drive, double crank_angle, double deviation, struct pressed *found,
+                char message[MESSAGE_SIZE]) {
+    if (!(deviation > -LARGEST_TRANSMISSION_ERROR && deviation < LARGEST_TRANSMISSION_ERROR)) {
+        return drive_refuse(message, "flange_b.phi is %g rad from flange_a.phi/ratio: it must stay within %g rad.", deviation,
+                      LARGEST_TRANSMISSION_ERROR);
+    }
+    if (drive->b > 0.0) {
+        reducer_press(drive, crank_angle, deviation, found);
+    } else {
+        teeth_press_gear(drive, crank_angle, deviation, drive->state.series_compliance, found);
+    }
     return 0;
 }

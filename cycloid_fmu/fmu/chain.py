@@ -1,0 +1,107 @@
+"""What stands in series with the drive that an FMU holds: stated, from a catalogue's stiffness or a measured loop."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+
+import numpy as np
+
+from cycloid_fmu import edge
+from cycloid_fmu.contact.transmission import slices_needed
+from cycloid_fmu.edge import ArgumentError
+from cycloid_fmu.fmu.variables import Interface
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.reducer.first_stage import FirstStage, sun_locked_share
+from cycloid_fmu.reducer.transmission import solve
+from cycloid_fmu.supports.figures import LOADS
+from cycloid_fmu.surfaces.surface import ErrorSurface
+
+FIGURES = "cycloid-figures/1"
+_ANGLES = 90
+_SAME = 1e-6  # share by which a drive may be softer than stated: digits
+
+
+def own_stiffness(pair: Pair, surface: ErrorSurface, first_stage: FirstStage | None = None) -> float:
+    """Return the drive's stiffness between half its rated torque and all of it, mean over the crank angle, N·m/rad.
+
+    That is how catalogues state it; behind a first stage with the sun locked. NaN without a rated torque.
+    """
+    if pair.rated_torque is None:
+        return math.nan
+    loads = [share * pair.rated_torque for share in LOADS]
+    angles = np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False)
+    found = solve(
+        pair, surface, first_stage, loads, angles, slices_needed(surface), with_play=False, with_stiffness=False
+    )  # fmt: skip
+    low, high = found.transmission_error.mean(axis=1)
+    return float((loads[1] - loads[0]) / (high - low))
+
+
+def with_chain(
+    interface: Interface, pair: Pair, surface: ErrorSurface, first_stage: FirstStage | None = None
+) -> Interface:
+    """Return an interface that says how stiff the drive is by itself, and what stands in series with it.
+
+    A first stage that gives way does so at the output: s²/(z_c² κ) with its stiffness κ at the cranks. The crank then
+    stands where a rigid stage would have it, some hundredths of a mesh pitch from where it is.
+
+    Raises
+    ------
+    edge.InputError
+        If a stiffness is stated that the drive is softer than, or that nothing can be compared with.
+    """
+    series = interface.series_compliance
+    if not 0.0 <= series < math.inf:
+        raise ArgumentError("series_compliance", "it must be finite and not below zero (rad/(N*m))", series)
+    if first_stage is not None and math.isfinite(first_stage.crank_stiffness):
+        share = sun_locked_share(first_stage.crank_share, pair.gear_teeth) / pair.gear_teeth
+        series += share**2 / first_stage.crank_stiffness
+        first_stage = dataclasses.replace(first_stage, crank_stiffness=math.inf)
+    own = own_stiffness(pair, surface, first_stage)
+    if interface.stiffness is not None:
+        if interface.series_compliance > 0.0:
+            raise ArgumentError("stiffness", "give it or series_compliance: one follows from the other")
+        if not 0.0 < interface.stiffness < math.inf:
+            raise ArgumentError("stiffness", "it must be finite and above zero (N*m/rad)", interface.stiffness)
+        if math.isnan(own):
+            raise edge.InputError(
+                "rated_torque is missing; the stiffness is compared with the drive's own between half of it and all."
+            )
+        series = 1.0 / interface.stiffness - 1.0 / own
+        if series < -_SAME / own:
+            raise ArgumentError(
+                "stiffness",
+                f"it must not be above the drive's own of {own / edge.ARCMIN:.4g} N*m/arcmin, with which the rest of "
+                "the chain is in series",
+                f"{interface.stiffness / edge.ARCMIN:.4g} N*m/arcmin",
+            )
+    return dataclasses.replace(
+        interface, series_compliance=max(series, 0.0), own_stiffness=None if math.isnan(own) else own
+    )
+
+
+def read_loop(path: str | os.PathLike[str]) -> tuple[float, float]:
+    """Return stiffness (N·m/rad) and dry friction (N·m) of a measured loop, from what `cycloid-fit metrics` writes.
+
+    Loading and unloading branch are apart by 2 T_f/K, which is the loop's hysteresis loss less its backlash
+    (docs/theory/measurement.md).
+
+    Raises
+    ------
+    edge.InputError
+        If the file can't be read or has no figures of a loop.
+    """
+    given = edge.json_table(path, FIGURES, "figures of cycloid-fit metrics")
+    values = {}
+    for name in ("torsional_stiffness", "hysteresis_loss", "backlash"):
+        found = given.get(name)
+        value = found.get("value") if isinstance(found, dict) else None
+        if not isinstance(value, int | float) or not math.isfinite(value):
+            raise edge.InputError(f"{path}: {name} is missing; figures of a measured torque-windup loop have it.")
+        values[name] = float(value)
+    stiffness, apart = values["torsional_stiffness"], values["hysteresis_loss"] - values["backlash"]
+    if stiffness <= 0.0:
+        raise edge.InputError(f"{path}: torsional_stiffness = {stiffness:g} N*m/rad: it must be above zero.")
+    return stiffness, max(0.5 * stiffness * apart, 0.0)

@@ -1,0 +1,291 @@
+"""A drive on its bearings at one place: what it stores, the torques that are its derivatives, and how it follows.
+
+With the unknowns q at their balance under a torque or behind a spring, r(q, θ) = 0, the stored energy U(q, θ) changes
+with the crank angle by ∂U/∂θ + b·dq/dθ. Here b = ∂U/∂q less what balances, the part of Hertz's energy by the flank's
+curvature, which moves with the foot and which the balance leaves out (`contact.elastic_energy`).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import types
+from numba.experimental import structref
+
+from cycloid_fmu import contact
+from cycloid_fmu.contact import Array, Problem, Rows, compiled, part, spliced
+from cycloid_fmu.contact.load_sharing import load_sharing
+from cycloid_fmu.supports.assembly import Assembly
+from cycloid_fmu.supports.balance import (
+    FIRST_DISC,
+    HELD,
+    Load,
+    Work,
+    crank_displacement,
+    eccentric,
+    hold,
+    roller_displacement,
+    settle,
+    solve_linear,
+)
+from cycloid_fmu.supports.bearing import Bearing, push, stored
+
+# What `stand` writes.
+X, STIFFNESS, ENERGY, BY_FLANGE, BY_ANGLE, CRANK_TORQUE, RATE, TORQUE = range(8)
+FOUND = 8
+
+
+@structref.register
+class _HeldType(types.StructRef):  # type: ignore[misc]
+    def preprocess_fields(self, fields: object) -> object:
+        return tuple((name, types.unliteral(kind)) for name, kind in fields)  # type: ignore[attr-defined]
+
+
+class Held(structref.StructRefProxy):  # type: ignore[misc]
+    """A drive on its bearings as one pointer: handing its fields to a kernel takes longer than a warm solution.
+
+    Attributes
+    ----------
+    drive, assembly, work
+        The mesh, what holds it, and arrays to solve in.
+    by_energy, by_angle
+        Derivatives of the energy by the unknowns beyond what balances, and of the balance by θ, shape (unknowns,).
+    """
+
+
+structref.define_proxy(Held, _HeldType, ["drive", "assembly", "work", "by_energy", "by_angle"])
+
+
+@compiled
+def held(drive: Problem, assembly: Assembly, work: Work, by_energy: Array, by_angle: Array) -> Held:
+    """Return a drive on its bearings; kernels overwrite the arrays."""
+    return Held(drive, assembly, work, by_energy, by_angle)
+
+
+@spliced
+def _mesh(
+    drive: Problem, theta: float, x: float, rows: Rows, by_energy: Array, by_angle: Array
+) -> tuple[float, float, float]:
+    """Add the mesh; returns its energy, its derivative by θ at fixed unknowns, and what curvature adds to it."""
+    e, energy, turning, bent_by = drive.eccentricity, 0.0, 0.0, 0.0
+    kappa = (drive.compliance_gear + drive.compliance_pin) / (math.pi * drive.slice_width)
+    for row in range(rows.shape[0]):
+        one = rows[row]
+        force = one.force
+        if force <= 0.0:
+            continue
+        disc, _, _ = contact.disc_slice_pin(drive, row)
+        local = contact.local_frame(drive, theta, x, rows, row)
+        nx, ny, px, py = local.normal_x, local.normal_y, local.gear_x, local.gear_y
+        turn, slide = nx * py - ny * px, -(nx * px + ny * py)
+        crank, _, _ = contact.poses(drive, theta, x, disc)
+        wu, wv, wy = -e * math.sin(crank), e * math.cos(crank), -1.0 / drive.teeth
+        k, bend = one.stiffness, local.bend
+        curved = one.force_by_curvature * one.curvature_rate * local.foot
+        gap, slid = -nx * wu - ny * wv + turn * wy, ny * wu - nx * wv + slide * wy
+        energy += -0.5 * force * (one.gap + drive.seat_gap) - 0.25 * kappa * force * force
+        turning -= force * gap
+        bending = 0.5 * force * curved / k
+        pressed, bent = k * gap - curved * slid, force * bend * slid
+        bent_by += bending * slid
+        at = FIRST_DISC + 3 * disc
+        by_energy[at] += bending * ny
+        by_energy[at + 1] -= bending * nx
+        by_energy[at + 2] += bending * slide
+        by_angle[at] += -pressed * nx - bent * ny - force * ny * wy
+        by_angle[at + 1] += -pressed * ny + bent * nx + force * nx * wy
+        by_angle[at + 2] += pressed * turn - bent * slide + force * (-ny * wu + nx * wv - slide * wy)
+    return energy, turning, bent_by
+
+
+@part
+def _joint(
+    drive: Problem, disc: int, force: float, stiffness: float, dx: float, dy: float, r: float, hx: float, hy: float,
+    ax: float, ay: float, vx: float, vy: float, by_angle: Array,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Add a joint of disc and carrier that is displaced by d, and moved by v with θ beside their turning.
+
+    Returns how its force changes with θ, and the derivative of its energy.
+    """
+    teeth, at = drive.teeth, FIRST_DISC + 3 * disc
+    vx, vy = vx + (hy - ay) / teeth, vy - (hx - ax) / teeth
+    nx, ny = (dx / r, dy / r) if r > 0.0 else (1.0, 0.0)
+    across = force / r if r > 0.0 else stiffness
+    normal = (stiffness - across) * (nx * vx + ny * vy)
+    gx, gy = normal * nx + across * vx, normal * ny + across * vy
+    fx, fy = force * nx, force * ny
+    by_angle[at] += gx
+    by_angle[at + 1] += gy
+    by_angle[at + 2] += -hy * gx + hx * gy + (fx * hx + fy * hy) / teeth
+    return gx, gy, fx * vx + fy * vy
+
+
+@part
+def _sprung(bearing: Bearing, r: float, centring: float) -> tuple[float, float, float]:
+    """Energy, force and stiffness of a bearing with its centring spring."""
+    force, stiffness = push(bearing, r)
+    return stored(bearing, r) + 0.5 * centring * r * r, force + centring * r, stiffness + centring
+
+
+@spliced
+def _cranks(
+    drive: Problem, assembly: Assembly, theta: float, q: Array, centring: float, by_angle: Array
+) -> tuple[float, float]:
+    discs, teeth, e = drive.shift_x.size, drive.teeth, assembly.eccentricity
+    energy = turning = 0.0
+    for k in range(assembly.place_x.size):
+        shaft = FIRST_DISC + 3 * discs + 2 * k
+        for disc in range(discs):
+            phase = drive.crank_phase[disc]
+            dx, dy, hx, hy, ax, ay = crank_displacement(assembly, -theta / teeth, theta, phase, q, disc, k)
+            r = math.hypot(dx, dy)
+            stored_, force, stiffness = _sprung(assembly.turning_arm, r, centring)
+            crank, angle = theta + phase, theta + phase + assembly.phase[disc, k]
+            throw = e + assembly.throw[disc, k]
+            vx, vy = throw * math.sin(angle) - e * math.sin(crank), e * math.cos(crank) - throw * math.cos(angle)
+            gx, gy, turned = _joint(drive, disc, force, stiffness, dx, dy, r, hx, hy, ax, ay, vx, vy, by_angle)
+            _carried(by_angle, force, dx, dy, r, ax, ay, gx, gy, teeth)
+            by_angle[shaft] -= gx
+            by_angle[shaft + 1] -= gy
+            energy += stored_
+            turning += turned
+        energy += _sprung(assembly.crank_shaft, math.hypot(q[shaft], q[shaft + 1]), centring)[0]
+    return energy, turning
+
+
+@part
+def _carried(
+    by_angle: Array, force: float, dx: float, dy: float, r: float, ax: float, ay: float, gx: float, gy: float,
+    teeth: int,
+) -> None:  # fmt: skip
+    """Add a joint's part in the carrier."""
+    by_angle[1] -= gx
+    by_angle[2] -= gy
+    by_angle[0] += ay * gx - ax * gy
+    if r > 0.0:
+        by_angle[0] -= force * (dx * ax + dy * ay) / (r * teeth)
+
+
+@spliced
+def _rollers(
+    drive: Problem, assembly: Assembly, theta: float, q: Array, centring: float, by_angle: Array
+) -> tuple[float, float]:
+    discs, teeth, e = drive.shift_x.size, drive.teeth, assembly.eccentricity
+    shaft = FIRST_DISC + 3 * discs
+    energy = turning = 0.0
+    for disc in range(discs):
+        at, crank = FIRST_DISC + 3 * disc, theta + drive.crank_phase[disc]
+        ex, ey = eccentric(assembly, crank, disc, 0)
+        dx, dy = q[at] - q[shaft] + ex, q[at + 1] - q[shaft + 1] + ey
+        r = math.hypot(dx, dy)
+        stored_, force, stiffness = _sprung(assembly.turning_arm, r, centring)
+        angle, throw = crank + assembly.phase[disc, 0], e + assembly.throw[disc, 0]
+        vx, vy = throw * math.sin(angle) - e * math.sin(crank), e * math.cos(crank) - throw * math.cos(angle)
+        # A disc that only shifts on its eccentric: neither arms nor carrier.
+        gx, gy, turned = _joint(drive, disc, force, stiffness, dx, dy, r, 0.0, 0.0, 0.0, 0.0, vx, vy, by_angle)
+        by_angle[shaft] -= gx
+        by_angle[shaft + 1] -= gy
+        energy += stored_
+        turning += turned
+        for i in range(assembly.place_x.size):
+            wx, wy, hx, hy, ax, ay, beyond = roller_displacement(assembly, -theta / teeth, crank, q, disc, i)
+            beyond -= assembly.hole_play[disc, i]
+            if beyond <= 0.0:
+                continue
+            r, force = math.hypot(wx, wy), assembly.output_roller * beyond
+            gx, gy, turned = _joint(
+                drive, disc, force, assembly.output_roller, wx, wy, r, hx, hy, ax, ay, -e * math.sin(crank),
+                e * math.cos(crank), by_angle,
+            )  # fmt: skip
+            _carried(by_angle, force, wx, wy, r, ax, ay, gx, gy, teeth)
+            energy += 0.5 * force * beyond
+            turning += turned
+    energy += _sprung(
+        assembly.crank_shaft, math.hypot(q[shaft] - assembly.seat_x, q[shaft + 1] - assembly.seat_y), centring
+    )[0]
+    return energy, turning
+
+
+@compiled
+def stand(
+    box: Held, theta: float, torque: float, spring: float, flange: float, centring: float, rows: Rows, cold: bool,
+    out: Array,
+) -> int:  # fmt: skip
+    """Solve the balance at a crank angle, from where it was solved last; returns the number of steps, 0 for none.
+
+    Parameters
+    ----------
+    box
+        The drive; its unknowns are in its `work.place`.
+    theta, torque, spring, flange
+        rad; N·m; N·m/rad and rad as of `balance.Load`.
+    centring
+        Springs that hold what clearance leaves free, N/m.
+    rows, cold
+        Contact rows; whether nothing is known of a neighbouring place.
+    out
+        Overwritten, shape (`FOUND`,): the carrier's rotation x beside its ideal one (rad); its stiffness (N·m/rad); the
+        stored energy, the spring's included (J), and its derivatives by the flange and by the crank at a flange that
+        stands still (N·m); the crank's torque and dφ_b/dθ at constant torque (N·m, 1); and the torque on the carrier.
+    """
+    drive, assembly, work, by_energy, by_angle = box.drive, box.assembly, box.work, box.by_energy, box.by_angle
+    q, teeth, n = work.place, drive.teeth, work.step.size
+    if spring > 0.0:
+        # Discs turn with the carrier, or they would be pressed at once.
+        for i in range(FIRST_DISC + 2, FIRST_DISC + 3 * drive.shift_x.size, 3):
+            q[i] += flange - q[0]
+        q[0] = flange
+    steps = settle(drive, assembly, theta, Load(torque, spring, flange), centring, q, rows, work, cold)
+    if steps == 0:
+        return 0
+    for i in range(n):
+        by_energy[i] = by_angle[i] = 0.0
+    energy, by_theta, bending = _mesh(drive, theta, q[0], rows, by_energy, by_angle)
+    if assembly.cranks:
+        joints, turning = _cranks(drive, assembly, theta, q, centring, by_angle)
+    else:
+        joints, turning = _rollers(drive, assembly, theta, q, centring, by_angle)
+    by_theta += turning
+    energy += joints + _sprung(assembly.main, math.hypot(q[1] - assembly.seat_x, q[2] - assembly.seat_y), centring)[0]
+    # Rows of the inverse that belong to the carrier's rotation and to the bending, without the flange's spring.
+    work.jacobian[0, 0] -= spring
+    for i in range(n):
+        work.before[i] = by_energy[i]
+        work.residual[i] = 1.0 if i == 0 else 0.0
+    if not (_transposed(drive, assembly, work, work.residual) and _transposed(drive, assembly, work, work.before)):
+        return 0
+    row, bent = work.residual, work.before
+    share = spring / (1.0 + spring * row[0])
+    rate, energy_rate = 0.0, by_theta + bending
+    for i in range(n):
+        rate -= row[i] * by_angle[i]
+        energy_rate -= (bent[i] - row[i] * share * bent[0]) * by_angle[i]
+    carried = spring * (flange - q[0]) + torque
+    by_flange = carried + bent[0] * share if spring > 0.0 else carried
+    out[X], out[STIFFNESS] = q[0], 1.0 / row[0]
+    out[ENERGY] = energy + (0.5 * (flange - q[0]) ** 2 * spring if spring > 0.0 else 0.0)
+    out[BY_FLANGE], out[BY_ANGLE] = by_flange, energy_rate + by_flange / teeth
+    out[CRANK_TORQUE], out[RATE], out[TORQUE] = by_theta + carried / teeth, rate - 1.0 / teeth, carried
+    return steps
+
+
+@part
+def _transposed(drive: Problem, assembly: Assembly, work: Work, right: Array) -> bool:
+    """Solve with the transposed derivatives of the balance."""
+    hold(drive, assembly, work, HELD)
+    for i in range(right.size):
+        for j in range(i):
+            work.matrix[i, j], work.matrix[j, i] = work.matrix[j, i], work.matrix[i, j]
+    return solve_linear(work.matrix, right)
+
+
+@compiled
+def shared(box: Held, rows: Rows, pin_force: Array, pin_pressure: Array) -> tuple[int, float]:
+    """Return pins in contact and the largest pressure after `stand`, as `contact.load_sharing`."""
+    return load_sharing(box.drive, rows, pin_force, pin_pressure)
+
+
+def room(unknowns: int) -> tuple[Array, Array]:
+    """Return empty arrays of a `Held`."""
+    return np.zeros(unknowns), np.zeros(unknowns)

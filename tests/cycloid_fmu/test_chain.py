@@ -1,0 +1,134 @@
+"""What stands in series with a drive: catalogue stiffness, a measured loop, and what an FMU says of it."""
+
+import dataclasses
+import json
+
+import fmpy
+import numpy as np
+import pytest
+from common import EXAMPLES
+from typer.testing import CliRunner
+
+import cycloid_fmu as cy
+from cycloid_fmu import edge
+from cycloid_fmu.cli import app
+from cycloid_fmu.fmu.build import build_fmu, completed
+from cycloid_fmu.fmu.chain import own_stiffness, read_loop, with_chain
+from cycloid_fmu.fmu.core import model_of
+from cycloid_fmu.fmu.run import told
+from cycloid_fmu.fmu.variables import Interface
+from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.native import build as native_build
+from cycloid_fmu.reducer.lost_motion import parts_of
+from cycloid_fmu.surfaces.surface import surface_of_pair
+from fitting.figures.metrics import figures_of
+from fitting.figures.survey import survey
+from fitting.recordings.recording import Recording
+
+PAIR = read_pair(EXAMPLES / "drive-39-40.toml")
+SURFACE = surface_of_pair(PAIR)
+
+
+def windup(model, pair, turns=40):
+    """Mean windup of a model between half its rated torque and all of it, over a crank turn."""
+    found = []
+    for torque in (0.5 * pair.rated_torque, pair.rated_torque):
+        model.torque = torque
+        for angle in np.linspace(0.0, 2.0 * np.pi, turns, endpoint=False):
+            model.crank_angle = angle * abs(model.ratio / pair.ratio)
+            model.advance()
+            found.append(model.transmission_error)
+    low, high = np.array(found).reshape(2, -1).mean(axis=1)
+    return high - low
+
+
+def test_the_whole_drive_has_the_stiffness_that_was_stated():
+    catalogue = 49.0 * edge.ARCMIN
+    interface = completed(Interface(stiffness=catalogue), PAIR, SURFACE, None)
+    model = model_of(PAIR, SURFACE, interface)
+    assert 0.5 * PAIR.rated_torque / windup(model, PAIR, 90) == pytest.approx(catalogue, rel=1e-6)
+
+
+def test_a_drive_that_is_softer_than_stated_is_refused():
+    own = own_stiffness(PAIR, SURFACE)
+    with pytest.raises(edge.InputError, match=r"stiffness = .*must not be above the drive's own of \d+ N\*m/arcmin"):
+        with_chain(Interface(stiffness=1.01 * own), PAIR, SURFACE)
+    assert with_chain(Interface(stiffness=own), PAIR, SURFACE).series_compliance == 0.0
+    with pytest.raises(edge.InputError, match="rated_torque is missing"):
+        with_chain(Interface(stiffness=1e5), PAIR.replace(rated_torque=None), SURFACE)
+    with pytest.raises(edge.InputError, match="one follows from the other"):
+        with_chain(Interface(stiffness=1e5, series_compliance=1e-6), PAIR, SURFACE)
+
+
+def test_a_first_stage_that_gives_way_is_in_series():
+    """The reducer's own solution of it has the crank where its stage lets it be: within 1e-3 of the compliance."""
+    reducer = cy.read_reducer(EXAMPLES / "rv-20e.toml")
+    involute = reducer.involute.replace(face_width="8 mm", planets=2)
+    pair, surface, soft = parts_of(reducer.replace(involute=involute))
+    rigid = dataclasses.replace(soft, crank_stiffness=float("inf"))
+    with_it = with_chain(Interface(), pair, surface, soft)
+    whole = 1.0 / (1.0 / with_it.own_stiffness + with_it.series_compliance)
+    assert with_it.series_compliance > 0.0
+    assert with_it.own_stiffness == pytest.approx(own_stiffness(pair, surface, rigid), rel=1e-12)
+    assert whole == pytest.approx(own_stiffness(pair, surface, soft), rel=1e-3)
+    model = model_of(pair, surface, with_it, soft)
+    assert 0.5 * pair.rated_torque / windup(model, pair) == pytest.approx(whole, rel=5e-3)
+
+
+def test_a_measured_loop_gives_stiffness_and_friction(tmp_path):
+    """A loop of known stiffness and friction, through cycloid-fit's figures and back."""
+    stiffness, friction, play, rated = 50.0 * edge.ARCMIN, 4.0, 2e-4, 200.0
+    ramp = np.arange(500) / 500
+    share = np.concatenate([ramp, 1.0 - ramp, -ramp, ramp - 1.0])
+    side, loading = np.repeat([1.0, -1.0], 1000), np.tile(np.repeat([1.0, -1.0], 500), 2)
+    torque = rated * np.where(share == 0.0, 1e-12 * side, share)
+    angle = 0.5 * play * side + (torque - side * loading * friction) / stiffness
+    n = torque.size
+    made = Recording(np.arange(n) * 1e-2, np.zeros(n), angle, torque, np.zeros(n, np.uint8), common_zero=True,
+                     known_index=True, ratio=-39.0, source="loop.csv", checksum="0")  # fmt: skip
+    figures_of([survey(made, -39.0, rated)], -39.0, rated).write(tmp_path / "figures.json")
+    assert read_loop(tmp_path / "figures.json") == pytest.approx((stiffness, friction), rel=1e-5)
+    done = CliRunner().invoke(
+        app, ["build", str(EXAMPLES / "drive-39-40.toml"), "-o", str(tmp_path / "drive.fmu"), "--loop",
+              str(tmp_path / "figures.json")],
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    start = {v.name: v.start for v in fmpy.read_model_description(str(tmp_path / "drive.fmu")).modelVariables}
+    assert float(start["friction_torque"]) == pytest.approx(friction, rel=1e-5)
+    whole = 1.0 / (1.0 / own_stiffness(PAIR, SURFACE) + float(start["series_compliance"]))
+    assert whole == pytest.approx(stiffness, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"format": "cycloid-figures/1"}, "torsional_stiffness is missing"),
+        ({"format": "other/1"}, "format"),
+        ([], "figures"),
+    ],
+)
+def test_figures_without_a_loop_are_refused(tmp_path, given, said):
+    (tmp_path / "figures.json").write_text(json.dumps(given))
+    with pytest.raises(edge.InputError, match=said):
+        read_loop(tmp_path / "figures.json")
+
+
+def test_every_fmu_says_how_stiff_it_is(tmp_path):
+    number = f"{own_stiffness(PAIR, SURFACE) / edge.ARCMIN:.4g} N.m/arcmin"
+    build_fmu(PAIR, tmp_path / "2.fmu")
+    build_fmu(PAIR, tmp_path / "3.fmu", fmi_version="3.0", interface=Interface("compliant", stiffness=1e5))
+    for name, more in (("2", ""), ("3", ", 29.09 with the series_compliance that it starts with")):
+        description = fmpy.read_model_description(str(tmp_path / f"{name}.fmu"))
+        text = f"mesh alone, rigid bodies: {number}{more}"
+        assert told(tmp_path / f"{name}.fmu").endswith(text)
+        (variable,) = (v for v in description.modelVariables if v.name == "torsional_stiffness")
+        assert variable.description.endswith(text)
+    held = read_pair(EXAMPLES / "drive-39-40-bearings.toml")
+    said = native_build.stiffness_text(held, completed("kinematic", held, surface_of_pair(held), None))
+    assert said.startswith("mesh and bearings: ")
+
+
+def test_the_page_says_how_stiff_the_example_is():
+    text = (EXAMPLES.parent / "docs" / "fmu.md").read_text(encoding="utf-8")
+    stiffness = own_stiffness(*parts_of(cy.read_reducer(EXAMPLES / "rv-20e.toml"))) / edge.ARCMIN
+    assert f"{stiffness:.3g} N·m/arcmin of `examples/rv-20e.toml`" in " ".join(text.split())
