@@ -96,7 +96,7 @@ class Interface:
     own_stiffness
         Found as the FMU is built (`fmu.chain.own_stiffness`), N·m/rad.
     input_friction, output_friction
-        Friction at `flange_a`, where it adds to the losses, and at `flange_b`.
+        Friction at `flange_a`, where it adds to the losses, and at `flange_b` (`friction_file.Friction`).
 
     Examples
     --------
