@@ -23,7 +23,6 @@ _PRESSED_CENTRING = 1e4  # N/m: between two flanges discs pass their clearances 
 _BALANCED = 1e-6  # N: less is lost in the digits of what is stepped
 _NEAR = 1.0  # rad: a place solved farther away says nothing
 _CRANK_STEP = 1e-5  # rad: over which an end of the play is differentiated
-_ARRAYS = ("rows", "found")
 _PLACE = ("place", "pose", "moved")
 
 
@@ -90,8 +89,7 @@ class SupportedTeeth:
     """Gear, pins and bearings at a crank angle θ (rad), with the methods and units of `mesh.ContactTeeth`.
 
     Below `PLAY_LOAD` of the rated torque the output goes along the tangent there, which leaves the play at no torque
-    (`supports.transmission.play_loads`). `press` solves every torque: inside the play what centres the
-    bearings is left, less than 1e-4 of the rated torque.
+    (`supports.transmission.play_loads`). `press` solves every torque: inside that play less than that is left.
 
     Parameters
     ----------
