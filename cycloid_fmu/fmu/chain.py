@@ -55,8 +55,6 @@ def with_chain(
     series = interface.series_compliance
     if not 0.0 <= series < math.inf:
         raise ArgumentError("series_compliance", "it must be finite and not below zero (rad/(N*m))", series)
-    if not 0.0 <= interface.friction_torque < math.inf:
-        raise ArgumentError("friction_torque", "it must be finite and not below zero (N*m)", interface.friction_torque)
     if first_stage is not None and math.isfinite(first_stage.crank_stiffness):
         share = sun_locked_share(first_stage.crank_share, pair.gear_teeth) / pair.gear_teeth
         series += share**2 / first_stage.crank_stiffness

@@ -25,6 +25,8 @@ from cycloid_fmu import __version__
 from cycloid_fmu.errors.kinds import KINDS
 from cycloid_fmu.fmu.compliant_model import CompliantModel
 from cycloid_fmu.fmu.description import Version
+from cycloid_fmu.fmu.friction import FLANGES, Law
+from cycloid_fmu.fmu.friction_file import Friction
 from cycloid_fmu.fmu.mesh import StepError
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.reducer_model import CompliantReducer, ReducerModel
@@ -34,7 +36,7 @@ from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.surfaces.surface import ErrorSurface, Life
 
 NUMBERS, SURFACE, SUMS = "pair.json", "surface.npz", "SHA256SUMS"
-FORMAT = 3  # of these files; 2 had no checksums
+FORMAT = 3  # of these files
 MAGIC, STATE_VERSION = b"cycloid state\0\0\0", 5
 # Phases of an instance, as messages name them; the native FMU's are the same (native/sources/instance.c).
 INSTANTIATED, INITIALIZING, STEPPING, TERMINATED = (
@@ -81,7 +83,8 @@ def variables_hash(table: Sequence[Variable]) -> str:
 
 def interface_from(numbers: dict[str, Any]) -> Interface:
     """Return the interface that a builder wrote into the resources."""
-    return Interface(**{**numbers, "losses": tuple(tuple(row) for row in numbers["losses"])})
+    made = {name: Friction(**numbers[name]) for name in ("input_friction", "output_friction")}
+    return Interface(**{**numbers, **made, "losses": tuple(tuple(row) for row in numbers["losses"])})
 
 
 def model_of(
@@ -100,7 +103,9 @@ def model_of(
         model = ReducerModel(pair, surface, first_stage, interface.losses)
     else:
         model = DriveModel(pair, surface, interface.losses)
-    model.series_compliance, model.friction_torque = interface.series_compliance, interface.friction_torque
+    model.series_compliance = interface.series_compliance
+    for flange, law in enumerate(interface.laws):
+        model.set_friction(flange, **law._asdict())
     return model
 
 
@@ -182,6 +187,13 @@ class Core:
             return (lambda: model.errors[name]), functools.partial(model.set_error, name)
         if name in KINDS and KINDS[name].of == "pin":
             return (lambda: model.pin_errors(name)), functools.partial(model.set_pin_errors, name)
+        friction = re.fullmatch(r"(input|output)_friction\.(\w+)", name)
+        if friction:
+            flange, number = FLANGES.index(friction[1]), Law._fields.index(friction[2])
+            return (
+                (lambda: model.friction[flange][number]),
+                (lambda value: model.set_friction(flange, **{friction[2]: value})),
+            )
         if cell:
             i, j = int(cell[1]) - 1, int(cell[2]) - 1
             return (lambda: model.loss_table[i][j]), functools.partial(model.set_loss, i, j)

@@ -35,6 +35,7 @@ class _Staged(SteppedModel):
         self._s = sun_locked_share(self._a, self.pair.gear_teeth)
         self._ratio = self.pair.gear_teeth / (self._b * self._s)
         self._period = 2.0 * math.pi * self._ratio
+        self._settle_friction(self._rated())
 
     @property
     def _sun_play(self) -> float:
@@ -170,7 +171,8 @@ class ReducerModel(_Staged, DriveModel, ReducerState):
         if self._stiffness > 0.0:
             # The gear's torque changes with the crank's: ∂τ/∂M = -∂φ/∂θ (Maxwell).
             rate -= self._a * self._crank_torque_rate() / ((1.0 - self._a * rate) * self._stiffness)
-        return -self.crank_speed * rate * self._b / (1.0 - self._a * rate)
+        rate *= -self._b / (1.0 - self._a * rate)
+        return self.crank_speed * rate * self._yielding(rate)
 
     @property
     def torsional_stiffness(self) -> float:

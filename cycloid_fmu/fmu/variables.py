@@ -15,6 +15,9 @@ from typing import Literal
 import numpy as np
 
 from cycloid_fmu.errors.kinds import KINDS, kind_of, structured_names, wave_of
+from cycloid_fmu.fmu.constants import REFERENCE_TEMPERATURE
+from cycloid_fmu.fmu.friction import FLANGES, Law
+from cycloid_fmu.fmu.friction_file import LIMITS, Friction
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import structured_value
 from cycloid_fmu.surfaces.surface import ErrorSurface
@@ -25,6 +28,7 @@ INTERFACES: tuple[InterfaceKind, ...] = ("kinematic", "compliant")
 ORDERS = (1, 2, 3)
 LossRow = tuple[float, float, float, float, float]
 LOSSLESS: tuple[LossRow, ...] = ((0.0, 1.0, 1.0, 0.0, 0.0),)
+FRICTIONLESS = Friction()
 LARGEST_STEP = 1e-3  # s: default of `largest_step`
 # What the models call variables that have another name there.
 ATTRIBUTES = {
@@ -53,6 +57,8 @@ UNITS: dict[str, tuple[dict[str, int], dict[str, float]]] = {
     "W": ({"kg": 1, "m": 2, "s": -3}, {}),
     "J": ({"kg": 1, "m": 2, "s": -2}, {}),
     "m": ({"m": 1}, {"um": 1e6, "mm": 1e3}),
+    "K": ({"K": 1}, {}),
+    "1/K": ({"K": -1}, {"%/K": 100.0}),
     "s": ({"s": 1}, {"ms": 1e3}),
     "1": ({}, {"%": 100.0}),
 }
@@ -86,10 +92,12 @@ class Interface:
         series, `series_compliance`.
     support_flange
         Whether the housing turns: the flanges' angles and speeds are absolute then.
-    series_compliance, friction_torque
-        What the parameters of these names start with, rad/(N·m) and N·m.
+    series_compliance
+        What the parameter of this name starts with, rad/(N·m).
     own_stiffness
         Found as the FMU is built (`fmu.chain.own_stiffness`), N·m/rad.
+    input_friction, output_friction
+        Friction at `flange_a`, where it adds to the losses, and at `flange_b` (`friction_file.Friction`).
 
     Examples
     --------
@@ -108,9 +116,20 @@ class Interface:
     mesh_damping: float | None = None
     stiffness: float | None = None
     series_compliance: float = 0.0
-    friction_torque: float = 0.0
     own_stiffness: float | None = None
     support_flange: bool = False
+    input_friction: Friction = FRICTIONLESS
+    output_friction: Friction = FRICTIONLESS
+
+    @property
+    def laws(self) -> tuple[Law, Law]:
+        """Friction at both flanges."""
+        return self.input_friction.law(0), self.output_friction.law(1)
+
+    @property
+    def warms(self) -> bool:
+        """Whether friction depends on temperature: then the FMU has that as an input."""
+        return any(law.temperature_coefficient != 0.0 for law in self.laws)
 
     @property
     def step(self) -> float:
@@ -236,8 +255,8 @@ def _parameters(pair: Pair, surface: ErrorSurface, interface: Interface) -> list
             kind.limit, 1e-4 if kind.unit == "rad" else 1e-6, structured_value(pair, surface, name), baked=True,
         ))  # fmt: skip
     found += [
-        Variable("friction_torque", "dry friction at the output", "parameter", "tunable", "N.m", least=0.0, nominal=1.0,
-                 start=interface.friction_torque),
+        Variable("friction_torque", "Coulomb friction at the output", "parameter", "tunable", "N.m", least=0.0,
+                 nominal=1.0, start=interface.laws[1].coulomb),
         Variable("series_compliance", "compliance of the rest of the chain", "parameter", "tunable", "rad/(N.m)",
                  "arcsec/(N.m)", 0.0, nominal=1e-6, start=interface.series_compliance),
     ]  # fmt: skip
@@ -318,6 +337,37 @@ def _told(pair: Pair, placed: tuple[str, ...], ratio: float) -> list[Variable]:
     return found
 
 
+def _friction(interface: Interface) -> list[Variable]:
+    """What friction is made of at both flanges, and its temperature where it depends on that."""
+    texts = {
+        "coulomb": "Coulomb friction",
+        "load_share": "more of it for each N.m that the teeth take or give at that flange",
+        "stribeck": "more of it at rest, going with exp(-(w/stribeck_speed)^2)",
+        "stribeck_speed": "speed at which that has fallen to 1/e",
+        "viscous": "viscous friction",
+        "presliding_angle": "angle over which friction builds up under the rated torque",
+        "temperature_coefficient": "b: friction goes with exp(-b (temperature - reference_temperature))",
+        "reference_temperature": "temperature at which friction is stated",
+    }
+    displays = {"stribeck_speed": "rev/min", "load_share": "%", "presliding_angle": "arcsec"}
+    found = []
+    for flange, law in zip(FLANGES, interface.laws, strict=True):
+        for name, text in texts.items():
+            if (flange == "output" and name == "coulomb") or ("temperature" in name and not interface.warms):
+                continue
+            unit, least, most, nominal = LIMITS[name]
+            found.append(Variable(
+                f"{flange}_friction.{name}", f"at flange_{'ab'[flange == 'output']}: {text}", "parameter", "tunable",
+                unit, displays.get(name), least, most, nominal, getattr(law, name),
+            ))  # fmt: skip
+    if interface.warms:
+        found.append(Variable(
+            "temperature", "temperature of what rubs", "input", unit="K", least=173.15, most=573.15, nominal=300.0,
+            start=REFERENCE_TEMPERATURE,
+        ))  # fmt: skip
+    return found
+
+
 def _with_support(table: Sequence[Variable], inside: bool) -> list[Variable]:
     """Add the housing's flange; what follows the driven shaft's motion follows from the housing's as well."""
     follows = {"flange_a.phi": "support.phi", "flange_a.w": "support.w"}
@@ -382,15 +432,24 @@ def variables(
         kind="integer", least=0.0, most=float(pair.pins * pair.discs), depends=shape,
     )  # fmt: skip
     found = [*flanges, count, *_parameters(pair, surface, interface), *_further(interface)]
-    found += _told(pair, shape, pair.ratio if ratio is None else ratio)
+    found += [*_told(pair, shape, pair.ratio if ratio is None else ratio), *_friction(interface)]
     if interface.support_flange:
         found = _with_support(found, interface.output_inertia > 0.0)
-        shape = next(v.depends for v in found if v.name == "transmission_error")
+    if interface.warms:
+        # Friction tells where the output stands, and so all that depends on that.
+        found = [
+            dataclasses.replace(v, depends=(*v.depends, "temperature"))
+            if v.depends and "temperature" not in v.depends
+            else v
+            for v in found
+        ]
+    shape = next(v.depends for v in found if v.name == "transmission_error")
     if fmi_version == "3.0":
         found += _arrays(pair, surface, shape)
     errors = tuple(v.name for v in found if v.baked and v.causality == "parameter")
     shaping = (*errors, "series_compliance", "backlash_on")
-    lossy = (*shaping, *(v.name for v in found if v.name.startswith("loss_table")))
+    rubbing = tuple(v.name for v in found if v.name.startswith(("loss_table", "input_friction", "output_friction")))
+    lossy = (*shaping, *rubbing, "friction_torque")
     if interface.kind == "compliant":
         lossy = (*lossy, "mesh_damping")
     initially = {"backlash": (*errors, "backlash_on"), "power_loss": lossy, "flange_a.tau": lossy,

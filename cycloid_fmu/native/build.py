@@ -32,8 +32,8 @@ from cycloid_fmu.surfaces.surface import ErrorSurface
 
 IDENTIFIER = "CycloidDrive"
 SOURCES = (
-    "fmi2.c", "fmi3.c", "instance.c", "drive.c", "kinematic.c", "reducer.c", "compliant.c", "teeth.c", "losses.c",
-    "table.c", "table_file.c", "uri.c",
+    "fmi2.c", "fmi3.c", "instance.c", "drive.c", "kinematic.c", "reducer.c", "compliant.c", "teeth.c", "friction.c",
+    "losses.c", "table.c", "table_file.c", "uri.c",
 )  # fmt: skip
 _SOURCES = Path(__file__).with_name("sources")
 _FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off", "-s")

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu.fmu import constants
+from cycloid_fmu.fmu.friction import FLANGES, Law
 from cycloid_fmu.fmu.variables import ATTRIBUTES, Interface, Variable
 from cycloid_fmu.native.tables import Tables
 from cycloid_fmu.reducer.first_stage import FirstStage
@@ -31,10 +32,11 @@ _CAUSALITIES = ("input", "output", "parameter", "independent", "local")
 _INTERFACES = ("kinematic", "compliant", "inertia")
 _FIELDS = (
     "crank_angle", "crank_speed", "crank_torque", "output_angle", "output_speed", "torque", "transmission_error",
-    "backlash", "torsional_stiffness", "max_contact_pressure", "contact_count", "friction_torque", "series_compliance",
+    "backlash", "torsional_stiffness", "max_contact_pressure", "contact_count", "series_compliance", "temperature",
     "power_loss", "backlash_on", "elastic_energy", "dissipated_energy", "mesh_damping", "largest_step",
     "output_inertia", "crank_inertia", "crank_angle_start", "crank_speed_start", "outside_range", "support_angle",
-    "support_speed", "support_torque", "time", "loss_table",
+    "support_speed", "support_torque", "time",
+    *(f"{flange}_friction_{name}" for flange in FLANGES for name in Law._fields), "loss_table",
 )  # fmt: skip
 
 
@@ -151,7 +153,8 @@ def _field(variable: Variable) -> int:
     cell = re.fullmatch(r"loss_table\[(\d+),(\d+)\]", variable.name)
     if cell:
         return _FIELDS.index("loss_table") + (int(cell[1]) - 1) * constants.LOSS_COLUMNS + int(cell[2]) - 1
-    return -1 if variable.baked else _FIELDS.index(ATTRIBUTES.get(variable.name, variable.name))
+    name = "output_friction.coulomb" if variable.name == "friction_torque" else variable.name
+    return -1 if variable.baked else _FIELDS.index(ATTRIBUTES.get(name, name.replace(".", "_")))
 
 
 def _words(whole: NDArray[np.float64]) -> bytes:

@@ -44,8 +44,8 @@ static int move(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
 static int guarded(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
     struct state kept;
     int failed;
-    /* A step leaves the losses, and of the kinematic interface all that it has not. */
-    size_t size = drive_kinematic(drive) ? offsetof(struct state, bristle) : offsetof(struct state, loss);
+    /* A step leaves the parameters, and of the kinematic interface all that it has not. */
+    size_t size = drive_kinematic(drive) ? offsetof(struct state, seen) : offsetof(struct state, crank_torque);
     memcpy(&kept, &drive->state, size);
     failed = move(drive, step, message);
     if (failed) {
@@ -72,9 +72,11 @@ int drive_step(struct drive *drive, double time, double step, char message[MESSA
 /* With an inertia the drive starts at rest on its load, without friction's history. */
 static int rest_on_load(struct drive *drive, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
-    double friction = s->friction_torque, speed;
+    const int rubs[2] = {drive->rubs[INPUT], drive->rubs[OUTPUT]};
+    double speed;
     int failed, i;
-    s->friction_torque = s->settled = 0.0;
+    s->settled = 0.0;
+    drive->rubs[INPUT] = drive->rubs[OUTPUT] = 0;
     drive->resting = 1;
     failed = kinematic_follow(drive, message);
     drive->placed = 1;
@@ -88,7 +90,7 @@ static int rest_on_load(struct drive *drive, char message[MESSAGE_SIZE]) {
                 * (1.0 / drive->pressed.stiffness + s->series_compliance);
         }
     }
-    s->friction_torque = friction;
+    memcpy(drive->rubs, rubs, sizeof rubs);
     s->output_speed = speed;
     return failed;
 }
@@ -98,7 +100,8 @@ int drive_start(struct drive *drive, char message[MESSAGE_SIZE]) {
     int failed = losses_check(drive, message);
     drive->initializing = 0;
     drive->placed = drive->solved = 0;
-    drive->state.settled = drive->state.bristle = drive->state.dissipated_energy = 0.0;
+    memset(drive->state.strain, 0, sizeof drive->state.strain);
+    drive->state.settled = drive->state.dissipated_energy = 0.0;
     if (!failed && drive->table->offers == INTERFACE_INERTIA) {
         struct state *s = &drive->state;
         if (s->crank_inertia > 0.0) {
@@ -109,10 +112,12 @@ int drive_start(struct drive *drive, char message[MESSAGE_SIZE]) {
         failed = rest_on_load(drive, message);
     }
     drive->state.seen = drive->state.output_angle;
+    drive->state.crank_seen = drive->state.crank_angle;
     failed = failed || guarded(drive, 0.0, message);
     if (!failed && drive->table->offers == INTERFACE_INERTIA) {
-        drive->state.mean_torque = drive->pressed.by_angle - drive->damping / drive->ratio + drive->loss_torque;
-        drive->state.mean_loss = compliant_power(drive);
+        struct rubbing crank = compliant_rubbing(drive, INPUT);
+        drive->state.mean_torque = drive->pressed.by_angle - drive->damping / drive->ratio + crank.torque;
+        drive->state.mean_loss = compliant_power(drive) + crank.power + compliant_rubbing(drive, OUTPUT).power;
         drive->state.mean_output = drive->state.torque;
     }
     if (failed) {
@@ -133,7 +138,7 @@ static double *stored(struct drive *drive, const struct variable *variable) {
     case OUTPUT_ANGLE: return &s->output_angle;
     case OUTPUT_SPEED: return &s->output_speed;
     case TORQUE: return &s->torque;
-    case FRICTION_TORQUE: return &s->friction_torque;
+    case TEMPERATURE: return &s->temperature;
     case SERIES_COMPLIANCE: return &s->series_compliance;
     case BACKLASH_ON: return &s->backlash_on;
     case MESH_DAMPING: return &s->mesh_damping;
@@ -145,8 +150,12 @@ static double *stored(struct drive *drive, const struct variable *variable) {
     case SUPPORT_ANGLE: return &s->support_angle;
     case SUPPORT_SPEED: return &s->support_speed;
     case TIME: return &s->time;
-    default: return variable->field >= LOSS_TABLE ? &s->loss[variable->field - LOSS_TABLE] : NULL;
+    default: break;
     }
+    if (variable->field >= INPUT_FRICTION_COULOMB && variable->field < LOSS_TABLE) {
+        return &s->friction[INPUT].coulomb + (variable->field - INPUT_FRICTION_COULOMB);
+    }
+    return variable->field >= LOSS_TABLE ? &s->loss[variable->field - LOSS_TABLE] : NULL;
 }
 
 /* What the housing adds to a variable. */
@@ -188,6 +197,7 @@ void drive_reset(struct drive *drive) {
             *value = v->start;
         }
     }
+    friction_settle(drive);
 }
 
 void drive_open(struct drive *drive, struct table *table) {
@@ -195,6 +205,7 @@ void drive_open(struct drive *drive, struct table *table) {
     memset(drive, 0, sizeof *drive);
     drive->table = table;
     drive->ratio = table->ratio;
+    drive->rated = UNRATED_LOAD;
     if (table->sun_teeth > 0.0) {
         drive->b = table->sun_teeth / table->planet_teeth;
         drive->a = 1.0 + drive->b;
@@ -204,6 +215,9 @@ void drive_open(struct drive *drive, struct table *table) {
     for (i = 0; i < table->variables; i++) {
         int row = (table->variable[i].field - LOSS_TABLE) / LOSS_COLUMNS + 1;
         drive->rows = table->variable[i].field >= LOSS_TABLE && row > drive->rows ? row : drive->rows;
+        if (strcmp(table->variable[i].name, "rated_torque") == 0) {
+            drive->rated = table->variable[i].start;
+        }
     }
     drive_reset(drive);
 }
@@ -236,6 +250,9 @@ int drive_set(struct drive *drive, const struct variable *variable, double value
         turn_housing(drive, variable->field == SUPPORT_ANGLE ? change : 0.0, variable->field == SUPPORT_SPEED ? change : 0.0);
     }
     *kept = value - of_housing(drive, variable->field);
+    if (variable->field >= INPUT_FRICTION_COULOMB) {
+        friction_settle(drive);
+    }
     drive->solved = 0;
     if (!drive_kinematic(drive)) {
         drive->placed = 0;
@@ -251,6 +268,17 @@ static int load_of(struct drive *drive, double *load, double *side) {
     return *load > 0.0 || (s->loose == 0.0 && teeth_play(drive, drive_place(drive)).width == 0.0);
 }
 
+double drive_stiffness(struct drive *drive) {
+    double load, side, stiffness;
+    const struct place *place = drive_place(drive);
+    if (drive->b > 0.0) {
+        return drive_kinematic(drive) || drive->resting ? reducer_stiffness(drive) : reducer_pressed_stiffness(drive);
+    }
+    load_of(drive, &load, &side);
+    stiffness = teeth_stiffness(drive, place, load, side, load > 0.0 ? 0.0 : teeth_play(drive, place).width);
+    return stiffness > 0.0 ? 1.0 / (1.0 / stiffness + drive->state.series_compliance) : 0.0;
+}
+
 int drive_outside(const struct drive *drive) {
     const struct state *s = &drive->state;
     const struct side *side = drive->table->side; /* asked at each step: no calls */
@@ -264,18 +292,18 @@ static double output(struct drive *drive, int field) {
     struct state *s = &drive->state;
     const struct place *place = drive_place(drive);
     int still = drive_kinematic(drive);
-    double torque, ratio = drive->ratio, load, side, slope;
+    double torque, ratio = drive->ratio, load, side;
     int pressed = load_of(drive, &load, &side);
     switch (field) {
     case CRANK_TORQUE:
         if (still) {
             torque = kinematic_crank_torque(drive);
-            return torque + losses_torque(drive, torque, s->crank_speed, &slope);
+            return torque + kinematic_rubbing(drive, INPUT, torque).torque;
         }
         if (drive->table->offers == INTERFACE_INERTIA) {
             return s->mean_torque;
         }
-        return drive->pressed.by_angle - drive->damping / ratio + drive->loss_torque;
+        return drive->pressed.by_angle - drive->damping / ratio + compliant_rubbing(drive, INPUT).torque;
     case CRANK_ANGLE: return drive_angle(drive) + s->support_angle;
     case CRANK_SPEED: return s->crank_speed + s->support_speed;
     case OUTPUT_ANGLE: return s->output_angle + s->support_angle;
@@ -284,20 +312,13 @@ static double output(struct drive *drive, int field) {
         return -(output(drive, CRANK_TORQUE)
                  + (still ? s->torque
                           : drive->table->offers == INTERFACE_INERTIA ? s->mean_output : output(drive, TORQUE)));
-    case TORQUE: return drive->pressed.by_rotation + drive->damping + s->friction_torque * drive->strain;
+    case TORQUE: return drive->pressed.by_rotation + drive->damping + compliant_rubbing(drive, OUTPUT).torque;
     case TRANSMISSION_ERROR: return still ? s->deviation : s->output_angle - drive_angle(drive) / ratio;
     case BACKLASH:
         return s->backlash_on == 0.0 ? 0.0 : drive->b == 0.0 ? teeth_play(drive, place).width
             : still ? reducer_backlash(drive, s->placed, s->gear)
                     : reducer_backlash(drive, drive->pressed.crank, drive->pressed.deviation);
-    case TORSIONAL_STIFFNESS: {
-        double stiffness;
-        if (drive->b > 0.0) {
-            return still ? reducer_stiffness(drive) : reducer_pressed_stiffness(drive);
-        }
-        stiffness = teeth_stiffness(drive, place, load, side, load > 0.0 ? 0.0 : teeth_play(drive, place).width);
-        return stiffness > 0.0 ? 1.0 / (1.0 / stiffness + s->series_compliance) : 0.0;
-    }
+    case TORSIONAL_STIFFNESS: return drive_stiffness(drive);
     case MAX_CONTACT_PRESSURE:
     case CONTACT_COUNT: {
         struct place told;
@@ -310,18 +331,16 @@ static double output(struct drive *drive, int field) {
     }
     case POWER_LOSS:
         if (still) {
-            return losses_torque(drive, kinematic_crank_torque(drive), s->crank_speed, &slope) * s->crank_speed
-                + s->friction_torque * fabs(kinematic_speed(drive));
+            return (drive->rubs[INPUT] ? kinematic_rubbing(drive, INPUT, kinematic_crank_torque(drive)).power : 0.0)
+                + (drive->rubs[OUTPUT] ? kinematic_rubbing(drive, OUTPUT, 0.0).power : 0.0);
         }
         if (drive->table->offers == INTERFACE_INERTIA) {
             return s->mean_loss;
         }
-        return compliant_power(drive)
-            + (fabs(friction_strain(s)) >= FRICTION_DISPLACEMENT ? s->friction_torque * fabs(s->output_speed) : 0.0);
+        return compliant_power(drive) + compliant_rubbing(drive, INPUT).power + compliant_rubbing(drive, OUTPUT).power;
     case OUTSIDE_RANGE: return drive_outside(drive);
     case ELASTIC_ENERGY:
-        return drive->pressed.energy
-            + 0.5 * s->friction_torque * FRICTION_DISPLACEMENT * drive->strain * drive->strain;
+        return drive->pressed.energy + compliant_rubbing(drive, INPUT).stored + compliant_rubbing(drive, OUTPUT).stored;
     case DISSIPATED_ENERGY: return s->dissipated_energy;
     default: return 0.0;
     }
@@ -420,11 +439,15 @@ int drive_state_check(const struct drive *drive, const unsigned char *blob, size
 void drive_state_read(struct drive *drive, const unsigned char *blob) {
     char *numbers = (char *)&drive->state;
     const unsigned char *body = blob + BLOB_HEAD;
+    struct state kept;
     int i;
     for (i = 0; i < NUMBERS; i++) {
         uint64_t bits = get(body + 8 * i);
         memcpy(numbers + 8 * i, &bits, 8);
     }
     drive->initializing = get(body + 8 * NUMBERS) != 0;
+    kept = drive->state;
+    friction_settle(drive);
+    drive->state = kept;
     drive->placed = drive->solved = 0;
 }
