@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 
 from cycloid_fmu.errors.kinds import KINDS, kind_of, structured_names, wave_of
+from cycloid_fmu.fmu.constants import FRICTION_DISPLACEMENT
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import structured_value
 from cycloid_fmu.surfaces.surface import ErrorSurface
@@ -29,12 +30,15 @@ LARGEST_STEP = 1e-3  # s: default of `largest_step`
 ATTRIBUTES = {
     "flange_a.phi": "crank_angle", "flange_a.w": "crank_speed", "flange_a.tau": "crank_torque",
     "flange_b.phi": "output_angle", "flange_b.w": "output_speed", "flange_b.tau": "torque",
+    "flange_a.a": "crank_acceleration", "flange_b.a": "output_acceleration",
+    **{f"event_indicator[{i}]": f"event_indicator_{i}" for i in range(1, 6)},
 }  # fmt: skip
 
 # unit: exponents of SI base units, then display units with their factor
 UNITS: dict[str, tuple[dict[str, int], dict[str, float]]] = {
     "rad": ({"rad": 1}, {"deg": 180 / np.pi, "arcmin": 10800 / np.pi, "arcsec": 648000 / np.pi}),
     "rad/s": ({"rad": 1, "s": -1}, {"rev/min": 30 / np.pi, "deg/s": 180 / np.pi}),
+    "rad/s2": ({"rad": 1, "s": -2}, {}),
     "N.m": ({"kg": 1, "m": 2, "s": -2}, {}),
     "N.m/rad": ({"kg": 1, "m": 2, "s": -2, "rad": -1}, {"N.m/arcmin": np.pi / 10800}),
     "N.m.s/rad": ({"kg": 1, "m": 2, "s": -1, "rad": -1}, {}),
@@ -361,3 +365,82 @@ def from_tables(table: Sequence[Variable]) -> dict[int, Variable]:
         reference: dataclasses.replace(v, initially=tuple(n for n in v.initially if n not in constants))
         for reference, v in kept.items()
     }
+
+
+def states(interface: Interface) -> tuple[str, ...]:
+    """Return the names of the continuous states that a native FMU has in Model Exchange, in their order.
+
+    With inertias inside the deviation is one in place of the output's angle, of which it is a millionth.
+    """
+    if interface.kind == "kinematic":
+        return ()
+    crank = ("flange_a.phi", "flange_a.w") if interface.crank_inertia > 0.0 else ()
+    moved = (*crank, "transmission_error", "flange_b.w") if interface.output_inertia > 0.0 else ()
+    return (*moved, "friction_strain", "dissipated_energy")
+
+
+_INDICATORS = {
+    "kinematic": ("torque and friction turn round", "torque less friction turns round"),
+    "compliant": ("the flank of positive torque touches", "the flank of negative torque touches"),
+}
+_FURTHER_INDICATORS = (
+    "the losses' torque no longer goes to zero with the speed", "a torque leaves the tables", "friction slides or sticks",
+)  # fmt: skip
+
+
+def exchanged(kept: dict[int, Variable], interface: Interface, version: Literal["2.0", "3.0"]) -> dict[int, Variable]:
+    """Return the variables of a native FMU with what Model Exchange has besides, last.
+
+    Parameters
+    ----------
+    kept
+        Those of `from_tables`.
+    """
+    inside, names = interface.output_inertia > 0.0, states(interface)
+    contact = ("flange_a.phi", "transmission_error" if inside else "flange_b.phi")
+    moving = (*contact, "flange_a.w", "flange_b.w")
+    inputs = tuple(v.name for v in kept.values() if v.causality == "input")
+    parameters = tuple(v.name for v in kept.values() if v.causality == "parameter" and v.variability != "constant")
+    of_start = (*inputs, *parameters) if inside else inputs
+
+    def local(name: str, text: str, unit: str, of: str | None, nominal: float, depends: tuple[str, ...]) -> Variable:
+        return Variable(name, text, "local", unit=unit, nominal=nominal, depends=depends, initially=of_start,
+                        derivative_of=of)  # fmt: skip
+
+    more = []
+    if interface.crank_inertia > 0.0:
+        more.append(local("flange_a.a", f"{interface.driven} acceleration", "rad/s2", "flange_a.w", 1e3,
+                          (*moving, "flange_a.tau")))  # fmt: skip
+    if inside:
+        more += [
+            local("transmission_error_rate", f"output speed less {interface.driven} speed/ratio", "rad/s",
+                  "transmission_error", 0.1, ("flange_a.w", "flange_b.w")),
+            local("flange_b.a", "output acceleration", "rad/s2", "flange_b.w", 100.0,
+                  (*moving, "flange_b.tau", "friction_strain")),
+        ]  # fmt: skip
+    if interface.kind == "compliant":
+        more += [
+            local("friction_strain", "how far the friction at the output is strained", "rad", None,
+                  FRICTION_DISPLACEMENT, ()),
+            local("friction_strain_rate", "and how fast", "rad/s", "friction_strain", 0.1, ("flange_b.w",)),
+        ]  # fmt: skip
+    depends = {
+        "flange_b.phi": contact, "flange_a.tau": moving, "backlash": ("flange_a.phi",), "torsional_stiffness": contact,
+        "max_contact_pressure": contact, "contact_count": contact, "outside_range": contact, "power_loss": moving,
+        "elastic_energy": (*contact, "friction_strain"), **{name: (name,) for name in names},
+    }  # fmt: skip
+    if not inside:
+        depends = {"flange_b.tau": (*moving, "friction_strain"), "elastic_energy": depends["elastic_energy"],
+                   "dissipated_energy": ("dissipated_energy",)} if names else {}  # fmt: skip
+    changed = {
+        reference: dataclasses.replace(
+            v, depends=depends.get(v.name, v.depends),
+            initially=of_start if inside else tuple(dict.fromkeys((*v.depends, *v.initially))),
+            derivative_of="dissipated_energy" if names and v.name == "power_loss" else v.derivative_of,
+        ) if v.causality == "output" else v
+        for reference, v in kept.items()
+    }  # fmt: skip
+    if version == "3.0":
+        for i, text in enumerate((*_INDICATORS[interface.kind], *_FURTHER_INDICATORS), start=1):
+            more.append(Variable(f"event_indicator[{i}]", f"goes through zero where {text}", "local"))
+    return {**changed, **{len(kept) + i: v for i, v in enumerate(more)}}

@@ -33,7 +33,10 @@ _FIELDS = (
     "crank_angle", "crank_speed", "crank_torque", "output_angle", "output_speed", "torque", "transmission_error",
     "backlash", "torsional_stiffness", "max_contact_pressure", "contact_count", "friction_torque", "series_compliance",
     "power_loss", "backlash_on", "elastic_energy", "dissipated_energy", "mesh_damping", "largest_step",
-    "output_inertia", "crank_inertia", "crank_angle_start", "crank_speed_start", "outside_range", "time", "loss_table",
+    "output_inertia", "crank_inertia", "crank_angle_start", "crank_speed_start", "outside_range", "time",
+    "crank_acceleration", "output_acceleration", "transmission_error_rate", "friction_strain", "friction_strain_rate",
+    "event_indicator_1", "event_indicator_2", "event_indicator_3", "event_indicator_4", "event_indicator_5",
+    "loss_table",
 )  # fmt: skip
 
 
@@ -90,8 +93,8 @@ def write(
     for v in variables.values():
         limits = (-math.inf if v.least is None else v.least, math.inf if v.most is None else v.most)
         body += _text(v.name) + struct.pack(
-            "<BBBBiddd", _KINDS.index(v.kind), _CAUSALITIES.index(v.causality), v.baked, v.variability == "fixed",
-            _field(v), *limits, v.start or 0.0,
+            "<BBBBidddd", _KINDS.index(v.kind), _CAUSALITIES.index(v.causality), v.baked, v.variability == "fixed",
+            _field(v), *limits, v.start or 0.0, v.nominal or 1.0,
         )  # fmt: skip
     sides = (tables.positive, tables.negative)
     rest = tables.rest_torque if tables.rest_torque.any() else np.empty(0)

@@ -18,6 +18,9 @@ struct state {
        its mean torque and what was lost, and whether a torque was beyond the tables. */
     double turned, mean_torque, mean_loss, outside;
     double crank_torque, crank_inertia, crank_angle_start, crank_speed_start; /* of a crank with one */
+    /* Of Model Exchange: where the kinematic output stood at the last step's end, and which way the friction slides. */
+    double held, sliding;
+    double event_mode; /* whether the instance is in it */
     double loss[MOST_LOSS_ROWS * LOSS_COLUMNS];
 };
 
@@ -39,6 +42,7 @@ struct drive {
     struct state state;
     int rows;         /* of the loss table */
     int initializing; /* outputs follow the inputs without a step */
+    int exchange;     /* Model Exchange: the solver is the host's; an inertia's deviation is a state */
     int placed;       /* whether `place` is that of the state; of no effect on results */
     struct place place;
     struct loaded at; /* what the contacts do there under `at_load`, where that is not 0 */
@@ -68,6 +72,7 @@ void drive_state_read(struct drive *drive, const unsigned char *blob);
 int drive_refuse(char message[MESSAGE_SIZE], const char *format, double value, double limit);
 int drive_kinematic(const struct drive *drive);
 double drive_angle(const struct drive *drive);         /* of the crank */
+double *drive_stored(struct state *s, const struct variable *variable); /* or NULL, where it is found when asked for */
 const struct place *drive_place(struct drive *drive); /* of the state */
 
 int losses_check(const struct drive *drive, char message[MESSAGE_SIZE]);
@@ -102,5 +107,25 @@ int compliant_move(struct drive *drive, double step, char message[MESSAGE_SIZE])
 int compliant_swing(struct drive *drive, double step, char message[MESSAGE_SIZE]);
 double compliant_power(const struct drive *drive);
 double friction_strain(const struct state *s); /* rad; more than it can be while it slides */
+
+enum { MOST_STATES = 6 };
+int exchange_states(const struct drive *drive, int fields[MOST_STATES]);
+int exchange_solve(struct drive *drive, char message[MESSAGE_SIZE]);
+double exchange_rate(const struct drive *drive, int field);
+void exchange_indicators(struct drive *drive, double found[EVENT_INDICATORS]);
+int exchange_keep(struct drive *drive, int event);
+
+/* A direction in which inputs, parameters or states go: seeds in the place of what they belong to. */
+struct direction {
+    struct state along;
+    double size; /* its longest seed, in ways that a difference takes */
+    int parameters;
+};
+
+void derivative_begin(struct direction *direction);
+int derivative_seed(const struct drive *drive, struct direction *direction, const struct variable *known, double seed,
+                    char message[MESSAGE_SIZE]);
+int derivative_of(struct drive *drive, const struct direction *direction, const struct variable *unknown, double *value,
+                  char message[MESSAGE_SIZE]);
 
 #endif

@@ -180,6 +180,7 @@ static void read_variable(struct reader *reader, struct variable *v) {
     v->least = number(reader);
     v->most = number(reader);
     v->start = number(reader);
+    v->nominal = number(reader);
     if (v->field < -1 || v->field >= LOSS_TABLE + MOST_LOSS_ROWS * LOSS_COLUMNS) {
         reader->failed = 1;
     }
