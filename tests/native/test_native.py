@@ -14,7 +14,7 @@ from types import SimpleNamespace
 import fmpy
 import numpy as np
 import pytest
-from c_host import COMPILER, HERE, INTERFACES, WINE, Slave, compiled, native_of, needs, needs_wine, zig
+from c_host import BUILT, COMPILER, HERE, INTERFACES, WINE, Slave, compiled, native_of, needs, needs_wine, zig
 from common import ARCSEC, EXAMPLES, PAIR, make_pair
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
@@ -801,7 +801,7 @@ def test_a_file_of_tables_is_read_as_it_was_written(drive, unpacked, host, tmp_p
 
 
 @pytest.mark.parametrize("version", ["2.0", "3.0"])
-@pytest.mark.parametrize("kind", list(INTERFACES))
+@pytest.mark.parametrize("kind", list(BUILT))
 def test_validation_finds_nothing(built, kind, version):
     assert validate_fmu(str(built(kind, version))) == []
 
@@ -809,6 +809,7 @@ def test_validation_finds_nothing(built, kind, version):
 def test_variables_have_the_references_of_the_fmu_in_python(built, drive):
     for version in ("2.0", "3.0"):
         described = fmpy.read_model_description(str(built(version=version))).modelVariables
+        described = [v for v in described if not v.name.startswith("event_indicator")]
         table = variables(drive.pair, drive.surface, INTERFACES["kinematic"], version)
         assert all(table[v.valueReference].name == v.name and table[v.valueReference].unit == v.unit for v in described)
         assert {v.name for v in table if not v.dimensions} == {v.name for v in described}
