@@ -22,6 +22,7 @@ from cycloid_fmu.fmu.description import Version
 from cycloid_fmu.fmu.losses import check_losses
 from cycloid_fmu.fmu.parts import parts, write_archive
 from cycloid_fmu.fmu.pythonfmu_builder import build_archive
+from cycloid_fmu.fmu.reference_run import reference_files
 from cycloid_fmu.fmu.variables import INTERFACES, Interface, InterfaceKind, LossRow, variables
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.reducer.description import Reducer
@@ -134,6 +135,7 @@ def build_fmu(
                 contents[name] = (_FRONT / name.removeprefix("binaries/")).read_bytes()
         table = variables(pair, surface, interface, fmi_version, ratio_of(pair, first_stage))
         contents |= parts(pair, surface, interface, table, fmi_version, [library])
+        contents |= reference_files(pair, surface, interface, first_stage)
         write_archive(temporary, dict(sorted(contents.items())))  # the library lists a folder in any order
 
 

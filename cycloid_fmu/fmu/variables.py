@@ -384,7 +384,8 @@ _INDICATORS = {
     "compliant": ("the flank of positive torque touches", "the flank of negative torque touches"),
 }
 _FURTHER_INDICATORS = (
-    "the losses' torque no longer goes to zero with the speed", "a torque leaves the tables", "friction slides or sticks",
+    "the losses' torque no longer goes to zero with the speed", "a torque leaves the tables",
+    "friction slides or sticks",
 )  # fmt: skip
 
 

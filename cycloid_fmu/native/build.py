@@ -24,6 +24,7 @@ from cycloid_fmu.fmu.build import AnyDrive, checked_interface, ratio_of, whole_d
 from cycloid_fmu.fmu.constants import EVENT_INDICATORS, MOST_LOSS_ROWS
 from cycloid_fmu.fmu.description import Version, model_structure, model_variables, token_of, unit_definitions
 from cycloid_fmu.fmu.parts import parts, write_archive
+from cycloid_fmu.fmu.reference_run import reference_files
 from cycloid_fmu.fmu.variables import Interface, InterfaceKind, Variable, exchanged, from_tables, states, variables
 from cycloid_fmu.native import tables
 from cycloid_fmu.native.table_file import TABLE, constants_header, named, write
@@ -31,8 +32,8 @@ from cycloid_fmu.surfaces.surface import ErrorSurface
 
 IDENTIFIER = "CycloidDrive"
 SOURCES = (
-    "fmi2.c", "fmi3.c", "instance.c", "drive.c", "kinematic.c", "reducer.c", "compliant.c", "exchange.c", "derivatives.c",
-    "teeth.c", "losses.c", "table.c", "table_file.c", "uri.c",
+    "fmi2.c", "fmi3.c", "instance.c", "drive.c", "kinematic.c", "reducer.c", "compliant.c", "exchange.c",
+    "derivatives.c", "teeth.c", "losses.c", "table.c", "table_file.c", "uri.c",
 )  # fmt: skip
 _SOURCES = Path(__file__).with_name("sources")
 _FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off", "-s")
@@ -321,6 +322,7 @@ def build_native(
             **{f"sources/{name}": data for name, data in _source_files().items()},
             **libraries,
             **parts(pair, surface, interface, list(kept.values()), fmi_version, ()),
+            **reference_files(pair, surface, interface, first_stage),
         }
         if fmi_version == "3.0":
             contents["sources/buildDescription.xml"] = _xml(_build_description())

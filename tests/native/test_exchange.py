@@ -7,7 +7,7 @@ from ctypes import c_double
 import fmpy
 import numpy as np
 import pytest
-from c_host import BUILT
+from common import smoke_tested
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Model
 from fmpy.fmi3 import FMU3Model, FMU3Slave
@@ -77,7 +77,9 @@ def test_motor_and_arm_move_through_the_play_as_scipy_has_them(built, drive, ver
     kinetic = 0.5 * 1e-3 * found["flange_a.w"] ** 2 + 0.5 * ARM * found["flange_b.w"] ** 2
     stored = kinetic + found["elastic_energy"] + found["dissipated_energy"]
     turned, swung = exact(time)[0], exact(time)[2]
-    done = np.trapezoid(2.0 * np.sin(75.0 * time), turned) + load * np.ptp(swung[[0, -1]]) * np.sign(swung[-1] - swung[0])
+    done = np.trapezoid(2.0 * np.sin(75.0 * time), turned) + load * np.ptp(swung[[0, -1]]) * np.sign(
+        swung[-1] - swung[0]
+    )
     assert stored[-1] - stored[0] == pytest.approx(done, rel=5e-3)
 
 
@@ -128,7 +130,14 @@ def test_inertias_give_in_model_exchange_what_they_give_in_co_simulation(built, 
         values |= {"flange_a.tau": 1.5}
     else:
         values |= {"flange_a.w": 0.0}
-    outputs = ("flange_b.phi", "flange_b.w", "transmission_error", "elastic_energy", "dissipated_energy", "friction_strain")
+    outputs = (
+        "flange_b.phi",
+        "flange_b.w",
+        "transmission_error",
+        "elastic_energy",
+        "dissipated_energy",
+        "friction_strain",
+    )
     exchange, simulation = (
         simulated(built(kind), name, 0.06, None, outputs, values, output_interval=5e-4, **more)
         for name, more in (("ModelExchange", {"relative_tolerance": 1e-8}), ("CoSimulation", {"step_size": 5e-4}))
@@ -153,13 +162,18 @@ class Model:
         self.states = [d.variable.derivative.name for d in described.derivatives]
         self.rates = [d.variable.name for d in described.derivatives]
         self.inputs = [v.name for v in described.modelVariables if v.causality == "input"]
-        self.outputs = [v.name for v in described.modelVariables if v.causality == "output" and v.type in ("Real", "Float64")]
+        self.outputs = [
+            v.name for v in described.modelVariables if v.causality == "output" and v.type in ("Real", "Float64")
+        ]
         self.fmi = kind(
-            guid=described.guid or described.instantiationToken, unzipDirectory=fmpy.extract(str(path), unzipdir=str(folder)),
-            modelIdentifier="CycloidDrive", instanceName="drive",
+            guid=described.guid or described.instantiationToken,
+            unzipDirectory=fmpy.extract(str(path), unzipdir=str(folder)), modelIdentifier="CycloidDrive",
+            instanceName="drive",
         )  # fmt: skip
         self.fmi.instantiate()
-        self._set, self._get = (self.fmi.setFloat64, self.fmi.getFloat64) if new else (self.fmi.setReal, self.fmi.getReal)
+        self._set, self._get = (
+            (self.fmi.setFloat64, self.fmi.getFloat64) if new else (self.fmi.setReal, self.fmi.getReal)
+        )
         self.put(values)
         if not new:
             self.fmi.setupExperiment(startTime=0.0)
@@ -213,7 +227,7 @@ MOVED = {"flange_a.phi": 1e-7, "flange_b.phi": 1e-9, "transmission_error": 1e-9,
 @pytest.mark.parametrize("deviation", [2.2e-4, -1.4e-4, 1e-6])
 def test_directional_derivatives_are_those_of_differences(model, kind, version, deviation):
     """Pressed on either flank and in the play, with friction, losses and damping."""
-    found = model(kind, version, **{"series_compliance": 1e-7, "friction_torque": 0.0 if kind == "kinematic" else 3.0})
+    found = model(kind, version, series_compliance=1e-7, friction_torque=0.0 if kind == "kinematic" else 3.0)
     values = {"flange_a.phi": 0.3, "flange_a.w": 31.0}
     if kind == "kinematic":
         values |= {"flange_b.tau": 3e5 * deviation}
@@ -240,3 +254,131 @@ def test_directional_derivatives_are_those_of_differences(model, kind, version, 
         noise = 1e-6 * np.abs(wanted) + 2e-14 * size / step + 1e-9 * size
         bad = [(n, w, g) for n, w, g, e in zip(unknowns, wanted, told, noise, strict=True) if abs(w - g) > e]
         assert not bad, known
+
+
+@pytest.mark.parametrize("kind", ["compliant", "joint"])
+def test_adjoint_derivatives_are_the_transposed_ones(model, kind):
+    found = model(kind)
+    found.put({"flange_a.phi": 0.3, "flange_b.phi": 0.3 / -39.0 + 2e-4} if kind == "compliant" else
+              {"flange_a.phi": 0.3, "transmission_error": 2e-4})  # fmt: skip
+    knowns = [n for n in (*found.inputs, *found.states) if n != "dissipated_energy"]
+    unknowns, random = [*found.outputs, *found.rates], np.random.default_rng(1)
+    seeds = random.normal(size=len(unknowns))
+    whole = np.array([found.directional(unknowns, [name], [1.0]) for name in knowns])
+    adjoint = found.fmi.getAdjointDerivative(
+        [found.references[n] for n in unknowns], [found.references[n] for n in knowns], list(seeds),
+        len(knowns),
+    )  # fmt: skip
+    assert np.allclose(adjoint, whole @ seeds, rtol=1e-12)
+    mixed = random.normal(size=len(knowns))
+    together = found.directional(unknowns, knowns, mixed)
+    # What is found by differences is linear to their accuracy.
+    assert np.allclose(together, mixed @ whole, rtol=1e-5, atol=1e-9 * np.abs(whole).max())
+
+
+def test_in_co_simulation_derivatives_are_those_at_the_step_made(model):
+    found = model("kinematic", slave=True, **{"flange_a.phi": 0.3, "flange_a.w": 5.0, "flange_b.tau": 40.0})
+    found.fmi.doStep(0.0, 1e-3)
+    unknowns = ["flange_b.phi", "flange_a.tau", "flange_b.w"]
+    told = found.directional(unknowns, ["flange_b.tau"], [1.0])
+    sides = []
+    for torque in (40.0 - 1e-4, 40.0 + 1e-4):
+        found.put({"flange_b.tau": torque})
+        found.fmi.doStep(1e-3, 1e-3)
+        sides.append(found.get(*unknowns))
+    assert told == pytest.approx((sides[1] - sides[0]) / 2e-4, rel=1e-6)
+    assert told[0] == pytest.approx(1.0 / found.get("torsional_stiffness")[0], rel=1e-6)
+    # Inertias inside move in the step alone.
+    still = model("joint", slave=True)
+    assert (still.directional(["flange_b.phi", "flange_b.w"], ["flange_b.tau"], [1.0]) == 0.0).all()
+
+
+def test_a_derivative_by_an_output_is_refused(model):
+    with pytest.raises(FMICallException):
+        model("joint").directional(["flange_b.a"], ["elastic_energy"], [1.0])
+
+
+# --- modes and states ---
+
+
+def test_modes_are_kept_apart(model):
+    found = model("joint")
+    x = (c_double * len(found.states))()
+    for refused in (
+        lambda: found.fmi.updateDiscreteStates(),
+        lambda: found.fmi.getContinuousStates(x, 3),
+        lambda: found.put({"flange_b.a": 1.0}),
+    ):
+        with pytest.raises(FMICallException):
+            refused()
+    found.fmi.enterEventMode()
+    found.fmi.updateDiscreteStates()
+    found.fmi.enterContinuousTimeMode()
+    other = model("joint", slave=True)
+    for refused in (lambda: other.fmi.enterEventMode(), lambda: other.fmi.getContinuousStates(x, len(x))):
+        with pytest.raises((FMICallException, AttributeError)):
+            refused()
+
+
+@pytest.mark.parametrize("kind", ["kinematic", "joint"])
+def test_a_state_of_model_exchange_comes_back_with_its_mode_and_memory(model, kind):
+    found = model(kind)
+    torque = {"flange_b.tau": 10.0}
+    found.put({**torque, "flange_a.phi": 0.2} if kind == "kinematic" else {**torque, "transmission_error": 1e-4})
+    found.fmi.completedIntegratorStep()
+    before = found.get(*found.outputs)
+    kept = found.fmi.serializeFMUState(found.fmi.getFMUState())
+    found.put({"flange_b.tau": 0.0, "flange_a.phi": 0.9})
+    found.fmi.completedIntegratorStep()
+    assert not np.array_equal(found.get(*found.outputs), before)
+    found.fmi.setFMUState(found.fmi.deserializeFMUState(kept))
+    assert np.array_equal(found.get(*found.outputs), before)
+    other = model(kind, slave=True)
+    with pytest.raises(FMICallException):
+        other.fmi.deserializeFMUState(kept)
+
+
+def test_a_trial_step_of_the_solver_leaves_no_mark_on_the_kinematic_play(model):
+    """At zero torque the output stands until a flank takes it: what counts is where steps ended."""
+    found = model("kinematic")
+    found.put({"flange_b.tau": 0.0, "flange_a.phi": 0.0})
+    found.fmi.completedIntegratorStep()
+    (start,) = found.get("flange_b.phi")
+    found.put({"flange_a.phi": 3.0})
+    assert found.get("flange_b.phi")[0] != start
+    found.put({"flange_a.phi": 0.0})
+    assert found.get("flange_b.phi")[0] == start
+    found.put({"flange_a.phi": 3.0})
+    found.fmi.completedIntegratorStep()
+    found.put({"flange_a.phi": 0.0})
+    assert found.get("flange_b.phi")[0] != start
+
+
+def test_friction_sticks_slides_and_turns_round_as_a_stop_does(built, drive):
+    """Against the stop's own formula: strain = clip(strain + way) from turning point to turning point."""
+    path = built("compliant")
+    time = np.linspace(0.0, 0.2, 401)
+    way = 3e-5 * np.sin(60.0 * time) + 2e-5 * np.sin(130.0 * time)
+    speed = 1.8e-3 * np.cos(60.0 * time) + 2.6e-3 * np.cos(130.0 * time)
+    inputs = signals(time, flange_b__phi=way, flange_b__w=speed)
+    found = simulated(
+        path, "ModelExchange", 0.2, inputs, ("friction_strain",), {"friction_torque": 3.0}, relative_tolerance=1e-6,
+        output_interval=5e-4,
+    )  # fmt: skip
+    strain, strains = 0.0, [0.0]
+    for a, b in itertools.pairwise(np.interp(np.linspace(0.0, 0.2, 40001), time, way)):
+        strain = min(max(strain + b - a, -2e-5), 2e-5)
+        strains.append(strain)
+    wanted = np.interp(found["time"], np.linspace(0.0, 0.2, 40001), strains)
+    assert np.abs(wanted).max() == pytest.approx(2e-5)
+    assert np.abs(found["friction_strain"] - wanted).max() < 1e-6
+
+
+# --- the run that an FMU brings along ---
+
+
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+@pytest.mark.parametrize("kind", list(STATES))
+def test_the_run_inside_gives_its_references(built, kind, version):
+    for offered in ("CoSimulation", "ModelExchange"):
+        assert smoke_tested(built(kind, version), offered) >= 2
