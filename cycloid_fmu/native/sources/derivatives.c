@@ -4,6 +4,7 @@
 
 #include <math.h>
 #include <stdio.h>
+#include <string.h>
 
 /* How the contacts answer: how fast their load, the crank's torque and the mean rate over all loads change. */
 struct answer {
@@ -165,14 +166,11 @@ static int movable(const struct drive *drive, const struct variable *known) {
             return 1;
         }
     }
-    return known->causality == CAUSALITY_INPUT || (known->causality == CAUSALITY_PARAMETER && drive_stored(&((struct drive *)drive)->state, known) != NULL);
+    return known->causality == CAUSALITY_INPUT || (known->causality == CAUSALITY_PARAMETER && !known->baked);
 }
 
 void derivative_begin(struct direction *direction) {
-    static const struct state STANDING;
-    direction->along = STANDING;
-    direction->size = 0.0;
-    direction->parameters = 0;
+    memset(direction, 0, sizeof *direction);
 }
 
 int derivative_seed(const struct drive *drive, struct direction *direction, const struct variable *known, double seed,

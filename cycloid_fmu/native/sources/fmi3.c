@@ -2,6 +2,9 @@
 #include <stdlib.h>
 #include <string.h>
 
+#if defined(__clang__)
+#pragma clang diagnostic ignored "-Wstrict-prototypes" /* of FMI's own header */
+#endif
 #include "fmi3Functions.h"
 #include "instance.h"
 
@@ -155,6 +158,8 @@ static fmi3Status absent(struct instance *instance, const char *what) {
 
 #if defined(__GNUC__)
 #pragma GCC diagnostic ignored "-Wunused-parameter"
+#elif defined(_MSC_VER)
+#pragma warning(disable : 4100)
 #endif
 ABSENT_TYPE(Float32)
 ABSENT_TYPE(Int8)

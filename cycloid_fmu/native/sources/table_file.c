@@ -1,3 +1,4 @@
+#define _CRT_SECURE_NO_WARNINGS /* Microsoft's compiler warns of _wfopen */
 #include "table.h"
 
 #include <math.h>
