@@ -225,9 +225,10 @@ def _description(
     else:
         both["providesAdjointDerivatives"] = "true"
     exchange = {} if version == "2.0" else {"needsCompletedIntegratorStep": "true"}
-    for name, own in (
-        ("ModelExchange", exchange), ("CoSimulation", {"canHandleVariableCommunicationStepSize": "true"}),
-    ):  # fmt: skip
+    simulation = {"canHandleVariableCommunicationStepSize": "true"}
+    if version == "3.0" and interface.output_inertia > 0.0:  # at an impact
+        simulation |= {"hasEventMode": "true", "mightReturnEarlyFromDoStep": "true"}
+    for name, own in (("ModelExchange", exchange), ("CoSimulation", simulation)):
         offered = SubElement(root, name, both | own)
         if version == "2.0":
             files = SubElement(offered, "SourceFiles")

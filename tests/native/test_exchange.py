@@ -152,9 +152,9 @@ def test_inertias_give_in_model_exchange_what_they_give_in_co_simulation(built, 
 
 
 class Model:
-    """A Model Exchange instance in fmpy, in continuous-time mode; values by name."""
+    """An instance in fmpy, of Model Exchange in continuous-time mode or for steps; values by name."""
 
-    def __init__(self, path, folder, slave=False, **values):
+    def __init__(self, path, folder, slave=False, early=False, **values):
         described = fmpy.read_model_description(str(path))
         new = described.fmiVersion.startswith("3")
         kind = (FMU3Slave if slave else FMU3Model) if new else FMU2Model
@@ -170,7 +170,7 @@ class Model:
             unzipDirectory=fmpy.extract(str(path), unzipdir=str(folder)), modelIdentifier="CycloidDrive",
             instanceName="drive",
         )  # fmt: skip
-        self.fmi.instantiate()
+        self.fmi.instantiate(**({"eventModeUsed": True, "earlyReturnAllowed": True} if early else {}))
         self._set, self._get = (
             (self.fmi.setFloat64, self.fmi.getFloat64) if new else (self.fmi.setReal, self.fmi.getReal)
         )
@@ -179,7 +179,10 @@ class Model:
             self.fmi.setupExperiment(startTime=0.0)
         self.fmi.enterInitializationMode()
         self.fmi.exitInitializationMode()
-        if not slave:
+        if early:
+            self.fmi.updateDiscreteStates()
+            self.fmi.enterStepMode()
+        elif not slave:
             (self.fmi.updateDiscreteStates if new else self.fmi.newDiscreteStates)()
             self.fmi.enterContinuousTimeMode()
 
@@ -208,9 +211,9 @@ class Model:
 def model(built, tmp_path):
     made = []
 
-    def one(kind, version="3.0", slave=False, **values):
+    def one(kind, version="3.0", slave=False, early=False, **values):
         folder = tmp_path / f"{kind} {len(made)}"
-        made.append(Model(built(kind, version), folder, slave, **values))
+        made.append(Model(built(kind, version), folder, slave, early, **values))
         return made[-1]
 
     yield one
@@ -382,3 +385,66 @@ def test_friction_sticks_slides_and_turns_round_as_a_stop_does(built, drive):
 def test_the_run_inside_gives_its_references(built, kind, version):
     for offered in ("CoSimulation", "ModelExchange"):
         assert smoke_tested(built(kind, version), offered) >= 2
+
+
+def test_a_step_returns_early_at_an_impact_where_the_host_asks_for_it(model, built):
+    """The drive turns through its play under torques that press it from flank to flank."""
+    found = model("joint", slave=True, early=True, **{"flange_b.tau": 20.0})
+    found.put({"flange_b.tau": -60.0})
+    time, early = 0.0, []
+    while time < 0.02:
+        needed, terminate, returned, reached = found.fmi.doStep(time, 5e-3)
+        assert not terminate
+        assert returned == needed == (reached < time + 5e-3 - 1e-12)
+        if returned:
+            early.append((reached, *found.get("elastic_energy", "transmission_error")))
+            found.fmi.enterEventMode()
+            found.fmi.updateDiscreteStates()
+            found.fmi.enterStepMode()
+        time = reached
+    assert early
+    # Contact has just begun: within a sub-step of the other flank.
+    _, energy, deviation = early[0]
+    assert 0.0 < energy < 1e-3
+    assert -2.2e-4 < deviation < -1e-4
+    # Where nobody asks, the whole step is made.
+    other = model("joint", slave=True, **{"flange_b.tau": 20.0})
+    other.put({"flange_b.tau": -60.0})
+    for i in range(4):
+        assert other.fmi.doStep(5e-3 * i, 5e-3)[2:] == (False, pytest.approx(5e-3 * (i + 1)))
+
+
+def test_fmpy_runs_a_joint_with_event_mode_and_early_return(built):
+    whole, early = (
+        simulated(
+            built("joint", "3.0"), "CoSimulation", 0.02, None, ("flange_b.phi",), {"flange_b.tau": -30.0, "flange_a.tau": 2.0},
+            use_event_mode=used, early_return_allowed=used,
+        )
+        for used in (False, True)
+    )  # fmt: skip
+    values = np.interp(whole["time"], early["time"], early["flange_b.phi"])
+    assert np.abs(values - whole["flange_b.phi"]).max() < 1e-3 * np.ptp(whole["flange_b.phi"])
+
+
+def test_fmuloader_exchanges_the_model(built, model):
+    from fmuloader.fmi3 import Fmi3Slave
+
+    path, beside = built("joint", "3.0"), model("joint", **{"flange_b.tau": 20.0})
+    host = Fmi3Slave(str(path), model_identifier="CycloidDrive")
+    token = fmpy.read_model_description(str(path)).instantiationToken
+    host.instantiate_model_exchange("drive", instantiation_token=token)
+    host.set_float64([beside.references["flange_b.tau"]], [20.0])
+    host.enter_initialization_mode(start_time=0.0)
+    host.exit_initialization_mode()
+    host.update_discrete_states()
+    host.enter_continuous_time_mode()
+    count = host.get_number_of_continuous_states()
+    x = np.array(host.get_continuous_states(count))
+    x[beside.states.index("transmission_error")] = 1.5e-4
+    host.set_continuous_states(list(x))
+    beside.put({"transmission_error": 1.5e-4})
+    assert list(host.get_continuous_state_derivatives(count)) == list(beside.get(*beside.rates))
+    names = [f"event_indicator[{i}]" for i in range(1, 6)]
+    assert list(host.get_event_indicators(host.get_number_of_event_indicators())) == list(beside.get(*names))
+    host.terminate()
+    host.free_instance()

@@ -249,13 +249,18 @@ int compliant_swing(struct drive *drive, double step, char message[MESSAGE_SIZE]
         }
         s->dissipated_energy += w.lost + w.damping * (w.way - w.turn / ratio) + w.crank_loss * w.turn;
         s->outside = s->outside != 0.0 || teeth_outside(drive, w.end.load, w.end.side) ? 1.0 : 0.0;
-        at = w.end;
         left = parts > 1.0 ? left - part : 0.0;
+        drive->impact = w.end.load > 0.0 && (at.load == 0.0 || at.side != w.end.side);
+        at = w.end;
+        if (drive->impact && drive->early) {
+            break;
+        }
     }
     s->crank_angle = s->turned;
-    if (step > 0.0) {
-        s->mean_torque = work / step;
-        s->mean_loss = (s->dissipated_energy - before) / step;
+    drive->left = left;
+    if (step > left) {
+        s->mean_torque = work / (step - left);
+        s->mean_loss = (s->dissipated_energy - before) / (step - left);
     }
     return 0;
 }

@@ -61,10 +61,14 @@ int drive_step(struct drive *drive, double time, double step, char message[MESSA
     if (!(fabs(time + step) < HUGE_VAL)) {
         return drive_refuse(message, "a step from the time %g s over %g s: both must be finite.", time, step);
     }
+    drive->impact = 0;
+    drive->left = 0.0;
     if (guarded(drive, step, message)) {
+        drive->impact = 0;
+        drive->left = 0.0;
         return 1;
     }
-    drive->state.time = time + step;
+    drive->state.time = time + step - drive->left;
     return 0;
 }
 

@@ -43,6 +43,8 @@ struct drive {
     int rows;         /* of the loss table */
     int initializing; /* outputs follow the inputs without a step */
     int exchange;     /* Model Exchange: the solver is the host's; an inertia's deviation is a state */
+    int early, impact; /* whether a step ends where contact begins, and whether the last one did */
+    double left;       /* what it then left of it, s */
     int placed;       /* whether `place` is that of the state; of no effect on results */
     struct place place;
     struct loaded at; /* what the contacts do there under `at_load`, where that is not 0 */

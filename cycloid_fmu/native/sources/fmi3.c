@@ -40,8 +40,8 @@ static struct instance *opened(fmi3String name, fmi3String token, fmi3String res
         failed = instance_refuse(instance, STATUS_ERROR, "this FMU is none for %s.", refused);
     } else {
         instance->events = events;
-        instance->early = early;
         failed = instance_open(instance, name, token, resources, exchange);
+        instance->drive.early = early;
     }
     if (failed) {
         instance_close(instance);
@@ -326,7 +326,9 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 step, fmi3Bo
                       fmi3Float64 *lastSuccessfulTime) {
     struct instance *instance = c;
     int status = instance_step(instance, time, step);
-    *eventHandlingNeeded = *terminateSimulation = *earlyReturn = fmi3False;
+    *earlyReturn = instance->drive.left > 0.0;
+    *eventHandlingNeeded = instance->drive.early && instance->drive.impact;
+    *terminateSimulation = fmi3False;
     *lastSuccessfulTime = instance->drive.state.time;
     return (fmi3Status)status;
 }

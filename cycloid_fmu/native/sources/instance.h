@@ -17,7 +17,6 @@ struct instance {
     void (*callback3)(void);      /* FMI 3.0's logMessage */
     int warned; /* that the tables were left */
     int events; /* whether event mode is used: in Model Exchange, and where the host asked for it */
-    int early;  /* whether the host lets a step return at an impact */
     char message[MESSAGE_SIZE];
 };
 
