@@ -417,8 +417,8 @@ def test_a_step_returns_early_at_an_impact_where_the_host_asks_for_it(model, bui
 def test_fmpy_runs_a_joint_with_event_mode_and_early_return(built):
     whole, early = (
         simulated(
-            built("joint", "3.0"), "CoSimulation", 0.02, None, ("flange_b.phi",), {"flange_b.tau": -30.0, "flange_a.tau": 2.0},
-            use_event_mode=used, early_return_allowed=used,
+            built("joint", "3.0"), "CoSimulation", 0.02, None, ("flange_b.phi",),
+            {"flange_b.tau": -30.0, "flange_a.tau": 2.0}, use_event_mode=used, early_return_allowed=used,
         )
         for used in (False, True)
     )  # fmt: skip
