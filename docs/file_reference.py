@@ -12,6 +12,7 @@ from pydantic_core.core_schema import CoreSchema, ModelSchema
 
 from cycloid_fmu import edge
 from cycloid_fmu.errors.kinds import KINDS, ErrorKind
+from cycloid_fmu.fmu import friction_file
 from cycloid_fmu.geometry import pair
 from cycloid_fmu.reducer import description as reducer
 from cycloid_fmu.surfaces import sampling
@@ -27,6 +28,7 @@ FILES = (
     ("Gear pair", pair.FORMAT, pair._File, "drive-39-40-as-made.toml"),
     ("RV reducer", reducer.FORMAT, reducer.Reducer, "rv-20e.toml"),
     ("Tolerances", sampling.FORMAT, sampling.file_model(), "tolerances.toml"),
+    ("Friction", friction_file.FORMAT, friction_file._FrictionFile, "friction.toml"),
     ("Wear law", wear_law.FORMAT, wear_law._WearFile, "wear.toml"),
     ("Bench wiring", bench.BENCH_FORMAT, bench._BenchFile, None),
     ("Guided sequence", sequence.FORMAT, sequence.SequenceFile, None),
@@ -39,7 +41,7 @@ STATED_BY = {pair._Geometry: pair.Pair, pair._File: pair.Pair, sampling.file_mod
 QUANTITIES = {
     "m": "length", "rad": "angle", "N*m": "torque", "Pa": "pressure", "s": "time", "rad/s": "speed",
     "K": "temperature", "N": "force", "N/m": "stiffness", "N*m/rad": "torsional stiffness",
-    "1/K": "thermal expansion", "1/Pa": "pressure viscosity", "m^2/N": "wear coefficient",
+    "1/K": "per kelvin", "N*m*s/rad": "rotational damping", "1/Pa": "pressure viscosity", "m^2/N": "wear coefficient",
 }  # fmt: skip
 ELSEWHERE = ("stage",)  # a reducer's [pair], [modification], [material] and [supports] are those of a pair file
 INTRODUCTION = """# Files

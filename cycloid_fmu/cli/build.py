@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from cycloid_fmu import edge
 from cycloid_fmu.cli.shared import SurfaceFile
 from cycloid_fmu.edge import commands
+
+if TYPE_CHECKING:
+    from cycloid_fmu.fmu.friction_file import FrictionTables
+    from cycloid_fmu.fmu.variables import LossRow
 
 
 def build(
@@ -44,8 +48,13 @@ def build(
         Path | None,
         typer.Option(
             metavar="LOSSES.csv",
-            help="Losses: speed \\[rpm],eta_mf1 [1],eta_mf2 [1],tau_bf1 [N*m],tau_bf2 [N*m], as Modelica's LossyGear.",
+            help="Losses: speed \\[rpm],eta_mf1 [1],eta_mf2 [1],tau_bf1 [N*m],tau_bf2 [N*m], as Modelica's LossyGear; "
+            "or measured: speed \\[rpm],torque [N*m],loss [N*m],temperature [K].",
         ),
+    ] = None,
+    friction_file: Annotated[
+        Path | None,
+        typer.Option("--friction", metavar="FRICTION.toml", help="Friction at both flanges (cycloid-friction/1)."),
     ] = None,
     fmi_version: Annotated[str, commands.choice_option(("2.0", "3.0"), "FMI version.", "--fmi")] = "2.0",
     native: Annotated[
@@ -69,16 +78,27 @@ def build(
     Example: [cyan]cycloid-fmu build pair.toml --surface identified.nc -o drive.fmu[/]
     """
     from cycloid_fmu.drive import read_drive
-    from cycloid_fmu.fmu.build import build_fmu, read_losses
+    from cycloid_fmu.fmu.bench_losses import is_of_bench
+    from cycloid_fmu.fmu.build import build_fmu, ratio_of, read_losses
+    from cycloid_fmu.fmu.friction_file import FrictionTables, read_friction
     from cycloid_fmu.fmu.variables import LOSSLESS, Interface
 
     if platforms and not native:
         raise edge.InputError("--platform: only a --native FMU has platforms; one in Python runs where Python does.")
     if largest_torque is not None and not native:
         raise edge.InputError("--largest-torque: only a --native FMU has tables; one in Python solves every torque.")
-    table = LOSSLESS if losses is None else read_losses(losses)
-    offered = Interface(interface, output_inertia, table, crank_inertia=crank_inertia)  # type: ignore[arg-type]
     drive = read_drive(pair_file, surface_file)
+    table, friction = LOSSLESS, FrictionTables()
+    if friction_file is not None:
+        friction = read_friction(friction_file)
+    if losses is not None and is_of_bench(losses):
+        table, friction = _measured(losses, ratio_of(drive.pair, drive.first_stage), friction)
+    elif losses is not None:
+        table = read_losses(losses)
+    offered = Interface(
+        interface, output_inertia, table, crank_inertia=crank_inertia,  # type: ignore[arg-type]
+        input_friction=friction.input, output_friction=friction.output,
+    )  # fmt: skip
     options: dict[str, Any] = {"interface": offered, "fmi_version": fmi_version}
     if not native:
         build_fmu(drive, output, **options)
@@ -104,3 +124,24 @@ def build(
         f"within {made.largest_error * edge.ARCSEC:.3f} arcsec of the exact model "
         f"({PROBES} random crank angles and torques, and more around the worst)."
     )
+
+
+def _measured(losses: Path, ratio: float, friction: FrictionTables) -> tuple[tuple[LossRow, ...], FrictionTables]:
+    """Loss table of a bench's measured losses, and friction with its temperature coefficient at the input."""
+    from cycloid_fmu.fmu.bench_losses import read_bench_losses
+
+    found, at = read_bench_losses(losses, ratio), friction.input
+    warm = f"; they go with exp(-{found.temperature_coefficient:.4g}/K (T - {found.reference_temperature:.5g} K))"
+    typer.echo(
+        f"{losses}: the loss table leaves {100.0 * found.misfit:.2g} % of the losses (root mean square)"
+        f"{warm if found.temperature_coefficient != 0.0 else ''}."
+    )
+    if found.temperature_coefficient == 0.0:
+        return found.rows, friction
+    if at.temperature_coefficient != 0.0:
+        raise edge.InputError(
+            f"[friction.input] temperature_coefficient = {at.temperature_coefficient:g} 1/K: {losses} states one as "
+            "well; remove one of them."
+        )
+    temperature = {name: getattr(found, name) for name in ("temperature_coefficient", "reference_temperature")}
+    return found.rows, friction.replace(input=at.replace(**temperature))

@@ -19,6 +19,7 @@ from cycloid_fmu.edge import ArgumentError
 from cycloid_fmu.fmu.constants import DAMPING_TIME
 from cycloid_fmu.fmu.core import FORMAT, NUMBERS, SURFACE
 from cycloid_fmu.fmu.description import Version
+from cycloid_fmu.fmu.friction_file import Friction
 from cycloid_fmu.fmu.losses import check_losses
 from cycloid_fmu.fmu.parts import parts, write_archive
 from cycloid_fmu.fmu.pythonfmu_builder import build_archive
@@ -114,7 +115,10 @@ def build_fmu(
             "format": FORMAT,
             "package_version": __version__,
             "pair": pair.nominal.text,
-            "interface": dataclasses.asdict(interface),
+            "interface": {
+                name: value.model_dump() if isinstance(value, Friction) else value
+                for name, value in vars(interface).items()
+            },
         }
         if first_stage is not None:
             numbers["first_stage"] = json.loads(first_stage.text)

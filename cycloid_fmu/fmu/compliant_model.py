@@ -16,7 +16,7 @@ from typing import NamedTuple
 from cycloid_fmu.fmu.constants import (
     CRANK_STEP,
     DEVIATION_STEP,
-    FRICTION_DISPLACEMENT,
+    FRICTION_ELEMENTS,
     LARGEST_LOAD,
     LARGEST_TRANSMISSION_ERROR,
     LAST_CHANGE,
@@ -30,7 +30,7 @@ from cycloid_fmu.fmu.constants import (
     STEP_TOLERANCE,
     SUB_STEP,
 )
-from cycloid_fmu.fmu.losses import loss_torque
+from cycloid_fmu.fmu.friction import UNSTRAINED, Pressed, Slid
 from cycloid_fmu.fmu.mesh import StepError
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.stepped_model import State, SteppedModel, state_fields
@@ -38,11 +38,13 @@ from cycloid_fmu.fmu.variables import LARGEST_STEP, LOSSLESS
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
-_NO_LOSSES = [list(row) for row in LOSSLESS]  # a longer table that takes nothing is walked through in vain
 # What a quasi-static drive at the same place has of the state.
 _SHARED = (
     "errors", "pin_arrays", "_crank_turns_worn", "crank_angle", "crank_speed", "series_compliance", "backlash_on",
 )  # fmt: skip
+
+
+_FREE = Slid(list(UNSTRAINED), 0.0, 0.0, 0.0, 0.0)
 
 
 @state_fields
@@ -81,7 +83,6 @@ class CompliantState(State):
     _turned: float = 0.0  # where the crank stands, as its angle may be set to where it goes next, rad
     _mean_torque: float = 0.0  # of the crank in the last step, N·m
     _mean_loss: float = 0.0  # likewise, W
-    _bristle: float = 0.0  # how far friction is strained, rad
     _seen: float = 0.0  # the output angle that friction has followed to, rad
     _solved_at: Sequence[float] = ()
     _solved: Sequence[float] = ()
@@ -111,8 +112,6 @@ def _mean_over(
 
 class CompliantModel(SteppedModel, CompliantState):
     """A cycloid-pin drive between two flanges, stepped by `advance`.
-
-    `friction_torque` is that of an elastic-plastic element that slides beyond `FRICTION_DISPLACEMENT`.
 
     Parameters
     ----------
@@ -164,53 +163,36 @@ class CompliantModel(SteppedModel, CompliantState):
         """Torque of the contacts' damping at the output, N·m."""
         return math.copysign(min(self.mesh_damping * abs(speed), abs(elastic)), speed)
 
-    def _rub(self, way: float) -> tuple[float, float]:
-        """Move the friction's bristle by a way of the output: work done on it and what of it is lost, J."""
-        if self.friction_torque == 0.0:  # where it acts anew it begins unstrained, without energy
-            self._bristle = 0.0
-            return 0.0, 0.0
-        before = self._bristle
-        self._bristle = min(max(before + way, -FRICTION_DISPLACEMENT), FRICTION_DISPLACEMENT)
-        lost = self.friction_torque * abs(before + way - self._bristle)
-        stored = 0.5 * self.friction_torque / FRICTION_DISPLACEMENT * (self._bristle**2 - before**2)
-        return stored + lost, lost
-
-    def _strained(self) -> float:
-        """How far friction is strained at the present output angle, rad; more than it can be while it slides."""
-        return self._bristle + (self.output_angle - self._seen)
+    def _lose(self, energy: float) -> None:
+        self.dissipated_energy += energy
 
     def _solve(self) -> Sequence[float]:
-        """Energy, torques at a (without losses) and b, and damping at the flanges' present place."""
+        """Energy and torques at a and b of the contacts, with their damping, at the flanges' present place."""
         crank = self.crank_angle if self._held else self._turned
         crank_speed, output, speed = self.crank_speed, self.output_angle, self.output_speed
         at = [
-            crank, crank_speed, output, speed, self._bristle, self._seen, self.friction_torque, self.series_compliance,
-            self.mesh_damping, self.backlash_on,
+            crank, crank_speed, output, speed, self.series_compliance, self.mesh_damping, self.backlash_on,
         ]  # fmt: skip
         if at != self._solved_at:
             energy, by_angle, by_rotation = self._contact(self._reduced(crank), output - crank / self._ratio)
-            torque, transmitted, damping = by_rotation, by_angle, 0.0
+            damping = 0.0
             if self.mesh_damping > 0.0:
                 damping = self._damping(by_rotation, speed - crank_speed / self._ratio)
-                torque += damping
-                transmitted -= damping / self._ratio
-            if self.friction_torque > 0.0:
-                strain = min(max(self._strained() / FRICTION_DISPLACEMENT, -1.0), 1.0)
-                energy += 0.5 * self.friction_torque * FRICTION_DISPLACEMENT * strain**2
-                torque += self.friction_torque * strain
-            self._solved_at, self._solved = at, [energy, transmitted, torque, damping]
+            transmitted = by_angle - damping / self._ratio
+            self._solved_at, self._solved = at, [energy, transmitted, by_rotation, damping]
         return self._solved
 
-    def _lost(self, transmitted: float) -> float:
-        """Torque that losses add at flange_a, N·m: not kept, for their table is set cell by cell."""
-        return self._losing(transmitted, self.crank_speed)[0]
-
-    def _losing(self, transmitted: float, speed: float) -> tuple[float, float]:
-        return (0.0, 0.0) if self.loss_table == _NO_LOSSES else loss_torque(self.loss_table, speed, transmitted)
+    def _pressing(self, flange: int) -> Pressed:
+        """Friction of a flange at the present place and speed."""
+        _, transmitted, torque, _ = self._solve()
+        if flange == 0:
+            way = self.crank_angle - self._crank_seen if self._held else 0.0
+            return self._press(0, way, self.crank_speed, transmitted)
+        return self._press(1, self.output_angle - self._seen, self.output_speed, torque)
 
     def forget_history(self) -> None:
         """Make the next step start without history: friction unstrained and, with an inertia, at rest on the load."""
-        self._bristle = self.dissipated_energy = 0.0
+        self._strains, self.dissipated_energy = [list(UNSTRAINED), list(UNSTRAINED)], 0.0
         if not self._held:
             if not self._led:
                 self.crank_angle, self.crank_speed = self.crank_angle_start, self.crank_speed_start
@@ -224,10 +206,11 @@ class CompliantModel(SteppedModel, CompliantState):
                 # The energy's torque and that of the quasi-static balance differ a little (`contact.elastic_energy`).
                 torque = self._contact(self._reduced(self.crank_angle), self.transmission_error)[2]
                 self.output_angle += (self._load_torque - torque) * (1.0 / self._stiffness + self.series_compliance)
-        self._seen = self.output_angle
+        self._crank_seen, self._seen = self.crank_angle, self.output_angle
         if not self._held:
-            transmitted = self._solve()[1]
-            self._mean_torque, self._mean_loss = transmitted + self._lost(transmitted), self._power()
+            at_crank = self._pressing(0)
+            self._mean_torque = self._solve()[1] + at_crank.torque
+            self._mean_loss = self._damping_power() + at_crank.power + self._pressing(1).power
 
     def _move(self, step: float) -> None:
         """Move the flanges on for a step, from the inputs' values at its start."""
@@ -239,38 +222,43 @@ class CompliantModel(SteppedModel, CompliantState):
 
     def _follow(self, step: float) -> None:
         """Both flanges move at their speeds."""
-        way, crank_way = self.output_speed * step, self.crank_speed * step
-        rubbing, count, power = self.friction_torque > 0.0 or self._bristle != 0.0, 1, 0.0
-        if rubbing:
-            self.dissipated_energy += self._rub(self.output_angle - self._seen)[1]
-            self._seen = self.output_angle
-        losing = self.mesh_damping > 0.0 or self.loss_table != _NO_LOSSES
-        if losing:
-            parts = max(abs(crank_way) / CRANK_STEP, abs(way - crank_way / self._ratio) / DEVIATION_STEP)
+        ways = (self.crank_speed * step, self.output_speed * step)
+        rubbing, count = [flange for flange in (0, 1) if self._rubs[flange]], 1
+        if rubbing or self.mesh_damping > 0.0:
+            shift = max(abs(ways[0]) / CRANK_STEP, abs(ways[1] - ways[0] / self._ratio) / DEVIATION_STEP)
             chunks = max(math.ceil(step / self.largest_step * (1.0 - STEP_TOLERANCE)), 1)
-            count = max(chunks, math.ceil(min(parts, chunks * MOST_PARTS)))
+            count = max(chunks, math.ceil(min(shift, chunks * MOST_PARTS)))
             if count > MOST_SUB_STEPS:
                 raise StepError(
                     f"a step of {step:g} s is divided into more than {MOST_SUB_STEPS} parts: make it shorter"
                 )
-            power = self._power()
-        if rubbing:
-            self.dissipated_energy += self._rub(way)[1]
+            loads = self._solve()[1:3]
+        # Friction follows to where the flanges were put.
+        for flange, way in ((0, self.crank_angle - self._crank_seen), (1, self.output_angle - self._seen)):
+            if flange in rubbing:
+                self._move_on(flange, self._rub(flange, way, 0.0, loads[flange]))
         crank, output = self.crank_angle, self.output_angle
+        power = self._damping_power() if self.mesh_damping > 0.0 else 0.0
         for i in range(1, count + 1):
-            self._seen = self.output_angle = output + way * i / count
-            self.crank_angle = crank + crank_way * i / count
-            if losing:
-                following = self._power()
+            self._seen = self.output_angle = output + ways[1] * i / count
+            self._crank_seen = self.crank_angle = crank + ways[0] * i / count
+            if rubbing:
+                before, loads = loads, self._solve()[1:3]
+                for flange in rubbing:
+                    load = 0.5 * (before[flange] + loads[flange])
+                    self._move_on(flange, self._rub(flange, ways[flange] / count, step / count, load))
+            if self.mesh_damping > 0.0:
+                following = self._damping_power()
                 self.dissipated_energy += 0.5 * (power + following) * step / count
                 power = following
 
-    def _power(self) -> float:
-        """Power of damping and losses, W."""
-        _, transmitted, _, damping = self._solve()
-        return self._lost(transmitted) * self.crank_speed + damping * (
-            self.output_speed - self.crank_speed / self._ratio
-        )
+    def _move_on(self, flange: int, slid: Slid) -> None:
+        self._put_strains(flange, slid.strains)
+        self.dissipated_energy += slid.lost
+
+    def _damping_power(self) -> float:
+        """Power of the contacts' damping, W."""
+        return self._solve()[3] * (self.output_speed - self.crank_speed / self._ratio)
 
     def _longest(self, crank_speed: float) -> float:
         """The longest sub-step: a share of the fastest swing and of the mesh's passing, s."""
@@ -278,9 +266,9 @@ class CompliantModel(SteppedModel, CompliantState):
             largest = LARGEST_LOAD * (self.pair.rated_torque or 100.0)
             _, self._stiffest = self._made_teeth().equilibrium(0.0, largest, 0.0)
         stiffness = 1.0 / (1.0 / self._stiffest + self.series_compliance)
-        swing = (stiffness + self.friction_torque / FRICTION_DISPLACEMENT) / self.output_inertia
+        swing = (stiffness + FRICTION_ELEMENTS * self._elements[1]) / self.output_inertia
         if not self._led:
-            swing += stiffness / (self._ratio**2 * self.crank_inertia)
+            swing += (stiffness / self._ratio**2 + FRICTION_ELEMENTS * self._elements[0]) / self.crank_inertia
         return min(self.largest_step, SUB_STEP / math.sqrt(swing), MESH_STEP / max(abs(crank_speed), 1e-30))
 
     def _swing(self, step: float) -> None:
@@ -326,15 +314,16 @@ class CompliantModel(SteppedModel, CompliantState):
         done is what is stored and lost. Returned are the crank's way (rad; that given, of a crank without inertia), its
         torque (N·m) and the place at the end; None where the sub-step is too long to be solved.
         """
-        ratio, led, start, speed, bristle = self._ratio, self._led, self._turned, self.output_speed, self._bristle
+        ratio, led, start, speed = self._ratio, self._led, self._turned, self.output_speed
+        rubs_crank, rubs_output = self._rubs
         crank_speed, deviation = self.crank_speed, self.output_angle - self._turned / self._ratio
         a, b = 2.0 * self.crank_inertia / part**2, 2.0 * self.output_inertia / part**2
-        strained = self.friction_torque / FRICTION_DISPLACEMENT
         way = part * speed + (self._load_torque - at.by_rotation) / b
         if not led:
             turn = part * crank_speed + (self._driving_torque - at.by_angle) / a
         before = end = at
-        torque = loss = loss_slope = change_a = 0.0
+        torque = change_a = 0.0
+        at_crank = at_output = _FREE
         last = False
         for i in range(MOST_ITERATIONS):
             if i == 0 or not led:
@@ -349,33 +338,36 @@ class CompliantModel(SteppedModel, CompliantState):
             )  # fmt: skip
             damping = self._damping(mean, off / part)
             damped = self.mesh_damping / part if abs(damping) < abs(mean) else math.copysign(slope, off * mean)
-            self._bristle = bristle
-            work, lost = self._rub(way)
-            friction, friction_slope = _mean_over(
-                way, SAME_PLACE, work, strained * bristle, strained * self._bristle, strained
-            )  # fmt: skip
+            if rubs_output:
+                at_output = self._rub(1, way, part, mean)
             k = slope + damped
-            r = b + friction_slope + k
-            missing = self._load_torque - mean - damping - friction - b * (way - part * speed)
+            r = b + at_output.slope + k
+            missing = self._load_torque - mean - damping - at_output.torque - b * (way - part * speed)
             if last or not led:
                 stored = before.energy - at.energy + end.energy - after.energy
                 phase, _ = _mean_over(
                     turn, SAME_PLACE * abs(ratio), stored, self._by_phase(at), self._by_phase(end), 0.0
                 )  # fmt: skip
                 torque = phase - (mean + damping) / ratio
-                loss, loss_slope = self._losing(torque, turn / part)
+                if rubs_crank:
+                    at_crank = self._rub(0, turn, part, torque)
             if last:
+                if rubs_crank or rubs_output:
+                    self._strains = [
+                        at_crank.strains if rubs_crank else self._strains[0],
+                        at_output.strains if rubs_output else self._strains[1],
+                    ]  # fmt: skip
                 self._seen = self.output_angle = self.output_angle + way
                 self.output_speed = 2.0 * way / part - speed
                 if not led:
                     self.crank_speed = 2.0 * turn / part - crank_speed
-                self.dissipated_energy += lost + damping * off + loss * turn
-                return turn, torque + loss, end
+                self.dissipated_energy += at_output.lost + damping * off + at_crank.lost
+                return turn, torque + at_crank.torque, end
             if led:
                 change = missing / r
             else:
-                missing_a = self._driving_torque - torque - loss - a * (turn - part * crank_speed)
-                q, k = a + loss_slope / part, k / ratio
+                missing_a = self._driving_torque - torque - at_crank.torque - a * (turn - part * crank_speed)
+                q, k = a + at_crank.slope, k / ratio
                 determinant = q * r + (r - k * ratio) * k / ratio
                 change = (missing * (q + k / ratio) + missing_a * k) / determinant
                 change_a = (missing_a * r + missing * k) / determinant
@@ -385,7 +377,6 @@ class CompliantModel(SteppedModel, CompliantState):
                 and abs(change_a) <= LAST_CHANGE * abs(ratio) + share * abs(turn)
             )  # fmt: skip
             way, turn = way + change, turn + change_a
-        self._bristle = bristle
         return None
 
     @property
@@ -394,7 +385,7 @@ class CompliantModel(SteppedModel, CompliantState):
         if not self._held:
             return self._mean_torque
         transmitted = self._solve()[1]
-        return transmitted + self._lost(transmitted)
+        return transmitted + self._pressing(0).torque if self._rubs[0] else transmitted
 
     @crank_torque.setter
     def crank_torque(self, value: float) -> None:
@@ -405,7 +396,8 @@ class CompliantModel(SteppedModel, CompliantState):
         """Torque into the drive at the output, N·m; with an output inertia the load on that."""
         if not self._held:
             return self._load_torque
-        return self._solve()[2]
+        _, _, torque, damping = self._solve()
+        return torque + damping + (self._pressing(1).torque if self._rubs[1] else 0.0)
 
     @torque.setter
     def torque(self, value: float) -> None:
@@ -419,15 +411,14 @@ class CompliantModel(SteppedModel, CompliantState):
     @property
     def elastic_energy(self) -> float:
         """Energy stored in contacts, series compliance and friction, J."""
-        return self._solve()[0]
+        return self._solve()[0] + sum(self._pressing(flange).stored for flange in (0, 1) if self._rubs[flange])
 
     @property
     def power_loss(self) -> float:
         """Power of damping, losses and sliding friction, W; with an inertia inside its mean over the last step."""
         if not self._held:
             return self._mean_loss
-        sliding = abs(self._strained()) >= FRICTION_DISPLACEMENT
-        return self._power() + (self.friction_torque * abs(self.output_speed) if sliding else 0.0)
+        return self._damping_power() + sum(self._pressing(flange).power for flange in (0, 1) if self._rubs[flange])
 
     def _settle(self) -> float:
         self._solve()

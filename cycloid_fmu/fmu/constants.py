@@ -2,9 +2,21 @@
 
 from __future__ import annotations
 
-FRICTION_DISPLACEMENT = 2e-5  # rad of the output over which the compliant interface's dry friction builds up
+FRICTION_ELEMENTS = 5  # Maxwell-slip elements of a flange: a loop's chords are within 1 % of its smooth curve
+INPUT_PRESLIDING_ANGLE = 2e-3  # rad of flange_a over which friction builds up
+OUTPUT_PRESLIDING_ANGLE = 2e-5  # rad of flange_b likewise
+PRESLIDING_TIME = 2e-3  # s: damping of the elements over their stiffness; a host's torque is late by up to 1.5 steps
+YIELDING_TIME = 2e-5  # s: in Model Exchange an element strained beyond its yield comes back in this time
+YIELDING_SHARE = 0.01  # of the presliding angle: how far beyond it is at most while it slides
+INPUT_STRIBECK_SPEED = 2.0  # rad/s of flange_a at which the Stribeck extra has fallen to 1/e
+OUTPUT_STRIBECK_SPEED = 0.05  # rad/s of flange_b likewise
+REFERENCE_TEMPERATURE = 293.15  # K at which friction is stated
+UNRATED_LOAD = 100.0  # N.m: stands for the rated torque where none is stated
+MOST_LOAD_SHARE = 0.9  # of friction in the load at flange_b: beyond, it would jam
+FRICTION_ROUNDING = 1e-9  # of the torque or angle at which elements slide: nearer to it they do
+FRICTION_ITERATIONS = 40  # of the kinematic interface's output angle
+FRICTION_SHARE = 1e-10  # of the friction torque: its last change there
 DAMPING_TIME = 1e-4  # s: default mesh damping over the stiffness at the rated torque
-LOSS_SPEED = 1e-2  # rad/s of flange_a below which the losses' torque goes to zero with the speed
 LOSS_COLUMNS = 5  # of the loss table
 LARGEST_TRANSMISSION_ERROR = 0.01  # rad: flanges beyond it are a mistake of the model around the drive
 SUB_STEP = 0.2  # rad of the fastest oscillation of the inertias inside in one sub-step
@@ -28,7 +40,7 @@ MOST_LOADS = 192  # nodes of one direction of torque in the tables
 NO_PLAY = 1e-13  # rad: less of it in the tables is none
 LEAST_COMPLIANCE = 1e-12  # rad/(N.m): between nodes a table may have none
 LAST_CELL_SHARE = 1e-9  # of a cell between two loads: a step of the search this short is the last
-DERIVATIVE_SHARE = 1e-7  # of torque and speed: half the difference that gives the losses' derivative
+DIFFERENCE_SPEED = 1e-2  # rad/s: a flange's speed below it counts as this where friction's derivative is a difference
 DIFFERENCE_SHARE = 1e-7  # of a variable's nominal size: half the difference that gives other outputs' derivatives
 DIFFERENCE_ROTATION = 1e-9  # rad of the output, likewise
 EVENT_INDICATORS = 5  # of a native FMU in Model Exchange

@@ -24,6 +24,8 @@ from cycloid_fmu import __version__
 from cycloid_fmu.errors.kinds import KINDS
 from cycloid_fmu.fmu.compliant_model import CompliantModel
 from cycloid_fmu.fmu.description import Version
+from cycloid_fmu.fmu.friction import FLANGES, Law
+from cycloid_fmu.fmu.friction_file import Friction
 from cycloid_fmu.fmu.mesh import StepError
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.reducer_model import ReducerModel
@@ -33,29 +35,34 @@ from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.surfaces.surface import ErrorSurface, Life
 
 NUMBERS, SURFACE = "pair.json", "surface.npz"
-FORMAT = 2  # of these files; 1 had the pair as numbers instead of its text
-MAGIC, STATE_VERSION = b"cycloid state\0\0\0", 4
+FORMAT = 3  # of these files
+MAGIC, STATE_VERSION = b"cycloid state\0\0\0", 5
 _LARGEST = sys.float_info.max
 _HEAD = struct.Struct("<16sII32sQ")  # magic, version, checksum, hash of the resources, length
 
 
 def interface_from(numbers: dict[str, Any]) -> Interface:
     """Return the interface that a builder wrote into the resources."""
-    return Interface(**{**numbers, "losses": tuple(tuple(row) for row in numbers["losses"])})
+    made = {name: Friction(**numbers[name]) for name in ("input_friction", "output_friction")}
+    return Interface(**{**numbers, **made, "losses": tuple(tuple(row) for row in numbers["losses"])})
 
 
 def model_of(
     pair: Pair, surface: ErrorSurface, interface: Interface, first_stage: FirstStage | None = None
 ) -> DriveModel | CompliantModel:
     """Return the model behind an interface."""
+    model: DriveModel | CompliantModel
     if interface.kind == "compliant":
         inertias = interface.output_inertia, interface.crank_inertia
         model = CompliantModel(pair, surface, interface.losses, *inertias)
         model.mesh_damping = interface.mesh_damping or 0.0
-        return model
-    if first_stage is not None:
-        return ReducerModel(pair, surface, first_stage, interface.losses)
-    return DriveModel(pair, surface, interface.losses)
+    elif first_stage is not None:
+        model = ReducerModel(pair, surface, first_stage, interface.losses)
+    else:
+        model = DriveModel(pair, surface, interface.losses)
+    for flange, law in enumerate(interface.laws):
+        model.set_friction(flange, **law._asdict())
+    return model
 
 
 class Core:
@@ -123,6 +130,13 @@ class Core:
             return (lambda: model.errors[name]), functools.partial(model.set_error, name)
         if name in KINDS and KINDS[name].of == "pin":
             return (lambda: model.pin_errors(name)), functools.partial(model.set_pin_errors, name)
+        friction = re.fullmatch(r"(input|output)_friction\.(\w+)", name)
+        if friction:
+            flange, number = FLANGES.index(friction[1]), Law._fields.index(friction[2])
+            return (
+                (lambda: model.friction[flange][number]),
+                (lambda value: model.set_friction(flange, **{friction[2]: value})),
+            )
         if cell:
             i, j = int(cell[1]) - 1, int(cell[2]) - 1
             return (lambda: model.loss_table[i][j]), functools.partial(model.set_loss, i, j)

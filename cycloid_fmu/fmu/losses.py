@@ -6,8 +6,6 @@ import itertools
 import math
 from collections.abc import Sequence
 
-from cycloid_fmu.fmu.constants import LOSS_SPEED
-
 Row = Sequence[float]
 
 
@@ -22,38 +20,34 @@ def interpolated(table: Sequence[Row], speed: float) -> tuple[float, float, floa
     return a, b, c, d
 
 
-def loss_torque(table: Sequence[Row], speed: float, torque: float) -> tuple[float, float]:
-    """Torque that friction adds at flange_a, of the sign of the speed, and its derivative by the speed near zero.
+def lost_torque(table: Sequence[Row], speed: float, asked: float) -> float:
+    """Torque that sliding takes at flange_a against its motion, N·m.
 
     `Modelica.Mechanics.Rotational.Components.LossyGear` (Modelica Standard Library 4.0): with τ the torque that the
-    teeth ask for, both signed as the speed is, flange_a needs (τ + τ_bf1)/η_mf1 while it drives and η_mf2 (τ + τ_bf2)
-    while flange_b does. Modelica's stuck mode, in which the torque follows from the rest of the system, is here a
-    ramp through zero below `LOSS_SPEED`: whoever prescribes the motion gets no torque at rest.
+    teeth ask for, signed as the motion is, flange_a needs (τ + τ_bf1)/η_mf1 while it drives and η_mf2 (τ + τ_bf2)
+    while flange_b does. Its stuck mode is that of `friction`.
 
     Parameters
     ----------
     table
         Rows of |w|, η_mf1, η_mf2, τ_bf1, τ_bf2 (`Interface.losses`).
-    speed, torque
-        Of flange_a, rad/s and N·m.
+    speed
+        Of flange_a, rad/s, whatever its sign.
+    asked
+        τ, N·m.
     """
     # With one row, which holds everywhere, nothing is interpolated: this is asked at every step.
     forward, backward, friction_forward, friction_backward = (
         table[0][1:] if len(table) == 1 else interpolated(table, speed)
     )
-    asked = math.copysign(1.0, speed) * torque
     # Which side drives is told by flange_a's torque beside the bearings' part there, `tau_bf_a`.
     if forward == 1.0 and backward == 1.0:
         bearing = 0.5 * friction_forward
     else:
         bearing = (friction_forward - friction_backward) * backward / (forward * backward - 1.0)
     if asked >= forward * bearing - friction_forward:
-        lost = (asked + friction_forward) / forward - asked
-    else:
-        lost = backward * (asked + friction_backward) - asked
-    if abs(speed) < LOSS_SPEED:
-        return lost / LOSS_SPEED * speed, lost / LOSS_SPEED
-    return math.copysign(lost, speed), 0.0
+        return (asked + friction_forward) / forward - asked
+    return backward * (asked + friction_backward) - asked
 
 
 def check_losses(rows: Sequence[Row]) -> None:

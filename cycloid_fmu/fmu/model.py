@@ -1,16 +1,19 @@
 """The drive as a system model sees it: inputs and parameters in, output angle with its history out.
 
 Nothing of FMI here; every slave wraps this class. Friction and play are one rate-independent hysteresis: the output
-stays where it is as long as that lies between what it would be at torque - friction and at torque + friction, else it
-is carried along by the nearer end. At zero torque without friction these ends are the ends of the play.
+stands where teeth and friction's elements balance the torque, carried along by friction once all of these slide: then
+it is where it would be at torque - friction or at torque + friction. At zero torque without friction these ends are the
+ends of the play.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
-from cycloid_fmu.fmu.losses import loss_torque
+from cycloid_fmu.fmu.constants import FRICTION_ROUNDING, FRICTION_SHARE, MOST_LOAD_SHARE
+from cycloid_fmu.fmu.friction import UNSTRAINED, Pressed, balanced, held_strains
 from cycloid_fmu.fmu.mesh import ContactTeeth, StepError
 from cycloid_fmu.fmu.stepped_model import State, SteppedModel, state_fields
 from cycloid_fmu.fmu.variables import LOSSLESS
@@ -81,6 +84,7 @@ class DriveModel(SteppedModel, DriveState):
     def forget_history(self) -> None:
         """Make the next step start without history: at zero torque from the middle of the play."""
         self._output_angle = None
+        self._strains = [list(UNSTRAINED), list(UNSTRAINED)]
 
     def _settle(self) -> float:
         """Return the output angle, solved without history where no step was made yet."""
@@ -96,27 +100,113 @@ class DriveModel(SteppedModel, DriveState):
         if self._output_angle is None:
             deviation = self._elastic(self.torque, 0.0)
             self._pushed = 1.0 if self.torque != 0.0 else 0.0
-        elif self.friction_torque == 0.0 and self.torque != 0.0:
+            self._crank_seen = self.crank_angle
+        elif self._rubs[1]:
+            deviation = self._carried(self._output_angle - ideal)
+        elif self.torque != 0.0:
             deviation = self._elastic(self.torque, 0.0)
             self._pushed = 1.0
         else:
-            before = self._output_angle - ideal
-            deviation, self._pushed = before, 0.0
-            high = self._elastic(self.torque + self.friction_torque, 1.0)
-            if before > high:
-                deviation, self._pushed = high, 1.0
-            else:
-                low = self._elastic(self.torque - self.friction_torque, -1.0)
-                if before < low:
-                    deviation, self._pushed = low, -1.0
-                elif low == high:
-                    deviation = low
-                else:
-                    self._hold(before)
+            deviation = self._floating(self._output_angle - ideal)
         if not math.isfinite(deviation):
             raise StepError(f"flange_a.phi = {self.crank_angle:g} rad: the output can't be found there")
         self._output_angle = ideal + deviation
         self._deviation = deviation
+        if self._elements[0] > 0.0:
+            yields = self._yields(0, self._lever * self._crank_side()[0], self.crank_speed)
+            way = self.crank_angle - self._crank_seen
+            self._put_strains(0, held_strains(self._strains[0], way, self._elements[0], *yields)[0])
+        self._crank_seen = self.crank_angle
+
+    def _floating(self, before: float) -> float:
+        """Where the output is at no torque, rad from the ideal: where it was, but within the ends of the play."""
+        self._pushed = 0.0
+        high = self._elastic(0.0, 1.0)
+        if before > high:
+            self._pushed = 1.0
+            return high
+        low = self._elastic(0.0, -1.0)
+        if before < low:
+            self._pushed = -1.0
+            return low
+        if low < high:
+            self._hold(before)
+            return before
+        return low
+
+    def _carried(self, before: float) -> float:
+        """Where the output is with friction, that held it `before`: M + f(way) = T with M of the teeth, f of friction.
+
+        Where all elements slide the friction follows from the torque. Else it is found in between: the teeth have one
+        place x at T - f, which falls as f grows, and the elements one f at each place, which grows with it.
+        """
+        load, stiffness = self.torque - self._viscous(1) * self._output_pace(), self._elements[1]
+        self._pushed = 1.0
+        if stiffness == 0.0:
+            return self._elastic(load, 0.0) if load != 0.0 else self._floating(before)
+
+        def held(deviation: float, borne: float) -> tuple[float, float]:
+            """Friction and its slope with the output at a place, while the teeth bear a torque."""
+            strains, slope = held_strains(
+                self._strains[1], deviation - before, stiffness, *self._yields(1, borne, self._output_pace())
+            )
+            at[:] = deviation, strains
+            return stiffness * sum(strains), slope
+
+        def kept() -> float:
+            deviation, strains = at
+            self._put_strains(1, strains)
+            return float(deviation)
+
+        at: list[Any] = []
+        low, high = -self._sliding(-load), self._sliding(load)
+        most = max(-low, high)
+        for sliding, side in ((low, 1.0), (high, -1.0)):
+            deviation = self._elastic(load - sliding, side)
+            reached, _ = held(deviation, load - sliding)
+            if abs(reached) >= abs(sliding) * (1.0 - FRICTION_ROUNDING) and (deviation - before) * side <= 0.0:
+                self._pushed = side
+                return kept()
+        if low < load < high:
+            # Friction may bear all of the torque: within the play, or between teeth that press each other alone.
+            places = [self._elastic(0.0, side) for side in (-1.0, 1.0)]
+            ends = [held(place, 0.0)[0] for place in places]
+            if ends[0] <= load <= ends[1]:
+
+                def more(place: float) -> tuple[float, float]:
+                    reached, slope = held(place, 0.0)
+                    return reached - load, slope
+
+                balanced(more, places[0], places[1], before, FRICTION_ROUNDING * self._laws[1].presliding_angle)
+                self._pushed = 0.0
+                self._hold(at[0])
+                return kept()
+            low, high = (low, load) if load > ends[1] else (load, high)
+        end = -1.0 if load == low else 1.0
+
+        def missing(force: float) -> tuple[float, float]:
+            deviation = self._elastic(load - force, math.copysign(1.0, load - force) if load != force else end)
+            reached, slope = held(deviation, load - force)
+            compliance = self.series_compliance + (1.0 / self._stiffness if self._stiffness > 0.0 else 0.0)
+            return force - reached, 1.0 + slope * compliance
+
+        force = balanced(missing, low, high, stiffness * sum(self._strains[1]), FRICTION_SHARE * most)
+        self._pushed = math.copysign(1.0, load - force)
+        return kept()
+
+    def _output_pace(self) -> float:
+        """The ideal speed of the output, which its friction is told, rad/s."""
+        return self.crank_speed / self._ratio
+
+    def _sliding(self, towards: float) -> float:
+        """Friction F of the output while all of it slides, with its share of what the teeth bear, N·m.
+
+        `towards` is the torque on the output, signed as it moves: the teeth bear |towards - F|.
+        """
+        bare = self._yields(1, 0.0, self._output_pace())[1]
+        share = self._yields(1, 1.0, self._output_pace())[1] - bare
+        sliding = (bare + share * towards) / (1.0 + share)
+        return sliding if sliding <= towards else (bare - share * towards) / (1.0 - min(share, MOST_LOAD_SHARE))
 
     @property
     def output_angle(self) -> float:
@@ -150,17 +240,32 @@ class DriveModel(SteppedModel, DriveState):
         if self.crank_speed == 0.0:
             return 0.0
         rate = (self._crank or self._crank_side())[1]
-        carried = self._pushed != 0.0 or not (self.backlash_on or self.friction_torque > 0.0)
-        return self.crank_speed * rate if carried and not math.isnan(rate) else 0.0
+        carried = self._pushed != 0.0 or not (self.backlash_on or self._rubs[1])
+        return self.crank_speed * rate * self._yielding(rate) if carried and not math.isnan(rate) else 0.0
+
+    def _yielding(self, rate: float) -> float:
+        """Share of its pace that friction leaves the output while elements of it hold; `rate` has the pace's sign."""
+        stiffness = self._elements[1]
+        if stiffness == 0.0 or self._stiffness <= 0.0:
+            return 1.0
+        way = math.copysign(FRICTION_ROUNDING, self.crank_speed * rate) * self._laws[1].presliding_angle
+        yields = self._yields(1, self.torque - stiffness * sum(self._strains[1]), self._output_pace())
+        return 1.0 / (1.0 + held_strains(self._strains[1], way, stiffness, *yields)[1] / self.torsional_stiffness)
+
+    def _pressing(self, flange: int) -> Pressed:
+        """Friction of a flange at the present speeds."""
+        if flange == 0:
+            return self._press(0, 0.0, self.crank_speed, self._lever * (self._crank or self._crank_side())[0])
+        stiffness = self._elements[1]
+        return self._press(1, 0.0, self.output_speed, self.torque - stiffness * sum(self._strains[1]), 0.0)
 
     @property
     def crank_torque(self) -> float:
-        """Torque that the crank must be given, losses included, N·m."""
+        """Torque that the crank must be given, friction and losses included, N·m."""
         torque = self._lever * (self._crank or self._crank_side())[0]
-        return torque + loss_torque(self.loss_table, self.crank_speed, torque)[0]
+        return torque + self._pressing(0).torque if self._rubs[0] else torque
 
     @property
     def power_loss(self) -> float:
-        """Power lost in the mesh and bearings and to the friction at the output, W."""
-        lost, _ = loss_torque(self.loss_table, self.crank_speed, self._lever * self._crank_side()[0])
-        return lost * self.crank_speed + self.friction_torque * abs(self.output_speed)
+        """Power lost in the mesh and bearings and to friction, W."""
+        return sum(self._pressing(flange).power for flange in (0, 1) if self._rubs[flange])

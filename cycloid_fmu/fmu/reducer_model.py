@@ -54,6 +54,7 @@ class ReducerModel(DriveModel, ReducerState):
         self._ratio = pair.gear_teeth / (self._b * self._s)
         self._lever = -self._b
         self._stage = first_stage
+        self._settle_friction(self._rated())
 
     @property
     def _sun_play(self) -> float:
@@ -136,7 +137,8 @@ class ReducerModel(DriveModel, ReducerState):
         if self._stiffness > 0.0:
             # The gear's torque changes with the crank's: ∂τ/∂M = -∂φ/∂θ (Maxwell).
             rate -= self._a * self._crank_torque_rate() / ((1.0 - self._a * rate) * self._stiffness)
-        return -self.crank_speed * rate * self._b / (1.0 - self._a * rate)
+        rate *= -self._b / (1.0 - self._a * rate)
+        return self.crank_speed * rate * self._yielding(rate)
 
     @property
     def torsional_stiffness(self) -> float:

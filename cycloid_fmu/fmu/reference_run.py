@@ -7,6 +7,7 @@ samples: inputs rest where references are taken, or never change.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from xml.etree.ElementTree import Element, SubElement, indent, register_namespace, tostring
 
@@ -68,21 +69,27 @@ def run(
     else:
         names = ("flange_a.tau", "flange_b.phi", "transmission_error")
     references: list[Row] = []
+
+    def put(values: Mapping[str, float]) -> None:
+        for name, value in values.items():
+            setattr(model, ATTRIBUTES[name], value)
+
+    def refer(time: float) -> None:
+        references.append((time, {name: float(getattr(model, ATTRIBUTES.get(name, name))) for name in names}))
+
     try:
-        for time, values in stimuli:
-            for name, value in values.items():
-                setattr(model, ATTRIBUTES[name], value)
-            if time == 0.0:
-                model.check()
-                model.forget_history()
-                model.advance()
-            elif values == stimuli[stimuli.index((time, values)) - 1][1]:
-                before = references[-1][0] if interface.output_inertia > 0.0 else time - _STEP
-                for _ in range(round((time - before) / _STEP)):
-                    model.advance(_STEP)
-            else:
-                continue
-            references.append((time, {name: float(getattr(model, ATTRIBUTES.get(name, name))) for name in names}))
+        put(stimuli[0][1])
+        model.check()
+        model.forget_history()
+        model.advance()
+        refer(0.0)
+        for (begin, before), (end, after) in itertools.pairwise(stimuli):
+            count = round((end - begin) / _STEP)
+            for i in range(1, count + 1):
+                put({name: before[name] + i / count * (after[name] - before[name]) for name in after})
+                model.advance(_STEP)
+            if after == before:
+                refer(end)
     except (StepError, ValueError) as problem:
         raise edge.InputError(f"the FMU's reference run can't be made: {problem}.") from None
     return stimuli, references

@@ -13,6 +13,8 @@ import numpy as np
 
 from cycloid_fmu.contact.transmission import drive_of, slices_needed
 from cycloid_fmu.errors.kinds import structured_names
+from cycloid_fmu.fmu.constants import REFERENCE_TEMPERATURE, UNRATED_LOAD
+from cycloid_fmu.fmu.friction import NO_FRICTION, UNSTRAINED, FrictionState, Law
 from cycloid_fmu.fmu.losses import check_losses
 from cycloid_fmu.fmu.mesh import ContactTeeth, StepError
 from cycloid_fmu.fmu.variables import LOSSLESS, ORDERS
@@ -44,8 +46,10 @@ class State:
     ----------
     crank_angle, crank_speed
         Inputs: rad, rad/s.
-    friction_torque, series_compliance
-        Parameters: dry friction at the output (N·m) and compliance of the rest of the chain (rad/(N·m)).
+    temperature
+        Input: of the friction, K.
+    series_compliance
+        Parameter: compliance of the rest of the chain, rad/(N·m).
     backlash_on
         Whether the play acts; without it the flanks of both sides touch at zero torque.
     errors
@@ -54,16 +58,21 @@ class State:
         Errors of each pin that were set, by name, m.
     loss_table
         Rows of the loss table (`variables.Interface.losses`).
+    friction
+        Numbers of `friction.Law` at both flanges.
     """
 
     crank_angle: float = 0.0
     crank_speed: float = 0.0
-    friction_torque: float = 0.0
+    temperature: float = REFERENCE_TEMPERATURE
     series_compliance: float = 0.0
     backlash_on: bool = True
     errors: dict[str, float] = field(default_factory=dict)
     pin_arrays: dict[str, list[float]] = field(default_factory=dict)
     loss_table: list[list[float]] = field(default_factory=list)
+    friction: list[list[float]] = field(default_factory=lambda: [list(law) for law in NO_FRICTION])
+    _strains: list[list[float]] = field(default_factory=lambda: [list(UNSTRAINED), list(UNSTRAINED)])
+    _crank_seen: float = 0.0  # the crank angle that friction has followed to, rad
     _crank_turns_worn: float = 0.0
     _theta: float = 0.0  # the crank's angle, reduced, rad
     _x: float = 0.0  # deviation of the flange that the teeth alone make, rad
@@ -87,7 +96,7 @@ class State:
         self._teeth.restore(state["_teeth"])
 
 
-class SteppedModel(State):
+class SteppedModel(State, FrictionState):
     """A cycloid-pin drive with history, stepped by `advance`; a subclass says how it moves (`_move`).
 
     Parameters
@@ -111,6 +120,7 @@ class SteppedModel(State):
         self._ratio = pair.ratio
         # Everything repeats after one turn of the gear in the ring; a reduced angle keeps its digits.
         self._period = 2.0 * math.pi * (pair.gear_teeth if pair.output == "gear" else pair.pins)
+        self._settle_friction(self._rated())
         self._rebuild()
 
     def _structured(self) -> dict[str, float]:
@@ -167,6 +177,43 @@ class SteppedModel(State):
         table = [list(cells) for cells in self.loss_table]
         table[row][column] = value
         self.loss_table = table
+        self._follow_friction()
+
+    def set_friction(self, flange: int, **values: float) -> None:
+        """Set numbers of the friction (`friction.Law`) at `flange_a`, 0, or `flange_b`, 1.
+
+        Elements that get another stiffness begin unstrained; what they stored is lost.
+        """
+        laws = [list(law) for law in self.friction]
+        laws[flange] = list(Law(*laws[flange])._replace(**values))
+        if laws != self.friction:
+            self.friction = laws
+            self._follow_friction()
+
+    def _follow_friction(self) -> None:
+        before = self._elements
+        self._settle_friction(self._rated())
+        for flange in (0, 1):
+            if before[flange] != self._elements[flange]:
+                self._lose(0.5 * before[flange] * sum(z * z for z in self._strains[flange]))
+                self._put_strains(flange, UNSTRAINED)
+
+    def _lose(self, energy: float) -> None:
+        """Count what friction stored as lost, J."""
+
+    def _rated(self) -> tuple[float, float]:
+        """The rated torque at both flanges, N·m."""
+        rated = self.pair.rated_torque or UNRATED_LOAD
+        return rated / self._ratio, rated
+
+    @property
+    def friction_torque(self) -> float:
+        """Coulomb friction at the output, N·m."""
+        return self._laws[1].coulomb
+
+    @friction_torque.setter
+    def friction_torque(self, value: float) -> None:
+        self.set_friction(1, coulomb=value)
 
     @property
     def crank_turns_worn(self) -> float:
@@ -307,3 +354,4 @@ class SteppedModel(State):
                 setattr(self, name, state[name])
             self._rebuild()
         self.assign(state)
+        self._settle_friction(self._rated())

@@ -15,7 +15,9 @@ from typing import Literal
 import numpy as np
 
 from cycloid_fmu.errors.kinds import KINDS, kind_of, structured_names, wave_of
-from cycloid_fmu.fmu.constants import FRICTION_DISPLACEMENT
+from cycloid_fmu.fmu.constants import FRICTION_ELEMENTS, REFERENCE_TEMPERATURE
+from cycloid_fmu.fmu.friction import FLANGES, Law
+from cycloid_fmu.fmu.friction_file import LIMITS, Friction
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import structured_value
 from cycloid_fmu.surfaces.surface import ErrorSurface
@@ -25,14 +27,16 @@ INTERFACES: tuple[InterfaceKind, ...] = ("kinematic", "compliant")
 ORDERS = (1, 2, 3)
 LossRow = tuple[float, float, float, float, float]
 LOSSLESS: tuple[LossRow, ...] = ((0.0, 1.0, 1.0, 0.0, 0.0),)
+FRICTIONLESS = Friction()
 LARGEST_STEP = 1e-3  # s: default of `largest_step`
 # What the models call variables that have another name there.
 ATTRIBUTES = {
     "flange_a.phi": "crank_angle", "flange_a.w": "crank_speed", "flange_a.tau": "crank_torque",
     "flange_b.phi": "output_angle", "flange_b.w": "output_speed", "flange_b.tau": "torque",
     "flange_a.a": "crank_acceleration", "flange_b.a": "output_acceleration",
-    **{f"event_indicator[{i}]": f"event_indicator_{i}" for i in range(1, 6)},
 }  # fmt: skip
+
+STRAINS = tuple(f"{flange}_friction_strain" for flange in FLANGES)  # of friction's elements, in Model Exchange
 
 # unit: exponents of SI base units, then display units with their factor
 UNITS: dict[str, tuple[dict[str, int], dict[str, float]]] = {
@@ -49,6 +53,8 @@ UNITS: dict[str, tuple[dict[str, int], dict[str, float]]] = {
     "W": ({"kg": 1, "m": 2, "s": -3}, {}),
     "J": ({"kg": 1, "m": 2, "s": -2}, {}),
     "m": ({"m": 1}, {"um": 1e6, "mm": 1e3}),
+    "K": ({"K": 1}, {}),
+    "1/K": ({"K": -1}, {"%/K": 100.0}),
     "s": ({"s": 1}, {"ms": 1e3}),
     "1": ({}, {"%": 100.0}),
 }
@@ -77,6 +83,8 @@ class Interface:
         flows from a to b and from b to a (1), friction torque at flange_a in the same two cases (N·m).
     driven
         What `flange_a` is: "crank", or "sun" of an RV reducer.
+    input_friction, output_friction
+        Friction at `flange_a`, where it adds to the losses, and at `flange_b`.
 
     Examples
     --------
@@ -93,6 +101,18 @@ class Interface:
     driven: Literal["crank", "sun"] = "crank"
     crank_inertia: float = 0.0
     mesh_damping: float | None = None
+    input_friction: Friction = FRICTIONLESS
+    output_friction: Friction = FRICTIONLESS
+
+    @property
+    def laws(self) -> tuple[Law, Law]:
+        """Friction at both flanges."""
+        return self.input_friction.law(0), self.output_friction.law(1)
+
+    @property
+    def warms(self) -> bool:
+        """Whether friction depends on temperature: then the FMU has that as an input."""
+        return any(law.temperature_coefficient != 0.0 for law in self.laws)
 
     @property
     def step(self) -> float:
@@ -207,8 +227,8 @@ def _parameters(pair: Pair, surface: ErrorSurface, interface: Interface) -> list
             kind.limit, 1e-4 if kind.unit == "rad" else 1e-6, structured_value(pair, surface, name), baked=True,
         ))  # fmt: skip
     found += [
-        Variable("friction_torque", "dry friction at the output", "parameter", "tunable", "N.m", least=0.0, nominal=1.0,
-                 start=0.0),
+        Variable("friction_torque", "Coulomb friction at the output", "parameter", "tunable", "N.m", least=0.0,
+                 nominal=1.0, start=interface.laws[1].coulomb),
         Variable("series_compliance", "compliance of the rest of the chain", "parameter", "tunable", "rad/(N.m)",
                  "arcsec/(N.m)", 0.0, nominal=1e-6, start=0.0),
     ]  # fmt: skip
@@ -289,6 +309,37 @@ def _told(pair: Pair, placed: tuple[str, ...], ratio: float) -> list[Variable]:
     return found
 
 
+def _friction(interface: Interface) -> list[Variable]:
+    """What friction is made of at both flanges, and its temperature where it depends on that."""
+    texts = {
+        "coulomb": "Coulomb friction",
+        "load_share": "more of it for each N.m that the teeth take or give at that flange",
+        "stribeck": "more of it at rest, going with exp(-(w/stribeck_speed)^2)",
+        "stribeck_speed": "speed at which that has fallen to 1/e",
+        "viscous": "viscous friction",
+        "presliding_angle": "angle over which friction builds up under the rated torque",
+        "temperature_coefficient": "b: friction goes with exp(-b (temperature - reference_temperature))",
+        "reference_temperature": "temperature at which friction is stated",
+    }
+    displays = {"stribeck_speed": "rev/min", "load_share": "%", "presliding_angle": "arcsec"}
+    found = []
+    for flange, law in zip(FLANGES, interface.laws, strict=True):
+        for name, text in texts.items():
+            if (flange == "output" and name == "coulomb") or ("temperature" in name and not interface.warms):
+                continue
+            unit, least, most, nominal = LIMITS[name]
+            found.append(Variable(
+                f"{flange}_friction.{name}", f"at flange_{'ab'[flange == 'output']}: {text}", "parameter", "tunable",
+                unit, displays.get(name), least, most, nominal, getattr(law, name),
+            ))  # fmt: skip
+    if interface.warms:
+        found.append(Variable(
+            "temperature", "temperature of what rubs", "input", unit="K", least=173.15, most=573.15, nominal=300.0,
+            start=REFERENCE_TEMPERATURE,
+        ))  # fmt: skip
+    return found
+
+
 def _arrays(pair: Pair, surface: ErrorSurface, placed: tuple[str, ...]) -> list[Variable]:
     shape = (pair.discs, pair.pins)
     found = [Variable("time", "time", "independent", unit="s")]
@@ -334,12 +385,16 @@ def variables(
         kind="integer", least=0.0, most=float(pair.pins * pair.discs), depends=shape,
     )  # fmt: skip
     found = [*flanges, count, *_parameters(pair, surface, interface), *_further(interface)]
-    found += _told(pair, shape, pair.ratio if ratio is None else ratio)
+    found += [*_told(pair, shape, pair.ratio if ratio is None else ratio), *_friction(interface)]
+    if interface.warms:
+        # Friction tells where the output stands, and so all that depends on that.
+        found = [dataclasses.replace(v, depends=(*v.depends, "temperature")) if v.depends else v for v in found]
     if fmi_version == "3.0":
         found += _arrays(pair, surface, shape)
     errors = tuple(v.name for v in found if v.baked and v.causality == "parameter")
     shaping = (*errors, "series_compliance", "backlash_on")
-    lossy = (*shaping, *(v.name for v in found if v.name.startswith("loss_table")))
+    rubbing = tuple(v.name for v in found if v.name.startswith(("loss_table", "input_friction", "output_friction")))
+    lossy = (*shaping, *rubbing, "friction_torque")
     if interface.kind == "compliant":
         lossy = (*lossy, "mesh_damping")
     initially = {"backlash": (*errors, "backlash_on"), "power_loss": lossy, "flange_a.tau": lossy,
@@ -376,17 +431,19 @@ def states(interface: Interface) -> tuple[str, ...]:
         return ()
     crank = ("flange_a.phi", "flange_a.w") if interface.crank_inertia > 0.0 else ()
     moved = (*crank, "transmission_error", "flange_b.w") if interface.output_inertia > 0.0 else ()
-    return (*moved, "friction_strain", "dissipated_energy")
+    return (*moved, *_strains("input"), *_strains("output"), "dissipated_energy")
+
+
+def _strains(flange: str, rate: str = "") -> tuple[str, ...]:
+    return tuple(f"{flange}_friction_strain{rate}[{i}]" for i in range(1, FRICTION_ELEMENTS + 1))
 
 
 _INDICATORS = {
-    "kinematic": ("torque and friction turn round", "torque less friction turns round"),
-    "compliant": ("the flank of positive torque touches", "the flank of negative torque touches"),
-}
-_FURTHER_INDICATORS = (
-    "the losses' torque no longer goes to zero with the speed", "a torque leaves the tables",
-    "friction slides or sticks",
-)  # fmt: skip
+    "kinematic": ("the torque turns round", "nothing happens", "a torque leaves the tables", "the crank turns round",
+                  "nothing happens either"),
+    "compliant": ("the flank of positive torque touches", "the flank of negative torque touches",
+                  "a torque leaves the tables", "the crank turns round", "the output turns round"),
+}  # fmt: skip
 
 
 def exchanged(kept: dict[int, Variable], interface: Interface, version: Literal["2.0", "3.0"]) -> dict[int, Variable]:
@@ -397,51 +454,51 @@ def exchanged(kept: dict[int, Variable], interface: Interface, version: Literal[
     kept
         Those of `from_tables`.
     """
-    inside, names = interface.output_inertia > 0.0, states(interface)
+    inside, dynamic = interface.output_inertia > 0.0, interface.kind == "compliant"
+    crank, output = _strains("input"), _strains("output")
+    warm = ("temperature",) if interface.warms else ()
     contact = ("flange_a.phi", "transmission_error" if inside else "flange_b.phi")
-    moving = (*contact, "flange_a.w", "flange_b.w")
+    moving = (*contact, "flange_a.w", "flange_b.w", *warm)
     inputs = tuple(v.name for v in kept.values() if v.causality == "input")
-    parameters = tuple(v.name for v in kept.values() if v.causality == "parameter" and v.variability != "constant")
+    parameters = tuple(v.name for v in kept.values() if v.causality == "parameter")
     of_start = (*inputs, *parameters) if inside else inputs
-
-    def local(name: str, text: str, unit: str, of: str | None, nominal: float, depends: tuple[str, ...]) -> Variable:
-        return Variable(name, text, "local", unit=unit, nominal=nominal, depends=depends, initially=of_start,
-                        derivative_of=of)  # fmt: skip
-
     more = []
+
+    def add(name: str, text: str, unit: str, of: str | None, nominal: float, depends: tuple[str, ...] = ()) -> None:
+        more.append(Variable(name, text, "local", unit=unit, nominal=nominal, depends=depends, initially=of_start,
+                             derivative_of=of))  # fmt: skip
+
     if interface.crank_inertia > 0.0:
-        more.append(local("flange_a.a", f"{interface.driven} acceleration", "rad/s2", "flange_a.w", 1e3,
-                          (*moving, "flange_a.tau")))  # fmt: skip
+        add("flange_a.a", f"{interface.driven} acceleration", "rad/s2", "flange_a.w", 1e3,
+            (*moving, *crank, "flange_a.tau"))  # fmt: skip
     if inside:
-        more += [
-            local("transmission_error_rate", f"output speed less {interface.driven} speed/ratio", "rad/s",
-                  "transmission_error", 0.1, ("flange_a.w", "flange_b.w")),
-            local("flange_b.a", "output acceleration", "rad/s2", "flange_b.w", 100.0,
-                  (*moving, "flange_b.tau", "friction_strain")),
-        ]  # fmt: skip
-    if interface.kind == "compliant":
-        more += [
-            local("friction_strain", "how far the friction at the output is strained", "rad", None,
-                  FRICTION_DISPLACEMENT, ()),
-            local("friction_strain_rate", "and how fast", "rad/s", "friction_strain", 0.1, ("flange_b.w",)),
-        ]  # fmt: skip
+        add("transmission_error_rate", f"output speed less {interface.driven} speed/ratio", "rad/s",
+            "transmission_error", 0.1, ("flange_a.w", "flange_b.w"))  # fmt: skip
+        add("flange_b.a", "output acceleration", "rad/s2", "flange_b.w", 100.0, (*moving, *output, "flange_b.tau"))
+    for flange, law, end in zip(FLANGES if dynamic else (), interface.laws, "ab", strict=False):
+        for name in _strains(flange):
+            add(name, f"strain of an element of the friction at flange_{end}", "rad", None, law.presliding_angle)
+        for name, strain in zip(_strains(flange, "_rate"), _strains(flange), strict=True):
+            add(name, "how fast that goes", "rad/s", strain, 0.1, (*moving, strain))
     depends = {
-        "flange_b.phi": contact, "flange_a.tau": moving, "backlash": ("flange_a.phi",), "torsional_stiffness": contact,
-        "max_contact_pressure": contact, "contact_count": contact, "outside_range": contact, "power_loss": moving,
-        "elastic_energy": (*contact, "friction_strain"), **{name: (name,) for name in names},
+        "flange_a.tau": (*moving, *crank), "power_loss": (*moving, *crank, *output),
+        "elastic_energy": (*contact, *crank, *output), "dissipated_energy": ("dissipated_energy",),
     }  # fmt: skip
-    if not inside:
-        depends = {"flange_b.tau": (*moving, "friction_strain"), "elastic_energy": depends["elastic_energy"],
-                   "dissipated_energy": ("dissipated_energy",)} if names else {}  # fmt: skip
+    if inside:
+        placed = ("torsional_stiffness", "max_contact_pressure", "contact_count", "outside_range", "flange_b.phi")
+        depends |= {**dict.fromkeys(placed, contact), "backlash": ("flange_a.phi",)}
+        depends |= {name: (name,) for name in ("flange_a.phi", "flange_a.w", "transmission_error", "flange_b.w")}
+    else:
+        depends["flange_b.tau"] = (*moving, *output)
     changed = {
         reference: dataclasses.replace(
-            v, depends=depends.get(v.name, v.depends),
+            v, depends=depends.get(v.name, v.depends) if dynamic else v.depends,
             initially=of_start if inside else tuple(dict.fromkeys((*v.depends, *v.initially))),
-            derivative_of="dissipated_energy" if names and v.name == "power_loss" else v.derivative_of,
+            derivative_of="dissipated_energy" if dynamic and v.name == "power_loss" else v.derivative_of,
         ) if v.causality == "output" else v
         for reference, v in kept.items()
     }  # fmt: skip
     if version == "3.0":
-        for i, text in enumerate((*_INDICATORS[interface.kind], *_FURTHER_INDICATORS), start=1):
+        for i, text in enumerate(_INDICATORS[interface.kind], start=1):
             more.append(Variable(f"event_indicator[{i}]", f"goes through zero where {text}", "local"))
     return {**changed, **{len(kept) + i: v for i, v in enumerate(more)}}

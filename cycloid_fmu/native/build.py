@@ -33,7 +33,7 @@ from cycloid_fmu.surfaces.surface import ErrorSurface
 IDENTIFIER = "CycloidDrive"
 SOURCES = (
     "fmi2.c", "fmi3.c", "instance.c", "drive.c", "kinematic.c", "reducer.c", "compliant.c", "exchange.c",
-    "derivatives.c", "teeth.c", "losses.c", "table.c", "table_file.c", "uri.c",
+    "derivatives.c", "teeth.c", "friction.c", "losses.c", "table.c", "table_file.c", "uri.c",
 )  # fmt: skip
 _SOURCES = Path(__file__).with_name("sources")
 _FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off", "-s")

@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu.fmu import constants
-from cycloid_fmu.fmu.variables import ATTRIBUTES, Interface, Variable
+from cycloid_fmu.fmu.friction import FLANGES, Law
+from cycloid_fmu.fmu.variables import ATTRIBUTES, STRAINS, Interface, Variable
 from cycloid_fmu.native.tables import Tables
 from cycloid_fmu.reducer.first_stage import FirstStage
 
@@ -31,12 +32,14 @@ _CAUSALITIES = ("input", "output", "parameter", "independent", "local")
 _INTERFACES = ("kinematic", "compliant", "inertia")
 _FIELDS = (
     "crank_angle", "crank_speed", "crank_torque", "output_angle", "output_speed", "torque", "transmission_error",
-    "backlash", "torsional_stiffness", "max_contact_pressure", "contact_count", "friction_torque", "series_compliance",
+    "backlash", "torsional_stiffness", "max_contact_pressure", "contact_count", "series_compliance", "temperature",
     "power_loss", "backlash_on", "elastic_energy", "dissipated_energy", "mesh_damping", "largest_step",
     "output_inertia", "crank_inertia", "crank_angle_start", "crank_speed_start", "outside_range", "time",
-    "crank_acceleration", "output_acceleration", "transmission_error_rate", "friction_strain", "friction_strain_rate",
-    "event_indicator_1", "event_indicator_2", "event_indicator_3", "event_indicator_4", "event_indicator_5",
-    "loss_table",
+    "crank_acceleration", "output_acceleration", "transmission_error_rate",
+    *(f"event_indicator_{i}" for i in range(1, constants.EVENT_INDICATORS + 1)),
+    *(f"{name}_{i}" for name in STRAINS for i in range(1, constants.FRICTION_ELEMENTS + 1)),
+    *(f"{name}_rate_{i}" for name in STRAINS for i in range(1, constants.FRICTION_ELEMENTS + 1)),
+    *(f"{flange}_friction_{name}" for flange in FLANGES for name in Law._fields), "loss_table",
 )  # fmt: skip
 
 
@@ -129,7 +132,9 @@ def _field(variable: Variable) -> int:
     cell = re.fullmatch(r"loss_table\[(\d+),(\d+)\]", variable.name)
     if cell:
         return _FIELDS.index("loss_table") + (int(cell[1]) - 1) * constants.LOSS_COLUMNS + int(cell[2]) - 1
-    return -1 if variable.baked else _FIELDS.index(ATTRIBUTES.get(variable.name, variable.name))
+    name = "output_friction.coulomb" if variable.name == "friction_torque" else variable.name
+    name = re.sub(r"\[(\d+)\]", r"_\1", ATTRIBUTES.get(name, name)).replace(".", "_")
+    return -1 if variable.baked else _FIELDS.index(name)
 
 
 def _steps(values: NDArray[np.float64], step: NDArray[np.float64]) -> bytes:

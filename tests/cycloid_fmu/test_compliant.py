@@ -16,8 +16,8 @@ from cycloid_fmu import edge
 from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.fmu.build import read_losses
 from cycloid_fmu.fmu.compliant_model import CompliantModel
-from cycloid_fmu.fmu.constants import FRICTION_DISPLACEMENT, LARGEST_TRANSMISSION_ERROR
-from cycloid_fmu.fmu.losses import interpolated, loss_torque
+from cycloid_fmu.fmu.constants import LARGEST_TRANSMISSION_ERROR, OUTPUT_PRESLIDING_ANGLE
+from cycloid_fmu.fmu.losses import interpolated, lost_torque
 from cycloid_fmu.fmu.model import DriveModel, StepError
 from cycloid_fmu.geometry.pair import parse_pair
 from cycloid_fmu.surfaces.surface import nominal_surface
@@ -220,28 +220,35 @@ def test_damping_acts_in_contact_only_never_pulls_and_takes_c_times_the_square_o
 
 
 def test_friction_holds_slides_and_turns_its_sliding_to_heat():
-    model = compliant(friction_torque=2.0)
+    """Iwan's uniform distribution: f(z) = F (1 - (1 - z/z_p)²) in five chords, slides at F."""
+    model, z = compliant(friction_torque=2.0), OUTPUT_PRESLIDING_ANGLE
     put(model, 0.0, 0.0)
     model.forget_history()
-    put(model, 0.0, 0.0, 0.0, 0.5 * FRICTION_DISPLACEMENT / 1e-3)
+    put(model, 0.0, 0.4 * z)
+    wanted = 2.0 * 2.0 * 9.0 / 30.0  # two of five chords: j (2 N - j + 1)/(N (N + 1))
+    assert model.torque == pytest.approx(wanted)
     model.advance(1e-3)
-    assert model.torque == pytest.approx(1.0)
-    assert model.dissipated_energy == 0.0
-    put(model, 0.0, 0.5 * FRICTION_DISPLACEMENT, 0.0, 2.5 * FRICTION_DISPLACEMENT / 1e-3)
+    assert model.torque == pytest.approx(wanted)
+    assert model.dissipated_energy + model.elastic_energy == pytest.approx(
+        0.2 * z * (0.5 * 10.0 + 0.5 * (10.0 + 18.0)) / 15.0, rel=1e-9
+    )
+    put(model, 0.0, 0.4 * z, 0.0, 2.6 * z / 1e-3)
+    before = model.dissipated_energy
     model.advance(1e-3)
     assert model.torque == pytest.approx(2.0)
-    assert model.dissipated_energy == pytest.approx(2.0 * 2.0 * FRICTION_DISPLACEMENT)
-    assert model.elastic_energy == pytest.approx(FRICTION_DISPLACEMENT)
+    assert model.power_loss == pytest.approx(2.0 * 2.6 * z / 1e-3)
+    assert model.dissipated_energy - before > 2.0 * 2.0 * z
 
 
 def test_friction_that_is_switched_on_is_unstrained_at_first():
     """Whatever way the output went without it: switching it on gives no energy."""
     model = compliant()
     Work(model).lead(0.2, 3.0 * HALF)
+    model.output_speed = 0.0
     before = model.elastic_energy, model.torque
     model.friction_torque = 5.0
     assert (model.elastic_energy, model.torque) == pytest.approx(before, rel=1e-9)
-    Work(model, 0.2, 3.0 * HALF).lead(0.2, 3.0 * HALF + 0.5 * FRICTION_DISPLACEMENT)
+    Work(model, 0.2, 3.0 * HALF).lead(0.2, 3.0 * HALF + 0.5 * OUTPUT_PRESLIDING_ANGLE)
     assert model.torque > before[1] + 0.5 * 5.0
 
 
@@ -392,7 +399,7 @@ def test_losses_are_those_of_modelica_s_lossy_gear():
     table = ((0.0, 0.8, 0.7, 0.5, 0.6), (100.0, 0.9, 0.85, 0.7, 0.9))
     for speed, torque in itertools.product((50.0, -50.0, 500.0), (10.0, 0.3, 0.0, -0.2, -0.8, -10.0)):
         forward, backward, friction_forward, friction_backward = interpolated(table, speed)
-        taken = torque + loss_torque(table, speed, torque)[0]
+        taken = torque + math.copysign(lost_torque(table, speed, math.copysign(1.0, speed) * torque), speed)
         # `flange_a.tau` is `taken`; LossyGear asks from it what is lost.
         bearing = (friction_forward - friction_backward) / (forward - 1.0 / backward)
         if speed > 0.0:

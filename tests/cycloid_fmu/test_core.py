@@ -12,15 +12,20 @@ from common import CASES
 
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.core import Core, state_from_bytes, state_to_bytes
+from cycloid_fmu.fmu.friction_file import Friction
 from cycloid_fmu.fmu.variables import Interface
 from cycloid_fmu.geometry.pair import read_pair
 
 ERRORS = read_pair(CASES / "errors-39-40.toml")
+RUBS = {
+    "input_friction": Friction(coulomb=0.02, stribeck=0.01, viscous=1e-4, temperature_coefficient=0.01),
+    "output_friction": Friction(coulomb=1.0, load_share=0.02),
+}
 KINDS = {
-    "kinematic": Interface(losses=((0.0, 0.9, 0.85, 0.1, 0.1),)),
+    "kinematic": Interface(losses=((0.0, 0.9, 0.85, 0.1, 0.1),), **RUBS),
     "compliant": Interface("compliant"),
     "inertia": Interface("compliant", 0.05),
-    "joint": Interface("compliant", 0.05, crank_inertia=1e-2),
+    "joint": Interface("compliant", 0.05, crank_inertia=1e-2, **RUBS),
 }
 STEPS = int(float(os.environ.get("CYCLOID_STEPS", "1e6")))
 
@@ -52,7 +57,15 @@ def nonsense(core, v, steps, seed):
     random = np.random.default_rng(seed)
     inputs = [n for n in v if core.table[v[n]].causality == "input"]
     outputs = [i for i, o in core.table.items() if o.causality == "output"]
-    parameters = ["friction_torque", "series_compliance", "centre_distance_x", "mesh_damping", "backlash_on"]
+    parameters = [
+        "friction_torque",
+        "input_friction.coulomb",
+        "output_friction.load_share",
+        "series_compliance",
+        "centre_distance_x",
+        "mesh_damping",
+        "backlash_on",
+    ]
     special = [math.nan, math.inf, -math.inf, 1e9, -1e9, 0.0, 1e300, -1e-300]
     made = refused = 0
     free = "output_inertia" not in v

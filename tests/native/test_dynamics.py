@@ -14,7 +14,9 @@ from scipy.integrate import solve_ivp
 from cycloid_fmu import edge
 from cycloid_fmu.fmu.build import with_damping
 from cycloid_fmu.fmu.compliant_model import CompliantModel
-from cycloid_fmu.fmu.variables import LOSSLESS, Interface
+from cycloid_fmu.fmu.core import model_of
+from cycloid_fmu.fmu.friction_file import Friction
+from cycloid_fmu.fmu.variables import Interface
 from cycloid_fmu.native import build as native_build
 
 CHAIN = {"series_compliance": 5e-6, "mesh_damping": 50.0}
@@ -29,9 +31,7 @@ class Exact:
     """The model in Python with the native FMU's manners."""
 
     def __init__(self, drive, interface):
-        self.model = CompliantModel(
-            drive.pair, drive.surface, interface.losses, interface.output_inertia, interface.crank_inertia
-        )
+        self.model = model_of(drive.pair, drive.surface, interface)
 
     def put(self, values):
         for name, value in values.items():
@@ -120,8 +120,14 @@ def test_at_constant_speed_the_crank_bears_the_load_over_the_ratio_and_the_losse
 @pytest.mark.parametrize(("kind", "step"), [("exact", 1e-3), ("native", 5e-5), ("native", 1e-3), ("native", 7e-3)])
 @pytest.mark.parametrize("parameters", [{}, {"friction_torque": 3.0, "mesh_damping": 20.0}])
 def test_work_done_is_stored_lost_or_given_back_through_reversals_and_impacts(joint, kind, step, parameters):
-    losses = LOSSY if parameters else LOSSLESS
-    found = joint(kind, Interface("compliant", ARM, losses), **parameters)
+    interface = Interface("compliant", ARM)
+    if parameters:
+        interface = Interface(
+            "compliant", ARM, LOSSY,
+            input_friction=Friction(coulomb=0.01, load_share=0.02, stribeck=0.01, viscous=1e-4),
+            output_friction=Friction(load_share=0.02, stribeck=1.0, viscous=0.5),
+        )  # fmt: skip
+    found = joint(kind, interface, **parameters)
     lowest = highest = passed = 0.0
     begun, done = found.get("elastic_energy")[0], 0.0
     crank, (output,), balance, sides = 0.0, found.get("flange_b.phi"), [], set()
@@ -136,7 +142,7 @@ def test_work_done_is_stored_lost_or_given_back_through_reversals_and_impacts(jo
         crank, output = goal, reached
         done, passed = done + sum(work), passed + sum(map(abs, work))
         balance.append(done - (0.5 * ARM * speed**2 + elastic - begun + lost))
-        sides.add(elastic > 1e-9)
+        sides.add(found.get("torsional_stiffness")[0] > 0.0)
         lowest, highest = min(lowest, torque), max(highest, torque)
     assert sides == {True, False} or step > 1e-3
     assert lowest < -0.1 * highest < 0.0
@@ -230,7 +236,7 @@ def test_a_motor_inside_stops_in_its_friction_without_chattering(joint, kind):
     interface = Interface("compliant", ARM, ((0.0, 1.0, 1.0, 0.02, 0.02),), crank_inertia=1e-4)
     found = joint(kind, interface, crank_speed_start=2.0, **CHAIN)
     speeds = []
-    for i in range(150):
+    for i in range(600):
         found.step(1e-3 * i, 1e-3)
         speeds += found.get("flange_a.w")
     assert np.abs(speeds[-20:]).max() < 1e-3

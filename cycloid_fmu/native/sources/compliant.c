@@ -2,37 +2,16 @@
 #include "drive.h"
 
 #include <math.h>
-
-static double clipped(double value, double limit) {
-    return value > limit ? limit : value < -limit ? -limit : value;
-}
+#include <string.h>
 
 static double damping_of(const struct drive *drive, double contacts, double speed) {
     double torque = drive->state.mesh_damping * fabs(speed);
     return copysign(torque < fabs(contacts) ? torque : fabs(contacts), speed);
 }
 
-/* Move the friction's bristle by a way of the output: work done on it, and what of it is lost. */
-static double rub(struct drive *drive, double way, double *lost) {
-    struct state *s = &drive->state;
-    double before = s->bristle, friction = s->friction_torque;
-    if (friction == 0.0) { /* where it acts anew it begins unstrained, without energy */
-        s->bristle = *lost = 0.0;
-        return 0.0;
-    }
-    s->bristle = clipped(before + way, FRICTION_DISPLACEMENT);
-    *lost = friction * fabs(before + way - s->bristle);
-    return 0.5 * friction / FRICTION_DISPLACEMENT * (s->bristle * s->bristle - before * before) + *lost;
-}
-
-/* How far friction is strained at the present output angle; more than it can be while it slides. */
-double friction_strain(const struct state *s) {
-    return s->bristle + (s->output_angle - s->seen);
-}
-
 int compliant_solve(struct drive *drive, char message[MESSAGE_SIZE]) {
     const struct state *s = &drive->state;
-    double ratio = drive->table->ratio, slope;
+    double ratio = drive->table->ratio;
     if (drive->solved) {
         return 0;
     }
@@ -40,29 +19,44 @@ int compliant_solve(struct drive *drive, char message[MESSAGE_SIZE]) {
         return 1;
     }
     drive->damping = damping_of(drive, drive->pressed.by_rotation, s->output_speed - s->crank_speed / ratio);
-    drive->strain = clipped(friction_strain(s) / FRICTION_DISPLACEMENT, 1.0);
-    drive->loss_torque = losses_torque(drive, drive->pressed.by_angle - drive->damping / ratio, s->crank_speed, &slope);
     drive->solved = 1;
     return 0;
 }
 
 double compliant_power(const struct drive *drive) {
     const struct state *s = &drive->state;
-    return drive->loss_torque * s->crank_speed
-        + drive->damping * (s->output_speed - s->crank_speed / drive->table->ratio);
+    return drive->damping * (s->output_speed - s->crank_speed / drive->table->ratio);
+}
+
+double compliant_load(const struct drive *drive, int flange) {
+    return flange == OUTPUT ? drive->pressed.by_rotation : drive->pressed.by_angle - drive->damping / drive->table->ratio;
+}
+
+/* Friction at the present place and speed, which may have been set since the last step. */
+struct rubbing compliant_rubbing(const struct drive *drive, int flange) {
+    const struct state *s = &drive->state;
+    double way = flange == OUTPUT ? s->output_angle - s->seen
+        : drive->table->offers == INTERFACE_INERTIA ? 0.0 : s->crank_angle - s->crank_seen;
+    return friction_press(drive, flange, way, flange == OUTPUT ? s->output_speed : s->crank_speed, compliant_load(drive, flange),
+                          PRESLIDING_TIME);
+}
+
+static void move_on(struct drive *drive, int flange, double way, double time, double load) {
+    double following[FRICTION_ELEMENTS];
+    struct slid slid = friction_rub(drive, flange, way, time, load, following);
+    memcpy(drive->state.strain[flange], following, sizeof following);
+    drive->state.dissipated_energy += slid.lost;
 }
 
 /* Both flanges move on at their speeds; what they dissipate is summed in parts. */
 int compliant_move(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
-    double crank = s->crank_angle, output = s->output_angle, lost, all, before = 0.0;
-    double crank_way = s->crank_speed * step, way = s->output_speed * step;
-    int count = 1, i, lossy = losses_dissipate(drive);
-    rub(drive, output - s->seen, &all);
-    s->seen = output;
-    if (lossy) {
+    double crank = s->crank_angle, output = s->output_angle, before = 0.0, load[2] = {0.0, 0.0};
+    const double way[2] = {s->crank_speed * step, s->output_speed * step};
+    int count = 1, i, flange, rubs = drive->rubs[INPUT] || drive->rubs[OUTPUT], damped = s->mesh_damping > 0.0;
+    if (rubs || damped) {
         double chunks = fmax(1.0, ceil(step / s->largest_step * (1.0 - STEP_TOLERANCE)));
-        double parts = fmax(fabs(crank_way) / CRANK_STEP, fabs(way - crank_way / drive->table->ratio) / DEVIATION_STEP);
+        double parts = fmax(fabs(way[INPUT]) / CRANK_STEP, fabs(way[OUTPUT] - way[INPUT] / drive->table->ratio) / DEVIATION_STEP);
         parts = fmax(chunks, ceil(fmin(parts, chunks * MOST_PARTS)));
         if (parts > MOST_SUB_STEPS) {
             return drive_refuse(message, "a step of %g s is divided into more than %g parts: make it shorter.", step,
@@ -74,24 +68,34 @@ int compliant_move(struct drive *drive, double step, char message[MESSAGE_SIZE])
             return 1;
         }
         before = compliant_power(drive);
+        for (flange = INPUT; flange <= OUTPUT; flange++) { /* friction follows to where the flanges were put */
+            load[flange] = compliant_load(drive, flange);
+            if (drive->rubs[flange]) {
+                move_on(drive, flange, flange == INPUT ? crank - s->crank_seen : output - s->seen, 0.0, load[flange]);
+            }
+        }
     }
     for (i = 1; i <= count; i++) {
-        rub(drive, way / count, &lost);
-        all += lost;
-        s->seen = s->output_angle = output + way * i / count;
-        s->crank_angle = crank + crank_way * i / count;
+        s->seen = s->output_angle = output + way[OUTPUT] * i / count;
+        s->crank_seen = s->crank_angle = crank + way[INPUT] * i / count;
         drive->solved = 0;
-        if (lossy) {
+        if (rubs || damped) {
             double after;
             if (compliant_solve(drive, message)) {
                 return 1;
             }
+            for (flange = INPUT; flange <= OUTPUT; flange++) {
+                double following = compliant_load(drive, flange);
+                if (drive->rubs[flange]) {
+                    move_on(drive, flange, way[flange] / count, step / count, 0.5 * (load[flange] + following));
+                }
+                load[flange] = following;
+            }
             after = compliant_power(drive);
-            all += 0.5 * (before + after) * step / count;
+            s->dissipated_energy += 0.5 * (before + after) * step / count;
             before = after;
         }
     }
-    s->dissipated_energy += all;
     return 0;
 }
 
@@ -120,7 +124,9 @@ static double by_phase(const struct drive *drive, const struct pressed *at) {
 /* Where a sub-step is: ways of crank and output, what is stored in the middle of the crank's way before and after the
    deviation changed and at the end, and what acts on the way. */
 struct swing {
-    double turn, way, damping, lost, crank_torque, crank_loss;
+    double turn, way, damping, crank_torque;
+    struct slid rubbed[2]; /* friction at crank and output, which leaves `strain` */
+    double strain[2][FRICTION_ELEMENTS];
     struct pressed before, after, end;
 };
 
@@ -131,18 +137,20 @@ enum { SWUNG, FAILED, TOO_LONG };
    gained. Without an inertia the crank's way is given. */
 static int swing(struct drive *drive, double part, struct pressed *at, struct swing *w, char message[MESSAGE_SIZE]) {
     const struct state *s = &drive->state;
-    const double ratio = drive->table->ratio, friction = s->friction_torque, bristle = s->bristle, start = s->turned;
+    const double ratio = drive->table->ratio, start = s->turned;
     const double a = 2.0 * s->crank_inertia / (part * part), b = 2.0 * s->output_inertia / (part * part);
     const double deviation = s->output_angle - start / ratio;
     const int held = s->crank_inertia == 0.0;
     double change, change_a = 0.0, share;
     int i, last = 0;
+    memset(w->rubbed, 0, sizeof w->rubbed);
+    memcpy(w->strain, s->strain, sizeof w->strain);
     w->way = part * s->output_speed + (s->torque - at->by_rotation) / b;
     if (!held) {
         w->turn = part * s->crank_speed + (s->crank_torque - at->by_angle) / a;
     }
     for (i = 0; i < MOST_ITERATIONS; i++) {
-        struct mean contact, rubbing, crank, loss;
+        struct mean contact, crank;
         double off = w->way - w->turn / ratio, damped, k, q, r, missing, missing_a;
         if ((i == 0 || !held) && teeth_press(drive, start + 0.5 * w->turn, deviation, &w->before, message)) {
             return FAILED;
@@ -156,17 +164,20 @@ static int swing(struct drive *drive, double part, struct pressed *at, struct sw
         w->damping = damping_of(drive, contact.value, off / part);
         damped = fabs(w->damping) < fabs(contact.value) ? s->mesh_damping / part
                                                         : copysign(contact.slope, off * contact.value);
-        drive->state.bristle = bristle;
-        rubbing = mean_over(w->way, SAME_PLACE, rub(drive, w->way, &w->lost), friction / FRICTION_DISPLACEMENT * bristle,
-                            friction / FRICTION_DISPLACEMENT * s->bristle, friction / FRICTION_DISPLACEMENT);
+        if (drive->rubs[OUTPUT]) {
+            w->rubbed[OUTPUT] = friction_rub(drive, OUTPUT, w->way, part, contact.value, w->strain[OUTPUT]);
+        }
         k = contact.slope + damped;
-        r = b + rubbing.slope + k;
-        missing = s->torque - contact.value - w->damping - rubbing.value - b * (w->way - part * s->output_speed);
+        r = b + w->rubbed[OUTPUT].slope + k;
+        missing = s->torque - contact.value - w->damping - w->rubbed[OUTPUT].torque
+            - b * (w->way - part * s->output_speed);
         if (!held || last) {
             crank = mean_over(w->turn, SAME_PLACE * fabs(ratio), w->before.energy - at->energy + w->end.energy - w->after.energy,
                               by_phase(drive, at), by_phase(drive, &w->end), 0.0);
             w->crank_torque = crank.value - (contact.value + w->damping) / ratio;
-            w->crank_loss = losses_torque(drive, w->crank_torque, w->turn / part, &loss.slope);
+            if (drive->rubs[INPUT]) {
+                w->rubbed[INPUT] = friction_rub(drive, INPUT, w->turn, part, w->crank_torque, w->strain[INPUT]);
+            }
         }
         if (last) {
             return SWUNG;
@@ -174,8 +185,8 @@ static int swing(struct drive *drive, double part, struct pressed *at, struct sw
         if (held) {
             change = missing / r;
         } else {
-            missing_a = s->crank_torque - w->crank_torque - w->crank_loss - a * (w->turn - part * s->crank_speed);
-            q = a + loss.slope / part;
+            missing_a = s->crank_torque - w->crank_torque - w->rubbed[INPUT].torque - a * (w->turn - part * s->crank_speed);
+            q = a + w->rubbed[INPUT].slope;
             k /= ratio;
             missing /= q * r + (r - k * ratio) * k / ratio;
             missing_a /= q * r + (r - k * ratio) * k / ratio;
@@ -188,7 +199,6 @@ static int swing(struct drive *drive, double part, struct pressed *at, struct sw
         w->way += change;
         w->turn += change_a;
     }
-    drive->state.bristle = bristle;
     return TOO_LONG;
 }
 
@@ -200,8 +210,10 @@ static double longest(const struct drive *drive, double crank_speed) {
     struct place place = table_place(drive->table, 0.0);
     double stiffness = teeth_stiffness(drive, &place, side->reach, 1.0, 0.0), swing;
     stiffness = 1.0 / (1.0 / stiffness + s->series_compliance);
-    swing = (stiffness + s->friction_torque / FRICTION_DISPLACEMENT) / s->output_inertia;
-    swing += s->crank_inertia > 0.0 ? stiffness / (ratio * ratio * s->crank_inertia) : 0.0;
+    swing = (stiffness + FRICTION_ELEMENTS * drive->element[OUTPUT]) / s->output_inertia;
+    if (s->crank_inertia > 0.0) {
+        swing += (stiffness / (ratio * ratio) + FRICTION_ELEMENTS * drive->element[INPUT]) / s->crank_inertia;
+    }
     return fmin(s->largest_step, fmin(SUB_STEP / sqrt(swing), MESH_STEP / fmax(fabs(crank_speed), 1e-30)));
 }
 
@@ -240,14 +252,15 @@ int compliant_swing(struct drive *drive, double step, char message[MESSAGE_SIZE]
             continue;
         }
         rest = fmax(1.0, parts - 1.0);
-        work += (w.crank_torque + w.crank_loss) * part;
+        work += (w.crank_torque + w.rubbed[INPUT].torque) * part;
+        memcpy(s->strain, w.strain, sizeof s->strain);
         s->turned = parts > 1.0 || !held ? s->turned + w.turn : goal;
         s->seen = s->output_angle = s->output_angle + w.way;
         s->output_speed = 2.0 * w.way / part - s->output_speed;
         if (!held) {
             s->crank_speed = 2.0 * w.turn / part - s->crank_speed;
         }
-        s->dissipated_energy += w.lost + w.damping * (w.way - w.turn / ratio) + w.crank_loss * w.turn;
+        s->dissipated_energy += w.rubbed[OUTPUT].lost + w.damping * (w.way - w.turn / ratio) + w.rubbed[INPUT].lost;
         s->outside = s->outside != 0.0 || teeth_outside(drive, w.end.load, w.end.side) ? 1.0 : 0.0;
         left = parts > 1.0 ? left - part : 0.0;
         drive->impact = w.end.load > 0.0 && (at.load == 0.0 || at.side != w.end.side);

@@ -35,13 +35,33 @@ static struct answer answer_of(struct drive *drive, double load, double side, do
     return found;
 }
 
-/* The losses' torque, linear piece by piece, by a difference within the piece. */
-static double loss_going(const struct drive *drive, double torque, double speed, double by_torque, double by_speed) {
-    double size = fmax(fabs(by_torque) / fmax(fabs(torque), 1.0), fabs(by_speed) / fmax(fabs(speed), LOSS_SPEED)), slope;
-    double h = size > 0.0 ? DERIVATIVE_SHARE / size : 0.0;
-    return h == 0.0 ? 0.0
-                    : (losses_torque(drive, torque + h * by_torque, speed + h * by_speed, &slope)
-                       - losses_torque(drive, torque - h * by_torque, speed - h * by_speed, &slope)) / (2.0 * h);
+/* Torque of a flange's friction, by a difference: `way`, `speed` and `load` are how fast these go. */
+static double rubbing_going(const struct drive *drive, int flange, const struct state *go, double way, double speed,
+                            double load) {
+    const struct state *s = &drive->state;
+    double at = flange == INPUT ? s->crank_speed : s->output_speed, bears = compliant_load(drive, flange);
+    double size, passed, torque[2];
+    int i, j;
+    passed = flange == OUTPUT ? s->output_angle - s->seen
+        : drive->table->offers == INTERFACE_INERTIA ? 0.0 : s->crank_angle - s->crank_seen;
+    if (!drive->rubs[flange]) {
+        return 0.0;
+    }
+    size = fmax(fabs(speed) / fmax(fabs(at), DIFFERENCE_SPEED), fabs(load) / fmax(fabs(bears), 1.0));
+    size = fmax(size, fmax(fabs(way) / s->friction[flange].presliding_angle, fabs(go->temperature)));
+    for (i = 0; i < FRICTION_ELEMENTS; i++) {
+        size = fmax(size, fabs(go->strain[flange][i]) / s->friction[flange].presliding_angle);
+    }
+    for (j = 0; j < 2 && size > 0.0; j++) {
+        struct drive moved = *drive;
+        double h = (j == 0 ? -DIFFERENCE_SHARE : DIFFERENCE_SHARE) / size;
+        for (i = 0; i < FRICTION_ELEMENTS; i++) {
+            moved.state.strain[flange][i] += h * (go->strain[flange][i] + way);
+        }
+        moved.state.temperature += h * go->temperature;
+        torque[j] = friction_press(&moved, flange, passed, at + h * speed, bears + h * load, PRESLIDING_TIME).torque;
+    }
+    return size > 0.0 ? 0.5 * (torque[1] - torque[0]) * size / DIFFERENCE_SHARE : 0.0;
 }
 
 /* 1 where the output is not one of these. */
@@ -51,17 +71,20 @@ static int of_kinematic(struct drive *drive, int field, const struct state *go, 
     const struct place *place = drive_place(drive);
     const struct play play = teeth_play(drive, place);
     const int stands = s->pushed == 0.0, loose = s->load == 0.0;
-    double rate = kinematic_rate(drive, place, &play), deviation, torque, loss;
+    double rate, deviation;
     struct answer answer;
-    if (stands && (s->friction_torque == 0.0 || !loose)) {
+    if (drive->rubs[OUTPUT] || (drive->rubs[INPUT] && field == CRANK_TORQUE)) {
+        return 1;
+    }
+    rate = kinematic_rate(drive, place, &play);
+    if (stands) {
         double stiffness = loose ? 0.0 : 1.0 / (1.0 / teeth_stiffness(drive, place, s->load, side, 0.0) + s->series_compliance);
         answer = answer_of(drive, s->load, side, stiffness, go->crank_angle, 0.0);
         deviation = -go->crank_angle / ratio;
     } else {
         double load = loose ? 0.0 : side * go->torque;
         answer = answer_of(drive, s->load, side, 0.0, go->crank_angle, load);
-        deviation = stands ? -go->crank_angle / ratio
-            : (rate - 1.0 / ratio) * go->crank_angle
+        deviation = (rate - 1.0 / ratio) * go->crank_angle
                 + (loose ? 0.0 : (table_at(teeth_side(drive, side), place, s->load).compliance + s->series_compliance) * go->torque);
     }
     switch (field) {
@@ -73,9 +96,7 @@ static int of_kinematic(struct drive *drive, int field, const struct state *go, 
             *value = 0.0;
             return 0;
         }
-        torque = kinematic_crank_torque(drive);
-        loss = loss_going(drive, torque, s->crank_speed, answer.crank_torque, go->crank_speed);
-        *value = answer.crank_torque + loss;
+        *value = answer.crank_torque;
         return 0;
     default: return 1;
     }
@@ -88,17 +109,18 @@ static int of_compliant(struct drive *drive, int field, const struct state *go, 
     const int inside = drive->table->offers == INTERFACE_INERTIA;
     /* With inertias inside, what goes is the deviation. */
     const double output = inside ? go->deviation + go->crank_angle / ratio : go->output_angle;
-    const double strain = drive->exchange ? go->bristle : output;
+    const double turn = drive->exchange ? 0.0 : go->crank_angle, way = drive->exchange ? 0.0 : output;
     double side = p->load > 0.0 ? p->side : 0.0, damping, friction, torque, loss, stiffness;
     struct answer answer;
+    int i;
     stiffness = side != 0.0 ? 1.0 / (1.0 / p->stiffness + s->series_compliance) : 0.0;
     answer = answer_of(drive, p->load, p->side, stiffness, go->crank_angle, side != 0.0 ? output : 0.0);
     damping = fabs(drive->damping) < fabs(p->by_rotation) ? s->mesh_damping * (go->output_speed - go->crank_speed / ratio)
                                                           : copysign(answer.load, slip);
     damping = s->mesh_damping > 0.0 ? damping : 0.0;
-    friction = fabs(drive->strain) < 1.0 ? s->friction_torque / FRICTION_DISPLACEMENT * strain : 0.0;
+    friction = rubbing_going(drive, OUTPUT, go, way, go->output_speed, p->side * answer.load);
     torque = answer.crank_torque - damping / ratio;
-    loss = loss_going(drive, p->by_angle - drive->damping / ratio, s->crank_speed, torque, go->crank_speed);
+    loss = rubbing_going(drive, INPUT, go, turn, go->crank_speed, torque);
     switch (field) {
     case OUTPUT_ANGLE: *value = output; return 0;
     case OUTPUT_SPEED: *value = go->output_speed; return 0;
@@ -112,12 +134,15 @@ static int of_compliant(struct drive *drive, int field, const struct state *go, 
     case OUTPUT_ACCELERATION:
         *value = (go->torque - p->side * answer.load - damping - friction) / s->output_inertia;
         return 0;
-    case FRICTION_STRAIN: *value = go->bristle; return 0;
-    case FRICTION_STRAIN_RATE:
-        *value = s->sliding != 0.0 || s->friction_torque == 0.0 ? 0.0 : go->output_speed;
-        return 0;
     case ELASTIC_ENERGY:
-        *value = p->by_angle * go->crank_angle + p->by_rotation * output + s->friction_torque * drive->strain * strain;
+        if (!drive->exchange && (drive->rubs[INPUT] || drive->rubs[OUTPUT])) {
+            return 1;
+        }
+        *value = p->by_angle * go->crank_angle + p->by_rotation * output;
+        for (i = 0; i < FRICTION_ELEMENTS; i++) {
+            *value += drive->element[INPUT] * s->strain[INPUT][i] * go->strain[INPUT][i];
+            *value += drive->element[OUTPUT] * s->strain[OUTPUT][i] * go->strain[OUTPUT][i];
+        }
         return 0;
     default: return 1;
     }
@@ -152,8 +177,7 @@ static int by_difference(const struct drive *drive, const struct variable *unkno
 static double reach_of(const struct variable *known) {
     switch (known->field) {
     case OUTPUT_ANGLE:
-    case TRANSMISSION_ERROR:
-    case FRICTION_STRAIN: return DIFFERENCE_ROTATION;
+    case TRANSMISSION_ERROR: return DIFFERENCE_ROTATION;
     default: return DIFFERENCE_SHARE * known->nominal;
     }
 }

@@ -43,8 +43,8 @@ static int move(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
 static int guarded(struct drive *drive, double step, char message[MESSAGE_SIZE]) {
     struct state kept;
     int failed;
-    /* A step leaves the losses, and of the kinematic interface all that it has not. */
-    size_t size = drive_kinematic(drive) ? offsetof(struct state, bristle) : offsetof(struct state, loss);
+    /* A step leaves the parameters, and of the kinematic interface all that it has not. */
+    size_t size = drive_kinematic(drive) ? offsetof(struct state, seen) : offsetof(struct state, crank_torque);
     memcpy(&kept, &drive->state, size);
     failed = move(drive, step, message);
     if (failed) {
@@ -75,14 +75,14 @@ int drive_step(struct drive *drive, double time, double step, char message[MESSA
 /* With an inertia the drive starts at rest on its load, without friction's history. */
 static int rest_on_load(struct drive *drive, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
-    double friction = s->friction_torque, speed;
+    const int rubs[2] = {drive->rubs[INPUT], drive->rubs[OUTPUT]};
     int failed;
-    s->friction_torque = s->settled = 0.0;
+    s->settled = 0.0;
+    drive->rubs[INPUT] = drive->rubs[OUTPUT] = 0;
     failed = kinematic_follow(drive, message);
     drive->placed = 1;
-    speed = failed ? 0.0 : kinematic_speed(drive);
-    s->friction_torque = friction;
-    s->output_speed = speed;
+    s->output_speed = failed ? 0.0 : kinematic_speed(drive);
+    memcpy(drive->rubs, rubs, sizeof rubs);
     return failed;
 }
 
@@ -91,7 +91,8 @@ int drive_start(struct drive *drive, char message[MESSAGE_SIZE]) {
     int failed = losses_check(drive, message);
     drive->initializing = 0;
     drive->placed = drive->solved = 0;
-    drive->state.settled = drive->state.bristle = drive->state.dissipated_energy = 0.0;
+    memset(drive->state.strain, 0, sizeof drive->state.strain);
+    drive->state.settled = drive->state.dissipated_energy = 0.0;
     if (!failed && drive->table->offers == INTERFACE_INERTIA) {
         struct state *s = &drive->state;
         if (s->crank_inertia > 0.0) {
@@ -102,16 +103,17 @@ int drive_start(struct drive *drive, char message[MESSAGE_SIZE]) {
         failed = rest_on_load(drive, message);
     }
     drive->state.seen = drive->state.output_angle;
+    drive->state.crank_seen = drive->state.crank_angle;
     failed = failed || guarded(drive, 0.0, message);
     if (!failed && drive->table->offers == INTERFACE_INERTIA) {
-        drive->state.mean_torque = drive->pressed.by_angle - drive->damping / drive->table->ratio + drive->loss_torque;
-        drive->state.mean_loss = compliant_power(drive);
+        struct rubbing crank = compliant_rubbing(drive, INPUT);
+        drive->state.mean_torque = drive->pressed.by_angle - drive->damping / drive->table->ratio + crank.torque;
+        drive->state.mean_loss = compliant_power(drive) + crank.power + compliant_rubbing(drive, OUTPUT).power;
     }
-    drive->state.held = drive->state.output_angle;
+    exchange_keep(drive);
     if (!drive_kinematic(drive)) {
         drive->state.deviation = drive->state.output_angle - drive_angle(drive) / drive->table->ratio;
     }
-    drive->state.sliding = 0.0;
     if (failed) {
         drive->state = kept;
         drive->placed = drive->solved = 0;
@@ -129,7 +131,7 @@ double *drive_stored(struct state *s, const struct variable *variable) {
     case OUTPUT_ANGLE: return &s->output_angle;
     case OUTPUT_SPEED: return &s->output_speed;
     case TORQUE: return &s->torque;
-    case FRICTION_TORQUE: return &s->friction_torque;
+    case TEMPERATURE: return &s->temperature;
     case SERIES_COMPLIANCE: return &s->series_compliance;
     case BACKLASH_ON: return &s->backlash_on;
     case MESH_DAMPING: return &s->mesh_damping;
@@ -139,11 +141,17 @@ double *drive_stored(struct state *s, const struct variable *variable) {
     case CRANK_ANGLE_START: return &s->crank_angle_start;
     case CRANK_SPEED_START: return &s->crank_speed_start;
     case TRANSMISSION_ERROR: return &s->deviation;
-    case FRICTION_STRAIN: return &s->bristle;
     case DISSIPATED_ENERGY: return &s->dissipated_energy;
     case TIME: return &s->time;
-    default: return variable->field >= LOSS_TABLE ? &s->loss[variable->field - LOSS_TABLE] : NULL;
+    default: break;
     }
+    if (variable->field >= INPUT_FRICTION_STRAIN_1 && variable->field < INPUT_FRICTION_STRAIN_RATE_1) {
+        return &s->strain[INPUT][0] + (variable->field - INPUT_FRICTION_STRAIN_1);
+    }
+    if (variable->field >= INPUT_FRICTION_COULOMB && variable->field < LOSS_TABLE) {
+        return &s->friction[INPUT].coulomb + (variable->field - INPUT_FRICTION_COULOMB);
+    }
+    return variable->field >= LOSS_TABLE ? &s->loss[variable->field - LOSS_TABLE] : NULL;
 }
 
 void drive_reset(struct drive *drive) {
@@ -158,6 +166,7 @@ void drive_reset(struct drive *drive) {
             *value = v->start;
         }
     }
+    friction_settle(drive);
 }
 
 void drive_open(struct drive *drive, struct table *table) {
@@ -165,6 +174,7 @@ void drive_open(struct drive *drive, struct table *table) {
     memset(drive, 0, sizeof *drive);
     drive->table = table;
     drive->ratio = table->ratio;
+    drive->rated = UNRATED_LOAD;
     if (table->sun_teeth > 0.0) {
         drive->b = table->sun_teeth / table->planet_teeth;
         drive->a = 1.0 + drive->b;
@@ -174,6 +184,9 @@ void drive_open(struct drive *drive, struct table *table) {
     for (i = 0; i < table->variables; i++) {
         int row = (table->variable[i].field - LOSS_TABLE) / LOSS_COLUMNS + 1;
         drive->rows = table->variable[i].field >= LOSS_TABLE && row > drive->rows ? row : drive->rows;
+        if (strcmp(table->variable[i].name, "rated_torque") == 0) {
+            drive->rated = table->variable[i].start;
+        }
     }
     drive_reset(drive);
 }
@@ -202,6 +215,9 @@ int drive_set(struct drive *drive, const struct variable *variable, double value
         return 1;
     }
     *kept = value;
+    if (variable->field >= INPUT_FRICTION_COULOMB) {
+        friction_settle(drive);
+    }
     drive->solved = 0;
     if (!drive_kinematic(drive)) {
         drive->placed = 0;
@@ -217,6 +233,17 @@ static int load_of(struct drive *drive, double *load, double *side) {
     return *load > 0.0 || (s->loose == 0.0 && teeth_play(drive, drive_place(drive)).width == 0.0);
 }
 
+double drive_stiffness(struct drive *drive) {
+    double load, side, stiffness;
+    const struct place *place = drive_place(drive);
+    if (drive->b > 0.0) {
+        return reducer_stiffness(drive);
+    }
+    load_of(drive, &load, &side);
+    stiffness = teeth_stiffness(drive, place, load, side, load > 0.0 ? 0.0 : teeth_play(drive, place).width);
+    return stiffness > 0.0 ? 1.0 / (1.0 / stiffness + drive->state.series_compliance) : 0.0;
+}
+
 int drive_outside(const struct drive *drive) {
     const struct state *s = &drive->state;
     const struct side *side = drive->table->side; /* asked at each step: no calls */
@@ -230,34 +257,27 @@ static double output(struct drive *drive, int field) {
     struct state *s = &drive->state;
     const struct place *place = drive_place(drive);
     int still = drive_kinematic(drive);
-    double torque, ratio = drive->table->ratio, load, side, slope;
+    double torque, ratio = drive->table->ratio, load, side;
     int pressed = load_of(drive, &load, &side);
     switch (field) {
     case CRANK_TORQUE:
         if (still) {
             torque = kinematic_crank_torque(drive);
-            return torque + losses_torque(drive, torque, s->crank_speed, &slope);
+            return torque + kinematic_rubbing(drive, INPUT, torque).torque;
         }
         if (drive->table->offers == INTERFACE_INERTIA) {
             return s->mean_torque;
         }
-        return drive->pressed.by_angle - drive->damping / ratio + drive->loss_torque;
+        return drive->pressed.by_angle - drive->damping / ratio + compliant_rubbing(drive, INPUT).torque;
     case CRANK_ANGLE: return drive_angle(drive);
     case CRANK_SPEED: return s->crank_speed;
     case OUTPUT_ANGLE: return s->output_angle;
     case OUTPUT_SPEED: return still ? kinematic_speed(drive) : s->output_speed;
-    case TORQUE: return drive->pressed.by_rotation + drive->damping + s->friction_torque * drive->strain;
+    case TORQUE: return drive->pressed.by_rotation + drive->damping + compliant_rubbing(drive, OUTPUT).torque;
     case TRANSMISSION_ERROR: return still ? s->deviation : s->output_angle - drive_angle(drive) / ratio;
     case BACKLASH:
         return s->backlash_on == 0.0 ? 0.0 : drive->b > 0.0 ? reducer_backlash(drive) : teeth_play(drive, place).width;
-    case TORSIONAL_STIFFNESS: {
-        double stiffness;
-        if (drive->b > 0.0) {
-            return reducer_stiffness(drive);
-        }
-        stiffness = teeth_stiffness(drive, place, load, side, load > 0.0 ? 0.0 : teeth_play(drive, place).width);
-        return stiffness > 0.0 ? 1.0 / (1.0 / stiffness + s->series_compliance) : 0.0;
-    }
+    case TORSIONAL_STIFFNESS: return drive_stiffness(drive);
     case MAX_CONTACT_PRESSURE:
     case CONTACT_COUNT: {
         struct place told;
@@ -270,27 +290,27 @@ static double output(struct drive *drive, int field) {
     }
     case POWER_LOSS:
         if (still) {
-            return losses_torque(drive, kinematic_crank_torque(drive), s->crank_speed, &slope) * s->crank_speed
-                + s->friction_torque * fabs(kinematic_speed(drive));
+            return (drive->rubs[INPUT] ? kinematic_rubbing(drive, INPUT, kinematic_crank_torque(drive)).power : 0.0)
+                + (drive->rubs[OUTPUT] ? kinematic_rubbing(drive, OUTPUT, 0.0).power : 0.0);
         }
         if (drive->table->offers == INTERFACE_INERTIA) {
             return s->mean_loss;
         }
-        return compliant_power(drive)
-            + ((drive->exchange ? s->sliding != 0.0 : fabs(friction_strain(s)) >= FRICTION_DISPLACEMENT)
-                   ? s->friction_torque * fabs(s->output_speed) : 0.0);
+        return drive->exchange ? exchange_rate(drive, DISSIPATED_ENERGY)
+                               : compliant_power(drive) + compliant_rubbing(drive, INPUT).power
+                                     + compliant_rubbing(drive, OUTPUT).power;
     case OUTSIDE_RANGE: return drive_outside(drive);
     case ELASTIC_ENERGY:
-        return drive->pressed.energy
-            + 0.5 * s->friction_torque * FRICTION_DISPLACEMENT * drive->strain * drive->strain;
+        return drive->pressed.energy + compliant_rubbing(drive, INPUT).stored + compliant_rubbing(drive, OUTPUT).stored;
     case DISSIPATED_ENERGY: return s->dissipated_energy;
     case CRANK_ACCELERATION: return exchange_rate(drive, CRANK_SPEED);
     case OUTPUT_ACCELERATION: return exchange_rate(drive, OUTPUT_SPEED);
     case TRANSMISSION_ERROR_RATE: return exchange_rate(drive, TRANSMISSION_ERROR);
-    case FRICTION_STRAIN: return s->bristle;
-    case FRICTION_STRAIN_RATE: return exchange_rate(drive, FRICTION_STRAIN);
     default: {
         double indicators[EVENT_INDICATORS];
+        if (field >= INPUT_FRICTION_STRAIN_RATE_1) {
+            return exchange_rate(drive, field - INPUT_FRICTION_STRAIN_RATE_1 + INPUT_FRICTION_STRAIN_1);
+        }
         exchange_indicators(drive, indicators);
         return indicators[field - EVENT_INDICATOR_1];
     }
@@ -392,11 +412,15 @@ int drive_state_check(const struct drive *drive, const unsigned char *blob, size
 void drive_state_read(struct drive *drive, const unsigned char *blob) {
     char *numbers = (char *)&drive->state;
     const unsigned char *body = blob + BLOB_HEAD;
+    struct state kept;
     int i;
     for (i = 0; i < NUMBERS; i++) {
         uint64_t bits = get(body + 8 * i);
         memcpy(numbers + 8 * i, &bits, 8);
     }
     drive->initializing = (get(body + 8 * NUMBERS) & 1) != 0;
+    kept = drive->state;
+    friction_settle(drive);
+    drive->state = kept;
     drive->placed = drive->solved = 0;
 }

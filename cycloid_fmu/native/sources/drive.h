@@ -4,23 +4,33 @@
 
 #include "table.h"
 
+enum { INPUT, OUTPUT }; /* flange_a and flange_b, where both have the same */
+
+/* Friction at a flange, as `Law` of cycloid_fmu/fmu/friction.py has it. */
+struct friction {
+    double coulomb, load_share, stribeck, stribeck_speed, viscous, temperature_coefficient, reference_temperature,
+        presliding_angle;
+};
+
 /* What later steps and outputs depend on: doubles alone, so that it can be written down as it is. */
 struct state {
     double time;
     double crank_angle, crank_speed, torque; /* torque: the input, the load on the inertia; else unused */
     double output_angle, output_speed;       /* of the kinematic interface the speed is found when asked for */
-    double friction_torque, series_compliance, backlash_on, mesh_damping, largest_step, output_inertia;
+    double temperature, series_compliance, backlash_on, mesh_damping, largest_step, output_inertia;
     double settled, placed, deviation, load, side, pushed; /* kinematic: at the last step */
+    double strain[2][FRICTION_ELEMENTS], crank_seen; /* of friction: of its elements; crank angle that it followed to */
     double gear, loose; /* of a reducer: the gear's own deviation, and whether the plays around it leave it unloaded */
     /* What the kinematic interface has not. */
-    double bristle, seen, dissipated_energy;
+    double seen, dissipated_energy; /* seen: output angle that friction has followed to */
     /* With an inertia inside: where the crank stands, as its angle may be set to where it goes next; and of the last step
        its mean torque and what was lost, and whether a torque was beyond the tables. */
     double turned, mean_torque, mean_loss, outside;
     double crank_torque, crank_inertia, crank_angle_start, crank_speed_start; /* of a crank with one */
-    /* Of Model Exchange: where the kinematic output stood at the last step's end, and which way the friction slides. */
-    double held, sliding;
+    /* Of Model Exchange, where the kinematic interface's last step ended: output and crank angle, friction's strains. */
+    double held, held_crank, held_strain[2][FRICTION_ELEMENTS];
     double event_mode; /* whether the instance is in it */
+    struct friction friction[2];
     double loss[MOST_LOSS_ROWS * LOSS_COLUMNS];
 };
 
@@ -35,12 +45,30 @@ struct pressed {
     double energy, by_angle, by_rotation, stiffness, load, side;
 };
 
+/* Torques at which friction slides towards negative and towards positive angles. */
+struct yields {
+    double low, high;
+};
+
+/* What friction does over a way: mean torque, its change with the way's end, energy lost. */
+struct slid {
+    double torque, slope, lost;
+};
+
+/* And at a place: torque, power lost, energy stored, and the viscous part of the torque. */
+struct rubbing {
+    double torque, power, stored, drag;
+};
+
 struct drive {
     const struct table *table;
     double ratio;     /* of the flanges */
     double a, b, s;   /* of an RV reducer (reducer_model.py); b = 0 without its first stage */
     struct state state;
+    double rated;     /* torque */
     int rows;         /* of the loss table */
+    int lossy, rubs[2]; /* whether that takes anything, and whether there is friction at each flange */
+    double element[2];  /* stiffness of each of its elements */
     int initializing; /* outputs follow the inputs without a step */
     int exchange;     /* Model Exchange: the solver is the host's; an inertia's deviation is a state */
     int early, impact; /* whether a step ends where contact begins, and whether the last one did */
@@ -49,9 +77,11 @@ struct drive {
     struct place place;
     struct loaded at; /* what the contacts do there under `at_load`, where that is not 0 */
     double at_load;
+    int driven; /* whether the kinematic interface's `crank_torque` is that of the state; likewise */
+    double crank_torque;
     int solved; /* whether the following belong to the state; likewise */
     struct pressed pressed;
-    double loss_torque, damping, strain;
+    double damping;
 };
 
 /* Every function that can fail returns 0, or 1 with one sentence in `message` and everything left as it was. */
@@ -76,10 +106,26 @@ int drive_kinematic(const struct drive *drive);
 double drive_angle(const struct drive *drive);         /* of the crank */
 double *drive_stored(struct state *s, const struct variable *variable); /* or NULL, where it is found when asked for */
 const struct place *drive_place(struct drive *drive); /* of the state */
+double drive_stiffness(struct drive *drive);           /* at the flange, the compliance in series included; 0 without contact */
 
 int losses_check(const struct drive *drive, char message[MESSAGE_SIZE]);
-int losses_dissipate(const struct drive *drive); /* whether they, or the damping, take anything */
-double losses_torque(const struct drive *drive, double torque, double speed, double *slope);
+int losses_take(const struct drive *drive); /* whether they take anything */
+double losses_torque(const struct drive *drive, double speed, double asked);
+
+void friction_settle(struct drive *drive);
+struct yields friction_yields(const struct drive *drive, int flange, double load, double speed);
+struct slid friction_slide(const double strain[FRICTION_ELEMENTS], double following[FRICTION_ELEMENTS], double way, double time,
+                           double stiffness, struct yields yields);
+struct slid friction_rub(const struct drive *drive, int flange, double way, double time, double load,
+                         double following[FRICTION_ELEMENTS]);
+/* Torque of the elements after a way, however long it takes, and the stiffness of those that hold. */
+double friction_held(const struct drive *drive, int flange, double way, double load, double speed,
+                     double following[FRICTION_ELEMENTS], double *slope);
+struct rubbing friction_press(const struct drive *drive, int flange, double way, double speed, double load, double time);
+/* How fast elements are strained where a solver integrates them: one that slides is strained a little more than it can
+   be, by YIELDING_SHARE of the presliding angle at most. Returned is the power that they store. */
+double friction_flow(const struct drive *drive, int flange, double speed, double load, double rate[FRICTION_ELEMENTS]);
+double friction_strained(const struct drive *drive, int flange); /* torque of the elements */
 
 const struct side *teeth_side(const struct drive *drive, double direction);
 int teeth_outside(const struct drive *drive, double load, double side); /* whether the tables don't reach there */
@@ -97,6 +143,8 @@ int kinematic_gear(struct drive *drive, const struct play *play, double torque, 
 double kinematic_rate(struct drive *drive, const struct place *place, const struct play *play);
 double kinematic_crank_torque(struct drive *drive);
 double kinematic_speed(struct drive *drive);
+struct rubbing kinematic_rubbing(struct drive *drive, int flange, double torque);
+double kinematic_yielding(struct drive *drive, double speed, double stiffness);
 
 int reducer_elastic(struct drive *drive, double torque, double end, double *deviation, char message[MESSAGE_SIZE]);
 void reducer_hold(struct drive *drive, double deviation);
@@ -107,15 +155,16 @@ double reducer_backlash(const struct drive *drive);
 int compliant_solve(struct drive *drive, char message[MESSAGE_SIZE]);
 int compliant_move(struct drive *drive, double step, char message[MESSAGE_SIZE]);
 int compliant_swing(struct drive *drive, double step, char message[MESSAGE_SIZE]);
-double compliant_power(const struct drive *drive);
-double friction_strain(const struct state *s); /* rad; more than it can be while it slides */
+double compliant_power(const struct drive *drive); /* of the contacts' damping */
+double compliant_load(const struct drive *drive, int flange); /* what the teeth ask for */
+struct rubbing compliant_rubbing(const struct drive *drive, int flange);
 
-enum { MOST_STATES = 6 };
+enum { MOST_STATES = 5 + 2 * FRICTION_ELEMENTS };
 int exchange_states(const struct drive *drive, int fields[MOST_STATES]);
 int exchange_solve(struct drive *drive, char message[MESSAGE_SIZE]);
 double exchange_rate(const struct drive *drive, int field);
 void exchange_indicators(struct drive *drive, double found[EVENT_INDICATORS]);
-int exchange_keep(struct drive *drive, int event);
+void exchange_keep(struct drive *drive);
 
 /* A direction in which inputs, parameters or states go: seeds in the place of what they belong to. */
 struct direction {

@@ -2,11 +2,12 @@
 #include "drive.h"
 
 #include <math.h>
+#include <string.h>
 
 /* The states in the model description's order. The deviation is one in place of the output's angle: what presses the
    contacts is millionths of that. */
 int exchange_states(const struct drive *drive, int fields[MOST_STATES]) {
-    int count = 0;
+    int count = 0, i;
     if (drive_kinematic(drive)) {
         return 0;
     }
@@ -18,7 +19,9 @@ int exchange_states(const struct drive *drive, int fields[MOST_STATES]) {
         fields[count++] = TRANSMISSION_ERROR;
         fields[count++] = OUTPUT_SPEED;
     }
-    fields[count++] = FRICTION_STRAIN;
+    for (i = 0; i < 2 * FRICTION_ELEMENTS; i++) {
+        fields[count++] = INPUT_FRICTION_STRAIN_1 + i;
+    }
     fields[count++] = DISSIPATED_ENERGY;
     return count;
 }
@@ -31,6 +34,8 @@ int exchange_solve(struct drive *drive, char message[MESSAGE_SIZE]) {
     }
     if (drive_kinematic(drive)) {
         s->output_angle = s->held;
+        s->crank_seen = s->held_crank;
+        memcpy(s->strain, s->held_strain, sizeof s->strain);
         drive->solved = !kinematic_follow(drive, message);
         return !drive->solved;
     }
@@ -40,87 +45,75 @@ int exchange_solve(struct drive *drive, char message[MESSAGE_SIZE]) {
         drive->placed = 0;
     }
     s->seen = s->output_angle;
+    s->crank_seen = s->crank_angle;
     if (compliant_solve(drive, message)) {
         return 1;
     }
-    s->mean_torque = drive->pressed.by_angle - drive->damping / drive->table->ratio + drive->loss_torque;
+    s->mean_torque = drive->pressed.by_angle - drive->damping / drive->table->ratio
+        + compliant_rubbing(drive, INPUT).torque;
     s->mean_loss = exchange_rate(drive, DISSIPATED_ENERGY);
     s->outside = 0.0;
     return 0;
 }
 
+static double speed_at(const struct drive *drive, int flange) {
+    return flange == INPUT ? drive->state.crank_speed : drive->state.output_speed;
+}
+
 /* Derivative of a state by time. */
 double exchange_rate(const struct drive *drive, int field) {
     const struct state *s = &drive->state;
-    const double ratio = drive->table->ratio;
-    const int slides = drive->exchange ? s->sliding != 0.0
-                                       : friction_strain(s) * s->output_speed > 0.0
-                                             && fabs(friction_strain(s)) >= FRICTION_DISPLACEMENT;
+    double rate[FRICTION_ELEMENTS], found;
+    int flange = field >= INPUT_FRICTION_STRAIN_1 + FRICTION_ELEMENTS ? OUTPUT : INPUT;
     switch (field) {
     case CRANK_ANGLE: return s->crank_speed;
     case CRANK_SPEED:
-        return (s->crank_torque - drive->pressed.by_angle + drive->damping / ratio - drive->loss_torque) / s->crank_inertia;
-    case TRANSMISSION_ERROR: return s->output_speed - s->crank_speed / ratio;
+        return (s->crank_torque - compliant_load(drive, INPUT) - compliant_rubbing(drive, INPUT).torque) / s->crank_inertia;
+    case TRANSMISSION_ERROR: return s->output_speed - s->crank_speed / drive->table->ratio;
     case OUTPUT_SPEED:
-        return (s->torque - drive->pressed.by_rotation - drive->damping - s->friction_torque * drive->strain)
+        return (s->torque - drive->pressed.by_rotation - drive->damping - compliant_rubbing(drive, OUTPUT).torque)
             / s->output_inertia;
-    case FRICTION_STRAIN: return slides || s->friction_torque == 0.0 ? 0.0 : s->output_speed;
     case DISSIPATED_ENERGY:
-        return compliant_power(drive) + (slides ? s->friction_torque * fabs(s->output_speed) : 0.0);
-    default: return 0.0;
+        found = compliant_power(drive);
+        for (flange = INPUT; flange <= OUTPUT; flange++) {
+            if (drive->rubs[flange]) {
+                found += compliant_rubbing(drive, flange).torque * speed_at(drive, flange)
+                    - friction_flow(drive, flange, speed_at(drive, flange), compliant_load(drive, flange), rate);
+            }
+        }
+        return found;
+    default:
+        friction_flow(drive, flange, speed_at(drive, flange), compliant_load(drive, flange), rate);
+        return rate[(field - INPUT_FRICTION_STRAIN_1) % FRICTION_ELEMENTS];
     }
 }
 
-/* Where an indicator goes through zero: a flank begins or ends to touch, the losses' torque no longer goes to zero with
-   the crank's speed, a torque leaves the tables, the friction sticks or slides. Of the kinematic interface, whose output
-   jumps from flank to flank: the torque, with and less the friction, turns round. */
+/* Where an indicator goes through zero: a flank begins or ends to touch, a torque leaves the tables, a flange that rubs
+   turns round. Of the kinematic interface, whose output jumps from flank to flank: the torque turns round. */
 void exchange_indicators(struct drive *drive, double found[EVENT_INDICATORS]) {
     const struct state *s = &drive->state;
     const int still = drive_kinematic(drive);
     const double load = still ? s->load : drive->pressed.load, side = still ? s->side : drive->pressed.side;
-    found[2] = drive->rows > 0 ? fabs(s->crank_speed) - LOSS_SPEED : 1.0;
-    found[3] = teeth_side(drive, side)->reach - load;
+    found[2] = teeth_side(drive, side)->reach - load;
+    found[3] = drive->rubs[INPUT] ? s->crank_speed : 1.0;
     if (still) {
-        found[0] = s->torque + s->friction_torque;
-        found[1] = s->torque - s->friction_torque;
-        found[4] = 1.0;
+        found[0] = s->torque;
+        found[1] = found[4] = 1.0;
     } else {
         struct play play = teeth_play(drive, drive_place(drive));
         double deviation = s->output_angle - drive_angle(drive) / drive->table->ratio;
         found[0] = deviation - (play.end[0].deviation - play.offset);
         found[1] = deviation + (play.end[1].deviation - play.offset);
-        found[4] = s->friction_torque == 0.0 ? 1.0
-            : s->sliding == 0.0              ? FRICTION_DISPLACEMENT - fabs(s->bristle)
-                                             : s->sliding * s->output_speed;
+        found[4] = drive->rubs[OUTPUT] ? s->output_speed : 1.0;
     }
 }
 
-/* Whether the friction sticks where it should slide or slides where it should stick. */
-static double sliding(const struct state *s) {
-    if (s->friction_torque == 0.0 || fabs(s->bristle) < FRICTION_DISPLACEMENT * (1.0 - STEP_TOLERANCE)
-        || !(s->bristle * s->output_speed > 0.0)) {
-        return 0.0;
-    }
-    return copysign(1.0, s->bristle);
-}
-
-/* At the end of a step of the host's solver, or at an event: what happened until here stays. Returns whether the
-   friction's mode is another than it should be, which is mended at events alone. */
-int exchange_keep(struct drive *drive, int event) {
+/* At the end of a step of the host's solver, and at an event: what happened until here stays. */
+void exchange_keep(struct drive *drive) {
     struct state *s = &drive->state;
-    double now;
     if (drive_kinematic(drive)) {
         s->held = s->output_angle;
-        return 0;
+        s->held_crank = s->crank_seen;
+        memcpy(s->held_strain, s->strain, sizeof s->strain);
     }
-    now = sliding(s);
-    if (now == s->sliding) {
-        return 0;
-    }
-    if (event) {
-        s->sliding = now;
-        s->bristle = now != 0.0 ? now * FRICTION_DISPLACEMENT : s->bristle;
-        drive->solved = 0;
-    }
-    return 1;
 }

@@ -173,8 +173,8 @@ fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) {
 fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean noSetFMUStatePriorToCurrentPoint,
                                        fmi2Boolean *enterEventMode, fmi2Boolean *terminateSimulation) {
     (void)noSetFMUStatePriorToCurrentPoint;
-    *terminateSimulation = fmi2False;
-    return (fmi2Status)instance_completed(c, enterEventMode);
+    *enterEventMode = *terminateSimulation = fmi2False;
+    return (fmi2Status)instance_completed(c);
 }
 
 fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) {

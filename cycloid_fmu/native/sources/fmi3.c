@@ -235,10 +235,8 @@ fmi3Status fmi3EnterStepMode(fmi3Instance c) {
 
 fmi3Status fmi3CompletedIntegratorStep(fmi3Instance c, fmi3Boolean noSetFMUStatePriorToCurrentPoint,
                                        fmi3Boolean *enterEventMode, fmi3Boolean *terminateSimulation) {
-    int event, status = instance_completed(c, &event);
-    *enterEventMode = event != 0;
-    *terminateSimulation = fmi3False;
-    return (fmi3Status)status;
+    *enterEventMode = *terminateSimulation = fmi3False;
+    return (fmi3Status)instance_completed(c);
 }
 
 fmi3Status fmi3SetTime(fmi3Instance c, fmi3Float64 time) {

@@ -175,7 +175,7 @@ int instance_update(struct instance *instance) {
         status = solved(instance);
     }
     if (status == STATUS_OK && instance->drive.exchange) {
-        exchange_keep(&instance->drive, 1);
+        exchange_keep(&instance->drive);
     }
     return status;
 }
@@ -287,14 +287,13 @@ int instance_indicators(struct instance *instance, double *values, size_t count)
     return status;
 }
 
-int instance_completed(struct instance *instance, int *event) {
+int instance_completed(struct instance *instance) {
     int status = exchanging(instance);
-    *event = 0;
     if (status == STATUS_OK) {
         status = solved(instance);
     }
     if (status == STATUS_OK) {
-        *event = exchange_keep(&instance->drive, 0);
+        exchange_keep(&instance->drive);
         warn_outside(instance);
     }
     return status;

@@ -41,7 +41,7 @@ int instance_states(struct instance *instance, double *values, size_t count);
 int instance_nominals(struct instance *instance, double *values, size_t count);
 int instance_rates(struct instance *instance, double *values, size_t count);
 int instance_indicators(struct instance *instance, double *values, size_t count);
-int instance_completed(struct instance *instance, int *event);
+int instance_completed(struct instance *instance); /* a step of the host's solver */
 
 /* Derivatives of unknowns in the direction of seeds at the knowns; `adjoint`: of knowns, seeds at the unknowns. */
 int instance_derivatives(struct instance *instance, const uint32_t *unknowns, size_t count, const uint32_t *knowns,

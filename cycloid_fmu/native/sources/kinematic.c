@@ -9,6 +9,7 @@ const struct place *drive_place(struct drive *drive) {
         drive->place = table_place(drive->table, drive_kinematic(drive) ? drive->state.placed : drive_angle(drive));
         drive->placed = 1;
         drive->at_load = 0.0;
+        drive->driven = 0;
     }
     return &drive->place;
 }
@@ -69,9 +70,150 @@ static void hold(struct drive *drive, const struct play *play, double deviation)
     s->load = table_load(teeth_side(drive, s->side), &drive->place, s->side * deviation, play->offset, s->series_compliance);
 }
 
+/* Where the output is at no torque and without friction: where it was, but within the ends of the play. */
+static int floating(struct drive *drive, const struct play *play, double before, double *deviation,
+                    char message[MESSAGE_SIZE]) {
+    struct state *s = &drive->state;
+    double low = 0.0, high = 0.0;
+    int failed = elastic(drive, play, 0.0, 1.0, &high, message);
+    *deviation = before;
+    s->pushed = 0.0;
+    if (!failed && before > high) {
+        *deviation = high;
+        s->pushed = 1.0;
+    } else if (!failed) {
+        failed = elastic(drive, play, 0.0, -1.0, &low, message);
+        if (before < low) {
+            *deviation = low;
+            s->pushed = -1.0;
+        } else if (low == high) {
+            *deviation = low;
+        } else if (!failed) {
+            hold(drive, play, before);
+        }
+    }
+    return failed;
+}
+
+/* The ideal speed of the output, which its friction is told. */
+static double pace(const struct drive *drive) {
+    return drive->state.crank_speed / drive->ratio;
+}
+
+/* Friction of the output while all of it slides, with its share of what the teeth bear, |towards - friction|; `towards`
+   is the torque on the output, signed as it moves. */
+static double sliding(const struct drive *drive, double towards) {
+    double bare = friction_yields(drive, OUTPUT, 0.0, pace(drive)).high, found;
+    double share = friction_yields(drive, OUTPUT, 1.0, pace(drive)).high - bare;
+    found = (bare + share * towards) / (1.0 + share);
+    return found <= towards ? found : (bare - share * towards) / (1.0 - fmin(share, MOST_LOAD_SHARE));
+}
+
+/* A search for where a function that grows is 0, as `balanced` of cycloid_fmu/fmu/friction.py: Newton's method within
+   bounds, with steps that halve. */
+struct search {
+    double at, low, high, before, step;
+};
+
+static struct search search_between(double low, double high, double start) {
+    struct search search = {start < low ? low : start > high ? high : start, low, high, high - low, high - low};
+    return search;
+}
+
+/* Go on from the function's value and slope; whether the last step was short enough. */
+static int search_on(struct search *search, double value, double slope, double accuracy) {
+    double following = slope > 0.0 ? search->at - value / slope : HUGE_VAL;
+    if (value > 0.0) {
+        search->high = search->at;
+    } else {
+        search->low = search->at;
+    }
+    if (!(search->low <= following && following <= search->high && fabs(2.0 * value) <= search->before * slope)) {
+        following = 0.5 * (search->low + search->high);
+    }
+    search->before = search->step;
+    search->step = fabs(following - search->at);
+    if (search->step <= accuracy) {
+        return 1;
+    }
+    search->at = following;
+    return 0;
+}
+
+/* Where the output is with friction that held it before: as `_carried` of cycloid_fmu/fmu/model.py. */
+static int carried(struct drive *drive, const struct play *play, double before, double *deviation,
+                   char message[MESSAGE_SIZE]) {
+    struct state *s = &drive->state;
+    const double drag = friction_press(drive, OUTPUT, 0.0, pace(drive), 0.0, 0.0).drag;
+    const double load = s->torque - drag, stiffness = drive->element[OUTPUT];
+    double following[FRICTION_ELEMENTS], slope, end, most, ends[2], place[2], borne[2], reached = 0.0;
+    struct search search;
+    int i, failed = 0;
+    s->pushed = 1.0;
+    if (stiffness == 0.0) {
+        return load == 0.0 ? floating(drive, play, before, deviation, message)
+                           : elastic(drive, play, load, 0.0, deviation, message);
+    }
+    ends[0] = -sliding(drive, -load);
+    ends[1] = sliding(drive, load);
+    most = fmax(-ends[0], ends[1]);
+    for (i = 0; i < 2; i++) {
+        const double side = i == 0 ? 1.0 : -1.0;
+        if (elastic(drive, play, load - ends[i], side, deviation, message)) {
+            return 1;
+        }
+        reached = friction_held(drive, OUTPUT, *deviation - before, load - ends[i], pace(drive), following, &slope);
+        if (fabs(reached) >= fabs(ends[i]) * (1.0 - FRICTION_ROUNDING) && (*deviation - before) * side <= 0.0) {
+            s->pushed = side;
+            memcpy(s->strain[OUTPUT], following, sizeof following);
+            return 0;
+        }
+    }
+    if (ends[0] < load && load < ends[1]) {
+        for (i = 0; i < 2; i++) {
+            if (elastic(drive, play, 0.0, i == 0 ? -1.0 : 1.0, &place[i], message)) {
+                return 1;
+            }
+            borne[i] = friction_held(drive, OUTPUT, place[i] - before, 0.0, pace(drive), following, &slope);
+        }
+        if (borne[0] <= load && load <= borne[1]) {
+            search = search_between(place[0], place[1], before);
+            for (i = 0; i < FRICTION_ITERATIONS; i++) {
+                reached = friction_held(drive, OUTPUT, search.at - before, 0.0, pace(drive), following, &slope);
+                *deviation = search.at;
+                if (search_on(&search, reached - load, slope, FRICTION_ROUNDING * s->friction[OUTPUT].presliding_angle)) {
+                    break;
+                }
+            }
+            s->pushed = 0.0;
+            memcpy(s->strain[OUTPUT], following, sizeof following);
+            hold(drive, play, *deviation);
+            return 0;
+        }
+        ends[load > borne[1] ? 1 : 0] = load;
+    }
+    end = load == ends[0] ? -1.0 : 1.0;
+    search = search_between(ends[0], ends[1], friction_strained(drive, OUTPUT));
+    for (i = 0; i < FRICTION_ITERATIONS && !failed; i++) {
+        const double force = search.at, torque = load - force, side = torque == 0.0 ? end : copysign(1.0, torque);
+        double compliance = s->series_compliance, teeth;
+        failed = elastic(drive, play, torque, side, deviation, message);
+        reached = friction_held(drive, OUTPUT, *deviation - before, torque, pace(drive), following, &slope);
+        teeth = s->loose != 0.0 ? 0.0
+            : teeth_stiffness(drive, drive_place(drive), s->load, s->side < 0.0 ? -1.0 : 1.0, play->width);
+        compliance += teeth > 0.0 ? 1.0 / teeth : 0.0;
+        s->pushed = copysign(1.0, torque);
+        if (search_on(&search, force - reached, 1.0 + slope * compliance, FRICTION_SHARE * most)) {
+            break;
+        }
+    }
+    memcpy(s->strain[OUTPUT], following, sizeof following);
+    return failed;
+}
+
 int kinematic_follow(struct drive *drive, char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
-    double ideal = s->crank_angle / drive->ratio, deviation = 0.0, low = 0.0, high = 0.0;
+    double ideal = s->crank_angle / drive->ratio, deviation = 0.0;
     struct play play;
     int failed;
     memset(&play, 0, sizeof play);
@@ -79,32 +221,17 @@ int kinematic_follow(struct drive *drive, char message[MESSAGE_SIZE]) {
         s->placed = s->crank_angle;
         drive->placed = 0;
         drive_place(drive);
-        if (s->torque == 0.0 || s->friction_torque != 0.0 || s->backlash_on == 0.0) {
+        if (s->torque == 0.0 || drive->rubs[OUTPUT] || s->backlash_on == 0.0) {
             play = teeth_play(drive, &drive->place);
         }
     }
-    if (s->settled == 0.0 || (s->friction_torque == 0.0 && s->torque != 0.0)) {
+    if (s->settled == 0.0 || (!drive->rubs[OUTPUT] && s->torque != 0.0)) {
         failed = elastic(drive, &play, s->torque, 0.0, &deviation, message);
         s->pushed = s->torque != 0.0 ? 1.0 : 0.0;
+    } else if (drive->rubs[OUTPUT]) {
+        failed = carried(drive, &play, s->output_angle - ideal, &deviation, message);
     } else {
-        double before = s->output_angle - ideal;
-        deviation = before;
-        s->pushed = 0.0;
-        failed = elastic(drive, &play, s->torque + s->friction_torque, 1.0, &high, message);
-        if (!failed && before > high) {
-            deviation = high;
-            s->pushed = 1.0;
-        } else if (!failed) {
-            failed = elastic(drive, &play, s->torque - s->friction_torque, -1.0, &low, message);
-            if (before < low) {
-                deviation = low;
-                s->pushed = -1.0;
-            } else if (low == high) {
-                deviation = low;
-            } else if (!failed) {
-                hold(drive, &play, before);
-            }
-        }
+        failed = floating(drive, &play, s->output_angle - ideal, &deviation, message);
     }
     if (!failed && !(fabs(deviation) < HUGE_VAL && fabs(ideal) < HUGE_VAL && s->load < HUGE_VAL)) {
         failed = drive_refuse(message, "flange_b.tau = %g N.m, flange_a.phi = %g rad: the output can't be found there.", s->torque, s->crank_angle);
@@ -112,30 +239,63 @@ int kinematic_follow(struct drive *drive, char message[MESSAGE_SIZE]) {
     s->settled = 1.0;
     s->output_angle = ideal + deviation;
     s->deviation = deviation;
+    if (drive->element[INPUT] > 0.0 && drive->rubs[INPUT] && !failed) {
+        double following[FRICTION_ELEMENTS], slope;
+        friction_held(drive, INPUT, s->crank_angle - s->crank_seen, kinematic_crank_torque(drive), s->crank_speed, following,
+                      &slope);
+        memcpy(s->strain[INPUT], following, sizeof following);
+    }
+    s->crank_seen = s->crank_angle;
     return failed;
+}
+
+/* Friction of a flange at the present speeds; `torque` is what the teeth ask for at the crank. */
+struct rubbing kinematic_rubbing(struct drive *drive, int flange, double torque) {
+    if (flange == INPUT) {
+        return friction_press(drive, INPUT, 0.0, drive->state.crank_speed, torque, PRESLIDING_TIME);
+    }
+    return friction_press(drive, OUTPUT, 0.0, kinematic_speed(drive), drive->state.torque - friction_strained(drive, OUTPUT),
+                          0.0);
+}
+
+/* Share of its pace that friction leaves the output while elements of it hold; `speed` has its sign. */
+double kinematic_yielding(struct drive *drive, double speed, double stiffness) {
+    double following[FRICTION_ELEMENTS], slope;
+    if (drive->element[OUTPUT] == 0.0 || !drive->rubs[OUTPUT] || stiffness <= 0.0) {
+        return 1.0;
+    }
+    friction_held(drive, OUTPUT, copysign(FRICTION_ROUNDING, speed) * drive->state.friction[OUTPUT].presliding_angle,
+                  drive->state.torque - friction_strained(drive, OUTPUT), pace(drive), following, &slope);
+    return 1.0 / (1.0 + slope / stiffness);
 }
 
 double kinematic_crank_torque(struct drive *drive) {
     const struct place *place = drive_place(drive);
-    struct play play = teeth_play(drive, place);
+    struct play play;
     double energy, torque;
+    if (drive->driven) {
+        return drive->crank_torque;
+    }
+    play = teeth_play(drive, place);
+    drive->driven = 1;
+    drive->crank_torque = 0.0;
     if (drive->state.load == 0.0 && (play.width > 0.0 || drive->state.loose != 0.0)) {
         return 0.0;
     }
     torque = teeth_crank_torque(drive, place, drive->state.load, drive->state.side < 0.0 ? -1.0 : 1.0, play.offset_rate,
                              &energy);
-    return drive->b > 0.0 ? -drive->b * torque : torque;
+    return drive->crank_torque = drive->b > 0.0 ? -drive->b * torque : torque;
 }
 
 double kinematic_speed(struct drive *drive) {
     const struct state *s = &drive->state;
     const struct place *place = drive_place(drive);
     struct play play;
-    double side = s->side < 0.0 ? -1.0 : 1.0;
+    double side = s->side < 0.0 ? -1.0 : 1.0, speed;
     if (drive->b > 0.0) {
         return reducer_speed(drive);
     }
-    if (s->crank_speed == 0.0 || (s->pushed == 0.0 && (s->backlash_on != 0.0 || s->friction_torque > 0.0))) {
+    if (s->crank_speed == 0.0 || (s->pushed == 0.0 && (s->backlash_on != 0.0 || drive->rubs[OUTPUT]))) {
         return 0.0;
     }
     if (s->load > 0.0 && s->backlash_on != 0.0) {
@@ -143,8 +303,10 @@ double kinematic_speed(struct drive *drive) {
             drive->at = table_at(teeth_side(drive, side), place, s->load);
             drive->at_load = side * s->load;
         }
-        return s->crank_speed * (side * drive->at.rate + 1.0 / drive->table->ratio);
+        speed = s->crank_speed * (side * drive->at.rate + 1.0 / drive->table->ratio);
+    } else {
+        play = teeth_play(drive, place);
+        speed = s->crank_speed * kinematic_rate(drive, place, &play);
     }
-    play = teeth_play(drive, place);
-    return s->crank_speed * kinematic_rate(drive, place, &play);
+    return drive->rubs[OUTPUT] ? speed * kinematic_yielding(drive, speed, drive_stiffness(drive)) : speed;
 }

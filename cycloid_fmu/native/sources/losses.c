@@ -26,8 +26,8 @@ int losses_check(const struct drive *drive, char message[MESSAGE_SIZE]) {
     return 0;
 }
 
-int losses_dissipate(const struct drive *drive) {
-    int i, found = drive->state.mesh_damping > 0.0;
+int losses_take(const struct drive *drive) {
+    int i, found = 0;
     for (i = 0; i < drive->rows; i++) {
         const double *row = drive->state.loss + i * LOSS_COLUMNS;
         found |= row[1] != 1.0 || row[2] != 1.0 || row[3] != 0.0 || row[4] != 0.0;
@@ -35,15 +35,11 @@ int losses_dissipate(const struct drive *drive) {
     return found;
 }
 
-/* The same formula as in cycloid_fmu/fmu/losses.py; and its derivative by the speed where it goes through zero. */
-double losses_torque(const struct drive *drive, double torque, double speed, double *slope) {
-    double size = fabs(speed), at[LOSS_COLUMNS], lost, asked, bearing;
+/* The same formula as in cycloid_fmu/fmu/losses.py. */
+double losses_torque(const struct drive *drive, double speed, double asked) {
+    double size = fabs(speed), at[LOSS_COLUMNS], bearing;
     const double *rows = drive->state.loss;
     int i, j, last = drive->rows - 1;
-    *slope = 0.0;
-    if (drive->rows == 0) {
-        return 0.0;
-    }
     memcpy(at, rows + last * LOSS_COLUMNS, sizeof at);
     for (i = 0; i < last; i++) {
         const double *below = rows + i * LOSS_COLUMNS, *above = below + LOSS_COLUMNS;
@@ -55,16 +51,9 @@ double losses_torque(const struct drive *drive, double torque, double speed, dou
             break;
         }
     }
-    asked = copysign(torque, torque * speed);
     bearing = at[1] == 1.0 && at[2] == 1.0 ? 0.5 * at[3] : (at[3] - at[4]) * at[2] / (at[1] * at[2] - 1.0);
     if (asked >= at[1] * bearing - at[3]) {
-        lost = (asked + at[3]) / at[1] - asked;
-    } else {
-        lost = at[2] * (asked + at[4]) - asked;
+        return (asked + at[3]) / at[1] - asked;
     }
-    if (size < LOSS_SPEED) {
-        *slope = lost / LOSS_SPEED;
-        return *slope * speed;
-    }
-    return copysign(lost, speed);
+    return at[2] * (asked + at[4]) - asked;
 }

@@ -115,7 +115,8 @@ double reducer_speed(struct drive *drive) {
     if (stiffness > 0.0) {
         rate -= drive->a * crank_torque_rate(drive) / ((1.0 - drive->a * rate) * stiffness);
     }
-    return -s->crank_speed * rate * drive->b / (1.0 - drive->a * rate);
+    rate *= -s->crank_speed * drive->b / (1.0 - drive->a * rate);
+    return drive->rubs[OUTPUT] ? rate * kinematic_yielding(drive, rate, reducer_stiffness(drive)) : rate;
 }
 
 double reducer_stiffness(struct drive *drive) {

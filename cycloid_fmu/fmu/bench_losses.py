@@ -1,0 +1,151 @@
+"""Losses as a bench measures them, over speed, torque and temperature, made to the loss table of an FMU."""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu import edge
+from cycloid_fmu.fmu.constants import REFERENCE_TEMPERATURE
+from cycloid_fmu.fmu.variables import LossRow
+
+_LARGEST_COEFFICIENT = 0.1  # 1/K, of temperature
+
+
+@dataclass(frozen=True)
+class BenchLosses:
+    """A loss table that was fitted to a bench's.
+
+    Attributes
+    ----------
+    rows
+        As of `Interface.losses`.
+    temperature_coefficient, reference_temperature
+        As of `Friction`, 1/K and K.
+    misfit
+        What the table leaves of the measured losses: root mean square over that of the losses, 1.
+    """
+
+    rows: tuple[LossRow, ...]
+    temperature_coefficient: float
+    reference_temperature: float
+    misfit: float
+
+
+def fitted_losses(
+    speed: NDArray[np.float64],
+    torque: NDArray[np.float64],
+    loss: NDArray[np.float64],
+    temperature: NDArray[np.float64] | None = None,
+) -> BenchLosses:
+    """Return the loss table nearest to measured losses, by least squares.
+
+    At each speed Modelica's `LossyGear` takes a torque that is linear in what the teeth ask for, with other numbers
+    where `flange_b` drives; all of it goes with exp(-β(T - T_ref)). Where nothing was measured with `flange_b` driving,
+    as much is taken there. Below the lowest speed the losses are those at it.
+
+    Parameters
+    ----------
+    speed
+        Of flange_a, rad/s, one value for each point of a set speed; shapes all (points,).
+    torque
+        What the teeth ask for at flange_a, N·m: the load over the ratio, above 0 where flange_a drives.
+    loss
+        Torque that is lost there, N·m.
+    temperature
+        K; None where it was not measured.
+
+    Raises
+    ------
+    ValueError
+        If a speed has fewer than two torques with flange_a driving, or nothing was measured; one sentence.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cycloid_fmu.fmu.bench_losses import fitted_losses
+    >>> torque = np.array([0.0, 1.0, 2.0])
+    >>> found = fitted_losses(np.full(3, 10.0), torque, (torque + 0.02) / 0.9 - torque)
+    >>> [round(float(value), 6) for value in found.rows[0][1:]]
+    [0.9, 0.888889, 0.02, 0.025]
+    """
+    from scipy.optimize import minimize_scalar, nnls
+
+    if speed.size == 0 or not (loss > 0.0).any():
+        raise ValueError("a table of losses needs points, and losses above 0 among them")
+    reference = REFERENCE_TEMPERATURE if temperature is None else float(np.mean(temperature))
+    warmer = np.zeros(speed.size) if temperature is None else temperature - reference
+    speeds = np.unique(np.abs(speed))
+    for one in speeds:
+        if np.unique(torque[(np.abs(speed) == one) & (torque >= 0.0)]).size < 2:
+            raise ValueError(
+                f"at {one:g} rad/s there are fewer than two torques with flange_a driving: a loss and an efficiency "
+                "need two"
+            )
+
+    def lines(coefficient: float) -> tuple[list[LossRow], float]:
+        """The table that is nearest with a temperature coefficient, and the squares that it leaves."""
+        warmth, rows, left = np.exp(-coefficient * warmer), [], 0.0
+        for one in speeds:
+            found: list[NDArray[np.float64]] = []
+            for side in (torque >= 0.0, torque < 0.0):
+                at = (np.abs(speed) == one) & side
+                if not at.any():
+                    found.append(found[0])
+                    continue
+                matrix = np.column_stack([np.abs(torque[at]), np.ones(at.sum())]) * warmth[at, None]
+                line, off = nnls(matrix, loss[at])
+                found.append(line)
+                left += off**2
+            (a, b), (back, friction) = found
+            efficiency = max(1.0 - back, 0.0)
+            rows.append((
+                float(one), 1.0 / (1.0 + a), efficiency, b / (1.0 + a), friction / efficiency if efficiency else 0.0
+            ))  # fmt: skip
+        return rows, left
+
+    coefficient = 0.0
+    if np.ptp(warmer) > 0.0:
+        span = (-_LARGEST_COEFFICIENT, _LARGEST_COEFFICIENT)
+        coefficient = float(minimize_scalar(lambda c: lines(c)[1], bounds=span, options={"xatol": 1e-8}).x)
+    rows, left = lines(coefficient)
+    table = [tuple(map(float, row)) for row in rows]
+    if table[0][0] > 0.0:
+        table.insert(0, (0.0, *table[0][1:]))
+    return BenchLosses(tuple(table), coefficient, reference, math.sqrt(left / float(np.sum(loss**2))))  # type: ignore[arg-type]
+
+
+def read_bench_losses(path: str | os.PathLike[str], ratio: float) -> BenchLosses:
+    """Return the loss table of a bench's: CSV, `speed [rpm],torque [N*m],loss [N*m]`, perhaps `temperature [K]`.
+
+    Parameters
+    ----------
+    path
+        The file: speed and loss at flange_a, torque at the output, above 0 where flange_a drives.
+    ratio
+        Of the drive.
+
+    Raises
+    ------
+    edge.InputError
+        If the file can't be read, a column or its unit is missing, or there are too few points.
+    """
+    wanted = {"speed": "rad/s", "torque": "N*m", "loss": "N*m"}
+    points = [row for _, row in edge.number_rows(path, wanted, {"temperature": "K"})]
+    columns = {name: np.array([row[name] for row in points]) for name in (points[0] if points else wanted)}
+    try:
+        return fitted_losses(
+            columns["speed"], columns["torque"] / abs(ratio), columns["loss"], columns.get("temperature")
+        )
+    except ValueError as problem:
+        raise edge.InputError(f"{path}: {problem}.") from None
+
+
+def is_of_bench(path: str | os.PathLike[str]) -> bool:
+    """Say whether a file of losses has a bench's columns instead of a loss table's."""
+    header = next(edge.csv_rows(path), [])
+    return any(cell.partition("[")[0].strip() == "loss" for cell in header)

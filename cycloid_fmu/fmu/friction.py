@@ -1,0 +1,295 @@
+"""Friction at a flange: what sliding takes, and elements that hold before it slides.
+
+Sliding takes F = (Coulomb + share |load| + Stribeck extra · exp(-(w/w_s)²)) · exp(-β(T - T_ref)), at `flange_a` with
+Modelica's loss table as well (`losses`), and a viscous torque beside it. Before it slides, Maxwell-slip elements in
+parallel hold (W. D. Iwan, J. Appl. Mech. 33 (1966) 893; F. Al-Bender, V. Lampaert and J. Swevers, IEEE Trans. Autom.
+Control 50 (2005) 1883): each a spring that slides where its force reaches its share of F. A reversal is remembered
+until it is passed again, a load below F holds for ever, and where F falls the springs slip back, so that nothing is
+gained.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from cycloid_fmu.fmu.constants import (
+    FRICTION_ELEMENTS,
+    FRICTION_ITERATIONS,
+    FRICTION_ROUNDING,
+    INPUT_PRESLIDING_ANGLE,
+    INPUT_STRIBECK_SPEED,
+    OUTPUT_PRESLIDING_ANGLE,
+    OUTPUT_STRIBECK_SPEED,
+    PRESLIDING_TIME,
+    REFERENCE_TEMPERATURE,
+)
+from cycloid_fmu.fmu.losses import Row, lost_torque
+
+# Springs alike whose yield strains are evenly spaced up to the presliding angle (Iwan's uniform distribution): torque
+# over strain is a parabola, F (1 - (1 - z/z_p)²), in chords.
+SHARES = tuple(2.0 * i / (FRICTION_ELEMENTS * (FRICTION_ELEMENTS + 1.0)) for i in range(1, FRICTION_ELEMENTS + 1))
+UNSTRAINED = (0.0,) * FRICTION_ELEMENTS
+
+
+class Law(NamedTuple):
+    """Friction at one flange, numbers alone: `friction_file.Friction` without what that leaves open."""
+
+    coulomb: float
+    load_share: float
+    stribeck: float
+    stribeck_speed: float
+    viscous: float
+    temperature_coefficient: float
+    reference_temperature: float
+    presliding_angle: float
+
+
+FLANGES = ("input", "output")
+"""What `flange_a` and `flange_b`, 0 and 1, are called where both have the same."""
+NO_FRICTION = (
+    Law(0.0, 0.0, 0.0, INPUT_STRIBECK_SPEED, 0.0, 0.0, REFERENCE_TEMPERATURE, INPUT_PRESLIDING_ANGLE),
+    Law(0.0, 0.0, 0.0, OUTPUT_STRIBECK_SPEED, 0.0, 0.0, REFERENCE_TEMPERATURE, OUTPUT_PRESLIDING_ANGLE),
+)
+
+
+def factor(law: Law, temperature: float) -> float:
+    """Return what a temperature (K) makes of a law's torques."""
+    coefficient = law.temperature_coefficient
+    return 1.0 if coefficient == 0.0 else math.exp(-coefficient * (temperature - law.reference_temperature))
+
+
+def yields(
+    law: Law, load: float, speed: float, temperature: float, table: Sequence[Row] | None = None
+) -> tuple[float, float]:
+    """Torques that sliding takes towards negative and towards positive angles, N·m.
+
+    Parameters
+    ----------
+    law
+        Of the flange.
+    load, speed
+        What the teeth ask for at that flange, N·m, and its speed, rad/s.
+    temperature
+        K.
+    table
+        Loss table, at `flange_a`.
+    """
+    torque = law.coulomb + law.load_share * abs(load)
+    if law.stribeck > 0.0:
+        torque += law.stribeck * math.exp(-min((speed / law.stribeck_speed) ** 2, 700.0))
+    warmth = factor(law, temperature)
+    if table is None:
+        return warmth * torque, warmth * torque
+    return tuple(warmth * (torque + lost_torque(table, speed, side * load)) for side in (-1.0, 1.0))  # type: ignore[return-value]
+
+
+def element_stiffness(law: Law, load: float, table: Sequence[Row] | None = None) -> float:
+    """Stiffness of each element, N·m/rad: sliding at rest under a load is reached over the presliding angle."""
+    cold = law._replace(temperature_coefficient=0.0)
+    torque = max(yields(cold, load, 0.0, law.reference_temperature, table))
+    return 2.0 * torque / (law.presliding_angle * (FRICTION_ELEMENTS + 1))
+
+
+class Slid(NamedTuple):
+    """What elements do over a way.
+
+    Attributes
+    ----------
+    strains
+        At its end, rad.
+    torque, slope
+        Mean torque against the way, N·m, and how that changes with its end, N·m/rad.
+    stored, lost
+        Energy stored more than before, and lost, J: their sum is torque times way.
+    """
+
+    strains: list[float]
+    torque: float
+    slope: float
+    stored: float
+    lost: float
+
+
+def slide(strains: Sequence[float], way: float, time: float, stiffness: float, low: float, high: float) -> Slid:
+    """Move a flange's elements on.
+
+    Parameters
+    ----------
+    strains
+        Of the elements, rad.
+    way, time
+        Angle of the flange (rad), and how long it takes (s): a strain that grows is damped, 0 without.
+    stiffness
+        Of each element, N·m/rad.
+    low, high
+        Torques at which all of them slide, as of `yields`, N·m.
+    """
+    found, torque, slope, stored, lost = [], 0.0, 0.0, 0.0, 0.0
+    damping = stiffness * PRESLIDING_TIME / time if time > 0.0 else 0.0
+    bound = high if way > 0.0 else -low
+    for share, strain in zip(SHARES, strains, strict=True):
+        least, most = -share * low / stiffness, share * high / stiffness
+        start = min(max(strain, least), most)
+        end = start + way
+        if least <= end <= most:
+            stuck, mean, change = way, stiffness * (start + 0.5 * way), 0.5 * stiffness
+        else:
+            end = most if way > 0.0 else least
+            stuck = end - start
+            change = 0.5 * stiffness * (stuck / way) ** 2
+            mean = stiffness * end - change * way
+        damped = damping * stuck
+        room = share * bound - mean
+        if abs(damped) >= abs(room):
+            damped, change = room, 0.0
+        elif stuck == way:
+            change += damping
+        found.append(end)
+        torque += mean + damped
+        slope += change
+        stored += 0.5 * stiffness * (end * end - strain * strain)
+        lost += 0.5 * stiffness * (strain * strain - start * start)
+        lost += stiffness * end * (way - stuck) + damped * way
+    return Slid(found, torque, slope, stored, lost)
+
+
+def held_strains(
+    strains: Sequence[float], way: float, stiffness: float, low: float, high: float
+) -> tuple[list[float], float]:
+    """Return the strains after a way, however long it takes, and the stiffness of those elements that hold, N·m/rad."""
+    found, slope = [], 0.0
+    for share, strain in zip(SHARES, strains, strict=True):
+        least, most = -share * low / stiffness, share * high / stiffness
+        end = min(max(strain, least), most) + way
+        slope += stiffness if least < end < most else 0.0
+        found.append(min(max(end, least), most))
+    return found, slope
+
+
+def balanced(
+    missing: Callable[[float], tuple[float, float]], low: float, high: float, start: float, accuracy: float
+) -> float:
+    """Return where a function that grows is 0, by Newton's method within bounds; where it was asked last.
+
+    Parameters
+    ----------
+    missing
+        The function with its derivative.
+    low, high, start
+        Bounds, and where to begin.
+    accuracy
+        A step this short is the last.
+    """
+    at, before, step = min(max(start, low), high), high - low, high - low
+    for _ in range(FRICTION_ITERATIONS):
+        value, slope = missing(at)
+        low, high = (low, at) if value > 0.0 else (at, high)
+        # Newton's steps must halve: between two slides they would go to and fro for ever.
+        if slope > 0.0 and low <= at - value / slope <= high and abs(2.0 * value) <= before * slope:
+            following = at - value / slope
+        else:
+            following = 0.5 * (low + high)
+        before, step = step, abs(following - at)
+        if step <= accuracy:
+            break
+        at = following
+    return at
+
+
+class Pressed(NamedTuple):
+    """What elements do at a place and speed: torque against the flange (N·m), power lost (W), energy stored (J)."""
+
+    torque: float
+    power: float
+    stored: float
+
+
+def press(
+    strains: Sequence[float],
+    way: float,
+    speed: float,
+    stiffness: float,
+    low: float,
+    high: float,
+    time: float = PRESLIDING_TIME,
+) -> Pressed:
+    """Say what elements do a way (rad) from where they are, at a speed (rad/s).
+
+    `time` is their damping over their stiffness, s; the others are as of `slide`.
+    """
+    torque = power = stored = 0.0
+    damped = stiffness * time * speed
+    for share, strain in zip(SHARES, strains, strict=True):
+        least, most = -share * low, share * high
+        elastic = min(max(stiffness * (strain + way), least), most)
+        found = min(max(elastic + damped, least), most)
+        torque += found
+        # What its damping makes slide counts as sliding, for it soon does.
+        reached = elastic + damped
+        slides = (
+            reached >= most - FRICTION_ROUNDING * high if speed > 0.0 else reached <= least + FRICTION_ROUNDING * low
+        )
+        power += speed * (found if slides else damped)
+        held = strain if way == 0.0 else elastic / stiffness  # what yields less now is not lost yet
+        stored += 0.5 * stiffness * held * held
+    return Pressed(torque, power, stored)
+
+
+class FrictionState:
+    """Both flanges' friction in a model's state: `rub` moves it on, `press` looks at it.
+
+    A model has `friction`, `loss_table`, `temperature` and `_strains` (`stepped_model.State`).
+    """
+
+    friction: list[list[float]]
+    loss_table: list[list[float]]
+    temperature: float
+    _strains: list[list[float]]
+    _laws: tuple[Law, Law]
+    _elements: tuple[float, float]
+    _rubs: tuple[bool, bool]
+
+    def _settle_friction(self, loads: tuple[float, float]) -> None:
+        """Find what follows from the laws; `loads` are the rated torque at both flanges, N·m."""
+        self._laws = Law(*self.friction[0]), Law(*self.friction[1])
+        self._elements = (
+            element_stiffness(self._laws[0], loads[0], self.loss_table), element_stiffness(self._laws[1], loads[1])
+        )  # fmt: skip
+        self._rubs = tuple(  # type: ignore[assignment]
+            k > 0.0 or law.viscous > 0.0 for k, law in zip(self._elements, self._laws, strict=True)
+        )
+
+    def _yields(self, flange: int, load: float, speed: float) -> tuple[float, float]:
+        return yields(self._laws[flange], load, speed, self.temperature, None if flange else self.loss_table)
+
+    def _viscous(self, flange: int) -> float:
+        law = self._laws[flange]
+        return law.viscous * factor(law, self.temperature) if law.viscous > 0.0 else 0.0
+
+    def _rub(self, flange: int, way: float, time: float, load: float) -> Slid:
+        """What friction of a flange does over a way (rad) in a time (s), under a load (N·m); nothing is moved."""
+        speed, stiffness, viscous = way / time if time > 0.0 else 0.0, self._elements[flange], self._viscous(flange)
+        if stiffness > 0.0:
+            found = slide(self._strains[flange], way, time, stiffness, *self._yields(flange, load, speed))
+        else:
+            found = Slid(self._strains[flange], 0.0, 0.0, 0.0, 0.0)
+        if viscous > 0.0 and time > 0.0:
+            torque = viscous * speed
+            found = Slid(
+                found.strains, found.torque + torque, found.slope + viscous / time, found.stored,
+                found.lost + torque * way,
+            )  # fmt: skip
+        return found
+
+    def _press(self, flange: int, way: float, speed: float, load: float, time: float = PRESLIDING_TIME) -> Pressed:
+        """What the friction of a flange does a way (rad) from where it was moved to, at a speed (rad/s)."""
+        stiffness, viscous = self._elements[flange], self._viscous(flange) * speed
+        if stiffness == 0.0:
+            return Pressed(viscous, viscous * speed, 0.0)
+        found = press(self._strains[flange], way, speed, stiffness, *self._yields(flange, load, speed), time)
+        return Pressed(found.torque + viscous, found.power + viscous * speed, found.stored)
+
+    def _put_strains(self, flange: int, strains: Sequence[float]) -> None:
+        self._strains = [list(strains), self._strains[1]] if flange == 0 else [self._strains[0], list(strains)]
