@@ -41,7 +41,7 @@ int exchange_solve(struct drive *drive, char message[MESSAGE_SIZE]) {
     }
     if (drive->table->offers == INTERFACE_INERTIA) {
         s->turned = s->crank_angle;
-        s->output_angle = s->deviation + s->turned / drive->table->ratio;
+        s->output_angle = s->deviation + s->turned / drive->ratio;
         drive->placed = 0;
     }
     s->seen = s->output_angle;
@@ -49,7 +49,7 @@ int exchange_solve(struct drive *drive, char message[MESSAGE_SIZE]) {
     if (compliant_solve(drive, message)) {
         return 1;
     }
-    s->mean_torque = drive->pressed.by_angle - drive->damping / drive->table->ratio
+    s->mean_torque = drive->pressed.by_angle - drive->damping / drive->ratio
         + compliant_rubbing(drive, INPUT).torque;
     s->mean_loss = exchange_rate(drive, DISSIPATED_ENERGY);
     s->outside = 0.0;
@@ -69,7 +69,7 @@ double exchange_rate(const struct drive *drive, int field) {
     case CRANK_ANGLE: return s->crank_speed;
     case CRANK_SPEED:
         return (s->crank_torque - compliant_load(drive, INPUT) - compliant_rubbing(drive, INPUT).torque) / s->crank_inertia;
-    case TRANSMISSION_ERROR: return s->output_speed - s->crank_speed / drive->table->ratio;
+    case TRANSMISSION_ERROR: return s->output_speed - s->crank_speed / drive->ratio;
     case OUTPUT_SPEED:
         return (s->torque - drive->pressed.by_rotation - drive->damping - compliant_rubbing(drive, OUTPUT).torque)
             / s->output_inertia;
@@ -101,7 +101,7 @@ void exchange_indicators(struct drive *drive, double found[EVENT_INDICATORS]) {
         found[1] = found[4] = 1.0;
     } else {
         struct play play = teeth_play(drive, drive_place(drive));
-        double deviation = s->output_angle - drive_angle(drive) / drive->table->ratio;
+        double deviation = s->output_angle - drive_angle(drive) / drive->ratio;
         found[0] = deviation - (play.end[0].deviation - play.offset);
         found[1] = deviation + (play.end[1].deviation - play.offset);
         found[4] = drive->rubs[OUTPUT] ? s->output_speed : 1.0;
