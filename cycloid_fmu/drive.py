@@ -493,7 +493,7 @@ class Drive:
             The FMU file.
         interface
             "kinematic" takes crank motion and load and gives the output's motion; "compliant" takes both motions and
-            gives both torques; an `Interface` states inertia and losses as well.
+            gives both torques; an `Interface` states inertia, friction and losses as well.
         fmi_version
             "2.0" or "3.0".
         native

@@ -6,16 +6,18 @@ from pathlib import Path
 import numpy as np
 
 from cycloid_fmu.fmu.build import with_damping
+from cycloid_fmu.fmu.friction_file import Friction
 from cycloid_fmu.fmu.variables import UNITS, Interface, Variable, from_tables, variables
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.surfaces.surface import Life, nominal_surface
 
 EXAMPLE = "drive-39-40.toml"
+WARM = Friction(temperature_coefficient=0.01)
 INTERFACES = {
-    "kinematic": Interface(),
-    "compliant": Interface("compliant"),
-    "inertia inside": Interface("compliant", output_inertia=1.0),
-    "both inside": Interface("compliant", output_inertia=1.0, crank_inertia=1e-3),
+    "kinematic": Interface(input_friction=WARM),
+    "compliant": Interface("compliant", input_friction=WARM),
+    "inertia inside": Interface("compliant", output_inertia=1.0, input_friction=WARM),
+    "both inside": Interface("compliant", output_inertia=1.0, crank_inertia=1e-3, input_friction=WARM),
 }
 SECTIONS: tuple[tuple[str, str, Callable[[Variable], bool]], ...] = (
     (
@@ -30,7 +32,8 @@ SECTIONS: tuple[tuple[str, str, Callable[[Variable], bool]], ...] = (
     ),
     (
         "Other parameters",
-        "`loss_table[i,j]` has a row for each of `--losses`, the first of which is told here.",
+        "`loss_table[i,j]` has a row for each of `--losses`, the first of which is told here. `temperature`, its "
+        "coefficients and references are there where `--friction` or `--losses` states a coefficient, here 0.01/K.",
         lambda v: v.causality == "parameter" and not v.baked and not v.dimensions,
     ),
     (

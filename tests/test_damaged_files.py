@@ -22,7 +22,9 @@ from pyarrow import parquet
 
 import cycloid_fmu as cy
 from cycloid_fmu import edge
+from cycloid_fmu.fmu.bench_losses import read_bench_losses
 from cycloid_fmu.fmu.build import build_fmu, read_losses
+from cycloid_fmu.fmu.friction_file import read_friction
 from cycloid_fmu.fmu.run import read_motion, stated_drive, units_of
 from cycloid_fmu.reducer.description import read_reducer
 from cycloid_fmu.studies.checkpoint import Checkpoint
@@ -276,6 +278,11 @@ READERS = {
     "reducer": (example("rv-20e.toml"), read_reducer),
     "tolerances": (example("tolerances.toml"), cy.read_tolerances),
     "wear": (example("wear.toml"), read_wear_law),
+    "friction": (example("friction.toml"), read_friction),
+    "measured losses": (
+        text_file("b.csv", "speed [rpm],torque [N*m],loss [N*m],temperature [K]\n0,0,.1,293\n0,9,.2,293\n0,9,.1,313"),
+        lambda path: read_bench_losses(path, 39.0),
+    ),
     "duty cycle": (text_file("duty.csv", "torque [N*m],crank_turns [1]\n20,1e6\n-200,2.5e5\n"), read_duty_cycle),
     "losses": (
         text_file("l.csv", "speed [rpm],eta_mf1 [1],eta_mf2 [1],tau_bf1 [N*m],tau_bf2 [N*m]\n0,.9,.8,.1,.2\n9,1,1,0,0"),

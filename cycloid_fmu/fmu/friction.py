@@ -29,7 +29,9 @@ from cycloid_fmu.fmu.losses import Row, lost_torque
 
 # Springs alike whose yield strains are evenly spaced up to the presliding angle (Iwan's uniform distribution): torque
 # over strain is a parabola, F (1 - (1 - z/z_p)²), in chords.
-SHARES = tuple(2.0 * i / (FRICTION_ELEMENTS * (FRICTION_ELEMENTS + 1.0)) for i in range(1, FRICTION_ELEMENTS + 1))
+SHARE = 2.0 / (FRICTION_ELEMENTS * (FRICTION_ELEMENTS + 1.0))
+"""Share of the first element in what sliding takes; of the others twice, three times, … that."""
+LOSSLESS = (1.0, 1.0, 0.0, 0.0)  # a row of the loss table, without its speed
 UNSTRAINED = (0.0,) * FRICTION_ELEMENTS
 
 
@@ -78,11 +80,13 @@ def yields(
     """
     torque = law.coulomb + law.load_share * abs(load)
     if law.stribeck > 0.0:
-        torque += law.stribeck * math.exp(-min((speed / law.stribeck_speed) ** 2, 700.0))
+        share = speed / law.stribeck_speed
+        torque += law.stribeck * math.exp(-min(share * share, 700.0))
     warmth = factor(law, temperature)
     if table is None:
         return warmth * torque, warmth * torque
-    return tuple(warmth * (torque + lost_torque(table, speed, side * load)) for side in (-1.0, 1.0))  # type: ignore[return-value]
+    low, high = lost_torque(table, speed, -load), lost_torque(table, speed, load)
+    return warmth * (torque + low), warmth * (torque + high)
 
 
 def element_stiffness(law: Law, load: float, table: Sequence[Row] | None = None) -> float:
@@ -128,10 +132,11 @@ def slide(strains: Sequence[float], way: float, time: float, stiffness: float, l
     """
     found, torque, slope, stored, lost = [], 0.0, 0.0, 0.0, 0.0
     damping = stiffness * PRESLIDING_TIME / time if time > 0.0 else 0.0
-    bound = high if way > 0.0 else -low
-    for share, strain in zip(SHARES, strains, strict=True):
-        least, most = -share * low / stiffness, share * high / stiffness
-        start = min(max(strain, least), most)
+    low, high = SHARE * low / stiffness, SHARE * high / stiffness
+    bound = stiffness * (high if way > 0.0 else -low)
+    for i, strain in enumerate(strains, start=1):
+        least, most = -i * low, i * high
+        start = least if strain < least else most if strain > most else strain
         end = start + way
         if least <= end <= most:
             stuck, mean, change = way, stiffness * (start + 0.5 * way), 0.5 * stiffness
@@ -141,7 +146,7 @@ def slide(strains: Sequence[float], way: float, time: float, stiffness: float, l
             change = 0.5 * stiffness * (stuck / way) ** 2
             mean = stiffness * end - change * way
         damped = damping * stuck
-        room = share * bound - mean
+        room = i * bound - mean
         if abs(damped) >= abs(room):
             damped, change = room, 0.0
         elif stuck == way:
@@ -159,13 +164,19 @@ def held_strains(
     strains: Sequence[float], way: float, stiffness: float, low: float, high: float
 ) -> tuple[list[float], float]:
     """Return the strains after a way, however long it takes, and the stiffness of those elements that hold, N·m/rad."""
-    found, slope = [], 0.0
-    for share, strain in zip(SHARES, strains, strict=True):
-        least, most = -share * low / stiffness, share * high / stiffness
-        end = min(max(strain, least), most) + way
-        slope += stiffness if least < end < most else 0.0
-        found.append(min(max(end, least), most))
-    return found, slope
+    found, held = [], 0
+    low, high = SHARE * low / stiffness, SHARE * high / stiffness
+    for i, strain in enumerate(strains, start=1):
+        least, most = -i * low, i * high
+        end = (least if strain < least else most if strain > most else strain) + way
+        if end <= least:
+            end = least
+        elif end >= most:
+            end = most
+        else:
+            held += 1
+        found.append(end)
+    return found, stiffness * held
 
 
 def balanced(
@@ -220,18 +231,17 @@ def press(
     `time` is their damping over their stiffness, s; the others are as of `slide`.
     """
     torque = power = stored = 0.0
-    damped = stiffness * time * speed
-    for share, strain in zip(SHARES, strains, strict=True):
-        least, most = -share * low, share * high
-        elastic = min(max(stiffness * (strain + way), least), most)
-        found = min(max(elastic + damped, least), most)
+    damped, low, high = stiffness * time * speed, SHARE * low, SHARE * high
+    for i, strain in enumerate(strains, start=1):
+        least, most = -i * low, i * high
+        elastic = stiffness * (strain + way)
+        elastic = least if elastic < least else most if elastic > most else elastic
+        reached = elastic + damped
+        found = least if reached < least else most if reached > most else reached
         torque += found
         # What its damping makes slide counts as sliding, for it soon does.
-        reached = elastic + damped
-        slides = (
-            reached >= most - FRICTION_ROUNDING * high if speed > 0.0 else reached <= least + FRICTION_ROUNDING * low
-        )
-        power += speed * (found if slides else damped)
+        near = FRICTION_ROUNDING * (most - least)
+        power += speed * (found if (reached >= most - near if speed > 0.0 else reached <= least + near) else damped)
         held = strain if way == 0.0 else elastic / stiffness  # what yields less now is not lost yet
         stored += 0.5 * stiffness * held * held
     return Pressed(torque, power, stored)
@@ -250,19 +260,21 @@ class FrictionState:
     _laws: tuple[Law, Law]
     _elements: tuple[float, float]
     _rubs: tuple[bool, bool]
+    _table: Sequence[Row] | None
 
     def _settle_friction(self, loads: tuple[float, float]) -> None:
         """Find what follows from the laws; `loads` are the rated torque at both flanges, N·m."""
         self._laws = Law(*self.friction[0]), Law(*self.friction[1])
+        self._table = self.loss_table if any(row[1:] != list(LOSSLESS) for row in self.loss_table) else None
         self._elements = (
-            element_stiffness(self._laws[0], loads[0], self.loss_table), element_stiffness(self._laws[1], loads[1])
+            element_stiffness(self._laws[0], loads[0], self._table), element_stiffness(self._laws[1], loads[1])
         )  # fmt: skip
         self._rubs = tuple(  # type: ignore[assignment]
             k > 0.0 or law.viscous > 0.0 for k, law in zip(self._elements, self._laws, strict=True)
         )
 
     def _yields(self, flange: int, load: float, speed: float) -> tuple[float, float]:
-        return yields(self._laws[flange], load, speed, self.temperature, None if flange else self.loss_table)
+        return yields(self._laws[flange], load, speed, self.temperature, None if flange else self._table)
 
     def _viscous(self, flange: int) -> float:
         law = self._laws[flange]

@@ -96,6 +96,8 @@ class DriveModel(SteppedModel, DriveState):
     def _move(self, step: float) -> None:
         self._theta = self._reduced(self.crank_angle)
         self._play = self._crank = self._sharing = None
+        if not math.isfinite((self._viscous(0) + self._viscous(1)) * self.crank_speed * self.crank_speed):
+            raise StepError(f"flange_a.w = {self.crank_speed:g} rad/s: viscous friction is beyond the range of numbers")
         ideal = self.crank_angle / self._ratio
         if self._output_angle is None:
             deviation = self._elastic(self.torque, 0.0)
@@ -164,7 +166,8 @@ class DriveModel(SteppedModel, DriveState):
         for sliding, side in ((low, 1.0), (high, -1.0)):
             deviation = self._elastic(load - sliding, side)
             reached, _ = held(deviation, load - sliding)
-            if abs(reached) >= abs(sliding) * (1.0 - FRICTION_ROUNDING) and (deviation - before) * side <= 0.0:
+            slides = reached * sliding >= sliding * sliding * (1.0 - FRICTION_ROUNDING)
+            if slides and (deviation - before) * side <= 0.0:
                 self._pushed = side
                 return kept()
         if low < load < high:

@@ -32,7 +32,7 @@ discs{% endif %}. Made by cycloid-fmu {{ version }}.</p>
 <p>Angles are counter-clockwise; torques are positive into the drive at their flange, as in Modelica.</p>
 {% if interface.kind == "kinematic" %}<p>The drive is quasi-static: a step moves it to the inputs that stand when it is
 made, whatever its length. At zero torque the output stays inside its play until a flank pushes it; with
-<code>friction_torque</code> it stands until torque or crank carry it.</p>
+friction it stands until torque or crank carry it.</p>
 {% else %}<p>Contacts store one energy whose derivatives are both torques. Between communication points the flanges move
 on at their speeds, so give speeds that belong to the angles. A step longer than <code>largest_step</code> is divided
 inside. {% if interface.output_inertia %}The output's inertia is inside and solved in sub-steps, in which the energy's
@@ -44,7 +44,11 @@ of inertia J on the output, steps h must keep h &radic;(k/J) well below 1, k bei
 <table><tr><th>name<th>causality<th>unit<th>meaning</tr>
 {% for v in table %}<tr><td><code>{{ v.name }}</code><td>{{ v.causality }}<td>{{ v.unit or "" }}<td>{{ v.description }}
 </tr>{% endfor %}</table>
-<h2>Losses</h2>
+<h2>Friction and losses</h2>
+<p>At each flange sliding takes (coulomb + load_share |load| + stribeck exp(-(w/stribeck_speed)&sup2;))
+exp(-temperature_coefficient (temperature - reference_temperature)) + viscous |w|; <code>friction_torque</code> is the
+output's Coulomb friction. It builds up over the presliding angle by springs that slip one after the other: it holds
+without creep, and its loops remember their reversals.</p>
 <p><code>loss_table</code> is <code>lossTable</code> of Modelica's LossyGear: speed of flange_a, efficiency from a to b
 and from b to a, friction torque at flange_a in the same two cases; linear between the rows, held beyond the last.</p>
 </body></html>

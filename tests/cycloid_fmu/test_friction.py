@@ -6,6 +6,7 @@ import fmpy
 import numpy as np
 import pytest
 from common import CASES, EXAMPLES
+from fmpy.validation import validate_fmu
 from typer.testing import CliRunner
 
 import cycloid_fmu as cy
@@ -66,6 +67,7 @@ def test_the_command_takes_measured_losses_and_a_friction_file(tmp_path):
     assert start["input_friction.temperature_coefficient"] == pytest.approx(0.01, rel=1e-4)
     assert variables["temperature"].causality == "input"
     assert variables["temperature"].unit == "K"
+    assert validate_fmu(str(out)) == []
     twice = CliRunner().invoke(app, [*words, "--friction", str(EXAMPLES / "friction.toml")])
     assert twice.exit_code == 1
     assert "temperature_coefficient = 0.015 1/K" in str(twice.exception or twice.output)

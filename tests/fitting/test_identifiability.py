@@ -130,12 +130,13 @@ def test_curves_of_another_gear_are_not_explained(measured):
 
 
 def test_starts_that_end_apart_are_said(measured, nominal, monkeypatch):
-    """Where no two starts agree all five are tried, the best is taken, and the fit says what that may mean."""
+    """Where no two starts agree others are tried, the best is taken, and the fit says what that may mean."""
     monkeypatch.setattr(fitting.estimation.identify, "_AGREE", -np.inf)
     said = []
     found = identify(measured(8, each=12), Drive(nominal), progress=said.append, held_out=False)
-    assert "finding a start (5)" in said
-    assert any("No two of 5 starts ended in the same optimum" in n for n in found.notes)
+    tried = sum(step.startswith("finding a start") for step in said)
+    assert tried > 10
+    assert any(f"No two of {tried} starts ended in the same optimum" in n for n in found.notes)
     assert found.residual < 0.6 * ARCSEC
 
 

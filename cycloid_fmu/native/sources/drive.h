@@ -55,9 +55,9 @@ struct slid {
     double torque, slope, lost;
 };
 
-/* And at a place: torque, power lost, energy stored, and the viscous part of the torque. */
+/* And at a place: torque, power lost, energy stored. */
 struct rubbing {
-    double torque, power, stored, drag;
+    double torque, power, stored;
 };
 
 struct drive {
@@ -113,6 +113,7 @@ int losses_take(const struct drive *drive); /* whether they take anything */
 double losses_torque(const struct drive *drive, double speed, double asked);
 
 void friction_settle(struct drive *drive);
+double friction_viscous(const struct drive *drive, int flange);
 struct yields friction_yields(const struct drive *drive, int flange, double load, double speed);
 struct slid friction_slide(const double strain[FRICTION_ELEMENTS], double following[FRICTION_ELEMENTS], double way, double time,
                            double stiffness, struct yields yields);

@@ -18,7 +18,7 @@ static double warmth(const struct drive *drive, int flange) {
         ? 1.0 : exp(-law->temperature_coefficient * (drive->state.temperature - law->reference_temperature));
 }
 
-static double viscous(const struct drive *drive, int flange) {
+double friction_viscous(const struct drive *drive, int flange) {
     double torque = drive->state.friction[flange].viscous;
     return torque > 0.0 ? torque * warmth(drive, flange) : 0.0;
 }
@@ -110,7 +110,7 @@ struct slid friction_slide(const double strain[FRICTION_ELEMENTS], double follow
 /* What friction does over a way in a time, under a load of the teeth; nothing is moved but `following`. */
 struct slid friction_rub(const struct drive *drive, int flange, double way, double time, double load,
                          double following[FRICTION_ELEMENTS]) {
-    double speed = time > 0.0 ? way / time : 0.0, stiffness = drive->element[flange], drag = viscous(drive, flange);
+    double speed = time > 0.0 ? way / time : 0.0, stiffness = drive->element[flange], drag = friction_viscous(drive, flange);
     struct slid found = {0.0, 0.0, 0.0};
     if (stiffness > 0.0) {
         found = friction_slide(drive->state.strain[flange], following, way, time, stiffness,
@@ -144,14 +144,14 @@ double friction_held(const struct drive *drive, int flange, double way, double l
 }
 
 struct rubbing friction_press(const struct drive *drive, int flange, double way, double speed, double load, double time) {
-    double stiffness = drive->element[flange], damped = stiffness * time * speed, drag = viscous(drive, flange) * speed;
-    struct rubbing found = {0.0, 0.0, 0.0, 0.0};
+    double stiffness = drive->element[flange], damped = stiffness * time * speed, drag = friction_viscous(drive, flange) * speed;
+    struct rubbing found = {0.0, 0.0, 0.0};
     struct yields yields;
     int i;
     if (!drive->rubs[flange]) {
         return found;
     }
-    found.torque = found.drag = drag;
+    found.torque = drag;
     found.power = drag * speed;
     if (stiffness == 0.0) {
         return found;
@@ -161,7 +161,8 @@ struct rubbing friction_press(const struct drive *drive, int flange, double way,
         double least = -(i + 1) * SHARE * yields.low, most = (i + 1) * SHARE * yields.high;
         double elastic = clipped(stiffness * (drive->state.strain[flange][i] + way), least, most);
         double reached = elastic + damped, torque = clipped(reached, least, most), held;
-        int slides = speed > 0.0 ? reached >= most - FRICTION_ROUNDING * yields.high : reached <= least + FRICTION_ROUNDING * yields.low;
+        double near = FRICTION_ROUNDING * (most - least);
+        int slides = speed > 0.0 ? reached >= most - near : reached <= least + near;
         found.torque += torque;
         found.power += speed * (slides ? torque : damped);
         held = way == 0.0 ? drive->state.strain[flange][i] : elastic / stiffness; /* what yields less now is not lost yet */

@@ -144,8 +144,7 @@ static int search_on(struct search *search, double value, double slope, double a
 static int carried(struct drive *drive, const struct play *play, double before, double *deviation,
                    char message[MESSAGE_SIZE]) {
     struct state *s = &drive->state;
-    const double drag = friction_press(drive, OUTPUT, 0.0, pace(drive), 0.0, 0.0).drag;
-    const double load = s->torque - drag, stiffness = drive->element[OUTPUT];
+    const double load = s->torque - friction_viscous(drive, OUTPUT) * pace(drive), stiffness = drive->element[OUTPUT];
     double following[FRICTION_ELEMENTS], slope, end, most, ends[2], place[2], borne[2], reached = 0.0;
     struct search search;
     int i, failed = 0;
@@ -163,7 +162,7 @@ static int carried(struct drive *drive, const struct play *play, double before, 
             return 1;
         }
         reached = friction_held(drive, OUTPUT, *deviation - before, load - ends[i], pace(drive), following, &slope);
-        if (fabs(reached) >= fabs(ends[i]) * (1.0 - FRICTION_ROUNDING) && (*deviation - before) * side <= 0.0) {
+        if (reached * ends[i] >= ends[i] * ends[i] * (1.0 - FRICTION_ROUNDING) && (*deviation - before) * side <= 0.0) {
             s->pushed = side;
             memcpy(s->strain[OUTPUT], following, sizeof following);
             return 0;
@@ -216,6 +215,9 @@ int kinematic_follow(struct drive *drive, char message[MESSAGE_SIZE]) {
     double ideal = s->crank_angle / drive->ratio, deviation = 0.0;
     struct play play;
     int failed;
+    if (!((friction_viscous(drive, INPUT) + friction_viscous(drive, OUTPUT)) * s->crank_speed * s->crank_speed < HUGE_VAL)) {
+        return drive_refuse(message, "flange_a.w = %g rad/s: viscous friction is beyond the range of numbers.", s->crank_speed, 0.0);
+    }
     memset(&play, 0, sizeof play);
     if (drive->b == 0.0) { /* a reducer's crank is turned where its place is found */
         s->placed = s->crank_angle;
