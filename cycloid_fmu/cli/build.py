@@ -120,9 +120,8 @@ def build(
             total=lambda count: bar.update(completed=0, total=count, description="crank angles"),
         )  # fmt: skip
     typer.echo(
-        f"{output}: {output.stat().st_size / 1e6:.2f} MB, up to {made.positive.load[-1]:.5g} N*m; transmission error "
-        f"within {made.largest_error * edge.ARCSEC:.3f} arcsec of the exact model "
-        f"({PROBES} random crank angles and torques, and more around the worst)."
+        f"{output}: {output.stat().st_size / 1e6:.2f} MB, {made.told}; held against the exact model at {PROBES} random "
+        "crank angles and torques, the first also around the worst."
     )
 
 

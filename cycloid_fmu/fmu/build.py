@@ -17,7 +17,7 @@ from cycloid_fmu import __version__, edge
 from cycloid_fmu.contact.transmission import slices_needed, solve
 from cycloid_fmu.edge import ArgumentError
 from cycloid_fmu.fmu.constants import DAMPING_TIME
-from cycloid_fmu.fmu.core import FORMAT, NUMBERS, SURFACE
+from cycloid_fmu.fmu.core import FORMAT, NUMBERS, SUMS, SURFACE, sums_of, variables_hash
 from cycloid_fmu.fmu.description import Version
 from cycloid_fmu.fmu.friction_file import Friction
 from cycloid_fmu.fmu.losses import check_losses
@@ -109,6 +109,7 @@ def build_fmu(
     if fmi_version not in _LIBRARIES:
         raise ArgumentError("fmi_version", "it must be 2.0 or 3.0", fmi_version)
     library = _LIBRARIES[fmi_version]
+    table = variables(pair, surface, interface, fmi_version, ratio_of(pair, first_stage))
     with tempfile.TemporaryDirectory(prefix="cycloid-fmu-") as folder, edge.written_whole(path) as temporary:
         place = Path(folder)
         numbers: dict[str, object] = {
@@ -119,6 +120,7 @@ def build_fmu(
                 name: value.model_dump() if isinstance(value, Friction) else value
                 for name, value in vars(interface).items()
             },
+            "variables": variables_hash(table),
         }
         if first_stage is not None:
             numbers["first_stage"] = json.loads(first_stage.text)
@@ -130,14 +132,15 @@ def build_fmu(
             np.savez(file, allow_pickle=False, **{n: a for n, a in arrays.items() if a is not None})
         write_surface(surface, place / "surface.nc")
         script = Path(__file__).with_name(_SCRIPTS[fmi_version])
-        archive = build_archive(library, script, [place / name for name in (NUMBERS, SURFACE, "surface.nc")], place)
+        files = [place / name for name in (NUMBERS, SURFACE, "surface.nc")]
+        (place / SUMS).write_bytes(sums_of({path.name: path.read_bytes() for path in (*files, script)}))
+        archive = build_archive(library, script, [*files, place / SUMS], place)
         fronts = _FRONTS if fmi_version == "2.0" else {}
         with zipfile.ZipFile(archive) as made:
             contents = {fronts.get(name, name): made.read(name) for name in made.namelist()}
         for name, behind in fronts.items():
             if behind in contents:
                 contents[name] = (_FRONT / name.removeprefix("binaries/")).read_bytes()
-        table = variables(pair, surface, interface, fmi_version, ratio_of(pair, first_stage))
         contents |= parts(pair, surface, interface, table, fmi_version, [library])
         contents |= reference_files(pair, surface, interface, first_stage)
         write_archive(temporary, dict(sorted(contents.items())))  # the library lists a folder in any order

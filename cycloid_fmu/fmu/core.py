@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import io
 import json
 import math
 import re
 import struct
 import sys
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,16 +30,55 @@ from cycloid_fmu.fmu.friction_file import Friction
 from cycloid_fmu.fmu.mesh import StepError
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.reducer_model import ReducerModel
-from cycloid_fmu.fmu.variables import ATTRIBUTES, Interface, Variable, variables
+from cycloid_fmu.fmu.variables import ATTRIBUTES, Interface, Kind, Variable, variables
 from cycloid_fmu.geometry.pair import Pair, parse_pair
 from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.surfaces.surface import ErrorSurface, Life
 
-NUMBERS, SURFACE = "pair.json", "surface.npz"
-FORMAT = 3  # of these files
+NUMBERS, SURFACE, SUMS = "pair.json", "surface.npz", "SHA256SUMS"
+FORMAT = 3  # of these files; 2 had no checksums
 MAGIC, STATE_VERSION = b"cycloid state\0\0\0", 5
+# Phases of an instance, as messages name them; the native FMU's are the same (native/sources/instance.c).
+INSTANTIATED, INITIALIZING, STEPPING, TERMINATED = (
+    "before initialization", "during initialization", "while stepping", "after termination",
+)  # fmt: skip
 _LARGEST = sys.float_info.max
 _HEAD = struct.Struct("<16sII32sQ")  # magic, version, checksum, hash of the resources, length
+
+
+def sums_of(files: Mapping[str, bytes]) -> bytes:
+    """Return the checksums of files by name, as `sha256sum` writes and checks them."""
+    return "".join(f"{hashlib.sha256(data).hexdigest()}  {name}\n" for name, data in files.items()).encode()
+
+
+def checked_resources(resources: Path) -> dict[str, bytes]:
+    """Return the files of an FMU's resources that have a checksum.
+
+    Raises
+    ------
+    RuntimeError
+        If one is missing, can't be read or is damaged; it names the file.
+    """
+
+    def read(name: str) -> bytes:
+        try:
+            return (resources / name).read_bytes()
+        except OSError as problem:
+            raise RuntimeError(f"{resources / name}: it can't be read: {problem.strerror}") from None
+
+    rows = [line.partition("  ") for line in read(SUMS).decode("ascii", "replace").splitlines()]
+    found = {}
+    for name in dict.fromkeys((NUMBERS, SURFACE, *(name for _, _, name in rows))):
+        found[name] = read(name)
+        if (hashlib.sha256(found[name]).hexdigest(), "  ", name) not in rows:
+            raise RuntimeError(f"{resources / name}: it is damaged: {SUMS} beside it has another checksum")
+    return found
+
+
+def variables_hash(table: Sequence[Variable]) -> str:
+    """Return the fingerprint of the variables that a model description names by their references."""
+    told = [(v.name, v.kind, v.causality, v.variability, v.dimensions) for v in table]
+    return hashlib.sha256(repr(told).encode()).hexdigest()[:16]
 
 
 def interface_from(numbers: dict[str, Any]) -> Interface:
@@ -85,29 +125,37 @@ class Core:
         Its variables by reference.
     faults
         What was refused and not set right since: a sentence for each variable's reference.
+    phase
+        `INSTANTIATED`, `INITIALIZING`, `STEPPING` or `TERMINATED`.
+
+    Raises
+    ------
+    RuntimeError
+        If the resources are damaged, or made for another version of the package.
     """
 
     def __init__(self, resources: Path, version: Version) -> None:
-        text, stored = (resources / NUMBERS).read_bytes(), (resources / SURFACE).read_bytes()
-        numbers = json.loads(text)
-        if numbers["package_version"] != __version__:
-            raise RuntimeError(
-                f"this FMU was built with cycloid-fmu {numbers['package_version']}, installed is {__version__}; build "
-                "the FMU again or install that version"
-            )
+        files = checked_resources(resources)
+        numbers = json.loads(files[NUMBERS])
+        built = f"this FMU was built with cycloid-fmu {numbers['package_version']}"
+        again = f"installed is {__version__}; build the FMU again or install the other version"
         if numbers.get("format") != FORMAT:
-            raise RuntimeError("this FMU was built with an earlier cycloid-fmu of the same version; build it again")
-        with np.load(resources / SURFACE) as arrays:
+            raise RuntimeError(f"{built} in format {numbers.get('format')}, this reads format {FORMAT}: {again}")
+        with np.load(io.BytesIO(files[SURFACE])) as arrays:
             values: dict[str, Any] = {n: arrays[n] if arrays[n].shape else float(arrays[n]) for n in arrays.files}
             states = {n.removeprefix("life_"): values.pop(n) for n in arrays.files if n.startswith("life_")}
         pair, stage = parse_pair(numbers["pair"], "the FMU's drive"), numbers.get("first_stage")
         surface = ErrorSurface(pair, **values, life=Life(**states) if states else None)
         self.interface = interface = interface_from(numbers["interface"])
         self.model = model_of(pair, surface, interface, None if stage is None else FirstStage(**stage))
-        self.table = dict(enumerate(variables(pair, surface, interface, version, self.model.ratio)))
+        table = variables(pair, surface, interface, version, self.model.ratio)
+        if variables_hash(table) != numbers["variables"]:
+            raise RuntimeError(f"{built}, whose variables are others: {again}")
+        self.table = dict(enumerate(table))
+        self.phase = INSTANTIATED
         self.faults: dict[int, str] = {}
         self.time = 0.0
-        self._hash = hashlib.sha256(text + stored).digest()
+        self._hash = hashlib.sha256(files[NUMBERS] + files[SURFACE]).digest()
         accesses = {reference: self._access(variable) for reference, variable in self.table.items()}
         self.getters = {reference: getter for reference, (getter, _) in accesses.items()}
         self._setters = {reference: setter for reference, (_, setter) in accesses.items()}
@@ -115,7 +163,9 @@ class Core:
         self._quick = {
             reference: (setter, -_LARGEST if v.least is None else v.least, _LARGEST if v.most is None else v.most)
             for reference, v in self.table.items()
-            if (setter := self._setters[reference]) is not None and not v.dimensions
+            if (setter := self._setters[reference]) is not None
+            and (v.kind, v.dimensions) == ("real", ())
+            and v.variability != "fixed"
         }
 
     def _access(self, variable: Variable) -> tuple[Callable[[], Any], Callable[[Any], None] | None]:
@@ -144,19 +194,35 @@ class Core:
         setter = None if variable.causality in ("output", "local") else functools.partial(setattr, model, attribute)
         return functools.partial(getattr, model, attribute), setter
 
-    def put(self, reference: int, value: Any) -> str:
+    def of_kind(self, reference: int, kind: Kind) -> Variable:
+        """Return a variable; a `ValueError` says that there is none of that kind."""
+        variable = self.table.get(reference)
+        if variable is None or variable.kind != kind:
+            raise ValueError(f"there is no {kind} variable with the value reference {reference}")
+        return variable
+
+    def values(self, references: Sequence[int], kind: Kind) -> list[Any]:
+        """Return values of variables of a kind; a `ValueError` says that there is none."""
+        for reference in references:
+            self.of_kind(reference, kind)
+        return [self.getters[reference]() for reference in references]
+
+    def put(self, reference: int, value: Any, kind: Kind | None = None) -> str:
         """Set a variable; what is no value for it is refused with a sentence, else the answer is empty.
 
         Raises
         ------
         ValueError
-            If there is no such variable or it can't be set.
+            If there is no such variable (of the kind), or it can't be set, or not in this phase.
         """
-        if reference not in self.table:
-            raise ValueError(f"there is no variable with the value reference {reference}")
+        if reference not in self.table or kind is not None:
+            self.of_kind(reference, kind or "real")
         variable, setter = self.table[reference], self._setters[reference]
+        self._check_phase("to set a variable", INSTANTIATED, INITIALIZING, STEPPING)
         if setter is None:
             raise ValueError(f"{variable.name} can't be set: its causality is {variable.causality}")
+        if variable.variability == "fixed" and self.phase == STEPPING:
+            raise ValueError(f"{variable.name} can't be set after initialization")
         refused = self._refused(variable, value)
         if refused:
             self.faults[reference] = refused
@@ -165,15 +231,17 @@ class Core:
         self.faults.pop(reference, None)
         return ""
 
-    def put_all(self, references: Sequence[int], values: Sequence[Any]) -> list[str]:
-        """Set variables as `put` does; the sentences of what is refused."""
+    def put_all(self, references: Sequence[int], values: Sequence[Any], kind: Kind = "real") -> list[str]:
+        """Set variables of a kind as `put` does; the sentences of what is refused."""
         refused, quickly, faults = [], self._quick, self.faults
+        plain = kind == "real" and not faults and self.phase != TERMINATED
         for reference, value in zip(references, values, strict=True):
-            quick = quickly.get(reference)
-            if quick is not None and quick[1] <= value <= quick[2] and not faults:
+            quick = quickly.get(reference) if plain else None
+            if quick is not None and quick[1] <= value <= quick[2]:
                 quick[0](value)
-            elif text := self.put(reference, value):
+            elif text := self.put(reference, value, kind):
                 refused.append(text)
+                plain = False
         return refused
 
     def _refused(self, variable: Variable, value: Any) -> str:
@@ -189,18 +257,36 @@ class Core:
                 return f"{variable.name} = {one:g}: {limits}"
         return ""
 
+    def _check_phase(self, what: str, *allowed: str) -> None:
+        if self.phase not in allowed:
+            raise ValueError(f"{what} is allowed {allowed[-1]} only, not {self.phase}")
+
+    def begin(self, start: float | None = None) -> None:
+        """Begin initialization at a time (s), by default at the present one; a `ValueError` says what forbids it."""
+        self._check_phase("to begin initialization", INSTANTIATED)
+        start = self.time if start is None else start
+        if not math.isfinite(start):
+            raise ValueError(f"the start time is {start:g} s: it must be finite")
+        self.time, self.phase = start, INITIALIZING
+
     def start(self) -> None:
         """Settle at the initial inputs, without history; a `ValueError` says what forbids it."""
+        self._check_phase("to end initialization", INITIALIZING)
         if self.faults:
             raise ValueError("; ".join(self.faults.values()))
         self.model.check()
         self.model.forget_history()
         self.model.advance()
+        self.phase = STEPPING
 
     def step(self, time: float, step: float) -> str:
         """Make a step; why it is refused, else an empty answer. A refused step leaves all as it was."""
+        if self.phase != STEPPING:
+            return f"a step is allowed {STEPPING} only, not {self.phase}"
         if self.faults:
             return "no step before this is set right: " + "; ".join(self.faults.values())
+        if not math.isfinite(time):
+            return f"a step from the time {time:g} s over {step:g} s: both must be finite"
         try:
             self.model.advance(step)
         except StepError as problem:
@@ -208,16 +294,22 @@ class Core:
         self.time = time + step
         return ""
 
+    def end(self) -> None:
+        """Terminate; a `ValueError` says what forbids it."""
+        self._check_phase("to terminate", STEPPING)
+        self.phase = TERMINATED
+
     def state(self) -> dict[str, Any]:
         """Return the state, of plain values."""
-        return {"drive": self._hash.hex(), "time": self.time, "model": self.model.state()}
+        phase = STEPPING if self.phase == TERMINATED else self.phase
+        return {"drive": self._hash.hex(), "time": self.time, "phase": phase, "model": self.model.state()}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Return to a state; a `ValueError` refuses one of another FMU."""
         if state["drive"] != self._hash.hex():
             raise ValueError("this state belongs to another drive: it was taken from an FMU with other resources")
         self.model.restore(state["model"])
-        self.time = state["time"]
+        self.time, self.phase = state["time"], state["phase"]
         self.faults.clear()
 
 

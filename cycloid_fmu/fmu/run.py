@@ -189,7 +189,7 @@ def open_fmu(path: str | os.PathLike[str], inputs: Iterable[str] = (), outputs: 
         try:
             slave.instantiate(loggingOn=True, **logging)
         except Exception as problem:  # fmpy has no class for it
-            why = said[-1] if said else str(problem)
+            why = re.sub(r"^\w+\((['\"])(.*)\1\)$", r"\2", said[-1]) if said else str(problem)  # of Python's exceptions
             raise edge.InputError(f"{path}: this FMU can't be instantiated: {why.rstrip('.')}.") from None
         yield Fmu(path, description, slave, said)
         slave.terminate()

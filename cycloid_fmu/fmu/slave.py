@@ -65,11 +65,27 @@ class DriveSlave:
     def _open(self, resources: str, library: str) -> None:
         _release_at_exit(Path(resources).parent / "binaries" / library)
         self.core = Core(Path(resources), self.fmi_version)
-        self._getters, self._put_all = self.core.getters, self.core.put_all
+        self._getters = {i: get for i, get in self.core.getters.items() if self.core.table[i].kind == "real"}
+        self._put_all = self.core.put_all
 
     def _refuse(self, message: str) -> None:
         """Log a message of something refused."""
         raise NotImplementedError
+
+    @kept_alive
+    def setup_experiment(self, start_time: float, *_: float | None) -> None:
+        """Keep the time at which initialization begins."""
+        self.core.time = start_time
+
+    @kept_alive
+    def enter_initialization_mode(self) -> None:
+        """Begin initialization."""
+        self.core.begin()
+
+    @kept_alive
+    def terminate(self) -> None:
+        """Terminate."""
+        self.core.end()
 
     @kept_alive
     def exit_initialization_mode(self) -> None:
@@ -148,11 +164,11 @@ class DriveSlave2(DriveSlave, Fmi2Slave):  # type: ignore[misc]
         getters = self._getters
         try:
             return [getters[v]() for v in vrs]
-        except Exception:
+        except Exception as problem:
             keep_alive(self)
+            if isinstance(problem, KeyError):
+                self.core.values(vrs, "real")
             raise
-
-    get_integer = get_boolean = get_real
 
     def set_real(self, vrs: Sequence[int], values: Sequence[float]) -> None:
         """Set values by reference."""
@@ -163,7 +179,27 @@ class DriveSlave2(DriveSlave, Fmi2Slave):  # type: ignore[misc]
             keep_alive(self)
             raise
 
-    set_integer = set_boolean = set_real
+    @kept_alive
+    def get_integer(self, vrs: Sequence[int]) -> list[int]:
+        """Return values by reference."""
+        return self.core.values(vrs, "integer")
+
+    @kept_alive
+    def get_boolean(self, vrs: Sequence[int]) -> list[bool]:
+        """Return values by reference."""
+        return self.core.values(vrs, "boolean")
+
+    @kept_alive
+    def set_integer(self, vrs: Sequence[int], values: Sequence[int]) -> None:
+        """Set values by reference."""
+        for refused in self._put_all(vrs, values, "integer"):
+            self._refuse(refused)
+
+    @kept_alive
+    def set_boolean(self, vrs: Sequence[int], values: Sequence[bool]) -> None:
+        """Set values by reference."""
+        for refused in self._put_all(vrs, values, "boolean"):
+            self._refuse(refused)
 
     def to_xml(self, model_options: dict[str, str] | None = None) -> Element:
         """Return the model description."""

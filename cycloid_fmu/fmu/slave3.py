@@ -12,6 +12,7 @@ from pythonfmu3.enums import Fmi3Status
 
 from cycloid_fmu import __version__
 from cycloid_fmu.fmu.slave import DESCRIPTION, DriveSlave, kept_alive
+from cycloid_fmu.fmu.variables import Kind
 
 
 class DriveSlave3(DriveSlave, Fmi3Slave):  # type: ignore[misc]
@@ -25,7 +26,6 @@ class DriveSlave3(DriveSlave, Fmi3Slave):  # type: ignore[misc]
         self._open(self.resources, "x86_64-linux/CycloidDrive.so")
         step = self.core.interface.step
         self.default_experiment = DefaultExperiment(start_time=0.0, stop_time=1.0, step_size=step)
-        self._sizes = {reference: math.prod(v.dimensions) for reference, v in self.core.table.items()}
 
     def _refuse(self, message: str) -> None:
         self.log(message, Fmi3Status.error)
@@ -41,13 +41,23 @@ class DriveSlave3(DriveSlave, Fmi3Slave):  # type: ignore[misc]
     @kept_alive
     def get_float64(self, vrs: Sequence[int]) -> list[float]:
         """Return values by reference, those of arrays row by row."""
-        found: list[float] = []
-        for v in vrs:
-            value = self._getters[v]()
+        return self._flat(vrs, "real")
+
+    @kept_alive
+    def get_int32(self, vrs: Sequence[int]) -> list[int]:
+        """Return values by reference."""
+        return self._flat(vrs, "integer")
+
+    @kept_alive
+    def get_boolean(self, vrs: Sequence[int]) -> list[bool]:
+        """Return values by reference."""
+        return self._flat(vrs, "boolean")
+
+    def _flat(self, vrs: Sequence[int], kind: Kind) -> list[Any]:
+        found: list[Any] = []
+        for value in self.core.values(vrs, kind):
             found += value if isinstance(value, list) else (value,)
         return found
-
-    get_int32 = get_boolean = get_float64
 
     @kept_alive
     def set_float64(self, vrs: Sequence[int], values: Sequence[Any]) -> None:
@@ -55,13 +65,24 @@ class DriveSlave3(DriveSlave, Fmi3Slave):  # type: ignore[misc]
         given: list[Any] = []
         first = 0
         for v in vrs:
-            last = first + (self._sizes[v])
+            last = first + math.prod(self.core.of_kind(v, "real").dimensions)
             given.append(values[first:last] if self.core.table[v].dimensions else values[first])
             first = last
-        for refused in self._put_all(vrs, given):
-            self._refuse(refused)
+        self._put(vrs, given, "real")
 
-    set_int32 = set_boolean = set_float64
+    @kept_alive
+    def set_int32(self, vrs: Sequence[int], values: Sequence[int]) -> None:
+        """Set values by reference."""
+        self._put(vrs, values, "integer")
+
+    @kept_alive
+    def set_boolean(self, vrs: Sequence[int], values: Sequence[bool]) -> None:
+        """Set values by reference."""
+        self._put(vrs, values, "boolean")
+
+    def _put(self, vrs: Sequence[int], values: Sequence[Any], kind: Kind) -> None:
+        for refused in self._put_all(vrs, values, kind):
+            self._refuse(refused)
 
     def to_xml(self, model_options: dict[str, str] | None = None) -> Element:
         """Return the model description."""

@@ -23,6 +23,7 @@ from cycloid_fmu.surfaces.structured import structured_value
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
 InterfaceKind = Literal["kinematic", "compliant"]
+Kind = Literal["real", "integer", "boolean"]
 INTERFACES: tuple[InterfaceKind, ...] = ("kinematic", "compliant")
 ORDERS = (1, 2, 3)
 LossRow = tuple[float, float, float, float, float]
@@ -162,7 +163,7 @@ class Variable:
     start: float | tuple[float, ...] | None = None
     depends: tuple[str, ...] = ()
     initially: tuple[str, ...] = ()
-    kind: Literal["real", "integer", "boolean"] = "real"
+    kind: Kind = "real"
     dimensions: tuple[int, ...] = ()
     baked: bool = False
     derivative_of: str | None = None
@@ -296,7 +297,7 @@ def _further(interface: Interface) -> list[Variable]:
 def _told(pair: Pair, placed: tuple[str, ...], ratio: float) -> list[Variable]:
     """What a model around the drive asks of it."""
     found = [
-        Variable("outside_range", "whether a torque is beyond a native FMU's tables, which go on along their tangent",
+        Variable("outside_range", "whether a torque is beyond a native FMU's tables, of no stated accuracy there",
                  "output", "discrete", kind="boolean", depends=placed),
         Variable("ratio", "flange_a.phi/flange_b.phi of the ideal drive", "local", "constant", "1", start=ratio,
                  baked=True),

@@ -27,6 +27,7 @@ from cycloid_fmu.fmu.parts import parts, write_archive
 from cycloid_fmu.fmu.reference_run import reference_files
 from cycloid_fmu.fmu.variables import Interface, InterfaceKind, Variable, exchanged, from_tables, states, variables
 from cycloid_fmu.native import tables
+from cycloid_fmu.native.table_cache import tables_of
 from cycloid_fmu.native.table_file import TABLE, constants_header, named, write
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
@@ -283,9 +284,9 @@ def build_native(
     platforms
         Keys of `PLATFORMS`; all that the FMI version knows where empty.
     largest_torque
-        How far the tables reach, N·m; 2.5 times the rated torque where None. Beyond they go on along the tangent.
+        How far the tables reach, N·m; 2.5 times the rated torque where None. Beyond they have no stated accuracy.
     made
-        Tables of this drive that were made before; they are computed where None.
+        Tables of this drive; where None those that are kept of it (`table_cache`), else they are computed.
     workers, total, progress
         As of `tables.compute`.
     compiled
@@ -310,7 +311,7 @@ def build_native(
     with edge.written_whole(path) as temporary:
         libraries = _binaries(fmi_version, names, compiled)
         if made is None:
-            made = tables.compute(
+            made = tables_of(
                 pair, surface, largest_load=largest_torque, workers=workers, total=total, progress=progress
             )
         kept = from_tables(variables(pair, surface, interface, fmi_version, ratio_of(pair, first_stage)))

@@ -1,8 +1,9 @@
 """What the C of a native FMU and this package share: the file of tables, and the numbers of `constants.h`.
 
-The file, little endian: magic, version and CRC-32 of the rest; then the FMU's token, interface and variables; ratio,
-period, what stands before the drive, torques; and of each direction and load the deviation, its derivative by the load,
-the square of the largest pressure (each in whole steps) and the contact count.
+The file, little endian: magic, version, size of the rest and two sums of its words; then the FMU's token, interface and
+variables; ratio, period, what stands before the drive, torques; and of each direction, crank angle and load the
+deviation, its derivative by the load, the square of the largest pressure (each in whole steps of 16 bits) and the
+contact count. C uses them where they lie, once the deviation's differences from angle to angle are summed.
 """
 
 from __future__ import annotations
@@ -12,8 +13,7 @@ import inspect
 import math
 import re
 import struct
-import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sized
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from cycloid_fmu.native.tables import Tables
 from cycloid_fmu.reducer.first_stage import FirstStage
 
 TABLE = "drive.table"  # in an FMU's resources
-HEAD = struct.Struct("<8sII")
+HEAD = struct.Struct("<8sIIQQ")
 _MAGIC = "cycltab\n"
 _KINDS = ("real", "integer", "boolean")
 _CAUSALITIES = ("input", "output", "parameter", "independent", "local")
@@ -89,10 +89,10 @@ def write(
     Raises
     ------
     ValueError
-        If neighbouring values differ by more steps than 16 bits count.
+        If values lie further apart than 16 bits count steps.
     """
     offered = 0 if interface.kind == "kinematic" else 1 if interface.output_inertia == 0.0 else 2
-    body = bytearray(_text(token) + struct.pack("<II", offered, len(variables)))
+    body = bytearray(struct.pack("<II", offered, len(variables)))
     for v in variables.values():
         limits = (-math.inf if v.least is None else v.least, math.inf if v.most is None else v.most)
         body += _text(v.name) + struct.pack(
@@ -102,24 +102,48 @@ def write(
     sides = (tables.positive, tables.negative)
     rest = tables.rest_torque if tables.rest_torque.any() else np.empty(0)
     stage = (0.0, 0.0, 0.0, 0.0) if first_stage is None else dataclasses.astuple(first_stage)[:4]
-    counts = [count for s in sides for count in (s.load.size, s.told_load.size)]
+    counts = [count for s in sides for count in (s.load.size + 1, s.told_load.size)]
     body += struct.pack("<7d", tables.ratio, tables.period, tables.allowed, *stage)
     body += struct.pack("<7I", tables.rest_torque.size, tables.positive.pressure.shape[1], rest.size, *counts)
+    body += _padding(body)
     for side in sides:
-        body += side.load.astype("<f8").tobytes() + side.told_load.astype("<f8").tobytes()
-        for values, step in zip((side.deviation, side.compliance, side.pressure), side.steps, strict=True):
-            body += _steps(values, step)
-        body += side.contact_count.astype("u1").tobytes()
-    return _headed(bytes(body + rest.astype("<f8").tobytes()))
+        far, far_deviation, far_compliance = side.far
+        steps = [np.append(s, s[-1]) for s in side.steps[:2]]
+        deviation = np.vstack([side.deviation, far_deviation])
+        base = np.round(0.5 * (deviation.min(axis=1) + deviation.max(axis=1)) / steps[0]) * steps[0]
+        for numbers in (np.append(side.load, far), side.told_load, base, *steps, side.steps[2]):
+            body += numbers.astype("<f8").tobytes()
+        whole = np.round((deviation - base[:, None]) / steps[0][:, None])
+        if not np.abs(whole).max() < 32768.0:
+            raise ValueError("the accuracy is finer than a file of tables can store")
+        # Of differences from angle to angle the ZIP makes half of what it makes of the numbers themselves.
+        body += _words(np.diff(whole, axis=1, prepend=0.0) % 65536.0)
+        body += _words(np.round(np.vstack([side.compliance, far_compliance]) / steps[1][:, None]))
+        body += _words(np.round(side.pressure / side.steps[2][:, None]))
+        body += side.contact_count.T.astype("u1").tobytes()
+        body += _padding(body)
+    return sealed(bytes(body + rest.astype("<f8").tobytes() + _last(token)))
 
 
 def named(file: bytes, token: str) -> bytes:
     """Return a file written without a token with one."""
-    return _headed(_text(token) + file[HEAD.size + len(_text("")) :])
+    return sealed(file[HEAD.size : -len(_last(""))] + _last(token))
 
 
-def _headed(body: bytes) -> bytes:
-    return HEAD.pack(_MAGIC.encode(), constants.TABLE_VERSION, zlib.crc32(body)) + body
+def _padding(body: Sized) -> bytes:
+    """Return what makes a whole number of 8 bytes."""
+    return bytes(-len(body) % 8)
+
+
+def _last(token: str) -> bytes:
+    return _text(token) + _padding(_text(token))
+
+
+def sealed(body: bytes) -> bytes:
+    """Return what a file holds behind its head, of a whole number of words, with the head."""
+    words = np.frombuffer(body, "<u4").astype(np.uint64)
+    sums = int(words.sum()), int(np.cumsum(words).sum())
+    return HEAD.pack(_MAGIC.encode(), constants.TABLE_VERSION, len(body), *sums) + body
 
 
 def _text(text: str) -> bytes:
@@ -137,13 +161,8 @@ def _field(variable: Variable) -> int:
     return -1 if variable.baked else _FIELDS.index(name)
 
 
-def _steps(values: NDArray[np.float64], step: NDArray[np.float64]) -> bytes:
-    """Return values, shape (loads, angles), in whole steps: the steps, the first of each load, then the differences.
-
-    Of differences from angle to angle the ZIP makes a third of what it makes of the numbers themselves.
-    """
-    whole = np.round(values / step[:, None])
-    changes = np.diff(whole, axis=1, prepend=whole[:, :1])
-    if np.abs(changes).max() >= 1 << 15:
+def _words(whole: NDArray[np.float64]) -> bytes:
+    """Return whole numbers, shape (loads, angles), as 16 bits without a sign, the loads of an angle side by side."""
+    if whole.min() < 0.0 or whole.max() >= 65536.0:
         raise ValueError("the accuracy is finer than a file of tables can store")
-    return bytes(step.astype("<f8").tobytes() + whole[:, 0].astype("<f8").tobytes() + changes.astype("<i2").tobytes())
+    return np.ascontiguousarray(whole.T).astype("<u2").tobytes()

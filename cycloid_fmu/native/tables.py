@@ -12,6 +12,7 @@ own error, and no path makes or loses energy. Between the two sides at zero torq
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import heapq
 import itertools
@@ -26,7 +27,8 @@ from scipy import ndimage
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact.transmission import drive_of, slices_needed, solve
-from cycloid_fmu.fmu.constants import LARGEST_LOAD, MOST_LOADS
+from cycloid_fmu.edge import InputError
+from cycloid_fmu.fmu.constants import LARGEST_LOAD, LEAST_COMPLIANCE, MOST_LOADS
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.surface import ErrorSurface, alike
 
@@ -35,19 +37,29 @@ Array32 = NDArray[np.float32]
 
 ACCURACY = 0.02 / 3600 * math.pi / 180  # rad: what the deviation may err
 RANGE_SHARE = 1e-3  # of the transmission error's range over the crank angle, where that is more
+# Where a pin begins to carry, stiffness and speed all but jump, and no grid follows a jump: what they may err is said
+# of most states, and of all in the mean of squares.
+STIFFNESS_SHARE = 0.02  # of itself: what the stiffness may err in `MOST_STATES`
+SPEED_SHARE = 0.2  # of its own: rms that the ripple of the output's speed may err by
+MOST_STATES = 0.95
+TOLD_FROM = 0.01  # of the largest torque: where these hold, and what is told of them
+_MOST_VALUES = 7_000_000  # deviations and compliances that finer stiffness and speed may make: 14 MB
 _SAMPLES = (16, 128, 1024)  # crank angles a mesh pitch: the fewest, doubled to the most of any drive and of few pitches
 _MOST_ANGLES = 200_000  # in all, of more than 128 a mesh pitch
-_SHARE = 1.1  # of the allowed error that a cell between loads may have in its middle
+_SHARE = 0.7  # of the allowed error that a cell between loads may have in its middle
 _NEIGHBOURS, _REACHES = 5, (1.0, 0.5, 0.25)  # places drawn around each of the worst probes, and how far: cells
+_BLAMED = 2 / 3  # of what stiffness and speed err: the cells that make so much of it are halved
 _WORST = 200  # probes that tell whether loads or crank angles are too few
 _DIRECTIONS = (1.0, -1.0)
 _SPREAD = 1000  # random crank angles at which the loads are chosen
 _FIRST_SLOPE = 0.125  # of the first torque: where the slope at zero load is taken, which Hertz's logarithm has infinite
 # Contact count and pressure are told, nothing follows from them: their crank angles are the fewest of a mesh pitch.
-_TOLD_LOADS = 32  # at most
-_PRESSURE_STEP = 4e-3  # of the largest pressure's square
-_STEPS = 4  # of the stored deviation, and of what a stored compliance adds to it, in what it may err
-_COMPLIANCE_SHARE = 0.04  # largest step of the stored compliance, of its mean
+_TOLD_LOADS = 24  # at most
+_PRESSURE_STEP = 2.5e-3  # of the largest pressure's square
+_FAR = (4.0, 2.0, 1.2)  # times the last load: the first at which contacts can balance it ends the cell beyond
+_STEPS = 16  # of the stored deviation, and of what a stored compliance adds to it, in what it may err
+_COMPLIANCE_SHARE = 0.005  # largest step of the stored compliance, of its mean
+_MOST_STEPS = 65000  # of any channel, in 16 bits
 PROBES = 20000  # random crank angles and torques at which the finished tables are held against the model
 
 
@@ -71,6 +83,9 @@ class Side:
         force, so nearly linear in the load.
     steps
         What deviation, compliance and pressure of each load are whole multiples of.
+    far
+        Load beyond the last, N·m, and coefficients of the deviation and of the compliance there, each of shape
+        (angles,): between lies a last cell, of no stated accuracy, and beyond it all goes on along the tangent.
     """
 
     load: Array
@@ -80,6 +95,50 @@ class Side:
     contact_count: NDArray[np.uint8]
     pressure: Array
     steps: tuple[Array, Array, Array]
+    far: tuple[float, Array, Array]
+
+
+class States(NamedTuple):
+    """What a drive does at crank angles and torques, arrays of one shape; NaN is what an exact model does not say.
+
+    Attributes
+    ----------
+    deviation
+        Of the output from its ideal place, rad.
+    stiffness
+        N·m/rad.
+    rate
+        The deviation's change with the crank angle at constant torque, dφ_b/dθ - 1/ratio.
+    crank_torque
+        N·m.
+    pressure
+        The largest, Pa.
+    """
+
+    deviation: Array
+    stiffness: Array
+    rate: Array
+    crank_torque: Array
+    pressure: Array
+
+
+class Errors(NamedTuple):
+    """What tables err by at random crank angles and torques from `TOLD_FROM` of the largest on.
+
+    Attributes
+    ----------
+    stiffness, pressure
+        Of themselves: what `MOST_STATES` err by at most, and the largest.
+    speed
+        Rms error of the output's speed at constant crank speed and torque, of the rms of its ripple.
+    crank_torque
+        Of torque over ratio: rms, and the largest.
+    """
+
+    stiffness: tuple[float, float]
+    pressure: tuple[float, float]
+    speed: float
+    crank_torque: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -101,6 +160,8 @@ class Tables:
     largest_error
         What the deviation was found to err by at random crank angles and torques, and ever closer around those where
         it errs most, rad.
+    errors
+        What the rest was found to err by, at places that nothing was chosen by.
     """
 
     ratio: float
@@ -110,12 +171,27 @@ class Tables:
     rest_torque: Array
     allowed: float
     largest_error: float = math.nan
+    errors: Errors | None = None
 
     @property
     def told(self) -> str:
         """What an FMU's description says of its tables."""
-        largest = self.largest_error * 648000 / math.pi
-        return f"from tables up to {self.positive.load[-1]:.4g} N.m that err by at most {largest:.3f} arcsec"
+        largest, reach = self.largest_error * 648000 / math.pi, self.positive.load[-1]
+        text = f"from tables up to {reach:.4g} N.m that err by at most {largest:.3f} arcsec"
+        if self.errors is None:
+            return text
+        stiffness, pressure, crank = self.errors.stiffness, self.errors.pressure, self.errors.crank_torque
+        text += (
+            f"; from {TOLD_FROM * reach:.2g} N.m on the stiffness by at most {100 * stiffness[0]:.2g} % in "
+            f"{100 * MOST_STATES:.0f} of 100 states and {100 * stiffness[1]:.2g} % in all, the pressure by "
+            f"{100 * pressure[0]:.2g} % and {100 * pressure[1]:.2g} %"
+        )
+        if math.isnan(self.errors.speed):
+            return text
+        return (
+            f"{text}, the ripple of the output's speed by {100 * self.errors.speed:.2g} % (rms), the crank's torque by "
+            f"{100 * crank[0]:.2g} % (rms) and at most {100 * crank[1]:.2g} %"
+        )
 
 
 def mesh_pitches(pair: Pair, surface: ErrorSurface) -> int:
@@ -172,13 +248,30 @@ def _solved(
 
 
 def _hermite(
-    share: float | Array, width: float | Array, deviation: Sequence[Array] | Array32,
-    compliance: Sequence[Array] | Array32,
+    share: float | Array, width: float | Array, deviation: Sequence[Array] | Array | Array32,
+    compliance: Sequence[Array] | Array | Array32,
 ) -> Array:  # fmt: skip
     """Hermite's interpolation between the values and slopes at both ends of a cell, at a share (0 to 1) of it."""
     s, h = share, width
     value = (1.0 + 2.0 * s) * (1.0 - s) ** 2 * deviation[0] + (3.0 - 2.0 * s) * s * s * deviation[1]
     return np.asarray(value + h * s * (1.0 - s) ** 2 * compliance[0] + h * s * s * (s - 1.0) * compliance[1])
+
+
+def _slope(
+    share: float | Array, width: float | Array, deviation: Array | Array32, compliance: Array | Array32
+) -> Array:
+    """Derivative of Hermite's interpolation by the load."""
+    u, v = share, 1.0 - share
+    slopes = v * (1.0 - 3.0 * u) * compliance[0] + u * (3.0 * u - 2.0) * compliance[1]
+    return np.asarray(6.0 * u * v * (deviation[1] - deviation[0]) / width + slopes)
+
+
+def _integral(share: float | Array, width: float | Array, deviation: Array, compliance: Array) -> Array:
+    """Hermite's interpolation integrated over the load, from a cell's beginning to a share of it."""
+    s, h = share, width
+    value = (s - s**3 + 0.5 * s**4) * deviation[0] + (s**3 - 0.5 * s**4) * deviation[1]
+    slopes = (0.5 * s**2 - 2.0 / 3.0 * s**3 + 0.25 * s**4) * compliance[0] + (0.25 * s**4 - s**3 / 3.0) * compliance[1]
+    return np.asarray(h * (value + h * slopes))
 
 
 def _middle(low: float, high: float) -> float:
@@ -206,7 +299,7 @@ def _chosen_loads(
     known = {load: at(load, loads[1]) for load in loads}
     cells = [halved(low, high) for low, high in itertools.pairwise(loads)]
     heapq.heapify(cells)
-    while -cells[0][0] > allowed and len(loads) < MOST_LOADS:
+    while -cells[0][0] > allowed and len(loads) < MOST_LOADS - 1:  # and one beyond
         _, low, middle, high = heapq.heappop(cells)
         loads.append(middle)
         if low == 0.0:
@@ -237,28 +330,45 @@ def _coefficients(values: Array | Array32) -> Array:
     return np.asarray(ndimage.spline_filter1d(values, order=3, axis=-1, mode="grid-wrap"))
 
 
-def _side(loads: Array, exact: _Solved, allowed: float, told: int) -> Side:
+def _side(loads: Array, exact: _Solved, far: tuple[float, _Solved], step: float, told: int) -> Side:
     """Turn nodes into coefficients that are monotone in the load for every crank angle, rounded as they are stored.
 
     Where the coefficients satisfy Fritsch and Carlson's condition (SIAM J. Numer. Anal. 17 (1980) 238), every spline
-    between them does, for a B-spline's weights are positive. Count and pressure are kept at every `told`th node.
+    between them does, for a B-spline's weights are positive. Count and pressure are kept at every `told`th node. Both
+    directions have one step of the deviation.
     """
     some = np.unique(np.round(np.linspace(0, loads.size - 1, _TOLD_LOADS)).astype(int))
     square, count = exact.pressure[some, ::told], exact.contact_count[some, ::told]
     h = np.diff(loads)
     widest = np.maximum(np.append(h[:1], h), np.append(h, h[-1:]))
     steps = (
-        np.full(loads.size, allowed / _STEPS),
-        np.minimum(4.0 * allowed / _STEPS / widest, _COMPLIANCE_SHARE * np.abs(exact.compliance).mean(axis=1)),
+        np.full(loads.size, step),
+        np.maximum(
+            np.minimum(4.0 * step / widest, _COMPLIANCE_SHARE * np.abs(exact.compliance).mean(axis=1)),
+            2.0 * exact.compliance.max(axis=1) / _MOST_STEPS,  # a spline swings beyond its values
+        ),
         _PRESSURE_STEP * np.maximum(square.max(axis=1), 1.0),
-    )  # fmt: skip
+    )
     fine, c_fine, p_fine = (s[:, None] for s in steps)
     x = np.maximum.accumulate(np.round(_coefficients(exact.deviation) / fine), axis=0) * fine
     slope = np.diff(x, axis=0) / h[:, None]
     most = 3.0 * np.minimum(np.vstack([slope[:1], slope]), np.vstack([slope, slope[-1:]]))
-    c = np.floor(np.minimum(np.maximum(_coefficients(exact.compliance), 0.0), most) / c_fine) * c_fine
+    c = np.minimum(np.maximum(_coefficients(exact.compliance), 0.0), most)
+    c = np.minimum(np.floor(c / c_fine), _MOST_STEPS) * c_fine
     p = np.maximum(np.round(_coefficients(square) / p_fine), 0.0) * p_fine
-    return Side(loads, x, c, loads[some], count.astype(np.uint8), p, steps)
+    return Side(loads, x, c, loads[some], count.astype(np.uint8), p, steps, _far_end(loads[-1], x[-1], c[-1], *far))
+
+
+def _far_end(
+    last: float, deviation: Array, compliance: Array, load: float, exact: _Solved
+) -> tuple[float, Array, Array]:
+    """Return the end of the cell beyond the last load, its tangent one for all crank angles: none changes beyond it.
+
+    What a tangent changes with the angle makes a crank torque that grows with the square of what is beyond.
+    """
+    x = np.maximum(_coefficients(exact.deviation[0]), deviation + compliance * (load - last) / 3.0)
+    c = min(float(exact.compliance.mean()), 3.0 * float((x - deviation).min()) / (load - last))
+    return load, x, np.full(x.shape, max(c, 0.0))
 
 
 def _rest_torque(pair: Pair, surface: ErrorSurface, angles: Array) -> Array:
@@ -296,7 +406,8 @@ def compute(
     pair, surface
         The nominal pair and its errors.
     accuracy
-        What the deviation may err, rad; or `RANGE_SHARE` of its range over the crank angle, where that is more.
+        What the deviation may err, rad; or `RANGE_SHARE` of its range over the crank angle, where that is more. What
+        stiffness and speed may err, `STIFFNESS_SHARE` and `SPEED_SHARE`, is in proportion.
     largest_load
         Largest |torque|, N·m; 2.5 times the rated torque where None.
     workers
@@ -329,52 +440,89 @@ def compute(
     def solved(direction: float, at: Array, crank_angle: Array) -> _Solved:
         return _solved(pair, surface, direction, at, crank_angle, workers, progress)
 
+    def closer() -> None:
+        """Put crank angles midway."""
+        nonlocal samples, angles
+        samples *= 2
+        angles = np.arange(pitches * samples, dtype=float) * (pitch / samples)
+        total(angles[1::2].size * sum(n.size for n in loads))
+        for k, direction in enumerate(_DIRECTIONS):
+            exact[k] = _with_angles(exact[k], solved(direction, loads[k], angles[1::2]))
+            far[k] = far[k][0], _with_angles(far[k][1], solved(direction, np.array([far[k][0]]), angles[1::2]))
+
+    def with_more(further: Sequence[Array]) -> None:
+        """Put loads between."""
+        total(angles.size * sum(n.size for n in further))
+        for k, direction in enumerate(_DIRECTIONS):
+            if further[k].size:
+                # The slope at zero load is taken on the way to the first load.
+                anew = int(further[k][0] < loads[k][1])
+                more = np.append(loads[k][:anew], further[k])
+                kept = _Solved(*(channel[anew:] for channel in exact[k]))
+                exact[k] = _with_loads(kept, loads[k][anew:], solved(direction, more, angles), more)
+                loads[k] = np.union1d(loads[k], more)
+
+    def random_places(seed: int) -> _Probed:
+        return _probed(pair, surface, *_places(period, largest_load, PROBES, seed))
+
     exact = [solved(d, n, angles) for d, n in zip(_DIRECTIONS, loads, strict=True)]
-    probed, drawn = _Probed(np.empty(0), np.empty(0), np.empty(0)), 0
+    far = [_far(pair, surface, d, n[-1], angles, one) for d, n, one in zip(_DIRECTIONS, loads, exact, strict=True)]
+    drawn = 1
+    chosen = random_places(drawn)
+    tables = _assembled(pair, surface, period, loads, exact, angles, allowed, far)
+    probed = _around_the_worst(tables, pair, surface, chosen, pitch / samples, drawn)
     while True:
-        tables = _assembled(pair, surface, period, loads, exact, angles, allowed)
-        off = _off(tables, probed)
-        if off.size == 0 or np.abs(off).max() <= allowed:
+        off = np.abs(_off(tables, probed))
+        coarse = off.max() > allowed
+        room = _MOST_VALUES // (2 * angles.size) - sum(n.size for n in loads)
+        further, by_angle = (
+            _missing_loads(pair, surface, loads, probed, off, allowed)
+            if coarse
+            else _missing_elsewhere(pair, surface, tables, chosen, room, accuracy / ACCURACY)
+        )
+        enough = max(a.size + b.size for a, b in zip(loads, further, strict=True)) >= MOST_LOADS
+        if by_angle and 2 * samples <= most and (coarse or room >= sum(n.size for n in loads)):
+            closer()
+        elif any(n.size for n in further) and not enough:
+            with_more(further)
+        else:
             # Held against places that nothing was chosen by; where they find more, they are chosen by too.
             drawn += 1
-            fresh = _probed(pair, surface, *_places(period, largest_load, PROBES, drawn))
-            probed = _together(probed, _around_the_worst(tables, pair, surface, fresh, pitch / samples, drawn))
-            off = _off(tables, probed)
-            if np.abs(off).max() <= allowed:
+            fresh = random_places(drawn)
+            near = _around_the_worst(tables, pair, surface, fresh, pitch / samples, drawn)
+            probed = _together(probed, near)
+            if coarse or np.abs(_off(tables, near)).max() <= allowed:
                 break
-        further, by_angle = _missing_loads(pair, surface, loads, probed, off, allowed)
-        if by_angle and 2 * samples <= most:
-            samples *= 2
-            angles = np.arange(pitches * samples, dtype=float) * (pitch / samples)
-            total(angles[1::2].size * sum(n.size for n in loads))
-            exact = [
-                _with_angles(one, solved(d, n, angles[1::2]))
-                for one, d, n in zip(exact, _DIRECTIONS, loads, strict=True)
-            ]
-        elif (
-            any(n.size for n in further)
-            and max(a.size + b.size for a, b in zip(loads, further, strict=True)) <= MOST_LOADS
-        ):
-            total(angles.size * sum(n.size for n in further))
-            for k, direction in enumerate(_DIRECTIONS):
-                if further[k].size:
-                    # The slope at zero load is taken on the way to the first load.
-                    anew = int(further[k][0] < loads[k][1])
-                    more = np.append(loads[k][:anew], further[k])
-                    kept = _Solved(*(channel[anew:] for channel in exact[k]))
-                    exact[k] = _with_loads(kept, loads[k][anew:], solved(direction, more, angles), more)
-                    loads[k] = np.union1d(loads[k], more)
-        else:
-            break
-    return dataclasses.replace(tables, largest_error=float(np.abs(off).max()))
+            continue
+        tables = _assembled(pair, surface, period, loads, exact, angles, allowed, far)
+    found = interpolated(tables, fresh.crank_angle, fresh.torque)
+    return dataclasses.replace(
+        tables,
+        largest_error=float(np.abs(_off(tables, probed)).max()),
+        errors=errors_of(tables, found, fresh.exact, fresh.torque),
+    )
+
+
+def _far(
+    pair: Pair, surface: ErrorSurface, direction: float, last: float, angles: Array, exact: _Solved
+) -> tuple[float, _Solved]:
+    """Solve the model at a load far beyond the last."""
+    for times in _FAR:
+        with contextlib.suppress(InputError):  # contacts can't balance every load
+            return times * last, _solved(pair, surface, direction, np.array([times * last]), angles)
+    end = _Solved(*(channel[-1:] for channel in exact))
+    beyond = (_FAR[-1] - 1.0) * last
+    return _FAR[-1] * last, end._replace(deviation=end.deviation + np.float32(beyond) * end.compliance)
 
 
 def _assembled(
     pair: Pair, surface: ErrorSurface, period: float, loads: Sequence[Array], exact: Sequence[_Solved], angles: Array,
-    allowed: float,
+    allowed: float, far: Sequence[tuple[float, _Solved]],
 ) -> Tables:  # fmt: skip
     told = angles.size // (mesh_pitches(pair, surface) * _SAMPLES[0])
-    made = [_side(n, one, allowed, told) for n, one in zip(loads, exact, strict=True)]
+    spread = max(float(np.ptp(one.deviation, axis=1).max()) for one in exact)
+    step = max(allowed / _STEPS, 1.2 * spread / _MOST_STEPS)
+    made = [_side(n, one, f, step, told) for n, one, f in zip(loads, exact, far, strict=True)]
     rest = _coefficients(_rest_torque(pair, surface, angles))
     rest_step = _rest_step(rest)
     # Where there is hardly any play the splines of its two ends must not cross.
@@ -386,13 +534,13 @@ def _assembled(
 def _missing_loads(
     pair: Pair, surface: ErrorSurface, loads: Sequence[Array], probed: _Probed, off: Array, allowed: float
 ) -> tuple[list[Array], bool]:
-    """Return the middles of the cells that are too wide for what tables err by, and whether angles are too wide too.
+    """Return the middles of the cells that are too wide for what tables err by, and whether rather angles are too wide.
 
     Where exact nodes at the probe's own crank angle err by half as much, the load's cell is to blame.
     """
     worst = np.argsort(-np.abs(off))[: min(int(np.sum(np.abs(off) > allowed)), _WORST)]
     further: list[set[float]] = [set() for _ in loads]
-    by_angle = False
+    by_angle = 0
     for i in worst:
         side = int(probed.torque[i] < 0.0)
         direction, load = _DIRECTIONS[side], abs(float(probed.torque[i]))
@@ -400,57 +548,145 @@ def _missing_loads(
         low, high = (float(n) for n in loads[side][j : j + 2])
         ends = _solved(pair, surface, direction, np.array([low, high]), probed.crank_angle[i : i + 1])
         found = float(_hermite((load - low) / (high - low), high - low, ends.deviation, ends.compliance)[0])
-        if abs(found - direction * probed.exact[i]) > 0.5 * abs(off[i]):
+        if abs(found - direction * probed.exact.deviation[i]) > 0.5 * abs(off[i]):
             further[side].add(_middle(low, high))
         else:
-            by_angle = True
-    return [np.array(sorted(middles)) for middles in further], by_angle
+            by_angle += 1
+    return [np.array(sorted(middles)) for middles in further], 2 * by_angle > worst.size
 
 
-def deviation(tables: Tables, crank_angle: ArrayLike, torque: ArrayLike) -> Array:
-    """Interpolate the deviation as the native FMU does, in single precision as that keeps it.
+def _missing_elsewhere(
+    pair: Pair, surface: ErrorSurface, tables: Tables, probed: _Probed, room: int, looser: float
+) -> tuple[list[Array], bool]:
+    """Return the middles of the cells, of no more than there is room for, that make stiffness and speed err most.
+
+    None where both are within `looser` times what they may err; and whether angles are too wide for the stiffness.
+    """
+    theta, torque, e = probed
+    f = interpolated(tables, theta, torque)
+    told = np.abs(torque) >= TOLD_FROM * tables.positive.load[-1]
+    allowed = looser * STIFFNESS_SHARE
+    stiff = told & (np.abs(f.stiffness / e.stiffness - 1.0) > allowed)
+    most = looser * SPEED_SHARE * np.sqrt(np.mean(np.square(e.rate[told])))
+    speed = np.where(told & np.isfinite(e.rate), np.square((f.rate - e.rate) / most), 0.0)
+    too_stiff, too_fast = stiff.sum() > (1.0 - MOST_STATES) * told.sum(), speed.sum() > told.sum()
+    blame = too_stiff * stiff / (1.0 - MOST_STATES) + too_fast * speed
+    cells: list[tuple[float, int, float]] = []
+    for k, side in enumerate((tables.positive, tables.negative)):
+        here = torque * _DIRECTIONS[k] > 0.0
+        j, _, _ = _cells(side.load, np.abs(torque[here]))
+        shares = np.bincount(j, blame[here], side.load.size - 1)
+        cells += [(float(shares[i]), k, _middle(*side.load[i : i + 2])) for i in np.flatnonzero(shares)]
+    cells.sort(reverse=True)
+    until = np.searchsorted(np.cumsum([share for share, _, _ in cells]), _BLAMED * blame.sum(), "right") + 1
+    kept = cells[: max(min(int(until), room), 0)]
+    further = [np.array(sorted(middle for _, side, middle in kept if side == k)) for k in range(len(_DIRECTIONS))]
+    some = np.flatnonzero(stiff)[:: max(int(stiff.sum()) // _WORST, 1)] if too_stiff else np.empty(0, dtype=int)
+    by_load = sum(_blames_load(pair, surface, tables, theta[i], torque[i], e.stiffness[i], allowed) for i in some)
+    return further, bool(2 * by_load < some.size)
+
+
+def _blames_load(
+    pair: Pair, surface: ErrorSurface, tables: Tables, theta: float, torque: float, stiffness: float, allowed: float
+) -> bool:
+    """Whether exact nodes at a probe's own crank angle err by more than is allowed too."""
+    side, direction = (tables.positive, 1.0) if torque > 0.0 else (tables.negative, -1.0)
+    (j,), (u,), (h,) = _cells(side.load, np.array([abs(torque)]))
+    ends = _solved(pair, surface, direction, side.load[j : j + 2], np.array([theta]))
+    x, c = ends.deviation[:, 0], ends.compliance[:, 0]
+    return bool(abs(stiffness * _slope(u, h, x, c) - 1.0) > allowed)
+
+
+def interpolated(tables: Tables, crank_angle: ArrayLike, torque: ArrayLike) -> States:
+    """Interpolate as the native FMU does.
 
     Parameters
     ----------
     crank_angle, torque
-        Arrays of one shape, rad and N·m, the torque within the tables and other than 0.
-
-    Returns
-    -------
-    deviation
-        Of the output from its ideal place, rad, of that shape.
+        Of shape (places,), rad and N·m, the torque within the tables and other than 0.
     """
     theta, signed = (np.asarray(v, dtype=float) for v in (crank_angle, torque))
     angles = tables.rest_torque.size
-    at = theta / tables.period % 1.0 * angles
-    first = np.minimum(at.astype(int), angles - 1)
-    s = at - first
-    weights = np.array([(1.0 - s) ** 3, 3.0 * s**3 - 6.0 * s**2 + 4.0, 1.0 + 3.0 * s + 3.0 * s**2 - 3.0 * s**3, s**3])
-    nodes, found = (first + np.arange(-1, 3).reshape(-1, *[1] * theta.ndim)) % angles, np.empty(theta.shape)
+    nodes, weights, rates = _place(tables.period, angles, theta)
+    told, told_weights, _ = _place(tables.period, tables.positive.pressure.shape[1], theta)
+    found = States(*np.empty((len(States._fields), *theta.shape)))
     for side, direction in ((tables.positive, 1.0), (tables.negative, -1.0)):
         here = signed * direction > 0.0
-        load, among, weight = np.abs(signed[here]), nodes[:, here], weights[:, here] / 6.0
-        j = np.clip(np.searchsorted(side.load, load, "right") - 1, 0, side.load.size - 2)
-        width = side.load[j + 1] - side.load[j]
-        ends = (
-            [np.sum(weight * values[row, among].astype(np.float32), axis=0) for row in (j, j + 1)]
-            for values in (side.deviation, side.compliance)
-        )
-        found[here] = direction * _hermite((load - side.load[j]) / width, width, *ends)
+        load, among, weight, by_angle = np.abs(signed[here]), nodes[:, here], weights[:, here], rates[:, here]
+        j, u, h = _cells(side.load, load)
+        x, c = _ends(side, j, weight, among)
+        found.deviation[here] = direction * _hermite(u, h, x, c)
+        found.stiffness[here] = 1.0 / np.maximum(_slope(u, h, x, c), LEAST_COMPLIANCE)
+        x, c = _ends(side, j, by_angle, among)
+        found.rate[here] = direction * _hermite(u, h, x, c)
+        energy_rate = _integral(u, h, x, c)
+        for k in range(side.load.size - 1):  # the whole cells below
+            above = j > k
+            width = float(side.load[k + 1] - side.load[k])
+            energy_rate[above] += _integral(1.0, width, *_ends(side, k, by_angle[:, above], among[:, above]))
+        rest = np.sum(weight * tables.rest_torque[among], axis=0)
+        found.crank_torque[here] = rest - direction * load / tables.ratio - energy_rate
+        j, u, _ = _cells(side.told_load, load)
+        low, high = (np.sum(told_weights[:, here] * side.pressure[row, told[:, here]], axis=0) for row in (j, j + 1))
+        found.pressure[here] = np.sqrt(np.maximum((1.0 - u) * low + u * high, 0.0))
     return found
 
 
+def _place(period: float, angles: int, theta: Array) -> tuple[NDArray[np.int64], Array, Array]:
+    """Nodes of crank angles, shape (4, places), and the weights there of a spline and of its derivative."""
+    at = theta / period % 1.0 * angles
+    first = np.minimum(at.astype(int), angles - 1)
+    s = at - first
+    weights = np.array([(1.0 - s) ** 3, 3.0 * s**3 - 6.0 * s**2 + 4.0, 1.0 + 3.0 * s + 3.0 * s**2 - 3.0 * s**3, s**3])
+    rates = np.array([-((1.0 - s) ** 2), 3.0 * s**2 - 4.0 * s, 1.0 + 2.0 * s - 3.0 * s**2, s**2])
+    return (first + np.arange(-1, 3)[:, None]) % angles, weights / 6.0, 0.5 * angles / period * rates
+
+
+def _ends(side: Side, cell: NDArray[np.int64] | int, weights: Array, nodes: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Deviations and compliances at both ends of cells, or their rates by the crank angle, shape (2, places)."""
+    x, c = (
+        np.array([np.sum(weights * values[row, nodes], axis=0) for row in (cell, cell + 1)])
+        for values in (side.deviation, side.compliance)
+    )
+    return x, c
+
+
+def _cells(loads: Array, load: Array) -> tuple[NDArray[np.int64], Array, Array]:
+    """Cells that loads lie in, at what share of them, and their widths."""
+    j = np.clip(np.searchsorted(loads, load, "right") - 1, 0, loads.size - 2)
+    width = loads[j + 1] - loads[j]
+    return j, (load - loads[j]) / width, width
+
+
+def errors_of(tables: Tables, found: States, exact: States, torque: Array) -> Errors:
+    """Return what tables err by, from what they and the exact model give at torques (N·m)."""
+    told = np.abs(torque) >= TOLD_FROM * tables.positive.load[-1]
+    f, e = (States(*(channel[told] for channel in states)) for states in (found, exact))
+
+    def share(channel: Array, of: Array) -> tuple[float, float]:
+        off = np.abs(channel / of - 1.0)
+        return float(np.quantile(off, MOST_STATES)), float(off.max())
+
+    crank = np.abs(f.crank_torque - e.crank_torque) / np.abs(torque[told] / tables.ratio)
+    return Errors(
+        share(f.stiffness, e.stiffness),
+        share(f.pressure, e.pressure),
+        float(np.sqrt(np.mean((f.rate - e.rate) ** 2) / np.mean(e.rate**2))),
+        (float(np.sqrt(np.mean(crank**2))), float(crank.max())),
+    )
+
+
 def _off(tables: Tables, probed: _Probed) -> Array:
-    """What the tables err by, rad."""
-    return deviation(tables, probed.crank_angle, probed.torque) - probed.exact
+    """What the deviation errs by, rad."""
+    return interpolated(tables, probed.crank_angle, probed.torque).deviation - probed.exact.deviation
 
 
 class _Probed(NamedTuple):
-    """The exact model's deviation (rad) at crank angles and torques, each of shape (probes,)."""
+    """The exact model at crank angles (rad) and torques (N·m), each of shape (probes,)."""
 
     crank_angle: Array
     torque: Array
-    exact: Array
+    exact: States
 
 
 def _places(period: float, largest: float, probes: int, seed: int) -> tuple[Array, Array]:
@@ -479,11 +715,18 @@ def _around_the_worst(
 
 
 def _together(*parts: _Probed) -> _Probed:
-    return _Probed(*(np.concatenate(channel, axis=-1) for channel in zip(*parts, strict=True)))
+    angles, torques, states = zip(*parts, strict=True)
+    exact = States(*(np.concatenate(channel) for channel in zip(*states, strict=True)))
+    return _Probed(np.concatenate(angles), np.concatenate(torques), exact)
 
 
 def _probed(pair: Pair, surface: ErrorSurface, theta: Array, torque: Array) -> _Probed:
     drive = drive_of(pair, surface, slices_needed(surface))
-    rows = contact.contact_rows(drive)
-    exact = [contact.equilibrium(drive, *place, 0.0, rows, True)[0] for place in zip(theta, torque, strict=True)]
-    return _Probed(theta, torque, np.array(exact))
+    rows, force, pressure = contact.contact_rows(drive), *np.empty((2, pair.discs, pair.pins))
+    found = np.empty((len(States._fields), theta.size))
+    for i, (angle, load) in enumerate(zip(theta, torque, strict=True)):
+        x, stiffness = contact.equilibrium(drive, angle, load, 0.0, rows, True)
+        crank_torque, rate = contact.crank_side(drive, angle, x, rows)
+        _, highest = contact.load_sharing(drive, rows, force, pressure)
+        found[:, i] = x, stiffness, rate - 1.0 / pair.ratio, crank_torque, highest
+    return _Probed(theta, torque, States(*found))

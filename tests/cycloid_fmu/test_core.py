@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import re
 import shutil
 import zipfile
 
@@ -11,7 +12,7 @@ import pytest
 from common import CASES
 
 from cycloid_fmu.fmu.build import build_fmu
-from cycloid_fmu.fmu.core import Core, state_from_bytes, state_to_bytes
+from cycloid_fmu.fmu.core import NUMBERS, SUMS, Core, state_from_bytes, state_to_bytes, sums_of
 from cycloid_fmu.fmu.friction_file import Friction
 from cycloid_fmu.fmu.variables import Interface
 from cycloid_fmu.geometry.pair import read_pair
@@ -37,7 +38,7 @@ def resources(tmp_path_factory):
     def unpacked(kind):
         if kind not in made:
             folder = tmp_path_factory.mktemp(kind)
-            build_fmu(ERRORS, folder / "d.fmu", interface=KINDS[kind])
+            build_fmu(ERRORS, folder / "d.fmu", interface=KINDS[kind], fmi_version="3.0")
             with zipfile.ZipFile(folder / "d.fmu") as archive:
                 archive.extractall(folder)
             made[kind] = folder / "resources"
@@ -48,6 +49,7 @@ def resources(tmp_path_factory):
 
 def started(folder):
     core = Core(folder, "3.0")
+    core.begin()
     core.start()
     return core, {v.name: i for i, v in core.table.items()}
 
@@ -163,10 +165,76 @@ def test_states_taken_and_restored_at_random_reproduce_bit_by_bit(resources, kin
             assert state_to_bytes(core.state()) == later
 
 
-def test_an_fmu_of_an_earlier_format_is_refused_with_a_sentence(resources, tmp_path):
-    """Its version may be the installed one's all the same."""
-    shutil.copytree(resources("kinematic"), tmp_path / "resources")
-    numbers = json.loads((tmp_path / "resources" / "pair.json").read_text())
-    (tmp_path / "resources" / "pair.json").write_text(json.dumps({**numbers, "format": 1, "pair": {"pair": {}}}))
-    with pytest.raises(RuntimeError, match="build it again"):
-        Core(tmp_path / "resources", "2.0")
+def copied(folder, tmp_path, **changes):
+    """Resources whose pair.json says otherwise, with checksums that fit."""
+    target = shutil.copytree(folder, tmp_path / "resources")
+    numbers = {**json.loads((target / NUMBERS).read_text()), **changes}
+    (target / NUMBERS).write_text(json.dumps(numbers))
+    names = [line.split("  ")[1] for line in (target / SUMS).read_text().splitlines()]
+    (target / SUMS).write_bytes(sums_of({name: (target / name).read_bytes() for name in names}))
+    return target
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"format": 1}, "built with cycloid-fmu 0.0.1 in format 1, this reads format"),
+        ({"variables": "0123"}, "built with cycloid-fmu 0.0.1, whose variables are others: installed is"),
+    ],
+)
+def test_an_fmu_of_another_format_is_refused_with_a_sentence(resources, tmp_path, changes, said):
+    with pytest.raises(RuntimeError, match=said):
+        Core(copied(resources("kinematic"), tmp_path, package_version="0.0.1", **changes), "3.0")
+
+
+def test_an_fmu_runs_with_any_package_of_its_format(resources, tmp_path):
+    core, v = started(copied(resources("kinematic"), tmp_path, package_version="9.9.9"))
+    core.put(v["flange_b.tau"], 50.0)
+    assert core.step(0.0, 1e-3) == ""
+
+
+@pytest.mark.parametrize("name", ["pair.json", "surface.npz", "surface.nc", "cycloid_drive3.py", "SHA256SUMS"])
+def test_one_flipped_bit_in_the_resources_is_refused_with_the_file_s_name(resources, tmp_path, name):
+    folder = shutil.copytree(resources("kinematic"), tmp_path / "resources")
+    whole = (folder / name).read_bytes()
+    for place in np.random.default_rng(3).integers(len(whole), size=8):
+        damaged = bytearray(whole)
+        damaged[place] ^= 1 << int(place % 8)
+        (folder / name).write_bytes(damaged)
+        with pytest.raises(RuntimeError, match=re.escape(str(folder))):
+            Core(folder, "3.0")
+    (folder / name).write_bytes(whole)
+    Core(folder, "3.0")
+
+
+def test_each_call_has_its_phase(resources):
+    """What FMI's state machine does not allow is refused in a sentence, and all stays as it was."""
+    core = Core(resources("inertia"), "3.0")
+    v = {variable.name: i for i, variable in core.table.items()}
+    assert core.step(0.0, 1e-3) == "a step is allowed while stepping only, not before initialization"
+    for wrong, said in ((core.start, "to end initialization"), (core.end, "to terminate")):
+        with pytest.raises(ValueError, match=f"{said} is allowed .* only, not before initialization"):
+            wrong()
+    with pytest.raises(ValueError, match="the start time is nan s: it must be finite"):
+        core.begin(math.nan)
+    core.put(v["output_inertia"], 0.07)
+    core.begin(2.0)
+    with pytest.raises(ValueError, match="to begin initialization is allowed before initialization only, not during"):
+        core.begin()
+    core.start()
+    state = core.state()
+    assert core.time == 2.0
+    with pytest.raises(ValueError, match="not while stepping"):
+        core.start()
+    for put in (core.put, lambda i, x: core.put_all([i], [x])):
+        with pytest.raises(ValueError, match="output_inertia can't be set after initialization"):
+            put(v["output_inertia"], 0.1)
+    assert core.getters[v["output_inertia"]]() == 0.07
+    assert core.step(math.nan, 1e-3) == "a step from the time nan s over 0.001 s: both must be finite"
+    assert core.state() == state
+    core.end()
+    assert core.step(2.0, 1e-3) == "a step is allowed while stepping only, not after termination"
+    with pytest.raises(ValueError, match="to set a variable is allowed while stepping only, not after termination"):
+        core.put_all([v["flange_b.tau"]], [1.0])
+    core.restore(state)
+    assert core.step(2.0, 1e-3) == ""

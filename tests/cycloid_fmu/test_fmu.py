@@ -13,7 +13,10 @@ import fmpy
 import numpy as np
 import pytest
 from common import CASES, PAIR
+from fmpy import fmi2
+from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Slave
+from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
 
 from cycloid_fmu.contact.transmission import solve
@@ -182,6 +185,48 @@ gc.collect()
     assert "refused" in run.stdout
 
 
+@pytest.mark.parametrize("version", ["2.0", "3.0"])
+def test_why_something_is_refused_is_in_the_log_whether_logging_is_on_or_not(tmp_path, version):
+    path, said = tmp_path / "d.fmu", []
+    build_fmu(ERRORS, path, fmi_version=version)
+    description, folder = fmpy.read_model_description(str(path)), Path(fmpy.extract(str(path), str(tmp_path / "fmu")))
+
+    def opened():
+        new = version == "3.0"
+        slave = (FMU3Slave if new else FMU2Slave)(
+            guid=description.guid or description.instantiationToken, unzipDirectory=str(folder),
+            modelIdentifier="CycloidDrive", instanceName="one",
+        )  # fmt: skip
+        logger = fmi2.fmi2CallbackLoggerTYPE(listen)
+        kept.append(logger)
+        callbacks = fmi2.fmi2CallbackFunctions(
+            logger, fmi2.fmi2CallbackAllocateMemoryTYPE(fmpy.calloc), fmi2.fmi2CallbackFreeMemoryTYPE(fmpy.free)
+        )
+        slave.instantiate(**({"logMessage": listen} if new else {"callbacks": callbacks}), loggingOn=False)
+        return slave
+
+    kept = []
+
+    def listen(*words):
+        said.append(words[-1].decode())
+
+    slave = opened()
+    of = {v.name: v.valueReference for v in description.modelVariables}
+    integers = slave.getInteger if version == "2.0" else slave.getInt32
+    with pytest.raises(FMICallException):
+        integers([of["flange_b.phi"]])
+    assert f"there is no integer variable with the value reference {of['flange_b.phi']}" in said[-1]
+    with pytest.raises(FMICallException):
+        slave.doStep(0.0, 1e-3)
+    assert said[-1] == "a step is allowed while stepping only, not before initialization"
+    stored = bytearray((folder / "resources" / "surface.npz").read_bytes())
+    stored[len(stored) // 2] ^= 1
+    (folder / "resources" / "surface.npz").write_bytes(stored)
+    with pytest.raises(Exception, match="Failed to instantiate"):
+        opened()
+    assert "surface.npz: it is damaged" in said[-1]
+
+
 def test_a_surface_of_another_pair_is_refused(command, tmp_path):
     (tmp_path / "pair.toml").write_text(PAIR)
     other = parse_pair(PAIR.replace('"3 mm"', '"3.1 mm"'), "other")
@@ -247,7 +292,10 @@ def test_a_process_that_ran_an_fmu_can_build_another(fmu, tmp_path):
     """The FMU brings its own pythonfmu, which is imported where no other was, and is gone with the FMU's folder."""
     script = f"""
 import shutil, zipfile, fmpy
+from fmpy import fmi2
+from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Slave
+from fmpy.fmi3 import FMU3Slave
 folder = fmpy.extract({str(fmu)!r})
 description = fmpy.read_model_description({str(fmu)!r}, validate=False)
 slave = FMU2Slave(guid=description.guid, unzipDirectory=folder, instanceName="one",

@@ -51,7 +51,7 @@ int instance_open(struct instance *instance, const char *name, const char *token
                         resources == NULL ? "" : resources);
         return 1;
     }
-    instance->table = table_read(path, instance->message);
+    instance->table = table_open(path, instance->message);
     if (instance->table == NULL) {
         instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
         return 1;
@@ -69,7 +69,7 @@ int instance_open(struct instance *instance, const char *name, const char *token
 
 void instance_close(struct instance *instance) {
     if (instance != NULL) {
-        table_free(instance->table);
+        table_close(instance->table);
         free(instance->name);
         free(instance);
     }
@@ -113,8 +113,8 @@ static void warn_outside(struct instance *instance) {
     if (!instance->warned && drive_outside(&instance->drive)) {
         const struct side *side = instance->table->side;
         instance->warned = 1;
-        instance_refuse(instance, STATUS_WARNING, "at %g s the torque is beyond the %g N.m of the FMU's tables: they go on "
-                        "along the last tangent (--largest-torque makes them longer). This is said once.",
+        instance_refuse(instance, STATUS_WARNING, "at %g s the torque is beyond the %g N.m of the FMU's tables: what goes "
+                        "on there has no stated accuracy (--largest-torque makes them longer). This is said once.",
                         instance->drive.state.time, fmin(side[0].reach, side[1].reach));
     }
 }

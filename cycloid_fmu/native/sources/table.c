@@ -51,14 +51,36 @@ struct place table_turning(const struct table *table, const struct place *place)
     return found;
 }
 
-static double blend(const float *values, uint32_t loads, const struct place *place, uint32_t load,
-                    const double weight[4]) {
+/* Sum of weights: 1, or 0 of those of a derivative, which has nothing of the base. */
+static double whole(const double weight[4]) {
+    return (weight[0] + weight[3]) + (weight[1] + weight[2]);
+}
+
+static double blend(const struct side *side, const struct place *place, uint32_t load, const double weight[4]) {
     double sum = 0.0;
     int i;
     for (i = 0; i < 4; i++) {
-        sum += weight[i] * (double)values[(size_t)place->node[i] * loads + load];
+        sum += weight[i] * (double)side->deviation[(size_t)place->node[i] * side->loads + load];
     }
-    return sum;
+    return whole(weight) * side->base[load] + side->step[load] * sum;
+}
+
+static double deviation_at(const struct side *side, const struct place *place, uint32_t load) {
+    return blend(side, place, load, place->weight);
+}
+
+static double blend_steps(const uint16_t *values, const double *step, uint32_t loads, const struct place *place,
+                          uint32_t load) {
+    double sum = 0.0;
+    int i;
+    for (i = 0; i < 4; i++) {
+        sum += place->weight[i] * (double)values[(size_t)place->node[i] * loads + load];
+    }
+    return step[load] * sum;
+}
+
+static double compliance_at(const struct side *side, const struct place *place, uint32_t load) {
+    return blend_steps(side->compliance, side->compliance_step, side->loads, place, load);
 }
 
 static uint32_t cell_of(const double *loads, uint32_t count, double load) {
@@ -89,8 +111,8 @@ struct loaded table_at(const struct side *side, const struct place *place, doubl
     double a = 0.0, b = 0.0, ca = 0.0, cb = 0.0, ra = 0.0, rb = 0.0, rca = 0.0, rcb = 0.0;
     struct loaded found;
     for (i = 0; i < 4; i++) {
-        const float *x = side->deviation + (size_t)place->node[i] * side->loads + j;
-        const float *c = side->compliance + (size_t)place->node[i] * side->loads + j;
+        const int16_t *x = side->deviation + (size_t)place->node[i] * side->loads + j;
+        const uint16_t *c = side->compliance + (size_t)place->node[i] * side->loads + j;
         double w = place->weight[i], r = place->rate[i];
         a += w * (double)x[0];
         b += w * (double)x[1];
@@ -101,6 +123,14 @@ struct loaded table_at(const struct side *side, const struct place *place, doubl
         rca += r * (double)c[0];
         rcb += r * (double)c[1];
     }
+    a = whole(place->weight) * side->base[j] + side->step[j] * a;
+    b = whole(place->weight) * side->base[j + 1] + side->step[j + 1] * b;
+    ra *= side->step[j];
+    rb *= side->step[j + 1];
+    ca *= side->compliance_step[j];
+    cb *= side->compliance_step[j + 1];
+    rca *= side->compliance_step[j];
+    rcb *= side->compliance_step[j + 1];
     if (u > 1.0) { /* beyond the last load */
         found.deviation = b + (load - side->load[j + 1]) * cb;
         found.compliance = cb;
@@ -115,27 +145,27 @@ struct loaded table_at(const struct side *side, const struct place *place, doubl
 
 struct loaded table_at_node(const struct side *side, const struct place *place, uint32_t node) {
     struct loaded found;
-    found.deviation = blend(side->deviation, side->loads, place, node, place->weight);
-    found.rate = blend(side->deviation, side->loads, place, node, place->rate);
-    found.compliance = blend(side->compliance, side->loads, place, node, place->weight);
+    found.deviation = deviation_at(side, place, node);
+    found.rate = blend(side, place, node, place->rate);
+    found.compliance = compliance_at(side, place, node);
     return found;
 }
 
 double table_load(const struct side *side, const struct place *place, double deviation, double offset, double series) {
     uint32_t low = 0, high = side->loads - 1, step;
     double a, b, ca, cb, h, left = 0.0, right = 1.0, u, goal = deviation + offset;
-    a = blend(side->deviation, side->loads, place, low, place->weight);
-    b = blend(side->deviation, side->loads, place, high, place->weight) + series * side->load[high];
+    a = deviation_at(side, place, low);
+    b = deviation_at(side, place, high) + series * side->load[high];
     if (goal <= a) {
         return 0.0;
     }
     if (goal > b) {
-        double compliance = blend(side->compliance, side->loads, place, high, place->weight) + series;
+        double compliance = compliance_at(side, place, high) + series;
         return side->load[high] + (goal - b) / (compliance > LEAST_COMPLIANCE ? compliance : LEAST_COMPLIANCE);
     }
     while (high - low > 1) {
         uint32_t middle = (low + high) / 2;
-        double at = blend(side->deviation, side->loads, place, middle, place->weight) + series * side->load[middle];
+        double at = deviation_at(side, place, middle) + series * side->load[middle];
         if (at <= goal) {
             low = middle;
             a = at;
@@ -145,8 +175,8 @@ double table_load(const struct side *side, const struct place *place, double dev
         }
     }
     h = side->load[high] - side->load[low];
-    ca = blend(side->compliance, side->loads, place, low, place->weight) + series;
-    cb = blend(side->compliance, side->loads, place, high, place->weight) + series;
+    ca = compliance_at(side, place, low) + series;
+    cb = compliance_at(side, place, high) + series;
     u = b > a ? (goal - a) / (b - a) : 0.0;
     for (step = 0; step < 60; step++) {
         double short_ = goal - hermite(u, h, a, b, ca, cb), slope = h * hermite_slope(u, h, a, b, ca, cb), next;
@@ -168,7 +198,7 @@ double table_load(const struct side *side, const struct place *place, double dev
 void table_energy(const struct side *side, const struct place *place, double load, double *energy, double *rate) {
     uint32_t cell = cell_of(side->load, side->loads, load), i, j;
     double of_deviation[MOST_LOADS], of_compliance[MOST_LOADS];
-    double h = side->load[cell + 1] - side->load[cell], beyond = load - side->reach;
+    double h = side->load[cell + 1] - side->load[cell], beyond = load - side->load[side->loads - 1];
     double u = beyond > 0.0 ? 1.0 : (load - side->load[cell]) / h, u2 = u * u;
     memset(of_deviation, 0, (cell + 2) * sizeof *of_deviation);
     memset(of_compliance, 0, (cell + 2) * sizeof *of_compliance);
@@ -188,9 +218,14 @@ void table_energy(const struct side *side, const struct place *place, double loa
         of_compliance[cell + 1] += 0.5 * beyond * beyond;
     }
     *energy = *rate = 0.0;
+    for (j = 0; j < cell + 2; j++) {
+        *energy += whole(place->weight) * of_deviation[j] * side->base[j];
+        of_deviation[j] *= side->step[j];
+        of_compliance[j] *= side->compliance_step[j];
+    }
     for (i = 0; i < 4; i++) {
-        const float *x = side->deviation + (size_t)place->node[i] * side->loads;
-        const float *c = side->compliance + (size_t)place->node[i] * side->loads;
+        const int16_t *x = side->deviation + (size_t)place->node[i] * side->loads;
+        const uint16_t *c = side->compliance + (size_t)place->node[i] * side->loads;
         double sum = 0.0;
         for (j = 0; j < cell + 2; j++) {
             sum += of_deviation[j] * (double)x[j] + of_compliance[j] * (double)c[j];
@@ -203,8 +238,8 @@ void table_energy(const struct side *side, const struct place *place, double loa
 double table_pressure(const struct side *side, const struct place *told, double load) {
     uint32_t loads = side->told_loads, j = cell_of(side->told_load, loads, load);
     double u = (load - side->told_load[j]) / (side->told_load[j + 1] - side->told_load[j]);
-    double low = blend(side->pressure, loads, told, j, told->weight);
-    double high = blend(side->pressure, loads, told, j + 1, told->weight);
+    double low = blend_steps(side->pressure, side->pressure_step, loads, told, j);
+    double high = blend_steps(side->pressure, side->pressure_step, loads, told, j + 1);
     double square = (1.0 - u) * low + u * high;
     return square > 0.0 ? sqrt(square) : 0.0;
 }

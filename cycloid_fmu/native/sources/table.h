@@ -16,17 +16,23 @@ struct variable {
     double least, most, start, nominal;
 };
 
-/* One direction of torque; spline coefficients, the loads of one crank angle side by side. */
+/* One direction of torque; spline coefficients, the loads of one crank angle side by side, in steps of each load. */
 struct side {
     uint32_t loads, told_loads; /* told: of contact count and pressure, from which nothing follows */
-    double reach; /* the last load */
+    double reach; /* the last load but one, up to which the accuracy is stated */
     double load[MOST_LOADS], told_load[MOST_LOADS];
-    float *deviation, *compliance;
-    uint8_t *contact_count;
-    float *pressure;
+    double base[MOST_LOADS], step[MOST_LOADS]; /* of the deviation: where it begins, and a step of it */
+    double compliance_step[MOST_LOADS], pressure_step[MOST_LOADS];
+    const int16_t *deviation;
+    const uint16_t *compliance, *pressure;
+    const uint8_t *contact_count;
 };
 
+/* Read only once it is there: the instances of a process share it. */
 struct table {
+    struct table *next;
+    size_t users;
+    unsigned char *file, head[TABLE_HEAD]; /* the file, whose steps stay where they are; and how it begins */
     uint32_t checksum;
     char *token;
     uint32_t offers, variables; /* offers: which interface, not the word that Windows' headers take */
@@ -50,8 +56,9 @@ struct loaded {
     double compliance;      /* rad/(N.m) */
 };
 
-struct table *table_read(const char *path, char message[MESSAGE_SIZE]);
-void table_free(struct table *table);
+/* The table of a file, which is read unless an instance has one with the same head; NULL with a message. */
+struct table *table_open(const char *path, char message[MESSAGE_SIZE]);
+void table_close(struct table *table);
 uint32_t table_checksum(const unsigned char *data, size_t size); /* CRC-32 */
 
 struct place table_place(const struct table *table, double crank_angle);
@@ -60,7 +67,7 @@ struct place table_told_place(const struct table *table, double crank_angle); /*
 struct place table_turning(const struct table *table, const struct place *place);
 struct loaded table_at(const struct side *side, const struct place *place, double load);
 struct loaded table_at_node(const struct side *side, const struct place *place, uint32_t node);
-/* Beyond the last load all goes on along the tangent there: the compliance stays. */
+/* Beyond the very last load all goes on along the tangent there: the compliance stays. */
 /* Load at which the deviation, with a further compliance in series and less an offset, is the given one; 0 below the
    first. */
 double table_load(const struct side *side, const struct place *place, double deviation, double offset, double series);

@@ -9,17 +9,20 @@
 #ifdef _WIN32
 #define WIN32_LEAN_AND_MEAN
 #include <windows.h>
+#else
+#include <pthread.h>
 #endif
 
 static const double LARGEST_FILE = 1e9;
 
 struct reader {
-    const unsigned char *at, *end;
+    unsigned char *at;
+    const unsigned char *end;
     int failed;
 };
 
-static const unsigned char *take(struct reader *reader, size_t size) {
-    const unsigned char *taken = reader->at;
+static unsigned char *take(struct reader *reader, size_t size) {
+    unsigned char *taken = reader->at;
     if (reader->failed || (size_t)(reader->end - reader->at) < size) {
         reader->failed = 1;
         return NULL;
@@ -93,22 +96,50 @@ static double *numbers(struct reader *reader, size_t count) {
     return values;
 }
 
-/* Values of each load, which the file has as whole steps: the first, then the differences from angle to angle. */
-static float *channels(struct reader *reader, uint32_t angles, uint32_t loads) {
-    double *step = numbers(reader, loads), *whole = numbers(reader, loads);
-    const unsigned char *changes = take(reader, 2 * (size_t)angles * loads);
-    float *values = allocate(reader, (size_t)angles * loads, sizeof *values);
-    uint32_t i, j;
-    for (j = 0; j < loads && !reader->failed; j++) {
-        for (i = 0; i < angles; i++, changes += 2) {
-            whole[j] += (int16_t)(changes[0] | changes[1] << 8);
-            values[(size_t)i * loads + j] = (float)(whole[j] * step[j]);
-        }
-        reader->failed |= !(step[j] > 0.0 && step[j] < 1e20 && fabs(whole[j]) < 1e18);
+static int is_little_endian(void) {
+    const uint16_t one = 1;
+    return *(const unsigned char *)&one == 1;
+}
+
+/* Numbers of 16 bits, which stay where the file has them. */
+static uint16_t *steps(struct reader *reader, size_t count) {
+    unsigned char *at = take(reader, 2 * count);
+    size_t i;
+    for (i = 0; at != NULL && i < count && !is_little_endian(); i++) {
+        unsigned char low = at[2 * i];
+        at[2 * i] = at[2 * i + 1];
+        at[2 * i + 1] = low;
     }
-    free(step);
-    free(whole);
-    return values;
+    return (uint16_t *)(void *)at;
+}
+
+/* What of each load a step is. */
+static void read_steps(struct reader *reader, uint32_t count, double *step) {
+    uint32_t j;
+    for (j = 0; j < count; j++) {
+        step[j] = number(reader);
+        reader->failed |= !(step[j] > 0.0 && step[j] < 1e20);
+    }
+}
+
+/* The file has them as differences from one crank angle to the next. */
+static const int16_t *read_deviation(struct reader *reader, uint32_t angles, uint32_t loads) {
+    uint16_t *first = steps(reader, (size_t)angles * loads), *row = first, *end;
+    uint32_t j;
+    if (first == NULL) {
+        return NULL;
+    }
+    for (end = first + (size_t)angles * loads - loads; row < end; row += loads) {
+        for (j = 0; j < loads; j++) {
+            row[loads + j] = (uint16_t)(row[loads + j] + row[j]);
+        }
+    }
+    return (const int16_t *)first;
+}
+
+/* What follows begins at a whole multiple of 8 bytes in the file. */
+static void align(struct reader *reader, const struct table *table) {
+    take(reader, (size_t)(-(intptr_t)(reader->at - table->file) & 7));
 }
 
 static void read_loads(struct reader *reader, uint32_t count, double *load) {
@@ -122,25 +153,23 @@ static void read_loads(struct reader *reader, uint32_t count, double *load) {
 }
 
 static void read_side(struct reader *reader, const struct table *table, struct side *side) {
-    size_t told = (size_t)table->told_angles * side->told_loads;
-    const unsigned char *counts;
-    uint32_t i, j;
+    uint32_t j;
     read_loads(reader, side->loads, side->load);
     read_loads(reader, side->told_loads, side->told_load);
-    side->reach = side->load[side->loads - 1];
-    if (side->reach != side->told_load[side->told_loads - 1]) {
-        reader->failed = 1;
+    side->reach = side->told_load[side->told_loads - 1]; /* one cell goes further */
+    reader->failed |= side->reach != side->load[side->loads - 2];
+    for (j = 0; j < side->loads; j++) {
+        side->base[j] = number(reader);
+        reader->failed |= !(fabs(side->base[j]) < 1e20);
     }
-    side->deviation = channels(reader, table->angles, side->loads);
-    side->compliance = channels(reader, table->angles, side->loads);
-    side->pressure = channels(reader, table->told_angles, side->told_loads);
-    counts = take(reader, told);
-    side->contact_count = allocate(reader, told, 1);
-    for (j = 0; j < side->told_loads && !reader->failed; j++) {
-        for (i = 0; i < table->told_angles; i++) {
-            side->contact_count[(size_t)i * side->told_loads + j] = *counts++;
-        }
-    }
+    read_steps(reader, side->loads, side->step);
+    read_steps(reader, side->loads, side->compliance_step);
+    read_steps(reader, side->told_loads, side->pressure_step);
+    side->deviation = read_deviation(reader, table->angles, side->loads);
+    side->compliance = steps(reader, (size_t)table->angles * side->loads);
+    side->pressure = steps(reader, (size_t)table->told_angles * side->told_loads);
+    side->contact_count = take(reader, (size_t)table->told_angles * side->told_loads);
+    align(reader, table);
 }
 
 /* The torque's mean is taken off: a crank turned round gives no energy. Its integral is the energy at the nodes. */
@@ -190,7 +219,6 @@ static void read_variable(struct reader *reader, struct variable *v) {
 static void read_body(struct reader *reader, struct table *table) {
     uint32_t i, rest;
     double *numbers[7];
-    table->token = text(reader);
     table->offers = (uint32_t)whole(reader, 4);
     table->variables = (uint32_t)whole(reader, 4);
     if (table->offers > INTERFACE_INERTIA || table->variables > 100000) {
@@ -213,7 +241,7 @@ static void read_body(struct reader *reader, struct table *table) {
         struct side *side = &table->side[i];
         side->loads = (uint32_t)whole(reader, 4);
         side->told_loads = (uint32_t)whole(reader, 4);
-        if (side->loads < 2 || side->loads > MOST_LOADS || side->told_loads < 2 || side->told_loads > MOST_LOADS) {
+        if (side->loads < 3 || side->loads > MOST_LOADS || side->told_loads < 2 || side->told_loads > MOST_LOADS) {
             reader->failed = 1;
         }
     }
@@ -227,10 +255,14 @@ static void read_body(struct reader *reader, struct table *table) {
           && (rest == 0 || rest == table->angles))) {
         reader->failed = 1;
     }
+    align(reader, table);
     for (i = 0; i < 2 && !reader->failed; i++) {
         read_side(reader, table, &table->side[i]);
     }
     read_rest(reader, table, rest);
+    align(reader, table);
+    table->token = text(reader);
+    align(reader, table);
     reader->failed |= reader->at != reader->end;
 }
 
@@ -249,81 +281,151 @@ static FILE *open_utf8(const char *path) {
 #endif
 }
 
-static unsigned char *contents(const char *path, size_t *size) {
-    FILE *file = open_utf8(path);
-    unsigned char *data = NULL;
-    long length = -1;
-    if (file == NULL) {
-        return NULL;
-    }
-    if (fseek(file, 0, SEEK_END) == 0) {
-        length = ftell(file);
-    }
-    if (length >= 0 && (double)length < LARGEST_FILE && fseek(file, 0, SEEK_SET) == 0) {
-        data = malloc((size_t)length + 1);
-    }
-    if (data != NULL && fread(data, 1, (size_t)length, file) != (size_t)length) {
-        free(data);
-        data = NULL;
-    }
-    fclose(file);
-    *size = data != NULL ? (size_t)length : 0;
-    return data;
+static uint32_t word(const unsigned char *data) {
+    return (uint32_t)data[0] | (uint32_t)data[1] << 8 | (uint32_t)data[2] << 16 | (uint32_t)data[3] << 24;
 }
 
-struct table *table_read(const char *path, char message[MESSAGE_SIZE]) {
-    size_t size = 0;
-    unsigned char *data = contents(path, &size);
-    struct reader reader = {data, data + size, 0};
-    struct table *table = NULL;
-    const char *wrong = NULL;
-    uint32_t checksum = 0;
-    if (data == NULL) {
-        snprintf(message, MESSAGE_SIZE, "%.300s: the table can't be read.", path);
-        return NULL;
-    }
-    if (size < TABLE_HEAD || memcmp(take(&reader, 8), TABLE_MAGIC, 8) != 0) {
-        wrong = "this is not a table of a cycloid drive";
-    } else if (whole(&reader, 4) != TABLE_VERSION) {
-        wrong = "the table is of another version than this FMU reads; build the FMU again";
-    } else if (whole(&reader, 4) != (checksum = table_checksum(data + TABLE_HEAD, size - TABLE_HEAD))) {
-        wrong = "the table is damaged: its checksum does not fit";
-    } else {
-        table = calloc(1, sizeof *table);
-        if (table != NULL) {
-            table->checksum = checksum;
-            read_body(&reader, table);
-        }
-        if (table == NULL || reader.failed) {
-            wrong = "the table is damaged, or there is not enough memory for it";
-            table_free(table);
-            table = NULL;
+/* Sum of the file's words, and sum of that after each (Fletcher, IEEE Trans. Comm. 30 (1982) 247): no two damaged words
+   leave both as they are. Four words at a time, each with sums of its own: one sum waits for the one before. */
+static void sums(const unsigned char *data, size_t size, uint64_t found[2]) {
+    uint64_t first[4] = {0, 0, 0, 0}, second[4] = {0, 0, 0, 0};
+    size_t i;
+    int k;
+    for (i = 0; i + 16 <= size; i += 16) {
+        for (k = 0; k < 4; k++) {
+            first[k] += word(data + i + 4 * k);
+            second[k] += first[k];
         }
     }
-    free(data);
-    if (wrong != NULL) {
-        snprintf(message, MESSAGE_SIZE, "%.300s: %s.", path, wrong);
+    found[0] = first[0] + first[1] + first[2] + first[3];
+    found[1] = 4 * (second[0] + second[1] + second[2] + second[3]) - first[1] - 2 * first[2] - 3 * first[3];
+    for (; i + 4 <= size; i += 4) {
+        found[0] += word(data + i);
+        found[1] += found[0];
     }
-    return table;
 }
 
-void table_free(struct table *table) {
+/* Read the file behind its head, which the table has, or say what is wrong. */
+static const char *read_rest_of_file(struct table *table, FILE *file) {
+    struct reader head = {table->head + 8, table->head + TABLE_HEAD, 0}, reader;
+    uint32_t version = (uint32_t)whole(&head, 4);
+    size_t size = (size_t)whole(&head, 4);
+    uint64_t told[2], found[2];
+    told[0] = whole(&head, 8);
+    told[1] = whole(&head, 8);
+    if (memcmp(table->head, TABLE_MAGIC, 8) != 0) {
+        return "this is not a table of a cycloid drive";
+    }
+    if (version != TABLE_VERSION) {
+        return "the table is of another version than this FMU reads; build the FMU again";
+    }
+    table->file = (double)size < LARGEST_FILE ? malloc(size + 1) : NULL;
+    if (table->file == NULL) {
+        return "the table is damaged, or there is not enough memory for it";
+    }
+    if (size % 4 != 0 || fread(table->file, 1, size + 1, file) != size) {
+        return "the table is damaged: it has another size than it says";
+    }
+    sums(table->file, size, found);
+    if (found[0] != told[0] || found[1] != told[1]) {
+        return "the table is damaged: its checksum does not fit";
+    }
+    table->checksum = table_checksum(table->head, TABLE_HEAD);
+    reader.at = table->file;
+    reader.end = table->file + size;
+    reader.failed = 0;
+    read_body(&reader, table);
+    return reader.failed ? "the table is damaged, or there is not enough memory for it" : NULL;
+}
+
+static void table_free(struct table *table) {
     uint32_t i;
-    if (table == NULL) {
-        return;
-    }
     for (i = 0; table->variable != NULL && i < table->variables; i++) {
         free(table->variable[i].name);
     }
-    for (i = 0; i < 2; i++) {
-        free(table->side[i].deviation);
-        free(table->side[i].compliance);
-        free(table->side[i].pressure);
-        free(table->side[i].contact_count);
-    }
+    free(table->file);
     free(table->variable);
     free(table->token);
     free(table->rest_torque);
     free(table->rest_energy);
     free(table);
+}
+
+/* ---- tables of this process ---- */
+
+static struct table *tables = NULL;
+
+#ifdef _WIN32
+static SRWLOCK tables_lock = SRWLOCK_INIT;
+static void lock_tables(void) {
+    AcquireSRWLockExclusive(&tables_lock);
+}
+static void unlock_tables(void) {
+    ReleaseSRWLockExclusive(&tables_lock);
+}
+#else
+static pthread_mutex_t tables_lock = PTHREAD_MUTEX_INITIALIZER;
+static void lock_tables(void) {
+    pthread_mutex_lock(&tables_lock);
+}
+static void unlock_tables(void) {
+    pthread_mutex_unlock(&tables_lock);
+}
+#endif
+
+static struct table *table_of(FILE *file, const char **wrong) {
+    struct table *made = calloc(1, sizeof *made), *known;
+    *wrong = made == NULL ? "there is not enough memory for it" : NULL;
+    if (made != NULL && fread(made->head, 1, TABLE_HEAD, file) != TABLE_HEAD) {
+        *wrong = "this is not a table of a cycloid drive";
+    }
+    for (known = tables; *wrong == NULL && known != NULL; known = known->next) {
+        if (memcmp(known->head, made->head, TABLE_HEAD) == 0) {
+            free(made);
+            return known;
+        }
+    }
+    *wrong = *wrong == NULL ? read_rest_of_file(made, file) : *wrong;
+    if (*wrong == NULL) {
+        made->next = tables;
+        tables = made;
+    } else if (made != NULL) {
+        table_free(made);
+    }
+    return *wrong == NULL ? made : NULL;
+}
+
+struct table *table_open(const char *path, char message[MESSAGE_SIZE]) {
+    FILE *file = open_utf8(path);
+    const char *wrong = "the table can't be read";
+    struct table *table = NULL;
+    if (file != NULL) {
+        lock_tables();
+        table = table_of(file, &wrong);
+        if (table != NULL) {
+            table->users++;
+        }
+        unlock_tables();
+        fclose(file);
+    }
+    if (table == NULL) {
+        snprintf(message, MESSAGE_SIZE, "%.300s: %s.", path, wrong);
+    }
+    return table;
+}
+
+void table_close(struct table *table) {
+    struct table **at;
+    if (table == NULL) {
+        return;
+    }
+    lock_tables();
+    if (--table->users == 0) {
+        for (at = &tables; *at != table;) {
+            at = &(*at)->next;
+        }
+        *at = table->next;
+        table_free(table);
+    }
+    unlock_tables();
 }

@@ -1,0 +1,117 @@
+"""Tables that were made before, in the user's cache folder: all FMUs of one drive have the same.
+
+A file's name is the hash of the drive, of what was asked of its tables and of the code that made them; its first bytes
+are the hash of the rest. One that does not fit, or can't be read, is made anew; the oldest go when all take too much.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import io
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cycloid_fmu import edge
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.native import tables
+from cycloid_fmu.native.tables import Errors, Side, Tables
+from cycloid_fmu.surfaces.provenance import drive_hash
+from cycloid_fmu.surfaces.surface import ErrorSurface
+
+_PACKAGE = Path(__file__).parents[1]
+_MAKERS = ("contact", "errors", "geometry", "supports", "surfaces", "native/tables.py")
+_MOST_BYTES = 400_000_000  # of all tables that are kept
+_DIGEST = hashlib.sha256().digest_size
+_SIDE = ("load", "deviation", "compliance", "told_load", "contact_count", "pressure")
+_SCALARS = ("ratio", "period", "allowed", "largest_error")
+
+
+def tables_of(pair: Pair, surface: ErrorSurface, *, largest_load: float | None = None, **making: Any) -> Tables:
+    """Return the tables of a drive: those that were kept, else those that `tables.compute` makes, which are kept.
+
+    Parameters are those of `tables.compute`.
+    """
+    import platformdirs
+
+    asked = f"{drive_hash(pair, surface)} {largest_load} {making.get('accuracy', tables.ACCURACY)!r} {_makers()}"
+    kept = Path(platformdirs.user_cache_dir("cycloid-fmu", appauthor=False)) / "tables"
+    path = kept / f"{hashlib.sha256(asked.encode()).hexdigest()}.tables"
+    with contextlib.suppress(Exception):  # whatever is wrong with it
+        found = _read(path.read_bytes())
+        os.utime(path)
+        return found
+    made = tables.compute(pair, surface, largest_load=largest_load, **making)
+    with contextlib.suppress(OSError, edge.InputError):  # where no file can be kept, nothing is
+        kept.mkdir(parents=True, exist_ok=True)
+        with edge.written_whole(path) as temporary:
+            temporary.write_bytes(_written(made))
+        _tidy(kept)
+    return made
+
+
+@functools.cache
+def _makers() -> str:
+    """Hash of the code that makes tables."""
+    digest = hashlib.sha256()
+    for name in _MAKERS:
+        place = _PACKAGE / name
+        for path in sorted(place.rglob("*.py")) if place.is_dir() else [place]:
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def _tidy(kept: Path) -> None:
+    """Remove what was not used for longest where all take more than `_MOST_BYTES`."""
+    files = sorted(((p.stat(), p) for p in kept.glob("*.tables")), key=lambda one: -one[0].st_mtime_ns)
+    room = _MOST_BYTES
+    for status, path in files:
+        room -= status.st_size
+        if room < 0:
+            path.unlink(missing_ok=True)
+
+
+def _written(made: Tables) -> bytes:
+    arrays: dict[str, Any] = {name: getattr(made, name) for name in _SCALARS}
+    arrays["rest_torque"] = made.rest_torque
+    if made.errors is not None:
+        e = made.errors
+        arrays["errors"] = [*e.stiffness, *e.pressure, e.speed, *e.crank_torque]
+    for name, side in (("positive", made.positive), ("negative", made.negative)):
+        arrays[f"{name}_far"] = np.array(side.far[1:])
+        arrays[f"{name}_far_load"] = side.far[0]
+        for field in _SIDE:
+            arrays[f"{name}_{field}"] = getattr(side, field)
+        for i, (field, step) in enumerate(zip(("deviation", "compliance", "pressure"), side.steps, strict=True)):
+            whole = np.round(arrays[f"{name}_{field}"] / step[:, None])
+            arrays[f"{name}_{field}"] = np.diff(whole, axis=1, prepend=0.0).astype(np.int32)
+            arrays[f"{name}_step_{i}"] = step
+    file = io.BytesIO()
+    np.savez_compressed(file, allow_pickle=False, **arrays)
+    return hashlib.sha256(file.getvalue()).digest() + file.getvalue()
+
+
+def _read(data: bytes) -> Tables:
+    digest, body = data[:_DIGEST], data[_DIGEST:]
+    if hashlib.sha256(body).digest() != digest:
+        raise ValueError("damaged")
+    with np.load(io.BytesIO(body), allow_pickle=False) as file:
+        stiffness, pressure, crank = file["errors"][:2], file["errors"][2:4], file["errors"][5:]
+        sides = []
+        for name in ("positive", "negative"):
+            steps = tuple(file[f"{name}_step_{i}"] for i in range(3))
+            fields = {field: file[f"{name}_{field}"] for field in _SIDE}
+            for field, step in zip(("deviation", "compliance", "pressure"), steps, strict=True):
+                fields[field] = np.cumsum(fields[field], axis=1) * step[:, None]
+            far = float(file[f"{name}_far_load"]), *file[f"{name}_far"]
+            sides.append(Side(**fields, steps=steps, far=far))
+        scalars = {name: float(file[name]) for name in _SCALARS}
+        errors = Errors(
+            (float(stiffness[0]), float(stiffness[1])), (float(pressure[0]), float(pressure[1])),
+            float(file["errors"][4]), (float(crank[0]), float(crank[1])),
+        )  # fmt: skip
+        return Tables(positive=sides[0], negative=sides[1], rest_torque=file["rest_torque"], errors=errors, **scalars)
