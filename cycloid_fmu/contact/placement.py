@@ -6,14 +6,15 @@ import math
 
 from cycloid_fmu.contact.compiling import compiled, inlined, part
 from cycloid_fmu.contact.deviations import move_to_deviations
-from cycloid_fmu.contact.foot import foot, on_tooth
+from cycloid_fmu.contact.foot import foot, on_tooth, tangency
 from cycloid_fmu.contact.gap import Flank, Offset, write_contact
 from cycloid_fmu.contact.problem import Problem, poses
-from cycloid_fmu.contact.rows import Rows
+from cycloid_fmu.contact.rows import Rows, is_solved_at
 
 BOUNDED = 2e-6  # m: in an equilibrium a gap above this need not be known exactly
 CLEAR = 5e-7  # m: a pin predicted to be this clear is not solved again within one equilibrium
 _INTERPOLATED = 1e-9  # m: what interpolation across slices may err on a clear pin's gap
+_END = 1e-9  # rad: how far inside a tooth its end is taken, so that it belongs to that tooth
 _PREDICTED = 2e-4  # rad: so far a gap's derivatives by the rotation may predict it, where the second adds little
 
 
@@ -78,6 +79,11 @@ def place(problem: Problem, theta: float, x: float, contacts: Rows, cold: bool, 
             turn = tooth_turn[disc, int(tooth) % teeth]
             lower, upper = tooth * pitch, (tooth + 1.0) * pitch
             root, inwards = (lower, 1.0) if along < 0.5 else (upper, -1.0)
+            beyond = tooth - inwards
+            turn_beyond = tooth_turn[disc, int(beyond) % teeth]
+            # Two teeth end where they meet, midway between where pitch errors leave the root of each.
+            extent = 0.5 * (turn_beyond - turn) if near else 0.0
+            lower, upper = (lower + extent, upper) if inwards > 0.0 else (lower, upper + extent)
             for step in range(slices if few else slices + 5):
                 slice_ = step if few else step * (slices - 1) // 4
                 if not few and step >= 5:
@@ -109,6 +115,7 @@ def place(problem: Problem, theta: float, x: float, contacts: Rows, cold: bool, 
                 if found:
                     bx, by = state.path_x, state.path_y
                     distance = (state.apart_x * bx + state.apart_y * by) / math.sqrt(bx * bx + by * by)
+                    alpha = min(max(alpha, tooth * pitch + _END), (tooth + 1.0) * pitch - _END)
                     write_contact(contact, flank, offset, pin_radius[pin], alpha - conjugate, alpha, state, theta, x)
                 else:
                     contact.foot = math.nan
@@ -117,18 +124,38 @@ def place(problem: Problem, theta: float, x: float, contacts: Rows, cold: bool, 
                 if not near or (distance < root_radius and abs(alpha - root) > root_margin):
                     across.foot = math.nan
                     continue
-                beyond = tooth - inwards
                 left, right = beyond * pitch, (beyond + 1.0) * pitch
+                left, right = (left, right - extent) if inwards > 0.0 else (left - extent, right)
                 start = conjugate + across.foot
                 if cold or not left < start < right:
                     start = root - inwards * root_phase / teeth
-                qx, qy = on_tooth(wx, wy, tooth_turn[disc, int(beyond) % teeth])
+                qx, qy = on_tooth(wx, wy, turn_beyond)
                 found, alpha, state = foot(qx, qy, start, left, right, R, e, teeth)
                 if found and left < alpha < right:
+                    alpha = min(max(alpha, beyond * pitch + _END), (beyond + 1.0) * pitch - _END)
                     write_contact(across, flank, offset, pin_radius[pin], alpha - conjugate, alpha, state, theta, x)
-                else:
-                    across.foot = math.nan
+                    continue
+                across.foot = math.nan
+                if contact.foot != contact.foot:
+                    # The edge where the two teeth meet stands out.
+                    qx, qy = on_tooth(wx, wy, turn)
+                    state = tangency(qx, qy, root + extent, R, e, teeth)
+                    alpha = root + inwards * _END
+                    write_contact(contact, flank, offset, pin_radius[pin], alpha - conjugate, alpha, state, theta, x)
     move_to_deviations(problem, problem.deviations, theta, x, contacts, bounded)
+    _keep_one_of_two(contacts, 2.0 * root_margin, theta, x)
+
+
+@part
+def _keep_one_of_two(contacts: Rows, apart: float, theta: float, x: float) -> None:
+    """Where a pin is on the ends of two teeth that meet in a notch, the nearer alone holds it."""
+    for row in range(0, contacts.shape[0], 2):
+        contact, across = contacts[row], contacts[row + 1]
+        if not (across.gap < math.inf and contact.gap < math.inf and is_solved_at(across, theta, x)):
+            continue
+        if abs(contact.foot - across.foot) < apart:
+            farther = across if contact.gap <= across.gap else contact
+            farther.gap, farther.foot = math.inf, math.nan
 
 
 @inlined

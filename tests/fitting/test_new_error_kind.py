@@ -35,9 +35,7 @@ def test_a_new_kind_is_identified_and_written(new_kind, tmp_path):
     result = fitting.identify([run(load) for load in (20.0, -20.0, 200.0, -200.0)], drive, held_out=False)
     found = next(p for p in result.parameters if p.name == new_kind)
     assert found.held is None
-    low, high = found.interval
-    assert low <= 3e-6 <= high
-    assert high - low < 0.5e-6
+    assert abs(found.value - 3e-6) < 3.0 * found.standard_error < 0.4e-6
     assert result.residual == pytest.approx(NOISE, rel=0.05)
     result.drive.write(tmp_path / "found.nc")
     assert cy.read_surface(tmp_path / "found.nc").errors[new_kind] == found.value
