@@ -47,7 +47,7 @@ static double loss_going(const struct drive *drive, double torque, double speed,
 /* 1 where the output is not one of these. */
 static int of_kinematic(struct drive *drive, int field, const struct state *go, double *value) {
     const struct state *s = &drive->state;
-    const double ratio = drive->table->ratio, side = s->side < 0.0 ? -1.0 : 1.0;
+    const double ratio = drive->ratio, side = s->side < 0.0 ? -1.0 : 1.0;
     const struct place *place = drive_place(drive);
     const struct play play = teeth_play(drive, place);
     const int stands = s->pushed == 0.0, loose = s->load == 0.0;
@@ -84,7 +84,7 @@ static int of_kinematic(struct drive *drive, int field, const struct state *go, 
 static int of_compliant(struct drive *drive, int field, const struct state *go, double *value) {
     const struct state *s = &drive->state;
     const struct pressed *p = &drive->pressed;
-    const double ratio = drive->table->ratio, slip = s->output_speed - s->crank_speed / ratio;
+    const double ratio = drive->ratio, slip = s->output_speed - s->crank_speed / ratio;
     const int inside = drive->table->offers == INTERFACE_INERTIA;
     /* With inertias inside, what goes is the deviation. */
     const double output = inside ? go->deviation + go->crank_angle / ratio : go->output_angle;

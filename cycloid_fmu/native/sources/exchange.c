@@ -36,14 +36,14 @@ int exchange_solve(struct drive *drive, char message[MESSAGE_SIZE]) {
     }
     if (drive->table->offers == INTERFACE_INERTIA) {
         s->turned = s->crank_angle;
-        s->output_angle = s->deviation + s->turned / drive->table->ratio;
+        s->output_angle = s->deviation + s->turned / drive->ratio;
         drive->placed = 0;
     }
     s->seen = s->output_angle;
     if (compliant_solve(drive, message)) {
         return 1;
     }
-    s->mean_torque = drive->pressed.by_angle - drive->damping / drive->table->ratio + drive->loss_torque;
+    s->mean_torque = drive->pressed.by_angle - drive->damping / drive->ratio + drive->loss_torque;
     s->mean_loss = exchange_rate(drive, DISSIPATED_ENERGY);
     s->outside = 0.0;
     return 0;
@@ -52,7 +52,7 @@ int exchange_solve(struct drive *drive, char message[MESSAGE_SIZE]) {
 /* Derivative of a state by time. */
 double exchange_rate(const struct drive *drive, int field) {
     const struct state *s = &drive->state;
-    const double ratio = drive->table->ratio;
+    const double ratio = drive->ratio;
     const int slides = drive->exchange ? s->sliding != 0.0
                                        : friction_strain(s) * s->output_speed > 0.0
                                              && fabs(friction_strain(s)) >= FRICTION_DISPLACEMENT;
@@ -86,7 +86,7 @@ void exchange_indicators(struct drive *drive, double found[EVENT_INDICATORS]) {
         found[4] = 1.0;
     } else {
         struct play play = teeth_play(drive, drive_place(drive));
-        double deviation = s->output_angle - drive_angle(drive) / drive->table->ratio;
+        double deviation = s->output_angle - drive_angle(drive) / drive->ratio;
         found[0] = deviation - (play.end[0].deviation - play.offset);
         found[1] = deviation + (play.end[1].deviation - play.offset);
         found[4] = s->friction_torque == 0.0 ? 1.0
