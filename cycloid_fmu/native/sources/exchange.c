@@ -99,6 +99,9 @@ void exchange_indicators(struct drive *drive, double found[EVENT_INDICATORS]) {
     if (still) {
         found[0] = s->torque;
         found[1] = found[4] = 1.0;
+    } else if (drive->b > 0.0) {
+        found[0] = found[1] = 1.0; /* behind a first stage contacts begin where its plays end too: no event of their own */
+        found[4] = drive->rubs[OUTPUT] ? s->output_speed : 1.0;
     } else {
         struct play play = teeth_play(drive, drive_place(drive));
         double deviation = s->output_angle - drive_angle(drive) / drive->ratio;
