@@ -85,7 +85,7 @@ class Interface:
     driven
         What `flange_a` is: "crank", or "sun" of an RV reducer.
     input_friction, output_friction
-        Friction at `flange_a`, where it adds to the losses, and at `flange_b`.
+        Friction at `flange_a`, where it adds to the losses, and at `flange_b` (`friction_file.Friction`).
 
     Examples
     --------
