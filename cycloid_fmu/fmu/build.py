@@ -24,6 +24,7 @@ from cycloid_fmu.fmu.friction_file import Friction
 from cycloid_fmu.fmu.losses import check_losses
 from cycloid_fmu.fmu.parts import parts, write_archive
 from cycloid_fmu.fmu.pythonfmu_builder import build_archive
+from cycloid_fmu.fmu.reference_run import reference_files
 from cycloid_fmu.fmu.variables import INTERFACES, Interface, InterfaceKind, LossRow, variables
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.reducer.description import Reducer
@@ -143,6 +144,7 @@ def build_fmu(
             if behind in contents:
                 contents[name] = (_FRONT / name.removeprefix("binaries/")).read_bytes()
         contents |= parts(pair, surface, interface, table, fmi_version, [library])
+        contents |= reference_files(pair, surface, interface, first_stage)
         write_archive(temporary, dict(sorted(contents.items())))  # the library lists a folder in any order
 
 

@@ -80,19 +80,45 @@ def model_variables(table: Sequence[Variable], version: Version, references: Seq
     return root
 
 
-def model_structure(table: Sequence[Variable], version: Version, references: Sequence[int] | None = None) -> Element:
-    """Return `<ModelStructure>`: outputs with the inputs that they depend on, and with the parameters initially."""
+def model_structure(
+    table: Sequence[Variable],
+    version: Version,
+    references: Sequence[int] | None = None,
+    states: Sequence[str] = (),
+) -> Element:
+    """Return `<ModelStructure>`: outputs and derivatives with what they depend on, and initially with the parameters.
+
+    Parameters
+    ----------
+    table, version, references
+        As of `model_variables`.
+    states
+        Names of Model Exchange's continuous states, in their order.
+    """
     root = Element("ModelStructure")
     places = _places(table, version, references)
-    for section, item in (("Outputs", "Output"), ("InitialUnknowns", "InitialUnknown")):
+    derivatives = [next(v for v in table if v.derivative_of == name) for name in states]
+    outputs = [v for v in table if v.causality == "output"]
+    exchanged = {v.name for v in derivatives} | set(states)
+    unknown = [v for v in table if v.causality == "output" or v.name in exchanged]
+    for section, item, variables in (
+        ("Outputs", "Output", outputs),
+        ("Derivatives", "ContinuousStateDerivative", derivatives),
+        ("InitialUnknowns", "InitialUnknown", unknown),
+        ("", "EventIndicator", [v for v in table if v.name.startswith("event_indicator")]),
+    ):
+        if not variables:
+            continue
         node = SubElement(root, section) if version == "2.0" else root
-        for variable in table:
-            if variable.causality != "output":
-                continue
-            names = variable.depends if section == "Outputs" else (*variable.depends, *variable.initially)
-            known = " ".join(str(places[n]) for n in sorted(names, key=places.__getitem__))
-            if version == "2.0":
-                SubElement(node, "Unknown", index=str(places[variable.name]), dependencies=known)
+        for variable in variables:
+            initial = variable.initially if states else (*variable.depends, *variable.initially)
+            names = initial if section == "InitialUnknowns" else variable.depends
+            known = " ".join(str(places[n]) for n in sorted(set(names), key=places.__getitem__))
+            at = str(places[variable.name])
+            if not section:
+                SubElement(node, item, valueReference=at)
+            elif version == "2.0":
+                SubElement(node, "Unknown", index=at, dependencies=known)
             else:
-                SubElement(node, item, valueReference=str(places[variable.name]), dependencies=known)
+                SubElement(node, item, valueReference=at, dependencies=known)
     return root

@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from cycloid_fmu.errors.kinds import KINDS, kind_of, structured_names, wave_of
-from cycloid_fmu.fmu.constants import REFERENCE_TEMPERATURE
+from cycloid_fmu.fmu.constants import FRICTION_ELEMENTS, REFERENCE_TEMPERATURE
 from cycloid_fmu.fmu.friction import FLANGES, Law
 from cycloid_fmu.fmu.friction_file import LIMITS, Friction
 from cycloid_fmu.geometry.pair import Pair
@@ -34,6 +34,7 @@ LARGEST_STEP = 1e-3  # s: default of `largest_step`
 ATTRIBUTES = {
     "flange_a.phi": "crank_angle", "flange_a.w": "crank_speed", "flange_a.tau": "crank_torque",
     "flange_b.phi": "output_angle", "flange_b.w": "output_speed", "flange_b.tau": "torque",
+    "flange_a.a": "crank_acceleration", "flange_b.a": "output_acceleration",
     "support.phi": "support_angle", "support.w": "support_speed", "support.tau": "support_torque",
 }  # fmt: skip
 
@@ -43,10 +44,13 @@ ABSOLUTE = {
     "flange_b.phi": "absolute_output_angle", "flange_b.w": "absolute_output_speed",
 }  # fmt: skip
 
+STRAINS = tuple(f"{flange}_friction_strain" for flange in FLANGES)  # of friction's elements, in Model Exchange
+
 # unit: exponents of SI base units, then display units with their factor
 UNITS: dict[str, tuple[dict[str, int], dict[str, float]]] = {
     "rad": ({"rad": 1}, {"deg": 180 / np.pi, "arcmin": 10800 / np.pi, "arcsec": 648000 / np.pi}),
     "rad/s": ({"rad": 1, "s": -1}, {"rev/min": 30 / np.pi, "deg/s": 180 / np.pi}),
+    "rad/s2": ({"rad": 1, "s": -2}, {}),
     "N.m": ({"kg": 1, "m": 2, "s": -2}, {}),
     "N.m/rad": ({"kg": 1, "m": 2, "s": -2, "rad": -1}, {"N.m/arcmin": np.pi / 10800}),
     "N.m.s/rad": ({"kg": 1, "m": 2, "s": -1, "rad": -1}, {}),
@@ -475,3 +479,88 @@ def from_tables(table: Sequence[Variable]) -> dict[int, Variable]:
         reference: dataclasses.replace(v, initially=tuple(n for n in v.initially if n not in constants))
         for reference, v in kept.items()
     }
+
+
+def states(interface: Interface) -> tuple[str, ...]:
+    """Return the names of the continuous states that a native FMU has in Model Exchange, in their order.
+
+    With inertias inside the deviation is one in place of the output's angle, of which it is a millionth. A drive with a
+    support flange has none: it is for Co-Simulation alone.
+    """
+    if interface.kind == "kinematic" or interface.support_flange:
+        return ()
+    crank = ("flange_a.phi", "flange_a.w") if interface.crank_inertia > 0.0 else ()
+    moved = (*crank, "transmission_error", "flange_b.w") if interface.output_inertia > 0.0 else ()
+    return (*moved, *_strains("input"), *_strains("output"), "dissipated_energy")
+
+
+def _strains(flange: str, rate: str = "") -> tuple[str, ...]:
+    return tuple(f"{flange}_friction_strain{rate}[{i}]" for i in range(1, FRICTION_ELEMENTS + 1))
+
+
+_INDICATORS = {
+    "kinematic": ("the torque turns round", "nothing happens", "a torque leaves the tables", "the crank turns round",
+                  "nothing happens either"),
+    "compliant": ("the flank of positive torque touches", "the flank of negative torque touches",
+                  "a torque leaves the tables", "the crank turns round", "the output turns round"),
+}  # fmt: skip
+
+
+def exchanged(kept: dict[int, Variable], interface: Interface, version: Literal["2.0", "3.0"]) -> dict[int, Variable]:
+    """Return the variables of a native FMU with what Model Exchange has besides, last.
+
+    Parameters
+    ----------
+    kept
+        Those of `from_tables`.
+    """
+    if interface.support_flange:
+        return kept
+    inside, dynamic = interface.output_inertia > 0.0, interface.kind == "compliant"
+    crank, output = _strains("input"), _strains("output")
+    warm = ("temperature",) if interface.warms else ()
+    contact = ("flange_a.phi", "transmission_error" if inside else "flange_b.phi")
+    moving = (*contact, "flange_a.w", "flange_b.w", *warm)
+    inputs = tuple(v.name for v in kept.values() if v.causality == "input")
+    parameters = tuple(v.name for v in kept.values() if v.causality == "parameter")
+    of_start = (*inputs, *parameters) if inside else inputs
+    more = []
+
+    def add(name: str, text: str, unit: str, of: str | None, nominal: float, depends: tuple[str, ...] = ()) -> None:
+        more.append(Variable(name, text, "local", unit=unit, nominal=nominal, depends=depends, initially=of_start,
+                             derivative_of=of))  # fmt: skip
+
+    if interface.crank_inertia > 0.0:
+        add("flange_a.a", f"{interface.driven} acceleration", "rad/s2", "flange_a.w", 1e3,
+            (*moving, *crank, "flange_a.tau"))  # fmt: skip
+    if inside:
+        add("transmission_error_rate", f"output speed less {interface.driven} speed/ratio", "rad/s",
+            "transmission_error", 0.1, ("flange_a.w", "flange_b.w"))  # fmt: skip
+        add("flange_b.a", "output acceleration", "rad/s2", "flange_b.w", 100.0, (*moving, *output, "flange_b.tau"))
+    for flange, law, end in zip(FLANGES if dynamic else (), interface.laws, "ab", strict=False):
+        for name in _strains(flange):
+            add(name, f"strain of an element of the friction at flange_{end}", "rad", None, law.presliding_angle)
+        for name, strain in zip(_strains(flange, "_rate"), _strains(flange), strict=True):
+            add(name, "how fast that goes", "rad/s", strain, 0.1, (*moving, strain))
+    depends = {
+        "flange_a.tau": (*moving, *crank), "power_loss": (*moving, *crank, *output),
+        "elastic_energy": (*contact, *crank, *output), "dissipated_energy": ("dissipated_energy",),
+    }  # fmt: skip
+    if inside:
+        placed = ("torsional_stiffness", "max_contact_pressure", "contact_count", "outside_range", "flange_b.phi")
+        depends |= {**dict.fromkeys(placed, contact), "backlash": ("flange_a.phi",)}
+        depends |= {name: (name,) for name in ("flange_a.phi", "flange_a.w", "transmission_error", "flange_b.w")}
+    else:
+        depends["flange_b.tau"] = (*moving, *output)
+    changed = {
+        reference: dataclasses.replace(
+            v, depends=depends.get(v.name, v.depends) if dynamic else v.depends,
+            initially=of_start if inside else tuple(dict.fromkeys((*v.depends, *v.initially))),
+            derivative_of="dissipated_energy" if dynamic and v.name == "power_loss" else v.derivative_of,
+        ) if v.causality == "output" else v
+        for reference, v in kept.items()
+    }  # fmt: skip
+    if version == "3.0":
+        for i, text in enumerate(_INDICATORS[interface.kind], start=1):
+            more.append(Variable(f"event_indicator[{i}]", f"goes through zero where {text}", "local"))
+    return {**changed, **{len(kept) + i: v for i, v in enumerate(more)}}

@@ -21,10 +21,20 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 from cycloid_fmu import __version__, edge
 from cycloid_fmu.edge import ArgumentError
 from cycloid_fmu.fmu.build import AnyDrive, completed, ratio_of, whole_drive
-from cycloid_fmu.fmu.constants import MOST_LOSS_ROWS
+from cycloid_fmu.fmu.constants import EVENT_INDICATORS, MOST_LOSS_ROWS
 from cycloid_fmu.fmu.description import Version, model_structure, model_variables, token_of, unit_definitions
 from cycloid_fmu.fmu.parts import parts, write_archive
-from cycloid_fmu.fmu.variables import Interface, InterfaceKind, Variable, from_tables, stiffness_text, variables
+from cycloid_fmu.fmu.reference_run import reference_files
+from cycloid_fmu.fmu.variables import (
+    Interface,
+    InterfaceKind,
+    Variable,
+    exchanged,
+    from_tables,
+    states,
+    stiffness_text,
+    variables,
+)
 from cycloid_fmu.native import tables
 from cycloid_fmu.native.table_cache import tables_of
 from cycloid_fmu.native.table_file import TABLE, constants_header, named, write
@@ -32,8 +42,8 @@ from cycloid_fmu.surfaces.surface import ErrorSurface
 
 IDENTIFIER = "CycloidDrive"
 SOURCES = (
-    "fmi2.c", "fmi3.c", "instance.c", "drive.c", "kinematic.c", "reducer.c", "compliant.c", "teeth.c", "friction.c",
-    "losses.c", "table.c", "table_file.c", "uri.c",
+    "fmi2.c", "fmi3.c", "instance.c", "drive.c", "kinematic.c", "reducer.c", "compliant.c", "exchange.c",
+    "derivatives.c", "teeth.c", "friction.c", "losses.c", "table.c", "table_file.c", "uri.c",
 )  # fmt: skip
 _SOURCES = Path(__file__).with_name("sources")
 _FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off", "-s")
@@ -212,26 +222,38 @@ def _description(
         "description": text, "author": "cycloid-fmu", "version": __version__, "license": "MIT",
         "generationTool": f"cycloid-fmu {__version__}", "variableNamingConvention": "structured",
     }  # fmt: skip
+    exchanges = not interface.support_flange
+    if version == "2.0" and exchanges:
+        common["numberOfEventIndicators"] = str(EVENT_INDICATORS)
     root = Element("fmiModelDescription", common)
     state = "FMUstate" if version == "2.0" else "FMUState"
-    own = {
-        "modelIdentifier": IDENTIFIER, "canHandleVariableCommunicationStepSize": "true",
-        f"canGetAndSet{state}": "true", f"canSerialize{state}": "true",
+    both = {
+        "modelIdentifier": IDENTIFIER, f"canGetAndSet{state}": "true", f"canSerialize{state}": "true",
     }  # fmt: skip
+    if exchanges:
+        both["providesDirectionalDerivative" + ("" if version == "2.0" else "s")] = "true"
     if version == "2.0":
-        own["canNotUseMemoryManagementFunctions"] = "true"
-    simulation = SubElement(root, "CoSimulation", own)
-    if version == "2.0":
-        files = SubElement(simulation, "SourceFiles")
-        for name in SOURCES:
-            SubElement(files, "File", name=name)
+        both["canNotUseMemoryManagementFunctions"] = "true"
+    elif exchanges:
+        both["providesAdjointDerivatives"] = "true"
+    exchange = {} if version == "2.0" else {"needsCompletedIntegratorStep": "true"}
+    simulation = {"canHandleVariableCommunicationStepSize": "true"}
+    if version == "3.0" and interface.output_inertia > 0.0:  # at an impact
+        simulation |= {"hasEventMode": "true", "mightReturnEarlyFromDoStep": "true"}
+    offers = [("ModelExchange", exchange)] if exchanges else []
+    for name, own in (*offers, ("CoSimulation", simulation)):
+        offered = SubElement(root, name, both | own)
+        if version == "2.0":
+            files = SubElement(offered, "SourceFiles")
+            for source in SOURCES:
+                SubElement(files, "File", name=source)
     root.append(unit_definitions(told))
     categories = SubElement(root, "LogCategories")
     for name, why in (("logStatusWarning", "torques beyond the tables"), ("logStatusError", "what was refused")):
         SubElement(categories, "Category", name=name, description=why)
     SubElement(root, "DefaultExperiment", startTime="0.0", stopTime="1.0", stepSize=repr(interface.step))
     root.append(model_variables(told, version, tuple(kept)))
-    root.append(model_structure(told, version, tuple(kept)))
+    root.append(model_structure(told, version, tuple(kept), states(interface)))
     return root
 
 
@@ -265,7 +287,7 @@ def build_native(
     progress: Callable[[int], None] = lambda angles: None,
     compiled: Callable[[str], None] = lambda name: None,
 ) -> tables.Tables:
-    """Write a Co-Simulation FMU that needs no Python, whole or not at all; returns its tables.
+    """Write an FMU for Model Exchange and Co-Simulation that needs no Python, whole or not at all; returns its tables.
 
     Parameters
     ----------
@@ -305,6 +327,7 @@ def build_native(
                 pair, surface, largest_load=largest_torque, workers=workers, total=total, progress=progress
             )
         kept = from_tables(variables(pair, surface, interface, fmi_version, ratio_of(pair, first_stage)))
+        kept = exchanged(kept, interface, fmi_version)
         plain = write(made, interface, kept, first_stage=first_stage)
         token = token_of(__version__ + hashlib.sha256(plain).hexdigest())
         contents = {
@@ -315,6 +338,7 @@ def build_native(
             **{f"sources/{name}": data for name, data in _source_files().items()},
             **libraries,
             **parts(pair, surface, interface, list(kept.values()), fmi_version, ()),
+            **reference_files(pair, surface, interface, first_stage),
         }
         if fmi_version == "3.0":
             contents["sources/buildDescription.xml"] = _xml(_build_description())

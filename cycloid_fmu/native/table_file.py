@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu.fmu import constants
 from cycloid_fmu.fmu.friction import FLANGES, Law
-from cycloid_fmu.fmu.variables import ATTRIBUTES, Interface, Variable
+from cycloid_fmu.fmu.variables import ATTRIBUTES, STRAINS, Interface, Variable
 from cycloid_fmu.native.tables import Tables
 from cycloid_fmu.reducer.first_stage import FirstStage
 
@@ -35,7 +35,10 @@ _FIELDS = (
     "backlash", "torsional_stiffness", "max_contact_pressure", "contact_count", "series_compliance", "temperature",
     "power_loss", "backlash_on", "elastic_energy", "dissipated_energy", "mesh_damping", "largest_step",
     "output_inertia", "crank_inertia", "crank_angle_start", "crank_speed_start", "outside_range", "support_angle",
-    "support_speed", "support_torque", "time",
+    "support_speed", "support_torque", "time", "crank_acceleration", "output_acceleration", "transmission_error_rate",
+    *(f"event_indicator_{i}" for i in range(1, constants.EVENT_INDICATORS + 1)),
+    *(f"{name}_{i}" for name in STRAINS for i in range(1, constants.FRICTION_ELEMENTS + 1)),
+    *(f"{name}_rate_{i}" for name in STRAINS for i in range(1, constants.FRICTION_ELEMENTS + 1)),
     *(f"{flange}_friction_{name}" for flange in FLANGES for name in Law._fields), "loss_table",
 )  # fmt: skip
 
@@ -93,8 +96,8 @@ def write(
     for v in variables.values():
         limits = (-math.inf if v.least is None else v.least, math.inf if v.most is None else v.most)
         body += _text(v.name) + struct.pack(
-            "<BBBBiddd", _KINDS.index(v.kind), _CAUSALITIES.index(v.causality), v.baked, v.variability == "fixed",
-            _field(v), *limits, v.start or 0.0,
+            "<BBBBidddd", _KINDS.index(v.kind), _CAUSALITIES.index(v.causality), v.baked, v.variability == "fixed",
+            _field(v), *limits, v.start or 0.0, v.nominal or 1.0,
         )  # fmt: skip
     sides = (tables.positive, tables.negative)
     rest = tables.rest_torque if tables.rest_torque.any() else np.empty(0)
@@ -154,7 +157,8 @@ def _field(variable: Variable) -> int:
     if cell:
         return _FIELDS.index("loss_table") + (int(cell[1]) - 1) * constants.LOSS_COLUMNS + int(cell[2]) - 1
     name = "output_friction.coulomb" if variable.name == "friction_torque" else variable.name
-    return -1 if variable.baked else _FIELDS.index(ATTRIBUTES.get(name, name.replace(".", "_")))
+    name = re.sub(r"\[(\d+)\]", r"_\1", ATTRIBUTES.get(name, name)).replace(".", "_")
+    return -1 if variable.baked else _FIELDS.index(name)
 
 
 def _words(whole: NDArray[np.float64]) -> bytes:

@@ -19,6 +19,10 @@ INTERFACES = {
     "compliant": Interface("compliant", mesh_damping=0.0),
     "inertia": Interface("compliant", 0.5, mesh_damping=0.0),
 }
+BUILT = {
+    **INTERFACES,  # what the C host knows
+    "joint": Interface("compliant", 2.0, INTERFACES["kinematic"].losses, crank_inertia=1e-3, mesh_damping=0.0),
+}
 
 
 # The system's compiler where there is one: it is done sooner than zig, which the tests bring along.

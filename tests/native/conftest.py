@@ -3,7 +3,7 @@ from types import SimpleNamespace
 
 import fmpy
 import pytest
-from c_host import COMPILER, HERE, INTERFACES, compiled, run_host
+from c_host import BUILT, COMPILER, HERE, compiled, run_host
 from common import EXAMPLES
 
 from cycloid_fmu.geometry.pair import read_pair
@@ -32,7 +32,7 @@ def built(drive, tmp_path_factory):
                 patch.setenv("CC", COMPILER[0] if len(COMPILER) == 1 else "")
                 patch.setenv("XDG_CACHE_HOME", str(folder))
                 native_build.build_native(
-                    drive.pair, path, drive.surface, interface=INTERFACES[kind], fmi_version=version, made=drive.tables,
+                    drive.pair, path, drive.surface, interface=BUILT[kind], fmi_version=version, made=drive.tables,
                     platforms=[native_build.this_platform()],
                 )  # fmt: skip
             made[kind, version] = path

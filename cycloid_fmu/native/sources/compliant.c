@@ -28,8 +28,7 @@ double compliant_power(const struct drive *drive) {
     return drive->damping * (s->output_speed - s->crank_speed / drive->ratio);
 }
 
-/* What the teeth ask for at a flange. */
-static double load_at(const struct drive *drive, int flange) {
+double compliant_load(const struct drive *drive, int flange) {
     return flange == OUTPUT ? drive->pressed.by_rotation : drive->pressed.by_angle - drive->damping / drive->ratio;
 }
 
@@ -38,7 +37,7 @@ struct rubbing compliant_rubbing(const struct drive *drive, int flange) {
     const struct state *s = &drive->state;
     double way = flange == OUTPUT ? s->output_angle - s->seen
         : drive->table->offers == INTERFACE_INERTIA ? 0.0 : s->crank_angle - s->crank_seen;
-    return friction_press(drive, flange, way, flange == OUTPUT ? s->output_speed : s->crank_speed, load_at(drive, flange),
+    return friction_press(drive, flange, way, flange == OUTPUT ? s->output_speed : s->crank_speed, compliant_load(drive, flange),
                           PRESLIDING_TIME);
 }
 
@@ -70,7 +69,7 @@ int compliant_move(struct drive *drive, double step, char message[MESSAGE_SIZE])
         }
         before = compliant_power(drive);
         for (flange = INPUT; flange <= OUTPUT; flange++) { /* friction follows to where the flanges were put */
-            load[flange] = load_at(drive, flange);
+            load[flange] = compliant_load(drive, flange);
             if (drive->rubs[flange]) {
                 move_on(drive, flange, flange == INPUT ? crank - s->crank_seen : output - s->seen, 0.0, load[flange]);
             }
@@ -86,7 +85,7 @@ int compliant_move(struct drive *drive, double step, char message[MESSAGE_SIZE])
                 return 1;
             }
             for (flange = INPUT; flange <= OUTPUT; flange++) {
-                double following = load_at(drive, flange);
+                double following = compliant_load(drive, flange);
                 if (drive->rubs[flange]) {
                     move_on(drive, flange, way[flange] / count, step / count, 0.5 * (load[flange] + following));
                 }
@@ -265,14 +264,19 @@ int compliant_swing(struct drive *drive, double step, char message[MESSAGE_SIZE]
         }
         s->dissipated_energy += w.rubbed[OUTPUT].lost + w.damping * (w.way - w.turn / ratio) + w.rubbed[INPUT].lost;
         s->outside = s->outside != 0.0 || teeth_outside(drive, w.end.load, w.end.side) ? 1.0 : 0.0;
-        at = w.end;
         left = parts > 1.0 ? left - part : 0.0;
+        drive->impact = w.end.load > 0.0 && (at.load == 0.0 || at.side != w.end.side);
+        at = w.end;
+        if (drive->impact && drive->early) {
+            break;
+        }
     }
     s->crank_angle = s->turned;
-    if (step > 0.0) {
-        s->mean_torque = work / step;
-        s->mean_output = s->torque - s->output_inertia * (s->output_speed - speed_before) / step;
-        s->mean_loss = (s->dissipated_energy - before) / step;
+    drive->left = left;
+    if (step > left) {
+        s->mean_torque = work / (step - left);
+        s->mean_output = s->torque - s->output_inertia * (s->output_speed - speed_before) / (step - left);
+        s->mean_loss = (s->dissipated_energy - before) / (step - left);
     }
     return 0;
 }

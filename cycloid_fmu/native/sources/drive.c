@@ -62,10 +62,14 @@ int drive_step(struct drive *drive, double time, double step, char message[MESSA
     if (!(fabs(time + step) < HUGE_VAL)) {
         return drive_refuse(message, "a step from the time %g s over %g s: both must be finite.", time, step);
     }
+    drive->impact = 0;
+    drive->left = 0.0;
     if (guarded(drive, step, message)) {
+        drive->impact = 0;
+        drive->left = 0.0;
         return 1;
     }
-    drive->state.time = time + step;
+    drive->state.time = time + step - drive->left;
     return 0;
 }
 
@@ -120,6 +124,10 @@ int drive_start(struct drive *drive, char message[MESSAGE_SIZE]) {
         drive->state.mean_loss = compliant_power(drive) + crank.power + compliant_rubbing(drive, OUTPUT).power;
         drive->state.mean_output = drive->state.torque;
     }
+    exchange_keep(drive);
+    if (!drive_kinematic(drive)) {
+        drive->state.deviation = drive->state.output_angle - drive_angle(drive) / drive->ratio;
+    }
     if (failed) {
         drive->state = kept;
         drive->placed = drive->solved = 0;
@@ -129,8 +137,7 @@ int drive_start(struct drive *drive, char message[MESSAGE_SIZE]) {
 
 /* ---- variables ---- */
 
-static double *stored(struct drive *drive, const struct variable *variable) {
-    struct state *s = &drive->state;
+double *drive_stored(struct state *s, const struct variable *variable) {
     switch (variable->field) {
     case CRANK_ANGLE: return &s->crank_angle;
     case CRANK_SPEED: return &s->crank_speed;
@@ -149,8 +156,13 @@ static double *stored(struct drive *drive, const struct variable *variable) {
     case CRANK_SPEED_START: return &s->crank_speed_start;
     case SUPPORT_ANGLE: return &s->support_angle;
     case SUPPORT_SPEED: return &s->support_speed;
+    case TRANSMISSION_ERROR: return &s->deviation;
+    case DISSIPATED_ENERGY: return &s->dissipated_energy;
     case TIME: return &s->time;
     default: break;
+    }
+    if (variable->field >= INPUT_FRICTION_STRAIN_1 && variable->field < INPUT_FRICTION_STRAIN_RATE_1) {
+        return &s->strain[INPUT][0] + (variable->field - INPUT_FRICTION_STRAIN_1);
     }
     if (variable->field >= INPUT_FRICTION_COULOMB && variable->field < LOSS_TABLE) {
         return &s->friction[INPUT].coulomb + (variable->field - INPUT_FRICTION_COULOMB);
@@ -192,8 +204,8 @@ void drive_reset(struct drive *drive) {
     drive->placed = drive->solved = 0;
     for (i = 0; i < drive->table->variables; i++) {
         const struct variable *v = &drive->table->variable[i];
-        double *value = stored(drive, v);
-        if (value != NULL && v->causality != CAUSALITY_OUTPUT) {
+        double *value = drive_stored(&drive->state, v);
+        if (value != NULL && v->causality != CAUSALITY_OUTPUT && v->causality != CAUSALITY_LOCAL) {
             *value = v->start;
         }
     }
@@ -223,7 +235,7 @@ void drive_open(struct drive *drive, struct table *table) {
 }
 
 int drive_set(struct drive *drive, const struct variable *variable, double value, char message[MESSAGE_SIZE]) {
-    double *kept = stored(drive, variable);
+    double *kept = drive_stored(&drive->state, variable);
     if (variable->baked && value != variable->start) {
         snprintf(message, MESSAGE_SIZE, "%.100s = %g: this FMU holds it in its tables, made for %g; build the FMU again "
                  "with it, or use the FMU in Python, where it is tunable.", variable->name, value, variable->start);
@@ -232,7 +244,7 @@ int drive_set(struct drive *drive, const struct variable *variable, double value
     if (variable->baked) {
         return 0;
     }
-    if (kept == NULL || variable->causality == CAUSALITY_OUTPUT || variable->causality == CAUSALITY_INDEPENDENT) {
+    if (kept == NULL || (variable->causality != CAUSALITY_INPUT && variable->causality != CAUSALITY_PARAMETER)) {
         snprintf(message, MESSAGE_SIZE, "%.100s can't be set: it is an output.", variable->name);
         return 1;
     }
@@ -337,17 +349,29 @@ static double output(struct drive *drive, int field) {
         if (drive->table->offers == INTERFACE_INERTIA) {
             return s->mean_loss;
         }
-        return compliant_power(drive) + compliant_rubbing(drive, INPUT).power + compliant_rubbing(drive, OUTPUT).power;
+        return drive->exchange ? exchange_rate(drive, DISSIPATED_ENERGY)
+                               : compliant_power(drive) + compliant_rubbing(drive, INPUT).power
+                                     + compliant_rubbing(drive, OUTPUT).power;
     case OUTSIDE_RANGE: return drive_outside(drive);
     case ELASTIC_ENERGY:
         return drive->pressed.energy + compliant_rubbing(drive, INPUT).stored + compliant_rubbing(drive, OUTPUT).stored;
     case DISSIPATED_ENERGY: return s->dissipated_energy;
-    default: return 0.0;
+    case CRANK_ACCELERATION: return exchange_rate(drive, CRANK_SPEED);
+    case OUTPUT_ACCELERATION: return exchange_rate(drive, OUTPUT_SPEED);
+    case TRANSMISSION_ERROR_RATE: return exchange_rate(drive, TRANSMISSION_ERROR);
+    default: {
+        double indicators[EVENT_INDICATORS];
+        if (field >= INPUT_FRICTION_STRAIN_RATE_1) {
+            return exchange_rate(drive, field - INPUT_FRICTION_STRAIN_RATE_1 + INPUT_FRICTION_STRAIN_1);
+        }
+        exchange_indicators(drive, indicators);
+        return indicators[field - EVENT_INDICATOR_1];
+    }
     }
 }
 
 int drive_get(struct drive *drive, const struct variable *variable, double *value, char message[MESSAGE_SIZE]) {
-    const double *kept = variable->causality == CAUSALITY_OUTPUT ? NULL : stored(drive, variable);
+    const double *kept = variable->causality == CAUSALITY_OUTPUT ? NULL : drive_stored(&drive->state, variable);
     if (kept != NULL || variable->baked) {
         *value = kept != NULL ? *kept + of_housing(drive, variable->field) : variable->start;
         return 0;
@@ -364,7 +388,7 @@ int drive_get(struct drive *drive, const struct variable *variable, double *valu
             return 1;
         }
     } else {
-        if (!drive_kinematic(drive) && compliant_solve(drive, message)) {
+        if (drive->exchange ? exchange_solve(drive, message) : !drive_kinematic(drive) && compliant_solve(drive, message)) {
             return 1;
         }
         *value = output(drive, variable->field);
@@ -407,7 +431,7 @@ void drive_state_write(const struct drive *drive, unsigned char *blob) {
         memcpy(&bits, numbers + 8 * i, 8);
         put(body + 8 * i, bits);
     }
-    put(body + 8 * NUMBERS, (uint64_t)drive->initializing);
+    put(body + 8 * NUMBERS, (uint64_t)drive->initializing | (uint64_t)drive->exchange << 1);
     memcpy(blob, BLOB_MAGIC, sizeof BLOB_MAGIC);
     put(blob + 16, (uint64_t)STATE_VERSION | (uint64_t)drive->table->checksum << 32);
     put(blob + 24, 0);
@@ -429,6 +453,8 @@ int drive_state_check(const struct drive *drive, const unsigned char *blob, size
         wrong = "this state is damaged: its size or checksum does not fit";
     } else if (get(blob + 16) >> 32 != drive->table->checksum) {
         wrong = "this state belongs to another drive: it was taken from an FMU with other tables";
+    } else if ((get(blob + BLOB_HEAD + 8 * NUMBERS) >> 1 != 0) != drive->exchange) {
+        wrong = "this state is of the other interface: Co-Simulation and Model Exchange have their own";
     }
     if (wrong != NULL) {
         snprintf(message, MESSAGE_SIZE, "%s.", wrong);
@@ -445,7 +471,7 @@ void drive_state_read(struct drive *drive, const unsigned char *blob) {
         uint64_t bits = get(body + 8 * i);
         memcpy(numbers + 8 * i, &bits, 8);
     }
-    drive->initializing = get(body + 8 * NUMBERS) != 0;
+    drive->initializing = (get(body + 8 * NUMBERS) & 1) != 0;
     kept = drive->state;
     friction_settle(drive);
     drive->state = kept;

@@ -29,6 +29,9 @@ struct state {
     /* Of the housing, whose axes all other angles and speeds are in; those of the variables are absolute. */
     double support_angle, support_speed;
     double crank_torque, crank_inertia, crank_angle_start, crank_speed_start; /* of a crank with one */
+    /* Of Model Exchange, where the kinematic interface's last step ended: output and crank angle, friction's strains. */
+    double held, held_crank, held_strain[2][FRICTION_ELEMENTS];
+    double event_mode; /* whether the instance is in it */
     struct friction friction[2];
     double loss[MOST_LOSS_ROWS * LOSS_COLUMNS];
 };
@@ -71,6 +74,9 @@ struct drive {
     double element[2];  /* stiffness of each of its elements */
     int initializing; /* outputs follow the inputs without a step */
     int resting;      /* at rest under load, as the kinematic interface is, before an inertia moves */
+    int exchange;     /* Model Exchange: the solver is the host's; an inertia's deviation is a state */
+    int early, impact; /* whether a step ends where contact begins, and whether the last one did */
+    double left;       /* what it then left of it, s */
     int placed;       /* whether `place` is that of the state; of no effect on results */
     struct place place;
     struct loaded at; /* what the contacts do there under `at_load`, where that is not 0 */
@@ -102,6 +108,7 @@ void drive_state_read(struct drive *drive, const unsigned char *blob);
 int drive_refuse(char message[MESSAGE_SIZE], const char *format, double value, double limit);
 int drive_kinematic(const struct drive *drive);
 double drive_angle(const struct drive *drive);         /* of the crank */
+double *drive_stored(struct state *s, const struct variable *variable); /* or NULL, where it is found when asked for */
 const struct place *drive_place(struct drive *drive); /* of the state */
 double drive_stiffness(struct drive *drive);           /* at the flange, the compliance in series included; 0 without contact */
 
@@ -120,6 +127,9 @@ struct slid friction_rub(const struct drive *drive, int flange, double way, doub
 double friction_held(const struct drive *drive, int flange, double way, double load, double speed,
                      double following[FRICTION_ELEMENTS], double *slope);
 struct rubbing friction_press(const struct drive *drive, int flange, double way, double speed, double load, double time);
+/* How fast elements are strained where a solver integrates them: one that slides is strained a little more than it can
+   be, by YIELDING_SHARE of the presliding angle at most. Returned is the power that they store. */
+double friction_flow(const struct drive *drive, int flange, double speed, double load, double rate[FRICTION_ELEMENTS]);
 double friction_strained(const struct drive *drive, int flange); /* torque of the elements */
 
 const struct side *teeth_side(const struct drive *drive, double direction);
@@ -156,6 +166,27 @@ int compliant_solve(struct drive *drive, char message[MESSAGE_SIZE]);
 int compliant_move(struct drive *drive, double step, char message[MESSAGE_SIZE]);
 int compliant_swing(struct drive *drive, double step, char message[MESSAGE_SIZE]);
 double compliant_power(const struct drive *drive); /* of the contacts' damping */
+double compliant_load(const struct drive *drive, int flange); /* what the teeth ask for */
 struct rubbing compliant_rubbing(const struct drive *drive, int flange);
+
+enum { MOST_STATES = 5 + 2 * FRICTION_ELEMENTS };
+int exchange_states(const struct drive *drive, int fields[MOST_STATES]);
+int exchange_solve(struct drive *drive, char message[MESSAGE_SIZE]);
+double exchange_rate(const struct drive *drive, int field);
+void exchange_indicators(struct drive *drive, double found[EVENT_INDICATORS]);
+void exchange_keep(struct drive *drive);
+
+/* A direction in which inputs, parameters or states go: seeds in the place of what they belong to. */
+struct direction {
+    struct state along;
+    double size; /* its longest seed, in ways that a difference takes */
+    int parameters;
+};
+
+void derivative_begin(struct direction *direction);
+int derivative_seed(const struct drive *drive, struct direction *direction, const struct variable *known, double seed,
+                    char message[MESSAGE_SIZE]);
+int derivative_of(struct drive *drive, const struct direction *direction, const struct variable *unknown, double *value,
+                  char message[MESSAGE_SIZE]);
 
 #endif

@@ -1,4 +1,4 @@
-/* FMI 2.0 Co-Simulation. */
+/* FMI 2.0: Model Exchange and Co-Simulation. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -38,12 +38,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     }
     instance->log = log_message;
     instance->callback = (void *)functions;
-    if (instance_open(instance, name, guid, resources)) {
-        instance_close(instance);
-        return NULL;
-    }
-    if (type != fmi2CoSimulation) {
-        instance_refuse(instance, STATUS_ERROR, "this FMU is one for Co-Simulation only.");
+    if (instance_open(instance, name, guid, resources, type == fmi2ModelExchange)) {
         instance_close(instance);
         return NULL;
     }
@@ -157,8 +152,53 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size
 fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference unknowns[], size_t nUnknowns,
                                         const fmi2ValueReference knowns[], size_t nKnowns, const fmi2Real seeds[],
                                         fmi2Real derivatives[]) {
-    (void)unknowns, (void)nUnknowns, (void)knowns, (void)nKnowns, (void)seeds, (void)derivatives;
-    return absent(c, 1, "directional derivatives");
+    return (fmi2Status)instance_derivatives(c, unknowns, nUnknowns, knowns, nKnowns, seeds, derivatives, 0);
+}
+
+fmi2Status fmi2EnterEventMode(fmi2Component c) {
+    return (fmi2Status)instance_enter(c, EVENT);
+}
+
+fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
+    info->newDiscreteStatesNeeded = info->terminateSimulation = info->nominalsOfContinuousStatesChanged = fmi2False;
+    info->nextEventTimeDefined = fmi2False;
+    info->valuesOfContinuousStatesChanged = fmi2True;
+    return (fmi2Status)instance_update(c);
+}
+
+fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) {
+    return (fmi2Status)instance_enter(c, CONTINUOUS);
+}
+
+fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean noSetFMUStatePriorToCurrentPoint,
+                                       fmi2Boolean *enterEventMode, fmi2Boolean *terminateSimulation) {
+    (void)noSetFMUStatePriorToCurrentPoint;
+    *enterEventMode = *terminateSimulation = fmi2False;
+    return (fmi2Status)instance_completed(c);
+}
+
+fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) {
+    return (fmi2Status)instance_set_time(c, time);
+}
+
+fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t nx) {
+    return (fmi2Status)instance_set_states(c, x, nx);
+}
+
+fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real derivatives[], size_t nx) {
+    return (fmi2Status)instance_rates(c, derivatives, nx);
+}
+
+fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real eventIndicators[], size_t ni) {
+    return (fmi2Status)instance_indicators(c, eventIndicators, ni);
+}
+
+fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real x[], size_t nx) {
+    return (fmi2Status)instance_states(c, x, nx);
+}
+
+fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real x_nominal[], size_t nx) {
+    return (fmi2Status)instance_nominals(c, x_nominal, nx);
 }
 
 fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference references[], size_t n,

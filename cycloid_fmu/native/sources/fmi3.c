@@ -1,7 +1,10 @@
-/* FMI 3.0 Co-Simulation. */
+/* FMI 3.0: Model Exchange and Co-Simulation. */
 #include <stdlib.h>
 #include <string.h>
 
+#if defined(__clang__)
+#pragma clang diagnostic ignored "-Wstrict-prototypes" /* of FMI's own header */
+#endif
 #include "fmi3Functions.h"
 #include "instance.h"
 
@@ -23,7 +26,8 @@ fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n, const f
 }
 
 static struct instance *opened(fmi3String name, fmi3String token, fmi3String resources, void *environment,
-                               fmi3LogMessageCallback callback, const char *refused) {
+                               fmi3LogMessageCallback callback, int exchange, int events, int early,
+                               const char *refused) {
     struct instance *instance = calloc(1, sizeof *instance);
     int failed;
     if (instance == NULL) {
@@ -33,9 +37,11 @@ static struct instance *opened(fmi3String name, fmi3String token, fmi3String res
     instance->environment = environment;
     instance->callback3 = (void (*)(void))callback;
     if (refused != NULL) {
-        failed = instance_refuse(instance, STATUS_ERROR, "this FMU is one for Co-Simulation, not %s.", refused);
+        failed = instance_refuse(instance, STATUS_ERROR, "this FMU is none for %s.", refused);
     } else {
-        failed = instance_open(instance, name, token, resources);
+        instance->events = events;
+        failed = instance_open(instance, name, token, resources, exchange);
+        instance->drive.early = early;
     }
     if (failed) {
         instance_close(instance);
@@ -49,16 +55,15 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
                                          const fmi3ValueReference required[], size_t n,
                                          fmi3InstanceEnvironment environment, fmi3LogMessageCallback callback,
                                          fmi3IntermediateUpdateCallback intermediateUpdate) {
-    (void)visible, (void)logging, (void)eventModeUsed, (void)earlyReturnAllowed, (void)required, (void)n;
-    (void)intermediateUpdate;
-    return opened(name, token, resources, environment, callback, NULL);
+    (void)visible, (void)logging, (void)required, (void)n, (void)intermediateUpdate;
+    return opened(name, token, resources, environment, callback, 0, eventModeUsed, eventModeUsed && earlyReturnAllowed, NULL);
 }
 
 fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
                                           fmi3Boolean logging, fmi3InstanceEnvironment environment,
                                           fmi3LogMessageCallback callback) {
     (void)visible, (void)logging;
-    return opened(name, token, resources, environment, callback, "for Model Exchange");
+    return opened(name, token, resources, environment, callback, 1, 1, 0, NULL);
 }
 
 fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token, fmi3String resources,
@@ -67,7 +72,7 @@ fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token
                                                fmi3ClockUpdateCallback clockUpdate, fmi3LockPreemptionCallback lock,
                                                fmi3UnlockPreemptionCallback unlock) {
     (void)visible, (void)logging, (void)clockUpdate, (void)lock, (void)unlock;
-    return opened(name, token, resources, environment, callback, "for Scheduled Execution");
+    return opened(name, token, resources, environment, callback, 0, 0, 0, "Scheduled Execution");
 }
 
 void fmi3FreeInstance(fmi3Instance c) {
@@ -153,6 +158,8 @@ static fmi3Status absent(struct instance *instance, const char *what) {
 
 #if defined(__GNUC__)
 #pragma GCC diagnostic ignored "-Wunused-parameter"
+#elif defined(_MSC_VER)
+#pragma warning(disable : 4100)
 #endif
 ABSENT_TYPE(Float32)
 ABSENT_TYPE(Int8)
@@ -181,37 +188,10 @@ ABSENT(fmi3SetShiftDecimal, (fmi3Instance c, const fmi3ValueReference references
 ABSENT(fmi3SetShiftFraction, (fmi3Instance c, const fmi3ValueReference references[], size_t n, const fmi3UInt64
        counters[], const fmi3UInt64 resolutions[]), "clocks")
 ABSENT(fmi3EvaluateDiscreteStates, (fmi3Instance c), "event mode")
-ABSENT(fmi3EnterEventMode, (fmi3Instance c), "event mode")
-ABSENT(fmi3UpdateDiscreteStates, (fmi3Instance c, fmi3Boolean *discreteStatesNeedUpdate, fmi3Boolean
-       *terminateSimulation, fmi3Boolean *nominalsOfContinuousStatesChanged, fmi3Boolean
-       *valuesOfContinuousStatesChanged, fmi3Boolean *nextEventTimeDefined, fmi3Float64 *nextEventTime), "event mode")
-ABSENT(fmi3EnterContinuousTimeMode, (fmi3Instance c), "Model Exchange")
-ABSENT(fmi3CompletedIntegratorStep, (fmi3Instance c, fmi3Boolean noSetFMUStatePriorToCurrentPoint, fmi3Boolean
-       *enterEventMode, fmi3Boolean *terminateSimulation), "Model Exchange")
-ABSENT(fmi3SetTime, (fmi3Instance c, fmi3Float64 time), "Model Exchange")
-ABSENT(fmi3SetContinuousStates, (fmi3Instance c, const fmi3Float64 continuousStates[], size_t nContinuousStates),
-       "Model Exchange")
-ABSENT(fmi3GetContinuousStateDerivatives, (fmi3Instance c, fmi3Float64 derivatives[], size_t nContinuousStates),
-       "Model Exchange")
-ABSENT(fmi3GetEventIndicators, (fmi3Instance c, fmi3Float64 eventIndicators[], size_t nEventIndicators),
-       "Model Exchange")
-ABSENT(fmi3GetContinuousStates, (fmi3Instance c, fmi3Float64 continuousStates[], size_t nContinuousStates),
-       "Model Exchange")
-ABSENT(fmi3GetNominalsOfContinuousStates, (fmi3Instance c, fmi3Float64 nominals[], size_t nContinuousStates),
-       "Model Exchange")
-ABSENT(fmi3GetNumberOfEventIndicators, (fmi3Instance c, size_t *nEventIndicators), "Model Exchange")
-ABSENT(fmi3GetNumberOfContinuousStates, (fmi3Instance c, size_t *nContinuousStates), "Model Exchange")
-ABSENT(fmi3EnterStepMode, (fmi3Instance c), "step mode")
 ABSENT(fmi3GetOutputDerivatives, (fmi3Instance c, const fmi3ValueReference references[], size_t n, const fmi3Int32
        orders[], fmi3Float64 values[], size_t nValues), "derivatives")
 ABSENT(fmi3ActivateModelPartition, (fmi3Instance c, fmi3ValueReference clockReference, fmi3Float64 activationTime),
        "clocks")
-ABSENT(fmi3GetDirectionalDerivative, (fmi3Instance c, const fmi3ValueReference unknowns[], size_t nUnknowns, const
-       fmi3ValueReference knowns[], size_t nKnowns, const fmi3Float64 seed[], size_t nSeed, fmi3Float64 sensitivity[],
-       size_t nSensitivity), "derivatives")
-ABSENT(fmi3GetAdjointDerivative, (fmi3Instance c, const fmi3ValueReference unknowns[], size_t nUnknowns, const
-       fmi3ValueReference knowns[], size_t nKnowns, const fmi3Float64 seed[], size_t nSeed, fmi3Float64 sensitivity[],
-       size_t nSensitivity), "derivatives")
 ABSENT(fmi3GetNumberOfVariableDependencies, (fmi3Instance c, fmi3ValueReference valueReference, size_t
        *nDependencies), "changing dependencies")
 ABSENT(fmi3GetVariableDependencies, (fmi3Instance c, fmi3ValueReference dependent, size_t elementIndicesOfDependent[],
@@ -228,6 +208,91 @@ ABSENT(fmi3SetBinary, (fmi3Instance c, const fmi3ValueReference references[], si
 ABSENT(fmi3GetClock, (fmi3Instance c, const fmi3ValueReference references[], size_t n, fmi3Clock values[]), "clocks")
 ABSENT(fmi3SetClock, (fmi3Instance c, const fmi3ValueReference references[], size_t n, const fmi3Clock values[]),
        "clocks")
+
+fmi3Status fmi3EnterEventMode(fmi3Instance c) {
+    return (fmi3Status)instance_enter(c, EVENT);
+}
+
+fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *discreteStatesNeedUpdate,
+                                    fmi3Boolean *terminateSimulation, fmi3Boolean *nominalsOfContinuousStatesChanged,
+                                    fmi3Boolean *valuesOfContinuousStatesChanged, fmi3Boolean *nextEventTimeDefined,
+                                    fmi3Float64 *nextEventTime) {
+    struct instance *instance = c;
+    *discreteStatesNeedUpdate = *terminateSimulation = *nominalsOfContinuousStatesChanged = fmi3False;
+    *nextEventTimeDefined = fmi3False;
+    *nextEventTime = 0.0;
+    *valuesOfContinuousStatesChanged = instance->drive.exchange != 0;
+    return (fmi3Status)instance_update(instance);
+}
+
+fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance c) {
+    return (fmi3Status)instance_enter(c, CONTINUOUS);
+}
+
+fmi3Status fmi3EnterStepMode(fmi3Instance c) {
+    return (fmi3Status)instance_enter(c, STEPPING);
+}
+
+fmi3Status fmi3CompletedIntegratorStep(fmi3Instance c, fmi3Boolean noSetFMUStatePriorToCurrentPoint,
+                                       fmi3Boolean *enterEventMode, fmi3Boolean *terminateSimulation) {
+    *enterEventMode = *terminateSimulation = fmi3False;
+    return (fmi3Status)instance_completed(c);
+}
+
+fmi3Status fmi3SetTime(fmi3Instance c, fmi3Float64 time) {
+    return (fmi3Status)instance_set_time(c, time);
+}
+
+fmi3Status fmi3SetContinuousStates(fmi3Instance c, const fmi3Float64 continuousStates[], size_t nContinuousStates) {
+    return (fmi3Status)instance_set_states(c, continuousStates, nContinuousStates);
+}
+
+fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance c, fmi3Float64 derivatives[], size_t nContinuousStates) {
+    return (fmi3Status)instance_rates(c, derivatives, nContinuousStates);
+}
+
+fmi3Status fmi3GetEventIndicators(fmi3Instance c, fmi3Float64 eventIndicators[], size_t nEventIndicators) {
+    return (fmi3Status)instance_indicators(c, eventIndicators, nEventIndicators);
+}
+
+fmi3Status fmi3GetContinuousStates(fmi3Instance c, fmi3Float64 continuousStates[], size_t nContinuousStates) {
+    return (fmi3Status)instance_states(c, continuousStates, nContinuousStates);
+}
+
+fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance c, fmi3Float64 nominals[], size_t nContinuousStates) {
+    return (fmi3Status)instance_nominals(c, nominals, nContinuousStates);
+}
+
+fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance c, size_t *nEventIndicators) {
+    const struct instance *instance = c;
+    *nEventIndicators = instance->drive.exchange ? EVENT_INDICATORS : 0;
+    return fmi3OK;
+}
+
+fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance c, size_t *nContinuousStates) {
+    const struct instance *instance = c;
+    int fields[MOST_STATES];
+    *nContinuousStates = instance->drive.exchange ? (size_t)exchange_states(&instance->drive, fields) : 0;
+    return fmi3OK;
+}
+
+fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueReference unknowns[], size_t nUnknowns,
+                                        const fmi3ValueReference knowns[], size_t nKnowns, const fmi3Float64 seed[],
+                                        size_t nSeed, fmi3Float64 sensitivity[], size_t nSensitivity) {
+    if (nSeed != nKnowns || nSensitivity != nUnknowns) {
+        return (fmi3Status)too_few(c);
+    }
+    return (fmi3Status)instance_derivatives(c, unknowns, nUnknowns, knowns, nKnowns, seed, sensitivity, 0);
+}
+
+fmi3Status fmi3GetAdjointDerivative(fmi3Instance c, const fmi3ValueReference unknowns[], size_t nUnknowns,
+                                    const fmi3ValueReference knowns[], size_t nKnowns, const fmi3Float64 seed[],
+                                    size_t nSeed, fmi3Float64 sensitivity[], size_t nSensitivity) {
+    if (nSeed != nUnknowns || nSensitivity != nKnowns) {
+        return (fmi3Status)too_few(c);
+    }
+    return (fmi3Status)instance_derivatives(c, unknowns, nUnknowns, knowns, nKnowns, seed, sensitivity, 1);
+}
 
 fmi3Status fmi3GetFMUState(fmi3Instance c, fmi3FMUState *state) {
     return (fmi3Status)instance_state(c, state);
@@ -259,7 +324,9 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 step, fmi3Bo
                       fmi3Float64 *lastSuccessfulTime) {
     struct instance *instance = c;
     int status = instance_step(instance, time, step);
-    *eventHandlingNeeded = *terminateSimulation = *earlyReturn = fmi3False;
+    *earlyReturn = instance->drive.left > 0.0;
+    *eventHandlingNeeded = instance->drive.early && instance->drive.impact;
+    *terminateSimulation = fmi3False;
     *lastSuccessfulTime = instance->drive.state.time;
     return (fmi3Status)status;
 }

@@ -179,3 +179,17 @@ double friction_strained(const struct drive *drive, int flange) {
     }
     return drive->element[flange] * sum;
 }
+
+double friction_flow(const struct drive *drive, int flange, double speed, double load, double rate[FRICTION_ELEMENTS]) {
+    const struct yields yields = friction_yields(drive, flange, load, speed);
+    double stiffness = drive->element[flange], stored = 0.0;
+    double back = 1.0 / YIELDING_TIME + fabs(speed) / (YIELDING_SHARE * drive->state.friction[flange].presliding_angle);
+    int i;
+    for (i = 0; i < FRICTION_ELEMENTS; i++) {
+        double strain = drive->state.strain[flange][i], share = (i + 1) * SHARE / stiffness;
+        rate[i] = stiffness == 0.0
+            ? 0.0 : speed - (strain - clipped(strain, -share * yields.low, share * yields.high)) * back;
+        stored += stiffness * strain * rate[i];
+    }
+    return stored;
+}

@@ -37,6 +37,20 @@ struct place table_told_place(const struct table *table, double crank_angle) {
     return place_among(table->period, table->told_angles, crank_angle);
 }
 
+struct place table_turning(const struct table *table, const struct place *place) {
+    const double s = place->share, n = table->angles / table->period;
+    struct place found = *place;
+    int i;
+    for (i = 0; i < 4; i++) {
+        found.weight[i] = place->rate[i];
+    }
+    found.rate[0] = (1.0 - s) * n * n;
+    found.rate[1] = (3.0 * s - 2.0) * n * n;
+    found.rate[2] = (1.0 - 3.0 * s) * n * n;
+    found.rate[3] = s * n * n;
+    return found;
+}
+
 /* Sum of weights: 1, or 0 of those of a derivative, which has nothing of the base. */
 static double whole(const double weight[4]) {
     return (weight[0] + weight[3]) + (weight[1] + weight[2]);

@@ -13,7 +13,7 @@ struct variable {
     char *name;
     int kind, causality, baked, fixed;
     int field; /* what it is in the model, of the loss table further by rows and columns; -1 of what is in the tables */
-    double least, most, start;
+    double least, most, start, nominal;
 };
 
 /* One direction of torque; spline coefficients, the loads of one crank angle side by side, in steps of each load. */
@@ -63,6 +63,8 @@ uint32_t table_checksum(const unsigned char *data, size_t size); /* CRC-32 */
 
 struct place table_place(const struct table *table, double crank_angle);
 struct place table_told_place(const struct table *table, double crank_angle); /* of contact count and pressure */
+/* A place whose values are the derivatives there by the crank angle, and whose rates are the second ones. */
+struct place table_turning(const struct table *table, const struct place *place);
 struct loaded table_at(const struct side *side, const struct place *place, double load);
 struct loaded table_at_node(const struct side *side, const struct place *place, uint32_t node);
 /* Beyond the very last load all goes on along the tangent there: the compliance stays. */

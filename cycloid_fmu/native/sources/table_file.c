@@ -1,3 +1,4 @@
+#define _CRT_SECURE_NO_WARNINGS /* Microsoft's compiler warns of _wfopen */
 #include "table.h"
 
 #include <math.h>
@@ -209,6 +210,7 @@ static void read_variable(struct reader *reader, struct variable *v) {
     v->least = number(reader);
     v->most = number(reader);
     v->start = number(reader);
+    v->nominal = number(reader);
     if (v->field < -1 || v->field >= LOSS_TABLE + MOST_LOSS_ROWS * LOSS_COLUMNS) {
         reader->failed = 1;
     }

@@ -1,0 +1,122 @@
+/* Model Exchange: the drive as a differential equation whose solver is the host's. */
+#include "drive.h"
+
+#include <math.h>
+#include <string.h>
+
+/* The states in the model description's order. The deviation is one in place of the output's angle: what presses the
+   contacts is millionths of that. */
+int exchange_states(const struct drive *drive, int fields[MOST_STATES]) {
+    int count = 0, i;
+    if (drive_kinematic(drive)) {
+        return 0;
+    }
+    if (drive->table->offers == INTERFACE_INERTIA) {
+        if (drive->state.crank_inertia > 0.0) {
+            fields[count++] = CRANK_ANGLE;
+            fields[count++] = CRANK_SPEED;
+        }
+        fields[count++] = TRANSMISSION_ERROR;
+        fields[count++] = OUTPUT_SPEED;
+    }
+    for (i = 0; i < 2 * FRICTION_ELEMENTS; i++) {
+        fields[count++] = INPUT_FRICTION_STRAIN_1 + i;
+    }
+    fields[count++] = DISSIPATED_ENERGY;
+    return count;
+}
+
+/* Everything that follows from inputs and states; kept until one of them is set. */
+int exchange_solve(struct drive *drive, char message[MESSAGE_SIZE]) {
+    struct state *s = &drive->state;
+    if (drive->solved) {
+        return 0;
+    }
+    if (drive_kinematic(drive)) {
+        s->output_angle = s->held;
+        s->crank_seen = s->held_crank;
+        memcpy(s->strain, s->held_strain, sizeof s->strain);
+        drive->solved = !kinematic_follow(drive, message);
+        return !drive->solved;
+    }
+    if (drive->table->offers == INTERFACE_INERTIA) {
+        s->turned = s->crank_angle;
+        s->output_angle = s->deviation + s->turned / drive->ratio;
+        drive->placed = 0;
+    }
+    s->seen = s->output_angle;
+    s->crank_seen = s->crank_angle;
+    if (compliant_solve(drive, message)) {
+        return 1;
+    }
+    s->mean_torque = drive->pressed.by_angle - drive->damping / drive->ratio
+        + compliant_rubbing(drive, INPUT).torque;
+    s->mean_loss = exchange_rate(drive, DISSIPATED_ENERGY);
+    s->outside = 0.0;
+    return 0;
+}
+
+static double speed_at(const struct drive *drive, int flange) {
+    return flange == INPUT ? drive->state.crank_speed : drive->state.output_speed;
+}
+
+/* Derivative of a state by time. */
+double exchange_rate(const struct drive *drive, int field) {
+    const struct state *s = &drive->state;
+    double rate[FRICTION_ELEMENTS], found;
+    int flange = field >= INPUT_FRICTION_STRAIN_1 + FRICTION_ELEMENTS ? OUTPUT : INPUT;
+    switch (field) {
+    case CRANK_ANGLE: return s->crank_speed;
+    case CRANK_SPEED:
+        return (s->crank_torque - compliant_load(drive, INPUT) - compliant_rubbing(drive, INPUT).torque) / s->crank_inertia;
+    case TRANSMISSION_ERROR: return s->output_speed - s->crank_speed / drive->ratio;
+    case OUTPUT_SPEED:
+        return (s->torque - drive->pressed.by_rotation - drive->damping - compliant_rubbing(drive, OUTPUT).torque)
+            / s->output_inertia;
+    case DISSIPATED_ENERGY:
+        found = compliant_power(drive);
+        for (flange = INPUT; flange <= OUTPUT; flange++) {
+            if (drive->rubs[flange]) {
+                found += compliant_rubbing(drive, flange).torque * speed_at(drive, flange)
+                    - friction_flow(drive, flange, speed_at(drive, flange), compliant_load(drive, flange), rate);
+            }
+        }
+        return found;
+    default:
+        friction_flow(drive, flange, speed_at(drive, flange), compliant_load(drive, flange), rate);
+        return rate[(field - INPUT_FRICTION_STRAIN_1) % FRICTION_ELEMENTS];
+    }
+}
+
+/* Where an indicator goes through zero: a flank begins or ends to touch, a torque leaves the tables, a flange that rubs
+   turns round. Of the kinematic interface, whose output jumps from flank to flank: the torque turns round. */
+void exchange_indicators(struct drive *drive, double found[EVENT_INDICATORS]) {
+    const struct state *s = &drive->state;
+    const int still = drive_kinematic(drive);
+    const double load = still ? s->load : drive->pressed.load, side = still ? s->side : drive->pressed.side;
+    found[2] = teeth_side(drive, side)->reach - load;
+    found[3] = drive->rubs[INPUT] ? s->crank_speed : 1.0;
+    if (still) {
+        found[0] = s->torque;
+        found[1] = found[4] = 1.0;
+    } else if (drive->b > 0.0) {
+        found[0] = found[1] = 1.0; /* behind a first stage contacts begin where its plays end too: no event of their own */
+        found[4] = drive->rubs[OUTPUT] ? s->output_speed : 1.0;
+    } else {
+        struct play play = teeth_play(drive, drive_place(drive));
+        double deviation = s->output_angle - drive_angle(drive) / drive->ratio;
+        found[0] = deviation - (play.end[0].deviation - play.offset);
+        found[1] = deviation + (play.end[1].deviation - play.offset);
+        found[4] = drive->rubs[OUTPUT] ? s->output_speed : 1.0;
+    }
+}
+
+/* At the end of a step of the host's solver, and at an event: what happened until here stays. */
+void exchange_keep(struct drive *drive) {
+    struct state *s = &drive->state;
+    if (drive_kinematic(drive)) {
+        s->held = s->output_angle;
+        s->held_crank = s->crank_seen;
+        memcpy(s->held_strain, s->strain, sizeof s->strain);
+    }
+}
