@@ -149,7 +149,7 @@ def build(
         )  # fmt: skip
     typer.echo(
         f"{output}: {output.stat().st_size / 1e6:.2f} MB, {made.told}; held against the exact model at {PROBES} random "
-        "crank angles and torques, the first also around the worst."
+        "crank angles and torques, the transmission error also around the worst."
     )
 
 
