@@ -14,7 +14,6 @@ from xml.etree.ElementTree import Element, SubElement, indent, register_namespac
 from cycloid_fmu import edge
 from cycloid_fmu.fmu.core import model_of
 from cycloid_fmu.fmu.mesh import StepError
-from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.variables import ATTRIBUTES, Interface
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.reducer.first_stage import FirstStage
@@ -28,7 +27,9 @@ _STEP = 1e-3  # s
 Row = tuple[float, dict[str, float]]  # time, values by name
 
 
-def _stimuli(pair: Pair, surface: ErrorSurface, interface: Interface, ratio: float) -> list[Row]:
+def _stimuli(
+    pair: Pair, surface: ErrorSurface, interface: Interface, first_stage: FirstStage | None, ratio: float
+) -> list[Row]:
     torque = 0.3 * (pair.rated_torque or 100.0)
     if interface.crank_inertia > 0.0:
         driven = {"flange_a.tau": -1.5 * torque / ratio, "flange_b.tau": torque}
@@ -36,12 +37,12 @@ def _stimuli(pair: Pair, surface: ErrorSurface, interface: Interface, ratio: flo
     if interface.output_inertia > 0.0:
         resting = {"flange_a.phi": 0.4, "flange_a.w": 0.0, "flange_b.tau": torque}
         return [(0.0, resting), (0.1, resting)]
-    still, rows = DriveModel(pair, surface), []
+    still, rows = model_of(pair, surface, Interface(driven=interface.driven), first_stage), []
     for time, angle, load in ((0.0, 0.0, torque), (0.2, 0.4, torque), (0.4, 1.0, -torque), (0.6, -0.5, 3.0 * torque)):
         values = {"flange_a.phi": angle, "flange_a.w": 0.0}
         if interface.kind == "compliant":
             still.crank_angle, still.torque = angle, load
-            still.advance()
+            still.advance(0.0)
             values |= {"flange_b.phi": float(f"{still.output_angle:.12g}"), "flange_b.w": 0.0}
         else:
             values["flange_b.tau"] = load
@@ -61,7 +62,7 @@ def run(
         If the drive can't be brought to 0.3 and 0.9 times its rated torque.
     """
     model = model_of(pair, surface, interface, first_stage)
-    stimuli = _stimuli(pair, surface, interface, model.ratio)
+    stimuli = _stimuli(pair, surface, interface, first_stage, model.ratio)
     if interface.crank_inertia > 0.0:
         names: Sequence[str] = ("flange_a.phi", "flange_a.w", "flange_b.phi", "flange_b.w")
     elif interface.kind == "compliant" and interface.output_inertia == 0.0:
