@@ -20,6 +20,7 @@ from threadpoolctl import threadpool_limits
 
 from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
+from cycloid_fmu.errors.kinds import wave_of
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.sampling import Tolerances, read_tolerances
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
@@ -36,6 +37,7 @@ from fitting.estimation.validation import (
     yardsticks,
 )
 from fitting.model.discrepancy import GIVE, causes, given_way
+from fitting.model.discs import other_descriptions
 from fitting.model.identifiability import chosen_errors
 from fitting.model.loops import observed_curves, on_the_curves_zero
 from fitting.model.observations import (
@@ -63,13 +65,15 @@ Array = NDArray[np.float64]
 
 _MISPREDICTED = 1.5  # times the noise: a fit that predicts no better is no start for another, and not explained
 _START_POINTS = 4000  # of all curves together, for the way from the prior
-_MOST_STARTS, _START_EVALUATIONS = 40, 30
+_MOST_STARTS, _START_EVALUATIONS = 24, 30
+_BESIDE = 1.5  # times the noise: more than a minimum beside the best one leaves
 _SUSPECTS, _REACHES = 3, (1, 2, 4)
 _AGREE = 0.01  # of the points: two starts ended alike where -2 log likelihood differs by less, the noise by 0.5 %
 _CRANK_STARTS = (0.0, -0.25, 0.25, 0.5)  # pin pitches, where the crank's zero is not known
 _MISFIT = 2e-6  # rad: from where the size of a cause of misfit is estimated
 _MISFITS = 5  # fits with causes of misfit at most
 _SETTLED = 1e-7, 1e-7, 1e-7, 1e-4  # m and rad: supports that give way by no more have been found
+_TOLD_APART = 10.0  # of -2 log likelihood: a description that is less likely by more is excluded, 150 to 1
 _CHOICES = 3  # of errors to fit, which change where the state at which they are chosen does
 # A fit ends where a step gains less than this of the sum of squares in units of the noise: what moves one estimate by a
 # standard error at most, and by a tenth where it is shared among all. lmfit's steps follow.
@@ -188,7 +192,11 @@ def identify(
                 progress("fitting without the curves kept back, from there")
                 predicted = _predicted(pair, _fitted(rest, pair, found, prior, progress), [running[i] for i in kept])
                 verdict = mispredicted(verdict, predicted) if _is_mispredicted(predicted) else verdict
-            result = result_of(pair, found, verdict, predicted, prior.scatter, profiled, bootstrap, _GAIN, progress)
+            found, others = _described_otherwise(pair, found, prior, progress)
+            verdict = dataclasses.replace(verdict, descriptions=1 + len(others))
+            result = result_of(
+                pair, found, verdict, predicted, prior.scatter, profiled, bootstrap, _GAIN, others, progress
+            )
     except np.linalg.LinAlgError:
         raise edge.InputError(
             "the equations of the fit are singular, as they are where curves have no noise; add some to simulated ones."
@@ -222,6 +230,51 @@ def _suspects(pair: Pair, fit: Estimate) -> list[int]:
     share = fit.linear.scatter[:, : pair.pins] ** 2 + fit.linear.scatter[:, pair.pins : 2 * pair.pins] ** 2
     worst = (left**2 @ share) / np.maximum(share.sum(axis=0), 1e-300)
     return [int(i) for i in np.argsort(-worst)[:_SUSPECTS]]
+
+
+def _described_otherwise(
+    pair: Pair, found: Estimate, known: Prior, progress: Callable[[str], None]
+) -> tuple[Estimate, tuple[Estimate, ...]]:
+    """The same drive with each disc as the first: the description to state, and others that the curves do not exclude.
+
+    Descriptions make the same curves; what tells them apart is only how likely errors are beforehand. Stated is the one
+    that is nearest to the errors of the pair file.
+    """
+    prior, every = surface_of_pair(pair), [found]
+    for surface in other_descriptions(pair, found.state.surface):
+        progress("describing the drive from another disc")
+        values = {n: structured_value(pair, surface, n) for n in found.chosen}
+        plain = with_structured(pair, prior, values)
+        scatter = np.concatenate([(surface.errors[n] - plain.errors[n]).ravel() for n in scatter_parts(pair)])
+        state = dataclasses.replace(found.state, surface=with_scatter(pair, plain, scatter), scatter=scatter)
+        every.append(
+            fit(pair, found.observed, found.chosen, state, found.scatter, gain=_GAIN, known=known.scatter)
+        )  # fmt: skip
+    least = min(one.unlikelihood for one in every)
+    every = [one for one in every if one.unlikelihood - least < _TOLD_APART]
+    sizes = tolerances_of(found.chosen, found.observed.profile)
+
+    def distance(one: Estimate) -> float:
+        off = [structured_value(pair, one.state.surface, n) - structured_value(pair, prior, n) for n in found.chosen]
+        return round(float(np.sum((np.array(off) / sizes) ** 2)), 1)
+
+    first, *others = sorted(every, key=distance)
+    return dataclasses.replace(first, disagreeing=found.disagreeing), tuple(others)
+
+
+def _negated(pair: Pair, state: State, order: int, chosen: Sequence[str]) -> State:
+    """A state whose errors of one order round the ring are of the other sign, without scatter."""
+    plain = with_scatter(pair, state.surface, -state.scatter)
+    waves = {n: wave_of(n) for n in chosen}
+    of_order = [
+        name
+        for name, wave in waves.items()
+        if (wave and wave[0].of == "pin" and wave[1] == order) or (order == 1 and name.startswith("centre_distance"))
+    ]
+    values = {n: structured_value(pair, plain, n) for n in chosen}
+    values |= {n: -values[n] for n in of_order}
+    surface = with_structured(pair, surface_of_pair(pair), values)
+    return dataclasses.replace(state, surface=surface, scatter=np.zeros_like(state.scatter))
 
 
 def _put_back(pair: Pair, state: State, pin: int, reach: int) -> State:
@@ -277,7 +330,8 @@ def _validated(
     found = _fitted(curves, pair, start, known, progress)
     progress("testing what is left")
     likely = likely_causes(Residual(pair, found), causes(pair, found.observed, found.linear))
-    if likely.columns or verdict_of(pair, found, likely).state == "not explained":
+    first = verdict_of(pair, found, likely)
+    if (likely.columns or first.state == "not explained") and first.residual < _BESIDE * first.noise:
         # It may be that a better minimum leaves nothing.
         other = _fitted(curves, pair, found, known, progress, searched=True)
         if other.unlikelihood < found.unlikelihood - _GAIN:
@@ -332,7 +386,7 @@ def _fitted(
     if not known.scatter and len(_chosen(estimate.observed, estimate.linear, pair, {})) > len(estimate.chosen):
         # A scatter that does what errors would hides them.
         again = _settled(pair, observed, _without_scatter(pair, estimate), known, progress)
-        estimate = again if len(again.chosen) > len(estimate.chosen) else estimate
+        estimate = min(estimate, again, key=lambda e: e.unlikelihood)
     return dataclasses.replace(estimate, disagreeing=rough.disagreeing)
 
 
@@ -459,6 +513,13 @@ def _starting_estimate(
     if start is not None:
         around = None if nominal is None else linearisation_point(pair, start.state.surface, few)
         found.append(ended(few, start.state, start.scatter, around))
+    for order in (1, 3) if pair.discs == 2 else ():
+        # Two discs see the product of odd orders round the ring alone: each pair of them may come out negated.
+        progress(f"finding a start ({len(found) + 1})")
+        around = None if nominal is None else linearisation_point(pair, found[0].state.surface, few)
+        state = _negated(pair, found[0].state, order, found[0].chosen)
+        found.append(ended(few, state, unknown, around))
+        found.sort(key=lambda e: e.unlikelihood)
     # In a minimum beside the best one pins that lie side by side stand wrong, one for the other; most is left there.
     searching = not alike
     while searching and len(found) < _MOST_STARTS:

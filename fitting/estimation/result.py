@@ -112,6 +112,9 @@ class Identification:
         {source: SHA-256} of the data.
     implausible
         {source: samples that were left out because its encoders can't have shown them}.
+    other_descriptions
+        {name: value} of the fitted errors with another disc as the first, where the curves do not exclude it: they make
+        the same curves, and the standard errors are the same.
     notes
         What a reader should know of the fit and of the data.
     pair
@@ -143,6 +146,7 @@ class Identification:
     loops: tuple[LoopFit, ...]
     checksums: dict[str, str]
     implausible: dict[str, int]
+    other_descriptions: tuple[dict[str, float], ...]
     notes: tuple[str, ...]
     pair: Pair
     curves: tuple[Curve, ...]
@@ -195,6 +199,7 @@ def result_of(
     profiled: Sequence[str],
     bootstrap: int,
     gain: float,
+    others: Sequence[Estimate],
     progress: Callable[[str], None],
 ) -> Identification:
     """Confirm a fit's optimum and state what it found.
@@ -208,6 +213,8 @@ def result_of(
         `scatter` and the others of `fitting.estimation.identify.identify`.
     gain
         Of a step, below which the fit has ended, as in `fitting.estimation.fit.fit`.
+    others
+        Fits of the same curves with another disc as the first.
     """
     names, chosen, spread = list(fit.observed.errors), list(fit.chosen), spread_of(pair, fit.scatter)
     whitened = fit.observed.weight * left_of(fit.observed, fit.linear, fit.state)
@@ -284,8 +291,10 @@ def result_of(
         loops=_loops(pair, fit, parts, every),
         checksums={c.source: c.checksum for c in observed.curves},
         implausible={c.source: c.implausible for c in observed.curves},
+        other_descriptions=tuple(_structured(pair, one) for one in others),
         notes=(
             *_notes(pair, fit, verdict),
+            *_of_discs(len(others)),
             *(
                 f"{n} ends at {found[n].value * 1e3:.2g} {'mm' if unit_of(n) == 'm' else 'mrad'}, as far as it can be; "
                 "check counts per turn, directions and the pair file."
@@ -298,6 +307,21 @@ def result_of(
         pair=pair,
         curves=tuple(observed.curves[i] for i in observed.running),
     )
+
+
+def _structured(pair: Pair, fit: Estimate) -> dict[str, float]:
+    plain = with_scatter(pair, fit.state.surface, -fit.state.scatter)
+    return {name: structured_value(pair, plain, name) for name in fit.chosen}
+
+
+def _of_discs(others: int) -> list[str]:
+    if others == 0:
+        return []
+    return [
+        f"The curves do not tell which disc is the first: seen from another disc {others} other set"
+        f"{'s' * (others > 1)} of errors make{'s' * (others == 1)} the same curves (other_descriptions in the file); "
+        "stated is the one nearest to the pair file. What is known of the parts tells them apart: state it there."
+    ]
 
 
 def _bounded(parameter: lmfit.Parameter) -> bool:
@@ -464,10 +488,12 @@ def as_json(result: Identification) -> dict[str, Any]:
             "noise": verdict.noise,
             "residual": verdict.residual,
             "failed": list(verdict.failed),
+            "descriptions": verdict.descriptions,
         },
         "drive": result.drive.hash,
         "pair": result.pair.nominal.text,
         "parameters": {p.name: _as_json(p) for p in result.parameters},
+        "other_descriptions": list(result.other_descriptions),
         **({"singles": {p.name: _as_json(p) for p in result.singles}} if result.singles else {}),
         "bench": result.bench,
         "lmfit_parameters": json.loads(result.lmfit_parameters.dumps()),

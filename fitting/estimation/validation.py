@@ -73,6 +73,8 @@ class Verdict:
         Of a point by the yardstick, and rms of what is left, rad: geometric means over the curves.
     failed
         What fails, in words; none where the curves are explained.
+    descriptions
+        How many sets of errors make the curves, each seen from another disc as the first.
     """
 
     state: str
@@ -80,18 +82,20 @@ class Verdict:
     noise: float
     residual: float
     failed: tuple[str, ...]
+    descriptions: int = 1
 
     @property
     def sentence(self) -> str:
         """The verdict in one line."""
         named = ", ".join(_in_words(m) for m in self.misfits[:_NAMED])
+        several = f" {self.descriptions} sets of errors make these curves." if self.descriptions > 1 else ""
         if self.state == "explained":
             return (
                 f"Explained: what is left of the curves, {self.residual * ARCSEC:.2f}″, is their noise, at every "
-                "order, load and direction."
+                f"order, load and direction.{several}"
             )
         if self.state == "explained but for":
-            return f"Explained but for {named}; the intervals allow for it."
+            return f"Explained but for {named}; the intervals allow for it.{several}"
         likely = f" Likely causes: {named}." if named else ""
         return f"Not explained: {'; '.join(self.failed)}.{likely} No intervals are stated."
 

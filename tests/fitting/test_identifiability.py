@@ -5,17 +5,19 @@ import dataclasses
 import numpy as np
 import pytest
 from common import BENCH, EXAMPLES
+from sampled_drives import LOADS, SMALL, random_drive, recorded
 
 import fitting.estimation.identify
 from cycloid_fmu.contact.transmission import error_sensitivity, solve
 from cycloid_fmu.drive import Drive
-from cycloid_fmu.geometry.pair import read_pair
+from cycloid_fmu.geometry.pair import Pair, read_pair
 from cycloid_fmu.surfaces.files import read_surface, write_surface
 from cycloid_fmu.surfaces.structured import structured_value
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.estimation.ensemble import ensemble
 from fitting.estimation.identify import identify, kept_back
 from fitting.estimation.plan import plan, planned_curve
+from fitting.model.discs import other_descriptions
 
 ARCSEC = np.pi / 648000
 
@@ -205,3 +207,50 @@ def test_plan_and_ensemble_from_the_command_line(command, found, nominal, tmp_pa
         assert run.returncode == 2
         assert said in run.stderr
     assert not (tmp_path / "again").exists()
+
+
+@pytest.mark.parametrize(("gear_teeth", "discs"), [(11, 2), (11, 3), (9, 2)])
+def test_a_drive_seen_from_another_disc_makes_the_same_curves(gear_teeth, discs):
+    pair = Pair(
+        gear_teeth=gear_teeth,
+        pin_circle_radius=0.064,
+        pin_radius=0.003,
+        eccentricity=0.003,
+        face_width=0.01,
+        discs=discs,
+    )
+    random = np.random.default_rng(1)
+    surface = surface_of_pair(pair)
+    drawn = {
+        n: random.normal(0.0, 2e-6, surface.errors[n].shape)
+        for n in ("pin_radial", "pin_tangential", "pin_radius_deviation", "tooth_cumulative_pitch")
+    }
+    surface = surface.replace(
+        **drawn, centre_distance_x=8e-6, centre_distance_y=-1e-5, misalignment_xz=1e-4, misalignment_yz=2e-4
+    )
+    angle = np.linspace(0.0, 2.0 * np.pi * gear_teeth, 200)
+    loads = [20.0, -60.0]
+    made = solve(pair, surface, loads, angle, 5, with_play=False).transmission_error
+    others = other_descriptions(pair, surface)
+    assert len(others) == discs - 1
+    for other in others:
+        again = solve(pair, other, loads, angle, 5, with_play=False).transmission_error
+        assert np.abs(again - made).max() < 1e-8 * np.ptp(made)
+
+
+def test_two_discs_without_tooth_errors_have_two_descriptions(nominal):
+    """Either of them holds the truth, the other its mirror image; the first line says that there are two."""
+    pair, generator = nominal.replace(discs=2, **SMALL), np.random.default_rng(1)
+    surface, values = random_drive(pair, generator, 0.3e-6)
+    surface = surface.replace(tooth_cumulative_pitch=np.zeros((2, pair.gear_teeth)))
+    values = {n: 0.0 if n.startswith("tooth") else v for n, v in values.items()}
+    runs = [recorded(pair, surface, load, generator, each=24.0, turns=2) for load in LOADS]
+    found = identify(runs, Drive(pair))
+    assert "2 sets of errors make these curves" in found.verdict.sentence
+    (other,) = found.other_descriptions
+    fitted = [p for p in found.parameters if p.held is None]
+    off = [[abs(v[p.name] - values.get(p.name, 0.0)) / p.standard_error for p in fitted]
+           for v in ({p.name: p.value for p in fitted}, other)]  # fmt: skip
+    near, far = sorted(off, key=np.max)
+    assert np.max(near) < 4.0
+    assert np.max(far) > 4.0

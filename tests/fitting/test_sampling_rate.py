@@ -38,7 +38,7 @@ def test_turns_out_of_step_do_not_bias(small):
 
 
 def test_pins_that_stand_one_for_the_other_are_found(nominal):
-    """Pins 15 to 17 of this drive stood up to 4 µm wrong where both starts ended, the likelihood e³⁷⁰ below the best."""
+    """Pins 15 to 17 of this drive stood up to 4 µm wrong where both starts ended, the noise an eighth too large."""
     generator = np.random.default_rng(14)
     surface, values = random_drive(nominal, generator, 2e-6)
     runs = [recorded(nominal, surface, load, generator, each=24.0, turns=1) for load in LOADS]
