@@ -13,6 +13,7 @@ from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.fmu.reducer_model import ReducerModel
+from cycloid_fmu.fmu.reference_run import run
 from cycloid_fmu.fmu.run import described, simulate_fmu
 from cycloid_fmu.fmu.variables import Interface
 from cycloid_fmu.reducer import lost_motion as rv
@@ -197,3 +198,10 @@ def test_a_reducer_on_bearings_swings_with_inertias_inside(tmp_path):
     )  # fmt: skip
     assert np.ptp(found["flange_b.phi"]) < 1e-5
     assert np.abs(found["flange_a.w"]).max() < 0.5
+
+
+def test_the_run_inside_a_compliant_reducer_s_fmu_bears_the_torque_that_it_is_made_for():
+    """Its output stands where the whole reducer bears 0.3 and 0.9 times the rated torque with the sun locked."""
+    _, references = run(RV.stage, SURFACE, Interface("compliant"), STAGE)
+    for (_, values), share in zip(references, (0.3, 0.3, -0.3, 0.9), strict=True):
+        assert values["flange_b.tau"] == pytest.approx(share * RV.stage.rated_torque, rel=5e-3)

@@ -24,9 +24,13 @@ RATED, CRANK = 181.0, 7.3
 
 
 def wound_up(pair, *, friction, crank=CRANK, sides=(1, -1), samples=800, noise=0.5 * ARCSEC, common_zero=False):
-    """Recording of the drive that a system model steps, the crank locked, its torque to the rated one and back."""
+    """Recording of the drive that a system model steps, the crank locked, its torque to the rated one and back.
+
+    The mesh alone is so stiff that friction's usual presliding would take half a branch; here it has next to none.
+    """
     drive = DriveModel(pair, surface_of_pair(pair))
-    drive.friction_torque, drive.crank_angle = friction, crank
+    drive.set_friction(1, coulomb=friction, presliding_angle=1e-8)
+    drive.crank_angle = crank
     way = np.concatenate([np.linspace(0.0, RATED, samples), np.linspace(RATED, 0.0, samples)])
     torque = np.concatenate([side * way for side in sides])
     output = []

@@ -78,11 +78,11 @@ def test_tables_are_what_analyze_says_within_their_accuracy(held):
     angles = np.sort(generator.uniform(0.0, 40.0, 60))
     for torque in (55.0, -21.0, 1.3, -0.06):
         want = solve(held.pair, held.surface, [torque], angles)
-        found = tables.deviation(held.tables, angles, np.full(angles.size, torque))
+        found = tables.interpolated(held.tables, angles, np.full(angles.size, torque)).deviation
         assert np.abs(found - want.transmission_error[0]).max() < 0.5 * ARCSEC
     ends = np.full(angles.size, 1e-9)
-    play = tables.deviation(held.tables, angles, ends) - tables.deviation(held.tables, angles, -ends)
-    assert play == pytest.approx(want.backlash, abs=0.5 * ARCSEC)
+    high, low = (tables.interpolated(held.tables, angles, way * ends).deviation for way in (1.0, -1.0))
+    assert high - low == pytest.approx(want.backlash, abs=0.5 * ARCSEC)
 
 
 def test_the_compiled_fmu_is_the_exact_model(held, tmp_path):
