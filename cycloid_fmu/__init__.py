@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from cycloid_fmu.drive import Drive, field_units, read_drive
     from cycloid_fmu.edge import ARCMIN, ARCSEC, InputError
     from cycloid_fmu.errors.kinds import ErrorKind, register_error_kind
+    from cycloid_fmu.fmu.friction_file import Friction
     from cycloid_fmu.fmu.run import simulate_fmu
     from cycloid_fmu.fmu.variables import Interface
     from cycloid_fmu.geometry.pair import Material, Pair
@@ -28,6 +29,7 @@ _HOMES = {
     "drive": ("Drive", "field_units", "read_drive"),
     "edge": ("ARCMIN", "ARCSEC", "InputError"),
     "errors.kinds": ("ErrorKind", "register_error_kind"),
+    "fmu.friction_file": ("Friction",),
     "fmu.run": ("simulate_fmu",),
     "fmu.variables": ("Interface",),
     "geometry.pair": ("Material", "Pair"),
@@ -39,8 +41,8 @@ _HOMES = {
 }
 
 __all__ = [
-    "ARCMIN", "ARCSEC", "Drive", "ErrorKind", "ErrorSurface", "InputError", "Interface", "Material", "Pair", "Reducer",
-    "Tolerances", "__version__", "budget", "field_units", "plot", "read_drive", "read_reducer", "read_surface",
+    "ARCMIN", "ARCSEC", "Drive", "ErrorKind", "ErrorSurface", "Friction", "InputError", "Interface", "Material", "Pair",
+    "Reducer", "Tolerances", "__version__", "budget", "field_units", "plot", "read_drive", "read_reducer", "read_surface",
     "read_tolerances", "register_error_kind", "simulate_fmu",
 ]  # fmt: skip
 

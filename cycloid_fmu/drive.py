@@ -485,7 +485,7 @@ class Drive:
         native: bool = False,
         largest_torque: float | None = None,
     ) -> None:
-        """Build a Co-Simulation FMU of the drive, whole or not at all.
+        """Build an FMU of the drive, whole or not at all.
 
         Parameters
         ----------

@@ -92,7 +92,7 @@ def build(
         ),
     ] = None,
 ) -> None:
-    """Build a Co-Simulation FMU of the drive, or of a whole RV reducer with the sun as input.
+    """Build an FMU of the drive, or of a whole RV reducer with the sun as input.
 
     Example: [cyan]cycloid-fmu build pair.toml --surface identified.nc -o drive.fmu[/]
     """

@@ -56,8 +56,7 @@ class Friction(Config):
     Examples
     --------
     >>> import cycloid_fmu as cy
-    >>> from cycloid_fmu.fmu.friction_file import Friction
-    >>> cy.Interface(output_friction=Friction(coulomb="2 N*m", load_share=0.02)).output_friction.coulomb
+    >>> cy.Interface(output_friction=cy.Friction(coulomb="2 N*m", load_share=0.02)).output_friction.coulomb
     2.0
     """
 
