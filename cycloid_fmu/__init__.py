@@ -42,8 +42,8 @@ _HOMES = {
 
 __all__ = [
     "ARCMIN", "ARCSEC", "Drive", "ErrorKind", "ErrorSurface", "Friction", "InputError", "Interface", "Material", "Pair",
-    "Reducer", "Tolerances", "__version__", "budget", "field_units", "plot", "read_drive", "read_reducer", "read_surface",
-    "read_tolerances", "register_error_kind", "simulate_fmu",
+    "Reducer", "Tolerances", "__version__", "budget", "field_units", "plot", "read_drive", "read_reducer",
+    "read_surface", "read_tolerances", "register_error_kind", "simulate_fmu",
 ]  # fmt: skip
 
 
