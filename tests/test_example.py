@@ -143,6 +143,7 @@ def test_what_each_error_does(tmp_path, example):
     assert (tmp_path / "error_study.png").stat().st_size > 10000
 
 
+@pytest.mark.slow(6)
 def test_the_wear_paper_s_figures(tmp_path, example):
     said = example("wear_study.py")
     cells = cells_of(said)

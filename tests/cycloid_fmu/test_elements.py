@@ -223,6 +223,7 @@ def test_a_truncated_surface_file_is_one_sentence(tmp_path):
             read_surface(tmp_path / "cut.nc")
 
 
+@pytest.mark.slow(9)
 def test_the_fmu_has_the_elements(tmp_path):
     rng = np.random.default_rng(1)
     surface = dataclasses.replace(surface_of_pair(ERRORS), gear_deviation=rng.normal(0, 1e-6, (1, 39, 80, 2)))

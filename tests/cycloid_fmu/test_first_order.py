@@ -132,6 +132,7 @@ def test_each_factor_has_its_own_columns():
         assert wider == pytest.approx(whole + of_factor, rel=1e-12, abs=1e-18)
 
 
+@pytest.mark.slow(5)
 def test_allocation_is_the_optimum_of_two_linear_errors():
     """Backlash is linear in two radii; with a reciprocal cost the optimum is s ∝ (c/a²)^(1/3) for slopes a."""
     text = (
@@ -162,6 +163,7 @@ ON_BEARINGS = (
 )
 
 
+@pytest.mark.slow(11)
 def test_first_order_on_bearings_is_about_each_drive(record_property):
     """Errors open and close clearances: about the error-free drive a tenth is missed, about each drive itself 1 %."""
     pair = read_pair(EXAMPLES / "drive-39-40-bearings.toml")

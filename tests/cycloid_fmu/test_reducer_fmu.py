@@ -184,6 +184,7 @@ def test_the_fmu_moves_as_the_model(fmu):
         assert found["flange_a.tau"][i] == pytest.approx(model.crank_torque, rel=1e-6, abs=1e-9)
 
 
+@pytest.mark.slow(10)
 def test_a_reducer_on_bearings_swings_with_inertias_inside(tmp_path):
     """From rest on its load it stays there, at the sun's torque that balances it."""
     reducer = read_reducer(EXAMPLES / "rv-20e-bearings.toml")

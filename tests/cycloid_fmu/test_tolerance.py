@@ -263,6 +263,7 @@ def test_bad_studies_are_one_sentence(text, changes, said):
     assert str(caught.value).count("\n") == 0
 
 
+@pytest.mark.slow(5)
 def test_a_scheduler_that_does_not_answer(command, files, tmp_path):
     failed = command(*files, "--scheduler", "tcp://127.0.0.1:9", "-o", "s.nc")
     assert (failed.returncode, failed.stdout) == (2, "")
@@ -310,6 +311,7 @@ def _wait_for(address, workers):
         client.wait_for_workers(workers, timeout=60)
 
 
+@pytest.mark.slow(9)
 def test_a_cluster_of_two_loses_a_worker_and_nothing_else(cluster):
     address, worker = cluster
     first, _ = worker(), worker()

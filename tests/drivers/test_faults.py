@@ -134,6 +134,7 @@ def test_what_a_receiver_at_another_baud_rate_makes_of_a_byte():
     assert at_wrong_baud(b"\x12\x34\xfe", 1.0) == b"\x12\x34\xfe"
 
 
+@pytest.mark.slow(6)
 def test_bus_off(tmp_path, bus_name):
     motion = slow_motion(3)
     recording, done, _ = can_recording(tmp_path, bus_name, [Fault("bus_off", 40)], motion, speed_factor=1.0, idle=3.0)
@@ -365,6 +366,7 @@ def test_slow_consumer(tmp_path, bus_name, monkeypatch):
         assert len(recording.samples[name]) + max(count, missing) >= len(motion.time)
 
 
+@pytest.mark.slow(5)
 def test_dead_heartbeat(tmp_path, bus_name):
     motion = slow_motion(4)
     edit = lambda text: text.replace("node = 2", 'node = 2\nheartbeat = "50 ms"')  # noqa: E731

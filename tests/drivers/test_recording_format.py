@@ -93,6 +93,7 @@ def test_the_file_is_a_plain_arrow_stream_with_the_documented_checksum(tmp_path)
     assert said["crc32"].decode() == f"{zlib.crc32(said['sequence'] + said['events'] + b'torque' + packed):08x}"
 
 
+@pytest.mark.slow(9)
 def test_a_file_cut_at_any_byte_of_its_last_two_batches_loses_no_complete_batch(tmp_path):
     all_batches = [block(NAMES[i % 3], 10 * i, 4) for i in range(6)]
     ends = [len(write(tmp_path / f"{n}.arrows", all_batches[:n]).read_bytes()) - 8 for n in (4, 5, 6)]

@@ -91,6 +91,7 @@ def moved(**options):
     return made(lambda angle, torque: -angle / 39 + 1e-6 * torque, SimulatedRun(**{"speed": 10 * math.pi, **options}))
 
 
+@pytest.mark.slow(7)
 def test_a_prompted_sequence_goes_on_after_a_step_that_fell_short_and_hands_over_its_report(
     command, tmp_path, wiring, bus_name
 ):

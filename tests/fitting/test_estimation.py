@@ -66,6 +66,7 @@ def simple(nominal):
     return made, observed
 
 
+@pytest.mark.slow(12)
 def test_the_optimum_is_that_of_finite_differences_for_a_twentieth_of_the_evaluations(simple, nominal, monkeypatch):
     observed = simple[1]
     errors = chosen_errors(observed, linearise(nominal, observed, at_nominal(nominal, observed)), errors_of(nominal),
@@ -233,6 +234,7 @@ def test_a_curve_keeps_its_turns_where_asked_to(nominal):
     assert fitting.curves(recording, -39.0)[0].each_turn is None
 
 
+@pytest.mark.slow(14)
 def test_a_torque_that_swings_and_a_zero_that_creeps_do_not_bend_the_errors(simple, nominal):
     made, _ = simple
     generator = np.random.default_rng(5)

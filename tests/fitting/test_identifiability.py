@@ -122,6 +122,7 @@ def test_a_curve_with_more_noise_than_the_others_is_named(measured, nominal):
     assert [n.split(":")[0] for n in found.notes if "its noise comes out" in n] == ["-20 N·m"]
 
 
+@pytest.mark.slow(22)
 def test_curves_of_another_gear_are_not_explained(measured):
     """The same ratio, another eccentricity and pin: the fit says so and still ends."""
     other = read_pair(BENCH / "pair.toml")
