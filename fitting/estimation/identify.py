@@ -24,7 +24,7 @@ from cycloid_fmu.errors.kinds import wave_of
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.sampling import Tolerances, read_tolerances
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
-from cycloid_fmu.surfaces.surface import DEVIATIONS, surface_of_pair
+from cycloid_fmu.surfaces.surface import DEVIATIONS, ErrorSurface, surface_of_pair
 from fitting.estimation.fit import NO_SCATTER, OUTLYING, TURNS, Estimate, fit
 from fitting.estimation.result import Identification, is_uneven, result_of
 from fitting.estimation.validation import (
@@ -67,7 +67,7 @@ _MISPREDICTED = 1.5  # times the noise: a fit that predicts no better is no star
 _START_POINTS = 4000  # of all curves together, for the way from the prior
 _MOST_STARTS, _START_EVALUATIONS = 24, 30
 _BESIDE = 1.5  # times the noise: more than a minimum beside the best one leaves
-_SUSPECTS, _REACHES = 3, (1, 2, 4)
+_SUSPECTS, _REACHES = 3, (1, 2, 4)  # pins that are put back, and with how many neighbours on either side
 _AGREE = 0.01  # of the points: two starts ended alike where -2 log likelihood differs by less, the noise by 0.5 %
 _CRANK_STARTS = (0.0, -0.25, 0.25, 0.5)  # pin pitches, where the crank's zero is not known
 _MISFIT = 2e-6  # rad: from where the size of a cause of misfit is estimated
@@ -247,9 +247,7 @@ def _described_otherwise(
         plain = with_structured(pair, prior, values)
         scatter = np.concatenate([(surface.errors[n] - plain.errors[n]).ravel() for n in scatter_parts(pair)])
         state = dataclasses.replace(found.state, surface=with_scatter(pair, plain, scatter), scatter=scatter)
-        every.append(
-            fit(pair, found.observed, found.chosen, state, found.scatter, gain=_GAIN, known=known.scatter)
-        )  # fmt: skip
+        every.append(fit(pair, found.observed, found.chosen, state, found.scatter, gain=_GAIN, known=known.scatter))
     least = min(one.unlikelihood for one in every)
     every = [one for one in every if one.unlikelihood - least < _TOLD_APART]
     sizes = tolerances_of(found.chosen, found.observed.profile)
@@ -338,6 +336,7 @@ def _validated(
             found = other
             progress("testing what is left")
             likely = likely_causes(Residual(pair, found), causes(pair, found.observed, found.linear))
+            first = verdict_of(pair, found, likely)
     if likely.columns:
         # The scatter has swallowed what it could of the causes.
         found = _without_scatter(pair, found)
@@ -362,7 +361,7 @@ def _validated(
             moved = dataclasses.replace(found.observed, give=give)
             there = causes(pair, moved, linearise(pair, moved, found.state))
             likely = dataclasses.replace(likely, columns={n: there.get(n, one) for n, one in likely.columns.items()})
-    return found, verdict or verdict_of(pair, found, likely)
+    return found, verdict or first
 
 
 def _fitted(
@@ -491,15 +490,11 @@ def _starting_estimate(
     nominal = None if observed.fit_crank else linearisation_point(pair, prior, fewer)
     found: list[Estimate] = []
 
-    def tried(
-        part: NDArray[np.int64], state: State, scatter: Mapping[str, float], near: LinearisationPoint | None
-    ) -> bool:
-        """Whether a start, from these curves to all, ends where the best one did."""
-        progress(f"finding a start ({len(found) + 1})")
-        one = ended(fewer.some(part), state, scatter, None if near is None else near.some(part))
-        around = None if nominal is None else linearisation_point(pair, one.state.surface, few)
-        one = ended(few, one.state, one.scatter, around)
-        found.append(one)
+    def around(surface: ErrorSurface) -> LinearisationPoint | None:
+        return None if nominal is None else linearisation_point(pair, surface, few)
+
+    def agree() -> bool:
+        """Put the best first; whether the next ended there too."""
         found.sort(key=lambda e: e.unlikelihood)
         return len(found) > 1 and found[1].unlikelihood < found[0].unlikelihood + _AGREE * few.measured.size
 
@@ -507,30 +502,31 @@ def _starting_estimate(
     alike = False
     for number, crank in enumerate(() if start else cranks):
         state = State(prior, np.zeros(size), np.empty(0), crank * pitch)
-        alike = tried(high if number == 1 else all_of_them, state, unknown, nominal) and not is_uneven(found[0])
+        part = high if number == 1 else all_of_them
+        progress(f"finding a start ({len(found) + 1})")
+        one = ended(fewer.some(part), state, unknown, None if nominal is None else nominal.some(part))
+        found.append(ended(few, one.state, one.scatter, around(one.state.surface)))
+        alike = agree() and not is_uneven(found[0])
         if alike:
             break
     if start is not None:
-        around = None if nominal is None else linearisation_point(pair, start.state.surface, few)
-        found.append(ended(few, start.state, start.scatter, around))
+        found.append(ended(few, start.state, start.scatter, around(start.state.surface)))
     for order in (1, 3) if pair.discs == 2 else ():
         # Two discs see the product of odd orders round the ring alone: each pair of them may come out negated.
         progress(f"finding a start ({len(found) + 1})")
-        around = None if nominal is None else linearisation_point(pair, found[0].state.surface, few)
         state = _negated(pair, found[0].state, order, found[0].chosen)
-        found.append(ended(few, state, unknown, around))
-        found.sort(key=lambda e: e.unlikelihood)
+        found.append(ended(few, state, unknown, around(found[0].state.surface)))
+        agree()
     # In a minimum beside the best one pins that lie side by side stand wrong, one for the other; most is left there.
     searching = not alike
     while searching and len(found) < _MOST_STARTS:
         best, searching = found[0], False
-        near = None if nominal is None else linearisation_point(pair, best.state.surface, few)
+        near = around(best.state.surface)
         for pin, reach in itertools.product(_suspects(pair, best), _REACHES):
             progress(f"finding a start ({len(found) + 1})")
             found.append(ended(few, _put_back(pair, best.state, pin, reach), best.scatter, near))
             if found[-1].unlikelihood < best.unlikelihood - _AGREE * few.measured.size:
                 searching = True
                 break
-        found.sort(key=lambda e: e.unlikelihood)
-        alike = found[1].unlikelihood < found[0].unlikelihood + _AGREE * few.measured.size
+        alike = agree()
     return dataclasses.replace(found[0], disagreeing=0 if alike else len(found))
