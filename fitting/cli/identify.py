@@ -58,10 +58,16 @@ def identify(
         result = fitting.identify(
             recordings, nominal, tolerances=tolerances, profiled=profiled or (), bootstrap=bootstrap, progress=progress
         )
+    written: list[str] = []
     if output is not None:
         result.write(output)
     if surface is not None:
         result.drive.write(surface)
+        if result.bearings:
+            # A surface belongs to one pair, and this one's bearings are other than the file's.
+            made = surface.with_suffix(".toml")
+            result.drive.write(made)
+            written.append(f"{made}: the pair with its bearings as found, to which {surface} belongs.")
     if plot is not None:
         fitting.plot(result, plot)
     if report is not None:
@@ -70,13 +76,13 @@ def identify(
         commands.print_json(content(result))
         return
     _print(result)
-    options.print_notes(result.notes)
+    options.print_notes([*result.notes, *written])
 
 
 def _print(result: Identification) -> None:
     typer.echo(result.verdict.sentence)
     rows, held = [], []
-    for p in result.parameters:
+    for p in (*result.parameters, *result.bearings):
         factor, unit = options.FIELD_UNITS[p.unit]
         low, high = (v * factor for v in p.interval)
         if p.held is None:
@@ -84,7 +90,8 @@ def _print(result: Identification) -> None:
             rows.append([p.name, f"{p.value * factor:.3f}", interval, unit])
         else:
             held.append([p.name, p.held])
-    commands.print_table("Identified errors", ["error", "identified", "95 % interval", "unit"], rows)
+    title = "Identified errors and bearings" if result.bearings else "Identified errors"
+    commands.print_table(title, ["error", "identified", "95 % interval", "unit"], rows)
     commands.print_table("Held, because the data cannot resolve them", ["error", "why"], held)
     if result.held_out is not None:
         kept = result.held_out

@@ -24,7 +24,7 @@ HeadFile = Annotated[
 Ratio = Annotated[float | None, typer.Option(help="Signed ratio input/output, such as -39, in place of a pair.")]
 RatedTorque = Annotated[float | None, commands.quantity_option("N*m", "Rated torque at the output.")]
 MappingFile = Annotated[Path | None, typer.Option(metavar="MAP.toml", help="Which channel is what; see inspect.")]
-FIELD_UNITS = {"m": (1e6, "µm"), "rad": (1e3, "mrad")}
+FIELD_UNITS = {"m": (1e6, "µm"), "rad": (1e3, "mrad"), "1": (1.0, "of the stated")}
 
 
 @contextmanager

@@ -24,8 +24,10 @@ from cycloid_fmu.errors.kinds import LARGEST_DEVIATION, LARGEST_MISALIGNMENT
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import profile_names, structured_value, unit_of, with_structured
 from cycloid_fmu.surfaces.surface import LARGEST_ELEMENT, surface_of_pair
+from fitting.model.bearings import unknown_bearings
 from fitting.model.identifiability import UNKNOWN
 from fitting.model.observations import (
+    KNOWN_SIZES,
     PROFILE_ORDERS,
     Linear,
     LinearisationPoint,
@@ -54,7 +56,8 @@ EVALUATIONS = 60  # of one fit, which needs ten to thirty
 _PATIENCE = 3  # steps in a row that may bring less than they should, at the curves' corners
 TURNS = 3  # fewer do not say how they scatter
 _PROFILE_GAIN, _PROFILE_WITHIN = 0.02, 0.1  # of the rise: where a fit of a profile ends, and how near it must come
-_CRANK_SCALE, _SCATTER_SCALE, _CREEP_SCALE = 1e-2, 1e-6, 1e-6  # rad, m, rad
+_CRANK_SCALE, _CREEP_SCALE = 1e-2, 1e-6  # rad
+_SCATTER_SCALE = {"m": 1e-6, "rad": 1e-4}
 _CONFIRMATIONS = 2  # evaluations of the model that the last step may cost
 _ROUNDS, _LINEAR = 40, 0.02  # of the variances' fixed point on one model, where a step promises so little a point
 _SETTLED = 3e-3  # relative change of a deviation with one round, which comes near by ever smaller ones; in a start more
@@ -140,12 +143,13 @@ class Problem:
         scattered = spread_of(pair, {}).size
         self.scale = np.concatenate([
             tolerances_of(chosen, observed.profile), np.where(known, observed.bench_prior, 1e-4),
-            np.full(len(observed.friction_names), observed.friction_prior), crank, np.full(scattered, _SCATTER_SCALE),
+            np.full(len(observed.friction_names), observed.friction_prior), crank, observed.bearing_prior,
+            spread_of(pair, {n: _SCATTER_SCALE[unit_of(n)] for n in scatter_parts(pair)}),
         ])  # fmt: skip
         loops = len(observed.friction_names) - 1
         flat = np.concatenate([
-            [n not in observed.profile for n in chosen], ~known, [False],
-            np.ones(loops + len(crank) + scattered, bool),
+            [n not in observed.profile for n in chosen], ~known, [False], np.ones(loops + len(crank), bool),
+            np.zeros(observed.bearing_prior.size, bool), np.ones(scattered, bool),
         ])  # fmt: skip
         self.known = np.where(flat, UNKNOWN, 1.0)
         self.first_scatter = self.scale.size - scattered
@@ -156,9 +160,11 @@ class Problem:
         for group, part in observed.estimated.items():
             self.parts[group] = slice(part.start + len(chosen), part.stop + len(chosen))
             self.scale[self.parts[group]] = _CREEP_SCALE
+        self.bearings = slice(self.first_scatter - observed.bearing_prior.size, self.first_scatter)
         self.fit_crank, self.with_loops = observed.fit_crank, loops > 0
         crank_name = ["crank_angle_offset"] if observed.fit_crank else []
-        self.names = [*chosen, *observed.bench_names, *observed.friction_names, *crank_name, *scatter_names(pair)]
+        self.names = [*chosen, *observed.bench_names, *observed.friction_names, *crank_name,
+                      *unknown_bearings(pair), *scatter_names(pair)]  # fmt: skip
 
     def unknowns(self, state: State) -> Array:
         """Return the vector of a state."""
@@ -166,7 +172,8 @@ class Problem:
         errors = [structured_value(self.pair, plain, n) for n in self.chosen]
         crank = [state.crank_offset] if self.fit_crank else []
         friction = [state.friction, state.loop_friction] if self.with_loops else [state.friction]
-        values = np.concatenate([errors, state.bench, friction, crank, state.scatter])
+        bearings = state.bearings if state.bearings.size else np.zeros(self.bearings.stop - self.bearings.start)
+        values = np.concatenate([errors, state.bench, friction, crank, bearings, state.scatter])
         scaled: Array = values / self.scale
         return scaled
 
@@ -188,7 +195,8 @@ class Problem:
             bench=values[self.bench],
             friction=float(values[self.bench.stop]),
             loop_friction=float(values[self.bench.stop + 1]) if self.with_loops else 0.0,
-            crank_offset=float(values[self.first_scatter - 1]) if self.fit_crank else 0.0,
+            crank_offset=float(values[self.bearings.start - 1]) if self.fit_crank else 0.0,
+            bearings=values[self.bearings],
         )
 
     def is_possible(self, unknowns: Array) -> bool:
@@ -270,7 +278,8 @@ def fit(
     mean = np.zeros(unknowns.size)
     for at, value in pins.items():
         mean[at] = value / problem.scale[at]
-    scatter = {**scatter, **(known or {})}
+    known = {**{n: v for n, v in KNOWN_SIZES.items() if n in problem.parts}, **(known or {})}
+    scatter = {**scatter, **known}
     limit = np.full(len(observed.curves), np.inf)
     now = problem.normal(unknowns, observed, limit)
     limit = _limits(now)
@@ -303,7 +312,7 @@ def fit(
                 # Where the model is as good as linear the variances settle without another evaluation of it.
                 for _ in range(_ROUNDS if promised < _LINEAR * observed.measured.size else 1):
                     observed, now, scatter, settled = _variances(
-                        problem, observed, now, scatter, unknowns, ahead, known or {}, _SETTLED * max(gain, 1.0)
+                        problem, observed, now, scatter, unknowns, ahead, known, _SETTLED * max(gain, 1.0)
                     )
                     if settled:
                         break
@@ -514,7 +523,7 @@ def freedom(pair: Pair, estimate: Estimate, covariance: Array, known: Collection
     blur = np.zeros(count)
     for name, part in parts.items():
         deviation = estimate.scatter.get(name, 0.0)
-        if name in known or deviation <= NO_SCATTER:
+        if name in known or name in KNOWN_SIZES or deviation <= NO_SCATTER:
             continue
         share = (covariance[:count, part] ** 2).sum(axis=1) / deviation**2 / variance
         resolved = part.stop - part.start - np.trace(covariance[part, part]) / deviation**2

@@ -49,11 +49,12 @@ from fitting.model.observations import (
     Observations,
     State,
     errors_of,
+    estimated_parts,
     left_of,
     linearisation_point,
     linearise,
     observations,
-    scatter_parts,
+    scatter_between,
     spread_of,
     with_scatter,
 )
@@ -241,12 +242,10 @@ def _described_otherwise(
     that is nearest to the errors of the pair file.
     """
     prior, every = surface_of_pair(pair), [found]
-    for surface in other_descriptions(pair, found.state.surface):
+    # On bearings the places of the cranks tell the discs apart.
+    for surface in () if pair.supports is not None else other_descriptions(pair, found.state.surface):
         progress("describing the drive from another disc")
-        values = {n: structured_value(pair, surface, n) for n in found.chosen}
-        plain = with_structured(pair, prior, values)
-        scatter = np.concatenate([(surface.errors[n] - plain.errors[n]).ravel() for n in scatter_parts(pair)])
-        state = dataclasses.replace(found.state, surface=with_scatter(pair, plain, scatter), scatter=scatter)
+        state = _described_by(pair, found, surface)
         every.append(fit(pair, found.observed, found.chosen, state, found.scatter, gain=_GAIN, known=known.scatter))
     least = min(one.unlikelihood for one in every)
     every = [one for one in every if one.unlikelihood - least < _TOLD_APART]
@@ -258,6 +257,14 @@ def _described_otherwise(
 
     first, *others = sorted(every, key=distance)
     return dataclasses.replace(first, disagreeing=found.disagreeing), tuple(others)
+
+
+def _described_by(pair: Pair, found: Estimate, surface: ErrorSurface) -> State:
+    """The state of a fit with the errors of a surface."""
+    values = {n: structured_value(pair, surface, n) for n in found.chosen}
+    plain = with_structured(pair, surface_of_pair(pair), values)
+    scatter = scatter_between(pair, surface, plain)
+    return dataclasses.replace(found.state, surface=with_scatter(pair, plain, scatter), scatter=scatter)
 
 
 def _negated(pair: Pair, state: State, order: int, chosen: Sequence[str]) -> State:
@@ -310,7 +317,7 @@ def _predicted(pair: Pair, fit: Estimate, curves: Sequence[Curve]) -> HeldOut:
 
 
 def _no_scatter(pair: Pair) -> dict[str, float]:
-    return {**dict.fromkeys(scatter_parts(pair), NO_SCATTER), CREEP: NO_CREEP}
+    return {**dict.fromkeys(estimated_parts(pair), NO_SCATTER), CREEP: NO_CREEP}
 
 
 def _is_mispredicted(predicted: HeldOut) -> bool:
@@ -486,8 +493,10 @@ def _starting_estimate(
         chosen = _chosen(part, linear, pair, {})
         return fit(pair, part, chosen, state, scatter, gain=_START_GAIN, around=around, evaluations=_START_EVALUATIONS)
 
-    # To first order from the prior, and from there once more; a crank whose zero is unknown needs the exact model.
-    nominal = None if observed.fit_crank else linearisation_point(pair, prior, fewer)
+    # To first order from the prior, and from there once more; a crank whose zero is unknown and discs that float need
+    # the exact model.
+    exact = observed.fit_crank or pair.supports is not None
+    nominal = None if exact else linearisation_point(pair, prior, fewer)
     found: list[Estimate] = []
 
     def around(surface: ErrorSurface) -> LinearisationPoint | None:
@@ -516,6 +525,11 @@ def _starting_estimate(
         progress(f"finding a start ({len(found) + 1})")
         state = _negated(pair, found[0].state, order, found[0].chosen)
         found.append(ended(few, state, unknown, around(found[0].state.surface)))
+        agree()
+    # On bearings another disc as the first makes nearly the same curves: a minimum beside the best one.
+    for surface in other_descriptions(pair, found[0].state.surface) if pair.supports is not None else ():
+        progress(f"finding a start ({len(found) + 1})")
+        found.append(ended(few, _described_by(pair, found[0], surface), found[0].scatter, None))
         agree()
     # In a minimum beside the best one pins that lie side by side stand wrong, one for the other; most is left there.
     searching = not alike

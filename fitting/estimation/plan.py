@@ -14,7 +14,7 @@ from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.arguments import positive
 from fitting.model.identifiability import chosen_errors, posterior_covariance, weakness
 from fitting.model.loops import planned_branches
-from fitting.model.observations import State, errors_of, linearise, observations, scatter_parts, spread_of
+from fitting.model.observations import State, errors_of, estimated_parts, linearise, observations, spread_of
 from fitting.transmission_error.curve import Curve
 
 
@@ -150,7 +150,7 @@ def plan(
 def _planned(pair: Pair, curves: Sequence[Curve], noise: float, scatter: float, runs: str) -> Plan:
     observed = observations(curves, pair, [noise / np.sqrt(c.sample_count[0]) for c in curves])
     names = errors_of(pair)
-    spread = spread_of(pair, dict.fromkeys(scatter_parts(pair), scatter))
+    spread = spread_of(pair, dict.fromkeys(estimated_parts(pair), scatter))
     state = State(surface_of_pair(pair), np.zeros_like(spread), np.zeros(observed.bench.shape[1]))
     linear = linearise(pair, observed, state)
     chosen = chosen_errors(observed, linear, names, spread)

@@ -27,9 +27,25 @@ from cycloid_fmu.surfaces.structured import displacement_columns, displacement_l
 from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
 from fitting.estimation.fit import NO_SCATTER, Estimate, confirmed, freedom, profile_interval, turn_bootstrap
 from fitting.estimation.validation import HeldOut, Verdict
+from fitting.model.bearings import (
+    as_stated,
+    free_bearings,
+    pair_with,
+    sizes_of,
+    unit_of_bearing,
+    unknown_bearings,
+)
 from fitting.model.identifiability import weakness
 from fitting.model.loops import LoopFit, play_of
-from fitting.model.observations import left_of, scatter_columns, scatter_names, scatter_parts, spread_of, with_scatter
+from fitting.model.observations import (
+    estimated_parts,
+    left_of,
+    scatter_columns,
+    scatter_names,
+    scatter_parts,
+    spread_of,
+    with_scatter,
+)
 from fitting.model.prior import tolerances_of
 from fitting.transmission_error.curve import Curve
 
@@ -80,6 +96,9 @@ class Identification:
         All structured errors, fitted and held.
     singles
         Every pin's and tooth's own error with all its parts, where asked for; held where it was only bounded.
+    bearings
+        Of a drive with supports: each bearing's stiffness as a share of what the pair file states (unit "1"), and its
+        clearance, m.
     bench
         {name: value} of the bench's nuisances: zeros and encoder eccentricity (rad), compliance of the chain beside
         the gear pair (rad/(N·m)), friction torque, and that of loops (N·m).
@@ -118,7 +137,7 @@ class Identification:
     notes
         What a reader should know of the fit and of the data.
     pair
-        The nominal pair.
+        The nominal pair, its bearings as they were found.
     curves
         The curves that were fitted, the loops' branches apart.
 
@@ -130,6 +149,7 @@ class Identification:
     verdict: Verdict
     parameters: tuple[Parameter, ...]
     singles: tuple[Parameter, ...]
+    bearings: tuple[Parameter, ...]
     bench: dict[str, float]
     lmfit_parameters: lmfit.Parameters
     surface: ErrorSurface
@@ -234,7 +254,10 @@ def result_of(
         every[np.diag_indices(len(chosen))] += added
     # The scatter of pins and teeth stands behind the errors and the bench.
     lmfit_parameters = _stated(found, every[: -spread.size, : -spread.size], observed.profile)
-    bench = {n: p.value for n, p in lmfit_parameters.items() if n not in names}
+    own = unknown_bearings(pair)
+    bench = {n: p.value for n, p in lmfit_parameters.items() if n not in names and n not in own}
+    bearings = _bearings(pair, state.bearings, [float(lmfit_parameters[n].stderr) for n in own])
+    made = pair_with(pair, state.bearings)
     quantiles = stdtrit(freedom(pair, fit, every, known), 0.5 + 0.5 * _CONFIDENCE)
     lasting = np.r_[: len(chosen), len(every) - spread.size : len(every)]
     every = every[np.ix_(lasting, lasting)]
@@ -258,9 +281,10 @@ def result_of(
         parameters.append(one)
     singles = list(_singles(pair, state.surface, chosen, every, spread)) if known else []
     if verdict.state == "not explained":
-        parameters, singles = [_withheld(one) for one in parameters], [_withheld(one) for one in singles]
+        parameters, singles, bearings = ([_withheld(one) for one in each] for each in (parameters, singles, bearings))
     told = verdict.state != "not explained"
     surface = state.surface.replace(
+        pair=made.nominal,
         origin="identified",
         covariance_of=(*chosen, *scatter_names(pair)) if told else (),
         covariance=every if told else None,
@@ -275,6 +299,7 @@ def result_of(
         verdict=verdict,
         parameters=tuple(parameters),
         singles=tuple(singles),
+        bearings=tuple(bearings),
         bench=bench,
         lmfit_parameters=lmfit_parameters,
         surface=surface,
@@ -282,13 +307,13 @@ def result_of(
         singular_values=singular,
         weak_combinations=combinations,
         noise=float(np.sqrt(1.0 / np.mean((inflation * observed.weight[used]) ** 2))),
-        scatter={n: fit.scatter[n] for n in scatter_parts(pair)},
+        scatter={n: fit.scatter[n] for n in estimated_parts(pair)},
         inflation=inflation,
         residual=float(np.sqrt(np.mean(left_of(observed, linear, state)[used] ** 2))),
         outliers=outliers,
         held_out=predicted,
         fitted_curves=tuple(parts[i] for i in observed.running),
-        loops=_loops(pair, fit, parts, every),
+        loops=_loops(made, fit, parts, every),
         checksums={c.source: c.checksum for c in observed.curves},
         implausible={c.source: c.implausible for c in observed.curves},
         other_descriptions=tuple(_structured(pair, one) for one in others),
@@ -304,7 +329,7 @@ def result_of(
             *(f"{n} is held, so it has no profile: {reasons[n]}." for n in profiled if n not in chosen),
             *dict.fromkeys(note for curve in observed.curves for note in curve.notes),
         ),
-        pair=pair,
+        pair=made,
         curves=tuple(observed.curves[i] for i in observed.running),
     )
 
@@ -355,6 +380,22 @@ def _parameter(
     return Parameter(name, unit_of(name), value, sigma, interval, max(1.0 - (sigma / before) ** 2, 0.0), held)
 
 
+def _bearings(pair: Pair, changes: Array, deviations: Sequence[float]) -> list[Parameter]:
+    """Return what is stated of the bearings: a stiffness' interval is that of its logarithm."""
+    found, names = [], unknown_bearings(pair)
+    values, moved = as_stated(pair, changes), free_bearings(pair, changes)
+    for name, value, free, sigma, before in zip(names, values, moved, deviations, sizes_of(names), strict=True):
+        is_share = name.endswith("_stiffness")
+        scale = value if is_share else 1.0
+        reach = _NORMAL * sigma
+        interval = (value * math.exp(-reach), value * math.exp(reach)) if is_share else (
+            max(value - reach, 0.0), value + reach)  # fmt: skip
+        share = max(1.0 - (sigma / before) ** 2, 0.0)
+        why = None if share > _MEASURED and free else "these curves say nothing of it: it is as the pair file allows"
+        found.append(Parameter(name, unit_of_bearing(name), float(value), scale * sigma, interval, share, why))
+    return found
+
+
 def _withheld(one: Parameter) -> Parameter:
     return one if one.held else dataclasses.replace(one, interval=(math.nan, math.nan))
 
@@ -368,12 +409,14 @@ def _singles(
     layout = displacement_layout(pair)
     pins = [columns[layout[name]] for name in ("pin_radial", "pin_tangential")]
     waves = np.vstack([*pins, columns[layout["tooth_turn"]] * pair.pin_circle_radius])
+    spread = spread[: len(waves)]
+    covariance = covariance[: len(chosen) + spread.size, : len(chosen) + spread.size]
     lever = np.hstack([waves, np.eye(spread.size)])
     deviation = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", lever, covariance, lever), 0.0))
-    values = np.concatenate([getattr(surface, pattern).ravel() for pattern in scatter_parts(pair)])
+    values = np.concatenate([getattr(surface, pattern).ravel() for pattern in estimated_parts(pair)])
     before = np.sqrt(spread**2 + (waves**2) @ tolerances_of(chosen) ** 2)
     found = []
-    for at, name in enumerate(scatter_names(pair)):
+    for at, name in enumerate(scatter_names(pair)[: spread.size]):
         alone = covariance[len(chosen) + at, len(chosen) + at]
         bounded = alone > (1.0 - _MEASURED) * spread[at] ** 2 and spread[at] > NO_SCATTER
         why = "it hardly carries load in these curves: bounded by its neighbours, not measured" if bounded else None
@@ -495,6 +538,7 @@ def as_json(result: Identification) -> dict[str, Any]:
         "parameters": {p.name: _as_json(p) for p in result.parameters},
         "other_descriptions": list(result.other_descriptions),
         **({"singles": {p.name: _as_json(p) for p in result.singles}} if result.singles else {}),
+        **({"bearings": {p.name: _as_json(p) for p in result.bearings}} if result.bearings else {}),
         "bench": result.bench,
         "lmfit_parameters": json.loads(result.lmfit_parameters.dumps()),
         "correlation": {"of": list(result.fitted), "matrix": result.correlation},

@@ -24,7 +24,7 @@ def other_descriptions(pair: Pair, surface: ErrorSurface) -> tuple[ErrorSurface,
     Parameters
     ----------
     pair, surface
-        The nominal pair, without supports, and its errors.
+        The nominal pair and its errors. With supports, whose own errors stay, the curves are only nearly the same.
     """
     count = pair.discs
     found = []

@@ -17,9 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact.transmission import error_sensitivity, solve
+from cycloid_fmu.contact.transmission import error_sensitivity
 from cycloid_fmu.drive import Drive, refuse_first_stage
 from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD, Pair
+from cycloid_fmu.supports.transmission import play_loads, sensitivity, solve
+from cycloid_fmu.surfaces.structured import displacement_columns
 from cycloid_fmu.surfaces.surface import ErrorSurface
 from fitting.figures.hysteresis import FRICTION, FRICTION_NEAR, Lobe, LoopData, branch_line
 from fitting.figures.survey import Surveyed, survey
@@ -245,9 +247,13 @@ def play_of(pair: Pair, surface: ErrorSurface, crank_angle: float, names: Sequen
         rad, 0 where there is interference; its derivatives by the errors, shape (names,), and by every single
         one, columns as in `contact.sensitivities`.
     """
-    ends = [-_NO_TORQUE, _NO_TORQUE]
-    _, jacobian, each, _ = error_sensitivity(pair, surface, ends, [crank_angle] * 2, list(names))
-    play = float(np.nan_to_num(solve(pair, surface, _NO_TORQUE, crank_angle).backlash[0]))
+    ends = sorted(play_loads(pair)) if pair.supports is not None else [-_NO_TORQUE, _NO_TORQUE]
+    if pair.supports is not None:
+        each = sensitivity(pair, surface, ends, [crank_angle] * 2).by_displacement
+        jacobian = each @ displacement_columns(pair, names)
+    else:
+        _, jacobian, each, _ = error_sensitivity(pair, surface, ends, [crank_angle] * 2, list(names))
+    play = float(np.nan_to_num(solve(pair, surface, ends[1], crank_angle).backlash[0]))
     return play, jacobian[1] - jacobian[0], each[1] - each[0]
 
 

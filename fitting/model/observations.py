@@ -7,18 +7,20 @@ way between the two encoders, and friction. These are nuisances: fitted with the
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu.contact import first_order
-from cycloid_fmu.contact.transmission import error_sensitivity, solve
-from cycloid_fmu.errors.kinds import structured_names
+from cycloid_fmu.contact.transmission import error_sensitivity
+from cycloid_fmu.errors.kinds import KINDS, kinds_of, structured_names
 from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.supports.transmission import LAWS, sensitivity, solve
 from cycloid_fmu.surfaces.structured import (
     displacement_columns,
     displacement_layout,
@@ -27,6 +29,7 @@ from cycloid_fmu.surfaces.structured import (
     with_structured,
 )
 from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
+from fitting.model.bearings import free_bearings, pair_with, sizes_of, unknown_bearings
 from fitting.transmission_error.curve import Curve, noise_of
 
 Array = NDArray[np.float64]
@@ -46,6 +49,11 @@ _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 _LEAST_TORQUE = 1e-3  # of a curve's mean: without any the output is free in its play
 FRICTION_SHARE = 0.002  # of the largest torque
 COMPLIANCE_SHARE = 0.02  # of the gear pair's own compliance
+KNOWN_SIZES = {
+    "disc_phase": 10e-6, "hole_x": 5e-6, "hole_y": 5e-6, "crank_x": 5e-6, "crank_y": 5e-6, "roller_x": 5e-6,
+    "roller_y": 5e-6, "crank_throw": 3e-6, "crank_phase": 3e-4, "hole_radius": 3e-6,
+}  # fmt: skip
+"""Standard deviation of what a drive has only a few of before anything is measured, m or rad: too few to estimate."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +80,8 @@ class Observations:
         measured, m} of those that are among them.
     give
         How far supports have given way in each curve, shape (curves, 4): `GIVES`, m, and the crank, rad.
+    bearing_prior
+        What the drive's own bearings may be other than stated, as `fitting.model.bearings.sizes_of`.
     """
 
     curves: tuple[Curve, ...]
@@ -86,6 +96,7 @@ class Observations:
     errors: tuple[str, ...]
     profile: Mapping[str, float]
     give: Array | None = None
+    bearing_prior: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def running(self) -> list[int]:
@@ -243,6 +254,7 @@ def observations(
         with_loops=any(c.branch for c in curves),
         errors=(*errors_of(pair), *(profile or {})),
         profile=profile or {},
+        bearing_prior=sizes_of(unknown_bearings(pair)),
     )
 
 
@@ -260,6 +272,9 @@ class State:
         The bench's nuisances as in `Observations.bench_names`.
     crank_offset, friction, loop_friction
         The crank's zero (rad) and the friction torques of curves and of loops (N·m).
+    bearings
+        By how much each bearing's stiffness and clearance are other than the pair file states, in the order of
+        `fitting.model.bearings.unknown_bearings`: logarithms of stiffness, and m; none of a pair without supports.
     """
 
     surface: ErrorSurface
@@ -268,19 +283,21 @@ class State:
     crank_offset: float = 0.0
     friction: float = 0.0
     loop_friction: float = 0.0
+    bearings: Array = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True)
 class Linear:
     """The model at one state: transmission error without the bench, shape (points,), and its derivatives.
 
-    `structured` (points, errors as in `Observations.errors`), `scatter` (points, 2 pins + discs x teeth), and by crank
-    angle and friction torque (points,).
+    `structured` (points, errors as in `Observations.errors`), `scatter` (points, those of `scatter_names`), `bearings`
+    (points, those of `unknown_bearings`), and by crank angle and friction torque (points,).
     """
 
     model: Array
     structured: Array
     scatter: Array
+    bearings: Array
     by_crank: Array
     by_friction: Array
 
@@ -291,13 +308,23 @@ def errors_of(pair: Pair) -> list[str]:
 
 
 def scatter_parts(pair: Pair) -> dict[str, slice]:
-    """Return where the scatter of each pattern stands in a scatter vector."""
+    """Return where each pattern of single displacements stands in a scatter vector.
+
+    Every pin's place and every tooth's pitch; of further discs by how much their teeth stand elsewhere than the first
+    one's, `disc_phase`; with supports each hole, crank, roller and eccentric.
+    """
     g = pair
-    return {
-        "pin_radial": slice(0, g.pins),
-        "pin_tangential": slice(g.pins, 2 * g.pins),
-        "tooth_cumulative_pitch": slice(2 * g.pins, 2 * g.pins + g.discs * g.gear_teeth),
-    }
+    sizes = {"pin_radial": g.pins, "pin_tangential": g.pins, "tooth_cumulative_pitch": g.discs * g.gear_teeth}
+    if g.discs > 1:
+        sizes["disc_phase"] = g.discs - 1
+    sizes |= {name: math.prod(kind.shape(g)) for name, kind in kinds_of(g).items() if kind.of_supports}
+    ends = np.cumsum([*sizes.values()]).tolist()
+    return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
+
+
+def estimated_parts(pair: Pair) -> dict[str, slice]:
+    """Return those patterns of `scatter_parts` whose common size the fit estimates: there are many of a kind."""
+    return {name: part for name, part in scatter_parts(pair).items() if name not in KNOWN_SIZES}
 
 
 def scatter_names(pair: Pair) -> list[str]:
@@ -306,23 +333,51 @@ def scatter_names(pair: Pair) -> list[str]:
 
 
 def spread_of(pair: Pair, deviations: Mapping[str, float]) -> Array:
-    """Return the standard deviation of each displacement in a scatter vector from those of the patterns, m."""
-    return np.concatenate([np.full(p.stop - p.start, deviations.get(n, 0.0)) for n, p in scatter_parts(pair).items()])
+    """Return the standard deviation of each displacement in a scatter vector from those of the patterns, m or rad.
+
+    Patterns that are not named have what is usual (`KNOWN_SIZES`), or none.
+    """
+    sizes = {**KNOWN_SIZES, **deviations}
+    return np.concatenate([np.full(p.stop - p.start, sizes.get(n, 0.0)) for n, p in scatter_parts(pair).items()])
 
 
 def with_scatter(pair: Pair, surface: ErrorSurface, scatter: Array) -> ErrorSurface:
-    """Return a surface with a displacement of every pin and tooth added."""
+    """Return a surface with every single displacement of a scatter vector added."""
     parts = scatter_parts(pair)
-    return surface.replace(
-        **{n: getattr(surface, n) + scatter[p].reshape(getattr(surface, n).shape) for n, p in parts.items()}
-    )
+    values = {n: surface.errors[n] + scatter[p].reshape(surface.errors[n].shape)
+              for n, p in parts.items() if n in KINDS}  # fmt: skip
+    if "disc_phase" in parts:
+        pitch = np.array(values["tooth_cumulative_pitch"])
+        pitch[1:] += scatter[parts["disc_phase"], None]
+        values["tooth_cumulative_pitch"] = pitch
+    return surface.replace(**values)
+
+
+def scatter_between(pair: Pair, surface: ErrorSurface, plain: ErrorSurface) -> Array:
+    """Return the scatter vector that makes one surface of another; a disc's phase is the mean over its teeth."""
+    parts, found = scatter_parts(pair), spread_of(pair, {})
+    for name, part in parts.items():
+        if name in KINDS:
+            found[part] = (surface.errors[name] - plain.errors[name]).ravel()
+    if "disc_phase" in parts:
+        pitch = found[parts["tooth_cumulative_pitch"]].reshape(pair.discs, -1)
+        found[parts["disc_phase"]] = pitch[1:].mean(axis=1)
+        pitch[1:] -= pitch[1:].mean(axis=1, keepdims=True)
+    return found
 
 
 def scatter_columns(pair: Pair, each: Array) -> Array:
     """Return derivatives by a scatter vector, last axis, from those by every error as in `contact.sensitivities`."""
     layout = displacement_layout(pair)
-    pins = [each[..., layout[name]] for name in ("pin_radial", "pin_tangential")]
-    return np.concatenate([*pins, each[..., layout["tooth_turn"]] / pair.pin_circle_radius], axis=-1)
+    columns = [each[..., layout[name]] for name in ("pin_radial", "pin_tangential")]
+    columns.append(each[..., layout["tooth_turn"]] / pair.pin_circle_radius)
+    if pair.discs > 1:
+        by_disc = columns[-1].reshape(*each.shape[:-1], pair.discs, pair.gear_teeth).sum(axis=-1)
+        columns.append(by_disc[..., 1:])
+    for kind in kinds_of(pair).values():
+        if kind.of_supports:
+            columns += [each[..., layout[displaced]] for displaced in kind.displaces]
+    return np.concatenate(columns, axis=-1)
 
 
 @dataclass(frozen=True)
@@ -367,7 +422,16 @@ def linearised_curve(
         *moved, turned = observed.give[number]
         values = {n: structured_value(pair, surface, n) + one for n, one in zip(GIVES, moved, strict=True)}
         surface, crank = with_structured(pair, surface, values), crank + turned
-    if around is None:
+    by_bearing = np.zeros((torque.size, 0))
+    if pair.supports is not None:
+        found = sensitivity(pair_with(pair, state.bearings), surface, torque, curve.input_angle + crank)
+        model, each, by_crank, by_torque = (
+            found.transmission_error, found.by_displacement, found.by_crank_angle, found.by_torque
+        )  # fmt: skip
+        jacobian = each @ displacement_columns(pair, observed.errors)
+        by_bearing = found.by_bearing[:, [LAWS.index(n) for n in unknown_bearings(pair)]]
+        by_bearing = by_bearing * free_bearings(pair, state.bearings)
+    elif around is None:
         model, jacobian, each, further = error_sensitivity(
             pair, surface, torque, curve.input_angle + crank, list(observed.errors)
         )
@@ -376,7 +440,7 @@ def linearised_curve(
         errors = displacement_vector(pair, state.surface) - around.errors
         model, each, by_torque = first_order.sensitivities(pair, around.contacts[number], 1, errors, torque)
         jacobian, by_crank = each @ displacement_columns(pair, observed.errors), np.zeros_like(model)
-    return Linear(model, jacobian, scatter_columns(pair, each), by_crank, against * by_torque)
+    return Linear(model, jacobian, scatter_columns(pair, each), by_bearing, by_crank, against * by_torque)
 
 
 def linearise(pair: Pair, observed: Observations, state: State, around: LinearisationPoint | None = None) -> Linear:
@@ -408,4 +472,6 @@ def nuisance_columns(observed: Observations, linear: Linear) -> tuple[Array, Arr
     if observed.fit_crank:
         columns.append(linear.by_crank[:, None])
         priors.append(np.inf)
+    columns.append(linear.bearings)
+    priors += [*observed.bearing_prior]
     return np.hstack(columns), np.array(priors)

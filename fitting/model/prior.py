@@ -12,7 +12,7 @@ from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.sampling import Tolerances, sample_surface
 from cycloid_fmu.surfaces.structured import profile_names, profile_wave, unit_of
 from cycloid_fmu.surfaces.surface import Elements
-from fitting.model.observations import ORDERS, PROFILE_ORDERS, scatter_parts
+from fitting.model.observations import ORDERS, PROFILE_ORDERS, estimated_parts
 
 Array = NDArray[np.float64]
 TOLERANCE = {"m": 5e-6, "rad": 1e-4}  # standard deviation that an error has before anything is measured
@@ -54,7 +54,7 @@ def scatter_of(pair: Pair, tolerances: Tolerances) -> dict[str, float]:
     """
     drawn = [sample_surface(pair, tolerances, seed, Elements(2, 2, 1)) for seed in range(_DRAWN)]
     found = {}
-    for name in scatter_parts(pair):
+    for name in estimated_parts(pair):
         spectra = np.fft.rfft(np.array([np.atleast_2d(getattr(s, name))[0] for s in drawn]), axis=-1)
         spectra[:, : max(ORDERS) + 1] = 0.0
         count = np.asarray(getattr(drawn[0], name)).shape[-1]

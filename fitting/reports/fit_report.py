@@ -21,7 +21,7 @@ from fitting.reports.panels import Panel, Trace, label_of, spectra_panel
 
 FORMATS = (".html",)
 _CRANK_TURNS = 3.0  # of the curves that the first panel shows
-_FIELD_UNITS = {"m": (1e6, "µm"), "rad": (1e3, "mrad")}
+_FIELD_UNITS = {"m": (1e6, "µm"), "rad": (1e3, "mrad"), "1": (1.0, "of the stated")}
 
 
 def fit_panels(result: Identification) -> list[Panel]:
@@ -161,9 +161,10 @@ def write_fit_report(result: Identification, path: str | os.PathLike[str]) -> No
     text = html_page(
         "Identified drive", f"{pair.gear_teeth}/{pair.pins}, {len(result.curves)} curves, {made_now()}",
         _ABOVE, fit_panels(result), _BELOW, verdict=result.verdict.sentence,
-        known=[_row(p) for p in result.parameters if p.held is None],
+        known=[_row(p) for p in (*result.parameters, *result.bearings) if p.held is None],
         trust=_trust(result), correlation=_correlation(result), weak=result.weak_combinations,
-        held=[p for p in result.parameters if p.held is not None], singles=[_row(p) for p in result.singles],
+        held=[p for p in (*result.parameters, *result.bearings) if p.held is not None],
+        singles=[_row(p) for p in result.singles],
         bench=[(n, f"{v:.4g} {_bench_unit(n)}") for n, v in result.bench.items()], notes=result.notes,
         sources=[(Path(n).name, c) for n, c in result.checksums.items()],
     )  # fmt: skip
