@@ -35,6 +35,7 @@ from fitting.model.bearings import (
     unit_of_bearing,
     unknown_bearings,
 )
+from fitting.model.discrepancy import GIVE
 from fitting.model.identifiability import weakness
 from fitting.model.loops import LoopFit, play_of
 from fitting.model.observations import (
@@ -498,6 +499,11 @@ def _notes(pair: Pair, fit: Estimate, verdict: Verdict) -> tuple[str, ...]:
             )
     if verdict.state == "not explained":
         notes.append("Is this the drive of the pair file, and are counts per turn and directions right?")
+    if pair.supports is None and any(GIVE in (m.cause, *m.alike) for m in verdict.misfits):
+        notes.append(
+            "Supports give way or have play: state the drive's bearings in the pair file ([supports]), so that they "
+            "are part of the model and their stiffness and clearance are found."
+        )
     notes += _ambiguity(pair, fit)
     gear = np.abs(fit.linear.model - fit.linear.model.mean()).max()
     names = fit.observed.bench_names

@@ -1,0 +1,204 @@
+"""Drives on bearings: what is unknown of bearings, holes, cranks and discs, and what a fit finds of it."""
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+from benches_as_they_are import on_bearings
+from common import EXAMPLES
+from sampled_drives import ARCSEC, LOADS, SMALL, distances, random_drive
+
+import fitting
+from cycloid_fmu.drive import Drive, read_drive
+from cycloid_fmu.geometry.pair import Pair, read_pair
+from cycloid_fmu.supports.bearing import push
+from cycloid_fmu.supports.transmission import assembly_of, solve
+from cycloid_fmu.surfaces.structured import with_structured
+from cycloid_fmu.surfaces.surface import surface_of_pair
+from fitting.estimation.identify import identify
+from fitting.estimation.plan import planned_curve
+from fitting.model.bearings import free_bearings, pair_with, unknown_bearings
+from fitting.model.loops import play_of
+from fitting.model.observations import (
+    State,
+    linearise,
+    observations,
+    scatter_between,
+    scatter_names,
+    scatter_parts,
+    spread_of,
+    with_scatter,
+)
+
+SIZES = {"hole_x": 3e-6, "hole_y": 3e-6, "crank_x": 3e-6, "crank_y": 3e-6, "crank_throw": 2e-6, "crank_phase": 2e-4}
+OF_PAIR = ("gear_teeth", "pins", "pin_circle_radius", "pin_radius", "eccentricity", "face_width", "rated_torque")
+
+
+def cranked(discs=2, share=1.0, clearance=4e-6):
+    """A small pair on three cranks in needle cages whose stiffness is a share of what they are drawn with."""
+    nominal = read_pair(EXAMPLES / "drive-39-40.toml").replace(**SMALL)
+    supports = {
+        "kind": "cranks", "count": 3, "circle_radius": 0.026, "first_angle": 0.3,
+        "turning_arm": {"rollers": 15, "roller_length": 0.009 * share**1.125, "clearance": clearance},
+        "crank_shaft": {"rollers": 30, "roller_length": 0.007 * share**1.125}, "main": {"stiffness": 1.2e9 * share},
+    }  # fmt: skip
+    return Pair(**{k: getattr(nominal, k) for k in OF_PAIR}, discs=discs, supports=supports)
+
+
+def as_made(seed, discs):
+    """A random drive on bearings that are not as drawn: its pair, its errors, and the structured ones among them."""
+    generator = np.random.default_rng([77, seed])
+    made = cranked(discs, math.exp(generator.normal(0.0, 0.4)), abs(4e-6 + generator.normal(0.0, 4e-6)))
+    rigid, values = random_drive(made.replace(supports=None), generator, 0.3e-6)
+    own = surface_of_pair(made)
+    errors = {n: e for n, e in rigid.errors.items() if n in own.errors and not n.startswith("misalignment")}
+    errors |= {n: generator.normal(0.0, size, np.shape(own.errors[n])) for n, size in SIZES.items()}
+    return made, own.replace(**errors), values, generator
+
+
+def run_of(made, surface, load, generator, each, turns):
+    angle = np.sign(load) * (generator.uniform(0.0, 6.0) + np.arange(round(turns * 11 * each)) * 2.0 * np.pi / each)
+    error = solve(made, surface, load, angle, with_play=False).transmission_error[0]
+    output = angle / made.ratio + error + generator.normal(0.0, 0.5 * ARCSEC, angle.size)
+    return fitting.Run(input_angle=angle, output_angle=output, torque=load, common_zero=True, known_index=True,
+                       name=f"{load:g} N·m")  # fmt: skip
+
+
+def test_a_bearing_of_another_stiffness_presses_by_that_share_more():
+    pair = cranked()
+    names = unknown_bearings(pair)
+    assert names == ("turning_arm_stiffness", "turning_arm_clearance", "crank_shaft_stiffness",
+                     "crank_shaft_clearance", "main_stiffness", "main_clearance")  # fmt: skip
+    stiffer = pair_with(pair, np.array([0.3, 0.0, -0.2, 0.0, 0.1, 0.0]))
+    before, after = (assembly_of(p, surface_of_pair(p)) for p in (pair, stiffer))
+    for name, share in (("turning_arm", 0.3), ("crank_shaft", -0.2), ("main", 0.1)):
+        forces = [push(getattr(one, name), 20e-6)[0] for one in (before, after)]
+        assert forces[1] / forces[0] == pytest.approx(math.exp(share), rel=1e-12)
+    # A clearance below zero is none, and does not move then.
+    looser = pair_with(pair, np.array([0.0, 3e-6, 0.0, -1e-6, 0.0, 0.0]))
+    assert looser.supports.turning_arm.clearance == pytest.approx(7e-6)
+    assert looser.supports.crank_shaft.clearance == 0.0
+    assert (
+        free_bearings(pair, np.array([0.0, -3e-6, 0.0, -1e-6, 0.0, 0.0])).tolist() == [True] * 3 + [False] + [True] * 2
+    )
+
+
+@pytest.mark.parametrize("discs", [1, 2])
+def test_a_scatter_vector_goes_into_a_surface_and_out_again(discs):
+    pair = cranked(discs)
+    plain = with_structured(pair, surface_of_pair(pair), {"pin_radial_2_cos": 2e-6, "pin_circle_radius": 1e-6})
+    scatter = np.random.default_rng(discs).normal(0.0, 1e-6, spread_of(pair, {}).size)
+    parts = scatter_parts(pair)
+    assert len(scatter_names(pair)) == scatter.size == max(p.stop for p in parts.values())
+    made = with_scatter(pair, plain, scatter)
+    again = scatter_between(pair, made, plain)
+    assert with_scatter(pair, plain, again) == made or all(
+        np.allclose(with_scatter(pair, plain, again).errors[n], made.errors[n], rtol=0.0, atol=1e-18)
+        for n in made.errors
+    )
+    if discs == 2:
+        # What all teeth of the second disc share is its phase.
+        pitch = again[parts["tooth_cumulative_pitch"]].reshape(2, -1)
+        assert abs(pitch[1].mean()) < 1e-18
+        assert again[parts["disc_phase"]][0] == pytest.approx(made.tooth_cumulative_pitch[1].mean())
+
+
+@pytest.mark.parametrize("discs", [1, 2])
+def test_derivatives_by_bearings_and_single_displacements_are_those_of_other_drives(discs):
+    _, surface, _, _ = as_made(3, discs)
+    pair = cranked(discs)
+    curves = [planned_curve(pair.ratio, t, int(np.sign(t)), 0.2, 7) for t in (60.0, -200.0)]
+    observed = observations(curves, pair, [1e-6, 1e-6])
+    start = surface.replace(pair=pair.nominal)
+    bearings = np.array([0.1, 1e-6, -0.1, 2e-6, 0.2, 3e-6])
+    zero, bench = np.zeros(spread_of(pair, {}).size), np.zeros(observed.bench.shape[1])
+
+    def model(by_bearing, scatter):
+        changed, moved = pair_with(pair, bearings + by_bearing), with_scatter(pair, start, scatter)
+        return np.concatenate([
+            solve(changed, moved, c.torque, c.input_angle, with_play=False).transmission_error[0] for c in curves
+        ])  # fmt: skip
+
+    linear = linearise(pair, observed, State(start, zero, bench, bearings=bearings))
+    assert linear.model == pytest.approx(model(np.zeros(6), zero), abs=1e-12)
+    for at in range(6):
+        step = np.zeros(6)
+        step[at] = 1e-3 if at % 2 == 0 else 2e-8
+        slope = (model(step, zero) - model(-step, zero)) / (2.0 * step[at])
+        assert linear.bearings[:, at] == pytest.approx(slope, abs=2e-3 * np.abs(slope).max() + 1e-12)
+    parts = scatter_parts(pair)
+    for name in ("disc_phase", *SIZES) if discs == 2 else SIZES:
+        at = parts[name].start
+        step = np.zeros_like(zero)
+        step[at] = 1e-6 if name == "crank_phase" else 2e-8
+        slope = (model(np.zeros(6), step) - model(np.zeros(6), -step)) / (2.0 * step[at])
+        assert linear.scatter[:, at] == pytest.approx(slope, abs=2e-3 * np.abs(slope).max()), name
+
+
+def test_the_play_on_bearings_has_the_derivatives_of_other_drives():
+    pair = cranked(1)
+    surface = with_structured(pair, surface_of_pair(pair), {"pin_radius": -4e-6})
+    play, by_error, _ = play_of(pair, surface, 0.7, ["pin_radius", "pin_circle_radius"])
+    assert play == pytest.approx(float(solve(pair, surface, 50.0, 0.7).backlash[0]))
+    for name, slope in zip(("pin_radius", "pin_circle_radius"), by_error, strict=True):
+        value = -4e-6 if name == "pin_radius" else 0.0
+        ends = [play_of(pair, with_structured(pair, surface, {name: value + d}), 0.7, [])[0] for d in (1e-7, -1e-7)]
+        # The ends stand at a thousandth of the rated torque, where a little has given way already.
+        assert slope == pytest.approx((ends[0] - ends[1]) / 2e-7, rel=0.02)
+
+
+def test_a_drive_on_bearings_is_explained_and_its_bearings_are_found(tmp_path):
+    made, surface, values, generator = as_made(0, 1)
+    runs = [run_of(made, surface, load, generator, 12.37, 1) for load in (30.0, -30.0, 200.0, -200.0)]
+    pair = cranked(1)
+    found = identify(runs, Drive(pair), held_out=False)
+    assert found.verdict.state == "explained"
+    far = np.array([*distances(found, values).values()])
+    assert far.size > 10
+    assert np.mean(np.abs(far) < 1.0) > 0.8
+    arm = next(p for p in found.bearings if p.name == "turning_arm_stiffness")
+    share = (made.supports.turning_arm.roller_length / pair.supports.turning_arm.roller_length) ** (8.0 / 9.0)
+    assert arm.interval[0] < share < arm.interval[1]
+    # The drive that was found has these bearings, and its file and surface belong together.
+    supports = found.drive.pair.supports
+    assert supports.turning_arm.roller_length == pytest.approx(0.009 * arm.value**1.125)
+    found.drive.write(tmp_path / "found.toml")
+    found.drive.write(tmp_path / "found.nc")
+    assert read_drive(tmp_path / "found.toml", tmp_path / "found.nc") == found.drive
+    found.write(tmp_path / "fit.json")
+    stated = json.loads((tmp_path / "fit.json").read_text())["bearings"]
+    assert stated["turning_arm_stiffness"]["value"] == pytest.approx(arm.value)
+    assert stated["turning_arm_stiffness"]["unit"] == "1"
+    assert dataclasses.asdict(arm)["held"] is None
+
+
+@pytest.mark.slow(30)
+def test_without_its_bearings_the_drive_is_not_explained_and_a_note_says_what_would_do():
+    made, surface, _, generator = as_made(0, 1)
+    runs = [run_of(made, surface, load, generator, 12.37, 1) for load in (30.0, -30.0, 200.0, -200.0)]
+    found = identify(runs, Drive(cranked(1).replace(supports=None)), held_out=False)
+    assert found.verdict.state != "explained"
+    assert any("[supports]" in note for note in found.notes)
+
+
+@pytest.mark.slow(90)
+@pytest.mark.parametrize("discs", [1, 2])
+def test_intervals_hold_of_drives_on_bearings_that_are_not_as_drawn(discs):
+    far = []
+    for seed in range(4):
+        made, surface, values, generator = as_made(seed, discs)
+        runs = [run_of(made, surface, load, generator, 24.37, 2) for load in LOADS]
+        found = identify(runs, Drive(cranked(discs)))
+        assert found.verdict.state == "explained", seed
+        far += distances(found, values).values()
+    assert np.mean(np.abs(far) < 1.0) > 0.88
+    assert np.abs(far).max() < 2.5
+
+
+def test_a_rigid_drive_has_no_bearings():
+    nominal = read_pair(EXAMPLES / "drive-39-40.toml")
+    assert unknown_bearings(nominal) == ()
+    assert pair_with(nominal, np.zeros(0)) is nominal
+    assert on_bearings(nominal, surface_of_pair(nominal))[0].supports is not None
