@@ -24,7 +24,7 @@ from cycloid_fmu.errors.kinds import LARGEST_DEVIATION, LARGEST_MISALIGNMENT
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import profile_names, structured_value, unit_of, with_structured
 from cycloid_fmu.surfaces.surface import LARGEST_ELEMENT, surface_of_pair
-from fitting.model.bearings import unknown_bearings
+from fitting.model.bearings import lowest_of, unknown_bearings
 from fitting.model.identifiability import UNKNOWN
 from fitting.model.observations import (
     KNOWN_SIZES,
@@ -161,6 +161,8 @@ class Problem:
             self.parts[group] = slice(part.start + len(chosen), part.stop + len(chosen))
             self.scale[self.parts[group]] = _CREEP_SCALE
         self.bearings = slice(self.first_scatter - observed.bearing_prior.size, self.first_scatter)
+        self.lowest = np.full(self.scale.size, -np.inf)
+        self.lowest[self.bearings] = lowest_of(pair) / self.scale[self.bearings]
         self.fit_crank, self.with_loops = observed.fit_crank, loops > 0
         crank_name = ["crank_angle_offset"] if observed.fit_crank else []
         self.names = [*chosen, *observed.bench_names, *observed.friction_names, *crank_name,
@@ -294,10 +296,15 @@ def fit(
         misfit = _misfit(now, limit) + float(precision @ away**2)
         gram = now.gram.sum(axis=0) + np.diag(precision)
         slope = now.moment.sum(axis=0) - precision * away
+        # What stands at its bound and would go beyond stays there for this step.
+        bound = (unknowns <= problem.lowest) & (slope < 0.0)
+        gram[bound, bound] *= _PINNED
+        slope[bound] = 0.0
         step = linalg.solve(gram + damping * np.diag(np.diag(gram)), slope, assume_a="pos")
         promised = float(2.0 * slope @ step - step @ gram @ step)
         if promised < gain and settled:
             break
+        step = np.maximum(step, problem.lowest - unknowns)
         while not problem.is_possible(unknowns + step) and np.abs(step).max() > 0.0:
             step *= 0.5
         then = problem.normal(unknowns + step, observed, limit)
@@ -447,10 +454,10 @@ def confirmed(pair: Pair, estimate: Estimate, gain: float) -> tuple[Estimate, lm
 
     problem, observed = Problem(pair, estimate.observed, estimate.chosen), estimate.observed
     prior = np.sqrt(problem.precision(estimate.scatter))
-    parameters = Parameters()
+    parameters, lowest = Parameters(), dict(zip(unknown_bearings(pair), lowest_of(pair), strict=True))
     for name, value in zip(problem.names, problem.unknowns(estimate.state) * problem.scale, strict=True):
         # The bench's nuisances have their priors; one that came out below zero is zero within its standard error.
-        low, high = possible(pair, name) if name in estimate.chosen else (-np.inf, np.inf)
+        low, high = possible(pair, name) if name in estimate.chosen else (lowest.get(name, -np.inf), np.inf)
         parameters.add(name, float(value), min=low, max=high)
     for name in observed.errors:
         if name not in estimate.chosen:

@@ -29,7 +29,6 @@ from fitting.estimation.fit import NO_SCATTER, Estimate, confirmed, freedom, pro
 from fitting.estimation.validation import HeldOut, Verdict
 from fitting.model.bearings import (
     as_stated,
-    free_bearings,
     pair_with,
     sizes_of,
     unit_of_bearing,
@@ -384,15 +383,15 @@ def _parameter(
 def _bearings(pair: Pair, changes: Array, deviations: Sequence[float]) -> list[Parameter]:
     """Return what is stated of the bearings: a stiffness' interval is that of its logarithm."""
     found, names = [], unknown_bearings(pair)
-    values, moved = as_stated(pair, changes), free_bearings(pair, changes)
-    for name, value, free, sigma, before in zip(names, values, moved, deviations, sizes_of(names), strict=True):
+    values = as_stated(pair, changes)
+    for name, value, sigma, before in zip(names, values, deviations, sizes_of(names), strict=True):
         is_share = name.endswith("_stiffness")
         scale = value if is_share else 1.0
         reach = _NORMAL * sigma
         interval = (value * math.exp(-reach), value * math.exp(reach)) if is_share else (
             max(value - reach, 0.0), value + reach)  # fmt: skip
         share = max(1.0 - (sigma / before) ** 2, 0.0)
-        why = None if share > _MEASURED and free else "these curves say nothing of it: it is as the pair file allows"
+        why = None if share > _MEASURED else "these curves say nothing of it: it is as the pair file allows"
         found.append(Parameter(name, unit_of_bearing(name), float(value), scale * sigma, interval, share, why))
     return found
 

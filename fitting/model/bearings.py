@@ -56,13 +56,11 @@ def as_stated(pair: Pair, changes: Array) -> Array:
     return found
 
 
-def free_bearings(pair: Pair, changes: Array) -> Array:
-    """Whether each of `unknown_bearings` moves with its change: a clearance below zero is none."""
-    names = unknown_bearings(pair)
-    if changes.size == 0:
-        return np.ones(len(names), bool)
-    return np.array([not n.endswith("_clearance") or v > 0.0 or c >= 0.0
-                     for n, v, c in zip(names, as_stated(pair, changes), changes, strict=True)], bool)  # fmt: skip
+def lowest_of(pair: Pair) -> Array:
+    """Return how far each of `unknown_bearings` can change downwards: no clearance is below zero."""
+    clearances = as_stated(pair, np.zeros(len(unknown_bearings(pair))))
+    return np.array([-value if name.endswith("_clearance") else -np.inf
+                     for name, value in zip(unknown_bearings(pair), clearances, strict=True)])  # fmt: skip
 
 
 def pair_with(pair: Pair, changes: Array) -> Pair:

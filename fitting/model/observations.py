@@ -29,7 +29,7 @@ from cycloid_fmu.surfaces.structured import (
     with_structured,
 )
 from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
-from fitting.model.bearings import free_bearings, pair_with, sizes_of, unknown_bearings
+from fitting.model.bearings import pair_with, sizes_of, unknown_bearings
 from fitting.transmission_error.curve import Curve, noise_of
 
 Array = NDArray[np.float64]
@@ -430,7 +430,6 @@ def linearised_curve(
         )  # fmt: skip
         jacobian = each @ displacement_columns(pair, observed.errors)
         by_bearing = found.by_bearing[:, [LAWS.index(n) for n in unknown_bearings(pair)]]
-        by_bearing = by_bearing * free_bearings(pair, state.bearings)
     elif around is None:
         model, jacobian, each, further = error_sensitivity(
             pair, surface, torque, curve.input_angle + crank, list(observed.errors)
