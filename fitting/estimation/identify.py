@@ -146,6 +146,10 @@ def identify(
     if isinstance(tolerances, str | os.PathLike):
         tolerances = read_tolerances(tolerances)
     prior = prior_of(pair, tolerances) if isinstance(tolerances, Tolerances) else tolerances or Prior()
+    beside = []
+    if pair.supports is not None and prior.profile:
+        prior = dataclasses.replace(prior, profile={})
+        beside.append("The form of the flanks is not fitted on bearings: where there is any, intervals are too narrow.")
     if bootstrap < 0:
         raise edge.ArgumentError("bootstrap", "it must not be below zero", bootstrap)
     for curve in curves if bootstrap else ():
@@ -204,9 +208,10 @@ def identify(
         ) from None
     form = [name for name in DEVIATIONS if getattr(drive.surface, name) is not None]
     if form:
-        note = f"The drive's surface holds form of single elements ({', '.join(form)}); it is not part of the fit."
-        result = dataclasses.replace(result, notes=(*result.notes, note))
-    return result
+        beside.append(
+            f"The drive's surface holds form of single elements ({', '.join(form)}); it is not part of the fit."
+        )
+    return dataclasses.replace(result, notes=(*result.notes, *beside)) if beside else result
 
 
 def kept_back(curves: Sequence[Curve]) -> tuple[int, ...]:
