@@ -24,7 +24,6 @@ from cycloid_fmu.errors.kinds import LARGEST_DEVIATION, LARGEST_MISALIGNMENT
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import profile_names, structured_value, unit_of, with_structured
 from cycloid_fmu.surfaces.surface import LARGEST_ELEMENT, surface_of_pair
-from fitting.model.bearings import lowest_of, unknown_bearings
 from fitting.model.identifiability import UNKNOWN
 from fitting.model.observations import (
     KNOWN_SIZES,
@@ -162,11 +161,11 @@ class Problem:
             self.scale[self.parts[group]] = _CREEP_SCALE
         self.bearings = slice(self.first_scatter - observed.bearing_prior.size, self.first_scatter)
         self.lowest = np.full(self.scale.size, -np.inf)
-        self.lowest[self.bearings] = lowest_of(pair) / self.scale[self.bearings]
+        self.lowest[self.bearings] = observed.bearing_lowest / self.scale[self.bearings]
         self.fit_crank, self.with_loops = observed.fit_crank, loops > 0
         crank_name = ["crank_angle_offset"] if observed.fit_crank else []
         self.names = [*chosen, *observed.bench_names, *observed.friction_names, *crank_name,
-                      *unknown_bearings(pair), *scatter_names(pair)]  # fmt: skip
+                      *observed.bearing_names, *scatter_names(pair)]  # fmt: skip
 
     def unknowns(self, state: State) -> Array:
         """Return the vector of a state."""
@@ -454,7 +453,7 @@ def confirmed(pair: Pair, estimate: Estimate, gain: float) -> tuple[Estimate, lm
 
     problem, observed = Problem(pair, estimate.observed, estimate.chosen), estimate.observed
     prior = np.sqrt(problem.precision(estimate.scatter))
-    parameters, lowest = Parameters(), dict(zip(unknown_bearings(pair), lowest_of(pair), strict=True))
+    parameters, lowest = Parameters(), dict(zip(observed.bearing_names, observed.bearing_lowest, strict=True))
     for name, value in zip(problem.names, problem.unknowns(estimate.state) * problem.scale, strict=True):
         # The bench's nuisances have their priors; one that came out below zero is zero within its standard error.
         low, high = possible(pair, name) if name in estimate.chosen else (lowest.get(name, -np.inf), np.inf)

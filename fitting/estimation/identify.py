@@ -146,7 +146,7 @@ def identify(
     if isinstance(tolerances, str | os.PathLike):
         tolerances = read_tolerances(tolerances)
     prior = prior_of(pair, tolerances) if isinstance(tolerances, Tolerances) else tolerances or Prior()
-    beside = []
+    prior, beside = dataclasses.replace(prior, first_stage=drive.first_stage), []
     if pair.supports is not None and prior.profile:
         prior = dataclasses.replace(prior, profile={})
         beside.append("The form of the flanks is not fitted on bearings: where there is any, intervals are too narrow.")
@@ -298,7 +298,7 @@ def _put_back(pair: Pair, state: State, pin: int, reach: int) -> State:
 
 def _predicted(pair: Pair, fit: Estimate, curves: Sequence[Curve]) -> HeldOut:
     """What is left of curves that the fit has not seen; their own zeros and drifts cannot be predicted."""
-    observed = observations(curves, pair)
+    observed = observations(curves, pair, first_stage=fit.observed.first_stage)
     known = dict(zip(fit.observed.bench_names, fit.state.bench, strict=True))
     own = np.array(
         [n.startswith("output_angle_drift") or not (n in known or n.startswith(CREEP)) for n in observed.bench_names]
@@ -386,7 +386,7 @@ def _fitted(
     searched: bool = False,
 ) -> Estimate:
     """Fit from where another fit ended, or around there `searched` for a better minimum, or from the prior."""
-    observed = observations(curves, pair, profile=known.profile)
+    observed = observations(curves, pair, profile=known.profile, first_stage=known.first_stage)
     if misfit is not None:
         observed = observed.with_misfit(*misfit)
     rough = _starting_estimate(pair, observed, start, searched, progress)
@@ -500,7 +500,7 @@ def _starting_estimate(
 
     # To first order from the prior, and from there once more; a crank whose zero is unknown and discs that float need
     # the exact model.
-    exact = observed.fit_crank or pair.supports is not None
+    exact = observed.fit_crank or pair.supports is not None or observed.first_stage is not None
     nominal = None if exact else linearisation_point(pair, prior, fewer)
     found: list[Estimate] = []
 

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cycloid_fmu import edge
-from cycloid_fmu.drive import Drive, refuse_first_stage
-from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.drive import Drive
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.arguments import positive
 from fitting.model.identifiability import chosen_errors, posterior_covariance, weakness
@@ -115,7 +114,6 @@ def plan(
     >>> len(last.standard_error) > len(first.standard_error)
     True
     """
-    refuse_first_stage(drive, "identification")
     pair = drive.pair
     given = [torque] if isinstance(torque, float | int | str) else torque
     loads = {positive(one, "N*m", "torque") for one in given}
@@ -143,12 +141,15 @@ def plan(
         curves = [planned_curve(pair.ratio, way * t, way, turns, samples) for t in torques for way in directions]
         if peak is not None and with_loop:
             curves += planned_branches(pair, peak, 0.0, 0)
-        plans.append(_planned(pair, curves, level, spread, runs))
+        plans.append(_planned(drive, curves, level, spread, runs))
     return plans
 
 
-def _planned(pair: Pair, curves: Sequence[Curve], noise: float, scatter: float, runs: str) -> Plan:
-    observed = observations(curves, pair, [noise / np.sqrt(c.sample_count[0]) for c in curves])
+def _planned(drive: Drive, curves: Sequence[Curve], noise: float, scatter: float, runs: str) -> Plan:
+    pair = drive.pair
+    observed = observations(
+        curves, pair, [noise / np.sqrt(c.sample_count[0]) for c in curves], first_stage=drive.first_stage
+    )
     names = errors_of(pair)
     spread = spread_of(pair, dict.fromkeys(estimated_parts(pair), scatter))
     state = State(surface_of_pair(pair), np.zeros_like(spread), np.zeros(observed.bench.shape[1]))

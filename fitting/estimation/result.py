@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 from scipy.special import stdtrit
 
 from cycloid_fmu import edge
@@ -23,21 +24,22 @@ from cycloid_fmu.drive import Drive
 from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.errors.kinds import wave_of
 from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.surfaces.structured import displacement_columns, displacement_layout, structured_value, unit_of
 from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
-from fitting.estimation.fit import NO_SCATTER, Estimate, confirmed, freedom, profile_interval, turn_bootstrap
+from fitting.estimation.fit import NO_SCATTER, Estimate, Problem, confirmed, freedom, profile_interval, turn_bootstrap
 from fitting.estimation.validation import HeldOut, Verdict
 from fitting.model.bearings import (
     as_stated,
     pair_with,
-    sizes_of,
     unit_of_bearing,
-    unknown_bearings,
 )
 from fitting.model.discrepancy import GIVE
+from fitting.model.first_stage import share_of, with_play
 from fitting.model.identifiability import weakness
 from fitting.model.loops import LoopFit, play_of
 from fitting.model.observations import (
+    Observations,
     estimated_parts,
     left_of,
     scatter_columns,
@@ -138,8 +140,10 @@ class Identification:
         What a reader should know of the fit and of the data.
     pair
         The nominal pair, its bearings as they were found.
+    first_stage
+        Of a reducer, its play as it was found; else None.
     curves
-        The curves that were fitted, the loops' branches apart.
+        The curves that were fitted, the loops' branches apart; behind a first stage over the angle of ideal cranks.
 
     Examples
     --------
@@ -169,6 +173,7 @@ class Identification:
     other_descriptions: tuple[dict[str, float], ...]
     notes: tuple[str, ...]
     pair: Pair
+    first_stage: FirstStage | None
     curves: tuple[Curve, ...]
 
     @property
@@ -179,7 +184,7 @@ class Identification:
     @property
     def drive(self) -> Drive:
         """The drive with the identified errors."""
-        return Drive(self.pair, self.surface)
+        return Drive(self.pair, self.surface, self.first_stage)
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the identification, `cycloid-identification/1`, whole or not at all."""
@@ -254,9 +259,11 @@ def result_of(
         every[np.diag_indices(len(chosen))] += added
     # The scatter of pins and teeth stands behind the errors and the bench.
     lmfit_parameters = _stated(found, every[: -spread.size, : -spread.size], observed.profile)
-    own = unknown_bearings(pair)
+    own = observed.bearing_names
     bench = {n: p.value for n, p in lmfit_parameters.items() if n not in names and n not in own}
-    bearings = _bearings(pair, state.bearings, [float(lmfit_parameters[n].stderr) for n in own])
+    deviations = np.array([float(lmfit_parameters[n].stderr) for n in own])
+    deviations = np.hypot(deviations, _of_held(pair, fit)) if own else deviations
+    bearings = _bearings(pair, observed, state.bearings, deviations)
     made = pair_with(pair, state.bearings)
     quantiles = stdtrit(freedom(pair, fit, every, known), 0.5 + 0.5 * _CONFIDENCE)
     lasting = np.r_[: len(chosen), len(every) - spread.size : len(every)]
@@ -330,6 +337,9 @@ def result_of(
             *dict.fromkeys(note for curve in observed.curves for note in curve.notes),
         ),
         pair=made,
+        first_stage=None
+        if observed.first_stage is None
+        else with_play(observed.first_stage, float(state.bearings[-1])),
         curves=tuple(observed.curves[i] for i in observed.running),
     )
 
@@ -380,18 +390,40 @@ def _parameter(
     return Parameter(name, unit_of(name), value, sigma, interval, max(1.0 - (sigma / before) ** 2, 0.0), held)
 
 
-def _bearings(pair: Pair, changes: Array, deviations: Sequence[float]) -> list[Parameter]:
+def _of_held(pair: Pair, fit: Estimate) -> Array:
+    """What the errors that are held, being as large as is usual, would change of the bearings: standard deviations.
+
+    A held error moves the curves as fitted ones do, but what these lack of it is the bearings' to take.
+    """
+    problem, observed = Problem(pair, fit.observed, fit.chosen), fit.observed
+    columns = problem.columns(observed, fit.linear)
+    information = columns.T @ columns + np.diag(problem.precision(fit.scatter))
+    names = [n for n in observed.errors if n not in fit.chosen]
+    held = fit.linear.structured[:, [observed.errors.index(n) for n in names]]
+    held = held * tolerances_of(names, observed.profile) * observed.weight[:, None]
+    moved = linalg.solve(information, columns.T @ held, assume_a="pos")[problem.bearings]
+    found: Array = np.sqrt((moved**2).sum(axis=1)) * problem.scale[problem.bearings]
+    return found
+
+
+def _bearings(
+    pair: Pair, observed: Observations, changes: Array, deviations: Sequence[float] | Array
+) -> list[Parameter]:
     """Return what is stated of the bearings: a stiffness' interval is that of its logarithm."""
-    found, names = [], unknown_bearings(pair)
-    values = as_stated(pair, changes)
-    for name, value, sigma, before in zip(names, values, deviations, sizes_of(names), strict=True):
+    found, names = [], observed.bearing_names
+    values = as_stated(pair, changes, observed.first_stage)
+    for name, value, sigma, before in zip(names, values, deviations, observed.bearing_prior, strict=True):
         is_share = name.endswith("_stiffness")
         scale = value if is_share else 1.0
         reach = _NORMAL * sigma
         interval = (value * math.exp(-reach), value * math.exp(reach)) if is_share else (
             max(value - reach, 0.0), value + reach)  # fmt: skip
         share = max(1.0 - (sigma / before) ** 2, 0.0)
-        why = None if share > _MEASURED else "these curves say nothing of it: it is as the pair file allows"
+        why = (
+            None
+            if share > _MEASURED
+            else "these curves do not tell it from the errors: its value goes with theirs and with the file's"
+        )
         found.append(Parameter(name, unit_of_bearing(name), float(value), scale * sigma, interval, share, why))
     return found
 
@@ -427,11 +459,18 @@ def _singles(
 def _loops(pair: Pair, fit: Estimate, fitted: Sequence[Array], covariance: Array) -> tuple[LoopFit, ...]:
     """Each loop as measured and fitted, and its play with the standard error that the errors leave it."""
     observed, chosen, found = fit.observed, list(fit.chosen), []
+    stage = observed.first_stage
+    if stage is not None:
+        stage = with_play(stage, float(fit.state.bearings[-1]))
     branches = [i for i, c in enumerate(observed.curves) if c.branch]
     for source in dict.fromkeys(observed.curves[i].source for i in branches):
         own = [i for i in branches if observed.curves[i].source == source]
         crank = float(np.mean([observed.curves[i].input_angle.mean() for i in own]))
         play, by_error, each = play_of(pair, fit.state.surface, crank + fit.state.crank_offset, chosen)
+        if stage is not None:
+            s = share_of(stage, pair)
+            play = s * (play + stage.bearing_play + stage.crank_play / pair.gear_teeth)
+            by_error, each = s * by_error, s * each
         slope = np.concatenate([by_error, scatter_columns(pair, each)])
         found.append(LoopFit(
             source, crank,

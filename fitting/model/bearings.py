@@ -10,18 +10,27 @@ from numpy.typing import NDArray
 
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.supports import LARGEST_CLEARANCE, Bearing, OutputRoller
+from cycloid_fmu.reducer.first_stage import FirstStage
 
 Array = NDArray[np.float64]
 
 STIFFNESS, CLEARANCE = 0.5, 5e-6
 """Standard deviations before anything is measured: of a stiffness' logarithm, which a bearing's seat and housing make
 this uncertain, and of a clearance, m."""
+CRANK_PLAY = 1e-3
+"""Standard deviation of a first stage's play beside half the stated one, rad of the cranks."""
 _BEARINGS = ("turning_arm", "crank_shaft", "main", "output_roller")
 _OF_LENGTH = 9.0 / 8.0  # rollers' stiffness grows with their length to the 8/9 (Palmgren)
 
 
-def unknown_bearings(pair: Pair) -> tuple[str, ...]:
-    """Return what is unknown of the bearings: stiffness and clearance of each that gives way, as `LAWS` names them."""
+PLAY = "first_stage_play"
+
+
+def unknown_bearings(pair: Pair, first_stage: FirstStage | None = None) -> tuple[str, ...]:
+    """Return what is unknown of the bearings: stiffness and clearance of each that gives way, as `LAWS` names them.
+
+    Behind a first stage the free rotation of its cranks comes last.
+    """
     found: list[str] = []
     for name in _BEARINGS:
         one = getattr(pair.supports, name, None)
@@ -30,37 +39,41 @@ def unknown_bearings(pair: Pair) -> tuple[str, ...]:
         if isinstance(one, OutputRoller) and one.stiffness is None:
             continue
         found += [f"{name}_stiffness", f"{name}_clearance"]
-    return tuple(found)
+    return (*found, PLAY) if first_stage is not None else tuple(found)
 
 
-def sizes_of(names: tuple[str, ...]) -> Array:
-    """Return the standard deviation of each before anything is measured."""
-    return np.array([STIFFNESS if name.endswith("_stiffness") else CLEARANCE for name in names])
+def sizes_of(pair: Pair, first_stage: FirstStage | None = None) -> Array:
+    """Return the standard deviation of each of `unknown_bearings` before anything is measured."""
+    sizes = {"stiffness": STIFFNESS, "clearance": CLEARANCE, "play": CRANK_PLAY}
+    if first_stage is not None:
+        sizes["play"] += 0.5 * first_stage.crank_play
+    return np.array([sizes[name.rpartition("_")[2]] for name in unknown_bearings(pair, first_stage)])
 
 
 def unit_of_bearing(name: str) -> str:
-    """SI unit of what is stated of a bearing: "1" of a stiffness' share of the stated one, "m" of a clearance."""
-    return "1" if name.endswith("_stiffness") else "m"
+    """SI unit of what is stated: "1" of a stiffness' share of the stated one, "m" of a clearance, "rad" of a play."""
+    return {"stiffness": "1", "clearance": "m", "play": "rad"}[name.rpartition("_")[2]]
 
 
-def as_stated(pair: Pair, changes: Array) -> Array:
-    """Return the values of `unknown_bearings` after changes: shares of the stated stiffnesses, and clearances, m."""
-    found = np.zeros(0)
-    if changes.size:
-        made = pair_with(pair, changes)
-        found = np.array([
-            getattr(made.supports, name.rpartition("_")[0]).clearance if name.endswith("_clearance")
-            else math.exp(change)
-            for name, change in zip(unknown_bearings(pair), changes.tolist(), strict=True)
-        ])  # fmt: skip
-    return found
+def as_stated(pair: Pair, changes: Array, first_stage: FirstStage | None = None) -> Array:
+    """Return what `unknown_bearings` are after changes: shares of stiffnesses, clearances (m) and the play (rad)."""
+    found = []
+    for name, change in zip(unknown_bearings(pair, first_stage), changes.tolist(), strict=True):
+        bearing, _, what = name.rpartition("_")
+        if name == PLAY and first_stage is not None:
+            found.append(max(first_stage.crank_play + change, 0.0))
+        elif what == "stiffness":
+            found.append(math.exp(change))
+        else:
+            found.append(max(getattr(pair.supports, bearing).clearance + change, 0.0))
+    return np.array(found)
 
 
-def lowest_of(pair: Pair) -> Array:
-    """Return how far each of `unknown_bearings` can change downwards: no clearance is below zero."""
-    clearances = as_stated(pair, np.zeros(len(unknown_bearings(pair))))
-    return np.array([-value if name.endswith("_clearance") else -np.inf
-                     for name, value in zip(unknown_bearings(pair), clearances, strict=True)])  # fmt: skip
+def lowest_of(pair: Pair, first_stage: FirstStage | None = None) -> Array:
+    """Return how far each of `unknown_bearings` can change downwards: no clearance or play is below zero."""
+    names = unknown_bearings(pair, first_stage)
+    values = as_stated(pair, np.zeros(len(names)), first_stage)
+    return np.array([-np.inf if n.endswith("_stiffness") else -v for n, v in zip(names, values, strict=True)])
 
 
 def pair_with(pair: Pair, changes: Array) -> Pair:
@@ -72,12 +85,14 @@ def pair_with(pair: Pair, changes: Array) -> Pair:
         The pair.
     changes
         In the order of `unknown_bearings`: logarithm of a stiffness' share of the stated one, and what a clearance is
-        larger, m; none at all leaves the pair. A clearance stays within what a pair file may state.
+        larger, m; a first stage's play may follow; none at all leaves the pair. A clearance stays within what a pair
+        file may state.
     """
-    if pair.supports is None or changes.size == 0:
+    names = unknown_bearings(pair)
+    if not names or changes.size == 0:
         return pair
     given: dict[str, dict[str, Any]] = {}
-    for name, change in zip(unknown_bearings(pair), changes.tolist(), strict=True):
+    for name, change in zip(names, changes.tolist(), strict=False):
         bearing, _, what = name.rpartition("_")
         one = getattr(pair.supports, bearing)
         if what == "clearance":
@@ -88,4 +103,5 @@ def pair_with(pair: Pair, changes: Array) -> Pair:
             value = {"roller_length": one.roller_length * math.exp(_OF_LENGTH * change)}
         given.setdefault(bearing, {}).update(value)
     changed = {name: getattr(pair.supports, name).model_copy(update=values) for name, values in given.items()}
+    assert pair.supports is not None
     return pair.replace(supports=pair.supports.model_copy(update=changed))

@@ -18,13 +18,14 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.contact.transmission import error_sensitivity
-from cycloid_fmu.drive import Drive, refuse_first_stage
+from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD, Pair
 from cycloid_fmu.supports.transmission import play_loads, sensitivity, solve
 from cycloid_fmu.surfaces.structured import displacement_columns
 from cycloid_fmu.surfaces.surface import ErrorSurface
 from fitting.figures.hysteresis import FRICTION, FRICTION_NEAR, Lobe, LoopData, branch_line
 from fitting.figures.survey import Surveyed, survey
+from fitting.model.first_stage import of_cranks
 from fitting.recordings.plausible import PlausibleBlocks
 from fitting.recordings.recording import Recording, RecordingStream
 from fitting.recordings.sources import Source, open_source
@@ -96,18 +97,17 @@ def observed_curves(
     edge.InputError
         If a recording can't be read, is of another drive, or gives neither.
     """
-    refuse_first_stage(drive, "identification")
-    pair = drive.pair
+    pair, ratio = drive.pair, drive.ratio
     given = [recordings] if isinstance(recordings, Source | Curve) else list(recordings)
     found = [one for one in given if isinstance(one, Curve)]
     sources = [one for one in given if not isinstance(one, Curve)]
-    locked = [is_locked(_checked_drive(open_source(one), drive), pair.ratio) for one in sources]
+    locked = [is_locked(_checked_drive(open_source(one), drive), ratio) for one in sources]
     found += curves(
-        [one for one, still in zip(sources, locked, strict=True) if not still], pair.ratio, keep_turns=keep_turns
+        [one for one, still in zip(sources, locked, strict=True) if not still], ratio, keep_turns=keep_turns
     )
     for one in itertools.compress(sources, locked):
-        found += branches_of(survey(open_source(one), pair.ratio, pair.rated_torque), pair.ratio)
-    return found
+        found += branches_of(survey(open_source(one), ratio, pair.rated_torque), ratio)
+    return [of_cranks(one, drive) for one in found]
 
 
 def branches_of(surveyed: Surveyed, ratio: float) -> list[Curve]:

@@ -20,6 +20,7 @@ from cycloid_fmu.contact import first_order
 from cycloid_fmu.contact.transmission import error_sensitivity
 from cycloid_fmu.errors.kinds import KINDS, kinds_of, structured_names
 from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.supports.transmission import LAWS, sensitivity, solve
 from cycloid_fmu.surfaces.structured import (
     displacement_columns,
@@ -29,7 +30,8 @@ from cycloid_fmu.surfaces.structured import (
     with_structured,
 )
 from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
-from fitting.model.bearings import pair_with, sizes_of, unknown_bearings
+from fitting.model.bearings import lowest_of, pair_with, sizes_of, unknown_bearings
+from fitting.model.first_stage import share_of, turned
 from fitting.transmission_error.curve import Curve, noise_of
 
 Array = NDArray[np.float64]
@@ -80,8 +82,11 @@ class Observations:
         measured, m} of those that are among them.
     give
         How far supports have given way in each curve, shape (curves, 4): `GIVES`, m, and the crank, rad.
-    bearing_prior
-        What the drive's own bearings may be other than stated, as `fitting.model.bearings.sizes_of`.
+    bearing_names, bearing_prior, bearing_lowest
+        What is unknown of the drive's own bearings and first stage, how much it may be other than stated, and how far
+        it can go downwards, as in `fitting.model.bearings`.
+    first_stage
+        Where the curves are those of a whole reducer.
     """
 
     curves: tuple[Curve, ...]
@@ -96,7 +101,10 @@ class Observations:
     errors: tuple[str, ...]
     profile: Mapping[str, float]
     give: Array | None = None
+    bearing_names: tuple[str, ...] = ()
     bearing_prior: Array = field(default_factory=lambda: np.zeros(0))
+    bearing_lowest: Array = field(default_factory=lambda: np.zeros(0))
+    first_stage: FirstStage | None = None
 
     @property
     def running(self) -> list[int]:
@@ -181,6 +189,7 @@ def observations(
     pair: Pair,
     noise: Sequence[float] | None = None,
     profile: Mapping[str, float] | None = None,
+    first_stage: FirstStage | None = None,
 ) -> Observations:
     """Return curves as observations of a pair.
 
@@ -194,6 +203,8 @@ def observations(
         Noise of a single point of each curve, rad; by default what the curves themselves show.
     profile
         Orders of the profile deviation to consider too, and what each may be, m.
+    first_stage
+        Behind which the curves were taken, over the angle of ideal cranks (`fitting.model.first_stage.of_cranks`).
     """
     shown = np.array([noise_of(c) for c in curves] if noise is None else noise)
     floor = max(float(np.median(shown)), 1e-9)
@@ -222,7 +233,9 @@ def observations(
         columns.append(np.repeat([float(i in group) for i in range(len(curves))], sizes))
         priors.append(NO_CREEP)
     ratio = abs(curves[0].ratio)
-    shafts = (("output", crank / ratio, 1.0, OUTPUT_ENCODER), ("input", crank, 1.0 / ratio, INPUT_ENCODER))
+    whole = ratio if first_stage is None else first_stage.ratio(pair.gear_teeth)
+    shafts = (("output", crank / ratio, 1.0, OUTPUT_ENCODER),
+              ("input", crank * whole / ratio, 1.0 / whole, INPUT_ENCODER))  # fmt: skip
     for shaft, angle, lever, prior in shafts:
         for part, wave in (("cos", np.cos(angle)), ("sin", np.sin(angle))):
             names.append(f"{shaft}_encoder_eccentricity_{part}")
@@ -254,7 +267,10 @@ def observations(
         with_loops=any(c.branch for c in curves),
         errors=(*errors_of(pair), *(profile or {})),
         profile=profile or {},
-        bearing_prior=sizes_of(unknown_bearings(pair)),
+        bearing_names=unknown_bearings(pair, first_stage),
+        bearing_prior=sizes_of(pair, first_stage),
+        bearing_lowest=lowest_of(pair, first_stage),
+        first_stage=first_stage,
     )
 
 
@@ -274,7 +290,8 @@ class State:
         The crank's zero (rad) and the friction torques of curves and of loops (N·m).
     bearings
         By how much each bearing's stiffness and clearance are other than the pair file states, in the order of
-        `fitting.model.bearings.unknown_bearings`: logarithms of stiffness, and m; none of a pair without supports.
+        `Observations.bearing_names`: logarithms of stiffness, m, and rad of a first stage's play; none where nothing
+        of them is unknown.
     """
 
     surface: ErrorSurface
@@ -291,7 +308,7 @@ class Linear:
     """The model at one state: transmission error without the bench, shape (points,), and its derivatives.
 
     `structured` (points, errors as in `Observations.errors`), `scatter` (points, those of `scatter_names`), `bearings`
-    (points, those of `unknown_bearings`), and by crank angle and friction torque (points,).
+    (points, those of `Observations.bearing_names`), and by crank angle and friction torque (points,).
     """
 
     model: Array
@@ -419,27 +436,39 @@ def linearised_curve(
     torque = np.where(np.abs(torque) < abs(least), least, torque)
     surface, crank = state.surface, state.crank_offset
     if observed.give is not None:
-        *moved, turned = observed.give[number]
+        *moved, advanced = observed.give[number]
         values = {n: structured_value(pair, surface, n) + one for n, one in zip(GIVES, moved, strict=True)}
-        surface, crank = with_structured(pair, surface, values), crank + turned
+        surface, crank = with_structured(pair, surface, values), crank + advanced
+    s, at = share_of(observed.first_stage, pair), curve.input_angle + crank
+    bearings = state.bearings if state.bearings.size else np.zeros(len(observed.bearing_names))
+    w, beside = np.zeros_like(torque), np.zeros_like(torque)
+    if observed.first_stage is not None:
+        w = turned(observed.first_stage, pair, torque, bearings[-1])
+        beside = 0.5 * np.sign(torque) * observed.first_stage.bearing_play - w / pair.gear_teeth
     by_bearing = np.zeros((torque.size, 0))
     if pair.supports is not None:
-        found = sensitivity(pair_with(pair, state.bearings), surface, torque, curve.input_angle + crank)
+        found = sensitivity(pair_with(pair, bearings), surface, s * torque, at + w)
         model, each, by_crank, by_torque = (
             found.transmission_error, found.by_displacement, found.by_crank_angle, found.by_torque
         )  # fmt: skip
         jacobian = each @ displacement_columns(pair, observed.errors)
-        by_bearing = found.by_bearing[:, [LAWS.index(n) for n in unknown_bearings(pair)]]
+        by_bearing = found.by_bearing[:, [LAWS.index(n) for n in observed.bearing_names if n in LAWS]]
     elif around is None:
-        model, jacobian, each, further = error_sensitivity(
-            pair, surface, torque, curve.input_angle + crank, list(observed.errors)
-        )
+        model, jacobian, each, further = error_sensitivity(pair, surface, s * torque, at + w, list(observed.errors))
         by_crank, by_torque = further.T
     else:
         errors = displacement_vector(pair, state.surface) - around.errors
         model, each, by_torque = first_order.sensitivities(pair, around.contacts[number], 1, errors, torque)
         jacobian, by_crank = each @ displacement_columns(pair, observed.errors), np.zeros_like(model)
-    return Linear(model, jacobian, scatter_columns(pair, each), by_bearing, by_crank, against * by_torque)
+    share = np.ones_like(model)
+    if observed.first_stage is not None:
+        by_play = -0.5 * np.sign(torque) * (by_crank - 1.0 / pair.gear_teeth)
+        by_bearing = np.column_stack([by_bearing, by_play])
+        # The cranks turn with what the output deviates, to first order.
+        share = s / (1.0 - s * observed.first_stage.crank_share * by_crank)
+    of = share[:, None]
+    return Linear(share * (model + beside), of * jacobian, of * scatter_columns(pair, each), of * by_bearing,
+                  share * by_crank, share * s * against * by_torque)  # fmt: skip
 
 
 def linearise(pair: Pair, observed: Observations, state: State, around: LinearisationPoint | None = None) -> Linear:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.surfaces.sampling import Tolerances, sample_surface
 from cycloid_fmu.surfaces.structured import profile_names, profile_wave, unit_of
 from cycloid_fmu.surfaces.surface import Elements
@@ -35,10 +36,13 @@ class Prior:
         Of a pattern such as `pin_radial`; one that is not named is estimated from the data.
     profile
         Of the orders of the profile deviation that all teeth share; only those named are fitted.
+    first_stage
+        Behind which the pair is measured, as it is drawn.
     """
 
     scatter: Mapping[str, float] = field(default_factory=dict)
     profile: Mapping[str, float] = field(default_factory=dict)
+    first_stage: FirstStage | None = None
 
 
 def prior_of(pair: Pair, tolerances: Tolerances) -> Prior:

@@ -147,6 +147,7 @@ def test_the_play_on_bearings_has_the_derivatives_of_other_drives():
         assert slope == pytest.approx((ends[0] - ends[1]) / 2e-7, rel=0.02)
 
 
+@pytest.mark.slow(15)
 def test_a_drive_on_bearings_is_explained_and_its_bearings_are_found(tmp_path):
     made, surface, values, generator = as_made(0, 1)
     runs = [run_of(made, surface, load, generator, 12.37, 1) for load in (30.0, -30.0, 200.0, -200.0)]
