@@ -419,11 +419,7 @@ def _bearings(
         interval = (value * math.exp(-reach), value * math.exp(reach)) if is_share else (
             max(value - reach, 0.0), value + reach)  # fmt: skip
         share = max(1.0 - (sigma / before) ** 2, 0.0)
-        why = (
-            None
-            if share > _MEASURED
-            else "these curves do not tell it from the errors: its value goes with theirs and with the file's"
-        )
+        why = None if share > _MEASURED else "these curves do not tell it from the errors: it goes with them"
         found.append(Parameter(name, unit_of_bearing(name), float(value), scale * sigma, interval, share, why))
     return found
 
