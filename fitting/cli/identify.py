@@ -35,6 +35,9 @@ def identify(
         list[str] | None,
         typer.Option("--profile", metavar="ERROR", help="Find this error's interval by its profile; repeatable."),
     ] = None,
+    form: Annotated[
+        str, typer.Option(metavar="LENGTH", help="What a form that all flanks share may be; 0 um where it is known.")
+    ] = "1 um",
     bootstrap: Annotated[int, typer.Option(min=0, help="Number of bootstrap resamples of output turns.")] = 0,
     report: Annotated[
         Path | None, commands.output_option((".html",), "FIT.html", "Write a report of the fit.", "--report")
@@ -56,7 +59,13 @@ def identify(
     recordings = fitting.read_recordings(files, mapping, read_head)
     with options.status() as progress:
         result = fitting.identify(
-            recordings, nominal, tolerances=tolerances, profiled=profiled or (), bootstrap=bootstrap, progress=progress
+            recordings,
+            nominal,
+            tolerances=tolerances,
+            profiled=profiled or (),
+            bootstrap=bootstrap,
+            form=form,
+            progress=progress,
         )
     written: list[str] = []
     if output is not None:

@@ -25,6 +25,7 @@ from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.sampling import Tolerances, read_tolerances
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import DEVIATIONS, ErrorSurface, surface_of_pair
+from fitting.arguments import positive
 from fitting.estimation.fit import NO_SCATTER, OUTLYING, TURNS, Estimate, fit
 from fitting.estimation.result import Identification, is_uneven, result_of
 from fitting.estimation.validation import (
@@ -89,6 +90,7 @@ def identify(
     profiled: Sequence[str] = (),
     bootstrap: int = 0,
     held_out: bool = True,
+    form: float | str = "1 um",
     progress: Callable[[str], None] = lambda step: None,
 ) -> Identification:
     """Identify a drive's errors from recordings at one or more loads, one or both directions.
@@ -112,6 +114,10 @@ def identify(
         white noise; 0 for none.
     held_out
         Whether a load or direction is first kept from the fit and predicted.
+    form
+        What a form that all flanks share may be, standard deviation of each of its first four half waves, m: errors
+        that the curves can't tell from it have intervals that allow for it. 0 where the flanks' form is known; that
+        which tolerances state is fitted instead.
     progress
         Called with what is being done.
 
@@ -140,7 +146,7 @@ def identify(
     >>> result.drive.surface.eccentricity == result.surface.eccentricity
     True
     """
-    pair = drive.pair
+    pair, shape = drive.pair, positive(form, "m", "form", zero=True)
     progress("reading")
     curves = observed_curves(recordings, drive, keep_turns=bootstrap > 0)
     if isinstance(tolerances, str | os.PathLike):
@@ -200,16 +206,17 @@ def identify(
             found, others = _described_otherwise(pair, found, prior, progress)
             verdict = dataclasses.replace(verdict, descriptions=1 + len(others))
             result = result_of(
-                pair, found, verdict, predicted, prior.scatter, profiled, bootstrap, _GAIN, others, progress
-            )
+                pair, found, verdict, predicted, prior.scatter, profiled, bootstrap, _GAIN, others,
+                0.0 if prior.profile else shape, progress,
+            )  # fmt: skip
     except np.linalg.LinAlgError:
         raise edge.InputError(
             "the equations of the fit are singular, as they are where curves have no noise; add some to simulated ones."
         ) from None
-    form = [name for name in DEVIATIONS if getattr(drive.surface, name) is not None]
-    if form:
+    single = [name for name in DEVIATIONS if getattr(drive.surface, name) is not None]
+    if single:
         beside.append(
-            f"The drive's surface holds form of single elements ({', '.join(form)}); it is not part of the fit."
+            f"The drive's surface holds form of single elements ({', '.join(single)}); it is not part of the fit."
         )
     return dataclasses.replace(result, notes=(*result.notes, *beside)) if beside else result
 

@@ -41,6 +41,7 @@ from fitting.model.loops import LoopFit, play_of
 from fitting.model.observations import (
     Observations,
     estimated_parts,
+    form_columns,
     left_of,
     scatter_columns,
     scatter_names,
@@ -62,6 +63,7 @@ _NORMAL = float(stdtrit(np.inf, 0.5 + 0.5 * _CONFIDENCE))  # standard errors in 
 _LEFT = 1.3  # times its noise: a curve of which more is left is not explained wholly
 _ANGLES = 720  # of a crank turn that count as different: samples in step with it are closer than that
 _TOLD = 1.5  # angles of the crank in all curves for each single displacement: with fewer a fit finds many minima
+_WIDE, _WIDEST = 2.0, 4  # times as wide for a form of the flanks: what a note names, and how many
 _MEASURED = 0.1  # share of a single displacement's variance that the data must take away for it to be measured
 _AT_BOUND = 1e-3  # of the bound: lmfit ends so close beside it
 
@@ -72,6 +74,9 @@ class Parameter:
 
     The interval is NaN where the verdict is that the errors do not explain the curves; the standard error is the fit's
     alone.
+
+    `form` is how far a form that all flanks share may have moved it: a standard deviation, which the standard error
+    holds.
 
     `data_share` says how much of what is known of it comes from the data: 1 minus the ratio of its variance after and
     before measuring.
@@ -84,6 +89,7 @@ class Parameter:
     interval: tuple[float, float]
     data_share: float
     held: str | None = None
+    form: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -225,6 +231,7 @@ def result_of(
     bootstrap: int,
     gain: float,
     others: Sequence[Estimate],
+    form: float,
     progress: Callable[[str], None],
 ) -> Identification:
     """Confirm a fit's optimum and state what it found.
@@ -240,6 +247,8 @@ def result_of(
         Of a step, below which the fit has ended, as in `fitting.estimation.fit.fit`.
     others
         Fits of the same curves with another disc as the first.
+    form
+        What each order of a form that all flanks share may be, a standard deviation, m: intervals allow for it.
     """
     names, chosen, spread = list(fit.observed.errors), list(fit.chosen), spread_of(pair, fit.scatter)
     whitened = fit.observed.weight * left_of(fit.observed, fit.linear, fit.state)
@@ -273,6 +282,7 @@ def result_of(
     prior = surface_of_pair(pair)
     plain = with_scatter(pair, state.surface, -state.scatter)
     singular, combinations, reasons = weakness(observed, linear, names, chosen)
+    moved = dict(zip(chosen, form * _of_form(pair, fit) if form else np.zeros(len(chosen)), strict=True))
     parameters = []
     for name, tolerance in zip(names, tolerances_of(names, observed.profile), strict=True):
         if name in chosen:
@@ -282,6 +292,7 @@ def result_of(
                 progress(f"profile of {name}")
                 interval = profile_interval(pair, fit, name, sigma, inflation, quantile**2)
                 one = dataclasses.replace(one, interval=interval)
+            one = _allowing(one, float(moved[name]), float(tolerance))
         else:
             one = _parameter(name, structured_value(pair, prior, name), float(tolerance), float(tolerance),
                              reasons[name])  # fmt: skip
@@ -326,6 +337,7 @@ def result_of(
         other_descriptions=tuple(_structured(pair, one) for one in others),
         notes=(
             *_notes(pair, fit, verdict),
+            *_form_note(parameters, form),
             *_of_discs(len(others)),
             *(
                 f"{n} ends at {found[n].value * 1e3:.2g} {'mm' if unit_of(n) == 'm' else 'mrad'}, as far as it can be; "
@@ -390,20 +402,57 @@ def _parameter(
     return Parameter(name, unit_of(name), value, sigma, interval, max(1.0 - (sigma / before) ** 2, 0.0), held)
 
 
+def _considered(pair: Pair, fit: Estimate, columns: Array, of: Callable[[Problem], slice]) -> Array:
+    """How far unknowns of a fit move where the curves hold columns (rad) that are no part of it: standard deviations.
+
+    Considered in the sense of Schmidt (Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, chapter
+    8): the estimates stay, their errors grow by what each column, of a size of one, does to them.
+    """
+    problem = Problem(pair, fit.observed, fit.chosen)
+    own = problem.columns(fit.observed, fit.linear)
+    information = own.T @ own + np.diag(problem.precision(fit.scatter))
+    moved = linalg.solve(information, own.T @ (fit.observed.weight[:, None] * columns), assume_a="pos")[of(problem)]
+    found: Array = np.sqrt((moved**2).sum(axis=1)) * problem.scale[of(problem)]
+    return found
+
+
 def _of_held(pair: Pair, fit: Estimate) -> Array:
     """What the errors that are held, being as large as is usual, would change of the bearings: standard deviations.
 
     A held error moves the curves as fitted ones do, but what these lack of it is the bearings' to take.
     """
-    problem, observed = Problem(pair, fit.observed, fit.chosen), fit.observed
-    columns = problem.columns(observed, fit.linear)
-    information = columns.T @ columns + np.diag(problem.precision(fit.scatter))
-    names = [n for n in observed.errors if n not in fit.chosen]
-    held = fit.linear.structured[:, [observed.errors.index(n) for n in names]]
-    held = held * tolerances_of(names, observed.profile) * observed.weight[:, None]
-    moved = linalg.solve(information, columns.T @ held, assume_a="pos")[problem.bearings]
-    found: Array = np.sqrt((moved**2).sum(axis=1)) * problem.scale[problem.bearings]
-    return found
+    names = [n for n in fit.observed.errors if n not in fit.chosen]
+    held = fit.linear.structured[:, [fit.observed.errors.index(n) for n in names]]
+    held = held * tolerances_of(names, fit.observed.profile)
+    return _considered(pair, fit, held, lambda problem: problem.bearings)
+
+
+def _of_form(pair: Pair, fit: Estimate) -> Array:
+    """What a metre of each order of a form that all flanks share would change of the fitted errors, m or rad."""
+    columns = form_columns(pair, fit.observed, fit.state)
+    return _considered(pair, fit, columns, lambda problem: slice(len(fit.chosen)))
+
+
+def _allowing(one: Parameter, form: float, before: float) -> Parameter:
+    """Return a parameter whose interval allows for what a form of the flanks may have done to it."""
+    reach = _NORMAL * form
+    low, high = (one.value + way * math.hypot(end - one.value, reach)
+                 for way, end in zip((-1.0, 1.0), one.interval, strict=True))  # fmt: skip
+    sigma = math.hypot(one.standard_error, form)
+    share = max(1.0 - (sigma / before) ** 2, 0.0)
+    return dataclasses.replace(one, standard_error=sigma, interval=(low, high), data_share=share, form=form)
+
+
+def _form_note(parameters: Sequence[Parameter], form: float) -> list[str]:
+    times = {p.name: p.standard_error / math.sqrt(p.standard_error**2 - p.form**2) for p in parameters if p.form}
+    wide = sorted((n for n, v in times.items() if v > _WIDE), key=lambda n: -times[n])
+    if not wide:
+        return []
+    named = ", ".join(f"{n} {times[n]:.2g}" for n in wide[:_WIDEST]) + " and others" * (len(wide) > _WIDEST)
+    return [
+        f"The curves can't tell a form of the flanks of {form * 1e6:g} µm from these errors, whose intervals are wider "
+        f"for it (times): {named}. Where the flanks' form is known, state it: form, or gear_profile of the tolerances."
+    ]
 
 
 def _bearings(

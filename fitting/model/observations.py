@@ -26,6 +26,7 @@ from cycloid_fmu.surfaces.structured import (
     displacement_columns,
     displacement_layout,
     displacement_vector,
+    profile_names,
     structured_value,
     with_structured,
 )
@@ -469,6 +470,25 @@ def linearised_curve(
     of = share[:, None]
     return Linear(share * (model + beside), of * jacobian, of * scatter_columns(pair, each), of * by_bearing,
                   share * by_crank, share * s * against * by_torque)  # fmt: skip
+
+
+def form_columns(pair: Pair, observed: Observations, state: State) -> Array:
+    """Return derivatives by the `PROFILE_ORDERS` of a form that all flanks share, shape (points, orders), rad/m.
+
+    Zero for a drive with supports, whose model has none.
+    """
+    names = profile_names(PROFILE_ORDERS)
+    if pair.supports is not None:
+        return np.zeros((observed.measured.size, len(names)))
+    s = share_of(observed.first_stage, pair)
+
+    def one(curve: Curve) -> Array:
+        torque = np.where(curve.torque_at_points == 0.0, _LEAST_TORQUE * curve.torque, curve.torque_at_points)
+        angle = curve.input_angle + state.crank_offset
+        return s * error_sensitivity(pair, state.surface, s * torque, angle, names)[1]
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return np.concatenate(list(pool.map(one, observed.curves)))
 
 
 def linearise(pair: Pair, observed: Observations, state: State, around: LinearisationPoint | None = None) -> Linear:
