@@ -282,7 +282,7 @@ def result_of(
     prior = surface_of_pair(pair)
     plain = with_scatter(pair, state.surface, -state.scatter)
     singular, combinations, reasons = weakness(observed, linear, names, chosen)
-    moved = dict(zip(chosen, form * _of_form(pair, fit) if form else np.zeros(len(chosen)), strict=True))
+    moved = dict(zip(chosen, _of_form(pair, fit, form) if form else np.zeros(len(chosen)), strict=True))
     parameters = []
     for name, tolerance in zip(names, tolerances_of(names, observed.profile), strict=True):
         if name in chosen:
@@ -402,35 +402,45 @@ def _parameter(
     return Parameter(name, unit_of(name), value, sigma, interval, max(1.0 - (sigma / before) ** 2, 0.0), held)
 
 
-def _considered(pair: Pair, fit: Estimate, columns: Array, of: Callable[[Problem], slice]) -> Array:
-    """How far unknowns of a fit move where the curves hold columns (rad) that are no part of it: standard deviations.
+def _of_held(pair: Pair, fit: Estimate) -> Array:
+    """What the errors that are held, being as large as is usual, would change of the bearings: standard deviations.
 
-    Considered in the sense of Schmidt (Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, chapter
-    8): the estimates stay, their errors grow by what each column, of a size of one, does to them.
+    A held error moves the curves as fitted ones do, but what these lack of it is the bearings' to take. Considered in
+    the sense of Schmidt (Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, chapter 8).
     """
     problem = Problem(pair, fit.observed, fit.chosen)
     own = problem.columns(fit.observed, fit.linear)
     information = own.T @ own + np.diag(problem.precision(fit.scatter))
-    moved = linalg.solve(information, own.T @ (fit.observed.weight[:, None] * columns), assume_a="pos")[of(problem)]
-    found: Array = np.sqrt((moved**2).sum(axis=1)) * problem.scale[of(problem)]
+    names = [n for n in fit.observed.errors if n not in fit.chosen]
+    held = fit.linear.structured[:, [fit.observed.errors.index(n) for n in names]]
+    held = held * tolerances_of(names, fit.observed.profile) * fit.observed.weight[:, None]
+    moved = linalg.solve(information, own.T @ held, assume_a="pos")[problem.bearings]
+    found: Array = np.sqrt((moved**2).sum(axis=1)) * problem.scale[problem.bearings]
     return found
 
 
-def _of_held(pair: Pair, fit: Estimate) -> Array:
-    """What the errors that are held, being as large as is usual, would change of the bearings: standard deviations.
+def _of_form(pair: Pair, fit: Estimate, form: float) -> Array:
+    """How far a form that all flanks share may have moved the fitted errors: standard deviations, m or rad.
 
-    A held error moves the curves as fitted ones do, but what these lack of it is the bearings' to take.
+    The orders of the form are taken among the unknowns of the linear model, with what they may be as prior. The errors
+    that are stated are those without form, so how far form moves the best ones is part of it.
     """
-    names = [n for n in fit.observed.errors if n not in fit.chosen]
-    held = fit.linear.structured[:, [fit.observed.errors.index(n) for n in names]]
-    held = held * tolerances_of(names, fit.observed.profile)
-    return _considered(pair, fit, held, lambda problem: problem.bearings)
-
-
-def _of_form(pair: Pair, fit: Estimate) -> Array:
-    """What a metre of each order of a form that all flanks share would change of the fitted errors, m or rad."""
-    columns = form_columns(pair, fit.observed, fit.state)
-    return _considered(pair, fit, columns, lambda problem: slice(len(fit.chosen)))
+    problem, observed, count = Problem(pair, fit.observed, fit.chosen), fit.observed, len(fit.chosen)
+    own = problem.columns(observed, fit.linear)
+    beside = form * observed.weight[:, None] * form_columns(pair, observed, fit.state)
+    columns = np.hstack([own, beside])
+    precision = np.concatenate([problem.precision(fit.scatter), np.ones(beside.shape[1])])
+    information = columns.T @ columns + np.diag(precision)
+    left = observed.weight * left_of(observed, fit.linear, fit.state)
+    covariance = linalg.inv(information)
+    slope = columns.T @ left
+    # The fit has ended, so that its own unknowns have no slope.
+    slope[: own.shape[1]] = 0.0
+    moved = covariance @ slope
+    alone = linalg.inv(information[: own.shape[1], : own.shape[1]])
+    grown = np.diag(covariance)[:count] - np.diag(alone)[:count] + moved[:count] ** 2
+    found: Array = np.sqrt(np.maximum(grown, 0.0)) * problem.scale[:count]
+    return found
 
 
 def _allowing(one: Parameter, form: float, before: float) -> Parameter:

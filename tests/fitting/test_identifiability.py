@@ -1,6 +1,7 @@
 """What measurements tell apart: the bench beside the drive, plans, curves with faults, and drawn surfaces."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -109,8 +110,9 @@ def test_too_few_crank_angles_for_the_pins_scatter_are_said(nominal, each, said)
         noisy = error + generator.normal(0.0, 0.5 * ARCSEC, error.size)
         curves.append(dataclasses.replace(one, transmission_error=noisy, source=f"{load:g}"))
     found = identify(curves, Drive(pair), held_out=False)
-    few = f"The curves see {4 * each} angles of the crank in all, too few to tell the 40 displacements"
-    assert any(n.startswith(few) and "at least 15 samples a crank turn" in n for n in found.notes) == said
+    # Those of which the fit finds some: radial and tangential ones, or one of both.
+    few = rf"The curves see {4 * each} angles of the crank in all, too few to tell the [24]0 displacements"
+    assert any(re.match(few, n) and re.search("at least (8|15) samples a crank turn", n) for n in found.notes) == said
     assert said or not any("angles of the crank" in n for n in found.notes)
 
 
@@ -157,7 +159,7 @@ def test_a_plan_foretells_the_fit(measured, nominal):
     """The standard errors that a plan states are those that the fit of such runs then has (no scatter in either)."""
     found = identify(measured(9), Drive(nominal), held_out=False)
     planned = plan(Drive(nominal), [20.0, 200.0], turns=1.0, samples=24, noise=0.5 * ARCSEC, scatter=1e-9)[-1]
-    ratios = [p.standard_error / planned.standard_error[p.name] for p in found.parameters
+    ratios = [np.sqrt(p.standard_error**2 - p.form**2) / planned.standard_error[p.name] for p in found.parameters
               if p.held is None and p.name in planned.standard_error]  # fmt: skip
     assert len(ratios) > 15
     assert np.median(ratios) == pytest.approx(1.0, abs=0.25)

@@ -107,7 +107,7 @@ def test_lmfit_reads_its_parameters_back(found, tmp_path):
         one = again[p.name]
         assert one.vary == (p.held is None)
         assert one.value == pytest.approx(p.value, rel=1e-9, abs=1e-15)
-        assert one.stderr == pytest.approx(p.standard_error, rel=1e-9, abs=0.0)
+        assert np.hypot(one.stderr, p.form) == pytest.approx(p.standard_error, rel=1e-9, abs=0.0)
         assert one.min < one.value < one.max
     first, second, *_ = found.fitted
     assert again[first].correl[second] == pytest.approx(found.correlation[0, 1], abs=1e-9)

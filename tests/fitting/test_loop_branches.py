@@ -85,8 +85,8 @@ def test_the_play_and_its_derivatives_are_those_of_the_contact_model(made):
 def test_a_loop_tells_what_transmission_errors_alone_do_not(measured, nominal, made, loop):
     """Without a common zero nothing says how the two sides of the teeth stand to each other, but the play does."""
     curves = measured(1, each=12, zeros=(3e-4, -2e-4, 1e-4, 5e-5), common_zero=False)
-    alone = {p.name: p for p in identify(curves, Drive(nominal), held_out=False).parameters}
-    found = identify([*curves, *loop], Drive(nominal))
+    alone = {p.name: p for p in identify(curves, Drive(nominal), held_out=False, form=0.0).parameters}
+    found = identify([*curves, *loop], Drive(nominal), form=0.0)
     with_loop = {p.name: p for p in found.parameters}
     assert alone["pin_circle_radius"].held is not None
     assert with_loop["pin_circle_radius"].held is None
