@@ -21,11 +21,12 @@ from scipy.special import stdtrit
 from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.edge import ARCSEC
-from cycloid_fmu.errors.kinds import wave_of
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.surfaces.structured import displacement_columns, displacement_layout, structured_value, unit_of
+from cycloid_fmu.surfaces.structured import structured_value, unit_of
 from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
 from fitting.estimation.fit import NO_SCATTER, Estimate, confirmed, freedom, profile_interval, turn_bootstrap
+from fitting.estimation.parameter import CONFIDENCE, Parameter, parameter, parameter_as_json, withheld
+from fitting.estimation.realised import GAUGE, Realised, realised
 from fitting.estimation.validation import HeldOut, Verdict
 from fitting.model.identifiability import weakness
 from fitting.model.loops import LoopFit, play_of
@@ -39,33 +40,10 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 FORMAT = "cycloid-identification/1"
 
-_CONFIDENCE = 0.95
-_NORMAL = float(stdtrit(np.inf, 0.5 + 0.5 * _CONFIDENCE))  # standard errors in half an interval
 _LEFT = 1.3  # times its noise: a curve of which more is left is not explained wholly
 _ANGLES = 720  # of a crank turn that count as different: samples in step with it are closer than that
 _TOLD = 1.5  # angles of the crank in all curves for each single displacement: with fewer a fit finds many minima
-_MEASURED = 0.1  # share of a single displacement's variance that the data must take away for it to be measured
 _AT_BOUND = 1e-3  # of the bound: lmfit ends so close beside it
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """One structured error after the fit: SI value, standard error and 95 % interval, or why it is held.
-
-    The interval is NaN where the verdict is that the errors do not explain the curves; the standard error is the fit's
-    alone.
-
-    `data_share` says how much of what is known of it comes from the data: 1 minus the ratio of its variance after and
-    before measuring.
-    """
-
-    name: str
-    unit: str
-    value: float
-    standard_error: float
-    interval: tuple[float, float]
-    data_share: float
-    held: str | None = None
 
 
 @dataclass(frozen=True)
@@ -78,8 +56,8 @@ class Identification:
         Whether the errors explain the curves, and what most likely does beside them.
     parameters
         All structured errors, fitted and held.
-    singles
-        Every pin's and tooth's own error with all its parts, where asked for; held where it was only bounded.
+    realised
+        Every pin and tooth of this ring, and its orders: structured errors and scatter together, the gauge removed.
     bench
         {name: value} of the bench's nuisances: zeros and encoder eccentricity (rad), compliance of the chain beside
         the gear pair (rad/(N·m)), friction torque, and that of loops (N·m).
@@ -129,7 +107,7 @@ class Identification:
 
     verdict: Verdict
     parameters: tuple[Parameter, ...]
-    singles: tuple[Parameter, ...]
+    realised: Realised
     bench: dict[str, float]
     lmfit_parameters: lmfit.Parameters
     surface: ErrorSurface
@@ -235,7 +213,7 @@ def result_of(
     # The scatter of pins and teeth stands behind the errors and the bench.
     lmfit_parameters = _stated(found, every[: -spread.size, : -spread.size], observed.profile)
     bench = {n: p.value for n, p in lmfit_parameters.items() if n not in names}
-    quantiles = stdtrit(freedom(pair, fit, every, known), 0.5 + 0.5 * _CONFIDENCE)
+    quantiles = stdtrit(freedom(pair, fit, every, known), 0.5 + 0.5 * CONFIDENCE)
     lasting = np.r_[: len(chosen), len(every) - spread.size : len(every)]
     every = every[np.ix_(lasting, lasting)]
     covariance = every[: len(chosen), : len(chosen)]
@@ -247,19 +225,20 @@ def result_of(
     for name, tolerance in zip(names, tolerances_of(names, observed.profile), strict=True):
         if name in chosen:
             sigma, quantile = float(error[chosen.index(name)]), float(quantiles[chosen.index(name)])
-            one = _parameter(name, structured_value(pair, plain, name), sigma, float(tolerance), None, quantile)
+            value = structured_value(pair, plain, name)
+            one = parameter(name, unit_of(name), value, sigma, float(tolerance), quantile=quantile)
             if name in profiled:
                 progress(f"profile of {name}")
                 interval = profile_interval(pair, fit, name, sigma, inflation, quantile**2)
                 one = dataclasses.replace(one, interval=interval)
         else:
-            one = _parameter(name, structured_value(pair, prior, name), float(tolerance), float(tolerance),
-                             reasons[name])  # fmt: skip
+            value, sigma = structured_value(pair, prior, name), float(tolerance)
+            one = parameter(name, unit_of(name), value, sigma, sigma, reasons[name])
         parameters.append(one)
-    singles = list(_singles(pair, state.surface, chosen, every, spread)) if known else []
-    if verdict.state == "not explained":
-        parameters, singles = [_withheld(one) for one in parameters], [_withheld(one) for one in singles]
+    ring = realised(pair, state.surface, chosen, every, spread)
     told = verdict.state != "not explained"
+    if not told:
+        parameters, ring = [withheld(one) for one in parameters], ring.withheld()
     surface = state.surface.replace(
         origin="identified",
         covariance_of=(*chosen, *scatter_names(pair)) if told else (),
@@ -274,7 +253,7 @@ def result_of(
     return Identification(
         verdict=verdict,
         parameters=tuple(parameters),
-        singles=tuple(singles),
+        realised=ring,
         bench=bench,
         lmfit_parameters=lmfit_parameters,
         surface=surface,
@@ -346,39 +325,6 @@ def _stated(found: lmfit.Parameters, covariance: Array, profile: Mapping[str, fl
         stated[name].stderr = float(deviation[at])
         stated[name].correl = {n: float(correlation[at, i]) for i, n in enumerate(names) if i != at}
     return stated
-
-
-def _parameter(
-    name: str, value: float, sigma: float, before: float, held: str | None, quantile: float = _NORMAL
-) -> Parameter:
-    interval = (value - quantile * sigma, value + quantile * sigma)
-    return Parameter(name, unit_of(name), value, sigma, interval, max(1.0 - (sigma / before) ** 2, 0.0), held)
-
-
-def _withheld(one: Parameter) -> Parameter:
-    return one if one.held else dataclasses.replace(one, interval=(math.nan, math.nan))
-
-
-def _singles(
-    pair: Pair, surface: ErrorSurface, chosen: Sequence[str], covariance: Array, spread: Array
-) -> tuple[Parameter, ...]:
-    """Every pin's and tooth's own error: its part of the structured ones and its scatter."""
-    # The patterns round the circles alone: an error of all pins alike is stated by itself.
-    columns = displacement_columns(pair, chosen) * [wave_of(n) is not None for n in chosen]
-    layout = displacement_layout(pair)
-    pins = [columns[layout[name]] for name in ("pin_radial", "pin_tangential")]
-    waves = np.vstack([*pins, columns[layout["tooth_turn"]] * pair.pin_circle_radius])
-    lever = np.hstack([waves, np.eye(spread.size)])
-    deviation = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", lever, covariance, lever), 0.0))
-    values = np.concatenate([getattr(surface, pattern).ravel() for pattern in scatter_parts(pair)])
-    before = np.sqrt(spread**2 + (waves**2) @ tolerances_of(chosen) ** 2)
-    found = []
-    for at, name in enumerate(scatter_names(pair)):
-        alone = covariance[len(chosen) + at, len(chosen) + at]
-        bounded = alone > (1.0 - _MEASURED) * spread[at] ** 2 and spread[at] > NO_SCATTER
-        why = "it hardly carries load in these curves: bounded by its neighbours, not measured" if bounded else None
-        found.append(_parameter(name, float(values[at]), float(deviation[at]), float(before[at]), why))
-    return tuple(found)
 
 
 def _loops(pair: Pair, fit: Estimate, fitted: Sequence[Array], covariance: Array) -> tuple[LoopFit, ...]:
@@ -471,11 +417,6 @@ def _notes(pair: Pair, fit: Estimate, verdict: Verdict) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _as_json(one: Parameter) -> dict[str, Any]:
-    fields = dataclasses.asdict(one)
-    return {**fields, "interval": list(one.interval), "held": one.held or False}
-
-
 def as_json(result: Identification) -> dict[str, Any]:
     """Return an identification as the content of a `cycloid-identification/1` file (SI)."""
     verdict = result.verdict
@@ -492,9 +433,13 @@ def as_json(result: Identification) -> dict[str, Any]:
         },
         "drive": result.drive.hash,
         "pair": result.pair.nominal.text,
-        "parameters": {p.name: _as_json(p) for p in result.parameters},
+        "parameters": {p.name: parameter_as_json(p) for p in result.parameters},
         "other_descriptions": list(result.other_descriptions),
-        **({"singles": {p.name: _as_json(p) for p in result.singles}} if result.singles else {}),
+        "realised": {
+            "gauge": list(GAUGE),
+            "elements": {p.name: parameter_as_json(p) for p in result.realised.elements},
+            "orders": {p.name: parameter_as_json(p) for p in result.realised.orders},
+        },
         "bench": result.bench,
         "lmfit_parameters": json.loads(result.lmfit_parameters.dumps()),
         "correlation": {"of": list(result.fitted), "matrix": result.correlation},
