@@ -14,6 +14,7 @@ from cycloid_fmu.geometry.pair import read_pair
 from fitting.estimation.fit import NO_SCATTER
 from fitting.estimation.identify import identify
 from fitting.estimation.realised import displaced, displaced_covariance
+from fitting.model.discs import other_descriptions
 from fitting.model.identifiability import chosen_errors, posterior_covariance
 from fitting.model.observations import State, errors_of, linearise, observations, scatter_parts, spread_of
 
@@ -30,10 +31,10 @@ def random_ring(pair, generator, scatter=SCATTER):
 def cramer_rao(pair, surface, curves, noise, scatter=SCATTER):
     """Covariance of every pin and tooth, gauge removed, that no estimate can fall below, shape as of `displaced`.
 
-    From the exact model's derivatives at the drive itself, structured errors and the bench's zeros unknown, with the
+    `noise` is a single sample's, rad. From the exact model's derivatives at the drive itself, structured errors and the bench's zeros unknown, with the
     scatter's size as prior: ten times that size as prior changes it by 0.1 %.
     """
-    observed = observations(curves, pair, [noise] * len(curves))
+    observed = observations(curves, pair, [noise / np.sqrt(np.median(c.sample_count)) for c in curves])
     state = State(surface, np.zeros(spread_of(pair, {}).size), np.zeros(observed.bench.shape[1]))
     linear, names = linearise(pair, observed, state), errors_of(pair)
     spread = spread_of(pair, dict.fromkeys(scatter_parts(pair), scatter))
@@ -42,14 +43,18 @@ def cramer_rao(pair, surface, curves, noise, scatter=SCATTER):
 
 
 def ring(pair, number, *, loads=LOADS, each=24.0, turns=1, noise=0.5 * ARCSEC, scatter=SCATTER, seed=0):
-    """One random ring: identification, distances of its elements from the truth, m, and their Cramér-Rao bounds, m."""
+    """One random ring: identification, distances of its elements from the truth, m, and their Cramér-Rao bounds, m.
+
+    Of several discs any may be called the first: the truth is the description of the drive that lies nearest.
+    """
     generator = np.random.default_rng([seed, number])
     surface, _ = random_ring(pair, generator, scatter)
     runs = [recorded(pair, surface, load, generator, each=each, turns=turns, noise=noise) for load in loads]
     found = identify(runs, Drive(pair), held_out=False)
     stated = np.array([one.value for one in found.realised.elements])
-    bound = np.sqrt(np.diag(cramer_rao(pair, surface, found.curves, noise / np.sqrt(turns), max(scatter, NO_SCATTER))))
-    return found, stated - displaced(pair, surface), bound
+    bound = np.sqrt(np.diag(cramer_rao(pair, surface, found.curves, noise, max(scatter, NO_SCATTER))))
+    away = [stated - displaced(pair, one) for one in (surface, *other_descriptions(pair, surface))]
+    return found, min(away, key=rms), bound
 
 
 def rms(values):

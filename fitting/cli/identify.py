@@ -74,6 +74,8 @@ def identify(
 
 
 def _print(result: Identification) -> None:
+    from fitting.estimation.realised import errors_by_pattern
+
     typer.echo(result.verdict.sentence)
     rows, held = [], []
     for p in result.parameters:
@@ -97,6 +99,9 @@ def _print(result: Identification) -> None:
         f"Residual {result.residual * ARCSEC:.3f}″ rms, noise {result.noise * ARCSEC:.3f}″; scatter beyond these "
         f"errors: {scatter}."
     )
+    each = errors_by_pattern(result.pair, result.realised.covariance)
+    known = ", ".join(f"{n} {error * 1e6:.3f} µm" for n, error in each.items())
+    typer.echo(f"Standard errors of every pin and tooth of this ring, which --output and --report state: {known}.")
     for one in result.loops:
         typer.echo(
             f"{Path(one.source).name}: play at the crank angle {math.degrees(one.crank_angle):.1f}°: "

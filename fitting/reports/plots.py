@@ -233,12 +233,14 @@ def plot_ring(ring: Realised) -> Figure:
 
 
 def plot_plans(plans: Sequence[Plan]) -> Figure:
-    """Standard error of each error with each set of runs, as a share of its tolerance; 1 where it would be held."""
+    """Standard error of each error, pin and tooth with each set of runs, as a share of its tolerance."""
     figure, (axis,) = new_figure(1)
-    names = [*plans[-1].standard_error, *plans[-1].held]
+    each = {f"{name}, each": name for name in plans[-1].realised}
+    names = [*plans[-1].standard_error, *plans[-1].held, *each]
     figure.set_figheight(1.5 + 0.22 * len(names))
     for number, plan in enumerate(plans):
-        share = [plan.standard_error.get(n, np.nan) / TOLERANCE[unit_of(n)] for n in names]
+        errors = {**plan.standard_error, **{label: plan.realised[name] for label, name in each.items()}}
+        share = [errors.get(n, np.nan) / TOLERANCE["m" if n in each else unit_of(n)] for n in names]
         axis.plot(share, np.arange(len(names)), "o", color=f"C{number}", label=plan.runs)
     axis.set(xscale="log", xlabel="standard error as a share of what the error may be unmeasured")
     axis.set_yticks(np.arange(len(names)), names, fontsize=7)

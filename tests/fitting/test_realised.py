@@ -5,15 +5,16 @@ import os
 import numpy as np
 import pytest
 from realised_rings import figures_of, ring, rms
-from sampled_drives import SMALL
+from sampled_drives import ARCSEC, SMALL
 
 import fitting
 from cycloid_fmu.contact.transmission import error_sensitivity
+from cycloid_fmu.drive import Drive
 from cycloid_fmu.edge import json_table
 from cycloid_fmu.surfaces.structured import with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.estimation.ensemble import ensemble
-from fitting.estimation.realised import displaced, displaced_covariance, gauge
+from fitting.estimation.realised import displaced, displaced_covariance, errors_by_pattern, gauge
 from fitting.model.observations import scatter_columns, with_scatter
 from fitting.reports.ring import ring_panel
 
@@ -114,6 +115,22 @@ def test_without_an_explanation_the_intervals_are_withheld_and_not_drawn(one_rin
     withheld = found.realised.withheld()
     assert all(np.isnan(one.interval).all() for one in (*withheld.elements, *withheld.orders))
     assert not any(trace.style == "thick" for trace in ring_panel(withheld).traces)
+
+
+def test_a_plan_foretells_pins_and_teeth_and_the_run_that_helps(one_ring, small):
+    """The standard errors of the fit of such runs; none tells less, each as much as a plan with it says."""
+    found, _, _ = one_ring
+    runs = {"turns": 2.0, "noise": 0.5 * ARCSEC, "scatter": 2e-6}
+    forward, *_, last = fitting.plan(Drive(small), [20.0, 60.0], **runs)
+    for name, error in errors_by_pattern(small, found.realised.covariance).items():
+        assert last.realised[name] == pytest.approx(error, rel=0.35)
+    for plan in (forward, last):
+        assert all(one.realised[name] <= plan.realised[name] for one in plan.next_runs for name in plan.realised)
+    assert forward.next_runs[0].run.endswith("backward")
+    both = fitting.plan(Drive(small), [60.0], **runs)[1]
+    (other,) = (one for one in forward.next_runs if one.run == "60 N·m backward")
+    for name, error in both.realised.items():
+        assert other.realised[name] == pytest.approx(error, rel=0.1)
 
 
 @pytest.mark.slow(20)
