@@ -31,8 +31,8 @@ def random_ring(pair, generator, scatter=SCATTER):
 def cramer_rao(pair, surface, curves, noise, scatter=SCATTER):
     """Covariance of every pin and tooth, gauge removed, that no estimate can fall below, shape as of `displaced`.
 
-    `noise` is a single sample's, rad. From the exact model's derivatives at the drive itself, structured errors and the bench's zeros unknown, with the
-    scatter's size as prior: ten times that size as prior changes it by 0.1 %.
+    `noise` is a single sample's, rad. From the exact model's derivatives at the drive itself, structured errors and the
+    bench's zeros unknown, with the scatter's size as prior: ten times that size as prior changes it by 0.1 %.
     """
     observed = observations(curves, pair, [noise / np.sqrt(np.median(c.sample_count)) for c in curves])
     state = State(surface, np.zeros(spread_of(pair, {}).size), np.zeros(observed.bench.shape[1]))

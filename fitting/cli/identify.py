@@ -28,7 +28,7 @@ def identify(
         Path | None,
         typer.Option(
             metavar="TOL.toml",
-            help="Report every pin and tooth by itself, and the form that all teeth share, with these as prior.",
+            help="Prior of single pins and teeth, and of the form that all teeth share.",
         ),
     ] = None,
     profiled: Annotated[

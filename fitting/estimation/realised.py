@@ -28,7 +28,7 @@ GAUGE = (
     "Pins turned all alike, and teeth turned all alike, are the output angle's zero: both means are zero here.",
     "Pins further out all alike are pin_circle_radius: the radial mean is zero here.",
     "A ring shifted as a whole is centre_distance: of order 1 only what is no shift is stated here.",
-    "A pin that is thicker stands further in as far as transmission errors tell: the radial place holds both.",
+    "All pins are taken to be as thick as one another: one that is thicker is stated further in, by some 1.6 times that.",
 )
 _MEASURED = 0.1  # share of a displacement's variance that the data must take away for it to be measured
 
