@@ -28,7 +28,7 @@ GAUGE = (
     "Pins turned all alike, and teeth turned all alike, are the output angle's zero: both means are zero here.",
     "Pins further out all alike are pin_circle_radius: the radial mean is zero here.",
     "A ring shifted as a whole is centre_distance: of order 1 only what is no shift is stated here.",
-    "All pins are taken to be as thick as one another: one that is thicker is stated further in, by some 1.6 times that.",
+    "All pins are taken to be as thick as one another: a thicker one is stated further in, by some 1.6 times that.",
 )
 _MEASURED = 0.1  # share of a displacement's variance that the data must take away for it to be measured
 
@@ -174,8 +174,8 @@ def realised(pair: Pair, surface: ErrorSurface, chosen: Sequence[str], covarianc
     >>> known = np.zeros((30, 30))
     >>> known[0, 0] = 1e-14
     >>> found = realised(pair, made, ["pin_radial_2_cos"], known, np.zeros(29))
-    >>> [(p.name, f"{p.value:.1e} ± {p.standard_error:.1e}") for p in found.orders if "radial_2" in p.name]
-    [('pin_radial_2_amplitude', '3.0e-06 ± 1.0e-07'), ('pin_radial_2_phase', '0.0e+00 ± 0.0e+00')]
+    >>> [f"{p.name} {p.value:.1e} ± {p.standard_error:.1e}" for p in found.orders if p.name == "pin_radial_2_amplitude"]
+    ['pin_radial_2_amplitude 3.0e-06 ± 1.0e-07']
     """
     values, variance = displaced(pair, surface), displaced_covariance(pair, chosen, covariance)
     before = displaced_covariance(
