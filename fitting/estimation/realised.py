@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import displacement_columns, displacement_layout, displacement_vector
@@ -30,7 +31,8 @@ GAUGE = (
     "A ring shifted as a whole is centre_distance: of order 1 only what is no shift is stated here.",
     "All pins are taken to be as thick as one another: a thicker one is stated further in, by some 1.6 times that.",
 )
-_MEASURED = 0.1  # share of a displacement's variance that the data must take away for it to be measured
+_MEASURED = 3.0  # times the scatter, or _SMALL: what the data tell of a pin or tooth by itself must be more exact
+_SMALL = 1e-6  # m
 
 
 @dataclass(frozen=True)
@@ -182,9 +184,10 @@ def realised(pair: Pair, surface: ErrorSurface, chosen: Sequence[str], covarianc
         pair, chosen, np.diag(np.concatenate([tolerances_of(chosen), np.maximum(spread, NO_SCATTER)]) ** 2)
     )
     deviation, prior = np.sqrt(np.maximum(np.diag(variance), 0.0)), np.sqrt(np.diag(before))
+    own = _own_information(covariance, spread)
     elements = []
     for at, name in enumerate(scatter_names(pair)):
-        bounded = spread[at] > NO_SCATTER and deviation[at] ** 2 > (1.0 - _MEASURED) * spread[at] ** 2
+        bounded = own[at] * (_MEASURED * max(spread[at], _SMALL)) ** 2 < 1.0
         why = "it hardly carries load in these curves: bounded by its neighbours, not measured" if bounded else None
         elements.append(parameter(name, "m", float(values[at]), float(deviation[at]), float(prior[at]), why))
     circles = _circles(pair)
@@ -194,6 +197,20 @@ def realised(pair: Pair, surface: ErrorSurface, chosen: Sequence[str], covarianc
         for one in _orders(n, values[part], variance[part, part], before[part, part], pair.discs)
     ]
     return Realised(tuple(elements), tuple(orders), variance, circles)
+
+
+def _own_information(covariance: Array, spread: Array) -> Array:
+    """What data alone tell of each scattered displacement, all else known, 1/m²; infinite where none scatters."""
+    size = np.sqrt(np.diag(covariance))
+    own = np.full(spread.size, np.inf)
+    if (spread > NO_SCATTER).any():
+        there = size > 0.0
+        inverse = linalg.pinvh((covariance / np.outer(size, size))[np.ix_(there, there)])
+        precision = np.zeros(size.size)
+        precision[there] = np.diag(inverse) / size[there] ** 2
+        scattered = spread > NO_SCATTER
+        own[scattered] = precision[-spread.size :][scattered] - 1.0 / spread[scattered] ** 2
+    return own
 
 
 def _circles(pair: Pair) -> dict[str, slice]:
@@ -229,5 +246,5 @@ def _orders(name: str, values: Array, covariance: Array, before: Array, discs: i
         one = parameter(f"{name}_{order}_amplitude", "m", amplitude, error, unmeasured)
         found.append(dataclasses.replace(one, interval=(max(one.interval[0], 0.0), one.interval[1])))
         error = min(turn / max(amplitude, 1e-15), np.pi / NORMAL)
-        found.append(parameter(f"{name}_{order}_phase", "rad", phase, error, np.pi / np.sqrt(3.0)))
+        found.append(parameter(f"{name}_{order}_phase", "rad", phase, error, float(np.pi / np.sqrt(3.0))))
     return found

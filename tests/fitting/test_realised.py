@@ -14,7 +14,7 @@ from cycloid_fmu.edge import json_table
 from cycloid_fmu.surfaces.structured import with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.estimation.ensemble import ensemble
-from fitting.estimation.realised import displaced, displaced_covariance, errors_by_pattern, gauge
+from fitting.estimation.realised import displaced, displaced_covariance, errors_by_pattern, gauge, realised
 from fitting.model.observations import scatter_columns, with_scatter
 from fitting.reports.ring import ring_panel
 
@@ -68,6 +68,21 @@ def test_every_pin_and_tooth_of_a_ring_is_within_its_interval_and_as_near_as_the
     for name in ("pin_radial_2", "pin_tangential_2", "tooth_cumulative_pitch_2"):
         (amplitude,) = (p for p in found.realised.orders if p.name == f"{name}_amplitude")
         assert amplitude.standard_error < 0.2 * errors[f"{name}_cos"]
+
+
+@pytest.mark.parametrize("scatter", [0.1e-6, 3e-6])
+def test_a_pin_that_no_curve_shows_is_held_and_no_other(small, scatter):
+    """Each pin and tooth seen to 0.02 µm but two, beside orders that nothing else tells."""
+    chosen = [f"pin_radial_{k}_{w}" for k in (2, 3) for w in ("cos", "sin")]
+    waves = np.zeros((35, 4))
+    angle = 2.0 * np.pi * np.arange(12) / 12
+    waves[:12] = np.array([wave(k * angle) for k in (2, 3) for wave in (np.cos, np.sin)]).T
+    seen = np.delete(np.hstack([waves, np.eye(35)]), [5, 30], axis=0) / 0.02e-6
+    spread = np.full(35, scatter)
+    covariance = np.linalg.inv(seen.T @ seen + np.diag([*np.full(4, 1e6), *spread**-2]))
+    found = realised(small, surface_of_pair(small), chosen, covariance, spread)
+    held = [one.name for one in found.elements if one.held]
+    assert held == ["pin_radial_at_5", "tooth_cumulative_pitch_at_6"]
 
 
 def test_orders_are_those_of_the_elements(one_ring):
