@@ -28,7 +28,7 @@ def identify(
         Path | None,
         typer.Option(
             metavar="TOL.toml",
-            help="Report every pin and tooth by itself, and the form that all teeth share, with these as prior.",
+            help="Prior of single pins and teeth, and of the form that all teeth share.",
         ),
     ] = None,
     profiled: Annotated[
@@ -89,6 +89,8 @@ def identify(
 
 
 def _print(result: Identification) -> None:
+    from fitting.estimation.realised import errors_by_pattern
+
     typer.echo(result.verdict.sentence)
     rows, held = [], []
     for p in (*result.parameters, *result.bearings):
@@ -113,6 +115,9 @@ def _print(result: Identification) -> None:
         f"Residual {result.residual * ARCSEC:.3f}″ rms, noise {result.noise * ARCSEC:.3f}″; scatter beyond these "
         f"errors: {scatter}."
     )
+    each = errors_by_pattern(result.pair, result.realised.covariance)
+    known = ", ".join(f"{n} {error * 1e6:.3f} µm" for n, error in each.items())
+    typer.echo(f"Standard errors of every pin and tooth of this ring, which --output and --report state: {known}.")
     for one in result.loops:
         typer.echo(
             f"{Path(one.source).name}: play at the crank angle {math.degrees(one.crank_angle):.1f}°: "

@@ -40,6 +40,8 @@ def plan(
 ) -> None:
     """List before anything is measured which loads and directions would identify which errors, and how well.
 
+    With every set of runs comes the run that would then tell most of every pin and tooth.
+
     Example: [cyan]cycloid-fit plan pair.toml --torque "20 N*m" --torque "200 N*m"[/]
     """
     import fitting
@@ -59,8 +61,13 @@ def plan(
         factor, unit = options.FIELD_UNITS[unit_of(name)]
         known = [f"{p.standard_error[name] * factor:.3f}" if name in p.standard_error else "–" for p in plans]
         rows.append([f"{name} [{unit}]", *known])
+    for name in plans[-1].realised:
+        rows.append([f"{name}, each [µm]", *(f"{p.realised[name] * 1e6:.3f}" for p in plans)])
     labels = [chr(ord("A") + i) for i in range(len(plans))]
     commands.print_table("Standard error of what each set of runs would identify", ["error", *labels], rows)
     for label, one in zip(labels, plans, strict=True):
-        typer.echo(f"{label}: {one.runs}")
+        typer.echo(f"{label}: {one.runs}; next {one.next_runs[0].run}")
+    further = [[n.run, *(f"{error * 1e6:.3f}" for error in n.realised.values())] for n in plans[-1].next_runs]
+    each = [f"{name}, each [µm]" for name in plans[-1].realised]
+    commands.print_table("What a further run would make of every pin and tooth", ["run", *each], further)
     commands.print_table("Held with all runs", ["error", "why"], [list(item) for item in plans[-1].held.items()])

@@ -105,7 +105,7 @@ def identify(
     drive
         The nominal drive; the errors that it states are the prior and start.
     tolerances
-        The drive's tolerances, their file or a prior: with it every pin and tooth is reported with its own error, and
+        The drive's tolerances, their file or a prior: with it the scatter of pins and teeth is known, and
         the form that all teeth share is fitted as far as the data resolve it.
     profiled
         Errors whose intervals are found by their profile rather than by their standard error.

@@ -2,19 +2,53 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import dataclasses
+import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.arguments import positive
-from fitting.model.identifiability import chosen_errors, posterior_covariance, weakness
+from fitting.estimation.realised import displaced_covariance, errors_by_pattern
+from fitting.model.identifiability import (
+    chosen_errors,
+    covariance_from,
+    information_of_points,
+    known_before,
+    weakness,
+)
 from fitting.model.loops import planned_branches
-from fitting.model.observations import State, errors_of, estimated_parts, linearise, observations, spread_of
+from fitting.model.observations import (
+    Linear,
+    Observations,
+    State,
+    errors_of,
+    estimated_parts,
+    joined,
+    linearise,
+    observations,
+    spread_of,
+    with_scatter,
+)
 from fitting.transmission_error.curve import Curve
+
+Array = NDArray[np.float64]
+
+
+_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+
+
+@dataclass(frozen=True)
+class NextRun:
+    """A run that may come next, and what it would make of every pin and tooth: as `Plan.realised`, with it, m."""
+
+    run: str
+    realised: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -26,9 +60,16 @@ class Plan:
     runs
         The runs in words.
     standard_error
-        {name: m or rad} of the errors that would be identified, the pins' and teeth's scatter allowed for.
+        {name: m or rad} of the errors that would be identified, the pins' and teeth's scatter allowed for, of flanks
+        without form (`form = 0` of `fitting.identify`).
     held
         {name: why} of the others.
+    realised
+        {pattern: m}: standard error of every pin's radial and tangential place and of every tooth's cumulative pitch,
+        rms over the elements, their gauge removed as in `fitting.estimation.realised`.
+    next_runs
+        What one run more would make of them, the run that helps most first: of the bench's torques and those between,
+        either way, and a hysteresis loop with the crank locked at pin 0.
 
     Examples
     --------
@@ -37,11 +78,15 @@ class Plan:
     >>> *_, one = fitting.plan(cy.Drive(pair), torque=100.0, turns=1.0, samples=12)
     >>> one.runs, one.held["misalignment_xz"]
     ('100 N·m both ways', 'it does not move these transmission errors')
+    >>> one.next_runs[0].realised["pin_radial"] < one.realised["pin_radial"]
+    True
     """
 
     runs: str
     standard_error: dict[str, float]
     held: dict[str, str]
+    realised: dict[str, float]
+    next_runs: tuple[NextRun, ...]
 
 
 def planned_curve(ratio: float, torque: float, direction: int, turns: float, samples: int) -> Curve:
@@ -81,7 +126,8 @@ def plan(
 ) -> list[Plan]:
     """Return what ever larger sets of bench runs would identify of a drive, before anything is measured.
 
-    The sets are the largest torque one way, both ways, then with the smallest and those between added.
+    The sets are the largest torque one way, both ways, then with the smallest and those between added. With each set
+    comes which run more would tell most of every pin and tooth.
 
     Parameters
     ----------
@@ -94,7 +140,8 @@ def plan(
     noise
         Standard deviation of a single sample of the transmission error, rad.
     scatter
-        What single pins and teeth do beyond the structured errors, standard deviation, m.
+        What single pins and teeth do beyond the structured errors, standard deviation, m. The derivatives are those of
+        a ring that is drawn with it.
     loop
         Torque up to which a hysteresis loop goes, N·m, the crank locked at pin 0: the first and the last set come with
         it too.
@@ -114,7 +161,6 @@ def plan(
     >>> len(last.standard_error) > len(first.standard_error)
     True
     """
-    pair = drive.pair
     given = [torque] if isinstance(torque, float | int | str) else torque
     loads = {positive(one, "N*m", "torque") for one in given}
     level = positive(noise, "rad", "noise")
@@ -136,26 +182,90 @@ def plan(
     if peak is not None:
         wound = [(f"{s[0]} and a loop to {peak:g} N·m", s[1], s[2], True) for s in (sets[0], sets[-1])]
         sets = [sets[0], wound[0], *sets[1:], wound[1]]
-    plans = []
-    for runs, torques, directions, with_loop in sets:
-        curves = [planned_curve(pair.ratio, way * t, way, turns, samples) for t in torques for way in directions]
-        if peak is not None and with_loop:
-            curves += planned_branches(pair, peak, 0.0, 0)
-        plans.append(_planned(drive, curves, level, spread, runs))
-    return plans
+    foretold = _Foretold(drive, ordered, peak, turns, samples, level, spread)
+    return [
+        foretold.plan(runs, [(t, way) for t in torques for way in directions], with_loop)
+        for runs, torques, directions, with_loop in sets
+    ]
 
 
-def _planned(drive: Drive, curves: Sequence[Curve], noise: float, scatter: float, runs: str) -> Plan:
-    pair = drive.pair
-    observed = observations(
-        curves, pair, [noise / np.sqrt(c.sample_count[0]) for c in curves], first_stage=drive.first_stage
-    )
-    names = errors_of(pair)
-    spread = spread_of(pair, dict.fromkeys(estimated_parts(pair), scatter))
-    state = State(surface_of_pair(pair), np.zeros_like(spread), np.zeros(observed.bench.shape[1]))
-    linear = linearise(pair, observed, state)
-    chosen = chosen_errors(observed, linear, names, spread)
-    _, _, reasons = weakness(observed, linear, names, chosen)
-    covariance = posterior_covariance(observed, linear, names, chosen, spread)
-    error = np.sqrt(np.diag(covariance)[: len(chosen)])
-    return Plan(runs, dict(zip(chosen, error.tolist(), strict=True)), reasons)
+class _Foretold:
+    """The model's derivatives in every run that may be part of a plan or come next, evaluated once each."""
+
+    def __init__(
+        self, drive: Drive, torques: Sequence[float], loop: float | None, turns: float, samples: int, noise: float,
+        scatter: float,
+    ) -> None:  # fmt: skip
+        pair = drive.pair
+        self.pair, self.names = pair, errors_of(pair)
+        self.spread = spread_of(pair, dict.fromkeys(estimated_parts(pair), scatter))
+        self.peak = max(torques) if loop is None else loop
+        loads = [*torques, *_between(torques)]
+        self.runs = [(t, way) for t in loads for way in (1, -1)]
+        running = [planned_curve(pair.ratio, way * t, way, turns, samples) for t, way in self.runs]
+        winding = planned_branches(pair, self.peak, 0.0, 0)
+        # What comes next may be what is there already: the same derivatives, but a drift and a zero of its own.
+        # Runs begin anywhere between two samples.
+        running = [dataclasses.replace(c, input_angle=c.input_angle + np.mod(i * _GOLDEN, 1.0) * 2.0 * np.pi / samples)
+                   for i, c in enumerate(running)]  # fmt: skip
+        curves = [*running, *winding, *running, *planned_branches(pair, self.peak, 0.0, 1)]
+        self.second = len(running) + len(winding)
+        self.observed = observations(
+            curves, pair, [noise / np.sqrt(c.sample_count[0]) for c in curves], first_stage=drive.first_stage
+        )
+        # Pins and teeth that scatter share a small load unevenly, so that single ones show more of themselves.
+        drawn = self.spread * np.random.default_rng(0).standard_normal(self.spread.size)
+        surface = with_scatter(pair, surface_of_pair(pair), drawn)
+        state = State(surface, np.zeros_like(self.spread), np.zeros(self.observed.bench.shape[1]))
+        once = linearise(pair, self.observed.some(range(self.second)), state)
+        self.linear = joined([once, once])
+        self.told = [information_of_points(*self._some([n]), self.names, self.spread) for n in range(2 * self.second)]
+        self.before = known_before(*self._some([0]), self.names, self.spread)
+
+    def plan(self, words: str, runs: Sequence[tuple[float, int]], with_loop: bool) -> Plan:
+        """What a set of runs would identify, and which run would come next."""
+        loop = list(range(len(self.runs), self.second))
+        numbers = [self.runs.index(one) for one in runs] + loop * with_loop
+        observed, linear = self._some(numbers)
+        chosen = chosen_errors(observed, linear, self.names, self.spread)
+        _, _, reasons = weakness(observed, linear, self.names, chosen)
+        information = self.before + sum(self.told[n] for n in numbers)
+        covariance = covariance_from(information, observed, self.names, chosen, self.spread)
+        error = np.sqrt(np.diag(covariance)[: len(chosen)])
+        further = {
+            f"{t:g} N·m {'forward' if way > 0 else 'backward'}{' once more' * ((t, way) in runs)}": [self.second + at]
+            for at, (t, way) in enumerate(self.runs)
+        }
+        further[f"a loop to {self.peak:g} N·m{' once more' * with_loop}"] = [self.second + at for at in loop]
+        nexts = []
+        for run, added in further.items():
+            more = information + sum(self.told[n] for n in added)
+            known = covariance_from(more, observed, self.names, chosen, self.spread)
+            nexts.append(NextRun(run, self._of_elements(chosen, known)))
+        nexts.sort(key=lambda one: self._mean_square(one.realised))
+        return Plan(
+            words, dict(zip(chosen, error.tolist(), strict=True)), reasons, self._of_elements(chosen, covariance),
+            tuple(nexts),
+        )  # fmt: skip
+
+    def _some(self, numbers: Sequence[int]) -> tuple[Observations, Linear]:
+        places = np.split(np.arange(self.observed.measured.size), self.observed.ends)
+        part = np.concatenate([places[n] for n in numbers])
+        linear = Linear(*(getattr(self.linear, f.name)[part] for f in dataclasses.fields(Linear)))
+        return self.observed.some(numbers), linear
+
+    def _of_elements(self, chosen: Sequence[str], covariance: Array) -> dict[str, float]:
+        return errors_by_pattern(self.pair, displaced_covariance(self.pair, chosen, covariance))
+
+    def _mean_square(self, realised: Mapping[str, float]) -> float:
+        sizes = {name: part.stop - part.start for name, part in estimated_parts(self.pair).items()}
+        return float(sum(sizes[name] * error**2 for name, error in realised.items()))
+
+
+def _between(torques: Sequence[float]) -> list[float]:
+    """Torques between those given, in the middle by ratio; of one alone a third and a tenth."""
+    if len(torques) == 1:
+        return [float(f"{torques[0] * share:.2g}") for share in (0.3, 0.1)]
+    ordered = sorted(torques)
+    middles = {float(f"{np.sqrt(low * high):.2g}") for low, high in itertools.pairwise(ordered)}
+    return sorted(middles - set(torques))

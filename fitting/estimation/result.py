@@ -16,32 +16,29 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 from scipy.special import stdtrit
 
 from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.edge import ARCSEC
-from cycloid_fmu.errors.kinds import wave_of
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.reducer.first_stage import FirstStage
-from cycloid_fmu.surfaces.structured import displacement_columns, displacement_layout, structured_value, unit_of
+from cycloid_fmu.surfaces.structured import structured_value, unit_of
 from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
-from fitting.estimation.fit import NO_SCATTER, Estimate, Problem, confirmed, freedom, profile_interval, turn_bootstrap
+from fitting.estimation.allowances import allowing, bearings_found, form_note, moved_by_form, moved_by_held
+from fitting.estimation.fit import NO_SCATTER, Estimate, confirmed, freedom, profile_interval, turn_bootstrap
+from fitting.estimation.parameter import CONFIDENCE, Parameter, parameter, parameter_as_json, withheld
+from fitting.estimation.realised import GAUGE, Realised, realised
 from fitting.estimation.validation import HeldOut, Verdict
 from fitting.model.bearings import (
-    as_stated,
     pair_with,
-    unit_of_bearing,
 )
 from fitting.model.discrepancy import GIVE
 from fitting.model.first_stage import share_of, with_play
 from fitting.model.identifiability import weakness
 from fitting.model.loops import LoopFit, play_of
 from fitting.model.observations import (
-    Observations,
     estimated_parts,
-    form_columns,
     left_of,
     scatter_columns,
     scatter_names,
@@ -58,38 +55,10 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 FORMAT = "cycloid-identification/1"
 
-_CONFIDENCE = 0.95
-_NORMAL = float(stdtrit(np.inf, 0.5 + 0.5 * _CONFIDENCE))  # standard errors in half an interval
 _LEFT = 1.3  # times its noise: a curve of which more is left is not explained wholly
 _ANGLES = 720  # of a crank turn that count as different: samples in step with it are closer than that
 _TOLD = 1.5  # angles of the crank in all curves for each single displacement: with fewer a fit finds many minima
-_WIDE, _WIDEST = 2.0, 4  # times as wide for a form of the flanks: what a note names, and how many
-_MEASURED = 0.1  # share of a single displacement's variance that the data must take away for it to be measured
 _AT_BOUND = 1e-3  # of the bound: lmfit ends so close beside it
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """One structured error after the fit: SI value, standard error and 95 % interval, or why it is held.
-
-    The interval is NaN where the verdict is that the errors do not explain the curves; the standard error is the fit's
-    alone.
-
-    `form` is how far a form that all flanks share may have moved it: a standard deviation, which the standard error
-    holds.
-
-    `data_share` says how much of what is known of it comes from the data: 1 minus the ratio of its variance after and
-    before measuring.
-    """
-
-    name: str
-    unit: str
-    value: float
-    standard_error: float
-    interval: tuple[float, float]
-    data_share: float
-    held: str | None = None
-    form: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -102,8 +71,8 @@ class Identification:
         Whether the errors explain the curves, and what most likely does beside them.
     parameters
         All structured errors, fitted and held.
-    singles
-        Every pin's and tooth's own error with all its parts, where asked for; held where it was only bounded.
+    realised
+        Every pin and tooth of this ring, and its orders: structured errors and scatter together, the gauge removed.
     bearings
         Of a drive with supports: each bearing's stiffness as a share of what the pair file states (unit "1"), and its
         clearance, m.
@@ -158,7 +127,7 @@ class Identification:
 
     verdict: Verdict
     parameters: tuple[Parameter, ...]
-    singles: tuple[Parameter, ...]
+    realised: Realised
     bearings: tuple[Parameter, ...]
     bench: dict[str, float]
     lmfit_parameters: lmfit.Parameters
@@ -271,10 +240,10 @@ def result_of(
     own = observed.bearing_names
     bench = {n: p.value for n, p in lmfit_parameters.items() if n not in names and n not in own}
     deviations = np.array([float(lmfit_parameters[n].stderr) for n in own])
-    deviations = np.hypot(deviations, _of_held(pair, fit)) if own else deviations
-    bearings = _bearings(pair, observed, state.bearings, deviations)
+    deviations = np.hypot(deviations, moved_by_held(pair, fit)) if own else deviations
+    bearings = bearings_found(pair, observed, state.bearings, deviations)
     made = pair_with(pair, state.bearings)
-    quantiles = stdtrit(freedom(pair, fit, every, known), 0.5 + 0.5 * _CONFIDENCE)
+    quantiles = stdtrit(freedom(pair, fit, every, known), 0.5 + 0.5 * CONFIDENCE)
     lasting = np.r_[: len(chosen), len(every) - spread.size : len(every)]
     every = every[np.ix_(lasting, lasting)]
     covariance = every[: len(chosen), : len(chosen)]
@@ -282,25 +251,27 @@ def result_of(
     prior = surface_of_pair(pair)
     plain = with_scatter(pair, state.surface, -state.scatter)
     singular, combinations, reasons = weakness(observed, linear, names, chosen)
-    moved = dict(zip(chosen, _of_form(pair, fit, form) if form else np.zeros(len(chosen)), strict=True))
+    moved = dict(zip(chosen, moved_by_form(pair, fit, form) if form else np.zeros(len(chosen)), strict=True))
     parameters = []
     for name, tolerance in zip(names, tolerances_of(names, observed.profile), strict=True):
         if name in chosen:
             sigma, quantile = float(error[chosen.index(name)]), float(quantiles[chosen.index(name)])
-            one = _parameter(name, structured_value(pair, plain, name), sigma, float(tolerance), None, quantile)
+            value = structured_value(pair, plain, name)
+            one = parameter(name, unit_of(name), value, sigma, float(tolerance), quantile=quantile)
             if name in profiled:
                 progress(f"profile of {name}")
                 interval = profile_interval(pair, fit, name, sigma, inflation, quantile**2)
                 one = dataclasses.replace(one, interval=interval)
-            one = _allowing(one, float(moved[name]), float(tolerance))
+            one = allowing(one, float(moved[name]), float(tolerance))
         else:
-            one = _parameter(name, structured_value(pair, prior, name), float(tolerance), float(tolerance),
-                             reasons[name])  # fmt: skip
+            value, sigma = structured_value(pair, prior, name), float(tolerance)
+            one = parameter(name, unit_of(name), value, sigma, sigma, reasons[name])
         parameters.append(one)
-    singles = list(_singles(pair, state.surface, chosen, every, spread)) if known else []
-    if verdict.state == "not explained":
-        parameters, singles, bearings = ([_withheld(one) for one in each] for each in (parameters, singles, bearings))
+    ring = realised(pair, state.surface, chosen, every, spread)
     told = verdict.state != "not explained"
+    if not told:
+        parameters, ring = [withheld(one) for one in parameters], ring.withheld()
+        bearings = [withheld(one) for one in bearings]
     surface = state.surface.replace(
         pair=made.nominal,
         origin="identified",
@@ -316,7 +287,7 @@ def result_of(
     return Identification(
         verdict=verdict,
         parameters=tuple(parameters),
-        singles=tuple(singles),
+        realised=ring,
         bearings=tuple(bearings),
         bench=bench,
         lmfit_parameters=lmfit_parameters,
@@ -337,7 +308,7 @@ def result_of(
         other_descriptions=tuple(_structured(pair, one) for one in others),
         notes=(
             *_notes(pair, fit, verdict),
-            *_form_note(parameters, form),
+            *form_note(parameters, form),
             *_of_discs(len(others)),
             *(
                 f"{n} ends at {found[n].value * 1e3:.2g} {'mm' if unit_of(n) == 'm' else 'mrad'}, as far as it can be; "
@@ -393,122 +364,6 @@ def _stated(found: lmfit.Parameters, covariance: Array, profile: Mapping[str, fl
         stated[name].stderr = float(deviation[at])
         stated[name].correl = {n: float(correlation[at, i]) for i, n in enumerate(names) if i != at}
     return stated
-
-
-def _parameter(
-    name: str, value: float, sigma: float, before: float, held: str | None, quantile: float = _NORMAL
-) -> Parameter:
-    interval = (value - quantile * sigma, value + quantile * sigma)
-    return Parameter(name, unit_of(name), value, sigma, interval, max(1.0 - (sigma / before) ** 2, 0.0), held)
-
-
-def _of_held(pair: Pair, fit: Estimate) -> Array:
-    """What the errors that are held, being as large as is usual, would change of the bearings: standard deviations.
-
-    A held error moves the curves as fitted ones do, but what these lack of it is the bearings' to take. Considered in
-    the sense of Schmidt (Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, chapter 8).
-    """
-    problem = Problem(pair, fit.observed, fit.chosen)
-    own = problem.columns(fit.observed, fit.linear)
-    information = own.T @ own + np.diag(problem.precision(fit.scatter))
-    names = [n for n in fit.observed.errors if n not in fit.chosen]
-    held = fit.linear.structured[:, [fit.observed.errors.index(n) for n in names]]
-    held = held * tolerances_of(names, fit.observed.profile) * fit.observed.weight[:, None]
-    moved = linalg.solve(information, own.T @ held, assume_a="pos")[problem.bearings]
-    found: Array = np.sqrt((moved**2).sum(axis=1)) * problem.scale[problem.bearings]
-    return found
-
-
-def _of_form(pair: Pair, fit: Estimate, form: float) -> Array:
-    """How far a form that all flanks share may have moved the fitted errors: standard deviations, m or rad.
-
-    The orders of the form are taken among the unknowns of the linear model, with what they may be as prior. The errors
-    that are stated are those without form, so how far form moves the best ones is part of it.
-    """
-    problem, observed, count = Problem(pair, fit.observed, fit.chosen), fit.observed, len(fit.chosen)
-    own = problem.columns(observed, fit.linear)
-    beside = form * observed.weight[:, None] * form_columns(pair, observed, fit.state)
-    columns = np.hstack([own, beside])
-    precision = np.concatenate([problem.precision(fit.scatter), np.ones(beside.shape[1])])
-    information = columns.T @ columns + np.diag(precision)
-    left = observed.weight * left_of(observed, fit.linear, fit.state)
-    covariance = linalg.inv(information)
-    slope = columns.T @ left
-    # The fit has ended, so that its own unknowns have no slope.
-    slope[: own.shape[1]] = 0.0
-    moved = covariance @ slope
-    alone = linalg.inv(information[: own.shape[1], : own.shape[1]])
-    grown = np.diag(covariance)[:count] - np.diag(alone)[:count] + moved[:count] ** 2
-    found: Array = np.sqrt(np.maximum(grown, 0.0)) * problem.scale[:count]
-    return found
-
-
-def _allowing(one: Parameter, form: float, before: float) -> Parameter:
-    """Return a parameter whose interval allows for what a form of the flanks may have done to it."""
-    reach = _NORMAL * form
-    low, high = (one.value + way * math.hypot(end - one.value, reach)
-                 for way, end in zip((-1.0, 1.0), one.interval, strict=True))  # fmt: skip
-    sigma = math.hypot(one.standard_error, form)
-    share = max(1.0 - (sigma / before) ** 2, 0.0)
-    return dataclasses.replace(one, standard_error=sigma, interval=(low, high), data_share=share, form=form)
-
-
-def _form_note(parameters: Sequence[Parameter], form: float) -> list[str]:
-    times = {p.name: p.standard_error / math.sqrt(p.standard_error**2 - p.form**2) for p in parameters if p.form}
-    wide = sorted((n for n, v in times.items() if v > _WIDE), key=lambda n: -times[n])
-    if not wide:
-        return []
-    named = ", ".join(f"{n} {times[n]:.2g}" for n in wide[:_WIDEST]) + " and others" * (len(wide) > _WIDEST)
-    return [
-        f"The curves can't tell a form of the flanks of {form * 1e6:g} µm from these errors, whose intervals are wider "
-        f"for it (times): {named}. Where the flanks' form is known, state it: form, or gear_profile of the tolerances."
-    ]
-
-
-def _bearings(
-    pair: Pair, observed: Observations, changes: Array, deviations: Sequence[float] | Array
-) -> list[Parameter]:
-    """Return what is stated of the bearings: a stiffness' interval is that of its logarithm."""
-    found, names = [], observed.bearing_names
-    values = as_stated(pair, changes, observed.first_stage)
-    for name, value, sigma, before in zip(names, values, deviations, observed.bearing_prior, strict=True):
-        is_share = name.endswith("_stiffness")
-        scale = value if is_share else 1.0
-        reach = _NORMAL * sigma
-        interval = (value * math.exp(-reach), value * math.exp(reach)) if is_share else (
-            max(value - reach, 0.0), value + reach)  # fmt: skip
-        share = max(1.0 - (sigma / before) ** 2, 0.0)
-        why = None if share > _MEASURED else "these curves do not tell it from the errors: it goes with them"
-        found.append(Parameter(name, unit_of_bearing(name), float(value), scale * sigma, interval, share, why))
-    return found
-
-
-def _withheld(one: Parameter) -> Parameter:
-    return one if one.held else dataclasses.replace(one, interval=(math.nan, math.nan))
-
-
-def _singles(
-    pair: Pair, surface: ErrorSurface, chosen: Sequence[str], covariance: Array, spread: Array
-) -> tuple[Parameter, ...]:
-    """Every pin's and tooth's own error: its part of the structured ones and its scatter."""
-    # The patterns round the circles alone: an error of all pins alike is stated by itself.
-    columns = displacement_columns(pair, chosen) * [wave_of(n) is not None for n in chosen]
-    layout = displacement_layout(pair)
-    pins = [columns[layout[name]] for name in ("pin_radial", "pin_tangential")]
-    waves = np.vstack([*pins, columns[layout["tooth_turn"]] * pair.pin_circle_radius])
-    spread = spread[: len(waves)]
-    covariance = covariance[: len(chosen) + spread.size, : len(chosen) + spread.size]
-    lever = np.hstack([waves, np.eye(spread.size)])
-    deviation = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", lever, covariance, lever), 0.0))
-    values = np.concatenate([getattr(surface, pattern).ravel() for pattern in estimated_parts(pair)])
-    before = np.sqrt(spread**2 + (waves**2) @ tolerances_of(chosen) ** 2)
-    found = []
-    for at, name in enumerate(scatter_names(pair)[: spread.size]):
-        alone = covariance[len(chosen) + at, len(chosen) + at]
-        bounded = alone > (1.0 - _MEASURED) * spread[at] ** 2 and spread[at] > NO_SCATTER
-        why = "it hardly carries load in these curves: bounded by its neighbours, not measured" if bounded else None
-        found.append(_parameter(name, float(values[at]), float(deviation[at]), float(before[at]), why))
-    return tuple(found)
 
 
 def _loops(pair: Pair, fit: Estimate, fitted: Sequence[Array], covariance: Array) -> tuple[LoopFit, ...]:
@@ -613,11 +468,6 @@ def _notes(pair: Pair, fit: Estimate, verdict: Verdict) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _as_json(one: Parameter) -> dict[str, Any]:
-    fields = dataclasses.asdict(one)
-    return {**fields, "interval": list(one.interval), "held": one.held or False}
-
-
 def as_json(result: Identification) -> dict[str, Any]:
     """Return an identification as the content of a `cycloid-identification/1` file (SI)."""
     verdict = result.verdict
@@ -634,10 +484,14 @@ def as_json(result: Identification) -> dict[str, Any]:
         },
         "drive": result.drive.hash,
         "pair": result.pair.nominal.text,
-        "parameters": {p.name: _as_json(p) for p in result.parameters},
+        "parameters": {p.name: parameter_as_json(p) for p in result.parameters},
         "other_descriptions": list(result.other_descriptions),
-        **({"singles": {p.name: _as_json(p) for p in result.singles}} if result.singles else {}),
-        **({"bearings": {p.name: _as_json(p) for p in result.bearings}} if result.bearings else {}),
+        "realised": {
+            "gauge": list(GAUGE),
+            "elements": {p.name: parameter_as_json(p) for p in result.realised.elements},
+            "orders": {p.name: parameter_as_json(p) for p in result.realised.orders},
+        },
+        **({"bearings": {p.name: parameter_as_json(p) for p in result.bearings}} if result.bearings else {}),
         "bench": result.bench,
         "lmfit_parameters": json.loads(result.lmfit_parameters.dumps()),
         "correlation": {"of": list(result.fitted), "matrix": result.correlation},

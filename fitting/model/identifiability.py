@@ -86,17 +86,33 @@ def _information(observed: Observations, linear: Linear, names: Sequence[str], s
     Scatter, the profile's orders and the nuisances that have a prior are known by it; the errors and the other
     nuisances by the data alone.
     """
+    return information_of_points(observed, linear, names, spread) + known_before(observed, linear, names, spread)
+
+
+def information_of_points(observed: Observations, linear: Linear, names: Sequence[str], spread: Array) -> Array:
+    """Return what the points tell of errors, scatter and nuisances; curves' parts of it add up.
+
+    Returns
+    -------
+    information
+        Shape (unknowns, unknowns), each in units of what it may be before measuring: errors as `names`, scatter,
+        nuisances.
+    """
     nuisances, priors = nuisance_columns(observed, linear)
-    known = np.isfinite(priors)
     columns = np.column_stack([
         linear.structured * tolerances_of(names, observed.profile), linear.scatter * spread,
-        nuisances * np.where(known, priors, 1e-4),
+        nuisances * np.where(np.isfinite(priors), priors, 1e-4),
     ])  # fmt: skip
     columns = observed.weight[:, None] * columns
     information: Array = columns.T @ columns
+    return information
+
+
+def known_before(observed: Observations, linear: Linear, names: Sequence[str], spread: Array) -> Array:
+    """Return what is known of the same before measuring, shape (unknowns, unknowns)."""
+    _, priors = nuisance_columns(observed, linear)
     stated = np.array([float(n in observed.profile) for n in names])
-    prior = np.concatenate([stated, np.ones(spread.size), np.where(known, 1.0, UNKNOWN)])
-    return information + np.diag(prior)
+    return np.diag(np.concatenate([stated, np.ones(spread.size), np.where(np.isfinite(priors), 1.0, UNKNOWN)]))
 
 
 def weakness(
@@ -166,7 +182,13 @@ def posterior_covariance(
     covariance
         Shape (chosen + scatter, chosen + scatter), m² or rad².
     """
-    information = _information(observed, linear, names, spread)
+    return covariance_from(_information(observed, linear, names, spread), observed, names, chosen, spread)
+
+
+def covariance_from(
+    information: Array, observed: Observations, names: Sequence[str], chosen: Sequence[str], spread: Array
+) -> Array:
+    """Return the same covariance as `posterior_covariance` from information that is known already."""
     chosen_first = [*(list(names).index(n) for n in chosen), *range(len(names), len(information))]
     scale = np.concatenate([tolerances_of(chosen, observed.profile), spread])
     covariance = linalg.inv(information[np.ix_(chosen_first, chosen_first)])[: scale.size, : scale.size]

@@ -13,11 +13,14 @@ import numpy as np
 
 from cycloid_fmu import edge
 from cycloid_fmu.edge import ARCMIN, ARCSEC
-from fitting.estimation.result import Identification, Parameter
+from fitting.estimation.parameter import NORMAL, Parameter
+from fitting.estimation.realised import GAUGE, ORDERS_STATED, Realised
+from fitting.estimation.result import Identification
 from fitting.figures.spectrum import spectrum
 from fitting.model.loops import LoopFit
 from fitting.reports.page import html_page, made_now
 from fitting.reports.panels import Panel, Trace, label_of, spectra_panel
+from fitting.reports.ring import ring_panel
 
 FORMATS = (".html",)
 _CRANK_TURNS = 3.0  # of the curves that the first panel shows
@@ -43,7 +46,8 @@ def fit_panels(result: Identification) -> list[Panel]:
     ]  # fmt: skip
     orders = spectra_panel(rest, [spectrum(c) for c in rest], result.pair, "Orders of what is left")
     loops = [panel for one in result.loops for panel in _loop_panels(one)]
-    return [*panels, *([orders] if orders is not None else []), *loops, _intervals(result.parameters)]
+    ring = ring_panel(result.realised)
+    return [*panels, *([orders] if orders is not None else []), *loops, _intervals(result.parameters), ring]
 
 
 def _loop_panels(loop: LoopFit) -> list[Panel]:
@@ -96,11 +100,13 @@ other.</p>
 <table id="held"><thead><tr><th>Held</th><th>Why</th></tr></thead><tbody>
 {% for p in held %}<tr><td>{{ p.name }}</td><td>{{ p.held }}</td></tr>
 {% endfor %}</tbody></table>
-{% if singles %}<h2>Every pin and tooth</h2><table id="singles"><thead><tr><th>Displacement</th><th>Identified</th>
-<th>95 % interval</th><th>Unit</th><th>From the data</th><th></th></tr></thead><tbody>
-{% for r in singles %}<tr><td>{{ r.name }}</td><td class="number">{{ r.value }}</td><td class="number">{{ r.interval }}
-</td><td>{{ r.unit }}</td><td class="number">{{ r.share }}</td><td class="definition">{{ r.held }}</td></tr>
-{% endfor %}</tbody></table>{% endif %}
+<h2>Every pin and tooth of this ring</h2>
+<ul id="gauge">{% for g in gauge %}<li>{{ g }}</li>{% endfor %}</ul>
+{% for t in ring %}<table id="{{ t.id }}"><thead><tr><th>{{ t.of }}</th>{% for n in t.columns %}<th>{{ n }}</th>
+{% endfor %}</tr></thead><tbody>{% for r in t.rows %}<tr>{% for cell in r %}<td class="number">{{ cell }}</td>
+{% endfor %}</tr>{% endfor %}</tbody></table>
+<p class="caption">{{ t.caption }}</p>
+{% endfor %}
 <h2>The bench</h2><table id="bench"><tbody>{% for name, value in bench %}<tr><td>{{ name }}</td>
 <td class="number">{{ value }}</td></tr>
 {% endfor %}</tbody></table>
@@ -117,7 +123,43 @@ def _row(one: Parameter) -> dict[str, str]:
     low, high = (v * factor for v in one.interval)
     interval = "withheld" if math.isnan(low) else f"{low:.3f} … {high:.3f}"
     return {"name": one.name, "value": f"{one.value * factor:.3f}", "interval": interval,
-            "unit": unit, "share": f"{100.0 * one.data_share:.1f} %", "held": one.held or ""}  # fmt: skip
+            "unit": unit, "share": f"{100.0 * one.data_share:.1f} %"}  # fmt: skip
+
+
+def _with_interval(one: Parameter) -> str:
+    """A displacement in µm, or a phase in degrees, with half its interval; in brackets where it was not measured."""
+    factor = 1e6 if one.unit == "m" else math.degrees(1.0)
+    told = (
+        ""
+        if math.isnan(one.interval[0])
+        else f" ± {NORMAL * one.standard_error * factor:.{3 if one.unit == 'm' else 1}f}"
+    )
+    text = f"{one.value * factor:.{3 if one.unit == 'm' else 1}f}{told}{'' if one.unit == 'm' else '°'}"
+    return f"({text})" if one.held else text
+
+
+def _ring_tables(ring: Realised) -> list[dict[str, Any]]:
+    """Every pin and tooth, and this ring's orders, a column for each circle."""
+    circles = [ring.elements[part] for part in ring.circles.values()]
+    columns = [name.replace("_", " ") for name in ring.circles]
+    elements = [[i, *(_with_interval(one[i]) if i < len(one) else "" for one in circles)]
+                for i in range(max(len(one) for one in circles))]  # fmt: skip
+    stated = {one.name: one for one in ring.orders}
+    orders = []
+    for order in range(ORDERS_STATED + 1):
+        row = []
+        for name in ring.circles:
+            found = [stated.get(f"{name}_{order}{part}") for part in ("", "_amplitude", "_phase")]
+            row.append(" at ".join(_with_interval(one) for one in found if one is not None) or "–")
+        orders.append([order, *row])
+    return [
+        {"id": "realised-orders", "of": "Order", "columns": columns, "rows": orders,
+         "caption": "Amplitude of this ring's own orders, µm, at their phase, with half of the 95 % interval. What the "
+         "table of errors states of an order is the mean of rings that scatter as much, and less exact."},
+        {"id": "realised", "of": "Pin or tooth", "columns": columns, "rows": elements,
+         "caption": "µm, with half of the 95 % interval; in brackets where a pin or tooth hardly carries load in these "
+         "curves and is bounded by its neighbours."},
+    ]  # fmt: skip
 
 
 def _correlation(result: Identification) -> list[dict[str, Any]]:
@@ -163,8 +205,8 @@ def write_fit_report(result: Identification, path: str | os.PathLike[str]) -> No
         _ABOVE, fit_panels(result), _BELOW, verdict=result.verdict.sentence,
         known=[_row(p) for p in (*result.parameters, *result.bearings) if p.held is None],
         trust=_trust(result), correlation=_correlation(result), weak=result.weak_combinations,
-        held=[p for p in (*result.parameters, *result.bearings) if p.held is not None],
-        singles=[_row(p) for p in result.singles],
+        held=[p for p in (*result.parameters, *result.bearings) if p.held is not None], gauge=GAUGE,
+        ring=_ring_tables(result.realised),
         bench=[(n, f"{v:.4g} {_bench_unit(n)}") for n, v in result.bench.items()], notes=result.notes,
         sources=[(Path(n).name, c) for n, c in result.checksums.items()],
     )  # fmt: skip

@@ -100,6 +100,10 @@ def _plotly(panel: Panel) -> dict[str, Any]:
                      "textfont": {"size": 11}, "cliponaxis": False}  # fmt: skip
             one |= {"mode": "markers", "marker": {"color": "#222" if t.texts else GREY, "size": 5 if t.texts else 2}}
             one |= named if t.texts else {}
+        elif t.style == "dots":
+            one |= {"mode": "markers", "marker": {"color": _colour(t), "size": 4}}
+        elif t.style == "words":
+            one |= {"mode": "text", "text": list(t.texts), "textfont": {"size": 11}, "hoverinfo": "skip"}
         else:
             one["line"] = {**_PLOTLY_LINES[t.style], "color": _colour(t)}
         data.append(one)
@@ -114,4 +118,8 @@ def _plotly(panel: Panel) -> dict[str, Any]:
     if panel.y_names:
         rows = [-row for row in range(len(panel.y_names))]
         layout["yaxis"] |= {"tickvals": rows, "ticktext": list(panel.y_names), "tickfont": {"size": 10}}
+    if panel.round:
+        layout["margin"] |= {"l": 10, "r": 10, "b": 10}
+        layout["xaxis"] = {"visible": False}
+        layout["yaxis"] = {"visible": False, "scaleanchor": "x"}
     return {"data": data, "layout": layout}

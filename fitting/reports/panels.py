@@ -36,7 +36,7 @@ class Trace:
     x, y
         Where.
     style
-        "line", "thin", "dashed", "thick" or "points".
+        "line", "thin", "dashed", "thick", "points", "dots" in the colour, or "words" alone. NaN interrupts a line.
     colour
         Number of the colour; -1 is grey.
     texts
@@ -46,7 +46,7 @@ class Trace:
     label: str
     x: Array
     y: Array
-    style: Literal["line", "thin", "dashed", "thick", "points"] = "line"
+    style: Literal["line", "thin", "dashed", "thick", "points", "dots", "words"] = "line"
     colour: int = 0
     texts: tuple[str, ...] = ()
 
@@ -55,7 +55,8 @@ class Trace:
 class Panel:
     """One diagram with its title, axes, and a sentence that says what is seen.
 
-    `y_names` stand beside the y axis in place of numbers, at 0, -1, -2 and so on.
+    `y_names` stand beside the y axis in place of numbers, at 0, -1, -2 and so on; what is `round` has no axes, and a
+    circle is one.
     """
 
     title: str
@@ -65,6 +66,7 @@ class Panel:
     caption: str
     log_y: bool = False
     y_names: tuple[str, ...] = ()
+    round: bool = False
 
 
 def label_of(curve: Curve) -> str:

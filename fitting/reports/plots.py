@@ -16,12 +16,14 @@ from cycloid_fmu.drive import Drive
 from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.surfaces.structured import unit_of
 from fitting.estimation.plan import Plan
+from fitting.estimation.realised import Realised
 from fitting.estimation.result import Identification
 from fitting.figures.comparison import Change, Comparison
 from fitting.figures.metrics import Figures
 from fitting.model.prior import TOLERANCE
 from fitting.recordings.inspection import Inspection, Look
 from fitting.reports.panels import Panel, label_of, panels_of
+from fitting.reports.ring import ring_panel
 from fitting.transmission_error.curve import Curve
 
 if TYPE_CHECKING:
@@ -40,7 +42,8 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
     Parameters
     ----------
     result
-        What `fitting.curves`, `metrics`, `compare`, `identify`, `plan` or `inspect` returned.
+        What `fitting.curves`, `metrics`, `compare`, `identify`, `plan` or `inspect` returned, or what an identification
+        says of every pin and tooth, `result.realised`.
     path
         `.png` or `.pdf`.
 
@@ -59,7 +62,8 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
     """
     pictures: list[tuple[type, Callable[[Any], Figure]]] = [
         (Figures, lambda found: plot_panels(panels_of(found))), (Comparison, lambda found: plot_changes(found.changes)),
-        (Identification, plot_identification), (Inspection, lambda found: plot_channels(found.looks, found.roles)),
+        (Identification, plot_identification), (Realised, plot_ring),
+        (Inspection, lambda found: plot_channels(found.looks, found.roles)),
         (Curve, plot_curves), (Plan, plot_plans),
     ]  # fmt: skip
     one = result[0] if isinstance(result, list | tuple) and result else result
@@ -82,6 +86,14 @@ def draw_panel(axis: Axes, panel: Panel) -> None:
             for x, y, text in zip(trace.x, trace.y, trace.texts, strict=False):
                 axis.annotate(text, (x, y), (0, 3), textcoords="offset points", rotation=60, fontsize=7)
             continue
+        if trace.style == "dots":
+            axis.plot(trace.x, trace.y, ".", ms=4.0, color=colour, label=trace.label or None)
+            continue
+        if trace.style == "words":
+            axis.plot(trace.x, trace.y, " ")  # words alone take no room
+            for x, y, text in zip(trace.x, trace.y, trace.texts, strict=True):
+                axis.annotate(text, (x, y), ha="center", va="center", fontsize=7)
+            continue
         style = "--" if trace.style == "dashed" else "-"
         axis.plot(trace.x, trace.y, style, lw=_WIDTHS[trace.style], color=colour, label=trace.label or None)
     axis.set(xlabel=panel.x_label, ylabel=panel.y_label)
@@ -93,7 +105,10 @@ def draw_panel(axis: Axes, panel: Panel) -> None:
     axis.grid(alpha=0.3)
     if any(t.label for t in panel.traces):
         show_legend(axis, fontsize=7, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
-    if any(t.texts for t in panel.traces):
+    if panel.round:
+        axis.set_aspect("equal")
+        axis.set_axis_off()
+    elif any(t.texts for t in panel.traces):
         scale = axis.yaxis.get_transform()
         low, high = scale.transform(axis.get_ylim())
         above = high + 0.25 * (high - low)  # room for the highest points' names
@@ -209,13 +224,23 @@ def plot_identification(result: Identification) -> Figure:
     return plot_comparison(result.curves, result.fitted_curves, "fitted")
 
 
-def plot_plans(plans: Sequence[Plan]) -> Figure:
-    """Standard error of each error with each set of runs, as a share of its tolerance; 1 where it would be held."""
+def plot_ring(ring: Realised) -> Figure:
+    """Every pin and tooth round their circles, displacements enlarged, with 95 % intervals."""
     figure, (axis,) = new_figure(1)
-    names = [*plans[-1].standard_error, *plans[-1].held]
+    figure.set_figheight(1.0 + 9.0 / len(ring.circles))
+    draw_panel(axis, ring_panel(ring))
+    return figure
+
+
+def plot_plans(plans: Sequence[Plan]) -> Figure:
+    """Standard error of each error, pin and tooth with each set of runs, as a share of its tolerance."""
+    figure, (axis,) = new_figure(1)
+    each = {f"{name}, each": name for name in plans[-1].realised}
+    names = [*plans[-1].standard_error, *plans[-1].held, *each]
     figure.set_figheight(1.5 + 0.22 * len(names))
     for number, plan in enumerate(plans):
-        share = [plan.standard_error.get(n, np.nan) / TOLERANCE[unit_of(n)] for n in names]
+        errors = {**plan.standard_error, **{label: plan.realised[name] for label, name in each.items()}}
+        share = [errors.get(n, np.nan) / TOLERANCE["m" if n in each else unit_of(n)] for n in names]
         axis.plot(share, np.arange(len(names)), "o", color=f"C{number}", label=plan.runs)
     axis.set(xscale="log", xlabel="standard error as a share of what the error may be unmeasured")
     axis.set_yticks(np.arange(len(names)), names, fontsize=7)

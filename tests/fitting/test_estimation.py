@@ -20,6 +20,7 @@ from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.estimation.fit import confirmed, fit, possible, profile_interval, turn_bootstrap
 from fitting.estimation.identify import identify
+from fitting.estimation.realised import displaced
 from fitting.model.identifiability import chosen_errors, posterior_covariance
 from fitting.model.observations import State, errors_of, linearise, observations, spread_of, with_scatter
 from fitting.model.prior import Prior, scatter_of
@@ -284,16 +285,15 @@ def test_every_pin_and_tooth_by_itself(nominal, tmp_path):
     assert 0.2e-6 < known["pin_tangential"] < 3e-6  # within a single pitch of ± 3 µm
     found = identify(curves, Drive(nominal), held_out=False, tolerances=Prior(known), profiled=["isometric"])
     assert any(n.startswith("isometric is held, so it has no profile") for n in found.notes)
-    places = {p.name: p for p in found.singles if p.name.startswith("pin_tangential_at_")}
-    assert len(found.singles) == 40 + 40 + 39
-    truth = made.pin_tangential - made.pin_tangential.mean()
-    values = np.array([places[f"pin_tangential_at_{i}"].value for i in range(40)])
-    errors = np.array([places[f"pin_tangential_at_{i}"].standard_error for i in range(40)])
-    # All pins turned alike are the output's zero; that they share.
-    assert np.mean(np.abs(values - values.mean() - truth) < 1.96 * errors) > 0.85
+    assert len(found.realised.elements) == 40 + 40 + 39
+    tangential = found.realised.circles["pin_tangential"]
+    truth = displaced(nominal, made)[tangential]
+    values = np.array([p.value for p in found.realised.elements[tangential]])
+    errors = np.array([p.standard_error for p in found.realised.elements[tangential]])
+    assert np.mean(np.abs(values - truth) < 1.96 * errors) > 0.85
     report(found, tmp_path / "fit.html")
     text = (tmp_path / "fit.html").read_text()
-    assert "pin_tangential_at_39" in text
+    assert text.count('<table id="realised') == 2
     assert 'id="correlation"' in text
     (axis,) = (p["layout"]["yaxis"] for p in panels_in(text) if p["layout"]["yaxis"].get("ticktext"))
     assert axis["ticktext"] == [p.name for p in found.parameters if p.held is None and p.unit == "m"]

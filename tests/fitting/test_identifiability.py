@@ -194,7 +194,8 @@ def test_plan_and_ensemble_from_the_command_line(command, found, nominal, tmp_pa
     run = command("cycloid-fit", "plan", "pair.toml", "--torque", "20 N*m", "--torque", "200 N*m", "--samples", "12",
                   "--plot", "p.png")  # fmt: skip
     assert run.returncode == 0, run.stderr
-    assert "C: 200 and 20 N·m both ways" in run.stdout
+    assert "C: 200 and 20 N·m both ways; next " in run.stdout
+    assert "pin_radial, each [µm]" in run.stdout
     run = command("cycloid-fit", "ensemble", "s.nc", "--pair", "pair.toml", "-o", "drawn", "--count", "3")
     assert run.returncode == 0, run.stderr
     assert len(list((tmp_path / "drawn").iterdir())) == 3

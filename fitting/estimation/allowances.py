@@ -1,0 +1,105 @@
+"""What a fit allows for beside its own unknowns: errors that are held, and a form that all flanks share."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from cycloid_fmu.geometry.pair import Pair
+from fitting.estimation.fit import Estimate, Problem
+from fitting.estimation.parameter import NORMAL, Parameter
+from fitting.model.bearings import as_stated, unit_of_bearing
+from fitting.model.observations import Observations, form_columns, left_of
+from fitting.model.prior import tolerances_of
+
+Array = NDArray[np.float64]
+
+_WIDE, _WIDEST = 2.0, 4  # times as wide for a form of the flanks: what a note names, and how many
+_TOLD = 0.1  # share of a bearing's variance that the data must take away for it to be told
+
+
+def moved_by_held(pair: Pair, fit: Estimate) -> Array:
+    """What the errors that are held, being as large as is usual, would change of the bearings: standard deviations.
+
+    A held error moves the curves as fitted ones do, but what these lack of it is the bearings' to take. Considered in
+    the sense of Schmidt (Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, chapter 8).
+    """
+    problem = Problem(pair, fit.observed, fit.chosen)
+    own = problem.columns(fit.observed, fit.linear)
+    information = own.T @ own + np.diag(problem.precision(fit.scatter))
+    names = [n for n in fit.observed.errors if n not in fit.chosen]
+    held = fit.linear.structured[:, [fit.observed.errors.index(n) for n in names]]
+    held = held * tolerances_of(names, fit.observed.profile) * fit.observed.weight[:, None]
+    moved = linalg.solve(information, own.T @ held, assume_a="pos")[problem.bearings]
+    found: Array = np.sqrt((moved**2).sum(axis=1)) * problem.scale[problem.bearings]
+    return found
+
+
+def moved_by_form(pair: Pair, fit: Estimate, form: float) -> Array:
+    """How far a form that all flanks share may have moved the fitted errors: standard deviations, m or rad.
+
+    The orders of the form are taken among the unknowns of the linear model, with what they may be as prior. The errors
+    that are stated are those without form, so how far form moves the best ones is part of it.
+    """
+    problem, observed, count = Problem(pair, fit.observed, fit.chosen), fit.observed, len(fit.chosen)
+    own = problem.columns(observed, fit.linear)
+    beside = form * observed.weight[:, None] * form_columns(pair, observed, fit.state)
+    columns = np.hstack([own, beside])
+    precision = np.concatenate([problem.precision(fit.scatter), np.ones(beside.shape[1])])
+    information = columns.T @ columns + np.diag(precision)
+    left = observed.weight * left_of(observed, fit.linear, fit.state)
+    covariance = linalg.inv(information)
+    slope = columns.T @ left
+    # The fit has ended, so that its own unknowns have no slope.
+    slope[: own.shape[1]] = 0.0
+    moved = covariance @ slope
+    alone = linalg.inv(information[: own.shape[1], : own.shape[1]])
+    grown = np.diag(covariance)[:count] - np.diag(alone)[:count] + moved[:count] ** 2
+    found: Array = np.sqrt(np.maximum(grown, 0.0)) * problem.scale[:count]
+    return found
+
+
+def allowing(one: Parameter, form: float, before: float) -> Parameter:
+    """Return a parameter whose interval allows for what a form of the flanks may have done to it."""
+    reach = NORMAL * form
+    low, high = (one.value + way * math.hypot(end - one.value, reach)
+                 for way, end in zip((-1.0, 1.0), one.interval, strict=True))  # fmt: skip
+    sigma = math.hypot(one.standard_error, form)
+    share = max(1.0 - (sigma / before) ** 2, 0.0)
+    return dataclasses.replace(one, standard_error=sigma, interval=(low, high), data_share=share, form=form)
+
+
+def form_note(parameters: Sequence[Parameter], form: float) -> list[str]:
+    """Return what allowing for a form (m) costs, in words; none where it widens no interval by much."""
+    times = {p.name: p.standard_error / math.sqrt(p.standard_error**2 - p.form**2) for p in parameters if p.form}
+    wide = sorted((n for n, v in times.items() if v > _WIDE), key=lambda n: -times[n])
+    if not wide:
+        return []
+    named = ", ".join(f"{n} {times[n]:.2g}" for n in wide[:_WIDEST]) + " and others" * (len(wide) > _WIDEST)
+    return [
+        f"The curves can't tell a form of the flanks of {form * 1e6:g} µm from these errors, whose intervals are wider "
+        f"for it (times): {named}. Where the flanks' form is known, state it: form, or gear_profile of the tolerances."
+    ]
+
+
+def bearings_found(
+    pair: Pair, observed: Observations, changes: Array, deviations: Sequence[float] | Array
+) -> list[Parameter]:
+    """Return what is stated of the bearings: a stiffness' interval is that of its logarithm."""
+    found, names = [], observed.bearing_names
+    values = as_stated(pair, changes, observed.first_stage)
+    for name, value, sigma, before in zip(names, values, deviations, observed.bearing_prior, strict=True):
+        is_share = name.endswith("_stiffness")
+        scale = value if is_share else 1.0
+        reach = NORMAL * sigma
+        interval = (value * math.exp(-reach), value * math.exp(reach)) if is_share else (
+            max(value - reach, 0.0), value + reach)  # fmt: skip
+        share = max(1.0 - (sigma / before) ** 2, 0.0)
+        why = None if share > _TOLD else "these curves do not tell it from the errors: it goes with them"
+        found.append(Parameter(name, unit_of_bearing(name), float(value), scale * sigma, interval, share, why))
+    return found

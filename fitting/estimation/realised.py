@@ -1,0 +1,254 @@
+"""Every pin and every tooth of this ring: what the structured errors and the scatter make of each, together.
+
+A structured order's standard error is that of an average over random rings, σ√(2/n): the scatter has a part in each
+order. What this ring is, the sum of both, the curves know far better. Some of it moves no curve and is removed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.structured import displacement_columns, displacement_layout, displacement_vector
+from cycloid_fmu.surfaces.surface import ErrorSurface
+from fitting.estimation.fit import NO_SCATTER
+from fitting.estimation.parameter import NORMAL, Parameter, parameter, withheld
+from fitting.model.observations import estimated_parts, scatter_names, scatter_parts
+from fitting.model.prior import tolerances_of
+
+Array = NDArray[np.float64]
+
+ORDERS_STATED = 5  # of pins and teeth, from 0 up
+GAUGE = (
+    "Pins turned all alike, and teeth turned all alike, are the output angle's zero: both means are zero here.",
+    "Pins further out all alike are pin_circle_radius: the radial mean is zero here.",
+    "A ring shifted as a whole is centre_distance: of order 1 only what is no shift is stated here.",
+    "All pins are taken to be as thick as one another: a thicker one is stated further in, by some 1.6 times that.",
+)
+_MEASURED = 3.0  # times the scatter, or _SMALL: what the data tell of a pin or tooth by itself must be more exact
+_SMALL = 1e-6  # m
+
+
+@dataclass(frozen=True)
+class Realised:
+    """What this ring's pins and teeth are, their gauge removed: `GAUGE` in words, `gauge` as directions.
+
+    Attributes
+    ----------
+    elements
+        Radial and tangential place of every pin, cumulative pitch of every tooth of each disc: `pin_radial_at_0`, …
+        (m). Where a pin or tooth was only bounded by its neighbours, not measured, it is held.
+    orders
+        Amplitude (m) and phase (rad: where round the circle it is largest, times the order) of this ring's orders 0 to
+        5, where the gauge leaves anything of them: `pin_radial_2_amplitude`, `pin_radial_2_phase`, …, with several
+        discs `tooth_cumulative_pitch_of_disc_1_2_amplitude`.
+    covariance
+        Of the elements in their order, m².
+    circles
+        {name: where its elements stand}: `pin_radial`, `pin_tangential`, and `tooth_cumulative_pitch` or, with several
+        discs, `tooth_cumulative_pitch_of_disc_1`, …
+
+    Examples
+    --------
+    An example is that of `realised`.
+    """
+
+    elements: tuple[Parameter, ...]
+    orders: tuple[Parameter, ...]
+    covariance: Array
+    circles: dict[str, slice]
+
+    def withheld(self) -> Realised:
+        """The same without intervals, where the curves are not explained."""
+        return dataclasses.replace(
+            self,
+            elements=tuple(withheld(one) for one in self.elements),
+            orders=tuple(withheld(one) for one in self.orders),
+        )
+
+
+def gauge(pair: Pair) -> Array:
+    """Return displacements of pins and teeth that the structured errors and the bench do too, as unit directions.
+
+    They are the pins' radial and tangential mean, a shift of the ring along x and y, and the mean of all teeth.
+
+    Returns
+    -------
+    directions
+        Shape (2 pins + discs x teeth, 5), orthonormal.
+
+    Examples
+    --------
+    >>> import cycloid_fmu as cy, numpy as np
+    >>> from fitting.estimation.realised import gauge
+    >>> pair = cy.Pair(gear_teeth=9, pin_circle_radius=0.04, pin_radius=0.004, eccentricity=0.002, face_width=0.01)
+    >>> directions = gauge(pair)
+    >>> directions.shape, bool(np.allclose(directions.T @ directions, np.eye(5)))
+    ((29, 5), True)
+    """
+    parts = scatter_parts(pair)
+    radial, tangential, teeth = (parts[n] for n in ("pin_radial", "pin_tangential", "tooth_cumulative_pitch"))
+    at = 2.0 * np.pi * np.arange(pair.pins) / pair.pins
+    directions = np.zeros((teeth.stop, 5))
+    directions[radial, 0] = directions[tangential, 1] = directions[teeth, 2] = 1.0
+    directions[radial, 3], directions[tangential, 3] = np.cos(at), -np.sin(at)
+    directions[radial, 4], directions[tangential, 4] = np.sin(at), np.cos(at)
+    found: Array = directions / np.linalg.norm(directions, axis=0)
+    return found
+
+
+def displaced(pair: Pair, surface: ErrorSurface) -> Array:
+    """Return what a surface's errors displace of each pin and tooth, the gauge removed.
+
+    Returns
+    -------
+    displacements
+        Shape (2 pins + discs x teeth,), m: radial, tangential, cumulative pitch.
+    """
+    every = _of_pins_and_teeth(pair, displacement_vector(pair, surface))
+    directions = gauge(pair)
+    left: Array = every - directions @ (directions.T @ every)
+    return left
+
+
+def displaced_covariance(pair: Pair, chosen: Sequence[str], covariance: Array) -> Array:
+    """Return the covariance of `displaced` from that of structured errors and scatter together.
+
+    Parameters
+    ----------
+    pair
+        The nominal pair.
+    chosen
+        The structured errors.
+    covariance
+        Shape (chosen + scatter, chosen + scatter): as `ErrorSurface.covariance` of a fit, or as
+        `fitting.model.identifiability.posterior_covariance` foretells it.
+    """
+    waves, parts = _of_pins_and_teeth(pair, displacement_columns(pair, chosen)), scatter_parts(pair)
+    single = np.eye(len(waves), max(part.stop for part in parts.values()))
+    for disc in range(1, pair.discs):
+        first = parts["tooth_cumulative_pitch"].start + disc * pair.gear_teeth
+        single[first : first + pair.gear_teeth, parts["disc_phase"].start + disc - 1] = 1.0
+    lever = np.hstack([waves, single])
+    directions = gauge(pair)
+    lever = lever - directions @ (directions.T @ lever)
+    found: Array = lever @ covariance @ lever.T
+    return 0.5 * (found + found.T)
+
+
+def _of_pins_and_teeth(pair: Pair, displacements: Array) -> Array:
+    """Pick pins' places and teeth's pitch, m, of what `displacement_layout` lays out along the first axis."""
+    layout = displacement_layout(pair)
+    pins = [displacements[layout[name]] for name in ("pin_radial", "pin_tangential")]
+    return np.concatenate([*pins, displacements[layout["tooth_turn"]] * pair.pin_circle_radius])
+
+
+def errors_by_pattern(pair: Pair, covariance: Array) -> dict[str, float]:
+    """Return the standard error of each pattern's elements, rms over the elements, m: {`pin_radial`: …}."""
+    variance = np.diag(covariance)
+    return {name: float(np.sqrt(variance[part].mean())) for name, part in estimated_parts(pair).items()}
+
+
+def realised(pair: Pair, surface: ErrorSurface, chosen: Sequence[str], covariance: Array, spread: Array) -> Realised:
+    """State every pin and tooth of an identified surface.
+
+    Parameters
+    ----------
+    pair, surface
+        The nominal pair and the identified errors, the scatter among them.
+    chosen, covariance
+        The structured errors that were fitted, and the covariance of these and of the scatter together, SI.
+    spread
+        Standard deviation of each scattered displacement before anything is measured, m.
+
+    Examples
+    --------
+    An order of pins that is known to 0.1 µm, and no scatter:
+
+    >>> import cycloid_fmu as cy, numpy as np
+    >>> from cycloid_fmu.surfaces.structured import with_structured
+    >>> from cycloid_fmu.surfaces.surface import surface_of_pair
+    >>> from fitting.estimation.realised import realised
+    >>> pair = cy.Pair(gear_teeth=9, pin_circle_radius=0.04, pin_radius=0.004, eccentricity=0.002, face_width=0.01)
+    >>> made = with_structured(pair, surface_of_pair(pair), {"pin_radial_2_cos": 3e-6})
+    >>> known = np.zeros((30, 30))
+    >>> known[0, 0] = 1e-14
+    >>> found = realised(pair, made, ["pin_radial_2_cos"], known, np.zeros(29))
+    >>> [f"{p.name} {p.value:.1e} ± {p.standard_error:.1e}" for p in found.orders if p.name == "pin_radial_2_amplitude"]
+    ['pin_radial_2_amplitude 3.0e-06 ± 1.0e-07']
+    """
+    values, variance = displaced(pair, surface), displaced_covariance(pair, chosen, covariance)
+    before = displaced_covariance(
+        pair, chosen, np.diag(np.concatenate([tolerances_of(chosen), np.maximum(spread, NO_SCATTER)]) ** 2)
+    )
+    deviation, prior = np.sqrt(np.maximum(np.diag(variance), 0.0)), np.sqrt(np.diag(before))
+    own = _own_information(covariance, spread)
+    elements = []
+    for at, name in enumerate(scatter_names(pair)[: values.size]):
+        bounded = own[at] * (_MEASURED * max(spread[at], _SMALL)) ** 2 < 1.0
+        why = "it hardly carries load in these curves: bounded by its neighbours, not measured" if bounded else None
+        elements.append(parameter(name, "m", float(values[at]), float(deviation[at]), float(prior[at]), why))
+    circles = _circles(pair)
+    orders = [
+        one
+        for n, part in circles.items()
+        for one in _orders(n, values[part], variance[part, part], before[part, part], pair.discs)
+    ]
+    return Realised(tuple(elements), tuple(orders), variance, circles)
+
+
+def _own_information(covariance: Array, spread: Array) -> Array:
+    """What data alone tell of each scattered displacement, all else known, 1/m²; infinite where none scatters."""
+    size = np.sqrt(np.diag(covariance))
+    own = np.full(spread.size, np.inf)
+    if (spread > NO_SCATTER).any():
+        there = size > 0.0
+        inverse = linalg.pinvh((covariance / np.outer(size, size))[np.ix_(there, there)])
+        precision = np.zeros(size.size)
+        precision[there] = np.diag(inverse) / size[there] ** 2
+        scattered = spread > NO_SCATTER
+        own[scattered] = precision[-spread.size :][scattered] - 1.0 / spread[scattered] ** 2
+    return own
+
+
+def _circles(pair: Pair) -> dict[str, slice]:
+    found = estimated_parts(pair)
+    if pair.discs > 1:
+        start = found.pop("tooth_cumulative_pitch").start
+        for disc in range(pair.discs):
+            first = start + disc * pair.gear_teeth
+            found[f"tooth_cumulative_pitch_of_disc_{disc + 1}"] = slice(first, first + pair.gear_teeth)
+    return found
+
+
+def _orders(name: str, values: Array, covariance: Array, before: Array, discs: int) -> list[Parameter]:
+    """Amplitude and phase of the orders that the gauge leaves, each with its standard error to first order."""
+    found, count = [], values.size
+    at = 2.0 * np.pi * np.arange(count) / count
+    for order in range(ORDERS_STATED + 1):
+        # The gauge leaves of means what the discs' differ by.
+        if 2 * order >= count or (order == 0 and (name.startswith("pin_") or discs == 1)):
+            continue
+        share = (2.0 if order else 1.0) / count
+        waves = share * np.array([np.cos(order * at), np.sin(order * at)])
+        cos, sin = waves @ values
+        amplitude, phase = float(np.hypot(cos, sin)), float(np.arctan2(sin, cos))
+        along = np.cos(phase) * waves[0] + np.sin(phase) * waves[1]
+        across = np.cos(phase) * waves[1] - np.sin(phase) * waves[0]
+        error, turn, unmeasured = (
+            float(np.sqrt(max(w @ c @ w, 0.0))) for w, c in ((along, covariance), (across, covariance), (along, before))
+        )
+        if order == 0:
+            found.append(parameter(f"{name}_0", "m", float(cos), error, unmeasured))
+            continue
+        one = parameter(f"{name}_{order}_amplitude", "m", amplitude, error, unmeasured)
+        found.append(dataclasses.replace(one, interval=(max(one.interval[0], 0.0), one.interval[1])))
+        error = min(turn / max(amplitude, 1e-15), np.pi / NORMAL)
+        found.append(parameter(f"{name}_{order}_phase", "rad", phase, error, float(np.pi / np.sqrt(3.0))))
+    return found

@@ -1,0 +1,65 @@
+"""The ring as it is: every pin's place and every tooth's pitch round their circles, with intervals."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.estimation.realised import Realised
+from fitting.reports.panels import Panel, Trace
+
+Array = NDArray[np.float64]
+
+_DEPTH = 0.45  # of a circle's radius: how far the largest displacement stands from it
+_APART = 3.3  # radii from one circle's middle to the next
+_NUMBERED = 8  # elements of a circle that bear their number, about
+_STEPS = (0.1, 0.2, 0.5)  # µm, and powers of ten of them: what the grid's circles stand apart
+_TITLES = {
+    "pin_radial": "pins, radial",
+    "pin_tangential": "pins, tangential",
+}
+
+
+def ring_panel(ring: Realised) -> Panel:
+    """Return circles of pins and teeth side by side, displacements drawn outwards, enlarged."""
+    values = np.array([one.value for one in ring.elements]) * 1e6
+    ends = np.array([one.interval for one in ring.elements]) * 1e6
+    told = bool(np.isfinite(ends).all())
+    largest = max(float(np.abs(ends if told else values).max()), 1e-3)
+    step = next(s * 10.0**p for p in range(-3, 7) for s in _STEPS if 3.0 * s * 10.0**p >= largest)
+    levels = step * np.arange(-math.ceil(largest / step - 1e-9), math.ceil(largest / step - 1e-9) + 1)
+    scale = _DEPTH / levels[-1]
+    round_about = np.linspace(0.0, 2.0 * np.pi, 181)
+    traces: list[Trace] = []
+    for number, (name, part) in enumerate(ring.circles.items()):
+        middle, count = _APART * number, part.stop - part.start
+        angle = 2.0 * np.pi * np.arange(count) / count
+
+        def drawn(radius: Array, at: Array, middle: float = middle) -> tuple[Array, Array]:
+            return middle + radius * np.cos(at), radius * np.sin(at)
+
+        for level in levels:
+            x, y = drawn(np.full(181, 1.0 + scale * level), round_about)
+            traces.append(Trace("", x, y, "dashed" if level == 0.0 else "thin", -1))
+        closed = np.append(np.arange(count), 0)
+        traces.append(Trace("", *drawn(1.0 + scale * values[part][closed], angle[closed]), "thin", 0))
+        if told:
+            low, high = 1.0 + scale * ends[part].T
+            spokes = np.stack([low, high, np.full(count, np.nan)], axis=1).ravel()
+            label = "95 % interval" if number == 0 else ""
+            traces.append(Trace(label, *drawn(spokes, np.repeat(angle, 3)), "thick", 1))
+        else:
+            traces.append(Trace("", *drawn(1.0 + scale * values[part], angle), "dots", 0))
+        every = max(1, round(count / _NUMBERED))
+        numbers = tuple(str(i) if i % every == 0 else "" for i in range(count))
+        traces.append(Trace("", *drawn(np.full(count, 1.0 + 1.25 * _DEPTH), angle), "words", 0, numbers))
+        title = _TITLES.get(name, name.replace("_", " ").replace("tooth", "teeth,"))
+        traces.append(Trace("", np.array([middle]), np.array([-1.0 - 1.9 * _DEPTH]), "words", 0, (title,)))
+    return Panel(
+        f"Every pin and tooth: grey circles are {step:g} µm apart", "", "", tuple(traces),
+        "Drawn outwards from the dashed circle where above zero; > 0 is outwards, or "
+        "counter-clockwise of tangential places and of teeth. What is removed of them stands above the table.",
+        round=True,
+    )  # fmt: skip
