@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu.edge import ARCMIN, ARCSEC
 from cycloid_fmu.geometry.pair import Pair
-from fitting.figures.hysteresis import LoopData, loop_marks
+from fitting.figures.hysteresis import LoopData, drift_of, loop_marks, without_drift
 from fitting.figures.metrics import Figures
 from fitting.figures.spectrum import Spectrum
 from fitting.figures.starts import back_driving_torques, starting_torques
@@ -172,15 +172,19 @@ _MARKS = {
 
 def _loop_panels(loop: LoopData) -> list[Panel]:
     """The whole loop, and the middle of it, where play and friction show."""
-    step = max(1, loop.torque.size // 20000)
+    step, marks = max(1, loop.torque.size // 20000), loop_marks(loop)
+    loop = without_drift(loop, drift_of(loop))
     traces = [Trace("measured", loop.torque[::step], loop.windup[::step] * ARCMIN, "thin", -1)]
-    for number, (name, lines) in enumerate(loop_marks(loop).items()):
+    for number, (name, lines) in enumerate(marks.items()):
         for first, line in enumerate(lines):
             label = _MARKS[name] if first == 0 else ""
             traces.append(Trace(label, line[:, 0], line[:, 1] * ARCMIN, "thick", number))
     axes = ("torque on the output [N·m]", "windup of the output [arcmin]")
     name = f"Hysteresis loop: {Path(loop.source).name}"
-    seen = "The coloured lines show where each figure is read off the first loop; the figures are means of all loops."
+    seen = (
+        "The windup without its drift. The coloured lines show where each figure is read off the first loop, lost "
+        "motion off the first behind the virgin branch; the figures are means of all such loops."
+    )
     near = np.abs(loop.torque) <= _MIDDLE * loop.rated_torque
     middle = [
         t if t.colour >= 0 else Trace(t.label, loop.torque[near], loop.windup[near] * ARCMIN, "points", -1)
