@@ -23,6 +23,14 @@ HeadFile = Annotated[
 ]
 Ratio = Annotated[float | None, typer.Option(help="Signed ratio input/output, such as -39, in place of a pair.")]
 RatedTorque = Annotated[float | None, commands.quantity_option("N*m", "Rated torque at the output.")]
+StiffnessLimits = Annotated[
+    str | None,
+    typer.Option(
+        "--stiffness-limits",
+        metavar="TORQUES",
+        help='Torques between which stiffness is given as K1, K2, ..., such as "5 N*m, 25 N*m, 80 N*m, 167 N*m".',
+    ),
+]
 MappingFile = Annotated[Path | None, typer.Option(metavar="MAP.toml", help="Which channel is what; see inspect.")]
 FIELD_UNITS = {"m": (1e6, "µm"), "rad": (1e3, "mrad")}
 
@@ -49,8 +57,7 @@ def finish(found: Figures, *, as_json: bool) -> None:
 
     rows = []
     for name, figure in found.figures.items():
-        parts = {Path(part).name: one for part, one in {**figure.parts, **figure.runs}.items()}
-        for label, one in [(name, figure), *((f"  {part}", one) for part, one in parts.items())]:
+        for label, one in [(name, figure), *((f"  {part}", one) for part, one in figure.shown.items())]:
             rows.append([label, *in_field_units(one), f"{one.count:.4g} {one.counted}"])
     if as_json:
         commands.print_json(figures_json(found))

@@ -15,6 +15,7 @@ def report(
     drive: options.MaybePair = None,
     ratio: options.Ratio = None,
     rated_torque: options.RatedTorque = None,
+    stiffness_limits: options.StiffnessLimits = None,
     mapping: options.MappingFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
@@ -28,6 +29,9 @@ def report(
     nominal = None if drive is None else read_drive(drive)
     recordings = fitting.read_recordings(files, mapping)
     with options.status() as progress:
-        found = fitting.metrics(recordings, nominal, ratio=ratio, rated_torque=rated_torque, progress=progress)
+        found = fitting.metrics(
+            recordings, nominal, ratio=ratio, rated_torque=rated_torque, progress=progress,
+            stiffness_limits=None if stiffness_limits is None else [one.strip() for one in stiffness_limits.split(",")],
+        )  # fmt: skip
     fitting.report(found, output)
     options.finish(found, as_json=as_json)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -54,6 +55,8 @@ class Figure:
         The same figure of parts of the data: `forward` and `backward`, `positive` and `negative`.
     runs
         {what was run: the figure} where several runs were made.
+    segments
+        The same figure between torques, {"K1": the figure}; each states its interval.
     """
 
     value: float
@@ -66,6 +69,17 @@ class Figure:
     counted: str
     parts: dict[str, Figure] = field(default_factory=dict)
     runs: dict[str, Figure] = field(default_factory=dict)
+    segments: dict[str, Figure] = field(default_factory=dict)
+
+    @property
+    def shown(self) -> dict[str, Figure]:
+        """Parts, segments and runs by the names under which a table shows them."""
+        between = {
+            f"{name}, {one.interval[0]:.4g} … {one.interval[1]:.4g} N·m": one
+            for name, one in self.segments.items()
+            if one.interval is not None
+        }
+        return {**self.parts, **between, **{Path(run).name: one for run, one in self.runs.items()}}
 
 
 def pooled(figures: Sequence[Figure]) -> Figure:
@@ -84,9 +98,15 @@ def pooled(figures: Sequence[Figure]) -> Figure:
         side: pooled([f.parts[side] for f in figures if side in f.parts])
         for side in {s: None for f in figures for s in f.parts}
     }
+    segments = {
+        name: pooled(
+            [f.segments[name] for f in figures if name in f.segments and f.segments[name].interval == interval]
+        )
+        for name, interval in {n: one.interval for f in figures for n, one in f.segments.items()}.items()
+    }
     return Figure(
         value, uncertainty, first.unit, first.definition, first.interval, first.interval_unit,
-        sum(f.count for f in figures), first.counted, parts,
+        sum(f.count for f in figures), first.counted, parts, segments=segments,
     )  # fmt: skip
 
 
@@ -123,6 +143,8 @@ def figure_json(figure: Figure) -> dict[str, Any]:
         figure.counted: figure.count,
     }
     found.update({side: figure_json(part) for side, part in figure.parts.items()})
+    if figure.segments:
+        found["segments"] = {name: figure_json(one) for name, one in figure.segments.items()}
     if figure.runs:
         found["runs"] = {name: figure_json(run) for name, run in figure.runs.items()}
     return found

@@ -8,6 +8,7 @@ output angle minus its share of the input angle.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,8 +29,10 @@ Array = NDArray[np.float64]
 UNLOADING = (0.03, 0.10)  # of the straight lines that hysteresis loss extrapolates to zero torque
 FRICTION = 0.50
 STIFFNESS = (0.50, 1.00)
+SEGMENTS = (LOST_MOTION_LOAD, 0.15, 0.50, 1.00)  # limits of K1, K2 and K3
 NEAR = 0.01  # a value "at" a torque is that of the line through the samples this close to it
 FRICTION_NEAR = 0.05
+SIDES = (("positive", 1), ("negative", -1))
 DRIFT = (0.30, 0.80)  # of the peak: the branches between are beyond the friction band and before the turn
 _LOBE = 0.20  # a half loop goes beyond this
 _REST = 0.025  # and begins and ends below this
@@ -171,8 +174,8 @@ class _LoopValues:
     middle: _Value | None
 
 
-def _stiffness(torque: Array, windup: Array, lobe: Lobe, rated: float) -> _Value | None:
-    line = branch_line(torque, windup, lobe.loading, STIFFNESS[0] * rated, STIFFNESS[1] * rated)
+def _stiffness(torque: Array, windup: Array, lobe: Lobe, low: float, high: float) -> _Value | None:
+    line = branch_line(torque, windup, lobe.loading, low, high)
     if line is None or line.slope <= 0.0:
         return None
     return 1.0 / line.slope, line.slope_variance / line.slope**4
@@ -352,8 +355,12 @@ def _values(data: LoopData, band: bool) -> dict[str, list[_Value]]:
     if not data.steady and band and not _closed(data):
         lost = [_behind_the_virgin_branch(torque, windup, loop, rated) for loop in data.loops]
     stiffness = {
-        side: [_stiffness(torque, windup, lobe, rated) for lobe in data.lobes if lobe.sign == sign]
-        for side, sign in (("positive", 1), ("negative", -1))
+        side: [
+            _stiffness(torque, windup, lobe, STIFFNESS[0] * rated, STIFFNESS[1] * rated)
+            for lobe in data.lobes
+            if lobe.sign == sign
+        ]
+        for side, sign in SIDES
     }
     values = {
         "hysteresis_loss": [one.hysteresis_loss for one in found], "backlash": [one.backlash for one in found],
@@ -392,7 +399,60 @@ def _friction_band(values: dict[str, list[_Value]], rated: float) -> tuple[bool,
     return bool(value > 0.05 * abs(lost[0][0]) + 3.0 * math.sqrt(variance / len(wider))), friction
 
 
-def loop_figures(data: LoopData) -> tuple[dict[str, Figure], list[str]]:
+def stiffness_segments(data: LoopData, drift: Drift | None, limits: Sequence[float]) -> dict[str, Figure]:
+    """Return the torsional stiffness between torques, as makers state K1, K2, K3: {"K1": the figure with its sides}.
+
+    Loading branches, of a recording with three half loops or more without the virgin one. Segments that a branch does
+    not reach to nine tenths, or in which it does not give way, are left out.
+
+    Parameters
+    ----------
+    data, drift
+        The recording as it was measured, and its drift.
+    limits
+        Torques between which a segment lies each, N·m, ascending.
+    """
+    freed = (without_drift(data, drift), without_drift(data, drift, more=1.0))
+    lobes = data.lobes[1:] if len(data.lobes) > 2 else data.lobes
+    reached = float(np.abs(data.torque).max())
+    name, found = "torsional_stiffness", {}
+    for number, (low, high) in enumerate(itertools.pairwise(limits), start=1):
+        if reached < low + 0.9 * (high - low):
+            continue
+        parts = {}
+        for side, sign in SIDES:
+            values, drifted = (
+                [
+                    v
+                    for lobe in lobes
+                    if lobe.sign == sign and (v := _stiffness(one.torque, one.windup, lobe, low, high))
+                ]
+                for one in freed
+            )
+            if values:
+                value, uncertainty = _mean(values)
+                uncertainty = math.hypot(uncertainty, 1.96 * _moved(values, drifted))
+                parts[side] = Figure(
+                    value, uncertainty, UNITS[name], DEFINITIONS[name], (low, high), "N*m", len(values), "loops"
+                )
+        if parts:
+            found[f"K{number}"] = _of_sides(parts)
+    return found
+
+
+def _of_sides(parts: dict[str, Figure]) -> Figure:
+    """Return the mean of a figure of each side."""
+    one = next(iter(parts.values()))
+    return dataclasses.replace(
+        one,
+        value=float(np.mean([p.value for p in parts.values()])),
+        uncertainty=math.hypot(*(p.uncertainty for p in parts.values())) / len(parts),
+        count=min(p.count for p in parts.values()),
+        parts=parts,
+    )
+
+
+def loop_figures(data: LoopData, limits: Sequence[float] | None = None) -> tuple[dict[str, Figure], list[str]]:
     """Return the figures that loops give, and why others could not be given.
 
     The windup is freed of its drift first. Lost motion alone reads a branch that depends on where in the play and in
@@ -402,11 +462,13 @@ def loop_figures(data: LoopData) -> tuple[dict[str, Figure], list[str]]:
     ----------
     data
         Torque and windup with the loops found in them.
+    limits
+        Of the segments of `torsional_stiffness`, N·m, ascending; None takes 3, 15, 50 and 100 % of the rated torque.
 
     Returns
     -------
     figures
-        By name; `torsional_stiffness` also of each side.
+        By name; `torsional_stiffness` also of each side and by segments of the torque.
     notes
         One sentence for each figure that is missing, for a drift, for a loop that is virgin and for friction that
         reaches the load of lost motion.
@@ -464,12 +526,8 @@ def loop_figures(data: LoopData) -> tuple[dict[str, Figure], list[str]]:
             side: Figure(*mean(side), UNITS[name], DEFINITIONS[name], (low, high), "N*m", len(values[side]), "loops")
             for side in sides_of
         }
-        value = float(np.mean([p.value for p in parts.values()]))
-        uncertainty = math.hypot(*(p.uncertainty for p in parts.values())) / len(parts)
-        count = min(p.count for p in parts.values())
-        figures[name] = Figure(
-            value, uncertainty, UNITS[name], DEFINITIONS[name], (low, high), "N*m", count, "loops", parts
-        )
+        segments = stiffness_segments(data, drift, limits or [share * rated for share in SEGMENTS])
+        figures[name] = dataclasses.replace(_of_sides(parts), segments=segments)
     return figures, notes
 
 

@@ -81,7 +81,12 @@ class Figures:
             temporary.write_text(edge.json_text(figures_json(self)), encoding="utf-8")
 
 
-def figures_of(surveyed: Sequence[Surveyed], ratio: float | None, rated_torque: float | None) -> Figures:
+def figures_of(
+    surveyed: Sequence[Surveyed],
+    ratio: float | None,
+    rated_torque: float | None,
+    stiffness_limits: Sequence[float] | None = None,
+) -> Figures:
     """Return the figures that recordings of one drive give together.
 
     Several recordings' loops count together; of transmission errors the largest is the figure, the others are its
@@ -93,13 +98,15 @@ def figures_of(surveyed: Sequence[Surveyed], ratio: float | None, rated_torque: 
         What each recording gave.
     ratio, rated_torque
         As given to `survey`.
+    stiffness_limits
+        As in `loop_figures`.
     """
     notes = [n for s in surveyed for n in s.notes]
     figures: dict[str, Figure] = {}
     of_loops = []
     for one in surveyed:
         if one.loops is not None:
-            found, added = loop_figures(one.loops)
+            found, added = loop_figures(one.loops, stiffness_limits)
             notes += added
             of_loops.append(found)
     for name in ("hysteresis_loss", "backlash", "lost_motion", "torsional_stiffness"):
@@ -161,6 +168,7 @@ def metrics(
     *,
     ratio: float | None = None,
     rated_torque: float | str | None = None,
+    stiffness_limits: Sequence[float | str] | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Figures:
     """Return the standard figures of a drive: transmission error, lost motion, backlash, stiffness, starting torques.
@@ -177,6 +185,9 @@ def metrics(
         In place of a drive: its signed ratio input over output. Without either the recordings' own.
     rated_torque
         T_N, N·m or text with a unit; by default the drive's, without one the largest torque of each recording.
+    stiffness_limits
+        Torques between which torsional stiffness is given as K1, K2 and so on, N·m or text with units, ascending; by
+        default 3, 15, 50 and 100 % of T_N.
     progress
         Called with what is being read.
 
@@ -199,6 +210,9 @@ def metrics(
     if ratio is not None and not (math.isfinite(ratio) and ratio):
         raise edge.ArgumentError("ratio", "give the signed ratio input/output, such as -39", ratio)
     rated = None if rated_torque is None else positive(rated_torque, "N*m", "rated_torque")
+    limits = None if stiffness_limits is None else [positive(v, "N*m", "stiffness_limits") for v in stiffness_limits]
+    if limits is not None and (len(limits) < 2 or sorted(set(limits)) != limits):
+        raise edge.ArgumentError("stiffness_limits", "give two torques or more, ascending", stiffness_limits)
     if drive is not None:
         ratio, rated = drive.ratio, drive.pair.rated_torque if rated is None else rated
     given = [recordings] if isinstance(recordings, Source) else list(recordings)
@@ -222,7 +236,7 @@ def metrics(
             break
     if not surveyed:
         raise edge.InputError("\n".join(problems) or "recordings: there is none.")
-    found, pair = figures_of(surveyed, ratio, rated), None if drive is None else drive.pair
+    found, pair = figures_of(surveyed, ratio, rated, limits), None if drive is None else drive.pair
     notes = (*problems, *found.notes)
     return dataclasses.replace(found, notes=notes, pair=pair, problems=tuple(problems), interrupted=interrupted)
 

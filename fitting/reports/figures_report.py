@@ -37,7 +37,7 @@ def figure_rows(found: Figures) -> list[dict[str, str]]:
     rows = []
     for name, figure in found.figures.items():
         rows.append(_row(TITLES[name], figure, definition=figure.definition))
-        rows += [_row(Path(part).name, one, part="yes") for part, one in {**figure.parts, **figure.runs}.items()]
+        rows += [_row(part, one, part="yes") for part, one in figure.shown.items()]
     return rows
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu.edge import ARCMIN, ARCSEC
 from cycloid_fmu.geometry.pair import Pair
-from fitting.figures.hysteresis import LoopData, drift_of, loop_marks, without_drift
+from fitting.figures.hysteresis import SIDES, LoopData, drift_of, loop_marks, without_drift
 from fitting.figures.metrics import Figures
 from fitting.figures.spectrum import Spectrum
 from fitting.figures.starts import back_driving_torques, starting_torques
@@ -103,6 +103,7 @@ def panels_of(found: Figures) -> list[Panel]:
         if spectra is not None:
             panels.append(spectra)
     panels += [p for s in found.surveyed if s.loops is not None for p in _loop_panels(s.loops)]
+    panels += _stiffness_panel(found)
     panels += _start_panels(found)
     panels.append(_torque_panel(found))
     return panels
@@ -193,6 +194,31 @@ def _loop_panels(loop: LoopData) -> list[Panel]:
         and (t.colour < 0 or np.abs(t.x).max() <= _MIDDLE * loop.rated_torque)
     ]
     return [Panel(name, *axes, tuple(traces), seen), Panel(f"{name}, around zero torque", *axes, tuple(middle), seen)]
+
+
+def _stiffness_panel(found: Figures) -> list[Panel]:
+    """The torsional stiffness of each side by segments of the torque, with its 95 % interval."""
+    figure = found.figures.get("torsional_stiffness")
+    if figure is None or len(figure.segments) < 2:
+        return []
+    traces = []
+    for number, (side, sign) in enumerate(SIDES):
+        of_side = [one.parts[side] for one in figure.segments.values() if side in one.parts]
+        label = side
+        for one in of_side:
+            assert one.interval is not None
+            at = sign * np.array(one.interval)
+            traces.append(Trace(label, at, np.full(2, one.value / ARCMIN), "thick", number))
+            traces += [Trace("", at, np.full(2, end / ARCMIN), "dashed", number)
+                       for end in (one.value - one.uncertainty, one.value + one.uncertainty)]  # fmt: skip
+            label = ""
+    middles = [(sign * 0.5 * sum(one.interval or ()), one.parts[side].value / ARCMIN, name)
+               for name, one in figure.segments.items() for side, sign in SIDES if side in one.parts]  # fmt: skip
+    x, y, names = zip(*middles, strict=True)
+    traces.append(Trace("", np.array(x), np.array(y), "points", -1, names))
+    caption = "Slope of the loading branches between the torques, mean of the loops; dashed its 95 % interval."
+    axes = ("torque on the output [N·m]", "torsional stiffness [N·m/arcmin]")
+    return [Panel("Torsional stiffness by torque", *axes, tuple(traces), caption)]
 
 
 def _start_panels(found: Figures) -> list[Panel]:

@@ -1,12 +1,18 @@
 """Drift, virgin branches and friction of loops, of a drive that is simulated by itself: play, spring, Maxwell slip."""
 
+import itertools
+
 import numpy as np
 import pytest
 
+import fitting
+from cycloid_fmu import edge
+from fitting.figures.comparison import read_figures
 from fitting.figures.hysteresis import drift_of
-from fitting.figures.metrics import figures_of
+from fitting.figures.metrics import figures_json, figures_of
 from fitting.figures.survey import survey
 from fitting.recordings.recording import Recording
+from fitting.reports.panels import panels_of
 
 ARCMIN = np.pi / 10800
 RATED, STIFFNESS, EACH = 167.0, 30.0, 500  # N·m, N·m/arcmin, samples a branch
@@ -144,3 +150,51 @@ def test_too_few_samples_to_tell_a_drift_are_said():
     kept = (np.abs(torque) < 0.2 * RATED) | (np.abs(torque) > 0.85 * RATED)
     found, _ = figures(torque[kept], windup[kept])
     assert any("whether the windup drifts can't be told" in note for note in found.notes)
+
+
+def test_stiffness_by_segments_is_that_of_the_spring_there():
+    """A spring of 20, 30 and 50 N·m/arcmin up to 25, 83.5 and 167 N·m, with dry friction of 3 N·m in its way."""
+    torque = swung([1, -1] * 2)
+    state, el = 0.0, []
+    for now in torque:
+        state = min(max(state, now - 3.0), now + 3.0)
+        el.append(state)
+    knees = np.array([0.0, 25.0, 83.5, 200.0])
+    at = np.concatenate([[0.0], np.cumsum(np.diff(knees) / [20.0, 30.0, 50.0])])
+    windup = np.sign(el) * np.interp(np.abs(el), knees, at)
+    time = 0.01 * np.arange(torque.size)
+    angle = (windup + 0.2 * time / time[-1] + np.random.default_rng(1).normal(0.0, 0.5 / 60, time.size)) * ARCMIN
+    run = fitting.Run(0.0, angle, torque, time=time)
+    limits = [6.0, "25 N*m", 88.0, RATED]
+    found = fitting.metrics(run, ratio=-39.0, rated_torque=RATED, stiffness_limits=limits)
+    segments = found.figures["torsional_stiffness"].segments
+    assert [one.interval for one in segments.values()] == [(6.0, 25.0), (25.0, 88.0), (88.0, RATED)]
+    for (name, one), known in zip(segments.items(), (20.0, 30.0, 50.0), strict=True):
+        assert one.value * ARCMIN == pytest.approx(known, abs=max(1.5 * one.uncertainty * ARCMIN, 0.02 * known)), name
+        assert one.uncertainty * ARCMIN < 0.1 * known
+        assert set(one.parts) == {"positive", "negative"}
+    stated = figures_json(found)["torsional_stiffness"]["segments"]
+    assert stated["K3"]["value"] == segments["K3"].value
+    (panel,) = (p for p in panels_of(found) if p.title == "Torsional stiffness by torque")
+    assert [t.texts for t in panel.traces if t.texts] == [("K1", "K1", "K2", "K2", "K3", "K3")]
+    default = fitting.metrics(run, ratio=-39.0, rated_torque=RATED).figures["torsional_stiffness"].segments
+    ends = [share * RATED for share in (0.03, 0.15, 0.5, 1.0)]
+    assert [one.interval for one in default.values()] == [pytest.approx(e) for e in itertools.pairwise(ends)]
+    with pytest.raises(edge.InputError, match="stiffness_limits"):
+        fitting.metrics(run, ratio=-39.0, stiffness_limits=[30.0, 10.0])
+
+
+def test_segments_are_stated_at_the_command_line_and_read_back(command, tmp_path):
+    torque = swung([1, -1])
+    windup = wound(torque, 0.5, COULOMB) * 60.0
+    rows = "\n".join(f"{0.01 * n:.2f},0,{w:.6f},{t:.6f}" for n, (w, t) in enumerate(zip(windup, torque, strict=True)))
+    (tmp_path / "loop.csv").write_text(f"time [s],input_angle [deg],output_angle [arcsec],torque [N*m]\n{rows}\n")
+    words = ("cycloid-fit", "metrics", "loop.csv", "--rated-torque", "167 N*m", "-o", "f.json", "--stiffness-limits")
+    run = command(*words, "25 N*m, 80 N*m, 167 N*m")
+    assert run.returncode == 0, run.stderr
+    assert "K2, 80 … 167 N·m" in run.stdout
+    assert set(read_figures(tmp_path / "f.json")["torsional_stiffness"].segments) == {"K1", "K2"}
+    run = command(*words, "25 N*m, 80 mm")
+    assert run.returncode == 2
+    assert "stiffness" in run.stderr
+    assert "80 mm" in run.stderr
