@@ -13,9 +13,9 @@ from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import Pair
 from fitting.arguments import positive
-from fitting.figures.figure import Figure, figure_json, pooled
+from fitting.figures.figure import DEFINITIONS, Figure, figure_json, pooled
 from fitting.figures.hysteresis import loop_figures
-from fitting.figures.spectrum import Spectrum, angular_transmission_error, spectrum
+from fitting.figures.spectrum import Spectrum, angular_transmission_error, rig_orders, spectrum, without_orders
 from fitting.figures.starts import Start, back_driving_torques, start_figure, starting_torques
 from fitting.figures.survey import Surveyed, survey
 from fitting.recordings.sources import Source, open_source
@@ -115,6 +115,7 @@ def figures_of(
             figures[name] = pooled(same)
     spectra: list[Spectrum | None] = []
     ways: dict[str, dict[str, Figure]] = {"forward": {}, "backward": {}}
+    rigless: dict[str, dict[str, Figure]] = {"forward": {}, "backward": {}}
     for one in surveyed:
         for curve in one.curves:
             way = "forward" if curve.direction > 0 else "backward"
@@ -131,19 +132,16 @@ def figures_of(
                     f"{curve.source}: the torque varies by {varies:.3g} N·m around {curve.torque:.4g} "
                     "N·m; the transmission error holds the windup that this makes."
                 )
-            figure = angular_transmission_error(curve, orders)
-            # Clocks that run apart add their way over one turn, for every turn begins again.
-            uncertainty = math.hypot(figure.uncertainty, one.runaway / max(curve.turns, 1.0))
-            figure = dataclasses.replace(figure, uncertainty=uncertainty)
-            ways[way][f"{one.source}, {curve.torque:.4g} N*m, {way}"] = figure
-    parts = {way: max(runs.values(), key=lambda f: f.value) for way, runs in ways.items() if runs}
-    if parts:
-        largest = max(parts.values(), key=lambda f: f.value)
-        runs = {name: f for way in ways.values() for name, f in way.items()}
-        figures["angular_transmission_error"] = Figure(
-            largest.value, largest.uncertainty, largest.unit, largest.definition, largest.interval,
-            largest.interval_unit, largest.count, largest.counted, parts, runs,
-        )  # fmt: skip
+            label = f"{one.source}, {curve.torque:.4g} N*m, {way}"
+            ways[way][label] = angular_transmission_error(curve, orders, one.runaway)
+            kept = angular_transmission_error(curve, without_orders(orders, rig_orders(curve.ratio)), one.runaway)
+            rigless[way][label] = kept
+    for name, of_ways in (("angular_transmission_error", ways), ("angular_transmission_error_without_rig", rigless)):
+        parts = {way: max(runs.values(), key=lambda f: f.value) for way, runs in of_ways.items() if runs}
+        if parts:
+            runs = {label: f for way in of_ways.values() for label, f in way.items()}
+            largest = dataclasses.replace(max(parts.values(), key=lambda f: f.value), parts=parts, runs=runs)
+            figures[name] = dataclasses.replace(largest, definition=DEFINITIONS[name])
     started: dict[str, list[Start]] = {"starting_torque": [], "back_driving_torque": []}
     for one in surveyed:
         if one.loops is not None:

@@ -11,7 +11,7 @@ import fitting
 from fitting.figures.figure import Figure, in_field_units
 from fitting.figures.hysteresis import find_lobes, fit_line, loop_marks
 from fitting.figures.metrics import figures_of
-from fitting.figures.spectrum import Spectrum, angular_transmission_error, spectrum
+from fitting.figures.spectrum import Spectrum, angular_transmission_error, rig_orders, spectrum
 from fitting.figures.starts import back_driving_torques, starting_torques, starts_of
 from fitting.figures.survey import survey
 from fitting.recordings.recording import Recording, RecordingStream
@@ -431,6 +431,26 @@ def test_what_the_angles_clocks_may_run_apart_in_a_turn_is_in_the_uncertainty():
     )
     sure, unsure = (f["angular_transmission_error"].uncertainty for f in (sure, unsure))
     assert unsure == pytest.approx(np.hypot(sure, 2 * 50e-6 * speed / 3), rel=1e-3)
+
+
+def test_the_rig_s_orders_are_left_out_of_the_second_figure():
+    """Run-out of 60″ at orders 1 to 3 and 1″ at the input's turn: the range of the drive's own orders is left."""
+    own = {40: (9.0 * ARCSEC, 2.0), 78: (4.0 * ARCSEC, 0.1)}
+    rig = {1: (60.0 * ARCSEC, 0.4), 2: (5.0 * ARCSEC, 1.0), 3: (2.0 * ARCSEC, 2.0), 39: (1.0 * ARCSEC, 0.0)}
+    made = run_with({**own, **rig}, turns=2, each=9000, noise=0.3 * ARCSEC, seed=0)
+    found = figures_of([survey(made, -39.0, None)], -39.0, None).figures
+    turn = np.linspace(0.0, 2.0 * np.pi, 100001)
+
+    def span(orders):
+        return np.ptp(sum(a * np.cos(k * turn - p) for k, (a, p) in orders.items()))
+
+    whole, without = found["angular_transmission_error"], found["angular_transmission_error_without_rig"]
+    assert abs(whole.value - span({**own, **rig})) <= 1.5 * whole.uncertainty
+    assert abs(without.value - span(own)) <= 1.5 * without.uncertainty
+    assert set(without.parts) == {"forward"}
+    assert len(without.runs) == 1
+    assert rig_orders(-39.0) == (1, 2, 3, 39)
+    assert rig_orders(-121.25) == (1, 2, 3)
 
 
 def test_an_amplitude_is_as_uncertain_as_the_noise_around_it():
