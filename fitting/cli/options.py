@@ -23,6 +23,10 @@ HeadFile = Annotated[
 ]
 Ratio = Annotated[float | None, typer.Option(help="Signed ratio input/output, such as -39, in place of a pair.")]
 RatedTorque = Annotated[float | None, commands.quantity_option("N*m", "Rated torque at the output.")]
+InstrumentsFile = Annotated[
+    Path | None,
+    typer.Option("--instruments", metavar="BENCH.toml", help="The bench's instruments: uncertainty budgets after GUM."),
+]
 StiffnessLimits = Annotated[
     str | None,
     typer.Option(
@@ -52,6 +56,7 @@ def print_notes(notes: Iterable[str]) -> None:
 
 def finish(found: Figures, *, as_json: bool) -> None:
     """Print figures and notes for people, or the figures for scripts; leave with the status that belongs to them."""
+    from fitting.figures.budget import BUDGET_HEAD, budget_rows
     from fitting.figures.figure import in_field_units
     from fitting.figures.metrics import figures_json
 
@@ -63,6 +68,8 @@ def finish(found: Figures, *, as_json: bool) -> None:
         commands.print_json(figures_json(found))
     else:
         commands.print_table("Figures", ["figure", "value", "± 95 %", "unit", "of"], rows)
+        for name, budget in found.budgets.items():
+            commands.print_table(f"Uncertainty budget of {name}", BUDGET_HEAD, budget_rows(budget))
     print_notes(found.problems if as_json and found.figures else found.notes)
     if not found.figures:
         raise edge.InputError("No figure could be computed.")

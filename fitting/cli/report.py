@@ -16,6 +16,7 @@ def report(
     ratio: options.Ratio = None,
     rated_torque: options.RatedTorque = None,
     stiffness_limits: options.StiffnessLimits = None,
+    instruments: options.InstrumentsFile = None,
     mapping: options.MappingFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
@@ -30,7 +31,7 @@ def report(
     recordings = fitting.read_recordings(files, mapping)
     with options.status() as progress:
         found = fitting.metrics(
-            recordings, nominal, ratio=ratio, rated_torque=rated_torque, progress=progress,
+            recordings, nominal, ratio=ratio, rated_torque=rated_torque, instruments=instruments, progress=progress,
             stiffness_limits=None if stiffness_limits is None else [one.strip() for one in stiffness_limits.split(",")],
         )  # fmt: skip
     fitting.report(found, output)

@@ -61,6 +61,8 @@ class Figure:
         {what was run: the figure} where several runs were made.
     segments
         The same figure between torques, {"K1": the figure}; each states its interval.
+    degrees
+        Degrees of freedom of the uncertainty: of the scatter of loops or starts where it is from that.
     """
 
     value: float
@@ -74,6 +76,7 @@ class Figure:
     parts: dict[str, Figure] = field(default_factory=dict)
     runs: dict[str, Figure] = field(default_factory=dict)
     segments: dict[str, Figure] = field(default_factory=dict)
+    degrees: float = math.inf
 
     @property
     def shown(self) -> dict[str, Figure]:
@@ -94,9 +97,11 @@ def pooled(figures: Sequence[Figure]) -> Figure:
     values = np.array([f.value for f in figures])
     value = float(weight @ values)
     uncertainty = float(np.sqrt(np.sum((weight * [f.uncertainty for f in figures]) ** 2)))
+    degrees = min(f.degrees for f in figures)
     if len(figures) > 2:
-        scatter = float(np.std(values, ddof=1)) / math.sqrt(len(figures))
-        uncertainty = max(uncertainty, float(stdtrit(len(figures) - 1, 0.975)) * scatter)
+        scatter = float(np.std(values, ddof=1)) / math.sqrt(len(figures)) * float(stdtrit(len(figures) - 1, 0.975))
+        if scatter > uncertainty:
+            uncertainty, degrees = scatter, len(figures) - 1.0
     first = figures[0]
     parts = {
         side: pooled([f.parts[side] for f in figures if side in f.parts])
@@ -110,7 +115,7 @@ def pooled(figures: Sequence[Figure]) -> Figure:
     }
     return Figure(
         value, uncertainty, first.unit, first.definition, first.interval, first.interval_unit,
-        sum(f.count for f in figures), first.counted, parts, segments=segments,
+        sum(f.count for f in figures), first.counted, parts, segments=segments, degrees=degrees,
     )  # fmt: skip
 
 

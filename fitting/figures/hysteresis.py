@@ -236,15 +236,19 @@ def _behind_the_virgin_branch(torque: Array, windup: Array, loop: Loop, rated: f
     return first.sign * (one - other), one_variance + other_variance
 
 
-def _mean(values: Sequence[_Value]) -> _Value:
-    """Return mean and half the 95 % interval: from the fits, or from three or more loops' scatter where larger."""
+def _mean(values: Sequence[_Value], moved: float = 0.0) -> tuple[float, float, float]:
+    """Return mean, half the 95 % interval and its degrees of freedom: from the fits, or from the loops' scatter.
+
+    That is taken of three or more loops where it is larger. `moved` is what the drift's standard uncertainty adds.
+    """
     value = float(np.mean([v for v, _ in values]))
     count = len(values)
-    uncertainty = math.sqrt(sum(variance for _, variance in values)) / count * 1.96
+    uncertainty, degrees = math.sqrt(sum(variance for _, variance in values)) / count * 1.96, math.inf
     if count > 2:
-        scatter = float(np.std([v for v, _ in values], ddof=1)) / math.sqrt(count)
-        uncertainty = max(uncertainty, float(stdtrit(count - 1, 0.975)) * scatter)
-    return value, uncertainty
+        scatter = float(np.std([v for v, _ in values], ddof=1)) / math.sqrt(count) * float(stdtrit(count - 1, 0.975))
+        if scatter > uncertainty:
+            uncertainty, degrees = scatter, count - 1.0
+    return value, math.hypot(uncertainty, 1.96 * moved), degrees
 
 
 @dataclass(frozen=True)
@@ -430,11 +434,11 @@ def stiffness_segments(data: LoopData, drift: Drift | None, limits: Sequence[flo
                 for one in freed
             )
             if values:
-                value, uncertainty = _mean(values)
-                uncertainty = math.hypot(uncertainty, 1.96 * _moved(values, drifted))
+                value, uncertainty, degrees = _mean(values, _moved(values, drifted))
                 parts[side] = Figure(
-                    value, uncertainty, UNITS[name], DEFINITIONS[name], (low, high), "N*m", len(values), "loops"
-                )
+                    value, uncertainty, UNITS[name], DEFINITIONS[name], (low, high), "N*m", len(values), "loops",
+                    degrees=degrees,
+                )  # fmt: skip
         if parts:
             found[f"K{number}"] = _of_sides(parts)
     return found
@@ -448,6 +452,7 @@ def _of_sides(parts: dict[str, Figure]) -> Figure:
         value=float(np.mean([p.value for p in parts.values()])),
         uncertainty=math.hypot(*(p.uncertainty for p in parts.values())) / len(parts),
         count=min(p.count for p in parts.values()),
+        degrees=min(p.degrees for p in parts.values()),
         parts=parts,
     )
 
@@ -482,19 +487,15 @@ def loop_figures(data: LoopData, limits: Sequence[float] | None = None) -> tuple
     later = values if data.late is None else _values(dataclasses.replace(freed, torque=data.late), band)
     notes += _loop_notes(data, freed, drift, values, band, friction)
 
-    def mean(name: str) -> _Value:
-        value, uncertainty = _mean(values[name])
-        return value, math.hypot(uncertainty, 1.96 * _moved(values[name], drifted[name]))
-
     for name, interval in (
         ("hysteresis_loss", UNLOADING), ("backlash", UNLOADING), ("lost_motion", (-LOST_MOTION_LOAD, LOST_MOTION_LOAD)),
     ):  # fmt: skip
         if values[name]:
-            value, uncertainty = mean(name)
+            value, uncertainty, degrees = _mean(values[name], _moved(values[name], drifted[name]))
             uncertainty = math.hypot(uncertainty, data.runaway, _moved(values[name], later[name]))
             figures[name] = Figure(
                 value, uncertainty, UNITS[name], DEFINITIONS[name], (interval[0] * rated, interval[1] * rated), "N*m",
-                len(values[name]), "loops",
+                len(values[name]), "loops", degrees=degrees,
             )  # fmt: skip
         elif data.loops:
             notes.append(
@@ -522,10 +523,13 @@ def loop_figures(data: LoopData, limits: Sequence[float] | None = None) -> tuple
                 "that up to there."
             )
         name = "torsional_stiffness"
-        parts = {
-            side: Figure(*mean(side), UNITS[name], DEFINITIONS[name], (low, high), "N*m", len(values[side]), "loops")
-            for side in sides_of
-        }
+        parts = {}
+        for side in sides_of:
+            value, uncertainty, degrees = _mean(values[side], _moved(values[side], drifted[side]))
+            parts[side] = Figure(
+                value, uncertainty, UNITS[name], DEFINITIONS[name], (low, high), "N*m", len(values[side]), "loops",
+                degrees=degrees,
+            )  # fmt: skip
         segments = stiffness_segments(data, drift, limits or [share * rated for share in SEGMENTS])
         figures[name] = dataclasses.replace(_of_sides(parts), segments=segments)
     return figures, notes

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,9 +13,18 @@ from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import Pair
 from fitting.arguments import positive
+from fitting.figures.budget import Budget, budget_json, budgets_of
 from fitting.figures.figure import DEFINITIONS, Figure, figure_json, pooled
 from fitting.figures.hysteresis import loop_figures
-from fitting.figures.spectrum import Spectrum, angular_transmission_error, rig_orders, spectrum, without_orders
+from fitting.figures.instruments import Instruments, read_instruments
+from fitting.figures.spectrum import (
+    Spectrum,
+    angular_transmission_error,
+    rig_orders,
+    run_label,
+    spectrum,
+    without_orders,
+)
 from fitting.figures.starts import Start, back_driving_torques, start_figure, starting_torques
 from fitting.figures.survey import Surveyed, survey
 from fitting.recordings.sources import Source, open_source
@@ -46,6 +55,8 @@ class Figures:
         Of the notes, those on recordings that could not be read at all, and on an interrupt.
     interrupted
         Whether an interrupt left recordings out.
+    budgets, instruments
+        The uncertainty budget of each figure and the instruments that it is made of, where they are stated.
 
     Examples
     --------
@@ -69,6 +80,8 @@ class Figures:
     pair: Pair | None = None
     problems: tuple[str, ...] = ()
     interrupted: bool = False
+    budgets: Mapping[str, Budget] = dataclasses.field(default_factory=dict)
+    instruments: Instruments | None = None
 
     @property
     def curves(self) -> list[Curve]:
@@ -132,7 +145,7 @@ def figures_of(
                     f"{curve.source}: the torque varies by {varies:.3g} N·m around {curve.torque:.4g} "
                     "N·m; the transmission error holds the windup that this makes."
                 )
-            label = f"{one.source}, {curve.torque:.4g} N*m, {way}"
+            label = run_label(one.source, curve)
             ways[way][label] = angular_transmission_error(curve, orders, one.runaway)
             kept = angular_transmission_error(curve, without_orders(orders, rig_orders(curve.ratio)), one.runaway)
             rigless[way][label] = kept
@@ -167,6 +180,7 @@ def metrics(
     ratio: float | None = None,
     rated_torque: float | str | None = None,
     stiffness_limits: Sequence[float | str] | None = None,
+    instruments: Instruments | str | os.PathLike[str] | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Figures:
     """Return the standard figures of a drive: transmission error, lost motion, backlash, stiffness, starting torques.
@@ -186,6 +200,8 @@ def metrics(
     stiffness_limits
         Torques between which torsional stiffness is given as K1, K2 and so on, N·m or text with units, ascending; by
         default 3, 15, 50 and 100 % of T_N.
+    instruments
+        What is known of the bench's instruments, or the file that states it: each figure gets an uncertainty budget.
     progress
         Called with what is being read.
 
@@ -213,6 +229,8 @@ def metrics(
         raise edge.ArgumentError("stiffness_limits", "give two torques or more, ascending", stiffness_limits)
     if drive is not None:
         ratio, rated = drive.ratio, drive.pair.rated_torque if rated is None else rated
+    if isinstance(instruments, str | os.PathLike):
+        instruments = read_instruments(instruments)
     given = [recordings] if isinstance(recordings, Source) else list(recordings)
     surveyed: list[Surveyed] = []
     problems: list[str] = []
@@ -236,14 +254,21 @@ def metrics(
         raise edge.InputError("\n".join(problems) or "recordings: there is none.")
     found, pair = figures_of(surveyed, ratio, rated, limits), None if drive is None else drive.pair
     notes = (*problems, *found.notes)
-    return dataclasses.replace(found, notes=notes, pair=pair, problems=tuple(problems), interrupted=interrupted)
+    found = dataclasses.replace(found, notes=notes, pair=pair, problems=tuple(problems), interrupted=interrupted)
+    if instruments is None:
+        return found
+    budgets = budgets_of(found.figures, surveyed, found.spectra, instruments, ratio, progress)
+    return dataclasses.replace(found, budgets=budgets, instruments=instruments)
 
 
 def figures_json(found: Figures) -> dict[str, Any]:
     """Return all figures as the content of a `cycloid-figures/1` file: each by name, and their sources."""
     return {
         "format": FORMAT,
-        **{name: figure_json(f) for name, f in found.figures.items()},
+        **{
+            name: figure_json(f) | ({"budget": budget_json(found.budgets[name])} if name in found.budgets else {})
+            for name, f in found.figures.items()
+        },
         "rated_torque": found.rated_torque,
         "ratio": found.ratio,
         "data": {s.source: s.checksum for s in found.surveyed},

@@ -121,6 +121,11 @@ def spectrum(curve: Curve) -> Spectrum:
     return Spectrum(coefficient, floor, curve.turns)
 
 
+def run_label(source: str, curve: Curve) -> str:
+    """Return what a run's figure is called: its recording, load and direction."""
+    return f"{source}, {curve.torque:.4g} N*m, {'forward' if curve.direction > 0 else 'backward'}"
+
+
 def rig_orders(ratio: float) -> tuple[int, ...]:
     """Return the orders of the output turn at which a rig's run-out and couplings lie.
 
@@ -195,7 +200,7 @@ def angular_transmission_error(curve: Curve, orders: Spectrum, runaway: float = 
     kept = np.where(orders.significant, orders.coefficient, 0.0)
     highest = int(np.flatnonzero(orders.significant).max(initial=1))
     points = 1 << max(10, math.ceil(math.log2(64 * highest)))
-    found = float(_range_of(kept[: highest + 1], points)[0])
+    found = float(range_of(kept[: highest + 1], points)[0])
     drawn = np.empty(_REDRAWN)
     step = max(1, (1 << 22) // points)
     for begin in range(0, _REDRAWN, step):
@@ -203,7 +208,7 @@ def angular_transmission_error(curve: Curve, orders: Spectrum, runaway: float = 
         noise = rng.normal(size=(rows, 2, highest + 1)) * (orders.floor[: highest + 1] / math.sqrt(2.0))
         noisy = kept[: highest + 1] + noise[:, 0] + 1j * noise[:, 1]
         out = significant(noisy, orders.floor[: highest + 1], orders.floor.size)
-        drawn[begin : begin + rows] = _range_of(np.where(out, noisy, 0.0), points)
+        drawn[begin : begin + rows] = range_of(np.where(out, noisy, 0.0), points)
     bias = float(drawn.mean()) - found
     uncertainty = math.hypot(1.96 * float(drawn.std(ddof=1)), runaway / max(curve.turns, 1.0))
     name = "angular_transmission_error"
@@ -213,7 +218,7 @@ def angular_transmission_error(curve: Curve, orders: Spectrum, runaway: float = 
     )  # fmt: skip
 
 
-def _range_of(coefficient: NDArray[np.complex128], points: int) -> Array:
+def range_of(coefficient: NDArray[np.complex128], points: int) -> Array:
     """Return largest minus smallest value, each at the top of a parabola through it and its neighbours."""
     curve = np.atleast_2d(synthesised(coefficient, points))
     rows = np.arange(curve.shape[0])

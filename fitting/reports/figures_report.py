@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from cycloid_fmu import __version__, edge
+from fitting.figures.budget import BUDGET_HEAD, budget_rows
 from fitting.figures.figure import DEFINITIONS, Figure, in_field_units
 from fitting.figures.metrics import Figures
 from fitting.reports.page import html_page, made_now
@@ -78,7 +79,21 @@ def _facts(found: Figures) -> str:
     return ", ".join([*facts, made_now()])
 
 
-_FIGURES = """<h2>Figures</h2>
+BUDGETS = """{% for title, table in budgets %}{% if loop.first %}<h2>Uncertainty budgets (JCGM 100:2008)</h2>
+{% endif %}<section><h3>{{ title }}</h3><table class="budget"><thead><tr>
+{% for h in budget_head %}<th>{{ h }}</th>{% endfor %}</tr></thead><tbody>
+{% for row in table %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>
+{% endfor %}</tbody></table></section>
+{% endfor %}"""
+
+
+def budget_tables(found: Figures) -> list[tuple[str, list[list[str]]]]:
+    """Return title and rows of each budget."""
+    return [(TITLES[name], budget_rows(budget)) for name, budget in found.budgets.items()]
+
+
+_FIGURES = (
+    """<h2>Figures</h2>
 {% if rows %}<table id="figures"><thead><tr><th>Figure</th><th>Value</th><th>± (95 %)</th><th>Unit</th><th>Of</th>
 <th>Interval</th><th>Definition</th></tr></thead><tbody>
 {% for r in rows %}<tr class="{{ 'part' if r.part else 'figure' }}"><td>{{ r.name }}</td>
@@ -87,6 +102,8 @@ _FIGURES = """<h2>Figures</h2>
 <td>{{ r.interval if not r.part }}</td><td class="definition">{{ r.definition }}</td></tr>
 {% endfor %}</tbody></table>{% else %}<p>No figure could be computed; the notes say why.</p>{% endif %}
 """
+    + BUDGETS
+)
 _SOURCES = """<h2>What was left out, and what to know</h2>
 {% if notes %}<ul id="notes">{% for n in notes %}<li>{{ n }}</li>{% endfor %}</ul>{% else %}
 <p id="notes">Nothing was left out.</p>{% endif %}
@@ -102,7 +119,7 @@ def html_report(found: Figures, panels: Sequence[Panel]) -> str:
     """Return the report as one HTML page that loads nothing from anywhere."""
     return html_page(
         "Test bench report", _facts(found), _FIGURES, panels, _SOURCES, rows=figure_rows(found), notes=found.notes,
-        sources=_sources(found),
+        sources=_sources(found), budgets=budget_tables(found), budget_head=BUDGET_HEAD,
     )  # fmt: skip
 
 
