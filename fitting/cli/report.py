@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
+import typer
+
 from cycloid_fmu.edge import commands
 from fitting.cli import options
 
@@ -17,6 +19,10 @@ def report(
     rated_torque: options.RatedTorque = None,
     stiffness_limits: options.StiffnessLimits = None,
     instruments: options.InstrumentsFile = None,
+    certificate: Annotated[
+        Path | None,
+        typer.Option(metavar="DRIVE.toml", help="A certificate: device, limits, decision rule; needs --instruments."),
+    ] = None,
     mapping: options.MappingFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
@@ -34,5 +40,5 @@ def report(
             recordings, nominal, ratio=ratio, rated_torque=rated_torque, instruments=instruments, progress=progress,
             stiffness_limits=None if stiffness_limits is None else [one.strip() for one in stiffness_limits.split(",")],
         )  # fmt: skip
-    fitting.report(found, output)
+    fitting.report(found, output, certificate=certificate)
     options.finish(found, as_json=as_json)

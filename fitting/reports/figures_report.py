@@ -57,7 +57,8 @@ def _row(name: str, figure: Figure, *, definition: str = "", part: str = "") -> 
     }  # fmt: skip
 
 
-def _sources(found: Figures) -> list[dict[str, str]]:
+def sources_of(found: Figures) -> list[dict[str, str]]:
+    """Return the recordings' table: file, kind, samples, time, temperature and checksum."""
     rows = []
     for one in found.surveyed:
         temperature = one.overview.temperature
@@ -104,7 +105,7 @@ _FIGURES = (
 """
     + BUDGETS
 )
-_SOURCES = """<h2>What was left out, and what to know</h2>
+SOURCES = """<h2>What was left out, and what to know</h2>
 {% if notes %}<ul id="notes">{% for n in notes %}<li>{{ n }}</li>{% endfor %}</ul>{% else %}
 <p id="notes">Nothing was left out.</p>{% endif %}
 <h2>Recordings</h2><table id="recordings"><thead><tr><th>File</th><th>Kind</th><th>Samples</th><th>Time</th>
@@ -118,8 +119,8 @@ _SOURCES = """<h2>What was left out, and what to know</h2>
 def html_report(found: Figures, panels: Sequence[Panel]) -> str:
     """Return the report as one HTML page that loads nothing from anywhere."""
     return html_page(
-        "Test bench report", _facts(found), _FIGURES, panels, _SOURCES, rows=figure_rows(found), notes=found.notes,
-        sources=_sources(found), budgets=budget_tables(found), budget_head=BUDGET_HEAD,
+        "Test bench report", _facts(found), _FIGURES, panels, SOURCES, rows=figure_rows(found), notes=found.notes,
+        sources=sources_of(found), budgets=budget_tables(found), budget_head=BUDGET_HEAD,
     )  # fmt: skip
 
 
@@ -172,7 +173,7 @@ def _text_pages(found: Figures) -> list[Any]:
     for note in found.notes or ("Nothing was left out.",):
         lines += [(one, {}) for one in textwrap.wrap(note, 112, subsequent_indent="    ")]
     lines += [("", {}), ("Recordings", heading)]
-    for s in _sources(found):
+    for s in sources_of(found):
         lines.append((", ".join(filter(None, (s["name"], s["kind"], f"{s['samples']} samples", s["time"],
                                               s["temperature"]))), {}))  # fmt: skip
         lines.append((f"    SHA-256 {s['checksum']}", {**mono, "fontsize": 6.5, "color": "#777777"}))
