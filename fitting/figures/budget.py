@@ -113,12 +113,16 @@ def student(degrees: float) -> float:
 
 @dataclass(frozen=True)
 class _Wave:
-    """An encoder's error that repeats so many times a turn; both components have this standard uncertainty, rad."""
+    """An encoder's error that repeats so many times a turn; both components have this standard uncertainty, rad.
+
+    A graduation's error has other orders too: `graduation` tells whether the wave stands for all of them.
+    """
 
     source: str
     distribution: str
     standard: float
     order: int
+    graduation: bool = False
 
 
 def _waves(encoder: Encoder | None, name: str) -> list[_Wave]:
@@ -126,7 +130,7 @@ def _waves(encoder: Encoder | None, name: str) -> list[_Wave]:
         return []
     found = [
         _Wave(f"{name}, accuracy", encoder.distribution,
-              standard_uncertainty(encoder.accuracy, encoder.distribution), 1),
+              standard_uncertainty(encoder.accuracy, encoder.distribution), 1, True),
         _Wave(f"{name}, run-out", "arcsine", standard_uncertainty(encoder.run_out, "arcsine"), 1),
         _Wave(f"{name}, subdivision", "arcsine", standard_uncertainty(encoder.subdivision, "arcsine"),
               encoder.periods_per_turn or 1),
@@ -212,21 +216,23 @@ def _of_orders(
     kept = without_orders(orders, left_out)
     coefficient: NDArray[np.complex128] = np.where(kept.significant, kept.coefficient, 0.0)
     points = 1 << max(12, math.ceil(math.log2(8 * coefficient.size)))
-    found = []
+    nominal, found = float(range_of(coefficient, points)[0]), []
     for shaft, encoder, scale, turns in (
         ("output", instruments.output_encoder, 1.0, 1.0),
         ("input", instruments.input_encoder, 1.0 / abs(curve.ratio), abs(curve.ratio)),
     ):
         for wave in _waves(encoder, f"{shaft} encoder"):
             order = round(wave.order * turns)
+            while wave.graduation and order in left_out:
+                order += round(turns)  # all of the graduation's error may lie where nothing is left out
             moved = 0.0
             if order < coefficient.size and order not in left_out:
-                # A run-out is often larger than what the drive has: the mean of both directions, as it would be drawn.
+                # Where many peaks are equally high a wave of either sign raises the range: the larger change counts.
                 for part in (1.0, 1j):
                     step = np.zeros_like(coefficient)
                     step[order] = scale * wave.standard * part
-                    up, down = (float(range_of(coefficient + sign * step, points)[0]) for sign in (1.0, -1.0))
-                    moved = math.hypot(moved, 0.5 * (up - down))
+                    changes = [float(range_of(coefficient + sign * step, points)[0]) - nominal for sign in (1.0, -1.0)]
+                    moved = math.hypot(moved, max(map(abs, changes)))
             found.append(Contribution(wave.source, "B", wave.distribution, wave.standard, "rad", moved / wave.standard))
         if encoder is not None and encoder.resolution > 0.0:
             step_size = standard_uncertainty(0.5 * encoder.resolution, "rectangular")
@@ -343,12 +349,16 @@ def budget_rows(budget: Budget) -> list[list[str]]:
     def degrees(value: float) -> str:
         return "∞" if value > 1e6 else f"{value:.3g}"
 
+    def shown(of: Contribution, number: float) -> str:
+        return f"{number:.3g}" if of.contribution > 1e-6 * budget.standard_uncertainty else "0"
+
     rows = []
     for one in sorted(budget.contributions, key=lambda c: -c.contribution):
         own, of = field_factor(one.unit)
         rows.append(
             [one.source, one.kind, one.distribution, f"{one.standard_uncertainty * own:.3g} {of}",
-             f"{one.sensitivity * factor / own:.3g}", f"{one.contribution * factor:.3g} {unit}", degrees(one.degrees)]
+             shown(one, one.sensitivity * factor / own), f"{shown(one, one.contribution * factor)} {unit}",
+             degrees(one.degrees)]
         )  # fmt: skip
     rows.append(
         ["combined", "", "", "", "", f"{budget.standard_uncertainty * factor:.3g} {unit}", degrees(budget.degrees)]

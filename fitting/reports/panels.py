@@ -104,7 +104,7 @@ def panels_of(found: Figures) -> list[Panel]:
             panels.append(spectra)
     panels += [p for s in found.surveyed if s.loops is not None for p in _loop_panels(s.loops)]
     panels += _stiffness_panel(found)
-    panels += _start_panels(found)
+    panels += _start_panels(found) + _budget_panel(found)
     panels.append(_torque_panel(found))
     return panels
 
@@ -244,6 +244,27 @@ def _start_panels(found: Figures) -> list[Panel]:
             axes = ("time since the standstill [s]", f"torque on the {shaft} [N·m]")
             panels.append(Panel(f"Starts by the {shaft}", *axes, tuple(traces), caption))
     return panels
+
+
+def _budget_panel(found: Figures) -> list[Panel]:
+    """The share of each input quantity in the variance of each figure that has a budget."""
+    rows: list[str] = []
+    traces: list[Trace] = []
+    for number, (name, budget) in enumerate(found.budgets.items()):
+        whole, first = budget.standard_uncertainty**2, True
+        for one in sorted(budget.contributions, key=lambda c: -c.contribution):
+            share = 100.0 * one.contribution**2 / whole if whole else 0.0
+            if share < 1.0:
+                continue
+            at = np.full(2, -float(len(rows)))
+            label = name.replace("_", " ") if first else ""
+            traces.append(Trace(label, np.array([0.0, share]), at, "thick", number))
+            rows.append(f"{one.source} ({one.kind})")
+            first = False
+    if not rows:
+        return []
+    caption = "Share in the variance, after GUM; A: from the recordings, B: stated. Those below 1 % are left out."
+    return [Panel("Uncertainty budgets", "share in the variance [%]", "", tuple(traces), caption, y_names=tuple(rows))]
 
 
 def _torque_panel(found: Figures) -> Panel:

@@ -198,3 +198,15 @@ def test_starts_are_readings_of_a_torque_sensor_and_one_start_has_no_budget():
     assert repeated.degrees == 2.0
     assert share.contribution == pytest.approx(0.01 * 4.0 / math.sqrt(3.0))
     assert zero.contribution == pytest.approx(0.01 / math.sqrt(3.0))
+
+
+def test_a_graduation_s_error_is_in_the_figure_without_the_rig_s_orders_too():
+    """±1″ of a graduation may lie at an order that is not left out, run-out may not."""
+    run = run_with({1: (6.0 * ARCSEC, 0.4), 40: (9.0 * ARCSEC, 2.0)}, turns=1, each=1500, noise=0.1 * ARCSEC, seed=0)
+    made = fitting.Run(run.input_angle, run.output_angle, 100.0, time=run.time)
+    for encoder, counts in ((Encoder(accuracy="1 arcsec"), True), (Encoder(run_out="1 arcsec"), False)):
+        found = fitting.metrics(made, ratio=-39.0, instruments=Instruments(output_encoder=encoder))
+        wave = found.budgets["angular_transmission_error_without_rig"].contributions[1]
+        # Of 40 peaks alike one lies near the wave's top: twice the amplitude, whose mean square is that of both parts.
+        known = 2.0 * np.sqrt(2.0) * wave.standard_uncertainty if counts else 0.0
+        assert wave.contribution == pytest.approx(known, rel=0.05)
