@@ -17,7 +17,7 @@ from scipy.special import stdtrit
 
 from cycloid_fmu import edge
 from fitting.figures.figure import Figure, pooled
-from fitting.figures.hysteresis import LoopData, loop_figures
+from fitting.figures.hysteresis import Lobe, LoopData, find_loops, loop_figures
 from fitting.figures.instruments import Encoder, Instruments, TorqueSensor, standard_uncertainty
 from fitting.figures.spectrum import Spectrum, range_of, rig_orders, run_label, without_orders
 from fitting.figures.survey import Surveyed
@@ -29,6 +29,7 @@ _READINGS = {
     "angular_transmission_error": math.sqrt(2.0), "angular_transmission_error_without_rig": math.sqrt(2.0),
 }  # fmt: skip
 COVERAGE = 0.95
+_SAMPLES = 20000  # of a loop, with which sensitivities are found
 
 
 @dataclass(frozen=True)
@@ -144,11 +145,29 @@ def _loop_values(data: Sequence[LoopData]) -> dict[str, float]:
     return {name: pooled([figures[name] for figures in found if name in figures]).value for name in names}
 
 
+def _thinned(data: LoopData, step: int) -> LoopData:
+    """Return every so many samples of a recording: sensitivities need no more of a long one."""
+
+    def part(of: slice) -> slice:
+        return slice(-(-of.start // step), -(-of.stop // step))
+
+    lobes = tuple(Lobe(lobe.sign, part(lobe.loading), part(lobe.unloading)) for lobe in data.lobes)
+    return dataclasses.replace(
+        data, time=data.time[::step], torque=data.torque[::step], windup=data.windup[::step], lobes=lobes,
+        loops=tuple(find_loops(lobes)), late=None if data.late is None else data.late[::step],
+    )  # fmt: skip
+
+
 def _of_loops(
     surveyed: Sequence[Surveyed], instruments: Instruments, ratio: float | None
 ) -> dict[str, list[Contribution]]:
     """Return what encoders and torque sensor do to the figures of loops, by figure."""
-    recorded = [(one.loops, one.overview) for one in surveyed if one.loops is not None]
+    recorded = []
+    for one in surveyed:
+        if one.loops is not None:
+            step = max(1, one.loops.time.size // _SAMPLES)
+            angles = {"input": one.overview.input_angle[::step], "output": one.overview.output_angle[::step]}
+            recorded.append((_thinned(one.loops, step), angles))
     if not recorded:
         return {}
     data = [loops for loops, _ in recorded]
@@ -171,15 +190,15 @@ def _of_loops(
                 [
                     dataclasses.replace(
                         loops,
-                        windup=loops.windup + scale * wave.standard * of(wave.order * getattr(over, f"{shaft}_angle")),
+                        windup=loops.windup + scale * wave.standard * of(wave.order * angles[shaft]),
                     )
-                    for loops, over in recorded
+                    for loops, angles in recorded
                 ]
                 for of in (np.cos, np.sin)
             ]
             add(wave.source, wave.distribution, wave.standard, "rad", changed)
         if encoder is not None and encoder.resolution > 0.0 and scale:
-            step = standard_uncertainty(0.5 * encoder.resolution, "rectangular")
+            half_step = standard_uncertainty(0.5 * encoder.resolution, "rectangular")
             for name in nominal:
                 readings = _READINGS.get(name)
                 if readings is None:  # a slope: torque over the difference of two readings, on each of two sides

@@ -34,6 +34,7 @@ NEAR = 0.01  # a value "at" a torque is that of the line through the samples thi
 FRICTION_NEAR = 0.05
 SIDES = (("positive", 1), ("negative", -1))
 DRIFT = (0.30, 0.80)  # of the peak: the branches between are beyond the friction band and before the turn
+_GROUPS = 10000  # means of neighbours from which a drift is told
 _LOBE = 0.20  # a half loop goes beyond this
 _REST = 0.025  # and begins and ends below this
 
@@ -313,9 +314,22 @@ def drift_of(data: LoopData) -> Drift | None:
     if fewest < 4 or (not repeated and len(chosen) < 4):
         return None
     powers = range(1, 4 if fewest >= 12 else 2)
-    at = np.sort(np.concatenate([one for found in chosen.values() for one in found]))
-    x = share[at] - 0.5 * (DRIFT[0] + DRIFT[1]) * peak
-    member = {of: np.isin(at, np.concatenate(found)).astype(float) for of, found in chosen.items()}
+    # Neighbours are taken together where there are many: the mean of each group, which the noise is as well told by.
+    size = max(1, min(fewest // 12, sum(at.size for found in chosen.values() for at in found) // _GROUPS))
+
+    def grouped(values: Array) -> Array:
+        parts = [at[: at.size - at.size % size] for found in chosen.values() for at in found]
+        found: Array = np.concatenate([values[at].reshape(-1, size).mean(axis=1) for at in parts])
+        return found
+
+    branch = {of: np.zeros(share.size) for of in chosen}
+    for of, found in chosen.items():
+        for at in found:
+            branch[of][at] = 1.0
+    order = np.argsort(grouped(data.time), kind="stable")
+    x = grouped(share)[order] - 0.5 * (DRIFT[0] + DRIFT[1]) * peak
+    time, windup = grouped(data.time - data.time.mean())[order], grouped(data.windup)[order]
+    member = {of: grouped(inside)[order] for of, inside in branch.items()}
     columns = list(member.values())
     if repeated:
         shapes = columns
@@ -323,16 +337,15 @@ def drift_of(data: LoopData) -> Drift | None:
         positive, negative = (member[sign, True] + member[sign, False] for sign in (1, -1))
         shapes = [positive, negative, member[1, False] - member[-1, False]]
     columns = columns + [shape * x**power for shape in shapes for power in powers]
-    time = data.time[at] - data.time[at].mean()
     length = float(np.ptp(time))
     matrix = np.column_stack([*columns, time / length])
-    if at.size <= matrix.shape[1] or np.linalg.matrix_rank(matrix) < matrix.shape[1]:
+    if x.size <= matrix.shape[1] or np.linalg.matrix_rank(matrix) < matrix.shape[1]:
         return None
-    solution = np.linalg.lstsq(matrix, data.windup[at], rcond=None)[0]
-    left = data.windup[at] - matrix @ solution
-    variance = float(left @ left) / (at.size - matrix.shape[1])
+    solution = np.linalg.lstsq(matrix, windup, rcond=None)[0]
+    left = windup - matrix @ solution
+    variance = float(left @ left) / (x.size - matrix.shape[1])
     alike = float(left[1:] @ left[:-1]) / max(float(left @ left), 1e-300)
-    alike = min(max(alike, 0.0), 1.0 - 2.0 / at.size)
+    alike = min(max(alike, 0.0), 1.0 - 2.0 / x.size)
     variance *= (1.0 + alike) / (1.0 - alike) * float(np.linalg.inv(matrix.T @ matrix)[-1, -1])
     return Drift(float(solution[-1]) / length, math.sqrt(variance) / length, repeated)
 

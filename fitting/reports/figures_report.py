@@ -174,7 +174,7 @@ def _text_pages(found: Figures) -> list[Any]:
         for cells in (BUDGET_HEAD, *table):
             source, kind, distribution, uncertainty, sensitivity, contribution, degrees = cells
             text = f"{source:<32} {kind:<4} {distribution:<12} {uncertainty:<20} {sensitivity:>11} {contribution:>20}"
-            lines.append((f"{text} {degrees:>6.6}", {**mono, "fontsize": 6.5}))
+            lines.append((f"{text} {degrees:>8.7}", {**mono, "fontsize": 6.5}))
     lines += [("", {}), ("What was left out, and what to know", heading)]
     for note in found.notes or ("Nothing was left out.",):
         lines += [(one, {}) for one in textwrap.wrap(note, 112, subsequent_indent="    ")]

@@ -210,3 +210,15 @@ def test_a_graduation_s_error_is_in_the_figure_without_the_rig_s_orders_too():
         # Of 40 peaks alike one lies near the wave's top: twice the amplitude, whose mean square is that of both parts.
         known = 2.0 * np.sqrt(2.0) * wave.standard_uncertainty if counts else 0.0
         assert wave.contribution == pytest.approx(known, rel=0.05)
+
+
+def test_a_long_loop_s_sensitivities_are_found_with_fewer_samples(monkeypatch):
+    torque = swung([1, -1, 1])
+    run = fitting.Run(0.0, wound(torque, 0.5, COULOMB) * 60.0 * ARCSEC, torque, time=0.01 * np.arange(torque.size))
+    encoder = Encoder(subdivision="0.8 arcsec", periods_per_turn=1500)
+    bench = Instruments(output_encoder=encoder, torque_sensor=TorqueSensor(range="200 N*m", accuracy_class=0.5))
+    found = [fitting.metrics(run, ratio=-39.0, rated_torque=RATED, instruments=bench).budgets]
+    monkeypatch.setattr("fitting.figures.budget._SAMPLES", 1000)
+    found.append(fitting.metrics(run, ratio=-39.0, rated_torque=RATED, instruments=bench).budgets)
+    for name, budget in found[0].items():
+        assert found[1][name].standard_uncertainty == pytest.approx(budget.standard_uncertainty, rel=0.1), name
