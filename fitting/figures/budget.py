@@ -204,7 +204,9 @@ def _of_loops(
                 if readings is None:  # a slope: torque over the difference of two readings, on each of two sides
                     readings = nominal[name] ** 2 / (0.5 * rated)
                 found[name].append(
-                    Contribution(f"{shaft} encoder, resolution", "B", "rectangular", step, "rad", abs(scale) * readings)
+                    Contribution(
+                        f"{shaft} encoder, resolution", "B", "rectangular", half_step, "rad", abs(scale) * readings
+                    )
                 )
     sensor = instruments.torque_sensor
     if sensor is not None and sensor.accuracy_class > 0.0:

@@ -222,3 +222,19 @@ def test_a_long_loop_s_sensitivities_are_found_with_fewer_samples(monkeypatch):
     found.append(fitting.metrics(run, ratio=-39.0, rated_torque=RATED, instruments=bench).budgets)
     for name, budget in found[0].items():
         assert found[1][name].standard_uncertainty == pytest.approx(budget.standard_uncertainty, rel=0.1), name
+
+
+def test_a_step_of_the_encoder_is_that_of_its_readings():
+    """Lost motion is half the sum of four readings with signs: one step of 1″ leaves 1/√12″; hysteresis loss two."""
+    torque = swung([1, -1])
+    run = fitting.Run(0.0, wound(torque, 0.5, COULOMB) * 60.0 * ARCSEC, torque, time=0.01 * np.arange(torque.size))
+    bench = Instruments(output_encoder=Encoder(resolution="1 arcsec"), input_encoder=Encoder(resolution="1 arcsec"))
+    budgets = fitting.metrics(run, ratio=-39.0, rated_torque=RATED, instruments=bench).budgets
+    for name, readings in (("lost_motion", 1.0), ("hysteresis_loss", math.sqrt(2.0)), ("backlash", math.sqrt(3.0))):
+        output, given = budgets[name].contributions[1:]
+        assert output.contribution == pytest.approx(readings / math.sqrt(12.0) * ARCSEC)
+        assert given.contribution == pytest.approx(output.contribution / 39.0)
+    stiffness, (_, output, _) = budgets["torsional_stiffness"].value, budgets["torsional_stiffness"].contributions
+    # The windup between half and whole rated torque is the difference of two readings, on each of two sides.
+    share = math.sqrt(2.0) / math.sqrt(12.0) * ARCSEC / (0.5 * RATED / stiffness) / math.sqrt(2.0)
+    assert output.contribution == pytest.approx(stiffness * share)
