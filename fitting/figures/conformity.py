@@ -30,8 +30,12 @@ class Device(edge.Config):
 
     Attributes
     ----------
-    name, serial_number, maker
-        Type, serial number and maker.
+    name
+        Its type.
+    serial_number
+        Of this drive.
+    maker
+        Who made it.
     """
 
     name: str
@@ -69,8 +73,10 @@ class Certificate(edge.Config):
 
     Attributes
     ----------
-    number, issued_by
+    number
         Of the certificate.
+    issued_by
+        Laboratory or person.
     device
         The drive that was measured.
     conditions

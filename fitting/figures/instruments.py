@@ -53,6 +53,8 @@ class Encoder(Instrument):
 
     Attributes
     ----------
+    name, serial_number, calibrated
+        Maker and type, serial number, and date of the calibration, such as 2026-03-01.
     accuracy
         Largest error of its graduation, ±, over a turn; a wave of the shaft's first order is taken.
     distribution
@@ -87,6 +89,8 @@ class TorqueSensor(Instrument):
 
     Attributes
     ----------
+    name, serial_number, calibrated
+        Maker and type, serial number, and date of the calibration, such as 2026-03-01.
     range
         Its nominal torque.
     accuracy_class
@@ -105,8 +109,10 @@ class Thermometer(Instrument):
 
     Attributes
     ----------
+    name, serial_number, calibrated
+        Maker and type, serial number, and date of the calibration, such as 2026-03-01.
     limit
-        How far the drive's temperature may be from the stated one, ± (rectangular).
+        How far the drive's temperature may be from the stated one, ± (rectangular), such as "1 K".
     coefficients
         Change of a figure with the temperature, by its name: text such as "0.5 arcsec/K".
     """
