@@ -20,6 +20,7 @@ from cycloid_fmu.wear import law as wear_law
 from drivers.encoder import protocols
 from drivers.recorder import bench, sequence
 from drivers.simulated import faults
+from fitting.figures import conformity, instruments
 from fitting.recordings import mapping
 from fitting.recordings import read_head as coaxiality
 
@@ -34,6 +35,8 @@ FILES = (
     ("Guided sequence", sequence.FORMAT, sequence.SequenceFile, None),
     ("Scripted faults", faults.FORMAT, faults._FaultFile, None),
     ("Mapping of a bench file", mapping.FORMAT, mapping.FileMapping, None),
+    ("Instruments of a bench", instruments.FORMAT, instruments.InstrumentsFile, "instruments.toml"),
+    ("Certificate of a drive", conformity.FORMAT, conformity.Certificate, "certificate.toml"),
     ("Read head", coaxiality.FORMAT, coaxiality._File, "rv-20e-read-head.toml"),
 )
 # Tables whose meaning another class states: a pair is one value in Python and three tables in its file.

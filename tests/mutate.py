@@ -54,7 +54,7 @@ TARGETS = {
     "metrics": Target(
         ("fitting/figures/figure.py", "fitting/figures/hysteresis.py", "fitting/figures/metrics.py",
          "fitting/figures/spectrum.py", "fitting/figures/starts.py", "fitting/figures/survey.py"),
-        ("tests/fitting/test_metrics.py", "tests/fitting/test_comparison.py"),
+        ("tests/fitting/test_metrics.py", "tests/fitting/test_loop_drift.py", "tests/fitting/test_comparison.py"),
     ),
     "recorder": Target(
         ("drivers/recorder/session.py",),

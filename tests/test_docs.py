@@ -62,6 +62,7 @@ GIVEN = {
         {SIMULATE} --torque '-20 N*m' --channel 239.74.163.78 --write-bench bench.toml &
     """,
     "bench_figures": f"""{RUNS}{LOOP}
+        cp examples/instruments.toml examples/certificate.toml .
         cycloid-bench export 200Nm-forward.arrows -o run.csv
         python -c "{TDMS}"
         cycloid-fit metrics run.csv --pair drive.toml -o new.json

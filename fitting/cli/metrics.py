@@ -14,6 +14,8 @@ def metrics(
     drive: options.MaybePair = None,
     ratio: options.Ratio = None,
     rated_torque: options.RatedTorque = None,
+    stiffness_limits: options.StiffnessLimits = None,
+    instruments: options.InstrumentsFile = None,
     mapping: options.MappingFile = None,
     output: Annotated[
         Path | None, commands.output_option((".json",), "FIGURES.json", "Write the figures (JSON).")
@@ -31,7 +33,10 @@ def metrics(
     nominal = None if drive is None else read_drive(drive)
     recordings = fitting.read_recordings(files, mapping)
     with options.status() as progress:
-        found = fitting.metrics(recordings, nominal, ratio=ratio, rated_torque=rated_torque, progress=progress)
+        found = fitting.metrics(
+            recordings, nominal, ratio=ratio, rated_torque=rated_torque, instruments=instruments, progress=progress,
+            stiffness_limits=None if stiffness_limits is None else [one.strip() for one in stiffness_limits.split(",")],
+        )  # fmt: skip
     if plot is not None:
         fitting.plot(found, plot)
     if output is not None:

@@ -23,6 +23,18 @@ HeadFile = Annotated[
 ]
 Ratio = Annotated[float | None, typer.Option(help="Signed ratio input/output, such as -39, in place of a pair.")]
 RatedTorque = Annotated[float | None, commands.quantity_option("N*m", "Rated torque at the output.")]
+InstrumentsFile = Annotated[
+    Path | None,
+    typer.Option("--instruments", metavar="BENCH.toml", help="The bench's instruments: uncertainty budgets after GUM."),
+]
+StiffnessLimits = Annotated[
+    str | None,
+    typer.Option(
+        "--stiffness-limits",
+        metavar="TORQUES",
+        help='Torques between which stiffness is given as K1, K2, ..., such as "5 N*m, 25 N*m, 80 N*m, 167 N*m".',
+    ),
+]
 MappingFile = Annotated[Path | None, typer.Option(metavar="MAP.toml", help="Which channel is what; see inspect.")]
 FIELD_UNITS = {"m": (1e6, "µm"), "rad": (1e3, "mrad"), "1": (1.0, "of the stated")}
 
@@ -44,18 +56,20 @@ def print_notes(notes: Iterable[str]) -> None:
 
 def finish(found: Figures, *, as_json: bool) -> None:
     """Print figures and notes for people, or the figures for scripts; leave with the status that belongs to them."""
+    from fitting.figures.budget import BUDGET_HEAD, budget_rows
     from fitting.figures.figure import in_field_units
     from fitting.figures.metrics import figures_json
 
     rows = []
     for name, figure in found.figures.items():
-        parts = {Path(part).name: one for part, one in {**figure.parts, **figure.runs}.items()}
-        for label, one in [(name, figure), *((f"  {part}", one) for part, one in parts.items())]:
+        for label, one in [(name, figure), *((f"  {part}", one) for part, one in figure.shown.items())]:
             rows.append([label, *in_field_units(one), f"{one.count:.4g} {one.counted}"])
     if as_json:
         commands.print_json(figures_json(found))
     else:
         commands.print_table("Figures", ["figure", "value", "± 95 %", "unit", "of"], rows)
+        for name, budget in found.budgets.items():
+            commands.print_table(f"Uncertainty budget of {name}", BUDGET_HEAD, budget_rows(budget))
     print_notes(found.problems if as_json and found.figures else found.notes)
     if not found.figures:
         raise edge.InputError("No figure could be computed.")

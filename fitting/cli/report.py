@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
+import typer
+
 from cycloid_fmu.edge import commands
 from fitting.cli import options
 
@@ -15,6 +17,12 @@ def report(
     drive: options.MaybePair = None,
     ratio: options.Ratio = None,
     rated_torque: options.RatedTorque = None,
+    stiffness_limits: options.StiffnessLimits = None,
+    instruments: options.InstrumentsFile = None,
+    certificate: Annotated[
+        Path | None,
+        typer.Option(metavar="DRIVE.toml", help="A certificate: device, limits, decision rule; needs --instruments."),
+    ] = None,
     mapping: options.MappingFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
@@ -28,6 +36,9 @@ def report(
     nominal = None if drive is None else read_drive(drive)
     recordings = fitting.read_recordings(files, mapping)
     with options.status() as progress:
-        found = fitting.metrics(recordings, nominal, ratio=ratio, rated_torque=rated_torque, progress=progress)
-    fitting.report(found, output)
+        found = fitting.metrics(
+            recordings, nominal, ratio=ratio, rated_torque=rated_torque, instruments=instruments, progress=progress,
+            stiffness_limits=None if stiffness_limits is None else [one.strip() for one in stiffness_limits.split(",")],
+        )  # fmt: skip
+    fitting.report(found, output, certificate=certificate)
     options.finish(found, as_json=as_json)

@@ -189,7 +189,18 @@ def _figure(data: dict[str, Any]) -> Figure:
     counted = next(c for c in (*_COUNTED, None) if c is None or c in data)
     if counted is None:
         raise KeyError(" or ".join(_COUNTED))
-    known = {"value", "uncertainty", "unit", "definition", "interval", "interval_unit", "runs", counted}
+    known = {
+        "value",
+        "uncertainty",
+        "unit",
+        "definition",
+        "interval",
+        "interval_unit",
+        "runs",
+        "segments",
+        "budget",
+        counted,
+    }
     return Figure(
         value=float(data["value"]),
         uncertainty=math.nan if data["uncertainty"] is None else float(data["uncertainty"]),
@@ -201,4 +212,5 @@ def _figure(data: dict[str, Any]) -> Figure:
         counted=counted,
         parts={k: _figure(v) for k, v in data.items() if k not in known},
         runs={k: _figure(v) for k, v in data.get("runs", {}).items()},
+        segments={k: _figure(v) for k, v in data.get("segments", {}).items()},
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,10 +26,14 @@ DEFINITIONS = {
     "turned 1 degree, mean of the starts (overhauling starting torque)",
     "angular_transmission_error": "largest less smallest value over one output turn, in one direction, of the curve "
     "averaged over turns and made of the orders that stand out of the noise (GB/T 35089); the largest of the runs",
+    "angular_transmission_error_without_rig": "angular transmission error of the curve without the orders of the rig: "
+    "1, 2 and 3 of the output turn and 1 of the input turn, run-out and couplings of both shafts; what the drive "
+    "has at these orders is left out with them",
 }
 UNITS = {
     "hysteresis_loss": "rad", "backlash": "rad", "lost_motion": "rad", "torsional_stiffness": "N*m/rad",
     "starting_torque": "N*m", "back_driving_torque": "N*m", "angular_transmission_error": "rad",
+    "angular_transmission_error_without_rig": "rad",
 }  # fmt: skip
 
 
@@ -54,6 +59,10 @@ class Figure:
         The same figure of parts of the data: `forward` and `backward`, `positive` and `negative`.
     runs
         {what was run: the figure} where several runs were made.
+    segments
+        The same figure between torques, {"K1": the figure}; each states its interval.
+    degrees
+        Degrees of freedom of the uncertainty: of the scatter of loops or starts where it is from that.
     """
 
     value: float
@@ -66,6 +75,18 @@ class Figure:
     counted: str
     parts: dict[str, Figure] = field(default_factory=dict)
     runs: dict[str, Figure] = field(default_factory=dict)
+    segments: dict[str, Figure] = field(default_factory=dict)
+    degrees: float = math.inf
+
+    @property
+    def shown(self) -> dict[str, Figure]:
+        """Parts, segments and runs by the names under which a table shows them."""
+        between = {
+            f"{name}, {one.interval[0]:.4g} … {one.interval[1]:.4g} N·m": one
+            for name, one in self.segments.items()
+            if one.interval is not None
+        }
+        return {**self.parts, **between, **{Path(run).name: one for run, one in self.runs.items()}}
 
 
 def pooled(figures: Sequence[Figure]) -> Figure:
@@ -76,17 +97,25 @@ def pooled(figures: Sequence[Figure]) -> Figure:
     values = np.array([f.value for f in figures])
     value = float(weight @ values)
     uncertainty = float(np.sqrt(np.sum((weight * [f.uncertainty for f in figures]) ** 2)))
+    degrees = min(f.degrees for f in figures)
     if len(figures) > 2:
-        scatter = float(np.std(values, ddof=1)) / math.sqrt(len(figures))
-        uncertainty = max(uncertainty, float(stdtrit(len(figures) - 1, 0.975)) * scatter)
+        scatter = float(np.std(values, ddof=1)) / math.sqrt(len(figures)) * float(stdtrit(len(figures) - 1, 0.975))
+        if scatter > uncertainty:
+            uncertainty, degrees = scatter, len(figures) - 1.0
     first = figures[0]
     parts = {
         side: pooled([f.parts[side] for f in figures if side in f.parts])
         for side in {s: None for f in figures for s in f.parts}
     }
+    segments = {
+        name: pooled(
+            [f.segments[name] for f in figures if name in f.segments and f.segments[name].interval == interval]
+        )
+        for name, interval in {n: one.interval for f in figures for n, one in f.segments.items()}.items()
+    }
     return Figure(
         value, uncertainty, first.unit, first.definition, first.interval, first.interval_unit,
-        sum(f.count for f in figures), first.counted, parts,
+        sum(f.count for f in figures), first.counted, parts, segments=segments, degrees=degrees,
     )  # fmt: skip
 
 
@@ -123,6 +152,8 @@ def figure_json(figure: Figure) -> dict[str, Any]:
         figure.counted: figure.count,
     }
     found.update({side: figure_json(part) for side, part in figure.parts.items()})
+    if figure.segments:
+        found["segments"] = {name: figure_json(one) for name, one in figure.segments.items()}
     if figure.runs:
         found["runs"] = {name: figure_json(run) for name, run in figure.runs.items()}
     return found

@@ -7,6 +7,8 @@ output angle minus its share of the input angle.
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,8 +29,12 @@ Array = NDArray[np.float64]
 UNLOADING = (0.03, 0.10)  # of the straight lines that hysteresis loss extrapolates to zero torque
 FRICTION = 0.50
 STIFFNESS = (0.50, 1.00)
+SEGMENTS = (LOST_MOTION_LOAD, 0.15, 0.50, 1.00)  # limits of K1, K2 and K3
 NEAR = 0.01  # a value "at" a torque is that of the line through the samples this close to it
 FRICTION_NEAR = 0.05
+SIDES = (("positive", 1), ("negative", -1))
+DRIFT = (0.30, 0.80)  # of the peak: the branches between are beyond the friction band and before the turn
+_GROUPS = 10000  # means of neighbours from which a drift is told
 _LOBE = 0.20  # a half loop goes beyond this
 _REST = 0.025  # and begins and ends below this
 
@@ -155,18 +161,22 @@ _Value = tuple[float, float]  # and its variance
 
 @dataclass(frozen=True)
 class _LoopValues:
-    """What one loop gives, each with its variance; None where its branches don't hold it."""
+    """What one loop gives, each with its variance; None where its branches don't hold it.
+
+    `width` is the mean distance of loading and unloading branch at half the rated torque, `wider` by how much more they
+    are apart at the load of lost motion, on the side that came second.
+    """
 
     hysteresis_loss: _Value | None
     backlash: _Value | None
     lost_motion: _Value | None
-    stiffness_positive: _Value | None
-    stiffness_negative: _Value | None
+    width: _Value | None
+    wider: _Value | None
     middle: _Value | None
 
 
-def _stiffness(torque: Array, windup: Array, lobe: Lobe, rated: float) -> _Value | None:
-    line = branch_line(torque, windup, lobe.loading, STIFFNESS[0] * rated, STIFFNESS[1] * rated)
+def _stiffness(torque: Array, windup: Array, lobe: Lobe, low: float, high: float) -> _Value | None:
+    line = branch_line(torque, windup, lobe.loading, low, high)
     if line is None or line.slope <= 0.0:
         return None
     return 1.0 / line.slope, line.slope_variance / line.slope**4
@@ -175,7 +185,7 @@ def _stiffness(torque: Array, windup: Array, lobe: Lobe, rated: float) -> _Value
 def _loop_values(torque: Array, windup: Array, loop: Loop, rated: float) -> _LoopValues:
     sides = (loop.positive, loop.negative)
     unloading = [branch_line(torque, windup, s.unloading, UNLOADING[0] * rated, UNLOADING[1] * rated) for s in sides]
-    hysteresis = middle = backlash = lost = None
+    hysteresis = middle = backlash = lost = width = wider = None
     if unloading[0] is not None and unloading[1] is not None:
         (up, up_variance), (down, down_variance) = (line.at(0.0) for line in unloading if line is not None)
         hysteresis = up - down, up_variance + down_variance
@@ -193,44 +203,65 @@ def _loop_values(torque: Array, windup: Array, loop: Loop, rated: float) -> _Loo
             found.append((pair[0].at(side.sign * share * rated), pair[1].at(side.sign * share * rated)))
         return found
 
+    widths = both(FRICTION, FRICTION_NEAR)
+    if widths is not None:
+        (a, b), (c, d) = widths
+        # On the positive side unloading lies above loading, on the negative below: both widths are 2 T_f / k.
+        width = 0.5 * ((b[0] - a[0]) + (c[0] - d[0])), 0.25 * (a[1] + b[1] + c[1] + d[1])
+        if hysteresis is not None:
+            backlash = hysteresis[0] - width[0], hysteresis[1] + width[1]
     at = both(LOST_MOTION_LOAD, NEAR)
     if at is not None:
         (a, b), (c, d) = at
         lost = 0.5 * (a[0] + b[0] - c[0] - d[0]), 0.25 * (a[1] + b[1] + c[1] + d[1])
-    widths = both(FRICTION, FRICTION_NEAR)
-    if widths is not None and hysteresis is not None:
-        (a, b), (c, d) = widths
-        # On the positive side unloading lies above loading, on the negative below: both widths are 2 T_f / k.
-        width = 0.5 * ((b[0] - a[0]) + (c[0] - d[0])), 0.25 * (a[1] + b[1] + c[1] + d[1])
-        backlash = hysteresis[0] - width[0], hysteresis[1] + width[1]
-    stiffness = [_stiffness(torque, windup, side, rated) for side in sides]
-    return _LoopValues(hysteresis, backlash, lost, stiffness[0], stiffness[1], middle)
+        if width is not None:
+            one, other = (c, d) if loop.negative.loading.start > loop.positive.loading.start else (b, a)
+            wider = one[0] - other[0] - width[0], one[1] + other[1] + width[1]
+    return _LoopValues(hysteresis, backlash, lost, width, wider, middle)
 
 
-def _mean(values: Sequence[_Value], drift: float = 0.0) -> _Value:
-    """Return mean and half the 95 % interval: from the fits, or from three or more loops' scatter where that is larger.
+def _behind_the_virgin_branch(torque: Array, windup: Array, loop: Loop, rated: float) -> _Value | None:
+    """Return the lost motion of a loop whose first loading branch is virgin, from the two branches behind it.
 
-    A drift of a loop moves its two sides, half a loop apart, against each other by half of it.
+    Where friction is alike on both sides, a steady loop's loading branches mirror each other: the distance of the
+    first side's unloading branch and the second side's loading branch is its lost motion.
+    """
+    first, second = sorted((loop.positive, loop.negative), key=lambda lobe: lobe.loading.start)
+    low, high = (LOST_MOTION_LOAD - NEAR) * rated, (LOST_MOTION_LOAD + NEAR) * rated
+    lines = [branch_line(torque, windup, part, low, high) for part in (first.unloading, second.loading)]
+    if lines[0] is None or lines[1] is None:
+        return None
+    (one, one_variance), (other, other_variance) = (
+        line.at(side.sign * LOST_MOTION_LOAD * rated) for line, side in zip(lines, (first, second), strict=True) if line
+    )
+    return first.sign * (one - other), one_variance + other_variance
+
+
+def _mean(values: Sequence[_Value], moved: float = 0.0) -> tuple[float, float, float]:
+    """Return mean, half the 95 % interval and its degrees of freedom: from the fits, or from the loops' scatter.
+
+    That is taken of three or more loops where it is larger. `moved` is what the drift's standard uncertainty adds.
     """
     value = float(np.mean([v for v, _ in values]))
     count = len(values)
-    uncertainty = math.sqrt(sum(variance for _, variance in values)) / count * 1.96
+    uncertainty, degrees = math.sqrt(sum(variance for _, variance in values)) / count * 1.96, math.inf
     if count > 2:
-        scatter = float(np.std([v for v, _ in values], ddof=1)) / math.sqrt(count)
-        uncertainty = max(uncertainty, float(stdtrit(count - 1, 0.975)) * scatter)
-    return value, math.hypot(uncertainty, 0.5 * drift)
+        scatter = float(np.std([v for v, _ in values], ddof=1)) / math.sqrt(count) * float(stdtrit(count - 1, 0.975))
+        if scatter > uncertainty:
+            uncertainty, degrees = scatter, count - 1.0
+    return value, math.hypot(uncertainty, 1.96 * moved), degrees
 
 
 @dataclass(frozen=True)
 class LoopData:
-    """A recording with loops: torque and windup (rad), its loops, rated torque, source.
+    """A recording with loops: time (s), torque and windup (rad), its loops, rated torque, source.
 
-    `windup` is zero where the two unloading branches of all loops, extrapolated to zero torque, have their middle.
-    `late` is the torque as it was later, by half the 95 % interval of what is not known of its clock against the
-    windup's; None where one clock stamped both. `runaway` is how far the windup may run away, rad, for what is not
-    known of the two angles' clocks.
+    `windup` is as it was measured, less its mean. `late` is the torque as it was later, by half the 95 % interval of
+    what is not known of its clock against the windup's; None where one clock stamped both. `runaway` is how far the
+    windup may run away, rad, for what is not known of the two angles' clocks.
     """
 
+    time: Array
     torque: Array
     windup: Array
     loops: tuple[Loop, ...]
@@ -240,45 +271,244 @@ class LoopData:
     late: Array | None = None
     runaway: float = 0.0
 
+    @property
+    def steady(self) -> tuple[Loop, ...]:
+        """The loops behind the virgin branch, which is a recording's first: none of a recording with a single loop."""
+        return tuple(find_loops(self.lobes[1:]))
 
-def _moved(values: Sequence[_Value], later: Sequence[_Value | None]) -> float:
-    """Return by how much the mean of values moves where the torque comes late."""
-    kept = [v for v, _ in filter(None, later)]
-    return abs(float(np.mean(kept) - np.mean([v for v, _ in values]))) if kept else 0.0
+
+@dataclass(frozen=True)
+class Drift:
+    """A drift of the windup, linear in time: its rate and the rate's standard uncertainty, rad/s.
+
+    `repeated` tells whether branches that were passed more than once show it; otherwise it is what the two sides of a
+    single loop differ by.
+    """
+
+    rate: float
+    uncertainty: float
+    repeated: bool
 
 
-def loop_figures(data: LoopData) -> tuple[dict[str, Figure], list[str]]:
+def drift_of(data: LoopData) -> Drift | None:
+    """Return the drift of a recording's windup by the closure of its loops, None where too few samples hold it.
+
+    A branch that is passed again must lie where it lay. A single loop passes none twice; there the distance of
+    loading and unloading branch must be alike on both sides but for a constant (dry friction may differ from side to
+    side). Drift opens it on one side and closes it on the other, the more the longer ago the peak was.
+
+    Parameters
+    ----------
+    data
+        The recording; of each branch the part between 30 and 80 % of the lowest peak is used.
+    """
+    share = np.abs(data.torque) / data.rated_torque
+    peak = min(float(share[lobe.loading.start : lobe.unloading.stop].max()) for lobe in data.lobes)
+    chosen: dict[tuple[int, bool], list[NDArray[np.intp]]] = {}
+    for lobe in data.lobes:
+        for loading, part in ((True, lobe.loading), (False, lobe.unloading)):
+            at = part.start + np.flatnonzero((share[part] >= DRIFT[0] * peak) & (share[part] <= DRIFT[1] * peak))
+            chosen.setdefault((lobe.sign, loading), []).append(at)
+    fewest = min(at.size for found in chosen.values() for at in found)
+    repeated = max(len(found) for found in chosen.values()) > 1
+    if fewest < 4 or (not repeated and len(chosen) < 4):
+        return None
+    powers = range(1, 4 if fewest >= 12 else 2)
+    # Neighbours are taken together where there are many: the mean of each group, which the noise is as well told by.
+    size = max(1, min(fewest // 12, sum(at.size for found in chosen.values() for at in found) // _GROUPS))
+
+    def grouped(values: Array) -> Array:
+        parts = [at[: at.size - at.size % size] for found in chosen.values() for at in found]
+        found: Array = np.concatenate([values[at].reshape(-1, size).mean(axis=1) for at in parts])
+        return found
+
+    branch = {of: np.zeros(share.size) for of in chosen}
+    for of, found in chosen.items():
+        for at in found:
+            branch[of][at] = 1.0
+    order = np.argsort(grouped(data.time), kind="stable")
+    x = grouped(share)[order] - 0.5 * (DRIFT[0] + DRIFT[1]) * peak
+    time, windup = grouped(data.time - data.time.mean())[order], grouped(data.windup)[order]
+    member = {of: grouped(inside)[order] for of, inside in branch.items()}
+    columns = list(member.values())
+    if repeated:
+        shapes = columns
+    else:
+        positive, negative = (member[sign, True] + member[sign, False] for sign in (1, -1))
+        shapes = [positive, negative, member[1, False] - member[-1, False]]
+    columns = columns + [shape * x**power for shape in shapes for power in powers]
+    length = float(np.ptp(time))
+    matrix = np.column_stack([*columns, time / length])
+    if x.size <= matrix.shape[1] or np.linalg.matrix_rank(matrix) < matrix.shape[1]:
+        return None
+    solution = np.linalg.lstsq(matrix, windup, rcond=None)[0]
+    left = windup - matrix @ solution
+    variance = float(left @ left) / (x.size - matrix.shape[1])
+    alike = float(left[1:] @ left[:-1]) / max(float(left @ left), 1e-300)
+    alike = min(max(alike, 0.0), 1.0 - 2.0 / x.size)
+    variance *= (1.0 + alike) / (1.0 - alike) * float(np.linalg.inv(matrix.T @ matrix)[-1, -1])
+    return Drift(float(solution[-1]) / length, math.sqrt(variance) / length, repeated)
+
+
+def without_drift(data: LoopData, drift: Drift | None, *, more: float = 0.0) -> LoopData:
+    """Return the recording without a drift, or without so many of its standard uncertainties more."""
+    if drift is None:
+        return data
+    rate = drift.rate + more * drift.uncertainty
+    return dataclasses.replace(data, windup=data.windup - rate * (data.time - data.time.mean()))
+
+
+def _moved(values: Sequence[_Value], others: Sequence[_Value]) -> float:
+    """Return by how much the mean of values moves to that of others."""
+    return abs(float(np.mean([v for v, _ in others]) - np.mean([v for v, _ in values]))) if others else 0.0
+
+
+def _values(data: LoopData, band: bool) -> dict[str, list[_Value]]:
+    """Return what each loop gives of each figure; `band` tells whether lost motion is taken inside the friction."""
+    torque, windup, rated = data.torque, data.windup, data.rated_torque
+    found = [_loop_values(torque, windup, loop, rated) for loop in data.loops]
+    steady = [_loop_values(torque, windup, loop, rated) for loop in data.steady] or found
+    lost = [one.lost_motion for one in (steady if band else found)]
+    if not data.steady and band and not _closed(data):
+        lost = [_behind_the_virgin_branch(torque, windup, loop, rated) for loop in data.loops]
+    stiffness = {
+        side: [
+            _stiffness(torque, windup, lobe, STIFFNESS[0] * rated, STIFFNESS[1] * rated)
+            for lobe in data.lobes
+            if lobe.sign == sign
+        ]
+        for side, sign in SIDES
+    }
+    values = {
+        "hysteresis_loss": [one.hysteresis_loss for one in found], "backlash": [one.backlash for one in found],
+        "lost_motion": lost, "width": [one.width for one in found], "wider": [one.wider for one in steady], **stiffness,
+    }  # fmt: skip
+    return {name: [v for v in these if v is not None] for name, these in values.items()}
+
+
+def _closed(data: LoopData) -> bool:
+    """Return whether a single loop, freed of its drift, ends where it began: then it was steady from its beginning."""
+    loop, near = data.loops[0], NEAR * data.rated_torque
+    first, second = sorted((loop.positive, loop.negative), key=lambda lobe: lobe.loading.start)
+    lines = [branch_line(data.torque, data.windup, part, 0.0, near) for part in (first.loading, second.unloading)]
+    loss = _loop_values(data.torque, data.windup, loop, data.rated_torque).hysteresis_loss
+    if lines[0] is None or lines[1] is None or loss is None:
+        return False
+    (begin, begin_variance), (end, end_variance) = (line.at(0.0) for line in lines if line is not None)
+    return abs(end - begin) < 0.02 * abs(loss[0]) + 3.0 * math.sqrt(begin_variance + end_variance)
+
+
+def _friction_band(values: dict[str, list[_Value]], rated: float) -> tuple[bool, float | None]:
+    """Return whether the load of lost motion lies inside the friction band, and the dry friction (N·m) if known.
+
+    It does where friction reaches the samples taken for lost motion, or where the branches are further apart there
+    than at half the rated torque: then the loading branch has not yet gone through the play.
+    """
+    stiffness = [v for side in ("positive", "negative") for v, _ in values[side]]
+    width = values["width"]
+    friction = 0.5 * float(np.mean([v for v, _ in width])) * float(np.mean(stiffness)) if width and stiffness else None
+    if friction is not None and friction > (LOST_MOTION_LOAD - NEAR) * rated:
+        return True, friction
+    wider, lost = values["wider"], values["lost_motion"]
+    if not wider or not lost:
+        return False, friction
+    value, variance = np.mean(wider, axis=0)
+    return bool(value > 0.05 * abs(lost[0][0]) + 3.0 * math.sqrt(variance / len(wider))), friction
+
+
+def stiffness_segments(data: LoopData, drift: Drift | None, limits: Sequence[float]) -> dict[str, Figure]:
+    """Return the torsional stiffness between torques, as makers state K1, K2, K3: {"K1": the figure with its sides}.
+
+    Loading branches, of a recording with three half loops or more without the virgin one. Segments that a branch does
+    not reach to nine tenths, or in which it does not give way, are left out.
+
+    Parameters
+    ----------
+    data, drift
+        The recording as it was measured, and its drift.
+    limits
+        Torques between which a segment lies each, N·m, ascending.
+    """
+    freed = (without_drift(data, drift), without_drift(data, drift, more=1.0))
+    lobes = data.lobes[1:] if len(data.lobes) > 2 else data.lobes
+    reached = float(np.abs(data.torque).max())
+    name, found = "torsional_stiffness", {}
+    for number, (low, high) in enumerate(itertools.pairwise(limits), start=1):
+        if reached < low + 0.9 * (high - low):
+            continue
+        parts = {}
+        for side, sign in SIDES:
+            values, drifted = (
+                [
+                    v
+                    for lobe in lobes
+                    if lobe.sign == sign and (v := _stiffness(one.torque, one.windup, lobe, low, high))
+                ]
+                for one in freed
+            )
+            if values:
+                value, uncertainty, degrees = _mean(values, _moved(values, drifted))
+                parts[side] = Figure(
+                    value, uncertainty, UNITS[name], DEFINITIONS[name], (low, high), "N*m", len(values), "loops",
+                    degrees=degrees,
+                )  # fmt: skip
+        if parts:
+            found[f"K{number}"] = _of_sides(parts)
+    return found
+
+
+def _of_sides(parts: dict[str, Figure]) -> Figure:
+    """Return the mean of a figure of each side."""
+    one = next(iter(parts.values()))
+    return dataclasses.replace(
+        one,
+        value=float(np.mean([p.value for p in parts.values()])),
+        uncertainty=math.hypot(*(p.uncertainty for p in parts.values())) / len(parts),
+        count=min(p.count for p in parts.values()),
+        degrees=min(p.degrees for p in parts.values()),
+        parts=parts,
+    )
+
+
+def loop_figures(data: LoopData, limits: Sequence[float] | None = None) -> tuple[dict[str, Figure], list[str]]:
     """Return the figures that loops give, and why others could not be given.
+
+    The windup is freed of its drift first. Lost motion alone reads a branch that depends on where in the play and in
+    the friction the recording began: where friction reaches its load, it is taken from the loops behind that branch.
 
     Parameters
     ----------
     data
         Torque and windup with the loops found in them.
+    limits
+        Of the segments of `torsional_stiffness`, N·m, ascending; None takes 3, 15, 50 and 100 % of the rated torque.
 
     Returns
     -------
     figures
-        By name; `torsional_stiffness` also of each side.
+        By name; `torsional_stiffness` also of each side and by segments of the torque.
     notes
-        One sentence for each figure that is missing and for a loop that does not close.
+        One sentence for each figure that is missing, for a drift, for a loop that is virgin and for friction that
+        reaches the load of lost motion.
     """
-    torque, windup, rated = data.torque, data.windup, data.rated_torque
+    rated, drift = data.rated_torque, drift_of(data)
     figures: dict[str, Figure] = {}
     notes: list[str] = []
-    found = [_loop_values(torque, windup, loop, rated) for loop in data.loops]
-    later = found if data.late is None else [_loop_values(data.late, windup, loop, rated) for loop in data.loops]
-    drift, added = _closure(data, found)
-    notes.extend(added)
+    freed = without_drift(data, drift)
+    band, friction = _friction_band(_values(freed, False), rated)
+    values, drifted = (_values(one, band) for one in (freed, without_drift(data, drift, more=1.0)))
+    later = values if data.late is None else _values(dataclasses.replace(freed, torque=data.late), band)
+    notes += _loop_notes(data, freed, drift, values, band, friction)
+
     for name, interval in (
         ("hysteresis_loss", UNLOADING), ("backlash", UNLOADING), ("lost_motion", (-LOST_MOTION_LOAD, LOST_MOTION_LOAD)),
     ):  # fmt: skip
-        values = [v for one in found if (v := getattr(one, name)) is not None]
-        if values:
-            value, uncertainty = _mean(values, drift)
-            uncertainty = math.hypot(uncertainty, data.runaway, _moved(values, [getattr(one, name) for one in later]))
+        if values[name]:
+            value, uncertainty, degrees = _mean(values[name], _moved(values[name], drifted[name]))
+            uncertainty = math.hypot(uncertainty, data.runaway, _moved(values[name], later[name]))
             figures[name] = Figure(
                 value, uncertainty, UNITS[name], DEFINITIONS[name], (interval[0] * rated, interval[1] * rated), "N*m",
-                len(values), "loops",
+                len(values[name]), "loops", degrees=degrees,
             )  # fmt: skip
         elif data.loops:
             notes.append(
@@ -291,75 +521,92 @@ def loop_figures(data: LoopData) -> tuple[dict[str, Figure], list[str]]:
             f"{data.source}: the torque never crosses zero, it is always {only}; hysteresis loss, backlash and lost "
             "motion need both sides."
         )
-    stiffness = {
-        side: [v for lobe in data.lobes if lobe.sign == sign and (v := _stiffness(torque, windup, lobe, rated))]
-        for side, sign in (("positive", 1), ("negative", -1))
-    }
-    reached = float(np.abs(torque).max())
+    reached = float(np.abs(data.torque).max())
     low, high = STIFFNESS[0] * rated, min(STIFFNESS[1] * rated, reached)
+    sides_of = [side for side in ("positive", "negative") if values[side]]
     if high < 0.75 * rated:
         notes.append(
             f"{data.source}: torsional_stiffness could not be given: the torque reaches {reached:.4g} N·m, less than "
             f"three quarters of the rated {rated:.4g} N·m."
         )
-    elif any(stiffness.values()):
+    elif sides_of:
         if high < 0.95 * rated:
             notes.append(
                 f"{data.source}: the torque reaches {reached:.4g} N·m of the rated {rated:.4g} N·m; the stiffness is "
                 "that up to there."
             )
         name = "torsional_stiffness"
-        parts = {
-            side: Figure(*_mean(v), UNITS[name], DEFINITIONS[name], (low, high), "N*m", len(v), "loops")
-            for side, v in stiffness.items()
-            if v
-        }
-        value = float(np.mean([p.value for p in parts.values()]))
-        uncertainty = math.hypot(*(p.uncertainty for p in parts.values())) / len(parts)
-        count = min(p.count for p in parts.values())
-        figures[name] = Figure(
-            value, uncertainty, UNITS[name], DEFINITIONS[name], (low, high), "N*m", count, "loops", parts
-        )
+        parts = {}
+        for side in sides_of:
+            value, uncertainty, degrees = _mean(values[side], _moved(values[side], drifted[side]))
+            parts[side] = Figure(
+                value, uncertainty, UNITS[name], DEFINITIONS[name], (low, high), "N*m", len(values[side]), "loops",
+                degrees=degrees,
+            )  # fmt: skip
+        segments = stiffness_segments(data, drift, limits or [share * rated for share in SEGMENTS])
+        figures[name] = dataclasses.replace(_of_sides(parts), segments=segments)
     return figures, notes
 
 
-def _closure(data: LoopData, found: Sequence[_LoopValues]) -> tuple[float, list[str]]:
-    """Return by how much a loop drifts (rad), and a sentence where loops do not close."""
-    middles = [v for one in found if (v := one.middle) is not None]
-    losses = [v for one in found if (v := one.hysteresis_loss) is not None]
-    if not losses:
-        return 0.0, []
-    loss = abs(float(np.mean([v for v, _ in losses])))
-    if len(middles) > 1:
-        drift = float(np.polyfit(np.arange(len(middles)), [v for v, _ in middles], 1)[0])
-        noise = 3.0 * math.sqrt(max(v for _, v in middles))
-        if abs(drift) > max(0.1 * loss, noise):
-            return drift, [
-                f"{data.source}: the loops do not close: each lies {drift * edge.ARCSEC:.3g}″ from the one before; the "
-                "uncertainties say what that can do."
-            ]
-        return 0.0, []
-    # A single loop must begin between its two unloading branches at zero torque, wherever in the play it stood.
-    loop, (middle, variance) = data.loops[0], middles[0]
-    first = min((loop.positive, loop.negative), key=lambda lobe: lobe.loading.start)
-    line = branch_line(data.torque, data.windup, first.loading, 0.0, 0.1 * data.rated_torque)
-    start = line.at(0.0)[0] if line is not None else float(data.windup[first.loading.start])
-    outside = abs(start - middle) - 0.5 * loss
-    if outside > 0.1 * loss + 3.0 * math.sqrt(variance):
-        return outside, [
-            f"{data.source}: the loop does not close: it begins {outside * edge.ARCSEC:.3g}″ outside its unloading "
-            "branches; the uncertainties say what that can do."
-        ]
-    return 0.0, []
+def _loop_notes(
+    data: LoopData,
+    freed: LoopData,
+    drift: Drift | None,
+    values: dict[str, list[_Value]],
+    band: bool,
+    friction: float | None,
+) -> list[str]:
+    """Say what drifts, that only a virgin loop is there, and that friction (N·m) reaches the load of lost motion."""
+    notes = []
+    if not data.loops or not values["hysteresis_loss"]:
+        return []
+    loss = abs(values["hysteresis_loss"][0][0])
+    if drift is None:
+        notes.append(
+            f"{data.source}: whether the windup drifts can't be told: a branch has fewer than four samples between "
+            f"{100.0 * DRIFT[0]:g} and {100.0 * DRIFT[1]:g} % of its peak."
+        )
+    else:
+        loop = data.loops[0]
+        ends = sorted((loop.positive, loop.negative), key=lambda lobe: lobe.loading.start)
+        length = data.time[ends[1].unloading.stop - 1] - data.time[ends[0].loading.start]
+        moved, uncertain = drift.rate * length * edge.ARCSEC, 1.96 * drift.uncertainty * length * edge.ARCSEC
+        if abs(moved) > 1.5 * uncertain and abs(moved) > 0.02 * loss * edge.ARCSEC:
+            by = "branches that were passed again" if drift.repeated else (
+                "loading and unloading branch of the two sides, whose friction is taken to be alike but for a constant"
+            )  # fmt: skip
+            notes.append(
+                f"{data.source}: the windup drifts by {moved:.3g} ± {uncertain:.2g}″ a loop, as {by} show; it is taken "
+                "off, linear in time, and what is not known of it is in the uncertainties."
+            )
+    if not data.steady and not _closed(freed):
+        notes.append(
+            f"{data.source}: there is only a virgin loop, whose first branch depends on where in play and friction it "
+            "began; record a loop before it that is not counted (preconditioning, GB/T 40731)."
+            + (
+                " Lost motion is taken from the two branches behind the first, friction being alike on both sides."
+                if band
+                else ""
+            )
+        )
+    if band:
+        known = "" if friction is None else f", whose half width is {friction:.3g} N·m in the mean"
+        notes.append(
+            f"{data.source}: ±{100.0 * LOST_MOTION_LOAD:g} % of the rated torque, "
+            f"±{LOST_MOTION_LOAD * data.rated_torque:.3g} N·m, lies inside the friction band{known}: lost motion there "
+            "need not hold the play; backlash does."
+        )
+    return notes
 
 
 def loop_marks(data: LoopData) -> dict[str, list[Array]]:
-    """Return where the first loop's figures are read off: {figure: lines of (torque, windup), shape (points, 2)}.
+    """Return where a loop's figures are read off, free of drift: {figure: lines of (torque, windup)}, each (points, 2).
 
     Hysteresis loss: both unloading branches' straight lines down to zero torque and the distance there. Backlash: what
     remains of it without friction, about the same middle. Lost motion: from the mean at its
-    negative load to that at its positive one. Torsional stiffness: the fitted lines.
+    negative load to that at its positive one, in the first steady loop. Torsional stiffness: the fitted lines.
     """
+    data = without_drift(data, drift_of(data))
     torque, windup, rated = data.torque, data.windup, data.rated_torque
     marks: dict[str, list[Array]] = {}
     for lobe in data.lobes[:2]:
@@ -383,7 +630,8 @@ def loop_marks(data: LoopData) -> dict[str, list[Array]]:
     if values.backlash is not None:
         half = 0.5 * values.backlash[0]
         marks["backlash"] = [np.array([(0.0, middle - half), (0.0, middle + half)])]
-    if values.lost_motion is not None:
+    loop = next(iter(data.steady), loop)
+    if _loop_values(torque, windup, loop, rated).lost_motion is not None:
         at = []
         for side in (loop.negative, loop.positive):
             t = side.sign * LOST_MOTION_LOAD * rated
@@ -444,4 +692,5 @@ def loops_of(
     if not locked:
         runaway = 2.0 * recording.alignment * float(np.abs(np.diff(recording.output_angle)).sum() / np.ptp(time))
     loops = tuple(find_loops(lobes))
-    return LoopData(torque, windup - windup.mean(), loops, tuple(lobes), rated, recording.source, late, runaway), notes
+    found = LoopData(time, torque, windup - windup.mean(), loops, tuple(lobes), rated, recording.source, late, runaway)
+    return found, notes

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,9 +13,18 @@ from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import Pair
 from fitting.arguments import positive
-from fitting.figures.figure import Figure, figure_json, pooled
+from fitting.figures.budget import Budget, budget_json, budgets_of
+from fitting.figures.figure import DEFINITIONS, Figure, figure_json, pooled
 from fitting.figures.hysteresis import loop_figures
-from fitting.figures.spectrum import Spectrum, angular_transmission_error, spectrum
+from fitting.figures.instruments import Instruments, read_instruments
+from fitting.figures.spectrum import (
+    Spectrum,
+    angular_transmission_error,
+    rig_orders,
+    run_label,
+    spectrum,
+    without_orders,
+)
 from fitting.figures.starts import Start, back_driving_torques, start_figure, starting_torques
 from fitting.figures.survey import Surveyed, survey
 from fitting.recordings.sources import Source, open_source
@@ -46,6 +55,8 @@ class Figures:
         Of the notes, those on recordings that could not be read at all, and on an interrupt.
     interrupted
         Whether an interrupt left recordings out.
+    budgets, instruments
+        The uncertainty budget of each figure and the instruments that it is made of, where they are stated.
 
     Examples
     --------
@@ -69,6 +80,8 @@ class Figures:
     pair: Pair | None = None
     problems: tuple[str, ...] = ()
     interrupted: bool = False
+    budgets: Mapping[str, Budget] = dataclasses.field(default_factory=dict)
+    instruments: Instruments | None = None
 
     @property
     def curves(self) -> list[Curve]:
@@ -81,7 +94,12 @@ class Figures:
             temporary.write_text(edge.json_text(figures_json(self)), encoding="utf-8")
 
 
-def figures_of(surveyed: Sequence[Surveyed], ratio: float | None, rated_torque: float | None) -> Figures:
+def figures_of(
+    surveyed: Sequence[Surveyed],
+    ratio: float | None,
+    rated_torque: float | None,
+    stiffness_limits: Sequence[float] | None = None,
+) -> Figures:
     """Return the figures that recordings of one drive give together.
 
     Several recordings' loops count together; of transmission errors the largest is the figure, the others are its
@@ -93,13 +111,15 @@ def figures_of(surveyed: Sequence[Surveyed], ratio: float | None, rated_torque: 
         What each recording gave.
     ratio, rated_torque
         As given to `survey`.
+    stiffness_limits
+        As in `loop_figures`.
     """
     notes = [n for s in surveyed for n in s.notes]
     figures: dict[str, Figure] = {}
     of_loops = []
     for one in surveyed:
         if one.loops is not None:
-            found, added = loop_figures(one.loops)
+            found, added = loop_figures(one.loops, stiffness_limits)
             notes += added
             of_loops.append(found)
     for name in ("hysteresis_loss", "backlash", "lost_motion", "torsional_stiffness"):
@@ -108,6 +128,7 @@ def figures_of(surveyed: Sequence[Surveyed], ratio: float | None, rated_torque: 
             figures[name] = pooled(same)
     spectra: list[Spectrum | None] = []
     ways: dict[str, dict[str, Figure]] = {"forward": {}, "backward": {}}
+    rigless: dict[str, dict[str, Figure]] = {"forward": {}, "backward": {}}
     for one in surveyed:
         for curve in one.curves:
             way = "forward" if curve.direction > 0 else "backward"
@@ -124,19 +145,16 @@ def figures_of(surveyed: Sequence[Surveyed], ratio: float | None, rated_torque: 
                     f"{curve.source}: the torque varies by {varies:.3g} N·m around {curve.torque:.4g} "
                     "N·m; the transmission error holds the windup that this makes."
                 )
-            figure = angular_transmission_error(curve, orders)
-            # Clocks that run apart add their way over one turn, for every turn begins again.
-            uncertainty = math.hypot(figure.uncertainty, one.runaway / max(curve.turns, 1.0))
-            figure = dataclasses.replace(figure, uncertainty=uncertainty)
-            ways[way][f"{one.source}, {curve.torque:.4g} N*m, {way}"] = figure
-    parts = {way: max(runs.values(), key=lambda f: f.value) for way, runs in ways.items() if runs}
-    if parts:
-        largest = max(parts.values(), key=lambda f: f.value)
-        runs = {name: f for way in ways.values() for name, f in way.items()}
-        figures["angular_transmission_error"] = Figure(
-            largest.value, largest.uncertainty, largest.unit, largest.definition, largest.interval,
-            largest.interval_unit, largest.count, largest.counted, parts, runs,
-        )  # fmt: skip
+            label = run_label(one.source, curve)
+            ways[way][label] = angular_transmission_error(curve, orders, one.runaway)
+            kept = angular_transmission_error(curve, without_orders(orders, rig_orders(curve.ratio)), one.runaway)
+            rigless[way][label] = kept
+    for name, of_ways in (("angular_transmission_error", ways), ("angular_transmission_error_without_rig", rigless)):
+        parts = {way: max(runs.values(), key=lambda f: f.value) for way, runs in of_ways.items() if runs}
+        if parts:
+            runs = {label: f for way in of_ways.values() for label, f in way.items()}
+            largest = dataclasses.replace(max(parts.values(), key=lambda f: f.value), parts=parts, runs=runs)
+            figures[name] = dataclasses.replace(largest, definition=DEFINITIONS[name])
     started: dict[str, list[Start]] = {"starting_torque": [], "back_driving_torque": []}
     for one in surveyed:
         if one.loops is not None:
@@ -161,6 +179,8 @@ def metrics(
     *,
     ratio: float | None = None,
     rated_torque: float | str | None = None,
+    stiffness_limits: Sequence[float | str] | None = None,
+    instruments: Instruments | str | os.PathLike[str] | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Figures:
     """Return the standard figures of a drive: transmission error, lost motion, backlash, stiffness, starting torques.
@@ -177,6 +197,11 @@ def metrics(
         In place of a drive: its signed ratio input over output. Without either the recordings' own.
     rated_torque
         T_N, N·m or text with a unit; by default the drive's, without one the largest torque of each recording.
+    stiffness_limits
+        Torques between which torsional stiffness is given as K1, K2 and so on, N·m or text with units, ascending; by
+        default 3, 15, 50 and 100 % of T_N.
+    instruments
+        What is known of the bench's instruments, or the file that states it: each figure gets an uncertainty budget.
     progress
         Called with what is being read.
 
@@ -199,8 +224,13 @@ def metrics(
     if ratio is not None and not (math.isfinite(ratio) and ratio):
         raise edge.ArgumentError("ratio", "give the signed ratio input/output, such as -39", ratio)
     rated = None if rated_torque is None else positive(rated_torque, "N*m", "rated_torque")
+    limits = None if stiffness_limits is None else [positive(v, "N*m", "stiffness_limits") for v in stiffness_limits]
+    if limits is not None and (len(limits) < 2 or sorted(set(limits)) != limits):
+        raise edge.ArgumentError("stiffness_limits", "give two torques or more, ascending", stiffness_limits)
     if drive is not None:
         ratio, rated = drive.ratio, drive.pair.rated_torque if rated is None else rated
+    if isinstance(instruments, str | os.PathLike):
+        instruments = read_instruments(instruments)
     given = [recordings] if isinstance(recordings, Source) else list(recordings)
     surveyed: list[Surveyed] = []
     problems: list[str] = []
@@ -222,16 +252,23 @@ def metrics(
             break
     if not surveyed:
         raise edge.InputError("\n".join(problems) or "recordings: there is none.")
-    found, pair = figures_of(surveyed, ratio, rated), None if drive is None else drive.pair
+    found, pair = figures_of(surveyed, ratio, rated, limits), None if drive is None else drive.pair
     notes = (*problems, *found.notes)
-    return dataclasses.replace(found, notes=notes, pair=pair, problems=tuple(problems), interrupted=interrupted)
+    found = dataclasses.replace(found, notes=notes, pair=pair, problems=tuple(problems), interrupted=interrupted)
+    if instruments is None:
+        return found
+    budgets = budgets_of(found.figures, surveyed, found.spectra, instruments, ratio, progress)
+    return dataclasses.replace(found, budgets=budgets, instruments=instruments)
 
 
 def figures_json(found: Figures) -> dict[str, Any]:
     """Return all figures as the content of a `cycloid-figures/1` file: each by name, and their sources."""
     return {
         "format": FORMAT,
-        **{name: figure_json(f) for name, f in found.figures.items()},
+        **{
+            name: figure_json(f) | ({"budget": budget_json(found.budgets[name])} if name in found.budgets else {})
+            for name, f in found.figures.items()
+        },
         "rated_torque": found.rated_torque,
         "ratio": found.ratio,
         "data": {s.source: s.checksum for s in found.surveyed},

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +17,7 @@ from fitting.transmission_error.curve import Curve
 
 Array = NDArray[np.float64]
 
+RIG_ORDERS = (1, 2, 3)  # of the output turn: run-out, and couplings at twice and three times a turn
 _WINDOW = 101  # orders around one whose median is its noise floor
 _HOLES = 0.02  # share of a turn's points that may be empty
 _REDRAWN = 200  # spectra drawn with the noise found, for the uncertainty of a largest and a smallest value
@@ -118,6 +121,33 @@ def spectrum(curve: Curve) -> Spectrum:
     return Spectrum(coefficient, floor, curve.turns)
 
 
+def run_label(source: str, curve: Curve) -> str:
+    """Return what a run's figure is called: its recording, load and direction."""
+    return f"{source}, {curve.torque:.4g} N*m, {'forward' if curve.direction > 0 else 'backward'}"
+
+
+def rig_orders(ratio: float) -> tuple[int, ...]:
+    """Return the orders of the output turn at which a rig's run-out and couplings lie.
+
+    Orders 1 to 3 of the output shaft, and the order of one input turn where the ratio is whole; otherwise the input's
+    turn is no order of the output turn. Pins and ring have the order of an input turn too where the gear is the output.
+
+    Examples
+    --------
+    >>> rig_orders(-39.0), rig_orders(121.5)
+    ((1, 2, 3, 39), (1, 2, 3))
+    """
+    once = round(abs(ratio))
+    whole = once > RIG_ORDERS[-1] and abs(abs(ratio) - once) < 1e-6 * once
+    return (*RIG_ORDERS, once) if whole else RIG_ORDERS
+
+
+def without_orders(orders: Spectrum, left_out: Sequence[int]) -> Spectrum:
+    """Return a spectrum without some of its orders; its noise floor stays."""
+    kept = ~np.isin(np.arange(orders.coefficient.size), left_out)
+    return dataclasses.replace(orders, coefficient=np.where(kept, orders.coefficient, 0.0))
+
+
 def synthesised(coefficient: NDArray[np.complex128], points: int) -> Array:
     """Return Re Σ c_k exp(ikψ) at `points` even angles from 0; the coefficients lie along the last axis.
 
@@ -150,7 +180,7 @@ def _gridded(
     return value, inside, np.maximum(second - inside**2, 0.0), filled
 
 
-def angular_transmission_error(curve: Curve, orders: Spectrum, *, seed: int = 0) -> Figure:
+def angular_transmission_error(curve: Curve, orders: Spectrum, runaway: float = 0.0, *, seed: int = 0) -> Figure:
     """Return the largest minus the smallest transmission error over one output turn of a curve.
 
     The curve is that of the orders which stand out of the noise: the largest of noisy values is too large. What the
@@ -160,6 +190,9 @@ def angular_transmission_error(curve: Curve, orders: Spectrum, *, seed: int = 0)
     ----------
     curve, orders
         A curve over a whole turn and its orders.
+    runaway
+        Half the 95 % interval, rad, of what two clocks may make the error run away over the recording; they add their
+        way over one turn, for every turn begins again.
     seed
         Of the noise that is drawn.
     """
@@ -167,7 +200,7 @@ def angular_transmission_error(curve: Curve, orders: Spectrum, *, seed: int = 0)
     kept = np.where(orders.significant, orders.coefficient, 0.0)
     highest = int(np.flatnonzero(orders.significant).max(initial=1))
     points = 1 << max(10, math.ceil(math.log2(64 * highest)))
-    found = float(_range_of(kept[: highest + 1], points)[0])
+    found = float(range_of(kept[: highest + 1], points)[0])
     drawn = np.empty(_REDRAWN)
     step = max(1, (1 << 22) // points)
     for begin in range(0, _REDRAWN, step):
@@ -175,9 +208,9 @@ def angular_transmission_error(curve: Curve, orders: Spectrum, *, seed: int = 0)
         noise = rng.normal(size=(rows, 2, highest + 1)) * (orders.floor[: highest + 1] / math.sqrt(2.0))
         noisy = kept[: highest + 1] + noise[:, 0] + 1j * noise[:, 1]
         out = significant(noisy, orders.floor[: highest + 1], orders.floor.size)
-        drawn[begin : begin + rows] = _range_of(np.where(out, noisy, 0.0), points)
+        drawn[begin : begin + rows] = range_of(np.where(out, noisy, 0.0), points)
     bias = float(drawn.mean()) - found
-    uncertainty = 1.96 * float(drawn.std(ddof=1))
+    uncertainty = math.hypot(1.96 * float(drawn.std(ddof=1)), runaway / max(curve.turns, 1.0))
     name = "angular_transmission_error"
     return Figure(
         max(found - bias, 0.0), uncertainty, UNITS[name], DEFINITIONS[name], (0.0, 2.0 * math.pi), "rad",
@@ -185,7 +218,7 @@ def angular_transmission_error(curve: Curve, orders: Spectrum, *, seed: int = 0)
     )  # fmt: skip
 
 
-def _range_of(coefficient: NDArray[np.complex128], points: int) -> Array:
+def range_of(coefficient: NDArray[np.complex128], points: int) -> Array:
     """Return largest minus smallest value, each at the top of a parabola through it and its neighbours."""
     curve = np.atleast_2d(synthesised(coefficient, points))
     rows = np.arange(curve.shape[0])

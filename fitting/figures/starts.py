@@ -116,4 +116,14 @@ def start_figure(name: str, torques: Sequence[float]) -> Figure:
     if len(torques) > 1:
         quantile = float(stdtrit(len(torques) - 1, 0.975))
         half = quantile * float(np.std(torques, ddof=1)) / math.sqrt(len(torques))
-    return Figure(float(np.mean(torques)), half, UNITS[name], DEFINITIONS[name], None, "", len(torques), "starts")
+    return Figure(
+        float(np.mean(torques)),
+        half,
+        UNITS[name],
+        DEFINITIONS[name],
+        None,
+        "",
+        len(torques),
+        "starts",
+        degrees=max(len(torques) - 1.0, 1.0),
+    )

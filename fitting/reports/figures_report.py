@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from cycloid_fmu import __version__, edge
+from fitting.figures.budget import BUDGET_HEAD, budget_rows
 from fitting.figures.figure import DEFINITIONS, Figure, in_field_units
 from fitting.figures.metrics import Figures
 from fitting.reports.page import html_page, made_now
@@ -37,7 +38,7 @@ def figure_rows(found: Figures) -> list[dict[str, str]]:
     rows = []
     for name, figure in found.figures.items():
         rows.append(_row(TITLES[name], figure, definition=figure.definition))
-        rows += [_row(Path(part).name, one, part="yes") for part, one in {**figure.parts, **figure.runs}.items()]
+        rows += [_row(part, one, part="yes") for part, one in figure.shown.items()]
     return rows
 
 
@@ -56,7 +57,8 @@ def _row(name: str, figure: Figure, *, definition: str = "", part: str = "") -> 
     }  # fmt: skip
 
 
-def _sources(found: Figures) -> list[dict[str, str]]:
+def sources_of(found: Figures) -> list[dict[str, str]]:
+    """Return the recordings' table: file, kind, samples, time, temperature and checksum."""
     rows = []
     for one in found.surveyed:
         temperature = one.overview.temperature
@@ -78,7 +80,21 @@ def _facts(found: Figures) -> str:
     return ", ".join([*facts, made_now()])
 
 
-_FIGURES = """<h2>Figures</h2>
+BUDGETS = """{% for title, table in budgets %}{% if loop.first %}<h2>Uncertainty budgets (JCGM 100:2008)</h2>
+{% endif %}<section><h3>{{ title }}</h3><table class="budget"><thead><tr>
+{% for h in budget_head %}<th>{{ h }}</th>{% endfor %}</tr></thead><tbody>
+{% for row in table %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>
+{% endfor %}</tbody></table></section>
+{% endfor %}"""
+
+
+def budget_tables(found: Figures) -> list[tuple[str, list[list[str]]]]:
+    """Return title and rows of each budget."""
+    return [(TITLES[name], budget_rows(budget)) for name, budget in found.budgets.items()]
+
+
+_FIGURES = (
+    """<h2>Figures</h2>
 {% if rows %}<table id="figures"><thead><tr><th>Figure</th><th>Value</th><th>± (95 %)</th><th>Unit</th><th>Of</th>
 <th>Interval</th><th>Definition</th></tr></thead><tbody>
 {% for r in rows %}<tr class="{{ 'part' if r.part else 'figure' }}"><td>{{ r.name }}</td>
@@ -87,7 +103,9 @@ _FIGURES = """<h2>Figures</h2>
 <td>{{ r.interval if not r.part }}</td><td class="definition">{{ r.definition }}</td></tr>
 {% endfor %}</tbody></table>{% else %}<p>No figure could be computed; the notes say why.</p>{% endif %}
 """
-_SOURCES = """<h2>What was left out, and what to know</h2>
+    + BUDGETS
+)
+SOURCES = """<h2>What was left out, and what to know</h2>
 {% if notes %}<ul id="notes">{% for n in notes %}<li>{{ n }}</li>{% endfor %}</ul>{% else %}
 <p id="notes">Nothing was left out.</p>{% endif %}
 <h2>Recordings</h2><table id="recordings"><thead><tr><th>File</th><th>Kind</th><th>Samples</th><th>Time</th>
@@ -101,8 +119,8 @@ _SOURCES = """<h2>What was left out, and what to know</h2>
 def html_report(found: Figures, panels: Sequence[Panel]) -> str:
     """Return the report as one HTML page that loads nothing from anywhere."""
     return html_page(
-        "Test bench report", _facts(found), _FIGURES, panels, _SOURCES, rows=figure_rows(found), notes=found.notes,
-        sources=_sources(found),
+        "Test bench report", _facts(found), _FIGURES, panels, SOURCES, rows=figure_rows(found), notes=found.notes,
+        sources=sources_of(found), budgets=budget_tables(found), budget_head=BUDGET_HEAD,
     )  # fmt: skip
 
 
@@ -151,11 +169,17 @@ def _text_pages(found: Figures) -> list[Any]:
         if row["definition"]:
             text = f"{row['definition']}; {row['interval']}" if row["interval"] else row["definition"]
             lines += [(f"    {one}", {"color": "#555555", "fontsize": 7}) for one in textwrap.wrap(text, 120)]
+    for title, table in budget_tables(found):
+        lines += [("", {}), (f"Uncertainty budget: {title}", heading)]
+        for cells in (BUDGET_HEAD, *table):
+            source, kind, distribution, uncertainty, sensitivity, contribution, degrees = cells
+            text = f"{source:<32} {kind:<4} {distribution:<12} {uncertainty:<20} {sensitivity:>11} {contribution:>20}"
+            lines.append((f"{text} {degrees:>8.7}", {**mono, "fontsize": 6.5}))
     lines += [("", {}), ("What was left out, and what to know", heading)]
     for note in found.notes or ("Nothing was left out.",):
         lines += [(one, {}) for one in textwrap.wrap(note, 112, subsequent_indent="    ")]
     lines += [("", {}), ("Recordings", heading)]
-    for s in _sources(found):
+    for s in sources_of(found):
         lines.append((", ".join(filter(None, (s["name"], s["kind"], f"{s['samples']} samples", s["time"],
                                               s["temperature"]))), {}))  # fmt: skip
         lines.append((f"    SHA-256 {s['checksum']}", {**mono, "fontsize": 6.5, "color": "#777777"}))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu.edge import ARCMIN, ARCSEC
 from cycloid_fmu.geometry.pair import Pair
-from fitting.figures.hysteresis import LoopData, loop_marks
+from fitting.figures.hysteresis import SIDES, LoopData, drift_of, loop_marks, without_drift
 from fitting.figures.metrics import Figures
 from fitting.figures.spectrum import Spectrum
 from fitting.figures.starts import back_driving_torques, starting_torques
@@ -105,7 +105,8 @@ def panels_of(found: Figures) -> list[Panel]:
         if spectra is not None:
             panels.append(spectra)
     panels += [p for s in found.surveyed if s.loops is not None for p in _loop_panels(s.loops)]
-    panels += _start_panels(found)
+    panels += _stiffness_panel(found)
+    panels += _start_panels(found) + _budget_panel(found)
     panels.append(_torque_panel(found))
     return panels
 
@@ -174,15 +175,19 @@ _MARKS = {
 
 def _loop_panels(loop: LoopData) -> list[Panel]:
     """The whole loop, and the middle of it, where play and friction show."""
-    step = max(1, loop.torque.size // 20000)
+    step, marks = max(1, loop.torque.size // 20000), loop_marks(loop)
+    loop = without_drift(loop, drift_of(loop))
     traces = [Trace("measured", loop.torque[::step], loop.windup[::step] * ARCMIN, "thin", -1)]
-    for number, (name, lines) in enumerate(loop_marks(loop).items()):
+    for number, (name, lines) in enumerate(marks.items()):
         for first, line in enumerate(lines):
             label = _MARKS[name] if first == 0 else ""
             traces.append(Trace(label, line[:, 0], line[:, 1] * ARCMIN, "thick", number))
     axes = ("torque on the output [N·m]", "windup of the output [arcmin]")
     name = f"Hysteresis loop: {Path(loop.source).name}"
-    seen = "The coloured lines show where each figure is read off the first loop; the figures are means of all loops."
+    seen = (
+        "The windup without its drift. The coloured lines show where each figure is read off the first loop, lost "
+        "motion off the first behind the virgin branch; the figures are means of all such loops."
+    )
     near = np.abs(loop.torque) <= _MIDDLE * loop.rated_torque
     middle = [
         t if t.colour >= 0 else Trace(t.label, loop.torque[near], loop.windup[near] * ARCMIN, "points", -1)
@@ -191,6 +196,31 @@ def _loop_panels(loop: LoopData) -> list[Panel]:
         and (t.colour < 0 or np.abs(t.x).max() <= _MIDDLE * loop.rated_torque)
     ]
     return [Panel(name, *axes, tuple(traces), seen), Panel(f"{name}, around zero torque", *axes, tuple(middle), seen)]
+
+
+def _stiffness_panel(found: Figures) -> list[Panel]:
+    """The torsional stiffness of each side by segments of the torque, with its 95 % interval."""
+    figure = found.figures.get("torsional_stiffness")
+    if figure is None or len(figure.segments) < 2:
+        return []
+    traces = []
+    for number, (side, sign) in enumerate(SIDES):
+        of_side = [one.parts[side] for one in figure.segments.values() if side in one.parts]
+        label = side
+        for one in of_side:
+            assert one.interval is not None
+            at = sign * np.array(one.interval)
+            traces.append(Trace(label, at, np.full(2, one.value / ARCMIN), "thick", number))
+            traces += [Trace("", at, np.full(2, end / ARCMIN), "dashed", number)
+                       for end in (one.value - one.uncertainty, one.value + one.uncertainty)]  # fmt: skip
+            label = ""
+    middles = [(sign * 0.5 * sum(one.interval or ()), one.parts[side].value / ARCMIN, name)
+               for name, one in figure.segments.items() for side, sign in SIDES if side in one.parts]  # fmt: skip
+    x, y, names = zip(*middles, strict=True)
+    traces.append(Trace("", np.array(x), np.array(y), "points", -1, names))
+    caption = "Slope of the loading branches between the torques, mean of the loops; dashed its 95 % interval."
+    axes = ("torque on the output [N·m]", "torsional stiffness [N·m/arcmin]")
+    return [Panel("Torsional stiffness by torque", *axes, tuple(traces), caption)]
 
 
 def _start_panels(found: Figures) -> list[Panel]:
@@ -216,6 +246,27 @@ def _start_panels(found: Figures) -> list[Panel]:
             axes = ("time since the standstill [s]", f"torque on the {shaft} [N·m]")
             panels.append(Panel(f"Starts by the {shaft}", *axes, tuple(traces), caption))
     return panels
+
+
+def _budget_panel(found: Figures) -> list[Panel]:
+    """The share of each input quantity in the variance of each figure that has a budget."""
+    rows: list[str] = []
+    traces: list[Trace] = []
+    for number, (name, budget) in enumerate(found.budgets.items()):
+        whole, first = budget.standard_uncertainty**2, True
+        for one in sorted(budget.contributions, key=lambda c: -c.contribution):
+            share = 100.0 * one.contribution**2 / whole if whole else 0.0
+            if share < 1.0:
+                continue
+            at = np.full(2, -float(len(rows)))
+            label = name.replace("_", " ") if first else ""
+            traces.append(Trace(label, np.array([0.0, share]), at, "thick", number))
+            rows.append(f"{one.source} ({one.kind})")
+            first = False
+    if not rows:
+        return []
+    caption = "Share in the variance, after GUM; A: from the recordings, B: stated. Those below 1 % are left out."
+    return [Panel("Uncertainty budgets", "share in the variance [%]", "", tuple(traces), caption, y_names=tuple(rows))]
 
 
 def _torque_panel(found: Figures) -> Panel:

@@ -4,13 +4,21 @@ from __future__ import annotations
 
 import os
 
+from cycloid_fmu import edge
 from fitting.estimation.result import Identification
+from fitting.figures.conformity import Certificate, read_certificate
 from fitting.figures.metrics import Figures
+from fitting.reports.certificate import write_certificate
 from fitting.reports.figures_report import write_figures_report
 from fitting.reports.fit_report import write_fit_report
 
 
-def report(result: Figures | Identification, path: str | os.PathLike[str]) -> None:
+def report(
+    result: Figures | Identification,
+    path: str | os.PathLike[str],
+    *,
+    certificate: Certificate | str | os.PathLike[str] | None = None,
+) -> None:
     """Write the report of figures or of a fit, whole or not at all.
 
     Parameters
@@ -19,6 +27,9 @@ def report(result: Figures | Identification, path: str | os.PathLike[str]) -> No
         What `fitting.metrics` or `fitting.identify` returned.
     path
         `.html`: one file with all that it needs, to zoom and hover in; `.pdf`, of figures only: the same on pages.
+    certificate
+        Device, limits and decision rule, or the file that states them: the page (`.html`) is the certificate of this
+        drive. It needs figures with their budgets (`fitting.metrics(…, instruments=…)`).
 
     Raises
     ------
@@ -34,7 +45,12 @@ def report(result: Figures | Identification, path: str | os.PathLike[str]) -> No
     >>> "Torsional stiffness" in pathlib.Path("report.html").read_text(encoding="utf-8")
     True
     """
-    if isinstance(result, Identification):
+    if certificate is not None:
+        if isinstance(result, Identification):
+            raise edge.ArgumentError("certificate", "there is one of figures alone, not of a fit", str(certificate))
+        stated = certificate if isinstance(certificate, Certificate) else read_certificate(certificate)
+        write_certificate(result, stated, path)
+    elif isinstance(result, Identification):
         write_fit_report(result, path)
     else:
         write_figures_report(result, path)

@@ -11,7 +11,7 @@ import fitting
 from fitting.figures.figure import Figure, in_field_units
 from fitting.figures.hysteresis import find_lobes, fit_line, loop_marks
 from fitting.figures.metrics import figures_of
-from fitting.figures.spectrum import Spectrum, angular_transmission_error, spectrum
+from fitting.figures.spectrum import Spectrum, angular_transmission_error, rig_orders, spectrum
 from fitting.figures.starts import back_driving_torques, starting_torques, starts_of
 from fitting.figures.survey import survey
 from fitting.recordings.recording import Recording, RecordingStream
@@ -62,7 +62,9 @@ def test_the_ideal_loop_gives_what_it_was_made_of(rated, windup, play, friction,
     }
     for name, value in expected.items():
         assert found[name].value == pytest.approx(value, rel=1e-6), name
-        assert found[name].count == loops
+        # The first loading branch of several is virgin; lost motion alone reads where friction may reach.
+        virgin = name == "lost_motion" and friction > 0.02 * rated
+        assert found[name].count == (max(loops - 1, 1) if virgin else loops)
     assert found["lost_motion"].interval == pytest.approx((-0.03 * rated, 0.03 * rated))
     assert found["backlash"].interval == pytest.approx((0.03 * rated, 0.1 * rated))
 
@@ -170,19 +172,23 @@ def test_the_figures_are_marked_where_they_are_read_off():
 
 
 def test_one_loop_s_uncertainty_is_that_of_its_straight_lines():
-    """Of two lines over x, extrapolated to 0, with white noise σ: 1.96 sqrt(2 σ²(1/n + x̄²/Σ(x - x̄)²))."""
+    """Of two lines over x, extrapolated to 0, with white noise σ: 1.96 sqrt(2 σ²(1/n + x̄²/Σ(x - x̄)²)).
+
+    Half the drift D of the loop is added: D is the sum of four branches' slopes over 0.3 … 0.8 of the peak.
+    """
     rated, noise = 167.0, 0.3 * ARCSEC
     torque, angle = loop(rated, 49 / ARCMIN, 0.6 * ARCMIN, 2.0, each=4000)
     found = figures_from(torque, angle + np.random.default_rng(0).normal(0.0, noise, angle.size), rated).figures
     x = rated * np.arange(0.03, 0.1, 1 / 4000)
     wanted = 1.96 * noise * np.sqrt(2.0 * (1.0 / x.size + x.mean() ** 2 / ((x - x.mean()) ** 2).sum()))
-    assert found["hysteresis_loss"].uncertainty == pytest.approx(wanted, rel=0.2)
+    drift = 1.96 * noise * np.sqrt(4.0 / (2000 * 0.5**2 / 12))
+    assert found["hysteresis_loss"].uncertainty == pytest.approx(np.hypot(wanted, drift / 2), rel=0.1)
     torque, angle = loop(rated, 49 / ARCMIN, 0.6 * ARCMIN, 2.0, each=4000, loops=2)
     twice = figures_from(torque, angle + np.random.default_rng(0).normal(0.0, noise, angle.size), rated).figures
     assert twice["hysteresis_loss"].uncertainty == pytest.approx(wanted / np.sqrt(2.0), rel=0.2)
     near = np.arange(0.02, 0.04, 1 / 4000)  # lost motion: four lines about 3 % of the rated torque, each halved
     wanted = 1.96 * noise * np.sqrt(1.0 / near.size)
-    assert found["lost_motion"].uncertainty == pytest.approx(wanted, rel=0.2)
+    assert found["lost_motion"].uncertainty == pytest.approx(np.hypot(wanted, drift / 2), rel=0.1)
     stiffness = found["torsional_stiffness"]
     sides = [stiffness.parts[side].uncertainty for side in ("positive", "negative")]
     assert stiffness.uncertainty == pytest.approx(0.5 * np.hypot(*sides), rel=1e-9)
@@ -335,22 +341,6 @@ def test_an_output_angle_that_is_late_is_noted_where_the_speed_changes():
                 assert half == pytest.approx(1.96 * 5e-5 / swing / np.sqrt(10000.0) * 1e3, rel=0.5)
 
 
-@pytest.mark.parametrize(("loops", "arcmin"), [(1, 2.0), (4, 0.5)])
-def test_a_loop_that_does_not_close_says_so_and_widens_the_uncertainty(loops, arcmin):
-    """A single loop may begin anywhere in its play, so it shows a drift only beyond that."""
-    torque, angle = loop(167.0, 49 / ARCMIN, 0.6 * ARCMIN, 2.0, loops=loops)
-    drift = arcmin * ARCMIN * np.arange(torque.size) / (torque.size / loops)
-    closed, open_ = figures_from(torque, angle), figures_from(torque, angle + drift)
-    assert not any("close" in note for note in (*closed.notes, *figures_from(torque, angle + 0.02 * drift).notes))
-    said = "the loops do not close: each lies 30″ from" if loops > 1 else "the loop does not close: it begins "
-    assert any(said in note for note in open_.notes)
-    for name in ("hysteresis_loss", "lost_motion", "backlash"):
-        moved = abs(open_.figures[name].value - closed.figures[name].value)
-        assert moved > 0.1 * ARCMIN
-        if loops > 1:
-            assert open_.figures[name].uncertainty >= 0.95 * moved
-
-
 def run_with(orders, *, turns, each, noise, seed, ratio=-39.0, zero=0.3):
     """A run at constant speed with these orders of the output: {order: (amplitude, phase)}."""
     rng = np.random.default_rng(seed)
@@ -441,6 +431,26 @@ def test_what_the_angles_clocks_may_run_apart_in_a_turn_is_in_the_uncertainty():
     )
     sure, unsure = (f["angular_transmission_error"].uncertainty for f in (sure, unsure))
     assert unsure == pytest.approx(np.hypot(sure, 2 * 50e-6 * speed / 3), rel=1e-3)
+
+
+def test_the_rig_s_orders_are_left_out_of_the_second_figure():
+    """Run-out of 60″ at orders 1 to 3 and 1″ at the input's turn: the range of the drive's own orders is left."""
+    own = {40: (9.0 * ARCSEC, 2.0), 78: (4.0 * ARCSEC, 0.1)}
+    rig = {1: (60.0 * ARCSEC, 0.4), 2: (5.0 * ARCSEC, 1.0), 3: (2.0 * ARCSEC, 2.0), 39: (1.0 * ARCSEC, 0.0)}
+    made = run_with({**own, **rig}, turns=2, each=9000, noise=0.3 * ARCSEC, seed=0)
+    found = figures_of([survey(made, -39.0, None)], -39.0, None).figures
+    turn = np.linspace(0.0, 2.0 * np.pi, 100001)
+
+    def span(orders):
+        return np.ptp(sum(a * np.cos(k * turn - p) for k, (a, p) in orders.items()))
+
+    whole, without = found["angular_transmission_error"], found["angular_transmission_error_without_rig"]
+    assert abs(whole.value - span({**own, **rig})) <= 1.5 * whole.uncertainty
+    assert abs(without.value - span(own)) <= 1.5 * without.uncertainty
+    assert set(without.parts) == {"forward"}
+    assert len(without.runs) == 1
+    assert rig_orders(-39.0) == (1, 2, 3, 39)
+    assert rig_orders(-121.25) == (1, 2, 3)
 
 
 def test_an_amplitude_is_as_uncertain_as_the_noise_around_it():

@@ -61,8 +61,8 @@ def page(found, tmp_path_factory):
 def test_a_browser_shows_every_panel_and_asks_for_nothing_else(page, found):
     assert page.said == []
     assert len(page.asked) == 1  # the file itself
-    assert page.locator(".panel").count() == len(panels_of(found)) == 7
-    for number in range(7):
+    assert page.locator(".panel").count() == len(panels_of(found)) == 8
+    for number in range(8):
         assert page.locator(f"#panel-{number} .scatterlayer .trace").count() >= 1
     labels = page.locator("#panel-1 .textpoint").all_text_contents()
     assert {"39 pin", "40 tooth", "78 pin", "1560 mesh"} <= set(labels)
@@ -70,7 +70,7 @@ def test_a_browser_shows_every_panel_and_asks_for_nothing_else(page, found):
 
 def test_the_page_holds_every_figure_and_every_note(page, found):
     rows = page.locator("#figures tr.figure")
-    assert rows.count() == len(found.figures) == 5
+    assert rows.count() == len(found.figures) == 6
     text = page.locator("#figures").inner_text()
     assert "Lost motion" in text
     assert "GB/T 40731" in text
@@ -107,7 +107,7 @@ def test_the_pdf_holds_the_same(found, tmp_path):
     text = subprocess.run(["pdftotext", "-layout", tmp_path / "r.pdf", "-"], capture_output=True, text=True).stdout
     for word in ("Lost motion", "Backlash", "GB/T 40731", "never crosses zero", "Orders of the output", "SHA-256"):
         assert word in text, word
-    assert text.count("\f") == 1 + 4  # the table, seven panels two a page
+    assert text.count("\f") == 1 + 4  # the table, eight panels two a page
 
 
 def test_report_from_the_command_line(command, tmp_path):

@@ -1,0 +1,392 @@
+"""The uncertainty budget of each figure after GUM (JCGM 100:2008): what the instruments add to the repeatability.
+
+Sensitivities are found by changing the recording as the instrument's error would and taking the figure anew.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtrit
+
+from cycloid_fmu import edge
+from fitting.figures.figure import Figure, pooled
+from fitting.figures.hysteresis import Lobe, LoopData, find_loops, loop_figures
+from fitting.figures.instruments import Encoder, Instruments, TorqueSensor, standard_uncertainty
+from fitting.figures.spectrum import Spectrum, range_of, rig_orders, run_label, without_orders
+from fitting.figures.survey import Surveyed
+
+Array = NDArray[np.float64]
+# How many readings a figure is made of: the root of the sum of their squared weights.
+_READINGS = {
+    "hysteresis_loss": math.sqrt(2.0), "backlash": math.sqrt(3.0), "lost_motion": 1.0,
+    "angular_transmission_error": math.sqrt(2.0), "angular_transmission_error_without_rig": math.sqrt(2.0),
+}  # fmt: skip
+COVERAGE = 0.95
+_SAMPLES = 20000  # of a loop, with which sensitivities are found
+
+
+@dataclass(frozen=True)
+class Contribution:
+    """One input quantity of a budget.
+
+    Attributes
+    ----------
+    source
+        What it is of.
+    kind
+        "A", from the recordings, or "B", from what is stated.
+    distribution
+        Of the input quantity.
+    standard_uncertainty, unit
+        u(x) and its unit, SI.
+    sensitivity
+        c, the figure's change over that of the quantity, SI.
+    degrees
+        Degrees of freedom of u(x).
+    """
+
+    source: str
+    kind: Literal["A", "B"]
+    distribution: str
+    standard_uncertainty: float
+    unit: str
+    sensitivity: float
+    degrees: float = math.inf
+
+    @property
+    def contribution(self) -> float:
+        """|c| u(x), in the figure's unit."""
+        return abs(self.sensitivity) * self.standard_uncertainty
+
+
+@dataclass(frozen=True)
+class Budget:
+    """The uncertainty budget of a figure.
+
+    Attributes
+    ----------
+    figure
+        Its name.
+    value, unit
+        Of the figure, SI.
+    contributions
+        The input quantities, those that are not correlated.
+    """
+
+    figure: str
+    value: float
+    unit: str
+    contributions: tuple[Contribution, ...]
+
+    @property
+    def standard_uncertainty(self) -> float:
+        """Combined standard uncertainty u_c (JCGM 100, equation 10)."""
+        return math.hypot(*(one.contribution for one in self.contributions))
+
+    @property
+    def degrees(self) -> float:
+        """Effective degrees of freedom, Welch and Satterthwaite (JCGM 100, equation G.2b)."""
+        below = sum(one.contribution**4 / one.degrees for one in self.contributions)
+        return self.standard_uncertainty**4 / below if below > 0.0 else math.inf
+
+    @property
+    def coverage_factor(self) -> float:
+        """Factor k for 95 %: Student's t with the effective degrees of freedom."""
+        return student(self.degrees)
+
+    @property
+    def expanded(self) -> float:
+        """Expanded uncertainty U = k u_c."""
+        return self.coverage_factor * self.standard_uncertainty
+
+
+def student(degrees: float) -> float:
+    """Return the quantile of Student's t that holds 95 % on both sides."""
+    return 1.959964 if math.isinf(degrees) else float(stdtrit(degrees, 0.5 + 0.5 * COVERAGE))
+
+
+@dataclass(frozen=True)
+class _Wave:
+    """An encoder's error that repeats so many times a turn; both components have this standard uncertainty, rad.
+
+    A graduation's error has other orders too: `graduation` tells whether the wave stands for all of them.
+    """
+
+    source: str
+    distribution: str
+    standard: float
+    order: int
+    graduation: bool = False
+
+
+def _waves(encoder: Encoder | None, name: str) -> list[_Wave]:
+    if encoder is None:
+        return []
+    found = [
+        _Wave(f"{name}, accuracy", encoder.distribution,
+              standard_uncertainty(encoder.accuracy, encoder.distribution), 1, True),
+        _Wave(f"{name}, run-out", "arcsine", standard_uncertainty(encoder.run_out, "arcsine"), 1),
+        _Wave(f"{name}, subdivision", "arcsine", standard_uncertainty(encoder.subdivision, "arcsine"),
+              encoder.periods_per_turn or 1),
+    ]  # fmt: skip
+    return [one for one in found if one.standard > 0.0]
+
+
+def _loop_values(data: Sequence[LoopData]) -> dict[str, float]:
+    found = [loop_figures(one)[0] for one in data]
+    names = {name for figures in found for name in figures}
+    return {name: pooled([figures[name] for figures in found if name in figures]).value for name in names}
+
+
+def _thinned(data: LoopData, step: int) -> LoopData:
+    """Return every so many samples of a recording: sensitivities need no more of a long one."""
+
+    def part(of: slice) -> slice:
+        return slice(-(-of.start // step), -(-of.stop // step))
+
+    lobes = tuple(Lobe(lobe.sign, part(lobe.loading), part(lobe.unloading)) for lobe in data.lobes)
+    return dataclasses.replace(
+        data, time=data.time[::step], torque=data.torque[::step], windup=data.windup[::step], lobes=lobes,
+        loops=tuple(find_loops(lobes)), late=None if data.late is None else data.late[::step],
+    )  # fmt: skip
+
+
+def _of_loops(
+    surveyed: Sequence[Surveyed], instruments: Instruments, ratio: float | None
+) -> dict[str, list[Contribution]]:
+    """Return what encoders and torque sensor do to the figures of loops, by figure."""
+    recorded = []
+    for one in surveyed:
+        if one.loops is not None:
+            step = max(1, one.loops.time.size // _SAMPLES)
+            angles = {"input": one.overview.input_angle[::step], "output": one.overview.output_angle[::step]}
+            recorded.append((_thinned(one.loops, step), angles))
+    if not recorded:
+        return {}
+    data = [loops for loops, _ in recorded]
+    nominal = _loop_values(data)
+    rated = max(loops.rated_torque for loops in data)
+    found: dict[str, list[Contribution]] = {name: [] for name in nominal}
+
+    def add(source: str, distribution: str, standard: float, unit: str, changed: Sequence[Sequence[LoopData]]) -> None:
+        values = [_loop_values(one) for one in changed]
+        for name, value in nominal.items():
+            moved = math.hypot(*(one.get(name, value) - value for one in values))
+            found[name].append(Contribution(source, "B", distribution, standard, unit, moved / standard))
+
+    for shaft, encoder, scale in (
+        ("output", instruments.output_encoder, 1.0),
+        ("input", instruments.input_encoder, 0.0 if ratio is None else -1.0 / ratio),
+    ):
+        for wave in _waves(encoder, f"{shaft} encoder") if scale else []:
+            changed = [
+                [
+                    dataclasses.replace(
+                        loops,
+                        windup=loops.windup + scale * wave.standard * of(wave.order * angles[shaft]),
+                    )
+                    for loops, angles in recorded
+                ]
+                for of in (np.cos, np.sin)
+            ]
+            add(wave.source, wave.distribution, wave.standard, "rad", changed)
+        if encoder is not None and encoder.resolution > 0.0 and scale:
+            half_step = standard_uncertainty(0.5 * encoder.resolution, "rectangular")
+            for name in nominal:
+                readings = _READINGS.get(name)
+                if readings is None:  # a slope: torque over the difference of two readings, on each of two sides
+                    readings = nominal[name] ** 2 / (0.5 * rated)
+                found[name].append(
+                    Contribution(
+                        f"{shaft} encoder, resolution", "B", "rectangular", half_step, "rad", abs(scale) * readings
+                    )
+                )
+    sensor = instruments.torque_sensor
+    if sensor is not None and sensor.accuracy_class > 0.0:
+        at_rated = standard_uncertainty(0.01 * sensor.accuracy_class * sensor.range, "rectangular")
+        more = [[dataclasses.replace(one, torque=one.torque * (1.0 + at_rated / rated)) for one in data]]
+        add(f"torque sensor, class {sensor.accuracy_class:g}", "rectangular", at_rated, "N*m", more)
+    if sensor is not None and sensor.zero > 0.0:
+        zero = standard_uncertainty(sensor.zero, "rectangular")
+        more = [[dataclasses.replace(one, torque=one.torque + zero) for one in data]]
+        add("torque sensor, zero", "rectangular", zero, "N*m", more)
+    return found
+
+
+def _of_orders(
+    name: str,
+    figure: Figure,
+    surveyed: Sequence[Surveyed],
+    spectra: Sequence[Spectrum | None],
+    instruments: Instruments,
+) -> list[Contribution]:
+    """Return what the encoders do to an angular transmission error: to that of the run which is the largest."""
+    largest = next(label for label, run in figure.runs.items() if run.value == figure.value)
+    labelled = [(run_label(one.source, c), c) for one in surveyed for c in one.curves]
+    (curve, orders), *_ = (
+        (c, s) for (label, c), s in zip(labelled, spectra, strict=True) if s is not None and label == largest
+    )
+    left_out = rig_orders(curve.ratio) if name == "angular_transmission_error_without_rig" else ()
+    kept = without_orders(orders, left_out)
+    coefficient: NDArray[np.complex128] = np.where(kept.significant, kept.coefficient, 0.0)
+    points = 1 << max(12, math.ceil(math.log2(8 * coefficient.size)))
+    nominal, found = float(range_of(coefficient, points)[0]), []
+    for shaft, encoder, scale, turns in (
+        ("output", instruments.output_encoder, 1.0, 1.0),
+        ("input", instruments.input_encoder, 1.0 / abs(curve.ratio), abs(curve.ratio)),
+    ):
+        for wave in _waves(encoder, f"{shaft} encoder"):
+            order = round(wave.order * turns)
+            while wave.graduation and order in left_out:
+                order += round(turns)  # all of the graduation's error may lie where nothing is left out
+            moved = 0.0
+            if order < coefficient.size and order not in left_out:
+                # Where many peaks are equally high a wave of either sign raises the range: the larger change counts.
+                for part in (1.0, 1j):
+                    step = np.zeros_like(coefficient)
+                    step[order] = scale * wave.standard * part
+                    changes = [float(range_of(coefficient + sign * step, points)[0]) - nominal for sign in (1.0, -1.0)]
+                    moved = math.hypot(moved, max(map(abs, changes)))
+            found.append(Contribution(wave.source, "B", wave.distribution, wave.standard, "rad", moved / wave.standard))
+        if encoder is not None and encoder.resolution > 0.0:
+            step_size = standard_uncertainty(0.5 * encoder.resolution, "rectangular")
+            found.append(
+                Contribution(f"{shaft} encoder, resolution", "B", "rectangular", step_size, "rad",
+                             scale * _READINGS[name])
+            )  # fmt: skip
+    return found
+
+
+def _of_start(name: str, figure: Figure, sensor: TorqueSensor | None) -> list[Contribution]:
+    """Return what its torque sensor does to a starting torque, which is a reading of it."""
+    if sensor is None:
+        return []
+    where = "torque sensor" if name == "back_driving_torque" else "input torque sensor"
+    share = standard_uncertainty(0.01 * sensor.accuracy_class * sensor.range, "rectangular")
+    zero = standard_uncertainty(sensor.zero, "rectangular")
+    rows = [
+        Contribution(f"{where}, class {sensor.accuracy_class:g}", "B", "rectangular", share, "N*m",
+                     min(1.0, abs(figure.value) / sensor.range)),
+        Contribution(f"{where}, zero", "B", "rectangular", zero, "N*m", 1.0),
+    ]  # fmt: skip
+    return [row for row in rows if row.standard_uncertainty > 0.0]
+
+
+def budgets_of(
+    figures: Mapping[str, Figure],
+    surveyed: Sequence[Surveyed],
+    spectra: Sequence[Spectrum | None],
+    instruments: Instruments,
+    ratio: float | None,
+    progress: Callable[[str], None] = lambda step: None,
+) -> dict[str, Budget]:
+    """Return the uncertainty budget of each figure.
+
+    Parameters
+    ----------
+    figures, surveyed, spectra
+        As in `Figures`.
+    instruments
+        What is stated of the bench.
+    ratio
+        Signed ratio; without it the input encoder is in no budget of a loop.
+    progress
+        Called with what is being computed.
+
+    Returns
+    -------
+    budgets
+        By figure; those whose repeatability is not known (one start) have none.
+    """
+    progress("uncertainty budgets")
+    loops = _of_loops(surveyed, instruments, ratio if ratio is not None else surveyed[0].overview.ratio)
+    found = {}
+    for name, figure in figures.items():
+        if not math.isfinite(figure.uncertainty):
+            continue
+        repeated = figure.uncertainty / student(figure.degrees)
+        rows = [
+            Contribution(f"repeatability, {figure.count:.4g} {figure.counted}", "A", "t" if figure.degrees < 1e6
+                         else "normal", repeated, figure.unit, 1.0, figure.degrees)
+        ]  # fmt: skip
+        rows += loops.get(name, [])
+        if figure.runs:
+            rows += _of_orders(name, figure, surveyed, spectra, instruments)
+        if name == "starting_torque":
+            rows += _of_start(name, figure, instruments.input_torque_sensor)
+        if name == "back_driving_torque":
+            rows += _of_start(name, figure, instruments.torque_sensor)
+        warm = instruments.thermometer
+        if warm is not None and warm.coefficient(name) and warm.limit > 0.0:
+            rows.append(
+                Contribution("temperature", "B", "rectangular", standard_uncertainty(warm.limit, "rectangular"), "K",
+                             warm.coefficient(name))
+            )  # fmt: skip
+        found[name] = Budget(name, figure.value, figure.unit, tuple(rows))
+    return found
+
+
+def budget_json(budget: Budget) -> dict[str, Any]:
+    """Return a budget as part of a `cycloid-figures/1` file (SI); infinite degrees of freedom are null."""
+
+    def finite(degrees: float) -> float | None:
+        return degrees if math.isfinite(degrees) else None
+
+    return {
+        "combined_standard_uncertainty": budget.standard_uncertainty,
+        "degrees_of_freedom": finite(budget.degrees),
+        "coverage_factor": budget.coverage_factor,
+        "expanded_uncertainty": budget.expanded,
+        "contributions": [
+            {
+                "source": one.source, "type": one.kind, "distribution": one.distribution,
+                "standard_uncertainty": one.standard_uncertainty, "unit": one.unit, "sensitivity": one.sensitivity,
+                "contribution": one.contribution, "degrees_of_freedom": finite(one.degrees),
+            }
+            for one in budget.contributions
+        ],
+    }  # fmt: skip
+
+
+def field_factor(unit: str) -> tuple[float, str]:
+    """Return by what an SI value of a budget is multiplied to be read, and the unit that it then has."""
+    return {
+        "rad": (edge.ARCSEC, "arcsec"), "N*m": (1.0, "N·m"), "K": (1.0, "K"),
+        "N*m/rad": (1.0 / edge.ARCMIN, "N·m/arcmin"),
+    }[unit]  # fmt: skip
+
+
+def budget_rows(budget: Budget) -> list[list[str]]:
+    """Return a budget as people read it: source, type, distribution, u(x), |c| u(x) and degrees, the largest first."""
+    factor, unit = field_factor(budget.unit)
+
+    def degrees(value: float) -> str:
+        return "∞" if value > 1e6 else f"{value:.3g}"
+
+    def shown(of: Contribution, number: float) -> str:
+        return f"{number:.3g}" if of.contribution > 1e-6 * budget.standard_uncertainty else "0"
+
+    rows = []
+    for one in sorted(budget.contributions, key=lambda c: -c.contribution):
+        own, of = field_factor(one.unit)
+        rows.append(
+            [one.source, one.kind, one.distribution, f"{one.standard_uncertainty * own:.3g} {of}",
+             shown(one, one.sensitivity * factor / own), f"{shown(one, one.contribution * factor)} {unit}",
+             degrees(one.degrees)]
+        )  # fmt: skip
+    rows.append(
+        ["combined", "", "", "", "", f"{budget.standard_uncertainty * factor:.3g} {unit}", degrees(budget.degrees)]
+    )
+    rows.append([f"expanded, k = {budget.coverage_factor:.2f} (95 %)", "", "", "", "",
+                 f"{budget.expanded * factor:.3g} {unit}", ""])  # fmt: skip
+    return rows
+
+
+BUDGET_HEAD = ["source", "type", "distribution", "u(x)", "sensitivity", "contribution", "degrees of freedom"]

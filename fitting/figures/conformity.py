@@ -1,0 +1,193 @@
+"""Whether figures keep their limits, by a stated decision rule: what a certificate says of one drive."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, Self
+
+import pydantic
+
+from cycloid_fmu import edge
+from fitting.figures.figure import UNITS
+from fitting.figures.metrics import Figures
+
+FORMAT = "cycloid-certificate/1"
+Verdict = Literal["pass", "fail", "undecided"]
+Rule = Literal["guard band", "simple acceptance"]
+RULES = {
+    "guard band": "Guard band of the expanded uncertainty U (ISO 14253-1, ILAC-G8): a figure passes where it keeps its "
+    "limit with U on either side, fails where it breaks it with U, and is undecided between.",
+    "simple acceptance": "Simple acceptance (ILAC-G8): a figure passes where its value keeps its limit, whatever U; "
+    "near the limit up to half of the decisions are wrong.",
+}
+
+
+class Device(edge.Config):
+    """The drive that was measured.
+
+    Attributes
+    ----------
+    name
+        Its type.
+    serial_number
+        Of this drive.
+    maker
+        Who made it.
+    """
+
+    name: str
+    serial_number: str
+    maker: str = ""
+
+
+class Limit(edge.Config):
+    """Limits of one figure.
+
+    Attributes
+    ----------
+    min, max
+        Text with a unit, such as "1 arcmin" or "45 N*m/arcmin"; one of the two at least.
+    """
+
+    min: str | None = None
+    max: str | None = None
+
+    @pydantic.model_validator(mode="after")
+    def _states_one(self) -> Self:
+        if self.min is None and self.max is None:
+            raise ValueError("state min, max or both")
+        return self
+
+    def bounds(self, unit: str) -> tuple[float, float]:
+        """Return smallest and largest value that is allowed, SI."""
+        low = -math.inf if self.min is None else edge.parse_quantity(self.min, unit)
+        high = math.inf if self.max is None else edge.parse_quantity(self.max, unit)
+        return low, high
+
+
+class Certificate(edge.Config):
+    """What a certificate states beside the figures.
+
+    Attributes
+    ----------
+    number
+        Of the certificate.
+    issued_by
+        Laboratory or person.
+    device
+        The drive that was measured.
+    conditions
+        What it was measured at: {what: text}, such as ambient temperature, lubricant, running in.
+    decision_rule
+        "guard band" (ISO 14253-1) or "simple acceptance" (both ILAC-G8).
+    limits
+        {figure: its limits}.
+    """
+
+    number: str = ""
+    issued_by: str = ""
+    device: Device
+    conditions: dict[str, str] = pydantic.Field(default_factory=dict)
+    decision_rule: Rule
+    limits: dict[str, Limit]
+
+    @pydantic.field_validator("limits")
+    @classmethod
+    def _of_figures(cls, given: dict[str, Limit]) -> dict[str, Limit]:
+        for name, limit in given.items():
+            if name not in UNITS:
+                raise ValueError(f"{name} is no figure; figures are {', '.join(UNITS)}")
+            try:
+                low, high = limit.bounds(UNITS[name])
+            except ValueError as problem:
+                raise ValueError(f"{name}: {problem}") from None
+            if low > high:
+                raise ValueError(f"{name}: min is above max")
+        return given
+
+
+def read_certificate(path: str | os.PathLike[str]) -> Certificate:
+    """Read what a certificate states from a TOML file, `cycloid-certificate/1`.
+
+    Raises
+    ------
+    edge.InputError
+        If the file can't be read or holds what it should not; one sentence a problem.
+    """
+    return edge.validated(Certificate, edge.toml_table(edge.read_text(path), FORMAT, str(path)), str(path))
+
+
+def decide(value: float, expanded: float, low: float, high: float, rule: Rule) -> Verdict:
+    """Return whether a value keeps its limits.
+
+    Parameters
+    ----------
+    value, expanded
+        Of the figure, and its expanded uncertainty U (k for 95 %); NaN where U is not known.
+    low, high
+        Limits, in the same unit; infinite where there is none.
+    rule
+        Guard band (ISO 14253-1): conformity is proved where value ± U lies inside, non-conformity where it lies
+        outside; simple acceptance: the value alone decides.
+
+    Examples
+    --------
+    >>> [decide(value, 0.1, 0.0, 1.0, "guard band") for value in (0.8, 0.95, 1.05, 1.2)]
+    ['pass', 'undecided', 'undecided', 'fail']
+    >>> [decide(value, 0.1, 0.0, 1.0, "simple acceptance") for value in (0.95, 1.05)]
+    ['pass', 'fail']
+    """
+    guard = expanded if rule == "guard band" else 0.0
+    if low + guard <= value <= high - guard:
+        return "pass"
+    if value < low - guard or value > high + guard:
+        return "fail"
+    return "undecided"
+
+
+@dataclass(frozen=True)
+class Decision:
+    """The decision on one figure; `value`, `expanded`, `low` and `high` in SI, NaN where the figure is missing.
+
+    Attributes
+    ----------
+    figure, unit
+        Its name and the SI unit.
+    value, expanded, coverage_factor
+        Of the figure, its expanded uncertainty U and the k behind it.
+    low, high
+        Its limits, infinite where there is none.
+    verdict
+        By the certificate's decision rule; a figure that is missing is undecided.
+    """
+
+    figure: str
+    unit: str
+    value: float
+    expanded: float
+    coverage_factor: float
+    low: float
+    high: float
+    verdict: Verdict
+
+
+def decisions_of(found: Figures, certificate: Certificate) -> list[Decision]:
+    """Return the decision on each figure that has a limit, by its budget's expanded uncertainty."""
+    decisions = []
+    for name, limit in certificate.limits.items():
+        low, high = limit.bounds(UNITS[name])
+        figure, budget = found.figures.get(name), found.budgets.get(name)
+        value = math.nan if figure is None else figure.value
+        expanded, factor = (math.nan, math.nan) if budget is None else (budget.expanded, budget.coverage_factor)
+        verdict = decide(value, expanded, low, high, certificate.decision_rule)
+        decisions.append(Decision(name, UNITS[name], value, expanded, factor, low, high, verdict))
+    return decisions
+
+
+def verdict_of(decisions: Sequence[Decision]) -> Verdict:
+    """Return the verdict on the drive: fail where one figure fails, undecided where none fails and one is undecided."""
+    verdicts = {one.verdict for one in decisions}
+    return "fail" if "fail" in verdicts else "pass" if verdicts == {"pass"} else "undecided"

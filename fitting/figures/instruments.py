@@ -1,0 +1,190 @@
+"""What is known of a bench's instruments: the file that states it, and the standard uncertainties that follow."""
+
+from __future__ import annotations
+
+import datetime
+import math
+import os
+from typing import Annotated, Literal, Self
+
+import pydantic
+
+from cycloid_fmu import edge
+from fitting.figures.figure import UNITS
+
+FORMAT = "cycloid-instruments/1"
+Distribution = Literal["rectangular", "normal", "arcsine"]
+_Angle = Annotated[edge.Angle, pydantic.Field(ge=0.0)]
+_Torque = Annotated[edge.Torque, pydantic.Field(ge=0.0)]
+
+
+def standard_uncertainty(limit: float, distribution: Distribution) -> float:
+    """Return the standard uncertainty of what lies within ± a limit (JCGM 100:2008, 4.3), in the limit's unit.
+
+    Rectangular: a/√3; arcsine, a wave of this amplitude at an unknown phase: a/√2; normal: a is the expanded
+    uncertainty of a calibration with k = 2.
+
+    Examples
+    --------
+    >>> [round(standard_uncertainty(1.0, kind), 4) for kind in ("rectangular", "arcsine", "normal")]
+    [0.5774, 0.7071, 0.5]
+    """
+    return limit / {"rectangular": math.sqrt(3.0), "arcsine": math.sqrt(2.0), "normal": 2.0}[distribution]
+
+
+class Instrument(edge.Config):
+    """What a certificate says of an instrument.
+
+    Attributes
+    ----------
+    name, serial_number
+        Maker and type, and its serial number.
+    calibrated
+        Date of its calibration, such as 2026-03-01.
+    """
+
+    name: str = ""
+    serial_number: str = ""
+    calibrated: datetime.date | None = None
+
+
+class Encoder(Instrument):
+    """An angle encoder as it is mounted.
+
+    Attributes
+    ----------
+    name, serial_number, calibrated
+        Maker and type, serial number, and date of the calibration, such as 2026-03-01.
+    accuracy
+        Largest error of its graduation, ±, over a turn; a wave of the shaft's first order is taken.
+    distribution
+        Of the accuracy: "rectangular" for a data sheet's limits, "normal" for a calibration's expanded uncertainty
+        with k = 2.
+    resolution
+        One step.
+    subdivision
+        Amplitude of the error within a signal period.
+    periods_per_turn
+        Signal periods in a turn.
+    run_out
+        Amplitude of the angle error by eccentric mounting and coupling, a wave of the shaft's first order.
+    """
+
+    accuracy: _Angle = 0.0
+    distribution: Literal["rectangular", "normal"] = "rectangular"
+    resolution: _Angle = 0.0
+    subdivision: _Angle = 0.0
+    periods_per_turn: Annotated[int, pydantic.Field(gt=0)] | None = None
+    run_out: _Angle = 0.0
+
+    @pydantic.model_validator(mode="after")
+    def _has_periods(self) -> Self:
+        if self.subdivision > 0.0 and self.periods_per_turn is None:
+            raise ValueError("subdivision needs periods_per_turn, the signal periods in a turn")
+        return self
+
+
+class TorqueSensor(Instrument):
+    """A torque sensor.
+
+    Attributes
+    ----------
+    name, serial_number, calibrated
+        Maker and type, serial number, and date of the calibration, such as 2026-03-01.
+    range
+        Its nominal torque.
+    accuracy_class
+        Per cent of the range that it may err by at the rated torque (rectangular), in proportion to the torque.
+    zero
+        Largest error of its zero, ± (rectangular).
+    """
+
+    range: Annotated[edge.Torque, pydantic.Field(gt=0.0)]
+    accuracy_class: Annotated[float, pydantic.Field(ge=0.0, lt=100.0)]
+    zero: _Torque = 0.0
+
+
+class Thermometer(Instrument):
+    """How well the drive's temperature is known, and what it does to the figures.
+
+    Attributes
+    ----------
+    name, serial_number, calibrated
+        Maker and type, serial number, and date of the calibration, such as 2026-03-01.
+    limit
+        How far the drive's temperature may be from the stated one, ± (rectangular), such as "1 K".
+    coefficients
+        Change of a figure with the temperature, by its name: text such as "0.5 arcsec/K".
+    """
+
+    limit: Annotated[edge.Temperature, pydantic.Field(ge=0.0, le=100.0)]
+    coefficients: dict[str, str] = pydantic.Field(default_factory=dict)
+
+    @pydantic.field_validator("coefficients")
+    @classmethod
+    def _of_figures(cls, given: dict[str, str]) -> dict[str, str]:
+        for name, value in given.items():
+            if name not in UNITS:
+                raise ValueError(f"{name} is no figure; figures are {', '.join(UNITS)}")
+            try:
+                edge.parse_quantity(value, f"{UNITS[name]}/K")
+            except ValueError as problem:
+                raise ValueError(f"{name}: {problem}") from None
+        return given
+
+    def coefficient(self, name: str) -> float:
+        """Return the change of a figure with temperature, SI; 0 where none is stated."""
+        return edge.parse_quantity(self.coefficients[name], f"{UNITS[name]}/K") if name in self.coefficients else 0.0
+
+
+class Instruments(edge.Config):
+    """The instruments of a bench; what is not stated is not in a budget.
+
+    Attributes
+    ----------
+    input_encoder, output_encoder
+        Angle encoders of both shafts.
+    torque_sensor, input_torque_sensor
+        On the output and on the input.
+    thermometer
+        Of the drive's temperature.
+    """
+
+    input_encoder: Encoder | None = None
+    output_encoder: Encoder | None = None
+    torque_sensor: TorqueSensor | None = None
+    input_torque_sensor: TorqueSensor | None = None
+    thermometer: Thermometer | None = None
+
+    @property
+    def stated(self) -> dict[str, Instrument]:
+        """The instruments that are stated, by what they measure."""
+        return {name: one for name in type(self).model_fields if (one := getattr(self, name)) is not None}
+
+
+class InstrumentsFile(edge.Config):
+    """Instruments of a bench, for the uncertainty budget of its figures."""
+
+    instruments: Instruments
+
+
+def read_instruments(path: str | os.PathLike[str]) -> Instruments:
+    """Read the instruments of a bench from a TOML file, `cycloid-instruments/1`.
+
+    Raises
+    ------
+    edge.InputError
+        If the file can't be read or holds what it should not; one sentence a problem.
+
+    Examples
+    --------
+    >>> import pathlib
+    >>> _ = pathlib.Path("instruments.toml").write_text(
+    ...     'format = "cycloid-instruments/1"' + chr(10) + '[instruments.output_encoder]' + chr(10)
+    ...     + 'accuracy = "2 arcsec"' + chr(10))
+    >>> list(read_instruments("instruments.toml").stated)
+    ['output_encoder']
+    """
+    return edge.validated(
+        InstrumentsFile, edge.toml_table(edge.read_text(path), FORMAT, str(path)), str(path)
+    ).instruments

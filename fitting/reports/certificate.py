@@ -1,0 +1,139 @@
+"""The certificate of one drive: device, instruments, conditions, figures with limits, decision rule and verdict."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+
+from cycloid_fmu import edge
+from fitting.figures.budget import BUDGET_HEAD, field_factor
+from fitting.figures.conformity import RULES, Certificate, Decision, decisions_of, verdict_of
+from fitting.figures.metrics import Figures
+from fitting.reports.figures_report import BUDGETS, SOURCES, TITLES, budget_tables, sources_of
+from fitting.reports.page import html_page, made_now
+from fitting.reports.panels import Panel, Trace
+
+FORMATS = (".html",)
+_PAGE = """<p id="verdict"><strong>Verdict: {{ verdict }}</strong></p>
+{% for title, rows in tables %}<section><h2>{{ title }}</h2><table class="facts"><tbody>
+{% for name, value in rows %}<tr><th>{{ name }}</th><td>{{ value }}</td></tr>
+{% endfor %}</tbody></table></section>
+{% endfor %}<section><h2>Instruments</h2><table id="instruments"><thead><tr><th>Measures</th><th>Instrument</th>
+<th>Serial number</th><th>Calibrated</th></tr></thead><tbody>
+{% for row in instruments %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>
+{% endfor %}</tbody></table></section>
+<section><h2>Results</h2><table id="results"><thead><tr><th>Figure</th><th>Value</th><th>± U</th><th>k</th><th>Unit</th>
+<th>Min</th><th>Max</th><th>Decision</th></tr></thead><tbody>
+{% for row in results %}<tr>{% for cell in row[:-1] %}<td class="{{ 'number' if 0 < loop.index0 < 4 }}">{{ cell }}</td>
+{% endfor %}<td><strong>{{ row[-1] }}</strong></td></tr>
+{% endfor %}</tbody></table>
+<p class="caption">U is the expanded uncertainty for 95 % (JCGM 100:2008); figures without limits carry no decision.</p>
+<p id="rule">Decision rule: {{ rule }}</p></section>
+"""
+
+
+def write_certificate(found: Figures, certificate: Certificate, path: str | os.PathLike[str]) -> None:
+    """Write the certificate of one drive as an HTML page that loads nothing from anywhere, whole or not at all.
+
+    Raises
+    ------
+    edge.InputError
+        If no instruments are stated, whose uncertainties the decisions need, or the name has another ending.
+    """
+    target = edge.output_path(path, "path", FORMATS)
+    if found.instruments is None:
+        raise edge.InputError(
+            "certificate: it needs the instruments of the bench; state them in a file (--instruments)."
+        )
+    decisions = decisions_of(found, certificate)
+    device = certificate.device
+    tables = [
+        ("Device", [("Type", device.name), ("Serial number", device.serial_number), ("Maker", device.maker)]),
+        ("Conditions", [*_loads(found), *certificate.conditions.items()]),
+    ]
+    if certificate.number or certificate.issued_by:
+        tables.insert(0, ("Certificate", [("Number", certificate.number), ("Issued by", certificate.issued_by)]))
+    instruments = [
+        [name.replace("_", " "), one.name or "not stated", one.serial_number or "not stated",
+         "not stated" if one.calibrated is None else one.calibrated.isoformat()]
+        for name, one in found.instruments.stated.items()
+    ]  # fmt: skip
+    page = html_page(
+        "Certificate of measurement", made_now(), _PAGE, _limit_panels(decisions), BUDGETS + SOURCES,
+        verdict=verdict_of(decisions), tables=[(t, [(n, v) for n, v in rows if v]) for t, rows in tables],
+        instruments=instruments, results=_results(found, decisions), rule=RULES[certificate.decision_rule],
+        budgets=budget_tables(found), budget_head=BUDGET_HEAD, notes=found.notes, sources=sources_of(found),
+    )  # fmt: skip
+    with edge.written_whole(target) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+def _loads(found: Figures) -> list[tuple[str, str]]:
+    """What the recordings tell of the conditions."""
+    warm = [t for one in found.surveyed if (t := one.overview.temperature) is not None]
+    rows = [("Ratio", "" if found.ratio is None else f"{found.ratio:g}"),
+            ("Rated torque", "" if found.rated_torque is None else f"{found.rated_torque:.5g} N·m")]  # fmt: skip
+    if warm:
+        low, high = min(np.nanmin(t) for t in warm) - 273.15, max(np.nanmax(t) for t in warm) - 273.15
+        rows.append(("Temperature as recorded", f"{low:.1f} … {high:.1f} °C"))
+    rows.append(("Recordings", ", ".join(Path(one.source).name for one in found.surveyed)))
+    return rows
+
+
+def _shown(value: float, expanded: float) -> str:
+    if not math.isfinite(value):
+        return "" if math.isinf(value) else "missing"
+    digits = (
+        4 if not math.isfinite(expanded) or expanded <= 0.0 else min(max(1 - math.floor(math.log10(expanded)), 0), 6)
+    )
+    return f"{value:.{digits}f}"
+
+
+def _results(found: Figures, decisions: list[Decision]) -> list[list[str]]:
+    """Each figure with its expanded uncertainty; those with limits first."""
+    rows = []
+    for one in decisions:
+        factor, unit = field_factor(one.unit)
+        expanded = one.expanded * factor
+        rows.append(
+            [TITLES[one.figure], _shown(one.value * factor, expanded),
+             "not known" if math.isnan(expanded) else _shown(expanded, expanded),
+             "" if math.isnan(expanded) else f"{one.coverage_factor:.2f}", unit,
+             "" if math.isinf(one.low) else f"{one.low * factor:.6g}",
+             "" if math.isinf(one.high) else f"{one.high * factor:.6g}", one.verdict]
+        )  # fmt: skip
+    limited = {one.figure for one in decisions}
+    for name, budget in found.budgets.items():
+        if name not in limited:
+            factor, unit = field_factor(budget.unit)
+            expanded = budget.expanded * factor
+            rows.append([TITLES[name], _shown(budget.value * factor, expanded), _shown(expanded, expanded),
+                         f"{budget.coverage_factor:.2f}", unit, "", "", ""])  # fmt: skip
+    return rows
+
+
+def _limit_panels(decisions: list[Decision]) -> list[Panel]:
+    """Each decided figure with ± U as a share of its upper limit, or of its lower one where it has no other."""
+    traces = []
+    shown = [one for one in decisions if math.isfinite(one.value)]
+    for row, one in enumerate(shown):
+        whole = one.high if math.isfinite(one.high) and one.high != 0.0 else one.low
+        scale = 100.0 / whole if whole else 100.0
+        y = np.array([-row, -row], float)
+        if math.isfinite(one.expanded):
+            ends = np.array([one.value - one.expanded, one.value + one.expanded]) * scale
+            traces.append(Trace("value ± U" if row == 0 else "", ends, y, "thick", 0))
+        traces.append(Trace("", np.array([one.value * scale]), y[:1], "points", -1, (one.verdict,)))
+        for bound in (one.low, one.high):
+            if math.isfinite(bound):
+                label = "" if any(t.label == "limit" for t in traces) else "limit"
+                at = np.full(2, bound * scale)
+                traces.append(Trace(label, at, np.array([-row - 0.35, -row + 0.35]), "thick", 1))
+    if not shown:
+        return []
+    caption = "Per cent of the largest value that is allowed, or of the smallest where there is no largest."
+    names = tuple(TITLES[one.figure] for one in shown)
+    return [Panel("Figures and their limits", "share of the limit [%]", "", tuple(traces), caption, y_names=names)]
