@@ -99,12 +99,12 @@ def observed_curves(
     given = [recordings] if isinstance(recordings, Source | Curve) else list(recordings)
     found = [one for one in given if isinstance(one, Curve)]
     sources = [one for one in given if not isinstance(one, Curve)]
-    locked = [is_locked(_checked_drive(open_source(one), drive), pair.ratio) for one in sources]
+    locked = [is_locked(_checked_drive(open_source(one, pair.ratio), drive), pair.ratio) for one in sources]
     found += curves(
         [one for one, still in zip(sources, locked, strict=True) if not still], pair.ratio, keep_turns=keep_turns
     )
     for one in itertools.compress(sources, locked):
-        found += branches_of(survey(open_source(one), pair.ratio, pair.rated_torque), pair.ratio)
+        found += branches_of(survey(open_source(one, pair.ratio), pair.ratio, pair.rated_torque), pair.ratio)
     return found
 
 
