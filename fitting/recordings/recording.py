@@ -66,6 +66,8 @@ class Recording(Block):
         What the encoders can show, as far as it is stated.
     speed
         At which it was made, rad/s of the shaft that the bench names, where that is stated.
+    timed
+        Whether its times are seconds; else they count samples.
     """
 
     source: str
@@ -79,6 +81,7 @@ class Recording(Block):
     torque_alignment: float = 0.0
     limits: Limits = dataclasses.field(default_factory=Limits)
     speed: float | None = None
+    timed: bool = True
 
     def blocks(self) -> Iterator[Block]:
         """Yield the recording as one block."""
@@ -105,7 +108,7 @@ class RecordingStream:
 
     Attributes
     ----------
-    source, ratio, pair, common_zero, known_index, limits
+    source, ratio, pair, common_zero, known_index, limits, timed
         As in `Recording`; the source is the file's name, and behind a comma the run's.
     notes, alignment, torque_alignment, speed
         As in `Recording`; complete when all blocks were taken.
@@ -128,6 +131,7 @@ class RecordingStream:
         self._file = open_bench_file(path, None if mapping is None else mapping.dbc)
         self._mapping = own_names(self._file) if mapping is None else mapping
         self._scales = scales_of(self._file, self._mapping)
+        self.timed = self._file.timed or self._mapping.time is not None
         self._stated = stated_in_name(path, self._mapping)
         own = self._mapping.ratio if self._mapping.ratio is not None else self._file.ratio
         self.ratio = own if ratio is None else ratio
@@ -193,8 +197,7 @@ class RecordingStream:
         self._start_digest()
         clocks = {n: (m.delay, m.drift) for n in CHANNELS if (m := getattr(self._mapping, n)) is not None}
         clocks = {n: clock for n, clock in clocks.items() if n in self._scales}
-        untimed = not self._file.timed and self._mapping.time is None
-        merge = OneClock(self._scales, TimeMapping(rate=1.0) if untimed else self._mapping.time, clocks)
+        merge = OneClock(self._scales, self._mapping.time if self.timed else TimeMapping(rate=1.0), clocks)
         rollover = {n: m.rollover for n in ANGLES if (m := getattr(self._mapping, n))}
         cleaning = Cleaning(rollover, self.source, self.ratio)
         names = list(dict.fromkeys(column for column, _, _ in self._scales.values()))
@@ -214,7 +217,7 @@ class RecordingStream:
         self.notes = [*self._file.problems, *(f"{self.source}: {n}" for n in notes)]
         if speed[1]:
             self.speed = float(speed[0] / speed[1])
-        if untimed:
+        if not self.timed:
             self.notes.append(f"{self.source}: no time is mapped; times count samples, and speeds are not known.")
         if self._mapping.input_angle is None and self._mapping.transmission_error is None:
             self.notes.append(f"{self.source}: no input angle is mapped; the input is taken as locked.")
@@ -241,7 +244,7 @@ class RecordingStream:
             **columns, source=self.source, checksum=self.checksum, ratio=self.ratio, pair=self.pair,
             common_zero=self.common_zero, known_index=self.known_index, notes=tuple(self.notes),
             alignment=self.alignment, torque_alignment=self.torque_alignment, limits=self.limits,
-            speed=self.speed,
+            speed=self.speed, timed=self.timed,
         )  # fmt: skip
 
     def _clock_notes(self) -> list[str]:

@@ -114,6 +114,7 @@ class Run:
         return Recording(
             **vars(block), source=self.name, checksum=digest, common_zero=self.common_zero,
             known_index=self.known_index, speed=self.speed,
+            timed=self.time is not None,
             notes=tuple(f"{self.name}: {note}" for note in cleaning.notes()),
         )  # fmt: skip
 

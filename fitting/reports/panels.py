@@ -15,7 +15,7 @@ from cycloid_fmu.edge import ARCMIN, ARCSEC
 from cycloid_fmu.geometry.pair import Pair
 from fitting.figures.hysteresis import LoopData, loop_marks
 from fitting.figures.metrics import Figures
-from fitting.figures.spectrum import Spectrum
+from fitting.figures.spectrum import Spectrum, order_name
 from fitting.figures.starts import back_driving_torques, starting_torques
 from fitting.transmission_error.curve import Curve
 
@@ -52,10 +52,21 @@ class Trace:
 
 
 @dataclass(frozen=True)
+class HeatMap:
+    """Values over two axes: `z` of shape (y, x) at x and y, which are drawn evenly; NaN is left empty."""
+
+    name: str
+    x: Array
+    y: Array
+    z: Array
+
+
+@dataclass(frozen=True)
 class Panel:
     """One diagram with its title, axes, and a sentence that says what is seen.
 
-    `y_names` stand beside the y axis in place of numbers, at 0, -1, -2 and so on.
+    `y_names` stand beside the y axis in place of numbers, at 0, -1, -2 and so on. `heat` are maps side by side, in
+    place of traces, with one scale of colours.
     """
 
     title: str
@@ -65,27 +76,12 @@ class Panel:
     caption: str
     log_y: bool = False
     y_names: tuple[str, ...] = ()
+    heat: tuple[HeatMap, ...] = ()
 
 
 def label_of(curve: Curve) -> str:
     """Load and direction of a curve, as plots name it."""
     return f"{curve.torque:+.4g} N·m, {'forward' if curve.direction > 0 else 'backward'}"
-
-
-def order_name(order: int, ratio: float, pair: Pair | None) -> str:
-    """Return what an order of the output comes from, "" where its number does not tell.
-
-    Errors of pins and ring repeat at multiples of the gear's teeth, those of the teeth at multiples of the pins,
-    whether gear or ring is the output; what both have in common is the mesh. The first two are the rig's: coaxiality
-    and couplings. Without the pair only the turns of the input are known.
-    """
-    if order <= 2:
-        return "rig"
-    if pair is None:
-        return "input turn" if abs(order / ratio - round(order / ratio)) * abs(ratio) < 1e-6 else ""
-    teeth, pins = pair.gear_teeth, pair.pins
-    kinds = [name for name, per_turn in (("pin", teeth), ("tooth", pins)) if order % per_turn == 0]
-    return "mesh" if len(kinds) > 1 else "".join(kinds)
 
 
 def panels_of(found: Figures) -> list[Panel]:

@@ -18,9 +18,11 @@ from cycloid_fmu.surfaces.structured import unit_of
 from fitting.estimation.plan import Plan
 from fitting.estimation.result import Identification
 from fitting.figures.comparison import Change, Comparison
+from fitting.figures.maps import FORMAT as MAPS
 from fitting.figures.metrics import Figures
 from fitting.model.prior import TOLERANCE
 from fitting.recordings.inspection import Inspection, Look
+from fitting.reports.maps_report import plot_maps
 from fitting.reports.panels import Panel, label_of, panels_of
 from fitting.transmission_error.curve import Curve
 
@@ -40,7 +42,7 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
     Parameters
     ----------
     result
-        What `fitting.curves`, `metrics`, `compare`, `identify`, `plan` or `inspect` returned.
+        What `fitting.curves`, `metrics`, `maps`, `compare`, `identify`, `plan` or `inspect` returned.
     path
         `.png` or `.pdf`.
 
@@ -64,6 +66,8 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
     ]  # fmt: skip
     one = result[0] if isinstance(result, list | tuple) and result else result
     draw = next((draw for kind, draw in pictures if isinstance(one, kind)), None)
+    if getattr(one, "attrs", {}).get("format") == MAPS:
+        draw = plot_maps
     if draw is None:
         raise edge.InputError(f"result: there is no picture of {type(one).__name__}.")
     figure = draw(result)

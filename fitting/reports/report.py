@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import os
+from typing import TYPE_CHECKING
 
 from fitting.estimation.result import Identification
 from fitting.figures.metrics import Figures
 from fitting.reports.figures_report import write_figures_report
 from fitting.reports.fit_report import write_fit_report
+from fitting.reports.maps_report import write_maps_report
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
-def report(result: Figures | Identification, path: str | os.PathLike[str]) -> None:
-    """Write the report of figures or of a fit, whole or not at all.
+def report(result: Figures | Identification | xr.Dataset, path: str | os.PathLike[str]) -> None:
+    """Write the report of figures, of maps or of a fit, whole or not at all.
 
     Parameters
     ----------
     result
-        What `fitting.metrics` or `fitting.identify` returned.
+        What `fitting.metrics`, `fitting.maps` or `fitting.identify` returned.
     path
         `.html`: one file with all that it needs, to zoom and hover in; `.pdf`, of figures only: the same on pages.
 
@@ -36,5 +41,7 @@ def report(result: Figures | Identification, path: str | os.PathLike[str]) -> No
     """
     if isinstance(result, Identification):
         write_fit_report(result, path)
-    else:
+    elif isinstance(result, Figures):
         write_figures_report(result, path)
+    else:
+        write_maps_report(result, path)

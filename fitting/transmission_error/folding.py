@@ -407,7 +407,14 @@ class Folding:
             for f in kept
         ]  # fmt: skip
         warm = float(total / count) if count else None
-        return [dataclasses.replace(one, temperature=warm, stated_speed=stream.speed) for one in found]
+        return [dataclasses.replace(one, temperature=warm, running_speed=_speed_of(one, stream)) for one in found]
+
+
+def _speed_of(curve: Curve, stream: Recording | RecordingStream) -> float | None:
+    """Return the speed at which a curve was run: as its recording states it, else the output's."""
+    if stream.speed is not None or not stream.timed or curve.speed is None:
+        return stream.speed
+    return float(np.abs(np.mean(curve.speed)) / abs(curve.ratio))
 
 
 def _check_ratio(fold: _Fold, source: str) -> None:

@@ -181,4 +181,4 @@ def test_columns_hold_conditions_too(tmp_path):
     (curve,) = fitting.curves(fitting.read_recordings(path, tmp_path / "map.toml"), -9.0)
     assert curve.torque == pytest.approx(20.0)
     assert curve.temperature == pytest.approx(303.15)
-    assert curve.stated_speed == pytest.approx(15 * 2 * np.pi / 60)
+    assert curve.running_speed == pytest.approx(15 * 2 * np.pi / 60)
