@@ -99,5 +99,8 @@ def plot_maps(found: xr.Dataset) -> Figure:
             axis.set_xticks(range(one.x.size), [f"{v:.4g}" for v in one.x], fontsize=6)
             axis.set_yticks(range(one.y.size), ["" if np.isnan(v) else f"{v:.4g}" for v in one.y], fontsize=6)
             axis.set_title(f"{panel.title}\n{one.name}" if axis is row[0] else one.name, fontsize=7, loc="left")
+            axis.grid(visible=False)
+            axis.set_xlabel(panel.x_label, fontsize=6)
+        row[0].set_ylabel(panel.y_label, fontsize=6)
         figure.colorbar(drawn, ax=list(row))
     return figure
