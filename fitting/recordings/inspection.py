@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import re
@@ -175,6 +176,8 @@ def inspect(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | None = N
     roles = roles_of(file, [one for one in looks if one not in taken] if runs else looks)
     if runs:  # what else is an angle is none of these runs'
         roles = {role: one for role, one in roles.items() if not role.endswith("angle")}
+    if file.timed or "time" in roles:  # the time says which sample came first
+        runs = [dataclasses.replace(run, last_row_first=False) for run in runs]
     if len(runs) == 1:
         roles |= {"output_angle": runs[0].output_angle, "transmission_error": runs[0].transmission_error}
     return Inspection(file, tuple(looks), roles, None if dbc is None else Path(dbc), tuple(runs))

@@ -189,6 +189,10 @@ def _check_channels(mapping: FileMapping, source: str) -> None:
     for name in ("output_angle", "torque"):
         if getattr(mapping, name) is None:
             raise edge.InputError(f"{source}: {name} is missing; a recording needs it.")
+    if mapping.last_row_first and mapping.time is not None and mapping.time.column is not None:
+        raise edge.InputError(
+            f"{source}: last_row_first: the [time] column says which sample came first; leave one of the two out."
+        )
     if mapping.transmission_error is not None and mapping.input_angle is not None:
         raise edge.InputError(
             f"{source}: [input_angle] and [transmission_error]: give one of the two; the other follows from it."

@@ -132,6 +132,8 @@ class RecordingStream:
         self._mapping = own_names(self._file) if mapping is None else mapping
         self._scales = scales_of(self._file, self._mapping)
         self.timed = self._file.timed or self._mapping.time is not None
+        if self._file.timed and self._mapping.last_row_first:
+            raise edge.InputError(f"{self.source}: last_row_first: the file's own times say which sample came first.")
         self._stated = stated_in_name(path, self._mapping)
         own = self._mapping.ratio if self._mapping.ratio is not None else self._file.ratio
         self.ratio = own if ratio is None else ratio

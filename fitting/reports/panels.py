@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,6 +24,7 @@ Array = NDArray[np.float64]
 
 _MIDDLE = 0.12  # share of the rated torque that the middle of a loop shows
 _NAMED = 14  # orders that bear their names
+_DRAWN = 100_000  # points of all lines of a panel
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,26 @@ def panels_of(found: Figures) -> list[Panel]:
     panels += [p for s in found.surveyed if s.loops is not None for p in _loop_panels(s.loops)]
     panels += _start_panels(found)
     panels.append(_torque_panel(found))
-    return panels
+    return [_lightened(panel) for panel in panels]
+
+
+def _lightened(panel: Panel) -> Panel:
+    """Return a panel whose lines have `_DRAWN` points at most together: the smallest and largest of each stretch."""
+    total = sum(t.x.size for t in panel.traces)
+    if total <= _DRAWN:
+        return panel
+    traces = []
+    for trace in panel.traces:
+        stretches = max(1, trace.x.size * _DRAWN // total // 2)
+        length = math.ceil(trace.x.size / stretches)
+        if length > 2 and not trace.texts:
+            begins = np.arange(0, trace.x.size, length)
+            parts = np.split(trace.y, begins[1:])
+            lows, highs = ([b + int(f(p)) for b, p in zip(begins, parts, strict=True)] for f in (np.argmin, np.argmax))
+            kept = np.unique([0, *lows, *highs, trace.x.size - 1])
+            trace = dataclasses.replace(trace, x=trace.x[kept], y=trace.y[kept])
+        traces.append(trace)
+    return dataclasses.replace(panel, traces=tuple(traces))
 
 
 def _curves_panel(curves: list[Curve]) -> Panel:

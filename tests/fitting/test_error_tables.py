@@ -1,5 +1,6 @@
 """Tables of output angle and transmission error, as rigs publish them, from `inspect` to the errors of the drive."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -161,6 +162,7 @@ def test_a_transmission_error_needs_the_ratio(tmp_path):
         ('torque = {file_name = "Nm", unit = "N*m"}', "Nm"),
         ('torque = {file_name = "{}Nm"}', "unit"),
         ('input_angle = {column = "b"}', "one of the two"),
+        ("last_row_first = true\ntime = {column = 't'}", "which sample came first"),
         ("[[runs]]\nname = 'a'\n[[runs]]\nname = 'a'", "name of its own"),
     ],
 )
@@ -182,3 +184,27 @@ def test_columns_hold_conditions_too(tmp_path):
     assert curve.torque == pytest.approx(20.0)
     assert curve.temperature == pytest.approx(303.15)
     assert curve.running_speed == pytest.approx(15 * 2 * np.pi / 60)
+
+
+def test_columns_of_one_name_go_together_in_their_order(tmp_path):
+    (output, error), (other, beside) = made(20.0).values()
+    columns = (np.degrees(output), error / ARCSEC, np.degrees(other), beside / ARCSEC)
+    rows = [";".join(f"{v:.9f}" for v in row) for row in zip(*columns, strict=True)]
+    (path := tmp_path / "a_20Nm.csv").write_text("\n".join(["Pos [deg];TE [″];Pos [deg];TE [″]", *rows]), "utf-8")
+    fitting.inspect(path).write(tmp_path / "map.toml")
+    first, second = fitting.read_recordings(path, tmp_path / "map.toml")
+    assert second.open(-9.0).read().output_angle == pytest.approx(other, abs=1e-10)
+    assert first.open(-9.0).read().source.endswith(", run 1")
+
+
+def test_a_report_of_many_dense_curves_stays_light(tmp_path):
+    turn = np.linspace(0.0, 2.0 * np.pi, 6000, endpoint=False)
+    noise = np.random.default_rng(0)
+    runs = [
+        fitting.Run(input_angle=-39 * turn, output_angle=turn + noise.normal(0.0, 1e-6, 6000), torque=t, name=f"{t}")
+        for t in range(1, 7)
+    ]
+    found = fitting.metrics(runs, ratio=-39.0)
+    many = dataclasses.replace(found, surveyed=found.surveyed * 16, spectra=found.spectra * 16)
+    fitting.report(many, tmp_path / "many.html")
+    assert (tmp_path / "many.html").stat().st_size < 10e6
