@@ -22,6 +22,7 @@ def maps(
         Path | None, commands.output_option((".html",), "MAPS.html", "Write the maps as a page.", "--report")
     ] = None,
     plot: commands.PlotFile = None,
+    as_json: commands.AsJson = False,
 ) -> None:
     """Maps over torque, speed and temperature: transmission error, its orders, gap between directions, stiffness.
 
@@ -44,6 +45,11 @@ def maps(
         fitting.report(found, report)
     if plot is not None:
         fitting.plot(found, plot)
+    notes = [n for n in found.attrs["notes"].split("\n") if n]
+    if as_json:
+        numbers = {str(name): values.values for name, values in {**found.coords, **found.data_vars}.items()}
+        commands.print_json({**numbers, "notes": notes})
+        return
     axes = ", ".join(f"{found.sizes[name]} of {name}" for name in ("torque", "speed", "temperature"))
     typer.echo(f"{found.attrs['curves']} curves over {axes}.")
-    options.print_notes(n for n in found.attrs["notes"].split("\n") if n)
+    options.print_notes(notes)

@@ -204,7 +204,7 @@ _SPELLINGS = {
     "°": "deg", "º": "deg", "°c": "degC", "′": "arcmin", "'": "arcmin", "’": "arcmin", "″": "arcsec",
     '"': "arcsec", "”": "arcsec", "''": "arcsec", "′′": "arcsec", "arc sec": "arcsec", "arc min": "arcmin",
     "r/min": "rpm", "1/min": "rpm",
-    "min-1": "rpm", "u/min": "rpm", "sec": "s",
+    "min-1": "rpm", "bogensekunden": "arcsec", "bogenminuten": "arcmin", "u/min": "rpm", "sec": "s",
 }  # fmt: skip
 
 

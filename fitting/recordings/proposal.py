@@ -40,10 +40,11 @@ class ErrorRun:
 
 
 def stated_unit(one: Look) -> str:
-    """Return a channel's unit as the file says it, or as its name ends: `TE_arcsec`."""
+    """Return a channel's unit as the file says it, or as its name does: `TE_arcsec`, `TE (arcsec) CW`."""
     if one.channel.unit:
         return unit_text(one.channel.unit)
-    match = re.search(rf"[\s_/,.-]{_UNITS}$", one.channel.name.strip(), re.IGNORECASE)
+    name = one.channel.name.strip()
+    match = re.search(rf"[\[(]{_UNITS}[\])]", name) or re.search(rf"[\s_/,.-]{_UNITS}$", name, re.IGNORECASE)
     return unit_text(match[1]) if match else ""
 
 
@@ -52,6 +53,14 @@ def _angle_of(unit: str) -> bool:
         return unit not in ("", "1", "%", "ppm") and bool(edge.parse_unit(unit).is_compatible_with("rad"))
     except ValueError:
         return False
+
+
+def _known(unit: str) -> bool:
+    try:
+        edge.parse_unit(unit)
+    except ValueError:
+        return False
+    return True
 
 
 def _way(name: str) -> str:
@@ -98,7 +107,7 @@ def error_runs(looks: Sequence[Look]) -> list[ErrorRun]:
 
 def _is_error(one: Look, all_of_them: Sequence[Look]) -> bool:
     unit = stated_unit(one)
-    if unit and not _angle_of(unit):
+    if unit and not _angle_of(unit) and _known(unit):
         return False
     named = bool(re.search(_ERROR, one.channel.name, re.IGNORECASE))
     larger = any(_angle_of(stated_unit(o)) and stated_unit(o) not in _SMALL for o in all_of_them if o is not one)

@@ -20,6 +20,8 @@ SHEETS = {  # header with {} for the way, factor from radians, delimiter, decima
     "german": ("Abtrieb_{} [°]", "Drehfehler_{} [″]", 1.0 / ARCSEC, ";", ","),
     "signs": ("Output angle {} (deg)", "TE {} (')", 10800.0 / np.pi, "\t", "."),
     "degrees": ("pos {} / deg", "transmission error {} / deg", 180.0 / np.pi, ";", "."),
+    "in the middle": ("Pos (deg) {}", "TE (arcsec) {}", 1.0 / ARCSEC, ";", "."),
+    "words": ("Winkel {} [°]", "TE {} [Bogensekunden]", 1.0 / ARCSEC, ";", ","),
     "in names": ("pos_{}_deg", "TE_{}_mrad", 1e3, ",", "."),
 }
 
@@ -208,3 +210,14 @@ def test_a_report_of_many_dense_curves_stays_light(tmp_path):
     many = dataclasses.replace(found, surveyed=found.surveyed * 16, spectra=found.spectra * 16)
     fitting.report(many, tmp_path / "many.html")
     assert (tmp_path / "many.html").stat().st_size < 10e6
+
+
+def test_an_unknown_unit_is_asked_and_no_run_is_dropped(tmp_path):
+    rows = [f"{a},{e},{e}" for a, e in zip(range(0, 360, 5), np.cos(np.arange(72)), strict=True)]
+    head = "Position [deg],TE forward [arcsex],TE backward [arcsec]"
+    (path := tmp_path / "a_20Nm.csv").write_text("\n".join([head, *rows]))
+    fitting.inspect(path).write(tmp_path / "map.toml")
+    forward, backward = fitting.read_recordings(path, tmp_path / "map.toml")
+    assert backward.open(-9.0).read().time.size == 72
+    with pytest.raises(edge.InputError, match=r"TE forward.*arcsex"):
+        forward.open(-9.0)

@@ -1,5 +1,7 @@
 """Maps over conditions, from curves whose orders, gaps and stiffness are known."""
 
+import json
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -100,6 +102,8 @@ def test_maps_from_the_command_line(command, tmp_path):
     found = xr.load_dataset(tmp_path / "m.nc")
     amplitude = found.order_amplitude.sel(order=39, direction="backward").squeeze() / ARCSEC
     assert amplitude.values == pytest.approx([5.0, 10.0], abs=0.01)
+    printed = command("cycloid-fit", "maps", *files, "--mapping", "m.toml", "--ratio", "-39", "--json")
+    assert json.loads(printed.stdout)["torque"] == pytest.approx([100, 200])
     refused = command("cycloid-fit", "maps", *files, "--mapping", "m.toml")
     assert refused.returncode == 2
     assert "--ratio" in refused.stderr
