@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from fitting.estimation.result import Identification as Identification
     from fitting.figures.comparison import Comparison as Comparison
     from fitting.figures.comparison import compare as compare
+    from fitting.figures.maps import maps as maps
     from fitting.figures.metrics import Figures as Figures
     from fitting.figures.metrics import metrics as metrics
     from fitting.recordings.inspection import Inspection as Inspection
@@ -34,6 +35,7 @@ _NAMES = {
     "estimation.plan": "Plan plan",
     "estimation.result": "Identification",
     "figures.comparison": "compare",
+    "figures.maps": "maps",
     "figures.metrics": "Figures metrics",
     "recordings.inspection": "inspect",
     "recordings.mapping": "read_mapping",

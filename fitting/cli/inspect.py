@@ -25,6 +25,8 @@ def inspect(
     Example: [cyan]cycloid-fit inspect run.tdms -o map.toml --plot channels.png[/], then check map.toml and give it as
     [cyan]--mapping map.toml[/]
     """
+    import numpy as np
+
     import fitting
     from fitting.recordings.inspection import LOOKED_AT, inspection_json
 
@@ -37,8 +39,13 @@ def inspect(
         commands.print_json(inspection_json(found))
         return
     roles = {one.channel.name: role for role, one in found.roles.items()}
+    if len(found.runs) > 1:
+        for run in found.runs:
+            roles[run.output_angle.channel.name] = "output_angle"
+            roles[run.transmission_error.channel.name] = f"transmission_error, {run.name}"
     rows = [
-        [o.channel.name, o.channel.unit, str(o.values.size), f"{o.values.min():.6g}", f"{o.values.max():.6g}",
+        [o.channel.name, o.channel.unit, str(o.values.size), f"{np.nanmin(o.values):.6g}",
+         f"{np.nanmax(o.values):.6g}",
          roles.get(o.channel.name, "")]
         for o in found.looks
     ]  # fmt: skip

@@ -241,7 +241,7 @@ def metrics(
             progress(f"recording {number} of {len(given)}: {samples / 1e6:.1f} million samples")
 
         try:
-            surveyed.append(survey(open_source(source), ratio, rated, report))
+            surveyed.append(survey(open_source(source, ratio), ratio, rated, report))
         except edge.InputError as problem:
             problems.append(str(problem))
         except KeyboardInterrupt:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from cycloid_fmu import edge
+from cycloid_fmu.geometry.pair import Pair
 from fitting.figures.figure import DEFINITIONS, UNITS, Figure
 from fitting.transmission_error.curve import Curve
 
@@ -113,7 +114,9 @@ def spectrum(curve: Curve) -> Spectrum:
         step = np.fft.rfft(np.where(filled, value - model, 0.0))[: highest + 1] * (2.0 / points) / shift_phase
         step[0] *= 0.5
         coefficient = coefficient + step
-        if np.abs(step[1:]).max() <= 1e-9 * np.abs(coefficient[1:]).max():
+        # Well below what noise makes of an order, or of the largest one where there is no noise.
+        amplitude = np.abs(coefficient[1:])
+        if np.abs(step[1:]).max() <= max(1e-9 * amplitude.max(), 1e-4 * float(np.median(amplitude))):
             break
     power = np.abs(coefficient[1:]) ** 2
     floor = np.sqrt(ndimage.median_filter(power, min(_WINDOW, power.size), mode="reflect") / np.log(2.0))
@@ -178,6 +181,40 @@ def _gridded(
     second = np.bincount(number, weight * (offset**2 + variance), points) / total
     value = np.bincount(number, weight * error, points) / total
     return value, inside, np.maximum(second - inside**2, 0.0), filled
+
+
+def order_name(order: int, ratio: float, pair: Pair | None) -> str:
+    """Return what an order of the output comes from, "" where its number does not tell.
+
+    Errors of pins and ring repeat at multiples of the gear's teeth, those of the teeth at multiples of the pins,
+    whether gear or ring is the output; what both have in common is the mesh. `RIG_ORDERS` are the rig's: coaxiality
+    and couplings. Without the pair only the turns of the input are known.
+    """
+    if order in RIG_ORDERS:
+        return "rig"
+    if pair is None:
+        return "input turn" if abs(order / ratio - round(order / ratio)) * abs(ratio) < 1e-6 else ""
+    teeth, pins = pair.gear_teeth, pair.pins
+    kinds = [name for name, per_turn in (("pin", teeth), ("tooth", pins)) if order % per_turn == 0]
+    return "mesh" if len(kinds) > 1 else "".join(kinds)
+
+
+def range_of_orders(orders: Spectrum) -> float:
+    """Return largest less smallest value of the curve of the orders that stand out of the noise, rad.
+
+    Unlike `angular_transmission_error`, what noise in these orders adds is not taken off; it takes a thousandth of the
+    time.
+
+    Parameters
+    ----------
+    orders
+        Of a curve.
+    """
+    kept = np.where(orders.significant, orders.coefficient, 0.0)
+    kept[0] = 0.0
+    highest = int(np.flatnonzero(kept).max(initial=1))
+    points = 1 << max(10, math.ceil(math.log2(16 * highest)))
+    return float(range_of(kept[: highest + 1], points)[0])
 
 
 def angular_transmission_error(curve: Curve, orders: Spectrum, runaway: float = 0.0, *, seed: int = 0) -> Figure:

@@ -159,7 +159,7 @@ def survey(
     if loops is None and folding is not None:
         try:
             curves = folding.curves(stream, blocks)
-            notes = list(curves[0].notes) + loop_notes + _lag_note(shortened, folding.ratio)
+            notes = list(curves[0].notes) + loop_notes + (_lag_note(shortened, folding.ratio) if stream.timed else [])
         except edge.InputError as problem:
             notes.append(str(problem))
     elif loops is None and np.ptp(shortened.input_angle) > 0.0:

@@ -101,12 +101,12 @@ def observed_curves(
     given = [recordings] if isinstance(recordings, Source | Curve) else list(recordings)
     found = [one for one in given if isinstance(one, Curve)]
     sources = [one for one in given if not isinstance(one, Curve)]
-    locked = [is_locked(_checked_drive(open_source(one), drive), ratio) for one in sources]
+    locked = [is_locked(_checked_drive(open_source(one, ratio), drive), ratio) for one in sources]
     found += curves(
         [one for one, still in zip(sources, locked, strict=True) if not still], ratio, keep_turns=keep_turns
     )
     for one in itertools.compress(sources, locked):
-        found += branches_of(survey(open_source(one), ratio, pair.rated_torque), ratio)
+        found += branches_of(survey(open_source(one, ratio), ratio, pair.rated_torque), ratio)
     return [of_cranks(one, drive) for one in found]
 
 

@@ -97,9 +97,13 @@ class _Angle:
 
 
 class Cleaning:
-    """Leaves out what is no sample, marks gaps, makes angles continuous; block by block."""
+    """Leaves out what is no sample, marks gaps, makes angles continuous; block by block.
 
-    def __init__(self, rollover: Mapping[str, float | None], source: str) -> None:
+    With a ratio a measured transmission error becomes the input angle.
+    """
+
+    def __init__(self, rollover: Mapping[str, float | None], source: str, ratio: float | None = None) -> None:
+        self._ratio = ratio
         self._angles = {name: _Angle(period, name, source) for name, period in rollover.items()}
         self._usual = np.nan
         self._last = -np.inf
@@ -135,6 +139,7 @@ class Cleaning:
                 table, bits, time = {n: v[onward] for n, v in table.items()}, bits[onward], time[onward]
                 steps = np.diff(time, prepend=self._last)
         if not time.size:
+            table.pop("transmission_error", None)
             return Block(**{"input_angle": time, **table}, status=bits)  # type: ignore[arg-type]
         self._gaps_in(time, steps, bits)
         self._last = float(time[-1])
@@ -142,6 +147,8 @@ class Cleaning:
             table[name], rolled = angle.add(table[name])
             if rolled is not None:
                 bits[rolled] |= ROLLOVER
+        if self._ratio is not None and "transmission_error" in table:
+            table["input_angle"] = (table["output_angle"] - table.pop("transmission_error")) * self._ratio
         return Block(**{"input_angle": np.zeros(time.size), **table}, status=bits)  # type: ignore[arg-type]
 
     def _finite(self, table: dict[str, Array]) -> NDArray[np.bool_] | None:

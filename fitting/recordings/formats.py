@@ -201,7 +201,10 @@ def in_order(streams: Sequence[Iterator[Piece]]) -> Iterator[Piece]:
 
 
 _SPELLINGS = {
-    "°": "deg", "º": "deg", "°c": "degC", "′": "arcmin", "'": "arcmin", "″": "arcsec", '"': "arcsec", "sec": "s",
+    "°": "deg", "º": "deg", "°c": "degC", "′": "arcmin", "'": "arcmin", "’": "arcmin", "″": "arcsec",
+    '"': "arcsec", "”": "arcsec", "''": "arcsec", "′′": "arcsec", "arc sec": "arcsec", "arc min": "arcmin",
+    "r/min": "rpm", "1/min": "rpm",
+    "min-1": "rpm", "bogensekunden": "arcsec", "bogenminuten": "arcmin", "u/min": "rpm", "sec": "s",
 }  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import re
@@ -15,7 +16,8 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from fitting.recordings.formats import BenchFile, RawChannel, open_bench_file, pieces_of, unit_text
-from fitting.recordings.mapping import CHANNELS, FORMAT, OPTIONAL
+from fitting.recordings.mapping import BESIDE, CHANNELS, FORMAT, OPTIONAL
+from fitting.recordings.proposal import ErrorRun, error_runs, name_patterns, stated_unit
 
 Array = NDArray[np.float64]
 
@@ -26,9 +28,10 @@ _NAMES = {
     "output_angle": r"output|\bout\b|abtrieb|ausgang|\bab\b|load|flange|enc\w*2|phi_?2",
     "torque": r"torque|moment|\bmd\b|\bnm\b|trq",
     "temperature": r"temp|°c",
+    "speed": r"speed|drehzahl|rpm|veloc|^n$",
 }
 _ANGLE_NAMES = r"angle|winkel|pos|phi|enc|theta|rot|count|ink"
-_KINDS = {"time": "s", "angle": "rad", "torque": "N*m", "temperature": "K"}
+_KINDS = {"time": "s", "angle": "rad", "torque": "N*m", "temperature": "K", "speed": "rad/s"}
 
 
 @dataclass(frozen=True)
@@ -118,24 +121,27 @@ class Inspection:
         {role: the channel proposed for it}.
     dbc
         The DBC with which it was opened.
+    runs
+        Where it is a table of output angles and transmission errors: the runs that it seems to hold.
     """
 
     file: BenchFile
     looks: tuple[Look, ...]
     roles: dict[str, Look]
     dbc: Path | None = None
+    runs: tuple[ErrorRun, ...] = ()
 
     @property
     def text(self) -> str:
         """The proposed mapping file, with a comment wherever something was concluded from the values, or is missing."""
-        return _mapping_text(self.roles, self.file, None if self.dbc is None else str(self.dbc.resolve()))
+        return _mapping_text(self.roles, self.runs, self.file, None if self.dbc is None else str(self.dbc.resolve()))
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the proposed mapping file, in which the DBC is named relative to it, whole or not at all."""
         folder = Path(path).resolve().parent
         dbc = None if self.dbc is None else os.path.relpath(self.dbc.resolve(), folder)
         with edge.written_whole(path) as temporary:
-            temporary.write_text(_mapping_text(self.roles, self.file, dbc), encoding="utf-8")
+            temporary.write_text(_mapping_text(self.roles, self.runs, self.file, dbc), encoding="utf-8")
 
 
 def inspect(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | None = None) -> Inspection:
@@ -165,19 +171,35 @@ def inspect(path: str | os.PathLike[str], dbc: str | os.PathLike[str] | None = N
     looks = look(file)
     if not looks:
         raise edge.InputError(" ".join([*file.problems, f"{path}: it holds no samples of a numeric channel."]))
-    return Inspection(file, tuple(looks), roles_of(file, looks), None if dbc is None else Path(dbc))
+    runs = error_runs(looks)
+    taken = [one for run in runs for one in (run.output_angle, run.transmission_error)]
+    roles = roles_of(file, [one for one in looks if one not in taken] if runs else looks)
+    if runs:  # what else is an angle is none of these runs'
+        roles = {role: one for role, one in roles.items() if not role.endswith("angle")}
+    if file.timed or "time" in roles:  # the time says which sample came first
+        runs = [dataclasses.replace(run, last_row_first=False) for run in runs]
+    if len(runs) == 1:
+        roles |= {"output_angle": runs[0].output_angle, "transmission_error": runs[0].transmission_error}
+    return Inspection(file, tuple(looks), roles, None if dbc is None else Path(dbc), tuple(runs))
 
 
 def inspection_json(found: Inspection) -> dict[str, Any]:
     """Return what is in a file for scripts."""
     channels = {
         o.channel.name: {
-            "unit": o.channel.unit, "samples": o.values.size, "min": float(o.values.min()), "max": float(o.values.max())
+            "unit": o.channel.unit, "samples": o.values.size, "min": float(np.nanmin(o.values)),
+            "max": float(np.nanmax(o.values)),
         }
         for o in found.looks
     }  # fmt: skip
     roles = {role: one.channel.name for role, one in found.roles.items()}
-    return {"channels": channels, "proposed": roles, "problems": found.file.problems}
+    runs = {
+        run.name: {
+            "output_angle": run.output_angle.channel.name, "transmission_error": run.transmission_error.channel.name
+        }
+        for run in found.runs
+    }  # fmt: skip
+    return {"channels": channels, "proposed": roles, "runs": runs, "problems": found.file.problems}
 
 
 def roles_of(file: BenchFile, looks: Sequence[Look]) -> dict[str, Look]:
@@ -205,6 +227,8 @@ def roles_of(file: BenchFile, looks: Sequence[Look]) -> dict[str, Look]:
     choose("torque", torques)
     hot = [o for o in left if _measures(o.channel.unit, "temperature")]
     choose("temperature", hot)
+    # A speed is proposed by its unit alone; an angle over time is no angle.
+    choose("speed", [o for o in left if _measures(o.channel.unit, "speed") and not _measures(o.channel.unit, "angle")])
     angles = [o for o in left if _is_angle(o.channel.unit)]
     if len(angles) < 2:
         angles = [o for o in left if re.search(_ANGLE_NAMES, o.channel.name, re.IGNORECASE) or o in angles]
@@ -220,7 +244,8 @@ def roles_of(file: BenchFile, looks: Sequence[Look]) -> dict[str, Look]:
     return roles
 
 
-def _mapping_text(roles: dict[str, Look], file: BenchFile, dbc: str | None) -> str:
+def _mapping_text(roles: dict[str, Look], runs: Sequence[ErrorRun], file: BenchFile, dbc: str | None) -> str:
+    named = {role: found for role, found in name_patterns(file.source).items() if role not in roles}
     lines = [f'format = "{FORMAT}"']
     if file.ratio is not None:
         lines.append(f"ratio = {file.ratio:g}")
@@ -228,7 +253,7 @@ def _mapping_text(roles: dict[str, Look], file: BenchFile, dbc: str | None) -> s
         lines.append("# ratio = -39                # signed, input over output; or name the drive")
     if dbc is not None:
         lines.append(f"dbc = {_quoted(dbc)}")
-    if not file.timed:
+    if not file.timed and (not runs or "time" in roles):
         lines += ["", "[time]"]
         if "time" in roles:
             lines += _channel_lines(roles["time"], "time")
@@ -239,9 +264,25 @@ def _mapping_text(roles: dict[str, Look], file: BenchFile, dbc: str | None) -> s
     for role in CHANNELS:
         if role in roles:
             lines += ["", f"[{role}]", *_channel_lines(roles[role], role)]
-        elif role not in OPTIONAL:
+        elif role in named:
+            pattern, unit, comment = named[role]
+            lines += ["", f"[{role}]", f"file_name = {_quoted(pattern)}" + (f"   # {comment}" if comment else "")]
+            lines += [f"unit = {_quoted(unit)}"] if unit else ['unit = ""']
+        elif runs and role.endswith("angle"):
+            continue
+        elif role not in OPTIONAL and role not in BESIDE:
             where = "  (leave the table out where the input was locked)" if role == "input_angle" else ""
             lines += ["", f"# no channel looks like the {role}{where}", f"# [{role}]", '# column = "…"']
+    for run in runs if len(runs) > 1 else ():
+        lines += ["", "[[runs]]", f"name = {_quoted(run.name)}"]
+        if run.last_row_first:
+            lines.append(
+                "last_row_first = true      # its angles grow as forward's do, so its rows go against its motion"
+            )
+        for role, one in (("output_angle", run.output_angle), ("transmission_error", run.transmission_error)):
+            lines += [f"[runs.{role}]", *_channel_lines(one, role)]
+    if len(runs) > 1 and "torque" not in roles:
+        lines.append("# Where the load turns with the motion, give a run its own [runs.torque] with direction = -1.")
     return "\n".join(lines) + "\n"
 
 
@@ -254,6 +295,8 @@ def _channel_lines(one: Look, role: str) -> list[str]:
     lines = [f"column = {_quoted(one.channel.name)}"]
     if one.channel.unit:
         return [*lines, f"unit = {_quoted(unit_text(one.channel.unit))}"]
+    if stated := stated_unit(one):
+        return [*lines, f"unit = {_quoted(stated)}               # as its name says"]
     finite = one.values[np.isfinite(one.values)]
     if role.endswith("angle"):
         low, high = float(finite.min()), float(finite.max())

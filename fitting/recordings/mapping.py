@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -15,7 +17,9 @@ from fitting.recordings.formats import BenchFile, unit_text
 COLUMNS = {"time": "s", "input_angle": "rad", "output_angle": "rad", "torque": "N*m"}
 OPTIONAL = {"temperature": "K", "input_torque": "N*m"}
 ANGLES = ("input_angle", "output_angle")
-CHANNELS = (*ANGLES, "torque", *OPTIONAL)
+BESIDE = {"transmission_error": "rad", "speed": "rad/s"}  # what a table may hold, and a block does not
+CHANNELS = (*ANGLES, "torque", *OPTIONAL, *BESIDE)
+FROM_NAMES = ("torque", "speed", "temperature")
 FORMAT = "cycloid-mapping/1"
 _TURN = 2.0 * np.pi
 
@@ -27,6 +31,9 @@ class ChannelMapping(edge.Config):
     ----------
     column
         The channel's name in the file.
+    file_name
+        In place of a column, for `FROM_NAMES`: how the file's name states it, one number for the whole recording that
+        stands where the pattern has {}, such as "_{}Nm".
     unit
         Unit of its numbers; needed where the file says none, and it overrules the file's.
     counts_per_turn
@@ -44,7 +51,8 @@ class ChannelMapping(edge.Config):
         By how much faster, relative, the clock runs that stamped it, counted from its first sample: 100e-6 is 100 ppm.
     """
 
-    column: str
+    column: str | None = None
+    file_name: str | None = None
     unit: str | None = None
     counts_per_turn: int | None = None
     direction: Literal[1, -1] = 1
@@ -62,6 +70,30 @@ class TimeMapping(edge.Config):
     rate: float | None = None
 
 
+class RunMapping(edge.Config):
+    """`[[runs]]`: one of several runs that stand side by side in a table; its channels go before those of the file.
+
+    Attributes
+    ----------
+    name
+        What messages and reports call it, such as "forward".
+    last_row_first
+        Whether the run's last sample stands in the first row, as where forward and backward share a column of angles.
+    input_angle, output_angle, transmission_error, torque, speed, temperature, input_torque
+        As in `FileMapping`.
+    """
+
+    name: Annotated[str, pydantic.Field(min_length=1, max_length=80)]
+    last_row_first: bool = False
+    input_angle: ChannelMapping | None = None
+    output_angle: ChannelMapping | None = None
+    transmission_error: ChannelMapping | None = None
+    torque: ChannelMapping | None = None
+    speed: ChannelMapping | None = None
+    temperature: ChannelMapping | None = None
+    input_torque: ChannelMapping | None = None
+
+
 class FileMapping(edge.Config):
     """A mapping file, `cycloid-mapping/1`.
 
@@ -77,18 +109,39 @@ class FileMapping(edge.Config):
         Left out where the input was locked and nothing measured it.
     output_angle, torque
         The channels.
+    transmission_error
+        In place of the input angle, which is then (output angle - transmission error) times the ratio: its zero is
+        where these two are equal, wherever the file has their zeros.
+    speed
+        Not needed: the speed at which the run was made, of whichever shaft the bench names.
     temperature, input_torque
         Not needed. The torque on the input gives the no-load starting torque.
+    runs
+        Several runs in one table, each a recording by itself.
+    last_row_first
+        As in `RunMapping`.
     """
 
     ratio: float | None = None
     dbc: str | None = None
     time: TimeMapping | None = None
     input_angle: ChannelMapping | None = None
-    output_angle: ChannelMapping
-    torque: ChannelMapping
+    output_angle: ChannelMapping | None = None
+    transmission_error: ChannelMapping | None = None
+    torque: ChannelMapping | None = None
+    speed: ChannelMapping | None = None
     temperature: ChannelMapping | None = None
     input_torque: ChannelMapping | None = None
+    runs: tuple[RunMapping, ...] = ()
+    last_row_first: bool = False
+
+    def each(self) -> Iterator[tuple[str, FileMapping]]:
+        """Yield name and mapping of every run in a table; one without a name where the table is one run."""
+        if not self.runs:
+            yield "", self
+        for run in self.runs:
+            own = {n: found for n in CHANNELS if (found := getattr(run, n)) is not None}
+            yield run.name, self.model_copy(update={**own, "last_row_first": run.last_row_first, "runs": ()})
 
 
 def read_mapping(path: str | os.PathLike[str]) -> FileMapping:
@@ -116,14 +169,11 @@ def read_mapping(path: str | os.PathLike[str]) -> FileMapping:
     source = str(path)
     table = edge.toml_table(edge.read_text(path), FORMAT, source)
     mapping = edge.validated(FileMapping, table, source)
-    for name in CHANNELS:
-        channel = getattr(mapping, name)
-        if channel is None:
-            continue
-        if channel.counts_per_turn is not None and name not in ANGLES:
-            raise edge.InputError(f"{source}: [{name}] counts_per_turn: only an angle has it; give the unit.")
-        if channel.counts_per_turn is not None and (channel.unit is not None or channel.counts_per_turn < 1):
-            raise edge.InputError(f"{source}: [{name}] counts_per_turn: give a whole number above zero and no unit.")
+    names = [run.name for run in mapping.runs]
+    if len(set(names)) < len(names):
+        raise edge.InputError(f"{source}: [[runs]] name: {edge.listed(names)}; each run needs a name of its own.")
+    for run, one in mapping.each():
+        _check_channels(one, f"{source}: [[runs]] {run}" if run else source)
     if mapping.time is not None:
         if (mapping.time.column is None) == (mapping.time.rate is None):
             raise edge.InputError(f"{source}: [time] needs either column or rate (samples a second).")
@@ -132,6 +182,42 @@ def read_mapping(path: str | os.PathLike[str]) -> FileMapping:
     if mapping.dbc is not None:
         mapping = mapping.model_copy(update={"dbc": str(Path(path).parent / mapping.dbc)})
     return mapping
+
+
+def _check_channels(mapping: FileMapping, source: str) -> None:
+    """Refuse what one run's channels can't be."""
+    for name in ("output_angle", "torque"):
+        if getattr(mapping, name) is None:
+            raise edge.InputError(f"{source}: {name} is missing; a recording needs it.")
+    if mapping.last_row_first and mapping.time is not None and mapping.time.column is not None:
+        raise edge.InputError(
+            f"{source}: last_row_first: the [time] column says which sample came first; leave one of the two out."
+        )
+    if mapping.transmission_error is not None and mapping.input_angle is not None:
+        raise edge.InputError(
+            f"{source}: [input_angle] and [transmission_error]: give one of the two; the other follows from it."
+        )
+    for name in CHANNELS:
+        channel = getattr(mapping, name)
+        if channel is None:
+            continue
+        if (channel.column is None) == (channel.file_name is None):
+            either = " or file_name" if name in FROM_NAMES else ""
+            raise edge.InputError(f"{source}: [{name}] needs {'either ' if either else ''}column{either}.")
+        if channel.file_name is not None:
+            if name not in FROM_NAMES:
+                raise edge.InputError(f"{source}: [{name}] file_name: only {', '.join(FROM_NAMES)} may stand in it.")
+            if channel.file_name.count("{}") != 1:
+                raise edge.InputError(
+                    f"{source}: [{name}] file_name = {edge.shown(channel.file_name)}: write the part of the file's "
+                    'name that states it with {} for the number, such as "_{}Nm"; a - before {} is no sign.'
+                )
+            if not channel.unit:
+                raise edge.InputError(f"{source}: [{name}] unit: say in which unit the file's name states it.")
+        if channel.counts_per_turn is not None and name not in ANGLES:
+            raise edge.InputError(f"{source}: [{name}] counts_per_turn: only an angle has it; give the unit.")
+        if channel.counts_per_turn is not None and (channel.unit is not None or channel.counts_per_turn < 1):
+            raise edge.InputError(f"{source}: [{name}] counts_per_turn: give a whole number above zero and no unit.")
 
 
 def own_names(file: BenchFile) -> FileMapping:
@@ -195,7 +281,7 @@ def scales_of(file: BenchFile, mapping: FileMapping) -> dict[str, tuple[str, flo
     channels = {c.name: c for c in file.channels}
     found: dict[str, tuple[str, float, float]] = {}
     roles: dict[str, ChannelMapping | TimeMapping | None] = {n: getattr(mapping, n) for n in CHANNELS}
-    if not file.timed:
+    if not file.timed and not (mapping.time is None and mapping.transmission_error is not None):
         if mapping.time is None:
             raise edge.InputError(
                 f"{file.source}: nothing says the samples' time; name a channel as [time] column in the mapping, or a "
@@ -210,7 +296,7 @@ def scales_of(file: BenchFile, mapping: FileMapping) -> dict[str, tuple[str, flo
             _refuse_left_out(file, channel.column)
             held, wanted = edge.listed(channels), edge.shown(channel.column)
             raise edge.InputError(f"{file.source}: there is no column {wanted} for {role}; it has {held}.")
-        si = {**COLUMNS, **OPTIONAL}[role]
+        si = {**COLUMNS, **OPTIONAL, **BESIDE}[role]
         if isinstance(channel, ChannelMapping) and channel.counts_per_turn is not None:
             scale, offset = _TURN / channel.counts_per_turn, 0.0
         else:
@@ -225,4 +311,56 @@ def scales_of(file: BenchFile, mapping: FileMapping) -> dict[str, tuple[str, flo
                 raise edge.InputError(f"{file.source}: the column {channel.column}: {problem}.") from None
         sign = channel.direction if isinstance(channel, ChannelMapping) else 1
         found[role] = (channel.column, sign * scale, sign * offset)
+    return found
+
+
+_NUMBER = r"([+\-−]?(?:\d+(?:[.,]\d+)?|[.,]\d+))(?![\d])"
+
+
+def stated_in_name(path: str | os.PathLike[str], mapping: FileMapping) -> dict[str, float]:
+    """Return what a file's name states by the patterns of a mapping: {role: value, SI}.
+
+    A number may have a sign, also a typographic minus, and a decimal comma.
+
+    Parameters
+    ----------
+    path
+        The file; its ending is no part of its name.
+    mapping
+        Of one run.
+
+    Raises
+    ------
+    edge.InputError
+        If the name fits a pattern nowhere, or at numbers that differ.
+
+    Examples
+    --------
+    >>> torque = ChannelMapping(file_name="_{}kNm", unit="kN*m")
+    >>> stated_in_name("RV160N_-0,5kNm_10rpm.csv", FileMapping(torque=torque))
+    {'torque': -500.0}
+    """
+    name = Path(path).stem
+    found = {}
+    for role in FROM_NAMES:
+        channel = getattr(mapping, role)
+        if channel is None or channel.file_name is None:
+            continue
+        before, after = channel.file_name.split("{}")
+        # A number is taken whole, and a letter ends no pattern within a word: T= is not the end of ROT=.
+        start = r"(?<![\d.,])" if not before else r"(?<![^\W\d_])" if before[0].isalpha() else ""
+        end = r"(?![^\W\d_])" if after and after[-1].isalpha() else ""
+        pattern = start + re.escape(before) + _NUMBER + re.escape(after) + end
+        numbers = {float(m[1].replace(",", ".").replace("−", "-")) for m in re.finditer(pattern, name)}
+        if len(numbers) != 1:
+            many = f"in several ways ({', '.join(f'{n:g}' for n in sorted(numbers))})" if numbers else "nowhere"
+            raise edge.InputError(
+                f"{path}: its name fits [{role}] file_name = {edge.shown(channel.file_name)} {many}; it must state one "
+                "number there."
+            )
+        try:
+            scale, offset = _affine(unit_text(channel.unit or ""), {**COLUMNS, **OPTIONAL, **BESIDE}[role])
+        except ValueError as problem:
+            raise edge.InputError(f"{path}: [{role}] in its name: {problem}.") from None
+        found[role] = channel.direction * (numbers.pop() * scale + offset)
     return found

@@ -24,8 +24,17 @@ from numpy.typing import NDArray
 from cycloid_fmu import edge
 from drivers.recording_format import Limits
 from fitting.recordings.cleaning import Block, Cleaning
-from fitting.recordings.formats import open_bench_file, pieces_of
-from fitting.recordings.mapping import ANGLES, CHANNELS, ChannelMapping, FileMapping, own_names, scales_of
+from fitting.recordings.formats import Piece, open_bench_file, pieces_of
+from fitting.recordings.mapping import (
+    ANGLES,
+    CHANNELS,
+    ChannelMapping,
+    FileMapping,
+    TimeMapping,
+    own_names,
+    scales_of,
+    stated_in_name,
+)
 from fitting.recordings.one_clock import OneClock
 
 Array = NDArray[np.float64]
@@ -55,6 +64,10 @@ class Recording(Block):
         at the recording's ends; 0 where one clock stamped both, or none is known to be another.
     limits
         What the encoders can show, as far as it is stated.
+    speed
+        At which it was made, rad/s of the shaft that the bench names, where that is stated.
+    timed
+        Whether its times are seconds; else they count samples.
     """
 
     source: str
@@ -67,6 +80,8 @@ class Recording(Block):
     alignment: float = 0.0
     torque_alignment: float = 0.0
     limits: Limits = dataclasses.field(default_factory=Limits)
+    speed: float | None = None
+    timed: bool = True
 
     def blocks(self) -> Iterator[Block]:
         """Yield the recording as one block."""
@@ -86,12 +101,16 @@ class RecordingStream:
         The file; see `fitting.recordings.formats.open_bench_file` for the kinds.
     mapping
         Which channel is what; None where the channels bear our names: time, input_angle, output_angle, torque.
+    ratio
+        Signed ratio of the drive; by default the mapping's or the file's. A transmission error needs one.
+    run
+        Which of a table's runs the mapping is of.
 
     Attributes
     ----------
-    source, ratio, pair, common_zero, known_index, limits
-        As in `Recording`.
-    notes, alignment, torque_alignment
+    source, ratio, pair, common_zero, known_index, limits, timed
+        As in `Recording`; the source is the file's name, and behind a comma the run's.
+    notes, alignment, torque_alignment, speed
         As in `Recording`; complete when all blocks were taken.
 
     Raises
@@ -100,18 +119,36 @@ class RecordingStream:
         If the file can't be read, or a channel, its unit or the time is missing.
     """
 
-    def __init__(self, path: str | os.PathLike[str], mapping: FileMapping | None = None) -> None:
-        self.source = str(path)
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        mapping: FileMapping | None = None,
+        ratio: float | None = None,
+        run: str = "",
+    ) -> None:
+        self._path = str(path)
+        self.source = f"{path}, {run}" if run else self._path
         self._file = open_bench_file(path, None if mapping is None else mapping.dbc)
         self._mapping = own_names(self._file) if mapping is None else mapping
         self._scales = scales_of(self._file, self._mapping)
-        self.ratio = self._mapping.ratio if self._mapping.ratio is not None else self._file.ratio
+        self.timed = self._file.timed or self._mapping.time is not None
+        if self._file.timed and self._mapping.last_row_first:
+            raise edge.InputError(f"{self.source}: last_row_first: the file's own times say which sample came first.")
+        self._stated = stated_in_name(path, self._mapping)
+        own = self._mapping.ratio if self._mapping.ratio is not None else self._file.ratio
+        self.ratio = own if ratio is None else ratio
+        if self.ratio is None and self._mapping.transmission_error is not None:
+            raise edge.InputError(
+                f"{self.source}: it holds a transmission error; its input angle follows by the drive's ratio only. "
+                "Give the drive, or its ratio."
+            )
         self.pair = self._file.pair
         self.common_zero = self._zero_reference("output_angle") == "absolute"
         self.known_index = self._zero_reference("input_angle") == "absolute"
         self.limits = self._limits()
         self.notes: list[str] = []
         self.alignment = self.torque_alignment = 0.0
+        self.speed: float | None = self._stated.pop("speed", None)
         self._digest: list[str] = []
         self._digesting: threading.Thread | None = None
 
@@ -134,7 +171,7 @@ class RecordingStream:
         """Work the checksum out beside what reads the blocks: hours at kilohertz are gigabytes."""
         if self._digesting is None:
             # An interrupt or a refused file does not wait for it.
-            file = Path(self.source).open("rb")  # noqa: SIM115
+            file = Path(self._path).open("rb")  # noqa: SIM115
             self._digesting = threading.Thread(target=self._take_digest, args=(file,), daemon=True)
             self._digesting.start()
         return self._digesting
@@ -161,19 +198,30 @@ class RecordingStream:
         """
         self._start_digest()
         clocks = {n: (m.delay, m.drift) for n in CHANNELS if (m := getattr(self._mapping, n)) is not None}
-        merge = OneClock(self._scales, self._mapping.time, clocks)
-        cleaning = Cleaning({n: m.rollover for n in ANGLES if (m := getattr(self._mapping, n))}, self.source)
+        clocks = {n: clock for n, clock in clocks.items() if n in self._scales}
+        merge = OneClock(self._scales, self._mapping.time if self.timed else TimeMapping(rate=1.0), clocks)
+        rollover = {n: m.rollover for n in ANGLES if (m := getattr(self._mapping, n))}
+        cleaning = Cleaning(rollover, self.source, self.ratio)
         names = list(dict.fromkeys(column for column, _, _ in self._scales.values()))
         kept = 0
-        merged = (merge.add(piece) for piece in pieces_of(self._file, names))
+        pieces = pieces_of(self._file, names)
+        merged = (merge.add(piece) for piece in (_backwards(pieces) if self._mapping.last_row_first else pieces))
+        speed = np.zeros(2)
         for table, status in itertools.chain(itertools.chain.from_iterable(merged), merge.finish()):
+            if (shown := table.pop("speed", None)) is not None:
+                speed += np.nansum(np.abs(shown)), np.count_nonzero(np.isfinite(shown))
+            table |= {role: np.full(table["time"].size, value) for role, value in self._stated.items()}
             block = cleaning.add(table, status)
             kept += block.time.size
             if block.time.size:
                 yield block
         notes = [*self._clock_notes(), *merge.notes(), *cleaning.notes()]
         self.notes = [*self._file.problems, *(f"{self.source}: {n}" for n in notes)]
-        if self._mapping.input_angle is None:
+        if speed[1]:
+            self.speed = float(speed[0] / speed[1])
+        if not self.timed:
+            self.notes.append(f"{self.source}: no time is mapped; times count samples, and speeds are not known.")
+        if self._mapping.input_angle is None and self._mapping.transmission_error is None:
             self.notes.append(f"{self.source}: no input angle is mapped; the input is taken as locked.")
         if kept < 2:
             raise edge.InputError(
@@ -198,6 +246,7 @@ class RecordingStream:
             **columns, source=self.source, checksum=self.checksum, ratio=self.ratio, pair=self.pair,
             common_zero=self.common_zero, known_index=self.known_index, notes=tuple(self.notes),
             alignment=self.alignment, torque_alignment=self.torque_alignment, limits=self.limits,
+            speed=self.speed, timed=self.timed,
         )  # fmt: skip
 
     def _clock_notes(self) -> list[str]:
@@ -214,3 +263,11 @@ class RecordingStream:
             f"the host's to ± {clock.uncertainty * 1e6:.2g} µs (95 %)."
             for role, clock in clocks.items()
         ]
+
+
+def _backwards(pieces: Iterator[Piece]) -> Iterator[Piece]:
+    """Yield a table's rows from its last to its first, as one piece; their times begin anew from the other end."""
+    held = list(pieces)
+    if held:
+        values = {n: np.concatenate([p.values[n] for p in held])[::-1] for n in held[0].values}
+        yield Piece(None, values)

@@ -26,16 +26,22 @@ class RecordingFile:
     path: Path
     mapping: FileMapping | None = None
     read_head: ReadHead | None = None
+    run: str = ""
 
-    def open(self) -> Recording | RecordingStream:
+    def open(self, ratio: float | None = None) -> Recording | RecordingStream:
         """Open the file; with a read head, its whole recording free of the head's coaxiality error.
+
+        Parameters
+        ----------
+        ratio
+            Signed ratio of the drive, which overrules what mapping and file state.
 
         Raises
         ------
         edge.InputError
             If the file can't be read, or a channel, its unit or the time is missing.
         """
-        stream = RecordingStream(self.path, self.mapping)
+        stream = RecordingStream(self.path, self.mapping, ratio, self.run)
         return stream if self.read_head is None else without_coaxiality_error(stream.read(), self.read_head)
 
 
@@ -59,6 +65,8 @@ class Run:
         Whether the output angle's zero is the same in every run of the bench (an absolute encoder).
     known_index
         Whether input angle 0 is the crank at pin 0.
+    speed
+        At which it was made, rad/s of the shaft that the bench names, where that is known.
 
     Examples
     --------
@@ -78,6 +86,7 @@ class Run:
     name: str = "run"
     common_zero: bool = False
     known_index: bool = False
+    speed: float | None = None
 
     def open(self) -> Recording:
         """Return the arrays as a recording: what is no sample is left out, with a note.
@@ -104,16 +113,20 @@ class Run:
             raise edge.InputError(f"{self.name}: it has {block.time.size} samples; a curve needs more.")
         return Recording(
             **vars(block), source=self.name, checksum=digest, common_zero=self.common_zero,
-            known_index=self.known_index, notes=tuple(f"{self.name}: {note}" for note in cleaning.notes()),
+            known_index=self.known_index, speed=self.speed,
+            timed=self.time is not None,
+            notes=tuple(f"{self.name}: {note}" for note in cleaning.notes()),
         )  # fmt: skip
 
 
 Source = RecordingFile | Run | Recording | RecordingStream
 
 
-def open_source(source: Source) -> Recording | RecordingStream:
-    """Return a recording that can be taken block by block."""
-    return source.open() if isinstance(source, RecordingFile | Run) else source
+def open_source(source: Source, ratio: float | None = None) -> Recording | RecordingStream:
+    """Return a recording that can be taken block by block; a drive's ratio turns measured errors to angles."""
+    if isinstance(source, RecordingFile):
+        return source.open(ratio)
+    return source.open() if isinstance(source, Run) else source
 
 
 def read_recordings(
@@ -123,8 +136,9 @@ def read_recordings(
 ) -> list[RecordingFile]:
     """Give recordings in files, in the order of their names: CSV, TwinCAT Scope, Parquet, MDF 4, TDMS, CAN, `.arrows`.
 
-    A file is opened when it is used, and again whenever it is, so that it may be larger than memory: `metrics` leaves
-    one out that can't be read, with a note; `curves` and `identify` refuse it by name.
+    A table that holds several runs side by side is as many recordings, by the `runs` of its mapping. A file is opened
+    when it is used, and again whenever it is, so that it may be larger than memory: `metrics` leaves one out that can't
+    be read, with a note; `curves` and `identify` refuse it by name.
 
     Parameters
     ----------
@@ -154,7 +168,8 @@ def read_recordings(
     if read_head is not None and not isinstance(read_head, ReadHead):
         read_head = read_read_head(read_head)
     given = [paths] if isinstance(paths, str | os.PathLike) else paths
-    return [RecordingFile(path, mapping, read_head) for one in given for path in _files(one)]
+    runs = [("", None)] if mapping is None else list(mapping.each())
+    return [RecordingFile(p, of_run, read_head, run) for one in given for p in _files(one) for run, of_run in runs]
 
 
 def _files(pattern: str | os.PathLike[str]) -> Iterator[Path]:

@@ -88,7 +88,31 @@ def _colour(trace: Trace) -> str:
     return GREY if trace.colour < 0 else COLOURS[trace.colour % len(COLOURS)]
 
 
+def _heat(panel: Panel) -> dict[str, Any]:
+    """Maps side by side on one scale of colours."""
+    finite = np.concatenate([one.z[np.isfinite(one.z)] for one in panel.heat])
+    scale = {"cmin": float(finite.min()), "cmax": float(finite.max()), "colorscale": "Viridis"}
+    layout: dict[str, Any] = {"margin": {"l": 60, "r": 20, "t": 30, "b": 55}, "coloraxis": scale}
+    data, room, notes = [], 1.0 / len(panel.heat), []
+    for number, one in enumerate(panel.heat):
+        key = "" if number == 0 else str(number + 1)
+        x, y = ([f"{v:.4g}" if np.isfinite(v) else "" for v in axis] for axis in (one.x, one.y))
+        z = [[None if np.isnan(v) else float(f"{v:.6g}") for v in row] for row in one.z]
+        data.append({"type": "heatmap", "x": x, "y": y, "z": z, "name": one.name, "coloraxis": "coloraxis",
+                     "xaxis": f"x{key}", "yaxis": f"y{key}"})  # fmt: skip
+        begin = number * room
+        domain = [begin, begin + room * (0.92 if len(panel.heat) > 1 else 1.0)]
+        layout[f"xaxis{key}"] = {"type": "category", "domain": domain, "anchor": f"y{key}", "tickfont": {"size": 10}}
+        layout[f"yaxis{key}"] = {"type": "category", "anchor": f"x{key}", "showticklabels": number == 0}
+        notes.append({"text": one.name, "x": sum(domain) / 2, "y": 1.06, "xref": "paper", "yref": "paper",
+                      "showarrow": False})  # fmt: skip
+    layout["xaxis"]["title"], layout["yaxis"]["title"] = {"text": panel.x_label}, {"text": panel.y_label}
+    return {"data": data, "layout": {**layout, "annotations": notes}}
+
+
 def _plotly(panel: Panel) -> dict[str, Any]:
+    if panel.heat:
+        return _heat(panel)
     data = []
     for t in panel.traces:
         one: dict[str, Any] = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from cycloid_fmu.edge import ARCMIN, ARCSEC
 from cycloid_fmu.geometry.pair import Pair
 from fitting.figures.hysteresis import SIDES, LoopData, drift_of, loop_marks, without_drift
 from fitting.figures.metrics import Figures
-from fitting.figures.spectrum import Spectrum
+from fitting.figures.spectrum import Spectrum, order_name
 from fitting.figures.starts import back_driving_torques, starting_torques
 from fitting.transmission_error.curve import Curve
 
@@ -23,6 +24,7 @@ Array = NDArray[np.float64]
 
 _MIDDLE = 0.12  # share of the rated torque that the middle of a loop shows
 _NAMED = 14  # orders that bear their names
+_DRAWN = 100_000  # points of all lines of a panel
 
 
 @dataclass(frozen=True)
@@ -52,11 +54,21 @@ class Trace:
 
 
 @dataclass(frozen=True)
+class HeatMap:
+    """Values over two axes: `z` of shape (y, x) at x and y, which are drawn evenly; NaN is left empty."""
+
+    name: str
+    x: Array
+    y: Array
+    z: Array
+
+
+@dataclass(frozen=True)
 class Panel:
     """One diagram with its title, axes, and a sentence that says what is seen.
 
     `y_names` stand beside the y axis in place of numbers, at 0, -1, -2 and so on; what is `round` has no axes, and a
-    circle is one.
+    circle is one. `heat` are maps side by side, in place of traces, with one scale of colours.
     """
 
     title: str
@@ -67,27 +79,12 @@ class Panel:
     log_y: bool = False
     y_names: tuple[str, ...] = ()
     round: bool = False
+    heat: tuple[HeatMap, ...] = ()
 
 
 def label_of(curve: Curve) -> str:
     """Load and direction of a curve, as plots name it."""
     return f"{curve.torque:+.4g} N·m, {'forward' if curve.direction > 0 else 'backward'}"
-
-
-def order_name(order: int, ratio: float, pair: Pair | None) -> str:
-    """Return what an order of the output comes from, "" where its number does not tell.
-
-    Errors of pins and ring repeat at multiples of the gear's teeth, those of the teeth at multiples of the pins,
-    whether gear or ring is the output; what both have in common is the mesh. The first two are the rig's: coaxiality
-    and couplings. Without the pair only the turns of the input are known.
-    """
-    if order <= 2:
-        return "rig"
-    if pair is None:
-        return "input turn" if abs(order / ratio - round(order / ratio)) * abs(ratio) < 1e-6 else ""
-    teeth, pins = pair.gear_teeth, pair.pins
-    kinds = [name for name, per_turn in (("pin", teeth), ("tooth", pins)) if order % per_turn == 0]
-    return "mesh" if len(kinds) > 1 else "".join(kinds)
 
 
 def panels_of(found: Figures) -> list[Panel]:
@@ -108,7 +105,26 @@ def panels_of(found: Figures) -> list[Panel]:
     panels += _stiffness_panel(found)
     panels += _start_panels(found) + _budget_panel(found)
     panels.append(_torque_panel(found))
-    return panels
+    return [_lightened(panel) for panel in panels]
+
+
+def _lightened(panel: Panel) -> Panel:
+    """Return a panel whose lines have `_DRAWN` points at most together: the smallest and largest of each stretch."""
+    total = sum(t.x.size for t in panel.traces)
+    if total <= _DRAWN:
+        return panel
+    traces = []
+    for trace in panel.traces:
+        stretches = max(1, trace.x.size * _DRAWN // total // 2)
+        length = math.ceil(trace.x.size / stretches)
+        if length > 2 and not trace.texts:
+            begins = np.arange(0, trace.x.size, length)
+            parts = np.split(trace.y, begins[1:])
+            lows, highs = ([b + int(f(p)) for b, p in zip(begins, parts, strict=True)] for f in (np.argmin, np.argmax))
+            kept = np.unique([0, *lows, *highs, trace.x.size - 1])
+            trace = dataclasses.replace(trace, x=trace.x[kept], y=trace.y[kept])
+        traces.append(trace)
+    return dataclasses.replace(panel, traces=tuple(traces))
 
 
 def _curves_panel(curves: list[Curve]) -> Panel:

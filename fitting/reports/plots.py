@@ -19,9 +19,11 @@ from fitting.estimation.plan import Plan
 from fitting.estimation.realised import Realised
 from fitting.estimation.result import Identification
 from fitting.figures.comparison import Change, Comparison
+from fitting.figures.maps import FORMAT as MAPS
 from fitting.figures.metrics import Figures
 from fitting.model.prior import TOLERANCE
 from fitting.recordings.inspection import Inspection, Look
+from fitting.reports.maps_report import plot_maps
 from fitting.reports.panels import Panel, label_of, panels_of
 from fitting.reports.ring import ring_panel
 from fitting.transmission_error.curve import Curve
@@ -42,8 +44,8 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
     Parameters
     ----------
     result
-        What `fitting.curves`, `metrics`, `compare`, `identify`, `plan` or `inspect` returned, or what an identification
-        says of every pin and tooth, `result.realised`.
+        What `fitting.curves`, `metrics`, `maps`, `compare`, `identify`, `plan` or `inspect` returned, or what an
+        identification says of every pin and tooth, `result.realised`.
     path
         `.png` or `.pdf`.
 
@@ -68,6 +70,8 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
     ]  # fmt: skip
     one = result[0] if isinstance(result, list | tuple) and result else result
     draw = next((draw for kind, draw in pictures if isinstance(one, kind)), None)
+    if getattr(one, "attrs", {}).get("format") == MAPS:
+        draw = plot_maps
     if draw is None:
         raise edge.InputError(f"result: there is no picture of {type(one).__name__}.")
     figure = draw(result)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from typing import TYPE_CHECKING
 
 from cycloid_fmu import edge
 from fitting.estimation.result import Identification
@@ -11,20 +12,24 @@ from fitting.figures.metrics import Figures
 from fitting.reports.certificate import write_certificate
 from fitting.reports.figures_report import write_figures_report
 from fitting.reports.fit_report import write_fit_report
+from fitting.reports.maps_report import write_maps_report
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 def report(
-    result: Figures | Identification,
+    result: Figures | Identification | xr.Dataset,
     path: str | os.PathLike[str],
     *,
     certificate: Certificate | str | os.PathLike[str] | None = None,
 ) -> None:
-    """Write the report of figures or of a fit, whole or not at all.
+    """Write the report of figures, of maps or of a fit, whole or not at all.
 
     Parameters
     ----------
     result
-        What `fitting.metrics` or `fitting.identify` returned.
+        What `fitting.metrics`, `fitting.maps` or `fitting.identify` returned.
     path
         `.html`: one file with all that it needs, to zoom and hover in; `.pdf`, of figures only: the same on pages.
     certificate
@@ -46,11 +51,15 @@ def report(
     True
     """
     if certificate is not None:
-        if isinstance(result, Identification):
-            raise edge.ArgumentError("certificate", "there is one of figures alone, not of a fit", str(certificate))
+        if not isinstance(result, Figures):
+            raise edge.ArgumentError(
+                "certificate", "there is one of figures alone, not of a fit or of maps", str(certificate)
+            )
         stated = certificate if isinstance(certificate, Certificate) else read_certificate(certificate)
         write_certificate(result, stated, path)
     elif isinstance(result, Identification):
         write_fit_report(result, path)
-    else:
+    elif isinstance(result, Figures):
         write_figures_report(result, path)
+    else:
+        write_maps_report(result, path)

@@ -66,6 +66,9 @@ class Curve:
         the torque, and the direction is that of a crank which would carry the output the way the torque takes it.
     implausible
         Samples of the recording that were left out because its encoders can't have shown them.
+    temperature, running_speed
+        Mean temperature of the recording, K, and the speed at which it was run, rad/s: as stated of the shaft that the
+        bench names, else the output's mean; None where not known.
 
     Examples
     --------
@@ -101,6 +104,8 @@ class Curve:
     each_turn: Array | None = None
     branch: str = ""
     implausible: int = 0
+    temperature: float | None = None
+    running_speed: float | None = None
 
     @property
     def torque_at_points(self) -> Array:

@@ -7,6 +7,7 @@ crank their samples lie up to a sample's spacing apart, and there pins come into
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable
 
 import numpy as np
@@ -250,6 +251,7 @@ class Folding:
         self._last: tuple[float, float] | None = None
         self._recounted = 0
         self._restarted = False
+        self._warmth = np.zeros(2)  # sum of temperatures, and how many
         self._waiting: list[tuple[Array, Array, Array]] = []  # crank angle, transmission error, torque and speed
 
     def add(self, block: Block) -> None:
@@ -262,6 +264,8 @@ class Folding:
         self._last = (float(angle[-1]), float(output[-1]))
         if np.isnan(self._furthest):
             self._furthest = self._start = float(angle[0])
+        if block.temperature is not None:
+            self._warmth += np.nansum(block.temperature), np.count_nonzero(np.isfinite(block.temperature))
         passed = np.gradient(block.time) if angle.size > 1 else np.zeros(1)
         turned = np.gradient(angle) if angle.size > 1 else np.zeros(1)
         speed = np.divide(turned, passed, out=np.zeros(angle.size), where=passed > 0.0)
@@ -394,13 +398,23 @@ class Folding:
             _check_ratio(fold, self.source)
             notes += _ramp_note(fold, self.source)
         checksum = stream.checksum
-        return [
+        total, count = self._warmth
+        found = [
             f.curve(
                 common_zero=stream.common_zero, known_index=stream.known_index, source=self.source, checksum=checksum,
                 notes=tuple(notes), implausible=blocks.count,
             )
             for f in kept
         ]  # fmt: skip
+        warm = float(total / count) if count else None
+        return [dataclasses.replace(one, temperature=warm, running_speed=_speed_of(one, stream)) for one in found]
+
+
+def _speed_of(curve: Curve, stream: Recording | RecordingStream) -> float | None:
+    """Return the speed at which a curve was run: as its recording states it, else the output's."""
+    if stream.speed is not None or not stream.timed or curve.speed is None:
+        return stream.speed
+    return float(np.abs(np.mean(curve.speed)) / abs(curve.ratio))
 
 
 def _check_ratio(fold: _Fold, source: str) -> None:
@@ -477,7 +491,7 @@ def curves(recordings: Source | Iterable[Source], drive: Drive | float, *, keep_
     ratio = drive if isinstance(drive, float | int) else drive.ratio
     found: list[Curve] = []
     for source in [recordings] if isinstance(recordings, Source) else recordings:
-        recording = open_source(source)
+        recording = open_source(source, ratio)
         folding = Folding(ratio, recording.source, keep_turns=keep_turns)
         blocks = PlausibleBlocks(recording, ratio)
         for block in blocks:

@@ -1,0 +1,55 @@
+"""`cycloid-fit maps`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cycloid_fmu import edge
+from cycloid_fmu.edge import commands
+from fitting.cli import options
+
+
+def maps(
+    files: options.Recordings,
+    drive: options.MaybePair = None,
+    ratio: options.Ratio = None,
+    mapping: options.MappingFile = None,
+    output: Annotated[Path | None, commands.output_option((".nc",), "MAPS.nc", "Write the maps (netCDF).")] = None,
+    report: Annotated[
+        Path | None, commands.output_option((".html",), "MAPS.html", "Write the maps as a page.", "--report")
+    ] = None,
+    plot: commands.PlotFile = None,
+    as_json: commands.AsJson = False,
+) -> None:
+    """Maps over torque, speed and temperature: transmission error, its orders, gap between directions, stiffness.
+
+    Example: [cyan]cycloid-fit maps campaign/*.csv --mapping map.toml --ratio -39 -o maps.nc --report maps.html[/]
+    """
+    import fitting
+    from cycloid_fmu.drive import read_drive
+    from fitting.figures.maps import write_maps
+
+    if (drive is None) == (ratio is None):
+        raise edge.InputError("--pair or --ratio: give one of the two.")
+    nominal = read_drive(drive) if drive is not None else float(ratio or 0.0)
+    if not nominal:
+        raise edge.ArgumentError("ratio", "give the signed ratio input/output, such as -39", ratio)
+    with options.status() as progress:
+        found = fitting.maps(fitting.read_recordings(files, mapping), nominal, progress=progress)
+    if output is not None:
+        write_maps(found, output)
+    if report is not None:
+        fitting.report(found, report)
+    if plot is not None:
+        fitting.plot(found, plot)
+    notes = [n for n in found.attrs["notes"].split("\n") if n]
+    if as_json:
+        numbers = {str(name): values.values for name, values in {**found.coords, **found.data_vars}.items()}
+        commands.print_json({**numbers, "notes": notes})
+        return
+    axes = ", ".join(f"{found.sizes[name]} of {name}" for name in ("torque", "speed", "temperature"))
+    typer.echo(f"{found.attrs['curves']} curves over {axes}.")
+    options.print_notes(notes)

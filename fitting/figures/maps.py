@@ -1,0 +1,291 @@
+"""Maps of a drive over its conditions: transmission error, its orders, gap between directions and stiffness.
+
+A condition is torque, speed and temperature. Recordings are taken one after the other, and of each only its orders are
+kept: the memory does not grow with their length.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu import edge
+from cycloid_fmu.drive import Drive
+from fitting.figures.spectrum import (
+    RIG_ORDERS,
+    Spectrum,
+    order_name,
+    range_of_orders,
+    rig_orders,
+    spectrum,
+    without_orders,
+)
+from fitting.figures.survey import survey
+from fitting.recordings.sources import RecordingFile, Source, open_source
+from fitting.transmission_error.curve import Curve
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+Array = NDArray[np.float64]
+FORMAT = "cycloid-maps/1"
+AXES = ("torque", "speed", "temperature")
+DIRECTIONS = ("forward", "backward")
+_HARMONICS = 3  # of what pins and teeth make
+_OTHERS = 4  # orders beside the named ones, the strongest
+_MANY = 24  # recordings from which it pays to start processes
+_OFTEN = 0.25  # of the curves in which these stand out of the noise
+_ALIKE = {"torque": 0.01, "speed": 0.02}  # of the largest: values so close are one condition
+_WARM = 1.5  # K
+
+
+@dataclass(frozen=True)
+class _Point:
+    """What one curve gives a map."""
+
+    condition: tuple[float, float, float]
+    direction: int
+    table: str
+    mean: float
+    orders: Spectrum
+    common_zero: bool
+
+
+def maps(
+    recordings: Source | Iterable[Source],
+    drive: Drive | float,
+    *,
+    progress: Callable[[str], None] = lambda step: None,
+) -> xr.Dataset:
+    """Return maps of a drive over torque, speed and temperature from recordings at many conditions.
+
+    Parameters
+    ----------
+    recordings
+        What `fitting.read_recordings` gave, `fitting.Run`, or one of them: whole output turns at one load each.
+    drive
+        The drive, or its signed ratio input over output.
+    progress
+        Called with what is being read.
+
+    Returns
+    -------
+    xarray.Dataset
+        `cycloid-maps/1`, over (torque N·m, speed rad/s, temperature K, direction), SI; NaN where nothing was recorded:
+        `angular_transmission_error`, largest less smallest value of the orders that stand out of the noise, and
+        `angular_transmission_error_without_rig`, the same without `rig_orders`, which a rig's run-out makes;
+        `order_amplitude` of each `order`, with its `order_name`; `mean_transmission_error`; `gap`, mean of forward less
+        that of backward, and `torsional_stiffness` (N·m/rad), the slope of torque over mean transmission error. A gap
+        is known within a table or where the output angle's zero is common to all recordings, a stiffness in the latter
+        case alone. Where the torque's sign always goes with the direction, the axis is its size. `notes` of the
+        attributes say what was left out.
+
+    Raises
+    ------
+    edge.InputError
+        If no recording gives a curve over a whole output turn.
+
+    Examples
+    --------
+    >>> import numpy as np, fitting
+    >>> angle = np.linspace(0.0, 2.0 * np.pi * 39, 2000, endpoint=False)
+    >>> def run(load):
+    ...     output = -angle / 39 + load * 1e-6 * (1.0 + 0.1 * np.cos(angle))
+    ...     return fitting.Run(input_angle=angle, output_angle=output, torque=load, speed=1.0, common_zero=True)
+    >>> found = fitting.maps([run(100.0), run(200.0)], -39.0)
+    >>> (found.angular_transmission_error.squeeze().sel(direction="forward").values * 1e6).round(1).tolist()
+    [20.0, 40.0]
+    >>> round(float(found.torsional_stiffness.sel(direction="forward").values[0, 0, 0]))
+    1000000
+    """
+    ratio = float(drive) if isinstance(drive, float | int) else drive.ratio
+    given = [recordings] if isinstance(recordings, Source) else list(recordings)
+    points: list[_Point] = []
+    notes: list[str] = []
+    for number, (found, said) in enumerate(_taken(given, ratio), start=1):
+        progress(f"recording {number} of {len(given)}")
+        points += found
+        notes += said
+    if not points:
+        raise edge.InputError(" ".join(["no recording gives a curve over a whole output turn.", *notes[:3]]))
+    return _dataset(points, ratio, drive if isinstance(drive, Drive) else None, notes)
+
+
+def _taken(given: Sequence[Source], ratio: float) -> Iterator[tuple[list[_Point], list[str]]]:
+    """Yield what each recording gives, many files on all processors, each with one recording in memory at a time."""
+    if len(given) < _MANY or not all(isinstance(one, RecordingFile) for one in given):
+        yield from (_points(one, ratio) for one in given)
+        return
+    import joblib
+
+    parallel = joblib.Parallel(n_jobs=-1, return_as="generator", pre_dispatch="4*n_jobs")
+    yield from parallel(joblib.delayed(_points)(one, ratio) for one in given)
+
+
+def _points(source: Source, ratio: float) -> tuple[list[_Point], list[str]]:
+    """Return what a recording gives, and its notes."""
+    notes: list[str] = []
+    try:
+        surveyed = survey(open_source(source, ratio), ratio, None)
+        notes += surveyed.notes
+        if surveyed.loops is not None:
+            notes.append(f"{surveyed.source}: a loop with the input locked has no place in a map.")
+        table = str(source.path) if isinstance(source, RecordingFile) else surveyed.source
+        return [_point(one, table) for one in surveyed.curves], notes
+    except edge.InputError as problem:
+        return [], [*notes, f"{problem} It is in no map."]
+
+
+def _told_once(notes: Sequence[str]) -> list[str]:
+    """Say once what was found of many recordings, with the first one's name."""
+    of: dict[str, list[str]] = {}
+    for note in dict.fromkeys(notes):
+        source, colon, text = note.partition(": ")
+        of.setdefault(text if colon else note, []).append(source if colon else "")
+    return [
+        text if not sources[0] else f"{sources[0]}{f' and {len(sources) - 1} more' if sources[1:] else ''}: {text}"
+        for text, sources in of.items()
+    ]
+
+
+def _point(curve: Curve, table: str) -> _Point:
+    speed, temperature = (np.nan if v is None else v for v in (curve.running_speed, curve.temperature))
+    orders = spectrum(curve)
+    return _Point(
+        (curve.torque, speed, temperature), curve.direction, table, float(orders.coefficient[0].real), orders,
+        curve.common_zero,
+    )  # fmt: skip
+
+
+def _gathered(values: Array, apart: float) -> tuple[Array, NDArray[np.int64]]:
+    """Return the values that differ by more than `apart` (each the mean of those alike), and which each one is."""
+    known = np.isfinite(values)
+    order = np.argsort(np.where(known, values, np.inf), kind="stable")
+    step = np.diff(values[order]) > apart
+    step |= known[order][1:] != known[order][:-1]
+    number = np.empty(values.size, np.int64)
+    number[order] = np.concatenate([[0], np.cumsum(step)])
+    means = np.array([values[number == i].mean() for i in range(number.max() + 1)])
+    return means, number
+
+
+def _named_orders(points: Sequence[_Point], ratio: float, drive: Drive | None) -> list[int]:
+    highest = min(p.orders.amplitude.size for p in points) - 1
+    pair = None if drive is None else drive.pair
+    per_turn = [round(abs(ratio))] if pair is None else [pair.gear_teeth, pair.pins]
+    named = {*RIG_ORDERS, *(k * n for n in per_turn for k in range(1, _HARMONICS + 1))}
+    if pair is not None:
+        named.add(pair.gear_teeth * pair.pins)
+    amplitude = np.median([p.orders.amplitude[: highest + 1] for p in points], axis=0)
+    often = np.mean([p.orders.significant[: highest + 1] for p in points], axis=0) > _OFTEN
+    often[[0, *(k for k in named if k <= highest)]] = False
+    strongest = [int(k) for k in np.argsort(-amplitude) if often[k]][:_OTHERS]
+    return sorted(k for k in {*named, *strongest} if k <= highest)
+
+
+def _dataset(points: Sequence[_Point], ratio: float, drive: Drive | None, notes: list[str]) -> xr.Dataset:
+    import xarray as xr
+
+    condition = np.array([p.condition for p in points])
+    way = np.array([p.direction for p in points])
+    turned = np.sign(condition[:, 0]) * way
+    with_motion = bool((way > 0).any() and (way < 0).any() and (turned == turned[0]).all() and turned[0])
+    sign = np.sign(condition[:, 0]) if with_motion else np.ones(way.size)
+    condition[:, 0] *= sign
+    largest = np.nanmax(np.abs(condition), axis=0, initial=0.0)
+    apart = (_ALIKE["torque"] * largest[0], _ALIKE["speed"] * largest[1], _WARM)
+    axes, numbers = zip(*(_gathered(condition[:, i], apart[i]) for i in range(3)), strict=True)
+    direction = np.where(way > 0, 0, 1)
+    at = (*numbers, direction)
+    shape = (*(a.size for a in axes), 2)
+    count = np.zeros(shape, np.int64)
+    np.add.at(count, at, 1)
+
+    def mean(values: Array) -> Array:
+        total = np.zeros(shape)
+        np.add.at(total, at, values)
+        return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+    orders, rig = _named_orders(points, ratio, drive), rig_orders(ratio)
+    level = np.array([p.mean for p in points])
+    common = all(p.common_zero for p in points)
+    windup = mean(level * sign)
+    stiffness = np.full(shape, np.nan)
+    if common and axes[0].size > 1:
+        stiffness = _slope(axes[0], windup)
+    elif not common:
+        notes.append(
+            "No stiffness is mapped: the output angles' zeros are not the same in all recordings. Where they are, say "
+            'zero_reference = "absolute" of [output_angle] in the mapping.'
+        )
+    gap = mean(level)[..., 0] - mean(level)[..., 1] if common else _gaps(points, at, shape[:3])
+    grid = (*AXES, "direction")
+    pair = None if drive is None else drive.pair
+    data = xr.Dataset(
+        {
+            "angular_transmission_error": (grid, mean(np.array([range_of_orders(p.orders) for p in points]))),
+            "angular_transmission_error_without_rig": (
+                grid, mean(np.array([range_of_orders(without_orders(p.orders, rig)) for p in points])),
+            ),
+            "order_amplitude": (
+                ("order", *grid), np.array([mean(np.array([p.orders.amplitude[k] for p in points])) for k in orders]),
+            ),
+            "mean_transmission_error": (grid, mean(level)),
+            "gap": (AXES, gap),
+            "torsional_stiffness": (grid, stiffness),
+            "recordings": (grid, count),
+        },
+        {
+            **{name: ((name,), values) for name, values in zip(AXES, axes, strict=True)},
+            "direction": ("direction", np.array(DIRECTIONS, dtype=object)),
+            "order": ("order", orders),
+            "order_name": ("order", np.array([order_name(k, ratio, pair) for k in orders], dtype=object)),
+        },
+    )  # fmt: skip
+    for name, unit in (("torque", "N*m"), ("speed", "rad/s"), ("temperature", "K"), ("torsional_stiffness", "N*m/rad")):
+        data[name].attrs["units"] = unit
+    for name in ("angular_transmission_error", "angular_transmission_error_without_rig", "order_amplitude",
+                 "mean_transmission_error", "gap"):  # fmt: skip
+        data[name].attrs["units"] = "rad"
+    said = _told_once(notes)
+    data.attrs.update(
+        format=FORMAT, ratio=ratio, torque_is=("size" if with_motion else "signed"), curves=len(points),
+        notes="\n".join(said),
+    )  # fmt: skip
+    return data
+
+
+def _slope(torque: Array, windup: Array) -> Array:
+    """Return dT/dTE along the first axis where neighbours were recorded: across both, or the one there is."""
+    found = np.full(windup.shape, np.nan)
+    for place in np.ndindex(windup.shape[1:]):
+        line = windup[(slice(None), *place)]
+        there = np.isfinite(line)
+        if np.count_nonzero(there) > 1:
+            with np.errstate(divide="ignore"):
+                found[(there, *place)] = 1.0 / np.gradient(line[there], torque[there])
+    return found
+
+
+def _gaps(points: Sequence[_Point], at: tuple[NDArray[np.int64], ...], shape: tuple[int, ...]) -> Array:
+    """Return forward less backward of the tables that hold both, averaged over the tables of a condition."""
+    pairs: dict[str, dict[int, int]] = {}
+    for i, p in enumerate(points):
+        pairs.setdefault(p.table, {})[p.direction] = i
+    total, count = np.zeros(shape), np.zeros(shape)
+    for both in pairs.values():
+        if len(both) == 2:
+            cell = tuple(int(axis[both[1]]) for axis in at[:3])
+            total[cell] += points[both[1]].mean - points[both[-1]].mean
+            count[cell] += 1.0
+    return np.where(count > 0.0, total / np.maximum(count, 1.0), np.nan)
+
+
+def write_maps(found: xr.Dataset, path: str | os.PathLike[str]) -> None:
+    """Write maps to a netCDF file, whole or not at all."""
+    edge.write_netcdf(found, path)

@@ -1,0 +1,106 @@
+"""The page of maps of a drive over its conditions: heat maps over torque and speed, one for each temperature."""
+
+from __future__ import annotations
+
+import math
+import os
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cycloid_fmu import edge
+from cycloid_fmu.draw.plots import new_figure
+from cycloid_fmu.edge import ARCMIN, ARCSEC
+from fitting.reports.page import html_page, made_now
+from fitting.reports.panels import HeatMap, Panel
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+_RPM = 30.0 / math.pi
+_ABOVE = """<p>{{ curves }} curves. {{ axis }}</p>
+"""
+_BELOW = """<h2>What was left out, and what to know</h2>
+{% if notes %}<ul id="notes">{% for n in notes %}<li>{{ n }}</li>{% endfor %}</ul>{% else %}
+<p id="notes">Nothing was left out.</p>{% endif %}
+"""
+
+
+def map_panels(found: xr.Dataset) -> list[Panel]:
+    """Return one panel for each map and direction, in field units.
+
+    Parameters
+    ----------
+    found
+        What `fitting.maps` returned.
+    """
+    two = [("forward", "forward"), ("backward", "backward")]
+    shown = [
+        ("angular_transmission_error", "Angular transmission error", "arcsec", ARCSEC, two),
+        ("angular_transmission_error_without_rig", "Angular transmission error without the rig's orders", "arcsec",
+         ARCSEC, two),
+        ("gap", "Gap between directions", "arcsec", ARCSEC, [("", "")]),
+        ("torsional_stiffness", "Torsional stiffness", "N·m/arcmin", 1.0 / ARCMIN, two),
+    ]  # fmt: skip
+    panels = []
+    for name, title, unit, factor, ways in shown:
+        for way, said in ways:
+            values = found[name].sel(direction=way) if way else found[name]
+            panels += _panel(f"{title}{', ' if said else ''}{said} [{unit}]", found, values * factor)
+    for order, kind in zip(found.order.values, found.order_name.values, strict=True):
+        for way, said in two:
+            values = found.order_amplitude.sel(order=order, direction=way) * ARCSEC
+            of = f" ({kind})" if kind else ""
+            panels += _panel(f"Order {order}{of}, amplitude, {said} [arcsec]", found, values)
+    return panels
+
+
+def _panel(title: str, found: xr.Dataset, values: xr.DataArray) -> list[Panel]:
+    if not np.isfinite(values).any():
+        return []
+    names = tuple(
+        "" if not np.isfinite(t) else f"{t - 273.15:.4g} °C" for t in found.temperature.values
+    )  # fmt: skip
+    maps = tuple(
+        HeatMap(
+            name, found.torque.values, found.speed.values * _RPM,
+            values.isel(temperature=i).transpose("speed", "torque").values,
+        )
+        for i, name in enumerate(names)
+    )  # fmt: skip
+    return [Panel(title, "torque [N·m]", "speed [rpm]", (), "", heat=maps)]
+
+
+def write_maps_report(found: xr.Dataset, path: str | os.PathLike[str]) -> None:
+    """Write the page of maps (HTML), whole or not at all."""
+    target = edge.output_path(path, "path", (".html",))
+    signs = {
+        "size": "Torque is the load's size: its sign goes with the direction.",
+        "signed": "Torque is signed, of the environment on the output.",
+    }
+    axis = f"{signs[found.attrs['torque_is']]} Forward: the crank's angle grows. The gap is forward less backward."
+    text = html_page(
+        "Maps of a drive", f"ratio {found.attrs['ratio']:g}, {made_now()}", _ABOVE, map_panels(found), _BELOW,
+        curves=found.attrs["curves"], axis=axis, notes=[n for n in found.attrs["notes"].split("\n") if n],
+    )  # fmt: skip
+    with edge.written_whole(target) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def plot_maps(found: xr.Dataset) -> Figure:
+    """Draw the maps without their orders, a row each, one column for each temperature."""
+    panels = [p for p in map_panels(found) if not p.title.startswith("Order")]
+    figure, axes = new_figure(len(panels), found.temperature.size)
+    for row, panel in zip(np.reshape(axes, (len(panels), -1)), panels, strict=True):
+        values = np.concatenate([one.z.ravel() for one in panel.heat])
+        for axis, one in zip(row, panel.heat, strict=True):
+            drawn = axis.imshow(one.z, origin="lower", aspect="auto", vmin=np.nanmin(values), vmax=np.nanmax(values))
+            axis.set_xticks(range(one.x.size), [f"{v:.4g}" for v in one.x], fontsize=6)
+            axis.set_yticks(range(one.y.size), ["" if np.isnan(v) else f"{v:.4g}" for v in one.y], fontsize=6)
+            axis.set_title(f"{panel.title}\n{one.name}" if axis is row[0] else one.name, fontsize=7, loc="left")
+            axis.grid(visible=False)
+            axis.set_xlabel(panel.x_label, fontsize=6)
+        row[0].set_ylabel(panel.y_label, fontsize=6)
+        figure.colorbar(drawn, ax=list(row))
+    return figure
