@@ -34,6 +34,7 @@ STEP = 1e-3  # s, of controller and FMU
 END = 2.0 * (MOVE + REST)
 WARM, COLD = 313.15, 283.15  # K
 STIFFNESS = 49.0 * 10800.0 / math.pi  # N·m/rad, of the catalogue
+# As in friction.toml, with what that leaves to the drive stated: the reference needs it as well.
 INPUT = cy.Friction(coulomb=0.02, stribeck=0.01, stribeck_speed=2.0, viscous=1e-4, presliding_angle=2e-3,
                     temperature_coefficient=0.015)  # fmt: skip
 OUTPUT = cy.Friction(coulomb=2.0, load_share=0.02, stribeck_speed=0.05, presliding_angle=2e-5)
