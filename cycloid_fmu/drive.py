@@ -484,6 +484,8 @@ class Drive:
         fmi_version: Literal["2.0", "3.0"] = "2.0",
         native: bool = False,
         largest_torque: float | None = None,
+        draws: int = 0,
+        seed: int = 0,
     ) -> None:
         """Build an FMU of the drive, whole or not at all.
 
@@ -500,11 +502,14 @@ class Drive:
             An FMU of C and tables that needs no Python, instead of the exact model; it takes the extra `native`.
         largest_torque
             How far a native FMU's tables reach, N·m; 2.5 times the rated torque where None.
+        draws, seed
+            How many drives the FMU holds besides an identified one, from the distribution of its fit: the parameter
+            `draw` chooses among them as `fitting.ensemble` draws them with this seed, counted from 1; 0 is this drive.
 
         Raises
         ------
         edge.InputError
-            If the folder does not exist or the interface is none of this drive.
+            If the folder does not exist, the interface is none of this drive, or it has no fit to draw from.
 
         Examples
         --------
@@ -523,13 +528,13 @@ class Drive:
             from cycloid_fmu.native.build import build_native
 
             build_native(
-                self, path, interface=interface, fmi_version=fmi_version, largest_torque=largest_torque,
-                workers=os.cpu_count() or 1,
+                self, path, interface=interface, fmi_version=fmi_version, largest_torque=largest_torque, draws=draws,
+                seed=seed, workers=os.cpu_count() or 1,
             )  # fmt: skip
         else:
             from cycloid_fmu.fmu.build import build_fmu
 
-            build_fmu(self, path, interface=interface, fmi_version=fmi_version)
+            build_fmu(self, path, interface=interface, fmi_version=fmi_version, draws=draws, seed=seed)
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the drive: a pair file (`.toml`) or an error surface (`.nc`), which holds form and wear as well.

@@ -96,7 +96,7 @@ sphinx_gallery_conf = {
     "examples_dirs": "generated/examples",
     "gallery_dirs": "gallery",
     "filename_pattern": r"\.py$",
-    "ignore_pattern": "joint_parts",  # what the robot joint imports
+    "ignore_pattern": "joint_parts",  # what the joint package imports
     "image_scrapers": (pictures,),
     "reset_modules": (named,),
     "matplotlib_animations": False,

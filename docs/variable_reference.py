@@ -53,9 +53,10 @@ INTRODUCTION = f"""# FMU variables
 
 What an FMU of `cycloid-fmu build` has, in each [interface](../fmu.md): the causality of each variable, – where the
 interface lacks it. *Inertia inside* is the compliant interface with `--output-inertia`, *both inside* with
-`--crank-inertia` as well. `support` is there with `--support-flange` alone. FMI 2.0 and 3.0 have the same
-names and value references. In the FMU of an RV reducer `flange_a` is the sun. What a
-[native FMU](../native.md) has in its tables is a *constant* there: it can be read but not set.
+`--crank-inertia` as well. `support` is there with `--support-flange` alone,
+`draw` with `--draws` (here 20). FMI 2.0 and 3.0 have the same names and value references. In the FMU of an RV reducer
+`flange_a` is the sun. What a [native FMU](../native.md) has in its tables is a
+*constant* there: it can be read but not set.
 
 Values are in the first unit, those in brackets are display units. Ranges and starts are those of `examples/{EXAMPLE}`,
 and of a drive worn for 10⁶ crank turns; the model description in every FMU has its own.
@@ -71,7 +72,7 @@ def tables() -> Iterator[tuple[str, tuple[Variable, ...]]]:
     life = Life(np.array([0.0, 1e6]), **worn)
     surface = nominal_surface(pair).replace(life=life, **{name: states[-1] for name, states in worn.items()})
     for name, interface in INTERFACES.items():
-        yield name, variables(pair, surface, with_damping(interface, pair, nominal_surface(pair)), "3.0")
+        yield name, variables(pair, surface, with_damping(interface, pair, nominal_surface(pair)), "3.0", draws=20)
 
 
 def in_native(variable: Variable) -> str:

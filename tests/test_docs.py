@@ -55,6 +55,11 @@ writer = TdmsWriter('run.tdms'); writer.open();
 writer.write_segment([ChannelObject('run', name.split(' [')[0], [float(cell) for cell in column],
 {'unit_string': name.split('[')[1].rstrip(']')}) for name, *column in zip(*rows)]); writer.close()
 """.strip().replace("\n", " ")
+FITTED = """
+import cycloid_fmu as cy, numpy as np; drive = cy.read_drive('drive.toml');
+cy.Drive(drive.pair, drive.surface.replace(covariance=np.array([[1e-12]]),
+covariance_of=('eccentricity',))).write('identified.nc')
+""".strip().replace("\n", " ")
 # What a page takes as given: your files, and your bench.
 GIVEN = {
     "README": f"""{RUNS}{LOOP}
@@ -69,6 +74,7 @@ GIVEN = {
         cycloid-fit metrics 200Nm-backward.arrows --pair drive.toml -o worn.json
     """,
     "fmu": f"""{RUNS}
+        python -c "{FITTED}"
         cycloid-fmu build drive.toml -o drive.fmu
         cycloid-fmu build drive.toml -o exact.fmu
         cycloid-fmu build drive.toml --native --platform {this_platform()} -o native.fmu

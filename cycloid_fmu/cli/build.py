@@ -85,6 +85,15 @@ def build(
             "N*m", "With --native: how far the tables reach; 2.5 times rated_torque by default.", show_default=False
         ),
     ] = None,
+    draws: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            help="Drives that the FMU holds besides an identified one, drawn from its fit; the parameter draw chooses.",
+            show_default=False,
+        ),
+    ] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="With --draws: the same seed draws the same drives.")] = 0,
     platforms: Annotated[
         list[str] | None,
         typer.Option(
@@ -127,7 +136,7 @@ def build(
         kind, output_inertia, table, crank_inertia=crank_inertia, stiffness=stiffness, support_flange=support_flange,
         input_friction=friction.input, output_friction=friction.output,
     )  # fmt: skip
-    options: dict[str, Any] = {"interface": offered, "fmi_version": fmi_version}
+    options: dict[str, Any] = {"interface": offered, "fmi_version": fmi_version, "draws": draws, "seed": seed}
     if not native:
         build_fmu(drive, output, **options)
         return
@@ -145,7 +154,10 @@ def build(
         made = build_native(
             drive, output, **options, platforms=names, largest_torque=largest_torque,
             workers=os.cpu_count() or 1, compiled=lambda name: bar.advance(), progress=bar.advance,
-            total=lambda count: bar.update(completed=0, total=count, description="crank angles"),
+            total=lambda count: bar.update(completed=0, total=count),
+            drawing=lambda number: bar.update(
+                completed=0, description=f"crank angles of draw {number} of {draws}" if number else "crank angles"
+            ),
         )  # fmt: skip
     typer.echo(
         f"{output}: {output.stat().st_size / 1e6:.2f} MB, {made.told}; held against the exact model at {PROBES} random "

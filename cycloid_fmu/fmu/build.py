@@ -18,7 +18,7 @@ from cycloid_fmu.contact.transmission import slices_needed
 from cycloid_fmu.edge import ArgumentError
 from cycloid_fmu.fmu.chain import with_chain
 from cycloid_fmu.fmu.constants import DAMPING_TIME
-from cycloid_fmu.fmu.core import FORMAT, NUMBERS, SUMS, SURFACE, sums_of, variables_hash
+from cycloid_fmu.fmu.core import DRAWS, FORMAT, NUMBERS, SUMS, SURFACE, sums_of, variables_hash
 from cycloid_fmu.fmu.description import Version
 from cycloid_fmu.fmu.friction_file import Friction
 from cycloid_fmu.fmu.losses import check_losses
@@ -32,10 +32,12 @@ from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.reducer.lost_motion import parts_of
 from cycloid_fmu.supports.transmission import play_loads, solve
 from cycloid_fmu.surfaces.files import write_surface
+from cycloid_fmu.surfaces.posterior import displacements_of, drawn_surfaces
 from cycloid_fmu.surfaces.surface import DEVIATIONS, ErrorSurface, surface_of_pair
 
 _LIBRARIES = {"2.0": "pythonfmu", "3.0": "pythonfmu3"}
 _SCRIPTS = {"2.0": "cycloid_drive.py", "3.0": "cycloid_drive3.py"}
+MOST_DRAWS = 10000
 # FMI 2.0's library stands before pythonfmu's, which does not decode the resources' URI (front/front.c).
 _FRONT = Path(__file__).with_name("front")
 _FRONTS = {
@@ -85,6 +87,8 @@ def build_fmu(
     *,
     interface: InterfaceKind | Interface = "kinematic",
     fmi_version: Version = "2.0",
+    draws: int = 0,
+    seed: int = 0,
 ) -> None:
     """Write a Co-Simulation FMU of the drive that runs in a Python host, whole or not at all.
 
@@ -100,18 +104,23 @@ def build_fmu(
         What the FMU offers: "kinematic", "compliant", or an `Interface`.
     fmi_version
         "2.0" or "3.0".
+    draws, seed
+        How many drives the FMU holds besides this one, drawn from the covariance of its fit: its parameter `draw`
+        chooses among them. The same seed draws the same.
 
     Raises
     ------
     edge.InputError
-        If the folder does not exist, the loss table is none, or the interface is none of this drive.
+        If the folder does not exist, the loss table is none, the interface is none of this drive, or there is no
+        covariance to draw from.
     """
     pair, surface, first_stage = whole_drive(drive, surface)
     interface = completed(interface, pair, surface, first_stage)
     if fmi_version not in _LIBRARIES:
         raise ArgumentError("fmi_version", "it must be 2.0 or 3.0", fmi_version)
     library = _LIBRARIES[fmi_version]
-    table = variables(pair, surface, interface, fmi_version, ratio_of(pair, first_stage))
+    drawn = surfaces_of_draws(pair, surface, draws, seed)
+    table = variables(pair, surface, interface, fmi_version, ratio_of(pair, first_stage), draws)
     with tempfile.TemporaryDirectory(prefix="cycloid-fmu-") as folder, edge.written_whole(path) as temporary:
         place = Path(folder)
         numbers: dict[str, object] = {
@@ -124,6 +133,8 @@ def build_fmu(
             },
             "variables": variables_hash(table),
         }
+        if draws > 0:
+            numbers["draws"] = draws
         if first_stage is not None:
             numbers["first_stage"] = json.loads(first_stage.text)
         (place / NUMBERS).write_text(json.dumps(numbers, indent=1), encoding="utf-8")
@@ -132,9 +143,11 @@ def build_fmu(
             if surface.life is not None:
                 arrays.update({f"life_{n}": a for n, a in vars(surface.life).items()})
             np.savez(file, allow_pickle=False, **{n: a for n, a in arrays.items() if a is not None})
+        if draws > 0:
+            np.savez(place / DRAWS, allow_pickle=False, **displacements_of(surface, drawn))
         write_surface(surface, place / "surface.nc")
         script = Path(__file__).with_name(_SCRIPTS[fmi_version])
-        files = [place / name for name in (NUMBERS, SURFACE, "surface.nc")]
+        files = [place / name for name in (NUMBERS, SURFACE, *([DRAWS] if draws > 0 else []), "surface.nc")]
         (place / SUMS).write_bytes(sums_of({path.name: path.read_bytes() for path in (*files, script)}))
         archive = build_archive(library, script, [*files, place / SUMS], place)
         fronts = _FRONTS if fmi_version == "2.0" else {}
@@ -146,6 +159,23 @@ def build_fmu(
         contents |= parts(pair, surface, interface, table, fmi_version, [library])
         contents |= reference_files(pair, surface, interface, first_stage)
         write_archive(temporary, dict(sorted(contents.items())))  # the library lists a folder in any order
+
+
+def surfaces_of_draws(pair: Pair, surface: ErrorSurface, draws: int, seed: int) -> list[ErrorSurface]:
+    """Return the surfaces among which an FMU's parameter `draw` chooses, from 1 on.
+
+    Raises
+    ------
+    edge.ArgumentError
+        If there can't be so many, or the surface has no covariance.
+    """
+    if not 0 <= draws <= MOST_DRAWS:
+        raise ArgumentError("draws", f"it must lie between 0 and {MOST_DRAWS}", draws)
+    if draws > 0 and surface.covariance is None:
+        raise ArgumentError(
+            "draws", "the drive's errors have no covariance of a fit to draw from; give what identify found", draws
+        )  # fmt: skip
+    return drawn_surfaces(pair, surface, draws, seed) if draws > 0 else []
 
 
 def checked_interface(interface: InterfaceKind | Interface, first_stage: FirstStage | None) -> Interface:

@@ -40,7 +40,8 @@ from cycloid_fmu.surfaces.surface import ErrorSurface
 
 # What a quasi-static drive at the same place has of the state.
 _SHARED = (
-    "errors", "pin_arrays", "_crank_turns_worn", "crank_angle", "crank_speed", "series_compliance", "backlash_on",
+    "errors", "pin_arrays", "_crank_turns_worn", "_draw", "crank_angle", "crank_speed", "series_compliance",
+    "backlash_on",
 )  # fmt: skip
 
 
@@ -213,6 +214,7 @@ class CompliantModel(SteppedModel, CompliantState):
                 self.crank_speed = self.crank_speed_start - self._support_speed
             self._turned = self.crank_angle
             still = self._still()
+            still.draws = self.draws
             shared = {name: getattr(self, name) for name in _SHARED}
             still.restore({**still.state(), **shared, "torque": self._load_torque})
             still.advance()

@@ -45,5 +45,5 @@ DIFFERENCE_SHARE = 1e-7  # of a variable's nominal size: half the difference tha
 DIFFERENCE_ROTATION = 1e-9  # rad of the output, likewise
 EVENT_INDICATORS = 5  # of a native FMU in Model Exchange
 MOST_LOSS_ROWS = 64  # of the loss table in a native FMU
-TABLE_VERSION = 7  # of the file of tables
-STATE_VERSION = 7  # of the native FMU's serialised state
+TABLE_VERSION = 8  # of the file of tables
+STATE_VERSION = 8  # of the native FMU's serialised state

@@ -35,9 +35,9 @@ from cycloid_fmu.geometry.pair import Pair, parse_pair
 from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.surfaces.surface import ErrorSurface, Life
 
-NUMBERS, SURFACE, SUMS = "pair.json", "surface.npz", "SHA256SUMS"
+NUMBERS, SURFACE, DRAWS, SUMS = "pair.json", "surface.npz", "draws.npz", "SHA256SUMS"
 FORMAT = 3  # of these files
-MAGIC, STATE_VERSION = b"cycloid state\0\0\0", 5
+MAGIC, STATE_VERSION = b"cycloid state\0\0\0", 6
 # Phases of an instance, as messages name them; the native FMU's are the same (native/sources/instance.c).
 INSTANTIATED, INITIALIZING, STEPPING, TERMINATED = (
     "before initialization", "during initialization", "while stepping", "after termination",
@@ -154,7 +154,10 @@ class Core:
         surface = ErrorSurface(pair, **values, life=Life(**states) if states else None)
         self.interface = interface = interface_from(numbers["interface"])
         self.model = model_of(pair, surface, interface, None if stage is None else FirstStage(**stage))
-        table = variables(pair, surface, interface, version, self.model.ratio)
+        if DRAWS in files:
+            with np.load(io.BytesIO(files[DRAWS])) as arrays:
+                self.model.draws = dict(arrays)
+        table = variables(pair, surface, interface, version, self.model.ratio, numbers.get("draws", 0))
         if variables_hash(table) != numbers["variables"]:
             raise RuntimeError(f"{built}, whose variables are others: {again}")
         self.table = dict(enumerate(table))
@@ -162,7 +165,7 @@ class Core:
         self.phase = INSTANTIATED
         self.faults: dict[int, str] = {}
         self.time = 0.0
-        self._hash = hashlib.sha256(files[NUMBERS] + files[SURFACE]).digest()
+        self._hash = hashlib.sha256(files[NUMBERS] + files[SURFACE] + files.get(DRAWS, b"")).digest()
         accesses = {reference: self._access(variable) for reference, variable in self.table.items()}
         self.getters = {reference: getter for reference, (getter, _) in accesses.items()}
         self._setters = {reference: setter for reference, (_, setter) in accesses.items()}

@@ -112,12 +112,12 @@ class Fmu:
         return [n for n, v in self.variables.items() if (v.causality, v.type) == (causality, kind) and not v.dimensions]
 
     def set(self, values: Mapping[str, float]) -> None:
-        """Set real and boolean variables by name."""
+        """Set scalars by name."""
+        types = {"Real": float, "Float64": float, "Boolean": bool, "Integer": int, "Int32": int}
         for name, value in values.items():
             variable = self.variables[name]
-            kind = {"Real": "Real", "Float64": "Float64", "Boolean": "Boolean"}[variable.type]
-            given = bool(value) if kind == "Boolean" else float(value)
-            getattr(self.slave, f"set{kind}")([variable.valueReference], [given])
+            given = types[variable.type](value)
+            getattr(self.slave, f"set{variable.type}")([variable.valueReference], [given])
 
     def reader(self, names: Sequence[str]) -> Callable[[], list[float]]:
         """Return a function that gives the present values of real variables."""

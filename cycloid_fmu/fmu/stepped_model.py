@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar, dataclass_transform
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cycloid_fmu.contact.transmission import drive_of, slices_needed
 from cycloid_fmu.errors.kinds import structured_names
@@ -20,6 +21,7 @@ from cycloid_fmu.fmu.mesh import ContactTeeth, StepError
 from cycloid_fmu.fmu.on_bearings import SupportedTeeth
 from cycloid_fmu.fmu.variables import LOSSLESS, ORDERS
 from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.posterior import displaced
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import ErrorSurface, surface_after
 
@@ -78,6 +80,7 @@ class State:
     _support_angle: float = 0.0  # of the housing, whose axes all other angles are in, rad
     _support_speed: float = 0.0
     _crank_turns_worn: float = 0.0
+    _draw: int = 0
     _theta: float = 0.0  # the crank's angle, reduced, rad
     _x: float = 0.0  # deviation of the flange that the teeth alone make, rad
     _stiffness: float = 0.0  # of the teeth, N·m/rad; 0 where nothing touches
@@ -121,6 +124,11 @@ class SteppedModel(State, FrictionState):
         The nominal pair and its errors.
     losses
         Rows of the loss table (`variables.Interface.losses`).
+
+    Attributes
+    ----------
+    draws
+        What the draws of a fit's distribution add to the errors (`posterior.displacements_of`).
     """
 
     absolute_crank_angle = _absolute("crank_angle", "_support_angle")
@@ -137,6 +145,7 @@ class SteppedModel(State, FrictionState):
         self._as_built = surface
         self._stated = self._structured()
         self.errors = dict(self._stated)
+        self.draws: Mapping[str, NDArray[np.float64]] = {}
         self._crank_turns_worn = 0.0 if surface.life is None else float(surface.life.crank_turns[-1])
         self._ratio = pair.ratio
         # Everything repeats after one turn of the gear in the ring; a reduced angle keeps its digits.
@@ -162,7 +171,7 @@ class SteppedModel(State, FrictionState):
 
     def _made_teeth(self) -> Teeth:
         worn = self.surface if self.surface.life is None else surface_after(self.surface, self._crank_turns_worn)
-        surface = with_structured(self.pair, worn, self._changed())
+        surface = displaced(with_structured(self.pair, worn, self._changed()), self.draws, self._draw)
         slices = slices_needed(surface)
         if self.pair.supports is not None:
             return SupportedTeeth(self.pair, surface, slices)
@@ -248,6 +257,17 @@ class SteppedModel(State, FrictionState):
         if turns != self._crank_turns_worn:
             surface_after(self.surface, turns)
             self._crank_turns_worn = turns
+            self._rebuild()
+
+    @property
+    def draw(self) -> int:
+        """Which of the `draws`, counted from 1, adds its errors, from the next step on; 0: none."""
+        return self._draw
+
+    @draw.setter
+    def draw(self, number: int) -> None:
+        if number != self._draw:
+            self._draw = number
             self._rebuild()
 
     @property
@@ -400,7 +420,7 @@ class SteppedModel(State, FrictionState):
         """Return to a state given by `state`."""
         if state["pin_arrays"] != self.pin_arrays:
             self._put_pin_errors(state["pin_arrays"])
-        errors = ("errors", "pin_arrays", "_crank_turns_worn")
+        errors = ("errors", "pin_arrays", "_crank_turns_worn", "_draw")
         remade = any(state[name] != getattr(self, name) for name in errors)
         if remade:
             for name in errors:

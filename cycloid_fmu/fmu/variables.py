@@ -415,6 +415,7 @@ def variables(
     interface: Interface,
     fmi_version: Literal["2.0", "3.0"],
     ratio: float | None = None,
+    draws: int = 0,
 ) -> tuple[Variable, ...]:
     """Return the FMU's variables; the place of each is its value reference.
 
@@ -428,6 +429,8 @@ def variables(
         With "3.0" `time` and the arrays follow after the scalars of both.
     ratio
         Angle of `flange_a` over that of `flange_b`; the pair's where None.
+    draws
+        Drives that the FMU holds besides the most likely one.
     """
     flanges = _flanges(pair, interface)
     shape = next(v.depends for v in flanges if v.name == "transmission_error")
@@ -447,10 +450,16 @@ def variables(
             else v
             for v in found
         ]
+    if draws > 0:
+        found.append(Variable(
+            "draw", "0: the most likely drive; above: one drawn from the fit's distribution, whose errors differ from "
+            "those stated by what it adds", "parameter", "fixed", least=0.0, most=float(draws), start=0.0,
+            kind="integer",
+        ))  # fmt: skip
     shape = next(v.depends for v in found if v.name == "transmission_error")
     if fmi_version == "3.0":
         found += _arrays(pair, surface, shape)
-    errors = tuple(v.name for v in found if v.baked and v.causality == "parameter")
+    errors = tuple(v.name for v in found if v.causality == "parameter" and (v.baked or v.name == "draw"))
     shaping = (*errors, "series_compliance", "backlash_on")
     rubbing = tuple(v.name for v in found if v.name.startswith(("loss_table", "input_friction", "output_friction")))
     lossy = (*shaping, *rubbing, "friction_torque")

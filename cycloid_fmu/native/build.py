@@ -20,7 +20,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from cycloid_fmu import __version__, edge
 from cycloid_fmu.edge import ArgumentError
-from cycloid_fmu.fmu.build import AnyDrive, completed, ratio_of, whole_drive
+from cycloid_fmu.fmu.build import AnyDrive, completed, ratio_of, surfaces_of_draws, whole_drive
 from cycloid_fmu.fmu.constants import EVENT_INDICATORS, MOST_LOSS_ROWS
 from cycloid_fmu.fmu.description import Version, model_structure, model_variables, token_of, unit_definitions
 from cycloid_fmu.fmu.parts import parts, write_archive
@@ -37,7 +37,7 @@ from cycloid_fmu.fmu.variables import (
 )
 from cycloid_fmu.native import tables
 from cycloid_fmu.native.table_cache import tables_of
-from cycloid_fmu.native.table_file import TABLE, constants_header, named, write
+from cycloid_fmu.native.table_file import constants_header, named, of_draw, write
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
 IDENTIFIER = "CycloidDrive"
@@ -47,6 +47,7 @@ SOURCES = (
 )  # fmt: skip
 _SOURCES = Path(__file__).with_name("sources")
 _FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off", "-s")
+MOST_BYTES = 1_000_000_000  # of the tables of an FMU with draws
 _UCRT = Path(__file__).with_name("windows") / "ucrt.c"
 
 
@@ -272,6 +273,28 @@ def _build_description() -> Element:
     return root
 
 
+def _check_size(draws: int, size: int) -> None:
+    """Refuse draws whose tables, each of a size in bytes, take more than `MOST_BYTES`."""
+    if (1 + draws) * size > MOST_BYTES:
+        text = f"tables of {size / 1e6:.3g} MB each would take more than {MOST_BYTES / 1e6:.0f} MB"
+        raise ArgumentError("draws", f"{text}; this drive's FMU has room for {MOST_BYTES // size - 1}", draws)
+
+
+def _larger(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, float]:
+    return max(a[0], b[0]), max(a[1], b[1])
+
+
+def _erring_as_both(made: tables.Tables, other: tables.Tables) -> tables.Tables:
+    """Return tables with what they or others err by, whichever is more."""
+    errors, others = made.errors, other.errors
+    if errors is not None and others is not None:
+        errors = tables.Errors(
+            _larger(errors.stiffness, others.stiffness), _larger(errors.pressure, others.pressure),
+            max(errors.speed, others.speed), _larger(errors.crank_torque, others.crank_torque),
+        )  # fmt: skip
+    return dataclasses.replace(made, largest_error=max(made.largest_error, other.largest_error), errors=errors)
+
+
 def build_native(
     drive: AnyDrive,
     path: str | os.PathLike[str],
@@ -281,17 +304,20 @@ def build_native(
     fmi_version: Version = "2.0",
     platforms: Sequence[str] = (),
     largest_torque: float | None = None,
+    draws: int = 0,
+    seed: int = 0,
     made: tables.Tables | None = None,
     workers: int = 1,
     total: Callable[[int], None] = lambda angles: None,
     progress: Callable[[int], None] = lambda angles: None,
     compiled: Callable[[str], None] = lambda name: None,
+    drawing: Callable[[int], None] = lambda number: None,
 ) -> tables.Tables:
     """Write an FMU for Model Exchange and Co-Simulation that needs no Python, whole or not at all; returns its tables.
 
     Parameters
     ----------
-    drive, path, surface, interface, fmi_version
+    drive, path, surface, interface, fmi_version, draws, seed
         As of `cycloid_fmu.fmu.build.build_fmu`.
     platforms
         Keys of `PLATFORMS`; all that the FMI version knows where empty.
@@ -303,11 +329,14 @@ def build_native(
         As of `tables.compute`.
     compiled
         Told each platform whose library is there.
+    drawing
+        Told each draw before its tables are made.
 
     Raises
     ------
     edge.InputError
-        If the folder does not exist, a platform can't be built for, or the interface is none of this drive.
+        If the folder does not exist, a platform can't be built for, the interface is none of this drive, or its draws
+        can't be made or would take more than `MOST_BYTES`.
     """
     pair, surface, first_stage = whole_drive(drive, surface)
     interface = completed(interface, pair, surface, first_stage)
@@ -320,21 +349,33 @@ def build_native(
             raise ArgumentError("platforms", f"FMI {fmi_version} does not know it, FMI 3.0 does", name)
     if largest_torque is not None and not 0.0 < largest_torque < math.inf:
         raise ArgumentError("largest_torque", "it must be finite and above zero (N*m)", largest_torque)
+    drawn = surfaces_of_draws(pair, surface, draws, seed)
     with edge.written_whole(path) as temporary:
         libraries = _binaries(fmi_version, names, compiled)
-        if made is None:
-            made = tables_of(
-                pair, surface, largest_load=largest_torque, workers=workers, total=total, progress=progress
-            )
-        kept = from_tables(variables(pair, surface, interface, fmi_version, ratio_of(pair, first_stage)))
+        kept = from_tables(variables(pair, surface, interface, fmi_version, ratio_of(pair, first_stage), draws))
         kept = exchanged(kept, interface, fmi_version)
-        plain = write(made, interface, kept, first_stage=first_stage)
-        token = token_of(__version__ + hashlib.sha256(plain).hexdigest())
+        files = []
+        for number, one in enumerate((surface, *drawn)):
+            drawing(number)
+            found = made if number == 0 else None
+            if found is None:
+                found = tables_of(
+                    pair, one, largest_load=largest_torque, workers=workers, total=total, progress=progress
+                )
+            files.append(write(found, interface, kept, first_stage=first_stage))
+            made = found if made is None else _erring_as_both(made, found)
+            if number == 0:
+                _check_size(draws, len(files[0]))
+        assert made is not None
+        token = token_of(__version__ + hashlib.sha256(b"".join(files)).hexdigest())
         contents = {
             "modelDescription.xml": _xml(
                 _description(fmi_version, token, kept, interface, made, stiffness_text(pair, interface))
             ),
-            f"resources/{TABLE}": named(plain, token),
+            **{
+                f"resources/{of_draw(number)}": named(file, f"{token}{f' {number}' if number else ''}")
+                for number, file in enumerate(files)
+            },
             **{f"sources/{name}": data for name, data in _source_files().items()},
             **libraries,
             **parts(pair, surface, interface, list(kept.values()), fmi_version, ()),

@@ -24,7 +24,7 @@ from cycloid_fmu.fmu.variables import ATTRIBUTES, STRAINS, Interface, Variable
 from cycloid_fmu.native.tables import Tables
 from cycloid_fmu.reducer.first_stage import FirstStage
 
-TABLE = "drive.table"  # in an FMU's resources
+TABLE = "drive.table"  # in an FMU's resources; behind it, of a draw, its number
 HEAD = struct.Struct("<8sIIQQ")
 _MAGIC = "cycltab\n"
 _KINDS = ("real", "integer", "boolean")
@@ -35,12 +35,18 @@ _FIELDS = (
     "backlash", "torsional_stiffness", "max_contact_pressure", "contact_count", "series_compliance", "temperature",
     "power_loss", "backlash_on", "elastic_energy", "dissipated_energy", "mesh_damping", "largest_step",
     "output_inertia", "crank_inertia", "crank_angle_start", "crank_speed_start", "outside_range", "support_angle",
-    "support_speed", "support_torque", "time", "crank_acceleration", "output_acceleration", "transmission_error_rate",
+    "support_speed", "support_torque", "time", "draw", "crank_acceleration", "output_acceleration",
+    "transmission_error_rate",
     *(f"event_indicator_{i}" for i in range(1, constants.EVENT_INDICATORS + 1)),
     *(f"{name}_{i}" for name in STRAINS for i in range(1, constants.FRICTION_ELEMENTS + 1)),
     *(f"{name}_rate_{i}" for name in STRAINS for i in range(1, constants.FRICTION_ELEMENTS + 1)),
     *(f"{flange}_friction_{name}" for flange in FLANGES for name in Law._fields), "loss_table",
 )  # fmt: skip
+
+
+def of_draw(number: int) -> str:
+    """Return the name of a draw's file in the resources; 0 is the most likely drive's."""
+    return f"{TABLE}{number or ''}"
 
 
 def constants_header() -> bytes:

@@ -2,15 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
-from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
-from cycloid_fmu.surfaces.structured import structured_value, with_structured
-from fitting.model.observations import scatter_names, with_scatter
-
-Array = NDArray[np.float64]
+from cycloid_fmu.surfaces.posterior import drawn_surfaces
 
 
 def ensemble(drive: Drive, count: int = 20, seed: int = 0) -> list[Drive]:
@@ -42,24 +35,5 @@ def ensemble(drive: Drive, count: int = 20, seed: int = 0) -> list[Drive]:
     >>> bool(0.8e-6 < np.std([one.surface.eccentricity for one in drawn]) < 1.2e-6)
     True
     """
-    pair, surface = drive.pair, drive.surface
-    if surface.covariance is None:
-        raise edge.ArgumentError("drive", "has no covariance of a fit; give what identify found")
-    places = scatter_names(pair)
-    names = [n for n in surface.covariance_of if n not in places]
-    at = [surface.covariance_of.index(n) for n in (*names, *places) if n in surface.covariance_of]
-    covariance = surface.covariance[np.ix_(at, at)]
-    # Eigenvectors also serve where a displacement has no variance at all.
-    values, vectors = np.linalg.eigh(covariance)
-    normal = np.random.default_rng(seed).standard_normal((count, values.size))
-    shifts = normal * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
-    drives: list[Drive] = []
-    for number, shift in enumerate(shifts):
-        moved = {n: structured_value(pair, surface, n) + s for n, s in zip(names, shift, strict=False)}
-        one = with_structured(pair, surface, moved)
-        if shift.size > len(names):
-            one = with_scatter(pair, one, shift[len(names) :])
-        attributes = {**surface.attributes, "ensemble_seed": seed, "ensemble_number": number}
-        made = one.replace(covariance=None, covariance_of=(), attributes=attributes)
-        drives.append(Drive(pair, made, drive.first_stage))
-    return drives
+    drawn = drawn_surfaces(drive.pair, drive.surface, count, seed)
+    return [Drive(drive.pair, one, drive.first_stage) for one in drawn]

@@ -32,6 +32,7 @@ struct state {
     /* Of Model Exchange, where the kinematic interface's last step ended: output and crank angle, friction's strains. */
     double held, held_crank, held_strain[2][FRICTION_ELEMENTS];
     double event_mode; /* whether the instance is in it */
+    double draw;       /* which drive of a fit's distribution it is; 0: the most likely one */
     struct friction friction[2];
     double loss[MOST_LOSS_ROWS * LOSS_COLUMNS];
 };
@@ -64,7 +65,8 @@ struct rubbing {
 };
 
 struct drive {
-    const struct table *table;
+    const struct table *table; /* of the draw */
+    uint32_t checksum;         /* of the most likely drive's table: whose states these are */
     double ratio;     /* of the flanges */
     double a, b, s;   /* of an RV reducer (reducer_model.py); b = 0 without its first stage */
     struct state state;

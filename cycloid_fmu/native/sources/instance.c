@@ -9,6 +9,7 @@
 #include "uri.h"
 
 static const char TABLE[] = TABLE_FILE;
+enum { NUMBER_SIZE = 12, MOST_DRAWS = 1000000 };
 
 static int table_path(const char *resources, char *path, size_t size) {
     size_t used;
@@ -51,6 +52,12 @@ int instance_open(struct instance *instance, const char *name, const char *token
                         resources == NULL ? "" : resources);
         return 1;
     }
+    size = strlen(path) + 1;
+    instance->path = malloc(size + NUMBER_SIZE);
+    if (instance->path == NULL) {
+        return 1;
+    }
+    memcpy(instance->path, path, size);
     instance->table = table_open(path, instance->message);
     if (instance->table == NULL) {
         instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
@@ -69,10 +76,49 @@ int instance_open(struct instance *instance, const char *name, const char *token
 
 void instance_close(struct instance *instance) {
     if (instance != NULL) {
+        table_close(instance->drawn);
         table_close(instance->table);
+        free(instance->path);
         free(instance->name);
         free(instance);
     }
+}
+
+/* The table of a draw, or NULL with a message. */
+static struct table *table_of_draw(struct instance *instance, unsigned number) {
+    size_t used = strlen(instance->path);
+    char token[MESSAGE_SIZE];
+    struct table *table;
+    snprintf(instance->path + used, NUMBER_SIZE, "%u", number);
+    table = table_open(instance->path, instance->message);
+    snprintf(token, sizeof token, "%.400s %u", instance->table->token, number);
+    if (table != NULL && strcmp(table->token, token) != 0) {
+        snprintf(instance->message, MESSAGE_SIZE, "%.300s: this table belongs to another FMU or draw.", instance->path);
+        table_close(table);
+        table = NULL;
+    }
+    instance->path[used] = '\0';
+    return table;
+}
+
+/* Take the tables of the draw that the state names; where that fails the present ones stay. */
+static int take_draw(struct instance *instance) {
+    double draw = instance->drive.state.draw;
+    struct table *table = NULL;
+    if (!(draw >= 0.0 && draw <= MOST_DRAWS)) {
+        return instance_refuse(instance, STATUS_ERROR, "there is no draw %g.", draw);
+    }
+    if (draw > 0.0) {
+        table = table_of_draw(instance, (unsigned)draw);
+        if (table == NULL) {
+            return instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
+        }
+    }
+    table_close(instance->drawn);
+    instance->drawn = table;
+    instance->drive.table = table != NULL ? table : instance->table;
+    instance->drive.placed = instance->drive.solved = 0;
+    return STATUS_OK;
 }
 
 static int in_phase(struct instance *instance, enum phase phase, const char *what) {
@@ -111,7 +157,7 @@ int instance_start(struct instance *instance) {
 
 static void warn_outside(struct instance *instance) {
     if (!instance->warned && drive_outside(&instance->drive)) {
-        const struct side *side = instance->table->side;
+        const struct side *side = instance->drive.table->side;
         instance->warned = 1;
         instance_refuse(instance, STATUS_WARNING, "at %g s the torque is beyond the %g N.m of the FMU's tables: what goes "
                         "on there has no stated accuracy (--largest-torque makes them longer). This is said once.",
@@ -340,7 +386,7 @@ int instance_reset(struct instance *instance) {
     drive_reset(&instance->drive);
     instance->warned = 0;
     instance->phase = INSTANTIATED;
-    return STATUS_OK;
+    return take_draw(instance);
 }
 
 const struct variable *instance_variable(struct instance *instance, uint32_t reference, int kind) {
@@ -362,11 +408,17 @@ int instance_get(struct instance *instance, const struct variable *variable, dou
 }
 
 int instance_set(struct instance *instance, const struct variable *variable, double value) {
+    double before;
     if (instance->phase == TERMINATED) {
         return in_phase(instance, STEPPING, "to set a variable");
     }
+    before = instance->drive.state.draw;
     if (drive_set(&instance->drive, variable, value, instance->message)) {
         return instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
+    }
+    if (instance->drive.state.draw != before && take_draw(instance) != STATUS_OK) {
+        instance->drive.state.draw = before;
+        return STATUS_ERROR;
     }
     return STATUS_OK;
 }
@@ -383,10 +435,15 @@ int instance_state(struct instance *instance, void **state) {
 }
 
 int instance_restore(struct instance *instance, const void *state) {
+    const struct drive kept = instance->drive;
     if (drive_state_check(&instance->drive, state, drive_state_size(), 0, instance->message)) {
         return instance_refuse(instance, STATUS_ERROR, "%s", instance->message);
     }
     drive_state_read(&instance->drive, state);
+    if (instance->drive.state.draw != kept.state.draw && take_draw(instance) != STATUS_OK) {
+        instance->drive = kept;
+        return STATUS_ERROR;
+    }
     if (instance->phase == TERMINATED || instance->phase == INSTANTIATED || !instance->drive.initializing) {
         instance->phase = instance->drive.initializing              ? INITIALIZING
             : instance->drive.state.event_mode != 0.0 ? EVENT : running(instance);

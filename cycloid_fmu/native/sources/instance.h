@@ -8,7 +8,8 @@ enum phase { INSTANTIATED, INITIALIZING, STEPPING, EVENT, CONTINUOUS, TERMINATED
 
 struct instance {
     char *name;
-    struct table *table;
+    char *path;                  /* of the table, with room for a draw's number behind it */
+    struct table *table, *drawn; /* of the most likely drive, and of the draw that is taken, or NULL */
     struct drive drive;
     enum phase phase;
     /* Hands a message on; `status` is FMI's own number, the same in both versions. */

@@ -1,0 +1,84 @@
+"""Drives that a fit leaves possible: error surfaces from the normal distribution of what was identified."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu import edge
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.structured import structured_value, with_structured
+from cycloid_fmu.surfaces.surface import ErrorSurface
+
+Array = NDArray[np.float64]
+_FLANKS = "gear_deviation"  # what a profile deviation displaces
+_PLACE = re.compile(r"(\w+)_at_(\d+)")  # a single pin or tooth, as a surface's covariance names its scatter
+
+
+def drawn_surfaces(pair: Pair, surface: ErrorSurface, count: int, seed: int) -> list[ErrorSurface]:
+    """Draw error surfaces from the normal distribution that an identified surface's covariance states.
+
+    Parameters
+    ----------
+    pair, surface
+        The nominal pair, and the identified surface, which is the distribution's mean.
+    count, seed
+        How many; the same seed draws the same, and fewer of them are the first of more.
+
+    Returns
+    -------
+    surfaces
+        Without a covariance of their own; seed and number are in their attributes.
+
+    Raises
+    ------
+    edge.ArgumentError
+        If the surface has no covariance.
+    """
+    if surface.covariance is None:
+        raise edge.ArgumentError("drive", "has no covariance of a fit; give what identify found")
+    # Eigenvectors also serve where a displacement has no variance at all.
+    values, vectors = np.linalg.eigh(surface.covariance)
+    normal = np.random.default_rng(seed).standard_normal((count, values.size))
+    shifts = normal * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+    drawn = []
+    for number, shift in enumerate(shifts):
+        attributes = {**surface.attributes, "ensemble_seed": seed, "ensemble_number": number}
+        one = surface.replace(covariance=None, covariance_of=(), attributes=attributes)
+        drawn.append(_shifted(pair, one, dict(zip(surface.covariance_of, shift, strict=True))))
+    return drawn
+
+
+def _shifted(pair: Pair, surface: ErrorSurface, shifts: Mapping[str, float]) -> ErrorSurface:
+    places = {name: found for name in shifts if (found := _PLACE.fullmatch(name))}
+    moved = {n: structured_value(pair, surface, n) + s for n, s in shifts.items() if n not in places}
+    made = with_structured(pair, surface, moved)
+    scatter: dict[str, Any] = {}
+    for name, place in places.items():
+        values = scatter.setdefault(place[1], np.array(made.errors[place[1]]))
+        values.flat[int(place[2])] += shifts[name]
+    return made.replace(**scatter)
+
+
+def displacements_of(surface: ErrorSurface, drawn: Sequence[ErrorSurface]) -> dict[str, Array]:
+    """Return what each of some surfaces adds to one: {kind of error, or its flanks: shape (surfaces, …), m or rad}."""
+    found = {name: np.array([one.errors[name] - values for one in drawn]) for name, values in surface.errors.items()}
+    if any(one.gear_deviation is not None for one in drawn):
+        flanks = 0.0 if surface.gear_deviation is None else surface.gear_deviation
+        found[_FLANKS] = np.array([one.gear_deviation - flanks for one in drawn])  # type: ignore[operator]
+    return {name: values for name, values in found.items() if values.any()}
+
+
+def displaced(surface: ErrorSurface, displacements: Mapping[str, Array], number: int) -> ErrorSurface:
+    """Return a surface with what draw `number`, counted from 1, adds; 0 leaves it as it is."""
+    if number == 0:
+        return surface
+    changes: dict[str, Any] = {n: d[number - 1] + surface.errors[n] for n, d in displacements.items() if n != _FLANKS}
+    if _FLANKS in displacements:
+        flanks = 0.0 if surface.gear_deviation is None else surface.gear_deviation
+        changes[_FLANKS] = displacements[_FLANKS][number - 1] + flanks
+    return surface.replace(**changes)
