@@ -15,6 +15,8 @@ from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import ErrorSurface
 
 Array = NDArray[np.float64]
+DISC_PHASE = "disc_phase"
+"""What a covariance calls the place of a further disc's teeth against the first one's, m at the pin circle."""
 _FLANKS = "gear_deviation"  # what a profile deviation displaces
 _PLACE = re.compile(r"(\w+)_at_(\d+)")  # a single pin or tooth, as a surface's covariance names its scatter
 
@@ -59,8 +61,13 @@ def _shifted(pair: Pair, surface: ErrorSurface, shifts: Mapping[str, float]) -> 
     made = with_structured(pair, surface, moved)
     scatter: dict[str, Any] = {}
     for name, place in places.items():
-        values = scatter.setdefault(place[1], np.array(made.errors[place[1]]))
-        values.flat[int(place[2])] += shifts[name]
+        # All teeth of a further disc at once.
+        kind = "tooth_cumulative_pitch" if place[1] == DISC_PHASE else place[1]
+        values = scatter.setdefault(kind, np.array(made.errors[kind]))
+        if place[1] == DISC_PHASE:
+            values[int(place[2]) + 1] += shifts[name]
+        else:
+            values.flat[int(place[2])] += shifts[name]
     return made.replace(**scatter)
 
 

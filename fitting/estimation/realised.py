@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.posterior import DISC_PHASE
 from cycloid_fmu.surfaces.structured import displacement_columns, displacement_layout, displacement_vector
 from cycloid_fmu.surfaces.surface import ErrorSurface
 from fitting.estimation.fit import NO_SCATTER
@@ -134,7 +135,7 @@ def displaced_covariance(pair: Pair, chosen: Sequence[str], covariance: Array) -
     single = np.eye(len(waves), max(part.stop for part in parts.values()))
     for disc in range(1, pair.discs):
         first = parts["tooth_cumulative_pitch"].start + disc * pair.gear_teeth
-        single[first : first + pair.gear_teeth, parts["disc_phase"].start + disc - 1] = 1.0
+        single[first : first + pair.gear_teeth, parts[DISC_PHASE].start + disc - 1] = 1.0
     lever = np.hstack([waves, single])
     directions = gauge(pair)
     lever = lever - directions @ (directions.T @ lever)

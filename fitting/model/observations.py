@@ -22,6 +22,7 @@ from cycloid_fmu.errors.kinds import KINDS, kinds_of, structured_names
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.supports.transmission import LAWS, sensitivity, solve
+from cycloid_fmu.surfaces.posterior import DISC_PHASE
 from cycloid_fmu.surfaces.structured import (
     displacement_columns,
     displacement_layout,
@@ -53,7 +54,7 @@ _LEAST_TORQUE = 1e-3  # of a curve's mean: without any the output is free in its
 FRICTION_SHARE = 0.002  # of the largest torque
 COMPLIANCE_SHARE = 30.0  # of the gear pair's own compliance: shafts, bearings and flanges of a real chain
 KNOWN_SIZES = {
-    "disc_phase": 10e-6, "hole_x": 5e-6, "hole_y": 5e-6, "crank_x": 5e-6, "crank_y": 5e-6, "roller_x": 5e-6,
+    DISC_PHASE: 10e-6, "hole_x": 5e-6, "hole_y": 5e-6, "crank_x": 5e-6, "crank_y": 5e-6, "roller_x": 5e-6,
     "roller_y": 5e-6, "crank_throw": 3e-6, "crank_phase": 3e-4, "hole_radius": 3e-6,
 }  # fmt: skip
 """Standard deviation of what a drive has only a few of before anything is measured, m or rad: too few to estimate."""
@@ -334,7 +335,7 @@ def scatter_parts(pair: Pair) -> dict[str, slice]:
     g = pair
     sizes = {"pin_radial": g.pins, "pin_tangential": g.pins, "tooth_cumulative_pitch": g.discs * g.gear_teeth}
     if g.discs > 1:
-        sizes["disc_phase"] = g.discs - 1
+        sizes[DISC_PHASE] = g.discs - 1
     sizes |= {name: math.prod(kind.shape(g)) for name, kind in kinds_of(g).items() if kind.of_supports}
     ends = np.cumsum([*sizes.values()]).tolist()
     return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
@@ -364,9 +365,9 @@ def with_scatter(pair: Pair, surface: ErrorSurface, scatter: Array) -> ErrorSurf
     parts = scatter_parts(pair)
     values = {n: surface.errors[n] + scatter[p].reshape(surface.errors[n].shape)
               for n, p in parts.items() if n in KINDS}  # fmt: skip
-    if "disc_phase" in parts:
+    if DISC_PHASE in parts:
         pitch = np.array(values["tooth_cumulative_pitch"])
-        pitch[1:] += scatter[parts["disc_phase"], None]
+        pitch[1:] += scatter[parts[DISC_PHASE], None]
         values["tooth_cumulative_pitch"] = pitch
     return surface.replace(**values)
 
@@ -377,9 +378,9 @@ def scatter_between(pair: Pair, surface: ErrorSurface, plain: ErrorSurface) -> A
     for name, part in parts.items():
         if name in KINDS:
             found[part] = (surface.errors[name] - plain.errors[name]).ravel()
-    if "disc_phase" in parts:
+    if DISC_PHASE in parts:
         pitch = found[parts["tooth_cumulative_pitch"]].reshape(pair.discs, -1)
-        found[parts["disc_phase"]] = pitch[1:].mean(axis=1)
+        found[parts[DISC_PHASE]] = pitch[1:].mean(axis=1)
         pitch[1:] -= pitch[1:].mean(axis=1, keepdims=True)
     return found
 

@@ -52,9 +52,7 @@ def report(
     """
     if certificate is not None:
         if not isinstance(result, Figures):
-            raise edge.ArgumentError(
-                "certificate", "there is one of figures alone, not of a fit or of maps", str(certificate)
-            )
+            raise edge.ArgumentError("certificate", "there is one of figures alone", str(certificate))
         stated = certificate if isinstance(certificate, Certificate) else read_certificate(certificate)
         write_certificate(result, stated, path)
     elif isinstance(result, Identification):

@@ -201,3 +201,17 @@ def test_a_rigid_drive_has_no_bearings():
     assert unknown_bearings(nominal) == ()
     assert pair_with(nominal, np.zeros(0)) is nominal
     assert on_bearings(nominal, surface_of_pair(nominal))[0].supports is not None
+
+
+def test_drawn_drives_turn_further_discs_as_the_covariance_says():
+    pair = cranked(2).replace(supports=None)
+    names = tuple(scatter_names(pair))
+    covariance = np.zeros((len(names), len(names)))
+    at = names.index("disc_phase_at_0")
+    covariance[at, at] = 9e-12
+    surface = surface_of_pair(pair).replace(covariance=covariance, covariance_of=names)
+    drawn = fitting.ensemble(Drive(pair, surface), 400)
+    turned = np.array([one.surface.tooth_cumulative_pitch for one in drawn])
+    assert not turned[:, 0].any()
+    assert np.ptp(turned[:, 1], axis=1).max() == 0.0
+    assert turned[:, 1, 0].std() == pytest.approx(3e-6, rel=0.1)
