@@ -29,6 +29,7 @@ _READINGS = {
     "angular_transmission_error": math.sqrt(2.0), "angular_transmission_error_without_rig": math.sqrt(2.0),
 }  # fmt: skip
 COVERAGE = 0.95
+_TORQUE_STEP = 0.005  # of the rated torque
 _SAMPLES = 20000  # of a loop, with which sensitivities are found
 
 
@@ -175,11 +176,19 @@ def _of_loops(
     rated = max(loops.rated_torque for loops in data)
     found: dict[str, list[Contribution]] = {name: [] for name in nominal}
 
-    def add(source: str, distribution: str, standard: float, unit: str, changed: Sequence[Sequence[LoopData]]) -> None:
+    def add(
+        source: str,
+        distribution: str,
+        standard: float,
+        unit: str,
+        changed: Sequence[Sequence[LoopData]],
+        step: float,
+    ) -> None:
+        """Add a quantity, with the recordings as they are when it, or each of its parts, is off by a step."""
         values = [_loop_values(one) for one in changed]
         for name, value in nominal.items():
             moved = math.hypot(*(one.get(name, value) - value for one in values))
-            found[name].append(Contribution(source, "B", distribution, standard, unit, moved / standard))
+            found[name].append(Contribution(source, "B", distribution, standard, unit, moved / step))
 
     for shaft, encoder, scale in (
         ("output", instruments.output_encoder, 1.0),
@@ -196,7 +205,7 @@ def _of_loops(
                 ]
                 for of in (np.cos, np.sin)
             ]
-            add(wave.source, wave.distribution, wave.standard, "rad", changed)
+            add(wave.source, wave.distribution, wave.standard, "rad", changed, wave.standard)
         if encoder is not None and encoder.resolution > 0.0 and scale:
             half_step = standard_uncertainty(0.5 * encoder.resolution, "rectangular")
             for name in nominal:
@@ -209,14 +218,18 @@ def _of_loops(
                     )
                 )
     sensor = instruments.torque_sensor
-    if sensor is not None and sensor.accuracy_class > 0.0:
+    if sensor is not None:
         at_rated = standard_uncertainty(0.01 * sensor.accuracy_class * sensor.range, "rectangular")
-        more = [[dataclasses.replace(one, torque=one.torque * (1.0 + at_rated / rated)) for one in data]]
-        add(f"torque sensor, class {sensor.accuracy_class:g}", "rectangular", at_rated, "N*m", more)
-    if sensor is not None and sensor.zero > 0.0:
         zero = standard_uncertainty(sensor.zero, "rectangular")
-        more = [[dataclasses.replace(one, torque=one.torque + zero) for one in data]]
-        add("torque sensor, zero", "rectangular", zero, "N*m", more)
+        for source, standard, gain, offset in (
+            (f"torque sensor, class {sensor.accuracy_class:g}", at_rated, 1.0 / rated, 0.0),
+            ("torque sensor, zero", zero, 0.0, 1.0),
+        ):
+            if standard > 0.0:
+                # A small step changes which noisy samples an interval holds more than where they lie.
+                by = max(standard, _TORQUE_STEP * rated)
+                more = [dataclasses.replace(one, torque=one.torque * (1.0 + gain * by) + offset * by) for one in data]
+                add(source, "rectangular", standard, "N*m", [more], by)
     return found
 
 

@@ -77,7 +77,6 @@ def test_a_loop_s_budget_covers_a_monte_carlo_of_the_bench(stated):
         assert stated_u == pytest.approx(math.sqrt(np.mean(np.square(error))), rel=0.35), name
         inside[name] = np.count_nonzero(np.abs(error) <= np.mean([b.expanded for b in budgets[name]]))
         assert inside[name] >= 0.85 * draws, (name, inside)
-        assert found.figures[name].uncertainty < 1.9 * stated_u  # the repeatability alone would not cover them
     alone = np.count_nonzero(np.abs(errors["torsional_stiffness"]) <= found.figures["torsional_stiffness"].uncertainty)
     assert alone < 0.5 * draws
 
