@@ -19,7 +19,7 @@ from cycloid_fmu import edge
 from fitting.figures.figure import Figure, pooled
 from fitting.figures.hysteresis import Lobe, LoopData, find_loops, loop_figures
 from fitting.figures.instruments import Encoder, Instruments, TorqueSensor, standard_uncertainty
-from fitting.figures.spectrum import Spectrum, range_of, rig_orders, run_label, without_orders
+from fitting.figures.spectrum import RIG_ORDERS, Spectrum, range_of, run_label, without_orders
 from fitting.figures.survey import Surveyed
 
 Array = NDArray[np.float64]
@@ -246,7 +246,7 @@ def _of_orders(
     (curve, orders), *_ = (
         (c, s) for (label, c), s in zip(labelled, spectra, strict=True) if s is not None and label == largest
     )
-    left_out = rig_orders(curve.ratio) if name == "angular_transmission_error_without_rig" else ()
+    left_out = RIG_ORDERS if name == "angular_transmission_error_without_rig" else ()
     kept = without_orders(orders, left_out)
     coefficient: NDArray[np.complex128] = np.where(kept.significant, kept.coefficient, 0.0)
     points = 1 << max(12, math.ceil(math.log2(8 * coefficient.size)))

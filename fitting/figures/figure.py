@@ -27,7 +27,7 @@ DEFINITIONS = {
     "angular_transmission_error": "largest less smallest value over one output turn, in one direction, of the curve "
     "averaged over turns and made of the orders that stand out of the noise (GB/T 35089); the largest of the runs",
     "angular_transmission_error_without_rig": "angular transmission error of the curve without the orders of the rig: "
-    "1, 2 and 3 of the output turn and 1 of the input turn, run-out and couplings of both shafts; what the drive "
+    "1, 2 and 3 of the output turn, run-out and couplings; what the drive "
     "has at these orders is left out with them",
 }
 UNITS = {

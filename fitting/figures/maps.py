@@ -21,7 +21,6 @@ from fitting.figures.spectrum import (
     Spectrum,
     order_name,
     range_of_orders,
-    rig_orders,
     spectrum,
     without_orders,
 )
@@ -78,7 +77,7 @@ def maps(
     xarray.Dataset
         `cycloid-maps/1`, over (torque N·m, speed rad/s, temperature K, direction), SI; NaN where nothing was recorded:
         `angular_transmission_error`, largest less smallest value of the orders that stand out of the noise, and
-        `angular_transmission_error_without_rig`, the same without `rig_orders`, which a rig's run-out makes;
+        `angular_transmission_error_without_rig`, the same without `RIG_ORDERS`, which a rig's run-out makes;
         `order_amplitude` of each `order`, with its `order_name`; `mean_transmission_error`; `gap`, mean of forward less
         that of backward, and `torsional_stiffness` (N·m/rad), the slope of torque over mean transmission error. A gap
         is known within a table or where the output angle's zero is common to all recordings, a stiffness in the latter
@@ -211,7 +210,7 @@ def _dataset(points: Sequence[_Point], ratio: float, drive: Drive | None, notes:
         np.add.at(total, at, values)
         return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
-    orders, rig = _named_orders(points, ratio, drive), rig_orders(ratio)
+    orders = _named_orders(points, ratio, drive)
     level = np.array([p.mean for p in points])
     common = all(p.common_zero for p in points)
     windup = mean(level * sign)
@@ -230,7 +229,7 @@ def _dataset(points: Sequence[_Point], ratio: float, drive: Drive | None, notes:
         {
             "angular_transmission_error": (grid, mean(np.array([range_of_orders(p.orders) for p in points]))),
             "angular_transmission_error_without_rig": (
-                grid, mean(np.array([range_of_orders(without_orders(p.orders, rig)) for p in points])),
+                grid, mean(np.array([range_of_orders(without_orders(p.orders, RIG_ORDERS)) for p in points])),
             ),
             "order_amplitude": (
                 ("order", *grid), np.array([mean(np.array([p.orders.amplitude[k] for p in points])) for k in orders]),

@@ -18,9 +18,9 @@ from fitting.figures.figure import DEFINITIONS, Figure, figure_json, pooled
 from fitting.figures.hysteresis import loop_figures
 from fitting.figures.instruments import Instruments, read_instruments
 from fitting.figures.spectrum import (
+    RIG_ORDERS,
     Spectrum,
     angular_transmission_error,
-    rig_orders,
     run_label,
     spectrum,
     without_orders,
@@ -147,7 +147,7 @@ def figures_of(
                 )
             label = run_label(one.source, curve)
             ways[way][label] = angular_transmission_error(curve, orders, one.runaway)
-            kept = angular_transmission_error(curve, without_orders(orders, rig_orders(curve.ratio)), one.runaway)
+            kept = angular_transmission_error(curve, without_orders(orders, RIG_ORDERS), one.runaway)
             rigless[way][label] = kept
     for name, of_ways in (("angular_transmission_error", ways), ("angular_transmission_error_without_rig", rigless)):
         parts = {way: max(runs.values(), key=lambda f: f.value) for way, runs in of_ways.items() if runs}

@@ -18,7 +18,9 @@ from fitting.transmission_error.curve import Curve
 
 Array = NDArray[np.float64]
 
-RIG_ORDERS = (1, 2, 3)  # of the output turn: run-out, and couplings at twice and three times a turn
+RIG_ORDERS = (1, 2, 3)
+"""Of the output turn: run-out, and couplings at twice and three times a turn. That of one input turn is not among
+them: the pins have it too, and run-out of the input is divided by the ratio."""
 _WINDOW = 101  # orders around one whose median is its noise floor
 _HOLES = 0.02  # share of a turn's points that may be empty
 _REDRAWN = 200  # spectra drawn with the noise found, for the uncertainty of a largest and a smallest value
@@ -127,22 +129,6 @@ def spectrum(curve: Curve) -> Spectrum:
 def run_label(source: str, curve: Curve) -> str:
     """Return what a run's figure is called: its recording, load and direction."""
     return f"{source}, {curve.torque:.4g} N*m, {'forward' if curve.direction > 0 else 'backward'}"
-
-
-def rig_orders(ratio: float) -> tuple[int, ...]:
-    """Return the orders of the output turn at which a rig's run-out and couplings lie.
-
-    Orders 1 to 3 of the output shaft, and the order of one input turn where the ratio is whole; otherwise the input's
-    turn is no order of the output turn. Pins and ring have the order of an input turn too where the gear is the output.
-
-    Examples
-    --------
-    >>> rig_orders(-39.0), rig_orders(121.5)
-    ((1, 2, 3, 39), (1, 2, 3))
-    """
-    once = round(abs(ratio))
-    whole = once > RIG_ORDERS[-1] and abs(abs(ratio) - once) < 1e-6 * once
-    return (*RIG_ORDERS, once) if whole else RIG_ORDERS
 
 
 def without_orders(orders: Spectrum, left_out: Sequence[int]) -> Spectrum:

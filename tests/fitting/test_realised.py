@@ -15,7 +15,7 @@ from cycloid_fmu.surfaces.structured import with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.estimation.ensemble import ensemble
 from fitting.estimation.realised import displaced, displaced_covariance, errors_by_pattern, gauge, realised
-from fitting.model.observations import scatter_columns, with_scatter
+from fitting.model.observations import scatter_columns, spread_of, with_scatter
 from fitting.reports.ring import ring_panel
 
 DISCS = {"discs": 2, "gear_teeth": 11, "pins": 12, "pin_circle_radius": 50e-3, "pin_radius": 5e-3, "eccentricity": 2e-3}
@@ -36,11 +36,13 @@ def test_what_the_gauge_removes_other_errors_and_the_output_s_zero_do(nominal, c
     """By derivatives of the exact model at a scattered drive: shift, radial mean and both turns move the curves so."""
     pair, generator = nominal.replace(**changes), np.random.default_rng(3)
     directions = gauge(pair)
-    surface = with_scatter(pair, surface_of_pair(pair), generator.normal(0.0, 2e-6, len(directions)))
+    scatter = np.zeros(spread_of(pair, {}).size)
+    scatter[: len(directions)] = generator.normal(0.0, 2e-6, len(directions))
+    surface = with_scatter(pair, surface_of_pair(pair), scatter)
     angle = np.linspace(0.0, 2.0 * np.pi * pair.gear_teeth, 97, endpoint=False)
     others = ["pin_circle_radius", "centre_distance_x", "centre_distance_y"]
     _, columns, each, _ = error_sensitivity(pair, surface, 60.0, angle, others)
-    does = scatter_columns(pair, each) @ directions
+    does = scatter_columns(pair, each)[:, : len(directions)] @ directions
     size = np.sqrt(pair.pins)
     np.testing.assert_allclose(does[:, 0] * size, columns[:, 0], rtol=0, atol=1e-6 * np.abs(columns[:, 0]).max())
     np.testing.assert_allclose(does[:, 3:] * size, -columns[:, 1:], rtol=0, atol=2e-4 * np.abs(columns[:, 1]).max())

@@ -72,6 +72,6 @@ def test_its_file_states_the_drive_that_was_identified(result, tmp_path):
 
 
 def test_form_that_the_fit_ignores_is_noted(result):
-    (note,) = (note for note in result.notes if "form" in note)
+    (note,) = (note for note in result.notes if "form of single elements" in note)
     assert "gear_deviation" in note
     assert "not part of the fit" in note
