@@ -52,7 +52,7 @@ _REACH = 80e-6  # m: gaps that errors and the rotation may close where contacts 
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 _LEAST_TORQUE = 1e-3  # of a curve's mean: without any the output is free in its play
 FRICTION_SHARE = 0.002  # of the largest torque
-COMPLIANCE_SHARE = 30.0  # of the gear pair's own compliance: shafts, bearings and flanges of a real chain
+COMPLIANCE_SHARE = 0.02  # of the gear pair's own compliance; a softer chain is a cause of misfit, whose size is found
 KNOWN_SIZES = {
     DISC_PHASE: 10e-6, "hole_x": 5e-6, "hole_y": 5e-6, "crank_x": 5e-6, "crank_y": 5e-6, "roller_x": 5e-6,
     "roller_y": 5e-6, "crank_throw": 3e-6, "crank_phase": 3e-4, "hole_radius": 3e-6,
