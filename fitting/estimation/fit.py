@@ -299,7 +299,7 @@ def fit(
         bound = (unknowns <= problem.lowest) & (slope < 0.0)
         gram[bound, bound] *= _PINNED
         slope[bound] = 0.0
-        step = linalg.solve(gram + damping * np.diag(np.diag(gram)), slope, assume_a="pos")
+        step = _solved(gram + damping * np.diag(np.diag(gram)), slope)
         promised = float(2.0 * slope @ step - step @ gram @ step)
         if promised < gain and settled:
             break
@@ -377,7 +377,8 @@ def _variances(
     covariance = linalg.cho_solve(scaled, np.eye(size.size)) / np.outer(size, size)
     resolved = np.einsum("kij,ji->k", normal.gram, covariance)
     square = normal.square - 2.0 * normal.moment @ ahead + np.einsum("i,kij,j->k", ahead, normal.gram, ahead)
-    variance = square / np.maximum(normal.count - resolved, 1.0)
+    # A step ahead that the linear model does not hold may promise to leave nothing.
+    variance = np.maximum(square, _SHRINKS * normal.square) / np.maximum(normal.count - resolved, 1.0)
     unknowns = unknowns + ahead
     found = dict(known)
     for name, part in problem.parts.items():
@@ -400,7 +401,14 @@ def _ahead(
     precision = problem.precision(scatter)
     precision[pins] = _PINNED
     slope = normal.moment.sum(axis=0) - precision * (unknowns - mean)
-    return np.asarray(linalg.solve(normal.gram.sum(axis=0) + np.diag(precision), slope, assume_a="pos"))
+    return _solved(normal.gram.sum(axis=0) + np.diag(precision), slope)
+
+
+def _solved(gram: Array, slope: Array) -> Array:
+    """Solve normal equations whose unknowns are known to very unlike degrees."""
+    size = np.sqrt(np.diag(gram))
+    found: Array = linalg.cho_solve(linalg.cho_factor(gram / np.outer(size, size)), slope / size) / size
+    return found
 
 
 def _stated(name: str) -> tuple[float, float]:

@@ -204,7 +204,7 @@ def identify(
                 predicted = _predicted(pair, _fitted(rest, pair, found, prior, progress), [running[i] for i in kept])
                 verdict = mispredicted(verdict, predicted) if _is_mispredicted(predicted) else verdict
             found, others = _described_otherwise(pair, found, prior, progress)
-            verdict = dataclasses.replace(verdict, descriptions=1 + len(others))
+            verdict = dataclasses.replace(verdict, descriptions=1 + len(others), disagreeing=found.disagreeing)
             result = result_of(
                 pair, found, verdict, predicted, prior.scatter, profiled, bootstrap, _GAIN, others,
                 0.0 if prior.profile else shape, progress,

@@ -481,6 +481,7 @@ def as_json(result: Identification) -> dict[str, Any]:
             "residual": verdict.residual,
             "failed": list(verdict.failed),
             "descriptions": verdict.descriptions,
+            "disagreeing": verdict.disagreeing,
         },
         "drive": result.drive.hash,
         "pair": result.pair.nominal.text,

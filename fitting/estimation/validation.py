@@ -75,6 +75,8 @@ class Verdict:
         What fails, in words; none where the curves are explained.
     descriptions
         How many sets of errors make the curves, each seen from another disc as the first.
+    disagreeing
+        From how many starts the fit ended in as many optima; 0 where two agreed.
     """
 
     state: str
@@ -83,12 +85,15 @@ class Verdict:
     residual: float
     failed: tuple[str, ...]
     descriptions: int = 1
+    disagreeing: int = 0
 
     @property
     def sentence(self) -> str:
         """The verdict in one line."""
         named = ", ".join(_in_words(m) for m in self.misfits[:_NAMED])
         several = f" {self.descriptions} sets of errors make these curves." if self.descriptions > 1 else ""
+        if self.disagreeing:
+            several += f" But no two of {self.disagreeing} starts ended alike: a better optimum may have been missed."
         if self.state == "explained":
             return (
                 f"Explained: what is left of the curves, {self.residual * ARCSEC:.2f}″, is their noise, at every "

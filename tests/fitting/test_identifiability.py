@@ -142,6 +142,7 @@ def test_starts_that_end_apart_are_said(measured, nominal, monkeypatch):
     tried = sum(step.startswith("finding a start") for step in said)
     assert tried > 10
     assert any(f"No two of {tried} starts ended in the same optimum" in n for n in found.notes)
+    assert f"no two of {tried} starts ended alike" in found.verdict.sentence
     assert found.residual < 0.6 * ARCSEC
 
 
