@@ -105,7 +105,7 @@ static struct table *table_of_draw(struct instance *instance, unsigned number) {
 static int take_draw(struct instance *instance) {
     double draw = instance->drive.state.draw;
     struct table *table = NULL;
-    if (!(draw >= 0.0 && draw <= MOST_DRAWS)) {
+    if (!(draw >= 0.0 && draw <= (double)MOST_DRAWS)) {
         return instance_refuse(instance, STATUS_ERROR, "there is no draw %g.", draw);
     }
     if (draw > 0.0) {
