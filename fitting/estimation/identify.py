@@ -207,7 +207,7 @@ def identify(
             verdict = dataclasses.replace(verdict, descriptions=1 + len(others), disagreeing=found.disagreeing)
             result = result_of(
                 pair, found, verdict, predicted, prior.scatter, profiled, bootstrap, _GAIN, others,
-                0.0 if prior.profile else shape, progress,
+                0.0 if prior.profile or pair.supports is not None else shape, progress,
             )  # fmt: skip
     except np.linalg.LinAlgError:
         raise edge.InputError(

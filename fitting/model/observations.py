@@ -476,11 +476,9 @@ def linearised_curve(
 def form_columns(pair: Pair, observed: Observations, state: State) -> Array:
     """Return derivatives by the `PROFILE_ORDERS` of a form that all flanks share, shape (points, orders), rad/m.
 
-    Zero for a drive with supports, whose model has none.
+    The pair has no supports: the model on bearings has no form.
     """
     names = profile_names(PROFILE_ORDERS)
-    if pair.supports is not None:
-        return np.zeros((observed.measured.size, len(names)))
     s = share_of(observed.first_stage, pair)
 
     def one(curve: Curve) -> Array:

@@ -70,7 +70,20 @@ class TimeMapping(edge.Config):
     rate: float | None = None
 
 
-class RunMapping(edge.Config):
+class _OneRun(edge.Config):
+    """What a table holds of one run."""
+
+    input_angle: ChannelMapping | None = None
+    output_angle: ChannelMapping | None = None
+    transmission_error: ChannelMapping | None = None
+    torque: ChannelMapping | None = None
+    speed: ChannelMapping | None = None
+    temperature: ChannelMapping | None = None
+    input_torque: ChannelMapping | None = None
+    last_row_first: bool = False
+
+
+class RunMapping(_OneRun):
     """`[[runs]]`: one of several runs that stand side by side in a table; its channels go before those of the file.
 
     Attributes
@@ -84,17 +97,9 @@ class RunMapping(edge.Config):
     """
 
     name: Annotated[str, pydantic.Field(min_length=1, max_length=80)]
-    last_row_first: bool = False
-    input_angle: ChannelMapping | None = None
-    output_angle: ChannelMapping | None = None
-    transmission_error: ChannelMapping | None = None
-    torque: ChannelMapping | None = None
-    speed: ChannelMapping | None = None
-    temperature: ChannelMapping | None = None
-    input_torque: ChannelMapping | None = None
 
 
-class FileMapping(edge.Config):
+class FileMapping(_OneRun):
     """A mapping file, `cycloid-mapping/1`.
 
     Attributes
@@ -125,15 +130,7 @@ class FileMapping(edge.Config):
     ratio: float | None = None
     dbc: str | None = None
     time: TimeMapping | None = None
-    input_angle: ChannelMapping | None = None
-    output_angle: ChannelMapping | None = None
-    transmission_error: ChannelMapping | None = None
-    torque: ChannelMapping | None = None
-    speed: ChannelMapping | None = None
-    temperature: ChannelMapping | None = None
-    input_torque: ChannelMapping | None = None
     runs: tuple[RunMapping, ...] = ()
-    last_row_first: bool = False
 
     def each(self) -> Iterator[tuple[str, FileMapping]]:
         """Yield name and mapping of every run in a table; one without a name where the table is one run."""
