@@ -14,7 +14,12 @@ from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.arguments import positive
-from fitting.estimation.realised import displaced_covariance, errors_by_pattern
+from fitting.estimation.realised import (
+    as_thick_as_the_mean,
+    displaced_covariance,
+    errors_by_pattern,
+    radius_lever_of,
+)
 from fitting.model.identifiability import (
     chosen_errors,
     covariance_from,
@@ -24,6 +29,8 @@ from fitting.model.identifiability import (
 )
 from fitting.model.loops import planned_branches
 from fitting.model.observations import (
+    PIN_RADIUS,
+    RADIUS_SPREAD,
     Linear,
     Observations,
     State,
@@ -198,7 +205,7 @@ class _Foretold:
     ) -> None:  # fmt: skip
         pair = drive.pair
         self.pair, self.names = pair, errors_of(pair)
-        self.spread = spread_of(pair, dict.fromkeys(estimated_parts(pair), scatter))
+        self.spread = spread_of(pair, {**dict.fromkeys(estimated_parts(pair), scatter), PIN_RADIUS: RADIUS_SPREAD})
         self.peak = max(torques) if loop is None else loop
         loads = [*torques, *_between(torques)]
         self.runs = [(t, way) for t in loads for way in (1, -1)]
@@ -255,7 +262,9 @@ class _Foretold:
         return self.observed.some(numbers), linear
 
     def _of_elements(self, chosen: Sequence[str], covariance: Array) -> dict[str, float]:
-        return errors_by_pattern(self.pair, displaced_covariance(self.pair, chosen, covariance))
+        every = displaced_covariance(self.pair, chosen, covariance)
+        alike = as_thick_as_the_mean(self.pair, radius_lever_of(self.pair, every))
+        return errors_by_pattern(self.pair, alike @ every @ alike.T)
 
     def _mean_square(self, realised: Mapping[str, float]) -> float:
         sizes = {name: part.stop - part.start for name, part in estimated_parts(self.pair).items()}
