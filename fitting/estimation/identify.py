@@ -45,6 +45,7 @@ from fitting.model.observations import (
     CREEP,
     MISFIT,
     NO_CREEP,
+    PIN_RADIUS,
     Linear,
     LinearisationPoint,
     Observations,
@@ -509,7 +510,8 @@ def _starting_estimate(
     ) -> Estimate:
         state, linear = zeroed(part, state, around)
         chosen = _chosen(part, linear, pair, {})
-        return fit(pair, part, chosen, state, scatter, gain=_START_GAIN, around=around, evaluations=_START_EVALUATIONS)
+        return fit(pair, part, chosen, state, scatter, gain=_START_GAIN, around=around, evaluations=_START_EVALUATIONS,
+                   known={PIN_RADIUS: NO_SCATTER})  # fmt: skip  # radii could do here what other errors do
 
     # To first order from the prior, and from there once more; a crank whose zero is unknown and discs that float need
     # the exact model.
