@@ -30,8 +30,8 @@ GAUGE = (
     "Pins turned all alike, and teeth turned all alike, are the output angle's zero: both means are zero here.",
     "Pins further out all alike are pin_circle_radius, thicker ones pin_radius: both means are zero here.",
     "A ring shifted as a whole is centre_distance: of order 1 only what is no shift is stated here.",
-    "A thicker pin and one further in move the curves nearly alike: pin_radial is that of a pin of the mean radius with "
-    "the same effect. The pin's own place is that plus radius_lever times its pin_radius_deviation.",
+    "A thicker pin and one further in move the curves nearly alike: pin_radial is that of a pin of the mean radius "
+    "with the same effect. The pin's own place is that plus radius_lever times its pin_radius_deviation.",
 )
 _MEASURED = 3.0  # times the scatter, or _SMALL: what the data tell of a pin or tooth by itself must be more exact
 _SMALL = 1e-6  # m
@@ -160,7 +160,8 @@ def _of_pins_and_teeth(pair: Pair, displacements: Array) -> Array:
 
 
 def _size(pair: Pair) -> int:
-    return max(part.stop for part in estimated_parts(pair).values())
+    size: int = max(part.stop for part in estimated_parts(pair).values())
+    return size
 
 
 def as_thick_as_the_mean(pair: Pair, lever: float) -> Array:

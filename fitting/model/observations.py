@@ -161,6 +161,14 @@ class Observations:
             measured=self.measured + taken,
         )  # fmt: skip
 
+    def with_form(self, columns: Array, form: float) -> Observations:
+        """The same with the orders of a form that all flanks share (`form_columns`) as nuisances of this size, m."""
+        names = [f"form_{i}" for i in range(columns.shape[1])]
+        return dataclasses.replace(
+            self, bench_names=(*self.bench_names, *names), bench=np.hstack([self.bench, columns]),
+            bench_prior=np.concatenate([self.bench_prior, np.full(len(names), form)]),
+        )  # fmt: skip
+
     @property
     def ends(self) -> NDArray[np.int64]:
         """Where one curve ends and the next begins, shape (curves - 1,)."""
