@@ -13,7 +13,7 @@ from cycloid_fmu.drive import Drive
 from cycloid_fmu.geometry.pair import read_pair
 from fitting.estimation.fit import NO_SCATTER
 from fitting.estimation.identify import identify
-from fitting.estimation.realised import as_thick_as_the_mean, displaced, displaced_covariance
+from fitting.estimation.realised import displaced, displaced_covariance
 from fitting.model.discs import other_descriptions
 from fitting.model.identifiability import chosen_errors, posterior_covariance
 from fitting.model.observations import (
@@ -52,9 +52,8 @@ def cramer_rao(pair, surface, curves, noise, scatter, radius, lever):
     linear, names = linearise(pair, observed, state), errors_of(pair)
     spread = spread_of(pair, {**dict.fromkeys(scatter_parts(pair), scatter), PIN_RADIUS: radius})
     chosen = chosen_errors(observed, linear, names, spread)
-    alike = as_thick_as_the_mean(pair, lever)
-    every = displaced_covariance(pair, chosen, posterior_covariance(observed, linear, names, chosen, spread))
-    return alike @ every @ alike.T
+    covariance = posterior_covariance(observed, linear, names, chosen, spread)
+    return displaced_covariance(pair, chosen, covariance, lever)
 
 
 def ring(
@@ -72,8 +71,7 @@ def ring(
     lever = found.realised.radius_lever
     sizes = max(scatter, NO_SCATTER), max(radius, NO_SCATTER)
     bound = np.sqrt(np.diag(cramer_rao(pair, surface, found.curves, noise, *sizes, lever)))
-    alike = as_thick_as_the_mean(pair, lever)
-    away = [stated - alike @ displaced(pair, one) for one in (surface, *other_descriptions(pair, surface))]
+    away = [stated - displaced(pair, one, lever) for one in (surface, *other_descriptions(pair, surface))]
     return found, min(away, key=rms), bound
 
 

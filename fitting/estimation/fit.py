@@ -419,7 +419,7 @@ def allowed_radius(pair: Pair, estimate: Estimate) -> float:
 
     Curves tell it badly from the radial places', so that its most likely value is often zero where it is not. This is
     the mean over its distribution: the restricted likelihood in the linear model, all other variances as they are,
-    with `RADIUS_SPREAD` as the width of a half normal prior (Gelman, Bayesian Analysis 1 (2006) 515).
+    each size as likely beforehand (Gelman, Bayesian Analysis 1 (2006) 515).
     """
     problem = Problem(pair, estimate.observed, estimate.chosen)
     columns = problem.columns(estimate.observed, estimate.linear)
@@ -433,7 +433,7 @@ def allowed_radius(pair: Pair, estimate: Estimate) -> float:
         precision = problem.precision({**estimate.scatter, PIN_RADIUS: float(size)})
         whole = gram + np.diag(precision)
         unlikely.append(np.linalg.slogdet(whole)[1] - np.log(precision).sum() - moment @ _solved(whole, moment))
-    log = -0.5 * (np.array(unlikely) + (sizes / RADIUS_SPREAD) ** 2)
+    log = -0.5 * np.array(unlikely)
     weight = np.exp(log - log.max())
     return float(np.sqrt(np.trapezoid(weight * sizes**2, sizes) / np.trapezoid(weight, sizes)))
 

@@ -15,7 +15,6 @@ from cycloid_fmu.drive import Drive
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.arguments import positive
 from fitting.estimation.realised import (
-    as_thick_as_the_mean,
     displaced_covariance,
     errors_by_pattern,
     radius_lever_of,
@@ -274,9 +273,8 @@ class _Foretold:
         return observed.some(numbers), linear
 
     def _of_elements(self, chosen: Sequence[str], covariance: Array) -> dict[str, float]:
-        every = displaced_covariance(self.pair, chosen, covariance)
-        alike = as_thick_as_the_mean(self.pair, radius_lever_of(self.pair, every))
-        return errors_by_pattern(self.pair, alike @ every @ alike.T)
+        lever = radius_lever_of(self.pair, chosen, covariance)
+        return errors_by_pattern(self.pair, displaced_covariance(self.pair, chosen, covariance, lever))
 
     def _mean_square(self, realised: Mapping[str, float]) -> float:
         sizes = {name: part.stop - part.start for name, part in estimated_parts(self.pair).items()}

@@ -112,21 +112,28 @@ def gauge(pair: Pair) -> Array:
     return found
 
 
-def displaced(pair: Pair, surface: ErrorSurface) -> Array:
+def displaced(pair: Pair, surface: ErrorSurface, radius_lever: float = 0.0) -> Array:
     """Return what a surface's errors displace of each pin and tooth, the gauge removed.
+
+    Parameters
+    ----------
+    pair, surface
+        The nominal pair and its errors.
+    radius_lever
+        Radial places are those of pins of the mean radius: less this times each pin's radius.
 
     Returns
     -------
     displacements
         Shape (3 pins + discs x teeth,), m: radial, tangential, cumulative pitch, radius.
     """
-    every = _of_pins_and_teeth(pair, displacement_vector(pair, surface))
+    every = _as_thick_as_the_mean(pair, radius_lever) @ _of_pins_and_teeth(pair, displacement_vector(pair, surface))
     directions = gauge(pair)
     left: Array = every - directions @ (directions.T @ every)
     return left
 
 
-def displaced_covariance(pair: Pair, chosen: Sequence[str], covariance: Array) -> Array:
+def displaced_covariance(pair: Pair, chosen: Sequence[str], covariance: Array, radius_lever: float = 0.0) -> Array:
     """Return the covariance of `displaced` from that of structured errors and scatter together.
 
     Parameters
@@ -138,16 +145,18 @@ def displaced_covariance(pair: Pair, chosen: Sequence[str], covariance: Array) -
     covariance
         Shape (chosen + scatter, chosen + scatter): as `ErrorSurface.covariance` of a fit, or as
         `fitting.model.identifiability.posterior_covariance` foretells it.
+    radius_lever
+        As in `displaced`.
     """
     waves, parts = _of_pins_and_teeth(pair, displacement_columns(pair, chosen)), scatter_parts(pair)
     single = np.eye(len(waves), max(part.stop for part in parts.values()))
     for disc in range(1, pair.discs):
         first = parts["tooth_cumulative_pitch"].start + disc * pair.gear_teeth
         single[first : first + pair.gear_teeth, parts[DISC_PHASE].start + disc - 1] = 1.0
-    lever = np.hstack([waves, single])
+    every = _as_thick_as_the_mean(pair, radius_lever) @ np.hstack([waves, single])
     directions = gauge(pair)
-    lever = lever - directions @ (directions.T @ lever)
-    found: Array = lever @ covariance @ lever.T
+    every = every - directions @ (directions.T @ every)
+    found: Array = every @ covariance @ every.T
     return 0.5 * (found + found.T)
 
 
@@ -164,27 +173,22 @@ def _size(pair: Pair) -> int:
     return size
 
 
-def as_thick_as_the_mean(pair: Pair, lever: float) -> Array:
-    """Return the matrix that takes each pin's radius times a lever from its radial place, the rest as it is.
-
-    Returns
-    -------
-    matrix
-        Shape (3 pins + discs x teeth, 3 pins + discs x teeth), for `displaced`.
-    """
+def _as_thick_as_the_mean(pair: Pair, lever: float) -> Array:
+    """Take each pin's radius times a lever from its radial place, the rest as it is."""
     parts, found = estimated_parts(pair), np.eye(_size(pair))
     found[parts["pin_radial"], parts[PIN_RADIUS]] = -lever * np.eye(pair.pins)
     return found
 
 
-def radius_lever_of(pair: Pair, covariance: Array) -> float:
-    """Return the lever for which `as_thick_as_the_mean` is known best, from a covariance as `displaced_covariance`.
+def radius_lever_of(pair: Pair, chosen: Sequence[str], covariance: Array) -> float:
+    """Return the lever for which `displaced_covariance` is smallest, from the same.
 
     Radii that are not known move the radial places by this, whatever they are: it is the slope of one on the other.
     """
+    every = displaced_covariance(pair, chosen, covariance)
     parts = estimated_parts(pair)
-    of_radius = float(np.trace(covariance[parts[PIN_RADIUS], parts[PIN_RADIUS]]))
-    return float(np.trace(covariance[parts["pin_radial"], parts[PIN_RADIUS]])) / of_radius if of_radius > 0.0 else 0.0
+    of_radius = float(np.trace(every[parts[PIN_RADIUS], parts[PIN_RADIUS]]))
+    return float(np.trace(every[parts["pin_radial"], parts[PIN_RADIUS]])) / of_radius if of_radius > 0.0 else 0.0
 
 
 def errors_by_pattern(pair: Pair, covariance: Array) -> dict[str, float]:
@@ -221,14 +225,10 @@ def realised(pair: Pair, surface: ErrorSurface, chosen: Sequence[str], covarianc
     >>> [f"{p.name} {p.value:.1e} ± {p.standard_error:.1e}" for p in found.orders if p.name == "pin_radial_2_amplitude"]
     ['pin_radial_2_amplitude 3.0e-06 ± 1.0e-07']
     """
-    variance = displaced_covariance(pair, chosen, covariance)
-    lever = radius_lever_of(pair, variance)
-    alike = as_thick_as_the_mean(pair, lever)
-    values, variance = alike @ displaced(pair, surface), alike @ variance @ alike.T
-    before = displaced_covariance(
-        pair, chosen, np.diag(np.concatenate([tolerances_of(chosen), np.maximum(spread, NO_SCATTER)]) ** 2)
-    )
-    before = alike @ before @ alike.T
+    lever = radius_lever_of(pair, chosen, covariance)
+    values, variance = displaced(pair, surface, lever), displaced_covariance(pair, chosen, covariance, lever)
+    unmeasured = np.diag(np.concatenate([tolerances_of(chosen), np.maximum(spread, NO_SCATTER)]) ** 2)
+    before = displaced_covariance(pair, chosen, unmeasured, lever)
     deviation, prior = np.sqrt(np.maximum(np.diag(variance), 0.0)), np.sqrt(np.diag(before))
     own = _own_information(covariance, spread)
     elements = []

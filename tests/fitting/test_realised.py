@@ -15,7 +15,6 @@ from cycloid_fmu.surfaces.structured import with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.estimation.ensemble import ensemble
 from fitting.estimation.realised import (
-    as_thick_as_the_mean,
     displaced,
     displaced_covariance,
     errors_by_pattern,
@@ -109,16 +108,16 @@ def test_orders_are_those_of_the_elements(one_ring):
 def test_the_surface_says_the_same(one_ring, small):
     """Drives drawn from the identified surface's covariance scatter, pin by pin, as the standard errors say."""
     found, _, _ = one_ring
-    alike = as_thick_as_the_mean(small, found.realised.radius_lever)
-    drawn = np.array([alike @ displaced(small, one.surface) for one in ensemble(found.drive, 400)])
+    lever = found.realised.radius_lever
+    drawn = np.array([displaced(small, one.surface, lever) for one in ensemble(found.drive, 400)])
     stated = np.array([one.standard_error for one in found.realised.elements])
     np.testing.assert_allclose(drawn.std(axis=0) / stated, 1.0, atol=0.15)
     surface = found.surface
     chosen = [n for n in surface.covariance_of if "_at_" not in n]
-    again = alike @ displaced_covariance(small, chosen, surface.covariance) @ alike.T
+    again = displaced_covariance(small, chosen, surface.covariance, lever)
     np.testing.assert_allclose(again, found.realised.covariance, rtol=1e-9, atol=1e-30)
     np.testing.assert_allclose(
-        alike @ displaced(small, surface), [one.value for one in found.realised.elements], atol=1e-18
+        displaced(small, surface, lever), [one.value for one in found.realised.elements], atol=1e-18
     )
 
 
