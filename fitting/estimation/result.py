@@ -518,6 +518,7 @@ def as_json(result: Identification) -> dict[str, Any]:
         "other_descriptions": list(result.other_descriptions),
         "realised": {
             "gauge": list(GAUGE),
+            "radius_lever": result.realised.radius_lever,
             "elements": {p.name: parameter_as_json(p) for p in result.realised.elements},
             "orders": {p.name: parameter_as_json(p) for p in result.realised.orders},
         },

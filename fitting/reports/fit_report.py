@@ -205,7 +205,7 @@ def write_fit_report(result: Identification, path: str | os.PathLike[str]) -> No
         _ABOVE, fit_panels(result), _BELOW, verdict=result.verdict.sentence,
         known=[_row(p) for p in (*result.parameters, *result.bearings) if p.held is None],
         trust=_trust(result), correlation=_correlation(result), weak=result.weak_combinations,
-        held=[p for p in (*result.parameters, *result.bearings) if p.held is not None], gauge=GAUGE,
+        held=[p for p in (*result.parameters, *result.bearings) if p.held is not None], gauge=(*GAUGE, f"radius_lever is {result.realised.radius_lever:.2f}."),
         ring=_ring_tables(result.realised),
         bench=[(n, f"{v:.4g} {_bench_unit(n)}") for n, v in result.bench.items()], notes=result.notes,
         sources=[(Path(n).name, c) for n, c in result.checksums.items()],
