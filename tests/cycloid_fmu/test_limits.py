@@ -1,0 +1,131 @@
+"""Limits and verdicts: margins, where the worst is, lives over a duty, what slides, and what files may say."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from common import EXAMPLES, make_pair
+from hypothesis import given
+from hypothesis import strategies as st
+
+import cycloid_fmu as cy
+from cycloid_fmu import edge
+from cycloid_fmu.contact.hertz import half_width
+from cycloid_fmu.geometry.profile import flank_points
+from cycloid_fmu.studies import limits as asked
+
+HEAD = f'format = "{asked.FORMAT}"\n'
+ROW = '[[duty]]\ntorque = "1 N*m"\noutput_speed = "{}"\nshare = {}\n'
+
+
+@given(st.sampled_from(list(asked.SHOWN)), st.floats(1e-6, 1e6), st.floats(1e-6, 1e6))
+def test_a_limit_is_met_up_to_itself_and_the_margin_says_by_how_much(name, value, limit):
+    one = asked.verdict(name, value, limit)
+    kept = value >= limit if name in asked.LOWER else value <= limit
+    assert one.met == kept
+    assert abs(one.margin) == abs(value - limit)
+    assert (one.margin >= 0.0) == kept
+    assert asked.verdict(name, limit, limit).met
+    assert ("not met" in asked.row_of(one)) != kept
+
+
+@given(
+    st.sampled_from(["angular_transmission_error", "backlash", "lost_motion"]),
+    st.decimals(0, 600, places=3),
+    st.sampled_from(["arcsec", "arcmin", "mrad"]),
+)
+def test_a_limit_in_a_file_is_the_limit_in_a_tolerance_file_and_in_python(name, number, unit):
+    text = f'[limits]\n{name} = "{number} {unit}"\n'
+    read = asked.parse_requirements(HEAD + text, "r.toml").limits
+    assert read.of_study == cy.Tolerances(limits={name: f"{number} {unit}"}).limits
+    assert read.stated() == {name: edge.parse_quantity(f"{number} {unit}", "rad")}
+
+
+def test_the_worst_angle_load_and_pin_are_those_of_a_plain_search():
+    drive = cy.Drive(make_pair(discs=2)).replace({"pin_radial": {1: ("4 um", "40 deg")}}, isometric="5 um")
+    data = drive.analyze([120.0, -60.0], angles=30)
+    every = asked.Limits(
+        angular_transmission_error=1.0, backlash=1.0, interference=1.0, max_contact_pressure=1.0, static_safety=1.0,
+        torsional_stiffness=1.0,
+    )  # fmt: skip
+    found = {one.figure: one for one in asked.judge(every, drive.pair, data)}
+    assert set(found) == set(every.stated())
+    largest, where = -1.0, None
+    pressure = data.pin_pressure.values
+    for k, torque in enumerate(data.torque.values):
+        for n, angle in enumerate(data.crank_angle.values):
+            for disc in range(2):
+                for pin in range(drive.pair.pins):
+                    if pressure[k, n, disc, pin] > largest:
+                        largest = pressure[k, n, disc, pin]
+                        where = {"torque": torque, "crank_angle": angle, "disc": disc, "pin": pin}
+    assert found["max_contact_pressure"].value == largest
+    assert found["max_contact_pressure"].where == found["static_safety"].where == where
+    one = found["angular_transmission_error"]
+    error = data.transmission_error.sel(torque=one.where["torque"])
+    ends = [float(error.sel(crank_angle=one.where[n])) for n in ("crank_angle", "crank_angle_of_smallest")]
+    assert one.value == ends[0] - ends[1] == max(float(e.max() - e.min()) for e in data.transmission_error)
+    soft = found["torsional_stiffness"]
+    assert soft.value == float(data.torsional_stiffness.min())
+    assert soft.value == float(data.torsional_stiffness.sel(**soft.where))
+    play = found["backlash"]
+    assert play.value == float(data.backlash.max()) == float(data.backlash.sel(**play.where)[0])
+
+
+@given(st.floats(10.0, 5e4), st.floats(-300.0, 300.0), st.floats(1e-3, 10e-3))
+def test_static_safety_is_the_factor_on_the_load_that_makes_the_limit(force, curvature, radius):
+    """Hertz's pressure 2F/(πab) at S_0 times the force is the pressure limit."""
+    pair = make_pair()
+
+    def pressure(load):
+        return 2.0 * load / (math.pi * half_width(load, curvature, radius, 0.01, 4.4e-12, 4.4e-12) * 0.01)
+
+    for limit, stated in ((4e9, pair), (1.2e9, pair.replace(pressure_limit="1200 MPa"))):
+        safety = asked.static_safety(stated, pressure(force))
+        assert pressure(safety * force) == pytest.approx(limit, rel=1e-9)
+
+
+@pytest.mark.parametrize("modification", [{}, {"isometric": "40 um", "offset": "-60 um"}, {"isometric": "-300 um"}])
+def test_smallest_curvature_radius_is_that_of_circles_through_three_points(modification):
+    pair = make_pair().replace(**modification)
+    alpha = np.linspace(0.0, 2.0 * np.pi / pair.gear_teeth, 40001)
+    x, y = flank_points(pair, alpha)
+    # Circumscribed circle of each three neighbours by Heron; > 0 where the flank turns left, which is convex.
+    a, b, c = x[:-2] + 1j * y[:-2], x[1:-1] + 1j * y[1:-1], x[2:] + 1j * y[2:]
+    area = 0.5 * ((b - a).conj() * (c - a)).imag
+    radius = np.abs(b - a) * np.abs(c - b) * np.abs(c - a) / (4.0 * area)
+    smallest = min(radius.min(where=radius > 0.0, initial=math.inf), math.inf)
+    assert asked.flank_curvature_radius(pair) == pytest.approx(smallest, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ('[limits]\nbacklsh = "1 arcmin"', "[limits] backlsh is not a key known here; did you mean backlash?"),
+        ('[limits]\nbearing_life = "6000"', '[limits] bearing_life = "6000": write one number'),
+        ("[limits]\nstatic_safety = -1", "[limits] static_safety = -1: it should be greater than 0."),
+        ('[limits]\nbacklash = "-1 arcmin"', '[limits] backlash = "-1 arcmin": a limit is the largest size allowed'),
+        ('[limits]\nbearing_life = "9 h"', "[limits] bearing_life needs speeds; state [[duty]]"),
+        ('[limits]\nsliding_speed = "1 m/s"\n' + ROW.format("0 rpm", "1.0"), "[limits] sliding_speed needs speeds"),
+        (ROW.format("3 rpm", 0.4), "[[duty]] share adds up to 0.4 over the rows; it must add up to 1"),
+        (ROW.format("-3 rpm", "1.0"), 'duty[0].output_speed = "-3 rpm": it should be greater than or equal to 0.'),
+        (
+            '[limits]\nfriction_power_density = "3 W/mm^2"\n' + ROW.format("3 rpm", "1.0"),
+            "[limits] friction_power_density needs friction_coefficient, which is missing.",
+        ),
+    ],
+)
+def test_what_can_t_be_asked_is_refused_in_a_sentence(text, sentence):
+    with pytest.raises(edge.InputError) as problem:
+        asked.parse_requirements(HEAD + text, "r.toml")
+    said = str(problem.value)
+    assert said.startswith("r.toml: ")
+    assert sentence in said
+    assert "\n" not in said
+
+
+def test_the_example_asks_for_every_limit():
+    read = asked.read_requirements(EXAMPLES / "requirements.toml")
+    assert set(read.limits.stated()) == set(asked.Limits.model_fields) == set(asked.SHOWN)
+    assert all(field.name in asked.Verdict.__doc__ for field in dataclasses.fields(asked.Verdict))
