@@ -1,8 +1,8 @@
 """What an application asks of a drive, and whether results keep it: each limit met or not, by how much and where.
 
-A drive's values are the drive; what an application asks of it is a file of its own, `cycloid-requirements/1`: `[limits]`
-and the duty under which they hold. Judging is pure: results go in as arrays by name (a dataset of `Drive.analyze`, or
-the same arrays), verdicts come out.
+A drive's values are the drive; what an application asks of it is a file of its own, `cycloid-requirements/1`:
+`[limits]` and the duty under which they hold. Judging is pure: results go in as arrays by name (a dataset of
+`Drive.analyze`, or the same arrays), verdicts come out.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from cycloid_fmu import edge
 from cycloid_fmu.contact.transmission import LARGEST_PRESSURE
 from cycloid_fmu.geometry.pair import Pair, smallest_convex_radius
+from cycloid_fmu.supports.figures import DutyLife
 from cycloid_fmu.surfaces import sampling
 
 Array = NDArray[np.float64]
@@ -76,10 +77,10 @@ LOWER = ("torsional_stiffness", "static_safety", "smallest_curvature_radius", "b
 """Limits that are the smallest allowed; the others are the largest."""
 SHOWN = {
     "angular_transmission_error": ("arcsec", edge.ARCSEC), "backlash": ("arcmin", edge.ARCMIN),
-    "lost_motion": ("arcmin", edge.ARCMIN), "interference": ("um", 1e6), "max_contact_pressure": ("MPa", 1e-6),
-    "torsional_stiffness": ("N*m/arcmin", 1.0 / edge.ARCMIN), "static_safety": ("", 1.0),
+    "lost_motion": ("arcmin", edge.ARCMIN), "interference": ("µm", 1e6), "max_contact_pressure": ("MPa", 1e-6),
+    "torsional_stiffness": ("N·m/arcmin", 1.0 / edge.ARCMIN), "static_safety": ("", 1.0),
     "smallest_curvature_radius": ("mm", 1e3), "bearing_life": ("h", 1.0 / 3600.0), "sliding_speed": ("m/s", 1.0),
-    "friction_power_density": ("W/mm^2", 1e-6), "wear_depth": ("um", 1e6),
+    "friction_power_density": ("W/mm²", 1e-6), "wear_depth": ("µm", 1e6),
 }  # fmt: skip
 """Unit and factor with which people are shown each figure."""
 
@@ -287,7 +288,8 @@ def judge(limits: Limits, pair: Pair, data: Mapping[Any, Any]) -> list[Verdict]:
         lost = np.asarray(data["lost_motion"])
         add("lost_motion", lost.max(), crank_angle=float(angle[lost.argmax()]))
     interference = np.atleast_2d(np.asarray(data["interference"]))[0]
-    add("interference", interference.max(), crank_angle=float(angle[interference.argmax()]))
+    pressed = {"crank_angle": float(angle[interference.argmax()])} if interference.max() > 0.0 else {}
+    add("interference", interference.max(), **pressed)
     pressure = np.asarray(data["pin_pressure"])
     if pressure.size:
         where = at(pressure, int(pressure.argmax()))
@@ -301,15 +303,15 @@ def judge(limits: Limits, pair: Pair, data: Mapping[Any, Any]) -> list[Verdict]:
     return sorted(found, key=lambda one: order.index(one.figure))
 
 
-def judge_lives(limits: Limits, lives: Mapping[str, float]) -> list[Verdict]:
+def judge_lives(limits: Limits, lives: Iterable[DutyLife]) -> list[Verdict]:
     """Return the verdict on the bearing of the shortest life, none without a limit.
 
     Parameters
     ----------
     lives
-        {bearing: basic rating life over the duty, s}, `supports.figures.lives_over_duty`; NaN where it is not known.
+        Of `supports.figures.lives_over_duty`; those that are not known, NaN, are left out.
     """
-    known = {name: life for name, life in lives.items() if not math.isnan(life)}
+    known = {one.bearing: one.life for one in lives if not math.isnan(one.life)}
     if limits.bearing_life is None or not known:
         return []
     shortest = min(known, key=known.__getitem__)
@@ -370,7 +372,7 @@ def all_met(verdicts: Iterable[Verdict]) -> bool:
     return all(one.met for one in verdicts)
 
 
-HEAD = ("limit", "", "found", "met", "margin", "where")
+HEAD = ("limit", "allowed", "found", "verdict", "margin", "where")
 """Columns of `row_of`."""
 
 
@@ -392,7 +394,7 @@ def place_of(one: Verdict) -> str:
     for name, value in one.where.items():
         text = name.replace("_", " ")
         if name == "torque":
-            said.append(f"{value:g} N·m")
+            said.append(f"at {value:g} N·m")
         elif name == "output_speed":
             said.append(f"{value * 30.0 / math.pi:.4g} rpm")
         elif name.startswith("crank_angle"):
@@ -400,3 +402,16 @@ def place_of(one: Verdict) -> str:
         else:
             said.append(str(value) if name in ("bearing", "body") else f"{text} {value}")
     return ", ".join(said)
+
+
+def line_of(one: Verdict) -> str:
+    """Return a verdict as one line, for pictures and files.
+
+    Examples
+    --------
+    >>> print(line_of(verdict("max_contact_pressure", 1.1e9, 1.5e9, {"pin": 3})))
+    max contact pressure 1100 MPa, allowed ≤ 1500 MPa: met (+26.7%), pin 3
+    """
+    name, limit, value, met, _, where = row_of(one)
+    share = f" ({one.share:+.1%})" if math.isfinite(one.share) else ""
+    return f"{name} {value}, allowed {limit}: {met}{share}{', ' if where else ''}{where}"

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from common import EXAMPLES, make_pair
+from common import EXAMPLES, WEAR_PAIR, make_pair
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -14,6 +14,11 @@ from cycloid_fmu import edge
 from cycloid_fmu.contact.hertz import half_width
 from cycloid_fmu.geometry.profile import flank_points
 from cycloid_fmu.studies import limits as asked
+from cycloid_fmu.supports.figures import BearingLoad, lives_over_duty
+from cycloid_fmu.surfaces.surface import surface_of_pair
+from cycloid_fmu.wear.friction import sliding_of
+from cycloid_fmu.wear.law import Load, WearLaw
+from cycloid_fmu.wear.progress import wear_model, wear_rate
 
 HEAD = f'format = "{asked.FORMAT}"\n'
 ROW = '[[duty]]\ntorque = "1 N*m"\noutput_speed = "{}"\nshare = {}\n'
@@ -129,3 +134,47 @@ def test_the_example_asks_for_every_limit():
     read = asked.read_requirements(EXAMPLES / "requirements.toml")
     assert set(read.limits.stated()) == set(asked.Limits.model_fields) == set(asked.SHOWN)
     assert all(field.name in asked.Verdict.__doc__ for field in dataclasses.fields(asked.Verdict))
+
+
+def test_life_over_a_duty_is_iso_281_s_mean_load():
+    """Palmgren-Miner's sum and ISO 281's mean load and speed are one; shares and speeds from their own formulas."""
+    turns_each = 1.0 + 1.0 / 39.0
+    capacity = 18e3
+
+    def at(force):
+        return [BearingLoad("arm", force, force, 1e6 * (capacity / force) ** (10.0 / 3.0) / turns_each)]
+
+    loads, speeds, shares = (3000.0, 5000.0, 900.0), (40.0, 20.0, 0.0), (0.5, 0.3, 0.2)
+    (found,) = lives_over_duty([at(f) for f in loads], speeds, shares)
+    rpm = [w * 30.0 / math.pi * turns_each for w in speeds]
+    mean_speed = sum(q * n for q, n in zip(shares, rpm, strict=True))
+    mean_load = (sum(q * n * f ** (10.0 / 3.0) for q, n, f in zip(shares, rpm, loads, strict=True)) / mean_speed) ** 0.3
+    hours = 1e6 / (60.0 * mean_speed) * (capacity / mean_load) ** (10.0 / 3.0)
+    assert found.life / 3600.0 == pytest.approx(hours, rel=1e-12)
+    assert found.equivalent == pytest.approx(mean_load, rel=1e-12)
+
+
+def test_a_duty_that_never_turns_or_a_bearing_without_capacity_has_no_life():
+    (still,) = lives_over_duty([[BearingLoad("arm", 1e3, 1e3, 1e9)]], [0.0], [1.0])
+    assert math.isinf(still.life)
+    (unknown,) = lives_over_duty([[BearingLoad("main", 1e3, 1e3, math.nan)]], [10.0], [1.0])
+    assert math.isnan(unknown.life)
+    assert asked.judge_lives(asked.Limits(bearing_life=1.0), [unknown]) == []
+
+
+@pytest.mark.parametrize("output", ["gear", "ring"])
+def test_friction_power_over_a_crank_turn_is_the_sliding_work_of_the_wear_model(output):
+    """Its velocities are numerical, from contacts that it solves itself, of a modified pair: within 1 %."""
+    pair = make_pair(WEAR_PAIR, output=output)
+    law = WearLaw(pins="fixed", coefficient="1e-20 m^2/N")
+    model = wear_model(pair, surface_of_pair(pair), law, (Load(torque=200.0, crank_turns=1.0),))
+    work = wear_rate(model, model.surface).sliding_work
+    angle = np.linspace(0.0, 2.0 * np.pi, 367, endpoint=False)
+    found = cy.Drive(pair).analyze(200.0, crank_angle=angle)
+    speed = 5.0
+    slides = sliding_of(pair, angle, found.pin_force.values[0], found.pin_pressure.values[0], speed, 0.05)
+    power = slides.friction_power.sum(axis=(1, 2)).mean()
+    assert power == pytest.approx(0.05 * work * speed / (2.0 * np.pi), rel=0.01)
+    half = 2.0 * found.pin_force.values[0] / (np.pi * pair.face_width * np.maximum(found.pin_pressure.values[0], 1.0))
+    area = 2.0 * half * pair.face_width
+    assert slides.friction_power_density * area == pytest.approx(slides.friction_power, rel=1e-9)
