@@ -130,6 +130,11 @@ class Requirements(edge.Config):
     duty: tuple[DutyLoad, ...] = ()
     friction_coefficient: float | None = pydantic.Field(default=None, gt=0.0, le=1.0)
 
+    @property
+    def of_wear(self) -> Requirements:
+        """The same without what a wear run can't judge, which knows no bearings."""
+        return self.replace(limits=self.limits.replace(bearing_life=None))
+
     @pydantic.model_validator(mode="after")
     def _whole(self) -> Requirements:
         total = math.fsum(load.share for load in self.duty)
@@ -344,21 +349,46 @@ def judge_sliding(
     return found
 
 
-def judge_wear(limits: Limits, gear: Array, pin: Array) -> list[Verdict]:
+def judge_wear(limits: Limits, gear: Array, pin: Array, crank_turns: Array, deepest: Array) -> list[Verdict]:
     """Return the verdict on the deepest wear, none without a limit.
 
     Parameters
     ----------
     gear, pin
-        Depth of each element, m: shapes (discs, teeth, profile, slices) and (pins, angle, slices).
+        Depth of each element at the end, m: shapes (discs, teeth, profile, slices) and (pins, angle, slices).
+    crank_turns, deepest
+        The history, and the largest depth of both bodies at each of its states, m: where the limit is not met, the
+        verdict says after how many crank turns it was reached.
     """
     if limits.wear_depth is None:
         return []
     of_gear = gear.max() >= pin.max()
     values, names = (gear, ("disc", "tooth")) if of_gear else (pin, ("pin",))
     index = np.unravel_index(values.argmax(), values.shape)
-    where = {"body": "gear" if of_gear else "pin", **dict(zip(names, map(int, index), strict=False))}
+    where: dict[str, Any] = {"body": "gear" if of_gear else "pin"}
+    where |= dict(zip(names, map(int, index), strict=False))
+    if values.max() > limits.wear_depth:
+        where["reached_after_crank_turns"] = float(np.interp(limits.wear_depth, deepest, crank_turns))
     return [verdict("wear_depth", values.max(), limits.wear_depth, where)]
+
+
+def judge_budget(limits: Limits, total: float, upper: float | None) -> list[Verdict]:
+    """Return the verdict on the mean play of an RV reducer, as its backlash; none without a limit.
+
+    Parameters
+    ----------
+    total
+        By the contact model with the sun locked, of the deviations' values, rad.
+    upper
+        Upper end of the central 99.73 % of the reducers within tolerances, which is judged then; None where nothing
+        scatters.
+    """
+    if limits.backlash is None:
+        return []
+    where = {"model": "contact model, sun locked, mean over the crank"}
+    if upper is not None:
+        where["of"] = "upper end of the central 99.73 % of the reducers"
+    return [verdict("backlash", total if upper is None else upper, limits.backlash, where)]
 
 
 def not_judged(limits: Limits, verdicts: Iterable[Verdict]) -> list[str]:
@@ -399,8 +429,10 @@ def place_of(one: Verdict) -> str:
             said.append(f"{value * 30.0 / math.pi:.4g} rpm")
         elif name.startswith("crank_angle"):
             said.append(f"{text} {math.degrees(value):.2f}°")
+        elif name in ("bearing", "body", "model", "of"):
+            said.append(str(value))
         else:
-            said.append(str(value) if name in ("bearing", "body") else f"{text} {value}")
+            said.append(f"{text} {value:.4g}" if isinstance(value, float) else f"{text} {value}")
     return ", ".join(said)
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.contact.transmission import Transmission, slices_needed
-from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.geometry.pair import ANGLES, Pair
 from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.reducer.transmission import solve
 from cycloid_fmu.studies import limits as judging
@@ -20,6 +20,7 @@ from cycloid_fmu.studies.limits import DutyLoad, Requirements, Verdict
 from cycloid_fmu.supports.figures import DutyLife, bearing_loads, lives_over_duty
 from cycloid_fmu.surfaces.surface import ErrorSurface
 from cycloid_fmu.wear.friction import Sliding, sliding_of
+from cycloid_fmu.wear.life import WearRun
 
 Array = NDArray[np.float64]
 
@@ -179,6 +180,27 @@ def judge_drive(
         pair, surface, first_stage, loads, crank_angle, slices_needed(surface), workers=workers, progress=progress
     )
     return judge_sweep(pair, surface, first_stage, requirements, found, workers)
+
+
+def judge_worn(
+    run: WearRun, requirements: Requirements, *, workers: int = 1, progress: Callable[[int], None] = lambda angles: None
+) -> Judged:
+    """Judge a drive at the end of a wear run, at the loads of its life and of the duty, and how deep it is worn.
+
+    Bearings, which wear does not know, are not judged.
+    """
+    model, last = run.model, run.states[-1]
+    torque = list(dict.fromkeys(load.torque for load in model.loads if load.torque != 0.0))
+    angle = np.linspace(0.0, 2.0 * np.pi, ANGLES, endpoint=False)
+    judged = judge_drive(
+        model.pair, run.surface, None, requirements.of_wear, torque, angle, workers=workers, progress=progress
+    )
+    turns = np.array([state.crank_turns for state in run.states])
+    deepest = np.array([state.depth.largest for state in run.states])
+    worn = judging.judge_wear(requirements.limits, last.depth.gear, last.depth.pin, turns, deepest)
+    verdicts = (*judged.verdicts, *worn)
+    missing = judging.not_judged(requirements.limits, verdicts)
+    return dataclasses.replace(judged, verdicts=verdicts, not_judged=tuple(missing))
 
 
 LIVES_HEAD = ("bearing", "equivalent", "L10h (ISO 281)")
