@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.errors.kinds import KINDS, kind_of, structured_names
+from cycloid_fmu.errors.kinds import KINDS, kind_of, names_of
 from cycloid_fmu.errors.stated import Errors
 from cycloid_fmu.geometry.pair import ANGLES, Pair
 from cycloid_fmu.surfaces.provenance import drive_hash, drive_text, stating
@@ -376,7 +376,7 @@ class Drive:
 
         if crank_angle is None:
             crank_angle = np.linspace(0.0, 2.0 * math.pi, angles, endpoint=False)
-        known = structured_names((1, 2, 3)) + (list(LAWS) if self.pair.supports is not None else [])
+        known = names_of(self.pair) + (list(LAWS) if self.pair.supports is not None else [])
         names = list(errors) if errors is not None else known
         for name in names:
             if name not in known and kind_of(name) is None and profile_wave(name, 1) is None:
