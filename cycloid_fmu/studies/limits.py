@@ -429,7 +429,9 @@ def place_of(one: Verdict) -> str:
             said.append(f"{value * 30.0 / math.pi:.4g} rpm")
         elif name.startswith("crank_angle"):
             said.append(f"{text} {math.degrees(value):.2f}°")
-        elif name in ("bearing", "body", "model", "of"):
+        elif name == "body":
+            said.append(f"on the {value}")
+        elif name in ("bearing", "model", "of"):
             said.append(str(value))
         else:
             said.append(f"{text} {value:.4g}" if isinstance(value, float) else f"{text} {value}")

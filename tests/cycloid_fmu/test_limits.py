@@ -1,6 +1,7 @@
 """Limits and verdicts: margins, where the worst is, lives over a duty, what slides, and what files may say."""
 
 import dataclasses
+import json
 import math
 
 import numpy as np
@@ -14,6 +15,9 @@ from cycloid_fmu import edge
 from cycloid_fmu.contact.hertz import half_width
 from cycloid_fmu.geometry.profile import flank_points
 from cycloid_fmu.studies import limits as asked
+from cycloid_fmu.studies.tolerance import Study, surface_of
+from cycloid_fmu.studies.yields import conduct, with_limits
+from cycloid_fmu.studies.yields import judged as judged_of
 from cycloid_fmu.supports.figures import BearingLoad, lives_over_duty
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from cycloid_fmu.wear.friction import sliding_of
@@ -178,3 +182,100 @@ def test_friction_power_over_a_crank_turn_is_the_sliding_work_of_the_wear_model(
     half = 2.0 * found.pin_force.values[0] / (np.pi * pair.face_width * np.maximum(found.pin_pressure.values[0], 1.0))
     area = 2.0 * half * pair.face_width
     assert slides.friction_power_density * area == pytest.approx(slides.friction_power, rel=1e-9)
+
+
+REQUIRED = """
+[limits]
+max_contact_pressure = "{}"
+lost_motion = "10 arcmin"
+sliding_speed = "1 m/s"
+wear_depth = "1 um"
+[[duty]]
+torque = "100 N*m"
+output_speed = "15 rpm"
+share = 1.0
+"""
+
+
+@pytest.mark.parametrize(("allowed", "status"), [("3000 MPa", 0), ("500 MPa", edge.NOT_MET)])
+def test_the_status_says_whether_limits_are_met_and_everything_is_written(command, tmp_path, allowed, status):
+    (tmp_path / "r.toml").write_text(HEAD + REQUIRED.format(allowed))
+    words = ("cycloid-fmu", "analyze", EXAMPLES / "drive-39-40.toml", "--limits", "r.toml", "--angles", "20")
+    shown = command(*words, "-o", "out.nc", "--plot", "out.png")
+    assert shown.returncode == status, shown.stderr
+    assert "Limits that this command does not judge: wear depth." in shown.stdout
+    assert ("not met" in shown.stdout) == (status != 0)
+    assert (tmp_path / "out.nc").exists()
+    assert (tmp_path / "out.png").exists()
+    printed = json.loads(command(*words, "--json").stdout)
+    drive = cy.read_drive(EXAMPLES / "drive-39-40.toml")
+    judged = drive.judge(tmp_path / "r.toml", angles=20)
+    assert printed["verdicts"] == [one.numbers() for one in judged.verdicts]
+    assert printed["not_judged"] == ["wear_depth"]
+    assert judged.met == (status == 0)
+    data = drive.analyze([100.0], angles=20)
+    values = {one["figure"]: one["value"] for one in printed["verdicts"]}
+    assert values["max_contact_pressure"] == float(data.max_contact_pressure.max())
+    up, down = drive.analyze([5.43, -5.43], angles=20).transmission_error.values
+    lost = next(one for one in judged.verdicts if one.figure == "lost_motion")
+    assert lost.value == pytest.approx((up - down).max(), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["analyze", "drive-39-40.toml", "--limits", "none.toml"], "none.toml: No such file or directory."),
+        (["analyze", "drive-39-40.toml", "--limits", "only.toml"], "--torque is missing"),
+        (["analyze", "drive-39-40.toml", "--limits", "requirements.toml"], "no bearing of [supports] states its"),
+        (["analyze", "wear-39-40.toml", "--limits", "lost.toml", "--torque", "9 N*m"], "rated_torque is missing"),
+        (
+            ["tolerance", "drive-39-40.toml", "--tolerances", "tolerances.toml", "--limits", "only.toml"],
+            "tolerances.toml: [limits] is stated here and in only.toml; state the limits in one of them.",
+        ),
+        (["budget", "rv-20e.toml", "--limits", "rv-20e.toml"], 'this version reads "cycloid-requirements/1"'),
+    ],
+)  # fmt: skip
+def test_limits_that_a_command_can_t_judge_are_refused_in_a_sentence(command, tmp_path, words, sentence):
+    for name in ("drive-39-40", "wear-39-40", "tolerances", "rv-20e", "requirements"):
+        (tmp_path / f"{name}.toml").write_text((EXAMPLES / f"{name}.toml").read_text())
+    (tmp_path / "only.toml").write_text(HEAD + '[limits]\nbacklash = "1 arcmin"\n')
+    (tmp_path / "lost.toml").write_text(HEAD + '[limits]\nlost_motion = "1 arcmin"\n')
+    run = command("cycloid-fmu", *words)
+    assert run.returncode == edge.BAD_INPUT
+    assert sentence in run.stderr
+    assert run.stdout == ""
+
+
+def test_a_study_s_verdict_is_on_its_worst_drive_at_its_angle_and_pin(tmp_path):
+    study = Study(
+        cy.read_drive(EXAMPLES / "drive-39-40.toml").pair, cy.Tolerances(eccentricity={"tolerance": "4 um"}),
+        samples=6, seed=3, torque=(100.0, -100.0), angles=24,
+    )  # fmt: skip
+    wanted = asked.Limits(max_contact_pressure="9 GPa", backlash="9 arcmin", lost_motion="1 arcsec", static_safety=9.0)
+    judged = with_limits(study, wanted, "r.toml", "t.toml")
+    result = conduct(judged).result
+    found = {one.figure: one for one in judged_of(result)}
+    assert {name: one.met for name, one in found.items()} == {
+        "max_contact_pressure": True, "backlash": True, "lost_motion": False,
+    }  # fmt: skip
+    for name, one in found.items():
+        assert one.value == result.figure(name).max()
+    worst = found["max_contact_pressure"]
+    drive = cy.Drive(study.pair, surface_of(study, result.point[worst.where["sample"]]))
+    place = {"torque": worst.where["torque"], "crank_angle": worst.where["crank_angle"], "disc": 0}
+    there = drive.analyze(place["torque"], crank_angle=[place["crank_angle"]]).pin_pressure
+    assert float(there.max()) == pytest.approx(worst.value, rel=1e-6)
+    assert int(there.values.argmax()) == worst.where["pin"]
+
+
+def test_wear_is_judged_where_it_is_deepest_and_says_when_the_limit_was_reached():
+    gear, pin = np.zeros((1, 39, 10, 1)), np.zeros((40, 8, 1))
+    gear[0, 7, 3, 0], pin[5, 2, 0] = 3e-6, 4e-6
+    turns, deepest = np.array([0.0, 1e5, 3e5]), np.array([0.0, 3e-6, 4e-6])
+    (deep,) = asked.judge_wear(asked.Limits(wear_depth="3.5 um"), gear, pin, turns, deepest)
+    assert not deep.met
+    assert deep.where == {"body": "pin", "pin": 5, "reached_after_crank_turns": pytest.approx(2e5)}
+    (kept,) = asked.judge_wear(asked.Limits(wear_depth="5 um"), gear, 0.1 * pin, turns, deepest)
+    assert kept.met
+    assert kept.where == {"body": "gear", "disc": 0, "tooth": 7}
+    assert kept.margin == pytest.approx(2e-6)
