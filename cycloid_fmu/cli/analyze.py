@@ -100,17 +100,22 @@ def analyze(
         whole = finished == angles
         data = transmission.labelled(drive.pair, drive.surface, drive.first_stage, found, used, complete=whole)
         if judged is not None:
-            data.attrs["verdicts"] = "\n".join(limits.line_of(one) for one in judged.verdicts)
+            data = judged.labelled(data)
         if output is not None:
             edge.write_netcdf(data, output)
         if plot is not None:
             from cycloid_fmu.draw import plots
-            from cycloid_fmu.draw.verdicts import show_verdicts
 
             if drive.pair.supports is not None:
                 plots.save(plots.plot_bearings(data, drive.pair, shares), plot.with_stem(f"{plot.stem}-bearings"))
             figure = plots.plot_analysis(data)
-            plots.save(figure if judged is None else show_verdicts(figure, judged.verdicts), plot)
+            if judged is not None:
+                from cycloid_fmu.draw.verdicts import plot_duty, show_verdicts
+
+                if judged.sliding:
+                    plots.save(plot_duty(judged), plot.with_stem(f"{plot.stem}-duty"))
+                show_verdicts(figure, judged.verdicts)
+            plots.save(figure, plot)
             if slices is not None:
                 plots.save(plots.plot_lines(data), plot.with_stem(f"{plot.stem}-lines"))
         if as_json:

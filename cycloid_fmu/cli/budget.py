@@ -50,9 +50,13 @@ def budget(
         verdicts = judge_budget(asked, found["geometric_sun_locked"]["total"], upper)
     if plot is not None:
         from cycloid_fmu.draw import plots
-        from cycloid_fmu.draw.verdicts import show_verdicts
 
-        plots.save(show_verdicts(plots.plot_budget(found, stack), verdicts), plot)
+        figure = plots.plot_budget(found, stack)
+        if verdicts:
+            from cycloid_fmu.draw.verdicts import show_verdicts
+
+            show_verdicts(figure, verdicts)
+        plots.save(figure, plot)
     if as_json:
         judged = {} if asked is None else {"verdicts": [one.numbers() for one in verdicts]}
         commands.print_json(

@@ -114,10 +114,13 @@ def tolerance(
 
 def _plot(found: Findings, allocation: Allocation | None, verdicts: list[Verdict], plot: Path) -> None:
     from cycloid_fmu.draw import plots
-    from cycloid_fmu.draw.verdicts import show_verdicts
 
-    factors = found.result.study.factors
-    plots.save(show_verdicts(plots.plot_tolerance(found.result), verdicts), plot)
+    factors, figure = found.result.study.factors, plots.plot_tolerance(found.result)
+    if verdicts:
+        from cycloid_fmu.draw.verdicts import show_verdicts
+
+        show_verdicts(figure, verdicts)
+    plots.save(figure, plot)
     if found.indices:
         plots.save(plots.plot_indices(factors, found.indices), plot.with_stem(f"{plot.stem}-indices"))
     if allocation is not None:

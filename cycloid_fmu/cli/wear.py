@@ -71,10 +71,13 @@ def wear(
         write_surface(run.surface, output)
     if plot is not None:
         from cycloid_fmu.draw import plots
-        from cycloid_fmu.draw.verdicts import show_verdicts
 
         figure = plots.plot_wear(run.model, run.states, run.new, figures)
-        plots.save(figure if judged is None else show_verdicts(figure, judged.verdicts), plot)
+        if judged is not None:
+            from cycloid_fmu.draw.verdicts import show_verdicts
+
+            show_verdicts(figure, judged.verdicts)
+        plots.save(figure, plot)
     for note in run.notes:
         typer.echo(note, err=True)
     if as_json:

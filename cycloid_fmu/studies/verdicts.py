@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,9 @@ from cycloid_fmu.supports.figures import DutyLife, bearing_loads, lives_over_dut
 from cycloid_fmu.surfaces.surface import ErrorSurface
 from cycloid_fmu.wear.friction import Sliding, sliding_of
 from cycloid_fmu.wear.life import WearRun
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 Array = NDArray[np.float64]
 
@@ -67,6 +70,31 @@ class Judged:
             "verdicts": [one.numbers() for one in self.verdicts], "not_judged": list(self.not_judged),
             "bearing_lives": [dataclasses.asdict(one) for one in self.lives], "sliding": sliding,
         }  # fmt: skip
+
+    def labelled(self, data: xr.Dataset) -> xr.Dataset:
+        """Return a sweep's dataset with the verdicts as an attribute, and what slides over `duty`, its rows that turn.
+
+        `sliding_speed`, `friction_power` and `friction_power_density` are over duty, crank angle, disc and pin;
+        `duty_torque`, `duty_output_speed` and `duty_share` state the rows.
+        """
+        data = data.assign_attrs(verdicts="\n".join(judging.line_of(one) for one in self.verdicts))
+        if not self.sliding:
+            return data
+        for name, unit in (("torque", "N*m"), ("output_speed", "rad/s"), ("share", "1")):
+            data[f"duty_{name}"] = ("duty", [getattr(load, name) for load, _ in self.sliding], {"units": unit})
+        for name, (unit, text) in _LABELS.items():
+            values = [getattr(found, name) for _, found in self.sliding]
+            if values[0].size:
+                label = {"units": unit, "long_name": text}
+                data[name] = (("duty", "crank_angle", "disc", "pin"), np.stack(values), label)
+        return data
+
+
+_LABELS = {
+    "sliding_speed": ("m/s", "sliding speed of the flank on each pin that carries load"),
+    "friction_power": ("W", "friction power of each pin"),
+    "friction_power_density": ("W/m^2", "friction power of each pin over its contact's area"),
+}
 
 
 def loads_of(requirements: Requirements, torque: Sequence[float] | None) -> list[float]:
