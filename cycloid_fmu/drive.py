@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.errors.kinds import KINDS, kind_of, structured_names
+from cycloid_fmu.errors.kinds import KINDS, kind_of, names_of
 from cycloid_fmu.errors.stated import Errors
 from cycloid_fmu.geometry.pair import ANGLES, Pair
 from cycloid_fmu.surfaces.provenance import drive_hash, drive_text, stating
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from cycloid_fmu.fmu.variables import Interface
     from cycloid_fmu.reducer.description import Reducer
     from cycloid_fmu.reducer.first_stage import FirstStage
+    from cycloid_fmu.studies.limits import Requirements
+    from cycloid_fmu.studies.verdicts import Judged
     from cycloid_fmu.studies.yields import Findings
     from cycloid_fmu.supports.figures import BearingLoad, Share
     from cycloid_fmu.surfaces.sampling import Tolerances
@@ -225,6 +227,56 @@ class Drive:
             workers=workers or os.cpu_count() or 1, progress=progress,
         )  # fmt: skip
 
+    def judge(
+        self,
+        requirements: Requirements | str | os.PathLike[str],
+        torque: Sequence[float | str] | None = None,
+        *,
+        angles: int = ANGLES,
+        turns: int = 1,
+        workers: int | None = None,
+        progress: Callable[[int], None] = lambda angles: None,
+    ) -> Judged:
+        """Say of each limit whether the drive keeps it, by how much and where; lives of bearings and what slides.
+
+        Parameters
+        ----------
+        requirements
+            What an application asks of the drive, or its file (cycloid-requirements/1).
+        torque
+            Of the environment on the output, N·m or text with a unit; those of the duty are judged as well.
+        angles, turns
+            Crank angles, and the turns that they span.
+        workers, progress
+            As of `analyze`.
+
+        Raises
+        ------
+        edge.InputError
+            If the file can't be read, there is no torque, one can't be carried, or the pair lacks something that a
+            limit needs.
+
+        Examples
+        --------
+        >>> import cycloid_fmu as cy
+        >>> from cycloid_fmu.studies.limits import Requirements
+        >>> pair = cy.Pair(
+        ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm"
+        ... )
+        >>> asked = Requirements(limits={"max_contact_pressure": "1000 MPa", "backlash": "1 arcmin"})
+        >>> [(one.figure, one.met) for one in cy.Drive(pair).judge(asked, ["181 N*m"], angles=45).verdicts]
+        [('max_contact_pressure', False), ('backlash', True)]
+        """
+        from cycloid_fmu.studies.limits import Requirements, read_requirements
+        from cycloid_fmu.studies.verdicts import judge_drive
+
+        stated = requirements if isinstance(requirements, Requirements) else read_requirements(requirements)
+        return judge_drive(
+            self.pair, self.surface, self.first_stage, stated, [_torque(t) for t in torque or ()],
+            np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False), workers=workers or os.cpu_count() or 1,
+            progress=progress,
+        )  # fmt: skip
+
     def compliance(self, *, progress: Callable[[int], None] = lambda parts: None) -> list[Share]:
         """Where the compliance and the lost motion of the drive as drawn come from: mesh, bearings, seats, clearances.
 
@@ -324,7 +376,7 @@ class Drive:
 
         if crank_angle is None:
             crank_angle = np.linspace(0.0, 2.0 * math.pi, angles, endpoint=False)
-        known = structured_names((1, 2, 3)) + (list(LAWS) if self.pair.supports is not None else [])
+        known = names_of(self.pair) + (list(LAWS) if self.pair.supports is not None else [])
         names = list(errors) if errors is not None else known
         for name in names:
             if name not in known and kind_of(name) is None and profile_wave(name, 1) is None:

@@ -43,6 +43,18 @@ def _deviation(value: float) -> float:
     return value
 
 
+def _teeth(value: int) -> int:
+    if value < LEAST_TEETH:
+        raise ValueError(
+            f"it must be {LEAST_TEETH} at least; with one, there are crank angles at which no pin has an arm"
+        )
+    if value > MOST_TEETH:
+        raise ValueError(f"it must be {MOST_TEETH} at most; above, results are not checked against a second solver")
+    return value
+
+
+LEAST_TEETH, MOST_TEETH = 2, 300
+GearTeeth = Annotated[int, pydantic.Field(strict=True), pydantic.AfterValidator(_teeth)]
 PositiveLength = Annotated[Length, pydantic.AfterValidator(_positive)]
 Deviation = Annotated[Length, pydantic.AfterValidator(_deviation)]
 PositivePressure = Annotated[edge.Pressure, pydantic.AfterValidator(_positive)]
@@ -100,7 +112,7 @@ class Modification(Config):
 class _Geometry(Config):
     """The geometry as drawn."""
 
-    gear_teeth: int = pydantic.Field(ge=6, le=120, strict=True)
+    gear_teeth: GearTeeth
     pins: int | None = pydantic.Field(default=None, strict=True)
     pin_circle_radius: sizes.CircleRadius
     pin_radius: sizes.PinRadius
@@ -185,7 +197,7 @@ class Pair(Config):
     1.0625; it must stay below 1, so the eccentricity below "1.6 mm".
     """
 
-    gear_teeth: int = pydantic.Field(ge=6, le=120, strict=True)
+    gear_teeth: GearTeeth
     pins: int = pydantic.Field(strict=True)
     pin_circle_radius: sizes.CircleRadius
     pin_radius: sizes.PinRadius
@@ -311,7 +323,14 @@ def _contradictions(pair: Pair) -> list[tuple[str, str]]:
     """Return why a pair can't be made or its errors not be its own: the table in a pair file, and a sentence."""
     if pair.pins != pair.gear_teeth + 1:
         teeth = pair.gear_teeth
-        return [("pair", f"pins = {pair.pins}: a gear of gear_teeth = {teeth} needs one pin more, {teeth + 1}")]
+        sentence = f"pins = {pair.pins}: a gear of gear_teeth = {teeth} needs one pin more, {teeth + 1}"
+        if pair.pins > teeth:
+            why = "with more, flanks of neighbouring teeth cross, and contact on what is left of the cut tips"
+            sentence += f"; {why} is not modelled"
+        elif pair.pins < teeth:
+            why = "with fewer pins than lobes (hypocycloid) the flanks lie around the pins, in a ring, which"
+            sentence += f"; {why} is not modelled"
+        return [("pair", sentence)]
     k = pair.shortening
     if k >= 1.0:
         largest = pair.generating_circle_radius / pair.pins
