@@ -145,7 +145,7 @@ class Pair(Config):
     Attributes
     ----------
     gear_teeth
-        Teeth of the cycloid gear, z_c.
+        Teeth of the cycloid gear, z_c, 2 to 300.
     pins
         Pins of the ring, z_p = z_c + 1; need not be given.
     pin_circle_radius
