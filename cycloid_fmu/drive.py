@@ -265,7 +265,7 @@ class Drive:
         ... )
         >>> asked = Requirements(limits={"max_contact_pressure": "1000 MPa", "backlash": "1 arcmin"})
         >>> [(one.figure, one.met) for one in cy.Drive(pair).judge(asked, ["181 N*m"], angles=45).verdicts]
-        [('max_contact_pressure', False), ('backlash', True)]
+        [('backlash', True), ('max_contact_pressure', False)]
         """
         from cycloid_fmu.studies.limits import Requirements, read_requirements
         from cycloid_fmu.studies.verdicts import judge_drive

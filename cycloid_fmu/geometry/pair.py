@@ -37,12 +37,6 @@ def _positive(value: float) -> float:
     return value
 
 
-def _deviation(value: float) -> float:
-    if abs(value) > LARGEST_DEVIATION:
-        raise ValueError("modifications and errors must lie between -1 mm and 1 mm")
-    return value
-
-
 def _teeth(value: int) -> int:
     if value < LEAST_TEETH:
         raise ValueError(
@@ -53,10 +47,10 @@ def _teeth(value: int) -> int:
     return value
 
 
+_LARGEST_SHARE = 1.0 / 64.0  # of the pin circle's radius that a modification may be, where that is more than 1 mm
 LEAST_TEETH, MOST_TEETH = 2, 300
 GearTeeth = Annotated[int, pydantic.Field(strict=True), pydantic.AfterValidator(_teeth)]
 PositiveLength = Annotated[Length, pydantic.AfterValidator(_positive)]
-Deviation = Annotated[Length, pydantic.AfterValidator(_deviation)]
 PositivePressure = Annotated[edge.Pressure, pydantic.AfterValidator(_positive)]
 PositiveTorque = Annotated[edge.Torque, pydantic.AfterValidator(_positive)]
 
@@ -105,8 +99,8 @@ class Modification(Config):
         ΔR_p, added to the generating circle's radius: < 0 removes material, > 0 adds it and makes the pair interfere.
     """
 
-    isometric: Deviation = 0.0
-    offset: Deviation = 0.0
+    isometric: Length = 0.0
+    offset: Length = 0.0
 
 
 class _Geometry(Config):
@@ -145,7 +139,7 @@ class Pair(Config):
     Attributes
     ----------
     gear_teeth
-        Teeth of the cycloid gear, z_c.
+        Teeth of the cycloid gear, z_c, 2 to 300.
     pins
         Pins of the ring, z_p = z_c + 1; need not be given.
     pin_circle_radius
@@ -331,6 +325,11 @@ def _contradictions(pair: Pair) -> list[tuple[str, str]]:
             why = "with fewer pins than lobes (hypocycloid) the flanks lie around the pins, in a ring, which"
             sentence += f"; {why} is not modelled"
         return [("pair", sentence)]
+    most = max(LARGEST_DEVIATION, _LARGEST_SHARE * pair.pin_circle_radius)
+    for name in Modification.model_fields:
+        if abs(value := getattr(pair.modification, name)) > most:
+            limits = f"it must lie between -{most * 1e3:.6g} mm and {most * 1e3:.6g} mm in this size"
+            return [("modification", f"{name} = {_mm(value)}: {limits}")]
     k = pair.shortening
     if k >= 1.0:
         largest = pair.generating_circle_radius / pair.pins

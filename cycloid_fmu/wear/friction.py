@@ -58,7 +58,7 @@ def sliding_of(
     -----
     Velocities are those of the unmodified pair in closed form (`sliding.ideal_velocities`); modifications of some 50 µm
     change them by 0.7 %. Pins are taken as fixed in the ring: one that turns in its seat slides there instead. Flash
-    temperatures are left out: at 600 rpm of the crank the contacts of a usual drive have Péclet numbers of some 1, and
+    temperatures are left out: at 600 rpm of the crank the Péclet numbers of the wear paper's pair are below 1, and
     Blok's formula is for those above 5.
     """
     angle = np.asarray(crank_angle, dtype=float)[:, None, None]

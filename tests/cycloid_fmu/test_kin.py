@@ -149,3 +149,17 @@ def test_clearances_are_limited_by_the_size(size, clearance, allowed):
     else:
         with pytest.raises(edge.InputError, match=r"turning_arm\] clearance is 0.21 mm; it lies between 0 and 0.2 mm"):
             a_pair(np.random.default_rng(0), 39, size, supports=supports)
+
+
+@pytest.mark.parametrize(
+    ("size", "offset", "allowed"), [(1.0, -1.1e-3, False), (10.0, -2e-3, True), (10.0, -0.011, False)]
+)
+def test_modifications_are_limited_by_the_size(size, offset, allowed):
+    pair = a_pair(np.random.default_rng(0), 39, size)
+    if allowed:
+        assert pair.replace(offset=offset).modification.offset == offset
+    else:
+        with pytest.raises(
+            edge.InputError, match=rf"^offset = .*: it must lie between -{size:g} mm and {size:g} mm in"
+        ):
+            pair.replace(offset=offset)
