@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from cycloid_fmu.fmu.variables import Interface
     from cycloid_fmu.reducer.description import Reducer
     from cycloid_fmu.reducer.first_stage import FirstStage
+    from cycloid_fmu.studies.design import Design
     from cycloid_fmu.studies.limits import Requirements
     from cycloid_fmu.studies.verdicts import Judged
     from cycloid_fmu.studies.yields import Findings
@@ -527,6 +528,80 @@ class Drive:
             self.pair, self.surface, stated, loads, crank_turns, source, workers=workers or os.cpu_count() or 1,
             progress=progress,
         )  # fmt: skip
+
+    def design(
+        self,
+        goals: str | Sequence[str],
+        vary: Mapping[str, tuple[float | str, float | str]],
+        *,
+        limits: Mapping[str, Any] | None = None,
+        duty: Sequence[Mapping[str, Any]] = (),
+        friction_coefficient: float | None = None,
+        tolerances: Tolerances | str | os.PathLike[str] | None = None,
+        required_yield: float = 0.99,
+        starts: int = 4,
+        points: int = 7,
+        seed: int = 1,
+        progress: Callable[[str], None] = lambda step: None,
+    ) -> list[Design]:
+        """Search geometry and modification that keep limits and are best by a goal, or by two.
+
+        Parameters
+        ----------
+        goals
+            A figure or size that should be as good as it can be, or two for a Pareto front
+            (`cycloid_fmu.studies.design.GOALS`).
+        vary
+            {name: (lowest, highest)} of `cycloid_fmu.studies.design.VARIABLES`, SI or text with a unit; all else stays.
+        limits, duty, friction_coefficient
+            What is asked of the drive, as in a requirements file; the torques are those of the duty, or the rated one.
+        tolerances, required_yield
+            With tolerances the limits hold for this share of the drives that they allow, else for the drive as drawn.
+        starts, seed
+            Places to start from beside this drive; the same seed finds the same.
+        points
+            Drives of a Pareto front.
+        progress
+            Told what is being done.
+
+        Returns
+        -------
+        designs
+            One, or those of the front.
+
+        Raises
+        ------
+        edge.InputError
+            If a name or range is wrong, there is no torque, or no drive can be made within the ranges.
+
+        Examples
+        --------
+        The offset that leaves least play beside an isometric modification:
+
+        >>> import cycloid_fmu as cy
+        >>> pair = cy.Pair(
+        ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm",
+        ...     rated_torque="181 N*m",
+        ... )
+        >>> drive = cy.Drive(pair).replace(isometric="-15 um")
+        >>> (found,) = drive.design("backlash", {"offset": ("-60 um", "0 um")}, limits={"interference": "0.1 um"})
+        >>> round(found.values["offset"] * 1e6, 1), found.met
+        (-25.6, True)
+        """
+        from cycloid_fmu.studies.design import DesignTask, search
+
+        refuse_first_stage(self, "a search")
+        if self.pair.errors or self.surface != surface_of_pair(self.pair):
+            raise edge.ArgumentError("drive", "has errors; a design is searched as drawn: give the drive without them")
+        if not duty and self.pair.rated_torque is not None:
+            duty = ({"torque": self.pair.rated_torque, "output_speed": 0.0, "share": 1.0},)
+        task = DesignTask(
+            goals=(goals,) if isinstance(goals, str) else tuple(goals), vary=dict(vary), limits=dict(limits or {}),
+            duty=tuple(duty), friction_coefficient=friction_coefficient,
+            robust=None if tolerances is None else {"yield": required_yield},
+        )  # fmt: skip
+        allowed = None if tolerances is None else _tolerances(tolerances)
+        return search(self.pair, task, allowed, starts=starts, points=points, seed=seed, progress=progress)
 
     def build_fmu(
         self,

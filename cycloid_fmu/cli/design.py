@@ -42,7 +42,7 @@ def design(
 
     pair, task, tolerances = searching.read_design_task(design_file)
     with commands.status() as progress:
-        found = searching.design(
+        found = searching.search(
             pair, task, tolerances, starts=starts, seed=seed, points=points, workers=workers, progress=progress
         )
     if output is not None:

@@ -21,7 +21,7 @@ def plot_designs(found: Sequence[Design], task: DesignTask, title: str) -> Figur
     Parameters
     ----------
     found, task
-        What `cycloid_fmu.studies.design.design` returned, and its task.
+        What `cycloid_fmu.studies.design.search` returned, and its task.
     title
         Of the picture.
     """

@@ -79,14 +79,14 @@ class Robust(edge.Config):
     Attributes
     ----------
     tolerances
-        The tolerance file, beside the design's own file where the path is relative.
+        The tolerance file, beside the design's own file where the path is relative; in Python given by themselves.
     required_yield
         Share of drives that keep every limit.
     samples
         Drives that are solved in each round.
     """
 
-    tolerances: str
+    tolerances: str = ""
     required_yield: float = pydantic.Field(alias="yield", gt=0.5, lt=1.0)
     samples: int = pydantic.Field(default=128, ge=32, strict=True)
     model_config = pydantic.ConfigDict(populate_by_name=True)
@@ -99,6 +99,7 @@ class DesignTask(Requirements):
     ----------
     drive
         Pair file of everything that does not change, and the first start; beside this file where the path is relative.
+        In Python the drive is given by itself.
     goals
         One figure of `GOALS` or size that should be as good as it can be, or two for a Pareto front.
     vary
@@ -107,7 +108,7 @@ class DesignTask(Requirements):
         None where the limits hold for the drive as drawn.
     """
 
-    drive: str
+    drive: str = ""
     goals: tuple[str, ...] = pydantic.Field(min_length=1, max_length=2)
     vary: dict[str, tuple[float, float]] = pydantic.Field(min_length=1)
     robust: Robust | None = None
@@ -155,6 +156,10 @@ def read_design_task(path: str | os.PathLike[str]) -> tuple[Pair, DesignTask, To
     """
     source, beside = str(path), Path(path).parent
     task = edge.validated(DesignTask, edge.toml_table(edge.read_text(path), FORMAT, source), source)
+    if not task.drive:
+        raise edge.InputError(f"{source}: drive is missing.")
+    if task.robust is not None and not task.robust.tolerances:
+        raise edge.InputError(f"{source}: [robust] tolerances is missing.")
     pair, surface, first_stage = parts_of_file(beside / task.drive)
     if first_stage is not None:
         raise edge.InputError(f'{source}: drive = "{task.drive}": a whole reducer is not searched; give its gear pair.')
@@ -664,7 +669,7 @@ def yields_of(limits: Mapping[str, float], figures: Mapping[str, Array]) -> dict
     return found
 
 
-def design(
+def search(
     pair: Pair,
     task: DesignTask,
     tolerances: Tolerances | None = None,
@@ -708,27 +713,27 @@ def design(
         If no drive can be made within the ranges, or a goal or limit needs something that is not stated.
     """
     _check(pair, task)
-    search = Search(pair, task, {})
-    places = _starts(search, starts, seed)
+    one = Search(pair, task, {})
+    places = _starts(one, starts, seed)
     first, *others = task.goals
     progress(f"searching the best {_words(first)}")
-    best = _tightened_best(search, task, tolerances, places, first, {}, seed, workers, progress)
+    best = _tightened_best(one, task, tolerances, places, first, {}, seed, workers, progress)
     ends = [(best, dict[str, float]())]
     for second in others:
         progress(f"searching the best {_words(second)}")
-        other = search.best([best, *places], second, {})
+        other = one.best([best, *places], second, {})
         # Of the drives that are best by one goal the one that is best by the other too.
-        best = search.best([best], second, {first: _eased(first, search.exact(best)[first])})
-        level = _eased(second, search.exact(other)[second])
-        other = search.best([other], first, {second: level})
+        best = one.best([best], second, {first: _eased(first, one.exact(best)[first])})
+        level = _eased(second, one.exact(other)[second])
+        other = one.best([other], first, {second: level})
         ends, near = [(best, {})], best
-        for number, between in enumerate(np.linspace(search.exact(best)[second], level, points)[1:-1].tolist()):
+        for number, between in enumerate(np.linspace(one.exact(best)[second], level, points)[1:-1].tolist()):
             progress(f"point {number + 2} of {points} of the front")
-            near = search.best([near, other], first, {second: between})
+            near = one.best([near, other], first, {second: between})
             ends.append((near, {second: between}))
         ends.append((other, {second: level}))
     progress("judging")
-    return [_designed(search, task, tolerances, *end, seed=seed, workers=workers) for end in ends]
+    return [_designed(one, task, tolerances, *end, seed=seed, workers=workers) for end in ends]
 
 
 def _eased(name: str, value: float) -> float:
@@ -801,7 +806,7 @@ def shown(name: str, value: float) -> tuple[str, str]:
     Examples
     --------
     >>> shown("backlash", 0.00029), shown("pin_radius", 0.003), shown("offset", -4e-05)
-    (('0.99694', 'arcmin'), ('3', 'mm'), ('-40', 'µm'))
+    (('0.99695', 'arcmin'), ('3', 'mm'), ('-40', 'µm'))
     """
     unit, factor = SHOWN[name] if name in SHOWN else _SHOWN[name]
     return f"{value * factor:.5g}", unit

@@ -17,7 +17,7 @@ from cycloid_fmu.contact.transmission import solve
 from cycloid_fmu.drive import read_drive
 from cycloid_fmu.geometry.pair import read_pair
 from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_normals, flank_points
-from cycloid_fmu.studies.design import DesignTask, candidate, design, read_design_task, rotation_form, worst_of
+from cycloid_fmu.studies.design import DesignTask, candidate, read_design_task, rotation_form, search, worst_of
 from cycloid_fmu.studies.tolerance import Study, run
 from cycloid_fmu.surfaces.sampling import read_tolerances
 from cycloid_fmu.surfaces.surface import surface_of_pair
@@ -39,7 +39,7 @@ def test_the_least_play_for_an_isometric_modification_is_that_of_the_closed_form
     """Backlash to first order, 2 (ΔR_rp - √(1 - K²) ΔR_p)/(e z_c), is zero at ΔR_p = ΔR_rp/√(1 - K²)."""
     drawn = pair.replace(isometric="-15 um")
     asked = task(goals=["backlash"], vary={"offset": ("-60 um", "0 um")}, limits={"interference": "0.01 um"})
-    (found,) = design(drawn, asked, starts=1)
+    (found,) = search(drawn, asked, starts=1)
     assert found.met
     assert found.values["offset"] == pytest.approx(-15e-6 / math.sqrt(1.0 - pair.shortening**2), rel=2e-3)
 
@@ -49,7 +49,7 @@ def test_no_drive_of_a_grid_is_better(pair):
     vary = {"isometric": ("-30 um", "20 um"), "offset": ("-60 um", "0 um")}
     limits = {"interference": "0 um", "backlash": "0.5 arcmin", "angular_transmission_error": "0.3 arcsec"}
     asked = task(goals=["max_contact_pressure"], vary=vary, limits=limits)
-    (found,) = design(pair, asked, starts=2)
+    (found,) = search(pair, asked, starts=2)
     assert found.met
     best, angle = np.inf, np.linspace(0.0, 2.0 * np.pi / 40, 12, endpoint=False)
     for isometric in np.linspace(-30e-6, 20e-6, 31):
@@ -68,7 +68,7 @@ def test_relaxing_what_binds_brings_what_is_stated(pair):
 
     def best(limit):
         asked = task(goals=["pin_circle_radius"], vary=vary, limits={"max_contact_pressure": limit})
-        return design(pair, asked, starts=0)[0]
+        return search(pair, asked, starts=0)[0]
 
     tight, loose = best(1.000e9), best(1.010e9)
     (binding,) = (b for b in tight.binding if b.name == "max_contact_pressure")
@@ -79,7 +79,7 @@ def test_relaxing_what_binds_brings_what_is_stated(pair):
 
 def test_of_two_goals_no_drive_of_the_front_is_worse_by_both(pair):
     vary = {"pin_circle_radius": ("60 mm", "75 mm"), "pin_radius": ("2.5 mm", "4 mm")}
-    found = design(pair, task(goals=["pin_circle_radius", "max_contact_pressure"], vary=vary), starts=0, points=5)
+    found = search(pair, task(goals=["pin_circle_radius", "max_contact_pressure"], vary=vary), starts=0, points=5)
     size, pressure = (np.array([one.goals[name] for one in found]) for name in found[0].goals)
     assert size[0] == pytest.approx(60e-3, rel=2e-3)
     assert size[-1] == pytest.approx(75e-3, rel=2e-3)
@@ -118,7 +118,7 @@ def test_a_rotated_profile_recedes_by_what_turned_flanks_do(pair):
 def test_the_yield_asked_for_is_that_of_a_study_of_its_own():
     """Other points, other code for the figures: 512 drives of the found design by a tolerance study."""
     drawn, asked, tolerances = read_design_task(EXAMPLES / "design.toml")
-    (found,) = design(drawn, asked, tolerances)
+    (found,) = search(drawn, asked, tolerances)
     assert found.met
     limited = read_tolerances(EXAMPLES / "tolerances-of-places.toml").replace(limits=asked.limits.of_study)
     study = Study(found.pair, limited, samples=512, seed=99, torque=(181.0,), design="latin-hypercube")
@@ -126,7 +126,7 @@ def test_the_yield_asked_for_is_that_of_a_study_of_its_own():
     kept = (result.figure("interference") <= 0.0) & (result.figure("max_contact_pressure")[:, 0] <= 4e9)
     assert kept.mean() > 0.92
     # Without the allowance there is the least play, and hardly a drive turns freely.
-    (plain,) = design(drawn, asked.replace(robust=None), starts=0)
+    (plain,) = search(drawn, asked.replace(robust=None), starts=0)
     assert plain.goals["backlash"] < 0.2 * found.goals["backlash"]
 
 
@@ -177,4 +177,4 @@ def test_a_task_that_cannot_be_is_refused_in_a_sentence(tmp_path, change, said):
 def test_ranges_without_a_gear_are_refused_in_a_sentence(pair):
     asked = task(goals=["backlash"], vary={"eccentricity": ("2 mm", "3 mm")})
     with pytest.raises(edge.InputError, match="nowhere within these ranges was a gear found"):
-        design(pair, asked, starts=1)
+        search(pair, asked, starts=1)
