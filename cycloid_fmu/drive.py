@@ -22,6 +22,7 @@ from cycloid_fmu.surfaces.surface import ErrorSurface, check_surface, stated_val
 if TYPE_CHECKING:
     import xarray as xr
 
+    from cycloid_fmu.cad.profile import Profile
     from cycloid_fmu.fmu.variables import Interface
     from cycloid_fmu.reducer.description import Reducer
     from cycloid_fmu.reducer.first_stage import FirstStage
@@ -535,6 +536,45 @@ class Drive:
             from cycloid_fmu.fmu.build import build_fmu
 
             build_fmu(self, path, interface=interface, fmi_version=fmi_version, draws=draws, seed=seed)
+
+    def profile(self, *, disc: int = 0, chord_error: float | str = 1e-7) -> Profile:
+        """Return a disc as made for CAD, CAM and measuring machines: its outline in arcs, holes, pins and pin circle.
+
+        Parameters
+        ----------
+        disc
+            Number of the disc, from 0.
+        chord_error
+            Largest distance of the flank from its arcs, m or text with a unit.
+
+        Returns
+        -------
+        Profile
+            At 20 °C, in the disc's frame; its method `write` writes DXF, SVG, CSV or STEP by the ending of the name.
+
+        Raises
+        ------
+        edge.InputError
+            If there is no such disc, the chord error is out of range or a hole cuts the flank.
+
+        Examples
+        --------
+        >>> import cycloid_fmu as cy
+        >>> pair = cy.Pair(
+        ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm"
+        ... )
+        >>> profile = cy.Drive(pair).profile(chord_error="0.05 um")
+        >>> profile.largest_error <= 5e-8, round(profile.area * 1e6)
+        (True, 11680)
+        >>> profile.write("disc.svg")
+        """
+        from cycloid_fmu.cad.profile import profile_of
+
+        try:
+            limit = edge.quantity(chord_error, "m")
+        except ValueError as problem:
+            raise edge.ArgumentError("chord_error", str(problem), chord_error) from None
+        return profile_of(self.pair, self.surface, disc, limit)
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the drive: a pair file (`.toml`) or an error surface (`.nc`), which holds form and wear as well.
