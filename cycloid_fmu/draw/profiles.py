@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cycloid_fmu.draw.plots import new_figure, show_legend
+from cycloid_fmu.draw.figure import new_figure, show_legend
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
