@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from cycloid_fmu import edge
-from cycloid_fmu.cad.layers import LAYERS, MM, about, circles, crosses
+from cycloid_fmu.cad.layers import LAYERS, MM, about, circles, corners, crosses
 
 if TYPE_CHECKING:
     from cycloid_fmu.cad.profile import Profile
@@ -77,6 +77,10 @@ def _write_dxf(profile: Profile, path: Path) -> None:
         space.add_circle((place.real, place.imag), radius, dxfattribs={"layer": layer})
     for one, other in crosses(profile):
         space.add_line((one.real, one.imag), (other.real, other.imag), dxfattribs={"layer": "HOLES"})
+    low, high = (MM * corner for corner in corners(profile))
+    space.reset_extents((low.real, low.imag, 0.0), (high.real, high.imag, 0.0))
+    middle = 0.5 * (low + high)
+    document.set_modelspace_vport(1.05 * abs(high - low), (middle.real, middle.imag))  # it opens in full
     document.saveas(path)
 
 
@@ -99,17 +103,15 @@ def _pair(point: complex) -> str:
 
 
 def _write_svg(profile: Profile, path: Path) -> None:
-    reach = MM * max(
-        float(np.abs(profile.pin_place).max() + profile.pin_radius.max()), float(np.abs(profile.start).max())
-    )
-    side = 2.0 * math.ceil(1.02 * reach)
+    low, high = (MM * corner for corner in corners(profile))
+    side = 2.0 * math.ceil(1.02 * max(-low.real, -low.imag, high.real, high.imag))
     root = ElementTree.Element("svg", {
         "xmlns": "http://www.w3.org/2000/svg", "width": f"{side:g}mm", "height": f"{side:g}mm",
         "viewBox": f"{-side / 2:g} {-side / 2:g} {side:g} {side:g}",
     })  # fmt: skip
     ElementTree.SubElement(root, "desc").text = ", ".join(f"{name}: {value}" for name, value in about(profile).items())
     up = ElementTree.SubElement(root, "g", {
-        "transform": "scale(1 -1)", "fill": "none", "stroke-width": f"{side / 1000:g}"
+        "transform": "scale(1 -1)", "fill": "none", "stroke-width": f"{side / 600:g}"
     })  # fmt: skip
     layers = {name: ElementTree.SubElement(up, "g", {"id": name, "stroke": _COLOURS[name]}) for name in LAYERS}
     ElementTree.SubElement(layers["DISC"], "path", {"d": svg_path(profile)})

@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from cycloid_fmu import edge
 
 if TYPE_CHECKING:
@@ -43,3 +45,13 @@ def circles(profile: Profile) -> Iterator[tuple[str, complex, float]]:
     for place, radius in zip(profile.hole_place, profile.hole_radius, strict=True):
         if not math.isnan(radius):
             yield "HOLES", MM * complex(place), MM * float(radius)
+
+
+def corners(profile: Profile) -> tuple[complex, complex]:
+    """Return the lower left and the upper right corner of all that is drawn, m."""
+    places = np.concatenate([profile.start, profile.pin_place])
+    beyond = np.concatenate([np.zeros(profile.start.size), profile.pin_radius])
+    return (
+        complex((places.real - beyond).min(), (places.imag - beyond).min()),
+        complex((places.real + beyond).max(), (places.imag + beyond).max()),
+    )

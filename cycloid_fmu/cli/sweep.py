@@ -78,7 +78,7 @@ def sweep(
 
 def _print(data: xr.Dataset, title: str) -> None:
     from cycloid_fmu.studies.sweep import FREE, LOADED
-    from cycloid_fmu.studies.sweep_files import SHOWN, label_of, shown_values, varied_names
+    from cycloid_fmu.studies.sweep_files import SHOWN, label_of, shown_values, varied_names, with_free_positions
 
     def where(place: dict[str, int]) -> str:
         shown = []
@@ -87,7 +87,8 @@ def _print(data: xr.Dataset, title: str) -> None:
             shown.append(f"{name} {values[place[name]]:g}{'' if unit == '1' else f' {unit}'}")
         return ", ".join(shown)
 
-    rows = []
+    rows, every = [], data["reason"].values
+    data = with_free_positions(data)
     for name in (*LOADED, *FREE):
         unit, factor = SHOWN[data[name].attrs["units"]]
         for load in data["torque"].values if name in LOADED else [None]:
@@ -104,8 +105,7 @@ def _print(data: xr.Dataset, title: str) -> None:
             rows.append([label_of(name, unit), at, "smallest", shown[0], where(ends[0])])
             rows.append(["", "", "largest", shown[1], where(ends[1])])
     commands.print_table(title, ["figure", "torque", "", "value", "at"], rows)
-    every = data["reason"].values
     if reasons := list(dict.fromkeys(str(reason) for reason in every.ravel() if reason)):
         rest = f" ({len(reasons) - 1} more in the output)" if len(reasons) > 1 else ""
         missing = f"{int((every != '').sum())} of {every.size}"
-        typer.echo(f"Some figures are missing of {missing} drives: {reasons[0]}{rest}.", err=True)
+        typer.echo(f"{missing} drives are left out here or incomplete: {reasons[0]}{rest}.", err=True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from cycloid_fmu.draw.figure import new_figure, show_legend
 from cycloid_fmu.studies.sweep import FREE, LOADED
-from cycloid_fmu.studies.sweep_files import SHOWN, label_of, shown_values, varied_names
+from cycloid_fmu.studies.sweep_files import SHOWN, label_of, shown_values, varied_names, with_free_positions
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -19,8 +19,10 @@ def plot_sweep(data: xr.Dataset) -> Figure:
     """Every figure of a sweep: over one value as lines, one a torque; over two as maps, at the first torque.
 
     Of more than two the first two that take several values are drawn, at the first values of the others. Combinations
-    that make no drive are left blank, grey in maps.
+    that make no drive, or one with interference, are left blank, grey in maps.
     """
+    missing = int((data["reason"].values != "").sum())
+    size, data = data["reason"].size, with_free_positions(data)
     names = varied_names(data)
     several = [name for name in names if data.sizes[name] > 1][:2] or names[:1]
     others = {name: 0 for name in names if name not in several}
@@ -57,9 +59,8 @@ def plot_sweep(data: xr.Dataset) -> Figure:
             for name in others]  # fmt: skip
     if len(several) > 1:
         held.insert(0, f"{float(data['torque'].values[0]):g} N·m")
-    missing = int((data["reason"].values != "").sum())
     if missing:
-        held.append(f"{missing} of {data['reason'].size} without some figures")
+        held.append(f"{missing} of {size} drives left out: no drive, or interference")
     figure.suptitle(", ".join(held), fontsize=9)
     return figure
 

@@ -69,6 +69,18 @@ def varied_names(data: xr.Dataset) -> list[str]:
     return [str(name) for name in data["reason"].dims]
 
 
+def with_free_positions(data: xr.Dataset) -> xr.Dataset:
+    """Return a sweep without the figures, but the interference, of drives that have some; all of it where all have.
+
+    A preloaded drive is many times as stiff and carries on all pins: it would hide by what the others differ.
+    """
+    free = ~(data["interference"] > 0.0)
+    if not free.any():
+        return data
+    kept = {name: data[name].where(free).transpose(*data[name].dims) for name in (*LOADED, *FREE)}
+    return data.assign({**kept, "interference": data["interference"]})
+
+
 def shown_values(data: xr.Dataset, name: str) -> tuple[list[float], str]:
     """Return the values of what varies, and their unit, as they were given."""
     place = data[name]

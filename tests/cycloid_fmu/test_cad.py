@@ -18,7 +18,6 @@ from scipy.special import ellipe
 import cycloid_fmu as cy
 from cycloid_fmu import edge
 from cycloid_fmu.cad.profile import profile_of
-from cycloid_fmu.draw.profiles import plot_profile
 from cycloid_fmu.geometry.pair import parse_pair
 from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_points
 from cycloid_fmu.surfaces.surface import nominal_surface
@@ -105,7 +104,7 @@ def analytic_area(pair):
     return path - r * length + np.pi * r * r, length - 2.0 * np.pi * r
 
 
-@settings(max_examples=12)
+@settings(max_examples=8)
 @given(
     st.sampled_from([6, 11, 39, 87]), st.floats(0.3, 0.95), st.floats(0.1, 0.9), st.floats(-8.0, -5.0),
     st.floats(-5e-5, 5e-5), st.floats(-5e-5, 5e-5),
@@ -200,6 +199,7 @@ def test_a_dxf_read_back(tmp_path):
     document = ezdxf.readfile(tmp_path / "disc.dxf")
     assert document.audit().errors == []
     assert document.header["$INSUNITS"] == 4  # mm
+    assert document.header["$EXTMAX"][:2] == pytest.approx((64.0 + 1.3 + 3.0, 67.0))
     assert {"DISC", "PINS", "RING", "HOLES"} <= {layer.dxf.name for layer in document.layers}
     (outline,) = document.query('LWPOLYLINE[layer=="DISC"]')
     assert outline.closed
@@ -301,7 +301,7 @@ def test_a_step_read_back(tmp_path):
     from OCP.TopExp import TopExp_Explorer
 
     pair = make_pair(gear_teeth=11, pins=12, eccentricity="3 mm", pin_radius="6 mm").replace(supports=ROLLERS)
-    profile = cy.Drive(pair).profile(chord_error="1 um")
+    profile = cy.Drive(pair).profile(chord_error="10 um")
     profile.write(tmp_path / "disc.step")
     reader = STEPControl_Reader()
     reader.ReadFile(str(tmp_path / "disc.step"))
@@ -315,7 +315,7 @@ def test_a_step_read_back(tmp_path):
         explorer.Next()
     holes = np.pi * (profile.hole_radius**2).sum()
     area, length = analytic_area(pair)
-    assert max(volumes) == pytest.approx(1e9 * 10e-3 * (area - holes), abs=1e9 * 10e-3 * 1e-6 * length)
+    assert max(volumes) == pytest.approx(1e9 * 10e-3 * (area - holes), abs=1e9 * 10e-3 * 1e-5 * length)
     assert sorted(volumes)[:-1] == pytest.approx([np.pi * 36.0 * 10.0] * 12)
 
 
@@ -346,7 +346,7 @@ def test_the_command_writes_all_and_draws(command, tmp_path):
     read = command("cycloid-fmu", "profile", path, "-o", "d.svg", "--json")
     assert '"largest_error": 7' in read.stdout
     assert command("cycloid-fmu", "profile", path, "-o", "d.csv").stderr == ""
-    assert plot_profile(cy.Drive(make_pair().replace(supports=ROLLERS)).profile()).axes
+    assert cy.plot(cy.Drive(make_pair().replace(supports=ROLLERS)).profile()).axes
 
 
 @pytest.mark.parametrize(

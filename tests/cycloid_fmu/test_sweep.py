@@ -121,6 +121,7 @@ def test_a_load_that_can_t_be_carried_is_missing_alone():
     assert found.reason.item().startswith("torque = 1e+09 N*m: no contacts of this pair can balance it")
 
 
+@pytest.mark.slow(5)
 def test_workers_change_no_bit():
     vary = {"pin_radius": "2.9, 3 mm", "errors.eccentricity": [0.0, 2e-6]}
     assert same(DRIVE.sweep(vary, 100, angles=40, workers=2), DRIVE.sweep(vary, 100, **FEW))
@@ -304,13 +305,13 @@ def test_the_command_prints_draws_and_says_what_is_missing(command, tmp_path):
         *words, "--vary", "offset=-40,-10 um", "--torque", "100 N*m", "--torque", "-20 N*m", "--plot", "1.png"
     )
     assert one.returncode == 0, one.stderr
-    assert "Some figures are missing of 1 of 2 drives: no free position: interference of" in one.stderr
+    assert "1 of 2 drives are left out here or incomplete: no free position: interference of" in one.stderr
     assert "offset -40 um" in one.stdout
-    two = command(*words, "--vary", "offset=-40,-30 um", "--vary", "pin_radius=2.9,3 mm", "--plot", "2.png", "--json")
+    two = command(*words, "--vary", "offset=-40,-30 um", "--vary", "pin_radius=2.9,3 mm", "--json")
     found = json.loads(two.stdout)
     assert np.shape(found["backlash"]) == (2, 2)
     assert found["reason"] == [["", ""], ["", ""]]
-    assert all((tmp_path / name).stat().st_size > 20000 for name in ("1.png", "2.png"))
+    assert (tmp_path / "1.png").stat().st_size > 20000
     three = DRIVE.sweep({"offset": ["-40 um"], "pin_radius": "2.9, 3 mm", "isometric": "-15, -10 um"}, 100, **FEW)
     assert "offset = -40" in plot_sweep(three).get_suptitle()
     assert cy.plot(three).axes
