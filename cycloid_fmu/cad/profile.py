@@ -197,8 +197,8 @@ def _holes(pair: Pair, made: dict[str, Array], disc: int) -> tuple[Points, Array
 
 
 def _unstated(table: str, key: str, holes: str) -> str:
-    centres = "its centre is marked by a cross" if holes.startswith("hole ") else "their centres are marked by crosses"
-    return f"[supports.{table}] {key} is not stated, so the {holes} have no radius: {centres}."
+    what = f"the {holes} have no radius" if holes.startswith("holes") else f"the {holes} has no radius"
+    return f"[supports.{table}] {key} is not stated, so {what}: DXF and SVG mark centres by crosses, STEP has no hole."
 
 
 def _dense(tooth: Tooth, limit: float) -> Array:

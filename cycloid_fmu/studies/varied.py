@@ -55,19 +55,25 @@ class Varied:
     unit: str
 
 
-@functools.cache
 def known_names() -> dict[str, tuple[str, bool]]:
     """Return every number that a pair file can have: {name: (its SI unit, "1" without one; whether it is whole)}.
 
     Errors round a circle have a name for each order, which is not listed: `errors.pin_radial.order_2`.
     """
+    errors = {f"errors.{kind.file_key}": (kind.unit, False) for kind in KINDS.values() if kind.of == "drive"}
+    return {**_drawn_names(), **errors}
+
+
+@functools.cache
+def _drawn_names() -> dict[str, tuple[str, bool]]:
+    """Return the numbers of a pair as drawn; kinds of error may come later."""
     found = {"temperature": ("K", False)}
     for name, field in Pair.model_fields.items():
         found |= _numbers(name, field)
     for name in _TABLES:
         found[name] = found.pop(f"modification.{name}")
     del found["pins"]  # one more than the teeth
-    return found | {f"errors.{kind.file_key}": (kind.unit, False) for kind in KINDS.values() if kind.of == "drive"}
+    return found
 
 
 def _numbers(name: str, field: Any) -> dict[str, tuple[str, bool]]:

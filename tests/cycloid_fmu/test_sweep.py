@@ -76,7 +76,9 @@ def test_a_bearing_s_clearance_and_two_discs():
     other = drive.pair.supports.replace(turning_arm=drive.pair.supports.turning_arm.replace(clearance=20e-6))
     data = drive.replace(supports=other).analyze("181 N*m", angles=20)
     assert float(found.mean_transmission_error[1, 0]) == pytest.approx(float(data.transmission_error.mean()), rel=1e-6)
-    assert 0.0 < float(found.loaded_pins[0, 0]) < 0.5
+    carried = data.pin_force.values[0]  # of both discs
+    share = (carried > 0.01 * carried.max(axis=(1, 2))[:, None, None]).mean()
+    assert float(found.loaded_pins[1, 0]) == pytest.approx(share)
 
 
 def test_the_same_modification_drawn_and_made_is_the_same_drive():
