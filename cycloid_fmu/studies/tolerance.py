@@ -203,7 +203,7 @@ def loaded_figures(found: Transmission) -> dict[str, Array]:
 
 
 def free_figures(pair: Pair, surface: ErrorSurface, first_stage: FirstStage | None, angles: Array) -> dict[str, float]:
-    """Return the figures of play and lost motion, by their names in `FIGURES`, at each `PLAY_STEP`th angle (rad).
+    """Return the figures of play and lost motion, by their names in `FIGURES`, at one of `PLAY_STEP` angles (rad).
 
     There is no lost motion without a rated torque.
     """
