@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
@@ -22,6 +22,7 @@ from cycloid_fmu.surfaces.surface import ErrorSurface, check_surface, stated_val
 if TYPE_CHECKING:
     import xarray as xr
 
+    from cycloid_fmu.cad.profile import Profile
     from cycloid_fmu.fmu.variables import Interface
     from cycloid_fmu.reducer.description import Reducer
     from cycloid_fmu.reducer.first_stage import FirstStage
@@ -476,6 +477,71 @@ class Drive:
         yields.check(study, "pair", "tolerances", to_first_order=first_order is not None)
         return yields.conduct(study, first_order, workers=workers or os.cpu_count() or 1, progress=progress)
 
+    def sweep(
+        self,
+        vary: Mapping[str, str | Iterable[float | str]],
+        torque: float | str | Sequence[float | str] | None = None,
+        output: str | os.PathLike[str] | None = None,
+        *,
+        angles: int = ANGLES,
+        turns: int = 1,
+        workers: int | None = None,
+        progress: Callable[[int], None] = lambda drives: None,
+    ) -> xr.Dataset:
+        """Solve the drive with every combination of several values of its pair file.
+
+        Parameters
+        ----------
+        vary
+            {name in a pair file: its values}, such as `{"pin_radius": "2.5:3.5:11 mm"}`, eleven values with both ends,
+            or `{"supports.turning_arm.clearance": ["0 um", "5 um"]}`; names are `isometric`, `errors.pin_radius`,
+            `temperature` of all bodies and the amplitude `errors.pin_radial.order_2`, too.
+        torque
+            Loads on the output, N·m or text with a unit, not 0; the rated torque where not given.
+        output
+            Where the result is written: netCDF, or a table in field units as CSV or Parquet, by the ending. Until then
+            a file with `.checkpoint` behind its name keeps what is done, and the same call goes on from there.
+        angles, turns
+            Crank angles of each drive, and the turns that they span.
+        workers, progress
+            Processes, one for each core where not given; called with the number of drives just finished.
+
+        Returns
+        -------
+        xarray.Dataset
+            Figures over what varies, those under load over `torque` as well, SI (format `cycloid-sweep/1`). Where
+            values make no drive they are NaN, and `reason` says why.
+
+        Raises
+        ------
+        edge.InputError
+            If there is no such value, no load, or no value makes a drive.
+
+        Examples
+        --------
+        >>> import cycloid_fmu as cy
+        >>> pair = cy.Pair(
+        ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm"
+        ... )
+        >>> found = cy.Drive(pair).sweep({"offset": "-40:0:3 um", "eccentricity": ["1.3 mm", "1.7 mm"]}, 100, angles=90,
+        ...                              workers=1)
+        >>> found.backlash.dims, found.angular_transmission_error.shape
+        (('offset', 'eccentricity'), (3, 2, 1))
+        >>> str(found.reason.values[0, 1])[:62]
+        '[pair] eccentricity = "1.7 mm": eccentricity x pins / pin circ'
+        """
+        from cycloid_fmu.studies.sweep import Sweep, vary_of
+        from cycloid_fmu.studies.sweep_files import conduct
+
+        rated = self.pair.rated_torque
+        given = rated if torque is None else torque
+        loads = [given] if isinstance(given, str) or np.ndim(given) == 0 else list(given)  # type: ignore[arg-type]
+        sweep = Sweep(
+            self.pair, self.surface, self.first_stage, vary_of(vary),
+            tuple(_torque(one) for one in loads if one is not None), angles, turns,
+        )  # fmt: skip
+        return conduct(sweep, output, workers=workers or os.cpu_count() or 1, progress=progress)
+
     def wear(
         self,
         law: WearLaw | str | os.PathLike[str],
@@ -662,6 +728,45 @@ class Drive:
             from cycloid_fmu.fmu.build import build_fmu
 
             build_fmu(self, path, interface=interface, fmi_version=fmi_version, draws=draws, seed=seed)
+
+    def profile(self, *, disc: int = 0, chord_error: float | str = 1e-7) -> Profile:
+        """Return a disc as made for CAD, CAM and measuring machines: its outline in arcs, holes, pins and pin circle.
+
+        Parameters
+        ----------
+        disc
+            Number of the disc, from 0.
+        chord_error
+            Largest distance of the flank from its arcs, m or text with a unit.
+
+        Returns
+        -------
+        Profile
+            At 20 °C, in the disc's frame; its method `write` writes DXF, SVG, CSV or STEP by the ending of the name.
+
+        Raises
+        ------
+        edge.InputError
+            If there is no such disc, the chord error is out of range or a hole cuts the flank.
+
+        Examples
+        --------
+        >>> import cycloid_fmu as cy
+        >>> pair = cy.Pair(
+        ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm"
+        ... )
+        >>> profile = cy.Drive(pair).profile(chord_error="0.05 um")
+        >>> profile.largest_error <= 5e-8, round(profile.area * 1e6)
+        (True, 11693)
+        >>> profile.write("disc.svg")
+        """
+        from cycloid_fmu.cad.profile import profile_of
+
+        try:
+            limit = edge.quantity(chord_error, "m")
+        except ValueError as problem:
+            raise edge.ArgumentError("chord_error", str(problem), chord_error) from None
+        return profile_of(self.pair, self.surface, disc, limit)
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the drive: a pair file (`.toml`) or an error surface (`.nc`), which holds form and wear as well.

@@ -15,7 +15,7 @@ from cycloid_fmu.errors.kinds import KINDS, ErrorKind
 from cycloid_fmu.fmu import friction_file
 from cycloid_fmu.geometry import pair
 from cycloid_fmu.reducer import description as reducer
-from cycloid_fmu.studies import limits
+from cycloid_fmu.studies import design, limits
 from cycloid_fmu.surfaces import sampling
 from cycloid_fmu.wear import law as wear_law
 from drivers.encoder import protocols
@@ -31,6 +31,7 @@ FILES = (
     ("RV reducer", reducer.FORMAT, reducer.Reducer, "rv-20e.toml"),
     ("Tolerances", sampling.FORMAT, sampling.file_model(), "tolerances.toml"),
     ("Requirements of an application", limits.FORMAT, limits.Requirements, "requirements.toml"),
+    ("Search for a drive", design.FORMAT, design.DesignTask, "design.toml"),
     ("Friction", friction_file.FORMAT, friction_file._FrictionFile, "friction.toml"),
     ("Wear law", wear_law.FORMAT, wear_law._WearFile, "wear.toml"),
     ("Bench wiring", bench.BENCH_FORMAT, bench._BenchFile, None),

@@ -75,6 +75,10 @@ GIVEN = {
         cycloid-fit metrics run.csv --pair drive.toml -o new.json
         cycloid-fit metrics 200Nm-backward.arrows --pair drive.toml -o worn.json
     """,
+    "design": """
+        cp examples/drive-39-40.toml pair.toml
+        cycloid-fmu surface sampled pair.toml --tolerances examples/tolerances.toml --seed 1 -o worn.nc
+    """,
     "fmu": f"""{RUNS}
         python -c "{FITTED}"
         cycloid-fmu build drive.toml -o drive.fmu

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cycloid_fmu.draw.plots import new_figure
+from cycloid_fmu.draw.figure import new_figure
 from cycloid_fmu.studies.design import Design, DesignTask, shown
 
 if TYPE_CHECKING:
