@@ -19,8 +19,8 @@ app = commands.command_line(
         "sweep",
         "design",
         "profile",
-    ),  # fmt: skip
-)
+    ),
+)  # fmt: skip
 
 
 def main() -> None:

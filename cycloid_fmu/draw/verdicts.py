@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cycloid_fmu.draw.plots import new_figure, show_legend
+from cycloid_fmu.draw.figure import new_figure, show_legend
 from cycloid_fmu.studies.limits import Verdict, line_of
 from cycloid_fmu.studies.verdicts import Judged
 
