@@ -1,0 +1,299 @@
+"""Where every body of a drive is over crank angles and loads, where flanks and pins touch and with what force.
+
+Points are complex, x + iy in the housing's frame, or in a disc's frame where that is said. An exaggeration enlarges the
+part of every displacement that is along a surface's normal, so that a gap of the picture is as many times that of the
+drive to first order; the part along the surface stays. At 1 everything is where it is in the drive.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cycloid_fmu import contact
+from cycloid_fmu.contact.transmission import Transmission, mesh_of, slices_needed
+from cycloid_fmu.geometry.pair import ANGLES, Pair
+from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_normals, flank_points
+from cycloid_fmu.supports.transmission import OnBearings, problem_of, solve
+from cycloid_fmu.surfaces.structured import dimensions
+from cycloid_fmu.surfaces.surface import ErrorSurface
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Points = NDArray[np.complex128]
+PROFILE = 40  # points of each tooth's outline: chords are within 1 µm of the flank
+_SHOWN = 0.5  # of a pin's radius or a tooth's height: as large as the largest displacement is drawn
+LARGEST_FACTOR = 10_000.0
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Bodies, contacts and forces of a drive over loads and crank angles, SI.
+
+    Attributes
+    ----------
+    pair
+        The pair, at its temperatures.
+    torque, crank_angle
+        Shapes (torques,), N·m of the environment on the output, and (angles,), rad.
+    transmission_error
+        Shape (torques, angles), rad.
+    curve_angle, curve
+        Transmission error over a whole crank turn, shapes (points,) and (torques, points), rad.
+    exaggeration
+        How many times larger a picture shows errors, modifications and gaps, 1.
+    unmodified, drawn, normal
+        Tooth 0 in its disc's frame from root to root, shape (profile,), m: without modification, as drawn, and the unit
+        normals of the unmodified flank, out of the material.
+    made
+        Every tooth as it was made, in its disc's frame, shape (discs, teeth, profile), m.
+    centre, rotation
+        Of each disc, shape (torques, angles, discs), m and rad.
+    ideal_centre, ideal_rotation
+        What they are in the drive without errors, modification, load and play, shape (angles, discs).
+    pin_axis, ideal_pin_axis
+        Shapes (torques, angles, pins) and (angles, pins), m.
+    pin_radius
+        Shape (pins,), m.
+    gap, force, touching, direction
+        Of each pin on each disc, on the tooth that it is conjugate to and the one across the nearest root, shape
+        (torques, angles, discs, pins, 2): gap (m, below zero where the bodies press on each other; infinite without a
+        nearest point), force (N), the flank's point that is nearest to the pin (m), and the unit vector from the pin's
+        axis to it: the direction of the pin's force on the disc. Of several slices the one with the largest force, or
+        the smallest gap, says where; forces are those of the whole width.
+    pressure
+        Largest contact pressure of each pin on each disc, shape (torques, angles, discs, pins), Pa.
+    behind_first_stage
+        Whether it is the cycloid stage of a reducer, by itself.
+    """
+
+    pair: Pair
+    torque: Array
+    crank_angle: Array
+    transmission_error: Array
+    curve_angle: Array
+    curve: Array
+    exaggeration: float
+    unmodified: Points
+    drawn: Points
+    normal: Points
+    made: Points
+    centre: Points
+    rotation: Array
+    ideal_centre: Points
+    ideal_rotation: Array
+    pin_axis: Points
+    ideal_pin_axis: Points
+    pin_radius: Array
+    gap: Array
+    force: Array
+    touching: Points
+    direction: Points
+    pressure: Array
+    behind_first_stage: bool = False
+
+    @property
+    def raised(self) -> Array:
+        """How far each tooth as made is raised above the unmodified flank, shape (discs, teeth, profile), m."""
+        turned = tooth_turns(self.pair)[:, None]
+        return along(self.made - turned * self.unmodified, turned * self.normal)
+
+    def outline(self, load: int, angle: int, disc: int, factor: float | None = None) -> Points:
+        """Return a disc's outline, exaggerated, in the housing's frame, shape (teeth x profile,), m.
+
+        `load` and `angle` number the torque and the crank angle; `factor` is the exaggeration where it is another.
+        """
+        factor = self.exaggeration if factor is None else factor
+        turned = tooth_turns(self.pair)[:, None]
+        ideal = np.exp(1j * self.ideal_rotation[angle, disc])
+        normal = ideal * turned * self.normal
+        real = self.centre[load, angle, disc] + np.exp(1j * self.rotation[load, angle, disc]) * self.made[disc]
+        raised = along(real - self.ideal_centre[angle, disc] - ideal * turned * self.unmodified, normal)
+        return np.asarray(real + (factor - 1.0) * raised * normal).ravel()
+
+    def pins(self, load: int, angle: int, factor: float | None = None) -> tuple[Points, Array]:
+        """Return axes and radii of the pins, exaggerated, shapes (pins,), m; arguments as of `outline`."""
+        factor = self.exaggeration if factor is None else factor
+        ideal, radius = self.ideal_pin_axis[angle], self.pair.pin_radius
+        return ideal + factor * (self.pin_axis[load, angle] - ideal), radius + factor * (self.pin_radius - radius)
+
+
+def along(vector: Points, normal: Points) -> Array:
+    """Component of vectors along unit normals."""
+    return np.asarray((vector * np.conj(normal)).real)
+
+
+def tooth_turns(pair: Pair) -> Points:
+    """Rotation of each tooth's place from that of tooth 0, shape (teeth,)."""
+    return np.asarray(np.exp(2j * np.pi * np.arange(pair.gear_teeth) / pair.gear_teeth))
+
+
+def motion_of(
+    pair: Pair,
+    surface: ErrorSurface,
+    torque: Sequence[float],
+    crank_angle: ArrayLike,
+    exaggeration: float | None = None,
+    *,
+    progress: Callable[[int], None] = lambda angles: None,
+) -> Motion:
+    """Solve a drive at torques and crank angles, and find where every body and every contact is.
+
+    Parameters
+    ----------
+    pair, surface
+        The nominal pair and its errors, on the bearings that it states.
+    torque
+        Of the environment on the output, N·m, shape (torques,); at 0 the output is in the middle of its play.
+    crank_angle
+        rad, shape (angles,).
+    exaggeration
+        Of errors, modifications and gaps; None for a round number with which the largest is half a pin's radius.
+    progress
+        Called with the number of crank angles (times loads) that were just finished.
+
+    Raises
+    ------
+    edge.InputError
+        If a torque can't be carried.
+    """
+    loads, theta = np.array(torque, dtype=float, ndmin=1), np.array(crank_angle, dtype=float, ndmin=1)
+    slices = slices_needed(surface)
+    turn = np.linspace(0.0, 2.0 * np.pi, ANGLES)
+    curve = solve(pair, surface, loads, turn, slices, with_play=False).transmission_error
+    found = solve(pair, surface, loads, theta, slices, with_play=False)
+    problem = (mesh_of if pair.supports is None else problem_of)(pair, surface, slices)
+    warm = pair.at_temperature
+    tilted = dimensions(pair, surface)
+    middle = complex(tilted["centre_x"], tilted["centre_y"]) if pair.supports is None else 0j
+    profile = _profile(warm, tilted, problem)
+    crank = theta[:, None] + problem.crank_phase
+    ideal_ring = theta / pair.pins if problem.ring else np.zeros(theta.size)
+    ideal_gear = -problem.crank_phase / pair.gear_teeth + np.zeros(crank.shape)
+    if not problem.ring:
+        ideal_gear = -crank / pair.gear_teeth
+    x = found.transmission_error
+    shift, turned = np.zeros((*x.shape, pair.discs), complex), np.zeros((*x.shape, pair.discs))
+    if isinstance(found, OnBearings):
+        shift, turned = found.disc_shift_x + 1j * found.disc_shift_y, found.disc_turn
+    centre = problem.eccentricity * np.exp(1j * crank) + middle + shift
+    rotation = ideal_gear + turned + (0.0 if problem.ring else x[..., None])
+    ring = np.exp(1j * (ideal_ring + (x if problem.ring else 0.0 * x)))
+    pin_axis = ring[..., None] * (problem.pin_x + 1j * problem.pin_y)
+    pins = 2.0 * np.pi * np.arange(pair.pins) / pair.pins
+    contacts = _contacts(problem, warm, tilted, found, shift, turned, centre, rotation, pin_axis, middle, progress)
+    motion = Motion(
+        warm, loads, theta, x, turn, curve, 1.0, *profile,
+        centre, rotation, warm.eccentricity * np.exp(1j * crank), ideal_gear,
+        pin_axis, warm.pin_circle_radius * np.exp(1j * (pins + ideal_ring[:, None])), problem.pin_radius, *contacts,
+        found.pin_pressure,
+    )  # fmt: skip
+    return dataclasses.replace(motion, exaggeration=exaggeration or _fitting(motion))
+
+
+def _made(warm: Pair, sizes: dict[str, float]) -> Pair:
+    """Return a pair whose flank as drawn is the flank that was made, but for its deviations of form."""
+    return warm.nominal.replace(
+        isometric=float(sizes["generating_pin_radius"]) - warm.pin_radius,
+        offset=float(sizes["generating_circle_radius"]) - warm.pin_circle_radius,
+    )
+
+
+def _points(pair: Pair, alpha: Array) -> tuple[Points, Points]:
+    (x, y), (nx, ny) = flank_points(pair, alpha), flank_normals(pair, alpha)
+    return x + 1j * y, nx + 1j * ny
+
+
+def _profile(warm: Pair, sizes: dict[str, float], problem: contact.Problem) -> tuple[Points, Points, Points, Points]:
+    """Tooth 0 without modification and as drawn, its normals, and every tooth as it was made."""
+    pitch = 2.0 * np.pi / warm.gear_teeth
+    alpha = np.concatenate([[0.0], equal_arc_parameters(warm, PROFILE - 2), [pitch]])
+    plain = warm.nominal.replace(isometric=0.0, offset=0.0)
+    unmodified, normal = _points(plain, alpha)
+    tooth = np.arange(warm.gear_teeth)[None, :, None]
+    disc = np.arange(warm.discs)[:, None, None]
+    made = _flank(problem, _made(warm, sizes), disc, problem.centre_x.size // 2, tooth, alpha)
+    return unmodified, _points(warm, alpha)[0], normal, made
+
+
+def _flank(
+    problem: contact.Problem, made: Pair, disc: Indices, slice_: Indices | int, tooth: Indices, along: Array
+) -> Points:
+    """Points of teeth as made, in their disc's frame; `along` is the profile parameter from the tooth's first root."""
+    point, normal = _points(made, along)
+    if problem.deviations is not None:
+        places, heights = problem.deviations.flank_alpha, problem.deviations.gear
+        after = np.clip(np.searchsorted(places, along), 1, places.size - 1)
+        share = (along - places[after - 1]) / (places[after] - places[after - 1])
+        low, high = heights[disc, slice_, tooth, after - 1], heights[disc, slice_, tooth, after]
+        point = point + ((1.0 - share) * low + share * high) * normal
+    turn = 2.0 * np.pi * tooth / made.gear_teeth + problem.tooth_turn[disc, tooth]
+    return np.asarray(point * np.exp(1j * turn))
+
+
+def _contacts(
+    problem: contact.Problem, warm: Pair, sizes: dict[str, float], found: Transmission, shift: Points, turned: Array,
+    centre: Points, rotation: Array, pin_axis: Points, middle: complex, progress: Callable[[int], None],
+) -> tuple[Array, Array, Points, Points]:  # fmt: skip
+    """Gap, force, nearest point of the flank and direction of every pin's contacts, of `Motion`."""
+    places = (*found.transmission_error.shape, warm.discs, warm.pins, 2)
+    gap, force = np.full(places, np.inf), np.zeros(places)
+    touching, direction = np.zeros(places, complex), np.zeros(places, complex)
+    made, pitch = _made(warm, sizes), 2.0 * np.pi / warm.gear_teeth
+    slices = problem.centre_x.size
+    disc, pin, side = np.indices(places[2:])
+    offset = problem.centre_x + 1j * problem.centre_y - (middle if warm.supports is None else 0.0)
+    rows = contact.contact_rows(problem)
+    here = problem._replace(shift_x=np.zeros(warm.discs), shift_y=np.zeros(warm.discs), turn=np.zeros(warm.discs))
+    for at in np.ndindex(places[:2]):
+        theta, x = float(found.crank_angle[at[1]]), float(found.transmission_error[at])
+        here.shift_x[:], here.shift_y[:], here.turn[:] = shift[at].real, shift[at].imag, turned[at]
+        contact.place(here, theta, x, rows, True, math.inf, math.inf)
+        rows["force"] = 0.0
+        if found.torque[at[0]] != 0.0:
+            _press(here, rows)
+        by_slice = rows.reshape(warm.discs, slices, warm.pins, 2)
+        # Where nothing presses, the slice that comes closest.
+        best = np.where(by_slice["force"].any(axis=1), by_slice["force"].argmax(axis=1), by_slice["gap"].argmin(axis=1))
+        chosen = by_slice[disc, best, pin, side]
+        gap[at], force[at] = chosen["gap"], by_slice["force"].sum(axis=1)
+        near = np.isfinite(chosen["gap"])
+        alpha = chosen["place"][near]
+        number = np.floor(alpha / pitch).astype(np.int64)
+        point = _flank(here, made, disc[near], best[near], number % warm.gear_teeth, alpha - number * pitch)
+        point = centre[at][disc[near]] + offset[best[near]] + np.exp(1j * rotation[at][disc[near]]) * point
+        apart = point - pin_axis[at][pin[near]]
+        touching[at][near], direction[at][near] = point, apart / np.abs(apart)
+        progress(1)
+    return gap, force, touching, direction
+
+
+def _press(problem: contact.Problem, rows: contact.Rows) -> None:
+    """Write the force of every row, as `contact.equilibrium.load` does inside kernels."""
+    for row in np.flatnonzero(rows["gap"] + problem.seat_gap < 0.0):
+        _, _, pin = contact.disc_slice_pin(problem, int(row))
+        rows["force"][row], _, _ = contact.hertz(
+            -float(rows["gap"][row]) - problem.seat_gap, float(rows["curvature"][row]), float(problem.pin_radius[pin]),
+            problem.slice_width, problem.compliance_gear, problem.compliance_pin, problem.largest_log_radius, 0.0,
+            problem.seat_compliance,
+        )  # fmt: skip
+
+
+def _fitting(motion: Motion) -> float:
+    """Round number with which the largest displacement is well seen and no flank runs into another."""
+    pair = motion.pair
+    moved = np.abs(motion.centre - motion.ideal_centre) + pair.pin_circle_radius * np.abs(
+        motion.rotation - motion.ideal_rotation
+    )
+    pins = np.abs(motion.pin_axis - motion.ideal_pin_axis).max() + np.abs(motion.pin_radius - pair.pin_radius).max()
+    largest = float(np.abs(motion.raised).max() + moved.max() + pins)
+    room = _SHOWN * min(pair.pin_radius, 2.0 * pair.eccentricity)
+    if largest * LARGEST_FACTOR < room:
+        return LARGEST_FACTOR
+    power = 10.0 ** math.floor(math.log10(room / largest))
+    return float(max(1.0, power * max(step for step in (1.0, 2.0, 5.0) if step * power <= room / largest)))
