@@ -246,7 +246,7 @@ class Drive:
         crank_angle
             rad, or text with a unit; one or several, which a page animates.
         exaggeration
-            How many times larger errors, modifications and gaps are drawn, 1 to 10,000; a round number that fits where
+            How many times larger the gaps between discs and pins are drawn, 1 to 1000; a round number that fits where
             None.
         progress
             Called with the number of crank angles (times loads) that were just finished.

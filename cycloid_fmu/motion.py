@@ -1,8 +1,6 @@
 """Where every body of a drive is over crank angles and loads, where flanks and pins touch and with what force.
 
-Points are complex, x + iy in the housing's frame, or in a disc's frame where that is said. An exaggeration enlarges the
-part of every displacement that is along a surface's normal, so that a gap of the picture is as many times that of the
-drive to first order; the part along the surface stays. At 1 everything is where it is in the drive.
+Points are complex, x + iy in the housing's frame, or in a disc's frame where that is said.
 """
 
 from __future__ import annotations
@@ -18,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from cycloid_fmu import contact
 from cycloid_fmu.contact.transmission import Transmission, mesh_of, slices_needed
 from cycloid_fmu.geometry.pair import ANGLES, Pair
-from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_normals, flank_points
+from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_curvature, flank_normals, flank_points
 from cycloid_fmu.supports.transmission import OnBearings, problem_of, solve
 from cycloid_fmu.surfaces.structured import dimensions
 from cycloid_fmu.surfaces.surface import ErrorSurface
@@ -26,9 +24,8 @@ from cycloid_fmu.surfaces.surface import ErrorSurface
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Points = NDArray[np.complex128]
-PROFILE = 40  # points of each tooth's outline: chords are within 1 µm of the flank
-_SHOWN = 0.5  # of a pin's radius or a tooth's height: as large as the largest displacement is drawn
-LARGEST_FACTOR = 10_000.0
+PROFILE = 60  # points of each tooth's outline: of the 39/40 pair chords are within 5 µm of the flank
+LARGEST_FACTOR = 1000.0
 
 
 @dataclass(frozen=True)
@@ -46,7 +43,7 @@ class Motion:
     curve_angle, curve
         Transmission error over a whole crank turn, shapes (points,) and (torques, points), rad.
     exaggeration
-        How many times larger a picture shows errors, modifications and gaps, 1.
+        How many times larger a picture shows the gaps between discs and pins, 1.
     unmodified, drawn, normal
         Tooth 0 in its disc's frame from root to root, shape (profile,), m: without modification, as drawn, and the unit
         normals of the unmodified flank, out of the material.
@@ -54,10 +51,8 @@ class Motion:
         Every tooth as it was made, in its disc's frame, shape (discs, teeth, profile), m.
     centre, rotation
         Of each disc, shape (torques, angles, discs), m and rad.
-    ideal_centre, ideal_rotation
-        What they are in the drive without errors, modification, load and play, shape (angles, discs).
-    pin_axis, ideal_pin_axis
-        Shapes (torques, angles, pins) and (angles, pins), m.
+    pin_axis
+        Shape (torques, angles, pins), m.
     pin_radius
         Shape (pins,), m.
     gap, force, touching, direction
@@ -85,10 +80,7 @@ class Motion:
     made: Points
     centre: Points
     rotation: Array
-    ideal_centre: Points
-    ideal_rotation: Array
     pin_axis: Points
-    ideal_pin_axis: Points
     pin_radius: Array
     gap: Array
     force: Array
@@ -103,24 +95,35 @@ class Motion:
         turned = tooth_turns(self.pair)[:, None]
         return along(self.made - turned * self.unmodified, turned * self.normal)
 
-    def outline(self, load: int, angle: int, disc: int, factor: float | None = None) -> Points:
-        """Return a disc's outline, exaggerated, in the housing's frame, shape (teeth x profile,), m.
+    @property
+    def room(self) -> float:
+        """How large a picture draws a gap at most, m: flanks moved back so far still have no cusps."""
+        pair = self.pair
+        sharpest = flank_curvature(pair, np.linspace(0.0, 2.0 * np.pi / pair.gear_teeth, 1000)).max()
+        return float(min(0.3 * pair.pin_radius, 0.6 * pair.eccentricity, 0.7 / sharpest))
 
-        `load` and `angle` number the torque and the crank angle; `factor` is the exaggeration where it is another.
+    def outline(self, load: int, angle: int, disc: int, factor: float | None = None) -> Points:
+        """Return a disc's outline with exaggerated gaps, in the housing's frame, shape (teeth x profile,), m.
+
+        Every point is moved along the flank's normal so that its distance from the nearest pin is `factor` times as
+        large, as long as that is within `room`: contacts stay where they are, and at 1 all is as it is in the drive.
+
+        Parameters
+        ----------
+        load, angle, disc
+            Numbers of the torque, the crank angle and the disc.
+        factor
+            The exaggeration where it is another.
         """
         factor = self.exaggeration if factor is None else factor
-        turned = tooth_turns(self.pair)[:, None]
-        ideal = np.exp(1j * self.ideal_rotation[angle, disc])
-        normal = ideal * turned * self.normal
-        real = self.centre[load, angle, disc] + np.exp(1j * self.rotation[load, angle, disc]) * self.made[disc]
-        raised = along(real - self.ideal_centre[angle, disc] - ideal * turned * self.unmodified, normal)
-        return np.asarray(real + (factor - 1.0) * raised * normal).ravel()
-
-    def pins(self, load: int, angle: int, factor: float | None = None) -> tuple[Points, Array]:
-        """Return axes and radii of the pins, exaggerated, shapes (pins,), m; arguments as of `outline`."""
-        factor = self.exaggeration if factor is None else factor
-        ideal, radius = self.ideal_pin_axis[angle], self.pair.pin_radius
-        return ideal + factor * (self.pin_axis[load, angle] - ideal), radius + factor * (self.pin_radius - radius)
+        turn = np.exp(1j * self.rotation[load, angle, disc])
+        point = (self.centre[load, angle, disc] + turn * self.made[disc]).ravel()
+        normal = (turn * tooth_turns(self.pair)[:, None] * self.normal).ravel()
+        pins = self.pin_axis[load, angle]
+        nearest = np.round(np.angle(point / pins[0]) * pins.size / (2.0 * np.pi)).astype(np.int64)
+        beside = (nearest[:, None] + np.arange(-1, 2)) % pins.size
+        clearance = (np.abs(point[:, None] - pins[beside]) - self.pin_radius[beside]).min(axis=1)
+        return np.asarray(point - (factor - 1.0) * np.minimum(clearance, self.room / factor) * normal)
 
 
 def along(vector: Points, normal: Points) -> Array:
@@ -153,7 +156,7 @@ def motion_of(
     crank_angle
         rad, shape (angles,).
     exaggeration
-        Of errors, modifications and gaps; None for a round number with which the largest is half a pin's radius.
+        Of gaps; None for the largest round number with which all of them have room.
     progress
         Called with the number of crank angles (times loads) that were just finished.
 
@@ -185,12 +188,9 @@ def motion_of(
     rotation = ideal_gear + turned + (0.0 if problem.ring else x[..., None])
     ring = np.exp(1j * (ideal_ring + (x if problem.ring else 0.0 * x)))
     pin_axis = ring[..., None] * (problem.pin_x + 1j * problem.pin_y)
-    pins = 2.0 * np.pi * np.arange(pair.pins) / pair.pins
     contacts = _contacts(problem, warm, tilted, found, shift, turned, centre, rotation, pin_axis, middle, progress)
     motion = Motion(
-        warm, loads, theta, x, turn, curve, 1.0, *profile,
-        centre, rotation, warm.eccentricity * np.exp(1j * crank), ideal_gear,
-        pin_axis, warm.pin_circle_radius * np.exp(1j * (pins + ideal_ring[:, None])), problem.pin_radius, *contacts,
+        warm, loads, theta, x, turn, curve, 1.0, *profile, centre, rotation, pin_axis, problem.pin_radius, *contacts,
         found.pin_pressure,
     )  # fmt: skip
     return dataclasses.replace(motion, exaggeration=exaggeration or _fitting(motion))
@@ -285,15 +285,13 @@ def _press(problem: contact.Problem, rows: contact.Rows) -> None:
 
 
 def _fitting(motion: Motion) -> float:
-    """Round number with which the largest displacement is well seen and no flank runs into another."""
-    pair = motion.pair
-    moved = np.abs(motion.centre - motion.ideal_centre) + pair.pin_circle_radius * np.abs(
-        motion.rotation - motion.ideal_rotation
-    )
-    pins = np.abs(motion.pin_axis - motion.ideal_pin_axis).max() + np.abs(motion.pin_radius - pair.pin_radius).max()
-    largest = float(np.abs(motion.raised).max() + moved.max() + pins)
-    room = _SHOWN * min(pair.pin_radius, 2.0 * pair.eccentricity)
-    if largest * LARGEST_FACTOR < room:
+    largest = float(motion.gap.min(axis=4).max())  # of a pin: it may touch two teeth
+    if not largest * LARGEST_FACTOR > motion.room:
         return LARGEST_FACTOR
-    power = 10.0 ** math.floor(math.log10(room / largest))
-    return float(max(1.0, power * max(step for step in (1.0, 2.0, 5.0) if step * power <= room / largest)))
+    return max(1.0, round_number(motion.room / largest))
+
+
+def round_number(largest: float) -> float:
+    """Return the largest of 1, 2, 5, 10 and so on that is not above a number."""
+    power = 10.0 ** math.floor(math.log10(largest))
+    return float(power * max(step for step in (1.0, 2.0, 5.0) if step * power <= largest * (1.0 + 1e-9)))

@@ -36,12 +36,12 @@ def draw(
     exaggeration: Annotated[
         float | None,
         typer.Option(
-            help="How many times larger errors, modifications and gaps are drawn; 1 is to scale.",
+            help="How many times larger gaps between discs and pins are drawn; 1 is to scale.",
             show_default="a round number that fits",
         ),
     ] = None,
 ) -> None:
-    """Draw discs, pins, contacts and forces, with errors and gaps exaggerated; as a page with a crank turn to play.
+    """Draw discs, pins, contacts and forces, with gaps exaggerated; as a page with a crank turn to play.
 
     With one torque a page also has its half, none, and both against it. One tooth is drawn close up, with its
     modification and its deviations, worn ones too.
@@ -60,7 +60,9 @@ def draw(
         torque = [drive.pair.rated_torque]
     moves = output.suffix.lower() == ".html"
     if len(torque) > 1 and not moves:
-        raise edge.ArgumentError("torque", "a picture shows one load; give one, or write a page, .html", len(torque))
+        raise edge.ArgumentError(
+            "torque", "a picture shows one load; give one torque, or write a page, .html", f"{torque[1]:g} N*m"
+        )
     loads, first, angles = torque, 0, np.array([crank_angle])
     if moves:
         if len(torque) == 1 and torque[0] != 0.0:
@@ -73,4 +75,4 @@ def draw(
     with commands.progress("crank angles", angles.size * len(loads)) as progress:
         motion = drive.motion(loads, angles, exaggeration=exaggeration, progress=progress)
     write_motion(motion, output, first, int(np.argmin(np.abs(angles - crank_angle % (2.0 * math.pi)))))
-    typer.echo(f"{output}: errors, modification and gaps × {motion.exaggeration:g}")
+    typer.echo(f"{output}: gaps × {motion.exaggeration:g}")

@@ -15,7 +15,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.draw import drive_picture
 from cycloid_fmu.draw.figure import save
 from cycloid_fmu.edge import ARCSEC
-from cycloid_fmu.motion import Motion
+from cycloid_fmu.motion import Motion, round_number, tooth_turns
 
 ENDINGS = (".html", ".svg", *edge.PICTURES)
 """Of files with a drive's picture."""
@@ -37,18 +37,14 @@ def _contacts(motion: Motion, load: int, angle: int) -> list[list[float]]:
 
 
 def page_data(motion: Motion, load: int = 0, angle: int = 0) -> dict[str, Any]:
-    """Return what the page draws, in mm, µm, µrad, N, MPa and arcsec; `load` and `angle` are those it begins with."""
+    """Return what the page draws, in mm, rad, N, MPa, arcsec, gaps in µm; it begins with this load and crank angle."""
     pair = motion.pair
-    ring = pair.output == "ring"
-    ring_turn = motion.crank_angle / pair.pins if ring else np.zeros(motion.crank_angle.size)
-    beyond = motion.transmission_error if ring else np.zeros_like(motion.transmission_error)
-    turned = np.exp(2j * np.pi * np.arange(pair.pins) / pair.pins)
-    pins = motion.pin_axis[0, 0] * np.exp(-1j * (ring_turn[0] + beyond[0, 0])) - pair.pin_circle_radius * turned
     nearest = motion.gap.min(axis=(2, 4)) * 1e6
     curve = motion.curve * ARCSEC
     mean = curve[:, :-1].mean(axis=1)
     largest = float(motion.force.max())
-    teeth = np.exp(2j * np.pi * np.arange(pair.gear_teeth) / pair.gear_teeth)[:, None]
+    normal = (tooth_turns(pair)[:, None] * motion.normal).ravel()
+    fixed = pair.output == "gear"  # the pins
     at = [(k, i) for k in range(motion.torque.size) for i in range(motion.crank_angle.size)]
 
     def table(values: list[Any]) -> list[Any]:
@@ -62,24 +58,20 @@ def page_data(motion: Motion, load: int = 0, angle: int = 0) -> dict[str, Any]:
         "loads": [f"{torque:g} N·m" for torque in motion.torque],
         "first_load": load,
         "first_angle": angle,
-        "teeth": pair.gear_teeth,
         "pin_circle_radius": pair.pin_circle_radius * 1e3,
         "pin_radius": pair.pin_radius * 1e3,
         "eccentricity": pair.eccentricity * 1e3,
-        "ring": ring,
-        "arcsec": ARCSEC * 1e-6,
+        "room": motion.room * 1e3,
         "colours": drive_picture.PRESSURES,
         "crank_angle": motion.crank_angle.round(6).tolist(),
         "crank_phase": (2.0 * np.pi * np.arange(pair.discs) / pair.discs).tolist(),
-        "gear_turn": motion.ideal_rotation.round(9).tolist(),
-        "ring_turn": ring_turn.round(9).tolist(),
-        "unmodified": _pairs(motion.unmodified * 1e3, 5),
-        "normal": _pairs(motion.normal, 6),
-        "made": [_pairs((made - teeth * motion.unmodified).ravel() * 1e6, 3) for made in motion.made],
-        "centre": _pairs((motion.centre - motion.ideal_centre) * 1e6, 3),
-        "rotation": ((motion.rotation - motion.ideal_rotation) * 1e6).round(3).tolist(),
-        "pins": (np.column_stack([pins.real, pins.imag, motion.pin_radius - pair.pin_radius]) * 1e6).round(3).tolist(),
-        "error": (motion.transmission_error * 1e6).round(4).tolist(),
+        "normal": _pairs(normal, 5),
+        "made": [_pairs(made.ravel() * 1e3, 5) for made in motion.made],
+        "centre": _pairs(motion.centre * 1e3, 5),
+        "rotation": motion.rotation.round(8).tolist(),
+        "pins": [[_pairs(row * 1e3, 5) for row in (rows[:1] if fixed else rows)] for rows in motion.pin_axis],
+        "radii": (motion.pin_radius * 1e3).round(5).tolist(),
+        "error": (motion.transmission_error * ARCSEC).round(3).tolist(),
         "gap": table([[None if not np.isfinite(v) else round(float(v), 1) for v in nearest[a]] for a in at]),
         "contacts": table([_contacts(motion, *a) for a in at]),
         "holders": table([
@@ -90,7 +82,7 @@ def page_data(motion: Motion, load: int = 0, angle: int = 0) -> dict[str, Any]:
         "mean": mean.round(4).tolist(),
         "longest": drive_picture.LONGEST_ARROW * pair.pin_circle_radius * 1e3,
         "largest_force": largest,
-        "scale_force": drive_picture.round_number(largest) if largest > 0.0 else 0.0,
+        "scale_force": round_number(largest) if largest > 0.0 else 0.0,
         "largest_pressure": max(float(motion.pressure.max()) * 1e-6, 1.0),
         "tooth": _tooth(motion),
     }  # fmt: skip

@@ -10,7 +10,7 @@ import numpy as np
 
 from cycloid_fmu.draw.figure import show_legend
 from cycloid_fmu.edge import ARCSEC
-from cycloid_fmu.motion import Motion, Points, along, tooth_turns
+from cycloid_fmu.motion import Motion, Points, along, round_number, tooth_turns
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,12 +31,6 @@ class Circle(NamedTuple):
     centre: complex
     radius: float
     hole: bool
-
-
-def round_number(largest: float) -> float:
-    """Return the largest of 1, 2, 5, 10 and so on that is not above a number."""
-    power = 10.0 ** math.floor(math.log10(largest))
-    return float(power * max(step for step in (1.0, 2.0, 5.0) if step * power <= largest * (1.0 + 1e-9)))
 
 
 def holders(motion: Motion, load: int, angle: int) -> list[Circle]:
@@ -99,8 +93,10 @@ def drive_name(motion: Motion) -> str:
 
 def caption_of(motion: Motion) -> str:
     """State what is exaggerated and what the arrows and colours are."""
-    said = f"Errors, modification and gaps × {motion.exaggeration:g}; bodies and angles to scale. "
-    said += "Arrows: forces of the pins on the disc. Dash-dotted: the crank."
+    said = f"Gaps between disc and pins × {motion.exaggeration:g}"
+    if motion.exaggeration * motion.gap.min(axis=4).max() > motion.room:
+        said += f", up to {motion.room * 1e3:.2g} mm as drawn"
+    said += "; pins, discs and angles to scale. Arrows: forces of the pins on the disc. Dash-dotted: the crank."
     if motion.pair.discs > 1:
         said += " Filled: front disc; dashed, hollow arrows: discs behind."
     if motion.behind_first_stage:
@@ -134,7 +130,7 @@ def draw_drive(axis: Axes, motion: Motion, load: int = 0, angle: int = 0) -> Non
     largest = max(float(forces.max()), 1e-12)
     rim = (pair.pin_circle_radius + 2.2 * pair.pin_radius) * 1e3
     axis.add_patch(Round((0.0, 0.0), rim, fc="#f4f6f8", ec=EDGE, lw=0.8))
-    axis.add_patch(Round((0.0, 0.0), (pair.pin_circle_radius + 0.4 * pair.pin_radius) * 1e3, fc="white", ec="none"))
+    axis.add_patch(Round((0.0, 0.0), pair.pin_circle_radius * 1e3, fc="white", ec="#c3ccd6", lw=0.5))
     for disc in range(pair.discs - 1, -1, -1):
         fill: dict[str, Any] = (
             {"fc": STEEL, "ec": EDGE, "lw": 0.9} if disc == 0 else {"fill": False, "ec": BEHIND, "lw": 0.7, "ls": "--"}
@@ -150,7 +146,7 @@ def draw_drive(axis: Axes, motion: Motion, load: int = 0, angle: int = 0) -> Non
     axis.plot([0.0, reach.real], [0.0, reach.imag], "-.", color="#111111", lw=0.7, zorder=4)
     axis.plot([0.0], [0.0], "+", color="#111111", ms=7, mew=0.9, zorder=4)
     axis.plot([crank.real], [crank.imag], "o", color="#111111", ms=3, zorder=4)
-    axes, radii = motion.pins(load, angle)
+    axes, radii = motion.pin_axis[load, angle], motion.pin_radius
     for pin, (place, radius) in enumerate(zip(axes * 1e3, radii * 1e3, strict=True)):
         carried = float(pressure[:, pin].max())
         filled = colours(carried / highest) if carried > 0.0 else FREE
