@@ -123,7 +123,8 @@ def write_motion(motion: Motion, path: str | os.PathLike[str], load: int = 0, an
         # The same drive gives the same file.
         with matplotlib.rc_context({"svg.hashsalt": "cycloid"}):
             drive_picture.plot_motion(motion, load, angle).savefig(written, format="svg", metadata={"Date": None})
-        page = re.sub(r"(\d\.\d\d)\d+", r"\1", written.getvalue())  # hundredths of a point are fine enough
+        # Hundredths of a point are fine enough, but not of a scale, and most of the rest is indentation.
+        page = re.sub(r"\s+", " ", re.sub(r"(?<![\d.])(?<!scale\()(\d+\.\d\d)\d+", r"\1", written.getvalue()))
     else:
         save(drive_picture.plot_motion(motion, load, angle), target)
         return
