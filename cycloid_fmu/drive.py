@@ -269,7 +269,7 @@ class Drive:
         ... ).replace(offset="-40 um", isometric="-15 um")
         >>> motion = cy.Drive(pair).motion("181 N*m", "30 deg")
         >>> motion.exaggeration, round(float(motion.gap[0, 0, 0, 20].min() * 1e6), 1)
-        (20.0, 18.6)
+        (20.0, 20.6)
         >>> _ = cy.plot(motion, "drive.html")
         >>> pathlib.Path("drive.html").stat().st_size < 150_000
         True

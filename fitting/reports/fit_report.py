@@ -73,9 +73,13 @@ def _intervals(parameters: Sequence[Parameter]) -> Panel:
     lines = [Trace("95 % interval" if i == 0 else "", np.array(p.interval) * 1e6, np.array([-i, -i], float), "thick", 0)
              for i, p in enumerate(shown)]  # fmt: skip
     at, place = np.array([p.value * 1e6 for p in shown]), -np.arange(float(len(shown)))
-    values = Trace("", at, place, "points", -1, tuple(f"{value:.2f}" for value in at))
-    return Panel("Identified errors", "error [µm]", "", (*lines, values),
-                 "Each with its 95 % interval.", y_names=tuple(p.name for p in shown))  # fmt: skip
+    ends = np.array([at, *zip(*(t.x for t in lines), strict=True)]) if lines else np.zeros((1, 1))
+    beside = np.full(at.size, np.nanmax(ends) + 0.15 * max(np.nanmax(ends) - np.nanmin(ends), 1e-3))
+    # In a column of their own: beside the points they lay over each other.
+    values = Trace("", beside, place, "words", -1, tuple(f"{value:.2f}" for value in at))
+    return Panel("Identified errors", "error [µm]", "", (*lines, Trace("", at, place, "dots", 1), values),
+                 "Each with its 95 % interval; the column on the right is its value.",
+                 y_names=tuple(p.name for p in shown))  # fmt: skip
 
 
 _ARC = 1.0 / ARCSEC

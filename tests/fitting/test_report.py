@@ -64,7 +64,7 @@ def test_a_browser_shows_every_panel_and_asks_for_nothing_else(page, found):
     assert page.locator(".panel").count() == len(panels_of(found)) == 8
     for number in range(8):
         assert page.locator(f"#panel-{number} .scatterlayer .trace").count() >= 1
-    labels = page.locator("#panel-1 .textpoint").all_text_contents()
+    labels = page.locator("#panel-1 .annotation-text").all_text_contents()
     assert {"39 pin", "40 tooth", "78 pin", "1560 mesh"} <= set(labels)
 
 
