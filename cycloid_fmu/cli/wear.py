@@ -57,9 +57,9 @@ def wear(
     if output is not None:
         write_surface(run.surface, output)
     if plot is not None:
-        from cycloid_fmu.draw import plots
+        from cycloid_fmu.draw import figure, wear_plots
 
-        plots.save(plots.plot_wear(run.model, run.states, run.new, figures), plot)
+        figure.save(wear_plots.plot_wear(run.model, run.states, run.new, figures), plot)
     for note in run.notes:
         typer.echo(note, err=True)
     if as_json:
