@@ -435,8 +435,8 @@ def plot_allocation(factors: Sequence[str], scale: NDArray[np.float64], title: s
     return figure
 
 
-def plot_simulation(results: Mapping[str, NDArray[np.float64]]) -> Figure:
-    """Output angle's error, backlash and largest pressure of an FMU's run over time."""
+def plot_simulation(results: Mapping[str, NDArray[np.float64]], title: str) -> Figure:
+    """Output angle's error, backlash and largest pressure of an FMU's run over time; the title names FMU and load."""
     figure, axes = new_figure(3, sharex=True)
     time = results["time"]
     for axis, (name, label, factor) in zip(
@@ -451,6 +451,7 @@ def plot_simulation(results: Mapping[str, NDArray[np.float64]]) -> Figure:
         axis.plot(time, results[name] * factor, lw=1.2)
         axis.set(ylabel=label)
     axes[-1].set(xlabel="time [s]")
+    figure.suptitle(title, fontsize=11)
     return figure
 
 
@@ -471,6 +472,8 @@ def plot_comparison(
     other: str,
 ) -> Figure:
     """Difference of each variable that two FMUs, or an FMU and a recording, have in common, over time."""
+    equal = [name for name, (first, second) in pairs.items() if np.array_equal(first, second)]
+    pairs = {name: both for name, both in pairs.items() if name not in equal} or pairs
     figure, axes = new_figure((len(pairs) + 1) // 2, 2, sharex=True)
     for axis, (name, (first, second)) in zip(axes, pairs.items(), strict=False):
         unit, factor = DIFFERENCE_UNITS.get(name, ("", 1.0))
@@ -480,5 +483,5 @@ def plot_comparison(
         axis.set_axis_off()
     for axis in axes[-2:]:
         axis.set(xlabel="time [s]")
-    figure.suptitle(f"{one} minus {other}")
+    figure.suptitle(f"{one} minus {other}" + (f"\nno difference: {', '.join(equal)}" if equal else ""), fontsize=11)
     return figure

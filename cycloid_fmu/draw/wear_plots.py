@@ -95,4 +95,6 @@ def plot_wear(model: WearModel, states: list[WearState], new: WearRate, figures:
         axes[11].plot(at, np.asarray(life[name]) * ARCSEC, ".-", ms=4, lw=1, label=label)
     axes[11].set(xlabel="million crank turns", ylabel="peak to peak [arcsec]")
     show_legend(axes[11])
+    pair = model.pair
+    figure.suptitle(f"Wear of the cycloid drive {pair.gear_teeth}/{pair.pins}, {turns:.3g} crank turns", fontsize=11)
     return figure
