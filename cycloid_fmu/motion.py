@@ -51,6 +51,8 @@ class Motion:
         Every tooth as it was made, in its disc's frame, shape (discs, teeth, profile), m.
     centre, rotation
         Of each disc, shape (torques, angles, discs), m and rad.
+    ideal_rotation
+        Of each disc without errors, modification, load and play, shape (angles, discs), rad.
     pin_axis
         Shape (torques, angles, pins), m.
     pin_radius
@@ -80,6 +82,7 @@ class Motion:
     made: Points
     centre: Points
     rotation: Array
+    ideal_rotation: Array
     pin_axis: Points
     pin_radius: Array
     gap: Array
@@ -105,8 +108,10 @@ class Motion:
     def outline(self, load: int, angle: int, disc: int, factor: float | None = None) -> Points:
         """Return a disc's outline with exaggerated gaps, in the housing's frame, shape (teeth x profile,), m.
 
-        Every point is moved along the flank's normal so that its distance from the nearest pin is `factor` times as
-        large, as long as that is within `room`: contacts stay where they are, and at 1 all is as it is in the drive.
+        Every point is moved back along the flank's normal by as many times what modification, errors, load and play
+        open there, but at least the gap of the pin beside it and at most its own distance from that pin. So the gap of
+        each pin is `factor` times as large, at the same place, as long as that is within `room`; flanks that touch
+        still do, and at 1 all is as it is in the drive.
 
         Parameters
         ----------
@@ -116,14 +121,24 @@ class Motion:
             The exaggeration where it is another.
         """
         factor = self.exaggeration if factor is None else factor
-        turn = np.exp(1j * self.rotation[load, angle, disc])
-        point = (self.centre[load, angle, disc] + turn * self.made[disc]).ravel()
-        normal = (turn * tooth_turns(self.pair)[:, None] * self.normal).ravel()
-        pins = self.pin_axis[load, angle]
-        nearest = np.round(np.angle(point / pins[0]) * pins.size / (2.0 * np.pi)).astype(np.int64)
-        beside = (nearest[:, None] + np.arange(-1, 2)) % pins.size
-        clearance = (np.abs(point[:, None] - pins[beside]) - self.pin_radius[beside]).min(axis=1)
-        return np.asarray(point - (factor - 1.0) * np.minimum(clearance, self.room / factor) * normal)
+        pins, pitch = self.pin_axis[load, angle], 2.0 * np.pi / self.pair.pins
+        teeth, ideal = tooth_turns(self.pair)[:, None], np.exp(1j * self.ideal_rotation[angle, disc])
+        point = self.centre[load, angle, disc] + np.exp(1j * self.rotation[load, angle, disc]) * self.made[disc]
+        crank = self.crank_angle[angle] + 2.0 * np.pi * disc / self.pair.discs
+        unmoved = self.pair.eccentricity * np.exp(1j * crank) + ideal * teeth * self.unmodified
+        # Seen from the pins, which turn by the transmission error where the ring is the output.
+        turned = np.exp(-1j * self.transmission_error[load, angle]) if self.pair.output == "ring" else 1.0
+        normal = (ideal * teeth * self.normal).ravel()
+        point, opened = point.ravel(), -along((turned * point - unmoved).ravel(), normal)
+        place = np.angle(point / pins[0]) / pitch
+        before = np.floor(place).astype(np.int64)
+        around = (before[:, None] + np.arange(-1, 3)) % pins.size
+        clearance = (np.abs(point[:, None] - pins[around]) - self.pin_radius[around]).min(axis=1)
+        gap = self.gap[load, angle, disc].min(axis=1)
+        gap = np.where(np.isfinite(gap), gap, 0.0)
+        beside = gap[around[:, 1]] + (place - before) * (gap[around[:, 2]] - gap[around[:, 1]])
+        back = np.minimum(np.minimum(clearance, self.room / factor), np.maximum(opened, beside))
+        return np.asarray(point - (factor - 1.0) * back * normal)
 
 
 def along(vector: Points, normal: Points) -> Array:
@@ -190,8 +205,8 @@ def motion_of(
     pin_axis = ring[..., None] * (problem.pin_x + 1j * problem.pin_y)
     contacts = _contacts(problem, warm, tilted, found, shift, turned, centre, rotation, pin_axis, middle, progress)
     motion = Motion(
-        warm, loads, theta, x, turn, curve, 1.0, *profile, centre, rotation, pin_axis, problem.pin_radius, *contacts,
-        found.pin_pressure,
+        warm, loads, theta, x, turn, curve, 1.0, *profile, centre, rotation, ideal_gear, pin_axis,
+        problem.pin_radius, *contacts, found.pin_pressure,
     )  # fmt: skip
     return dataclasses.replace(motion, exaggeration=exaggeration or _fitting(motion))
 

@@ -39,7 +39,7 @@ def _contacts(motion: Motion, load: int, angle: int) -> list[list[float]]:
 def page_data(motion: Motion, load: int = 0, angle: int = 0) -> dict[str, Any]:
     """Return what the page draws, in mm, rad, N, MPa, arcsec, gaps in µm; it begins with this load and crank angle."""
     pair = motion.pair
-    nearest = motion.gap.min(axis=(2, 4)) * 1e6
+    nearest = motion.gap.min(axis=4) * 1e6
     curve = motion.curve * ARCSEC
     mean = curve[:, :-1].mean(axis=1)
     largest = float(motion.force.max())
@@ -66,13 +66,18 @@ def page_data(motion: Motion, load: int = 0, angle: int = 0) -> dict[str, Any]:
         "crank_angle": motion.crank_angle.round(6).tolist(),
         "crank_phase": (2.0 * np.pi * np.arange(pair.discs) / pair.discs).tolist(),
         "normal": _pairs(normal, 5),
+        "unmodified": _pairs((tooth_turns(pair)[:, None] * motion.unmodified).ravel() * 1e3, 5),
+        "ideal_rotation": motion.ideal_rotation.round(8).tolist(),
+        "ring": not fixed,
         "made": [_pairs(made.ravel() * 1e3, 5) for made in motion.made],
         "centre": _pairs(motion.centre * 1e3, 5),
         "rotation": motion.rotation.round(8).tolist(),
         "pins": [[_pairs(row * 1e3, 5) for row in (rows[:1] if fixed else rows)] for rows in motion.pin_axis],
         "radii": (motion.pin_radius * 1e3).round(5).tolist(),
-        "error": (motion.transmission_error * ARCSEC).round(3).tolist(),
-        "gap": table([[None if not np.isfinite(v) else round(float(v), 1) for v in nearest[a]] for a in at]),
+        "error": (motion.transmission_error * ARCSEC).round(4).tolist(),
+        "arcsec": ARCSEC,
+        "gap": table([[[None if not np.isfinite(v) else round(float(v), 2) for v in row] for row in nearest[a]]
+                      for a in at]),
         "contacts": table([_contacts(motion, *a) for a in at]),
         "holders": table([
             [[round(c.centre.real * 1e3, 3), round(c.centre.imag * 1e3, 3), round(c.radius * 1e3, 3), int(c.hole)]

@@ -27,6 +27,14 @@ PAIRS = {
     "errors": MODIFIED.replace(errors=ERRORS),
     "two discs": MODIFIED.replace(discs=2, errors={"pin_radial": {1: ("5 um", "0 deg")}}),
     "ring turns": MODIFIED.replace(output="ring", errors=ERRORS),
+    "few teeth": cy.Pair(
+        gear_teeth=11,
+        pin_circle_radius="50 mm",
+        pin_radius="5 mm",
+        eccentricity="2.5 mm",
+        face_width="10 mm",
+        modification={"isometric": "-15 um", "offset": "-60 um"},
+    ),
 }
 
 
@@ -67,7 +75,7 @@ def test_contacts_are_on_pin_and_flank_and_balance_the_torque(name):
     for load, angle, disc in np.ndindex(motion.gap.shape[:3]):
         at = near[load, angle, disc]
         points = motion.touching[load, angle, disc][at]
-        chord = 4e-6  # between the outline's points the flank bows out by less
+        chord = 5e-6  # between the outline's points the flank bows out by less
         assert np.abs(distance(points, motion.outline(load, angle, disc, 1.0))).max() < chord
     # The pins' forces turn the disc against the torque about its own centre; on a ring the disc's do, about the middle.
     about, sense = (0.0, -1.0) if pair.output == "ring" else (motion.centre[..., None, None], 1.0)
@@ -109,7 +117,9 @@ def test_forces_and_errors_are_those_of_the_sweep():
     data, motion = drive.analyze([150.0], crank_angle=theta), drive.motion(150.0, theta)
     assert motion.force.sum(axis=4) == pytest.approx(data.pin_force.values, abs=1e-3)
     assert motion.pressure == pytest.approx(data.pin_pressure.values, rel=1e-9)
-    assert motion.curve.mean() == pytest.approx(drive.analyze([150.0]).transmission_error.values.mean(), rel=1e-3)
+    assert motion.curve[0, :3] == pytest.approx(
+        drive.analyze([150.0], crank_angle=motion.curve_angle[:3]).transmission_error.values[0], abs=1e-12
+    )
 
 
 def test_without_load_nothing_presses():
@@ -165,7 +175,7 @@ def test_bad_input_is_a_sentence(command, words, sentence):
 
 def test_the_command_draws_the_same_file_twice(command, tmp_path):
     for name in ("one.svg", "two.svg"):
-        done = command("cycloid-fmu", "draw", EXAMPLES / "drive-39-40-bearings.toml", "-o", name)
+        done = command("cycloid-fmu", "draw", EXAMPLES / "drive-39-40-as-made.toml", "--torque", "181 N*m", "-o", name)
         assert done.returncode == 0, done.stderr
         assert "gaps × " in done.stdout
     assert (tmp_path / "one.svg").read_bytes() == (tmp_path / "two.svg").read_bytes()
