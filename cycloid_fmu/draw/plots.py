@@ -300,6 +300,8 @@ def plot_surface(surface: object) -> Figure:
         axis.set_title(f"deviation, {title}", fontsize=9)
         axis.grid(False)
         figure.colorbar(image, ax=axis, label="µm")
+    pair = surface.pair
+    figure.suptitle(f"Errors of a cycloid drive {pair.gear_teeth}/{pair.pins}: {surface.origin}", fontsize=11)
     return figure
 
 

@@ -42,7 +42,8 @@ def fit_panels(result: Identification) -> list[Panel]:
         Panel("Measured and fitted", "crank turns", "transmission error [arcsec]", tuple(fitted),
               "Points are measured, lines are the fit with the bench's own errors; the first turns of the crank."),
         Panel("Residual", "crank turns", "measured minus fitted [arcsec]", tuple(left),
-              f"{result.residual / _ARC:.3f}″ rms are left; the noise of a point is {result.noise / _ARC:.3f}″."),
+              f"{result.residual / _ARC:.3f}″ rms are left; the noise of a point is {result.noise / _ARC:.3f}″. "
+              "A click on a curve's name hides it, a double click all others."),
     ]  # fmt: skip
     orders = spectra_panel(rest, [spectrum(c) for c in rest], result.pair, "Orders of what is left")
     loops = [panel for one in result.loops for panel in _loop_panels(one)]

@@ -164,7 +164,7 @@ def _curves_panel(curves: list[Curve]) -> Panel:
     return Panel(
         "Transmission error over one output turn", "output turn [°]", "transmission error [arcsec]", tuple(traces),
         "Mean of all turns at each angle, one curve for each load and direction; the mean of each curve is taken off. "
-        "Loads that agree lie over each other.",
+        "Loads that agree lie over each other; on a page a click on a curve's name hides it.",
     )  # fmt: skip
 
 
