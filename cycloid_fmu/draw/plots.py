@@ -301,7 +301,8 @@ def plot_surface(surface: object) -> Figure:
         axis.grid(False)
         figure.colorbar(image, ax=axis, label="µm")
     pair = surface.pair
-    figure.suptitle(f"Errors of a cycloid drive {pair.gear_teeth}/{pair.pins}: {surface.origin}", fontsize=11)
+    origin = "" if surface.origin == "nominal" else f", {surface.origin}"
+    figure.suptitle(f"Errors of a cycloid drive {pair.gear_teeth}/{pair.pins}{origin}", fontsize=11)
     return figure
 
 
