@@ -25,12 +25,13 @@ from fitting.figures.maps import FORMAT as MAPS
 from fitting.figures.metrics import Figures
 from fitting.model.prior import TOLERANCE
 from fitting.recordings.inspection import Inspection, Look
-from fitting.reports.maps_report import plot_maps
+from fitting.reports.maps_report import map_panels
 from fitting.reports.panels import Panel, label_of, names_above, panels_of, x_range
 from fitting.reports.ring import ring_panel
 from fitting.transmission_error.curve import Curve
 
 if TYPE_CHECKING:
+    import xarray as xr
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -134,6 +135,30 @@ def plot_panels(panels: Sequence[Panel]) -> Figure:
     figure, axes = new_figure(len(panels))
     for axis, panel in zip(axes, panels, strict=True):
         draw_panel(axis, panel)
+    return figure
+
+
+def plot_maps(found: xr.Dataset) -> Figure:
+    """Draw the maps without their orders, a row each, one column for each temperature."""
+    panels = [p for p in map_panels(found) if not p.title.startswith("Order")]
+    figure, axes = new_figure(len(panels), found.temperature.size)
+    for number, (row, panel) in enumerate(zip(np.reshape(axes, (len(panels), -1)), panels, strict=True)):
+        if not panel.heat:
+            row[0].set_subplotspec(row[0].get_subplotspec().get_gridspec()[number, :])
+            for axis in row[1:]:
+                figure.delaxes(axis)
+            draw_panel(row[0], panel)
+            continue
+        values = np.concatenate([one.z.ravel() for one in panel.heat])
+        for axis, one in zip(row, panel.heat, strict=True):
+            drawn = axis.imshow(one.z, origin="lower", aspect="auto", vmin=np.nanmin(values), vmax=np.nanmax(values))
+            axis.set_xticks(range(one.x.size), [f"{v:.4g}" for v in one.x], fontsize=6)
+            axis.set_yticks(range(one.y.size), ["" if np.isnan(v) else f"{v:.4g}" for v in one.y], fontsize=6)
+            axis.set_title(f"{panel.title}\n{one.name}" if axis is row[0] else one.name, fontsize=7, loc="left")
+            axis.grid(visible=False)
+            axis.set_xlabel(panel.x_label, fontsize=6)
+        row[0].set_ylabel(panel.y_label, fontsize=6)
+        figure.colorbar(drawn, ax=list(row))
     return figure
 
 
