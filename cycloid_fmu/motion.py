@@ -99,6 +99,12 @@ class Motion:
         return along(self.made - turned * self.unmodified, turned * self.normal)
 
     @property
+    def nearest(self) -> Array:
+        """Gap of each pin on each disc, shape (torques, angles, discs, pins), m; 0 without a nearest point."""
+        gap = self.gap.min(axis=4)  # it may touch two teeth
+        return np.where(np.isfinite(gap), gap, 0.0)
+
+    @property
     def room(self) -> float:
         """How large a picture draws a gap at most, m: flanks moved back so far still have no cusps."""
         pair = self.pair
@@ -134,8 +140,7 @@ class Motion:
         before = np.floor(place).astype(np.int64)
         around = (before[:, None] + np.arange(-1, 3)) % pins.size
         clearance = (np.abs(point[:, None] - pins[around]) - self.pin_radius[around]).min(axis=1)
-        gap = self.gap[load, angle, disc].min(axis=1)
-        gap = np.where(np.isfinite(gap), gap, 0.0)
+        gap = self.nearest[load, angle, disc]
         beside = gap[around[:, 1]] + (place - before) * (gap[around[:, 2]] - gap[around[:, 1]])
         back = np.minimum(np.minimum(clearance, self.room / factor), np.maximum(opened, beside))
         return np.asarray(point - (factor - 1.0) * back * normal)
@@ -270,7 +275,7 @@ def _contacts(
         here.shift_x[:], here.shift_y[:], here.turn[:] = shift[at].real, shift[at].imag, turned[at]
         contact.place(here, theta, x, rows, True, math.inf, math.inf)
         rows["force"] = 0.0
-        if found.torque[at[0]] != 0.0:
+        if found.pin_pressure[at].any():  # else it is free in its play
             _press(here, rows)
         by_slice = rows.reshape(warm.discs, slices, warm.pins, 2)
         # Where nothing presses, the slice that comes closest.
@@ -300,7 +305,7 @@ def _press(problem: contact.Problem, rows: contact.Rows) -> None:
 
 
 def _fitting(motion: Motion) -> float:
-    largest = float(motion.gap.min(axis=4).max())  # of a pin: it may touch two teeth
+    largest = float(motion.nearest.max())
     if not largest * LARGEST_FACTOR > motion.room:
         return LARGEST_FACTOR
     return max(1.0, round_number(motion.room / largest))

@@ -94,7 +94,7 @@ def drive_name(motion: Motion) -> str:
 def caption_of(motion: Motion) -> str:
     """State what is exaggerated and what the arrows and colours are."""
     said = f"Gaps between disc and pins × {motion.exaggeration:g}"
-    if motion.exaggeration * motion.gap.min(axis=4).max() > motion.room:
+    if motion.exaggeration * motion.nearest.max() > motion.room:
         said += f", up to {motion.room * 1e3:.2g} mm as drawn"
     said += "; pins, discs and angles to scale. Arrows: forces of the pins on the disc. Dash-dotted: the crank."
     if motion.pair.discs > 1:

@@ -128,6 +128,15 @@ def test_without_load_nothing_presses():
     assert motion.gap.min() > 0.0
 
 
+def test_a_drive_that_interferes_presses_without_load():
+    """An offset above zero adds material: no free position, and pins press on both flanks without a torque."""
+    motion = cy.Drive(cy.Pair(**SIZES, modification={"offset": "10 um"})).motion(0.0, [0.4])
+    force, lever = motion.force[0, 0, 0], motion.touching[0, 0, 0] - motion.centre[0, 0, 0]
+    moment = (np.conj(lever) * force * motion.direction[0, 0, 0]).imag
+    assert force.max() > 10.0
+    assert abs(moment.sum()) < 1e-6 * np.abs(moment).sum()
+
+
 def test_rigid_supports_change_nothing():
     bare = PAIRS["two discs"]
     held = bare.replace(supports={"kind": "cranks", "count": 3, "circle_radius": "36 mm"})
