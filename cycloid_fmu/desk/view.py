@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.contact.transmission import Transmission, notes, slices_needed, statistics
-from cycloid_fmu.draw.drive_picture import caption_of, close_up
+from cycloid_fmu.draw.drive_picture import CloseUp, caption_of, close_up
 from cycloid_fmu.draw.drive_svg import drive_svg, tooth_svg
 from cycloid_fmu.edge.quantities import EXAMPLES
 from cycloid_fmu.geometry.pair import ANGLES, FORMAT, Modification, Pair, pair_of_tables
-from cycloid_fmu.motion import motion_of
+from cycloid_fmu.motion import Motion, motion_of
 from cycloid_fmu.reducer.transmission import solve
 from cycloid_fmu.studies.limits import Requirements, Verdict, flank_curvature_radius, read_requirements, row_of
 from cycloid_fmu.studies.verdicts import check, judge_sweep, loads_of
@@ -165,7 +165,9 @@ class View:
     notes
         Where results lie outside what the model is made for.
     drive, tooth
-        SVG pictures; `captions` are their texts.
+        SVG pictures.
+    caption, close_up
+        What is said of the drive, and the tooth's title and curves.
     """
 
     problems: Mapping[str, str]
@@ -181,7 +183,8 @@ class View:
     notes: tuple[str, ...] = ()
     drive: str = ""
     tooth: str = ""
-    captions: tuple[str, str] = ("", "")
+    caption: str = ""
+    close_up: CloseUp | None = None
 
     def numbers(self) -> dict[str, Any]:
         """Return what the page draws: angles in degrees, errors and play in arcsec, pressure in MPa."""
@@ -195,7 +198,11 @@ class View:
             "curves": {name: values.round(5) for name, values in curves.items()},
             "verdicts": [{"met": one.met, "cells": row_of(one)} for one in self.verdicts],
             "not_judged": [name.replace("_", " ") for name in self.not_judged], "notes": list(self.notes),
-            "drive": self.drive, "tooth": self.tooth, "captions": list(self.captions),
+            "drive": self.drive, "tooth": self.tooth, "caption": self.caption,
+            "tooth_title": "" if self.close_up is None else self.close_up.title,
+            "tooth_curves": [] if self.close_up is None else [
+                {"label": one.label, "colour": one.colour, "dashed": one.dashed} for one in self.close_up.curves
+            ],
         }  # fmt: skip
 
 
@@ -302,8 +309,14 @@ def _solved(desk: Desk, pair: Pair, torque: list[float], angle: float) -> View:
     return View(
         {}, pair, loads[0], turn, found.transmission_error[0], found.backlash, found.pin_pressure[0].max(axis=(1, 2)),
         _figures(pair, found), judged.verdicts, judged.not_judged, tuple(notes(pair, found)), drive_svg(motion),
-        tooth_svg(motion), (caption_of(motion), close_up(motion).title),
+        tooth_svg(motion), _caption(motion), close_up(motion),
     )  # fmt: skip
+
+
+def _caption(motion: Motion) -> str:
+    highest = motion.pressure.max() * 1e-6
+    colours = f" Colours: contact pressure, the darkest {highest:.0f} MPa." if highest > 0.0 else ""
+    return caption_of(motion) + colours
 
 
 def _figures(pair: Pair, found: Transmission) -> dict[str, str]:
