@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import os
 import re
@@ -21,7 +22,7 @@ from cycloid_fmu.geometry.pair import ANGLES, FORMAT, Modification, Pair, pair_o
 from cycloid_fmu.motion import Motion, motion_of
 from cycloid_fmu.reducer.transmission import solve
 from cycloid_fmu.studies.limits import Requirements, Verdict, flank_curvature_radius, read_requirements, row_of
-from cycloid_fmu.studies.verdicts import check, judge_sweep, loads_of
+from cycloid_fmu.studies.verdicts import Judged, check, judge_sweep, loads_of
 from cycloid_fmu.surfaces.structured import dimensions
 from cycloid_fmu.surfaces.surface import surface_of_pair
 
@@ -301,16 +302,22 @@ def _solved(desk: Desk, pair: Pair, torque: list[float], angle: float) -> View:
         if pair.rated_torque is None:
             raise edge.ArgumentError("torque", 'is missing; write one, such as "181 N*m", or state a rated torque')
         torque = [pair.rated_torque]
-    loads, surface, workers = loads_of(asked, torque), surface_of_pair(pair), os.cpu_count() or 1
-    turn = np.linspace(0.0, 2.0 * np.pi, ANGLES, endpoint=False)
-    found = solve(pair, surface, None, loads, turn, slices_needed(surface), workers=workers)
-    judged = judge_sweep(pair, surface, None, asked, found, workers)
-    motion = motion_of(pair, surface, loads[:1], angle)
+    loads = tuple(loads_of(asked, torque))
+    found, judged = _swept(pair, asked, loads)
+    motion = motion_of(pair, surface_of_pair(pair), loads[:1], angle)
     return View(
-        {}, pair, loads[0], turn, found.transmission_error[0], found.backlash, found.pin_pressure[0].max(axis=(1, 2)),
+        {}, pair, loads[0], found.crank_angle, found.transmission_error[0], found.backlash, found.pin_pressure[0].max(axis=(1, 2)),
         _figures(pair, found), judged.verdicts, judged.not_judged, tuple(notes(pair, found)), drive_svg(motion),
         tooth_svg(motion), _caption(motion), close_up(motion),
     )  # fmt: skip
+
+
+@functools.lru_cache(maxsize=4)  # turning the crank solves nothing again
+def _swept(pair: Pair, asked: Requirements, loads: tuple[float, ...]) -> tuple[Transmission, Judged]:
+    surface, workers = surface_of_pair(pair), os.cpu_count() or 1
+    turn = np.linspace(0.0, 2.0 * np.pi, ANGLES, endpoint=False)
+    found = solve(pair, surface, None, loads, turn, slices_needed(surface), workers=workers)
+    return found, judge_sweep(pair, surface, None, asked, found, workers)
 
 
 def _caption(motion: Motion) -> str:

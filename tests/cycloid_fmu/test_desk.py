@@ -252,10 +252,11 @@ def test_a_designer_works_at_it(server):
         assert cy.read_drive(folder / "new.toml").pair == cy.read_drive(MADE).pair.replace(offset="-55 um")
 
         page.locator("#name").fill("drive.toml")
-        with page.expect_event("dialog") as question:
-            page.locator("#save").click()
-        assert "Overwrite it?" in question.value.message
-        question.value.dismiss()
+        questions = []
+        page.once("dialog", lambda dialog: (questions.append(dialog.message), dialog.dismiss()))
+        page.locator("#save").click()
+        page.locator("#saved").get_by_text("Nothing is saved.").wait_for()
+        assert "Overwrite it?" in questions[0]
         assert (folder / "drive.toml").read_bytes() == MADE.read_bytes()
         page.once("dialog", lambda dialog: dialog.accept())
         page.locator("#save").click()
