@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.contact.transmission import Transmission, notes, slices_needed, statistics
+from cycloid_fmu.contact.transmission import LARGEST_PRESSURE, Transmission, notes, slices_needed, statistics
 from cycloid_fmu.draw.drive_picture import CloseUp, caption_of, close_up
 from cycloid_fmu.draw.drive_svg import drive_svg, tooth_svg
 from cycloid_fmu.edge.quantities import EXAMPLES
@@ -28,7 +28,7 @@ from cycloid_fmu.surfaces.surface import surface_of_pair
 
 Array = NDArray[np.float64]
 _TABLES = ("modification", "material", "supports", "temperature", "expansion", "errors")
-_PLACE = re.compile(r"\[(pair|modification)\] (?=(\w+))")
+_PLACE = re.compile(r"(\[(?:pair|modification)\] )?(\w+)(?: = | is missing)")
 
 
 class Field(NamedTuple):
@@ -53,8 +53,8 @@ class Field(NamedTuple):
 
 
 _EMPTY = {
-    "gear_teeth": "a whole number", "discs": "1", "rated_torque": "not stated", "pressure_limit": "4 GPa",
-    "isometric": "0 mm", "offset": "0 mm",
+    "gear_teeth": "a whole number", "discs": "1", "rated_torque": "not stated",
+    "pressure_limit": f"{LARGEST_PRESSURE * 1e-9:g} GPa", "isometric": "0 mm", "offset": "0 mm",
 }  # fmt: skip
 
 
@@ -130,9 +130,8 @@ def open_desk(path: str | os.PathLike[str], limits: str | os.PathLike[str] | Non
     >>> desk.values["pair.eccentricity"]
     '1.3 mm'
     >>> view = look(desk, {**desk.values, "pair.eccentricity": "1.7 mm", "torque": "181 N*m"})
-    >>> print(view.problems["pair.eccentricity"])
-    eccentricity = "1.7 mm": eccentricity x pins / pin circle radius is 1.0625; it must stay below 1, so the
-    eccentricity below "1.6 mm".
+    >>> list(view.problems), view.problems["pair.eccentricity"][-32:]
+    (['pair.eccentricity'], 'the eccentricity below "1.6 mm".')
     """
     tables = edge.toml_table(edge.read_text(path), FORMAT, str(path))
     pair = pair_of_tables(tables, str(path))
@@ -241,15 +240,14 @@ def pair_of(desk: Desk, values: Mapping[str, str]) -> Pair:
 
 def placed(desk: Desk, problem: edge.InputError) -> dict[str, str]:
     """Return the sentences of a problem by the fields that they name; "" for those that name none."""
-    if isinstance(problem, edge.ArgumentError) and problem.argument in ("torque", "crank_angle"):
-        return {problem.argument: str(problem)}
+    keys = {key.split(".")[-1]: key for key in (*FIELDS, "torque", "crank_angle")}
     found = dict[str, str]()
     for line in str(problem).split("\n"):
         said = line.removeprefix(f"{desk.source}: ")
         place = _PLACE.match(said)
-        key = "torque" if said.startswith("torque = ") else ""
-        if place is not None and (name := f"{place[1]}.{place[2]}") in FIELDS:
-            key, said = name, said[place.end() :]
+        key = keys.get(place[2], "") if place is not None else ""
+        if place is not None and key:
+            said = said[len(place[1] or "") :]
         found[key] = f"{found[key]}\n{said}" if key in found else said
     return found
 
@@ -306,7 +304,8 @@ def _solved(desk: Desk, pair: Pair, torque: list[float], angle: float) -> View:
     found, judged = _swept(pair, asked, loads)
     motion = motion_of(pair, surface_of_pair(pair), loads[:1], angle)
     return View(
-        {}, pair, loads[0], found.crank_angle, found.transmission_error[0], found.backlash, found.pin_pressure[0].max(axis=(1, 2)),
+        {}, pair, loads[0], found.crank_angle, found.transmission_error[0], found.backlash,
+        found.pin_pressure[0].max(axis=(1, 2)),
         _figures(pair, found), judged.verdicts, judged.not_judged, tuple(notes(pair, found)), drive_svg(motion),
         tooth_svg(motion), _caption(motion), close_up(motion),
     )  # fmt: skip

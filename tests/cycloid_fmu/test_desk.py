@@ -88,6 +88,25 @@ def test_a_wrong_value_is_a_sentence_at_its_field(desk, values, field, words):
     assert view.pair is None
 
 
+def test_a_limit_that_lacks_a_value_says_so_at_its_field(tmp_path):
+    limits = tmp_path / "limits.toml"
+    limits.write_text('format = "cycloid-requirements/1"\n[limits]\nlost_motion = "9 arcmin"\n')
+    desk = open_desk(MADE, limits)
+    problems = look(desk, {**desk.values, "torque": "9 N*m", "pair.rated_torque": ""}).problems
+    assert list(problems) == ["pair.rated_torque"]
+    assert "lost_motion" in problems["pair.rated_torque"]
+
+
+def test_a_wrong_error_of_the_file_has_no_field(tmp_path):
+    """Eight teeth more need eight pins more than the file's list has."""
+    path = tmp_path / "pair.toml"
+    path.write_text(MADE.read_text().split("[errors]")[0] + "[errors]\npin_radial = [" + '"1 um", ' * 40 + "]\n")
+    desk = open_desk(path)
+    problems = look(desk, {**desk.values, "pair.gear_teeth": "47", "pair.eccentricity": "1 mm"}).problems
+    assert list(problems) == [""]
+    assert "pin_radial has 40 values; it needs one a pin, 48" in problems[""]
+
+
 def test_every_wrong_value_is_told(desk):
     wrong = {"torque": "x", "crank_angle": "y", "pair.discs": "9", "modification.isometric": "z"}
     assert set(look(desk, {**desk.values, **wrong}).problems) == set(wrong)
