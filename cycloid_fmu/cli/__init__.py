@@ -6,8 +6,22 @@ app = commands.command_line(
     "cycloid-fmu",
     "Cycloid-pin gear drives: transmission error, backlash, load sharing, and FMUs made from them.",
     __name__,
-    ("analyze", "draw", "surface", "build", "inspect", "simulate", "compare", "wear", "budget", "tolerance"),
-)
+    (
+        "analyze",
+        "draw",
+        "surface",
+        "build",
+        "inspect",
+        "simulate",
+        "compare",
+        "wear",
+        "budget",
+        "tolerance",
+        "sweep",
+        "design",
+        "profile",
+    ),
+)  # fmt: skip
 
 
 def main() -> None:

@@ -29,7 +29,8 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
     Parameters
     ----------
     result
-        What `Drive.analyze`, `motion`, `study`, `wear` or `budget` returned, a drive or an error surface.
+        What `Drive.analyze`, `motion`, `study`, `sweep`, `wear`, `profile` or `budget` returned, a drive or an
+        error surface.
     path
         `.png` or `.pdf`; of a motion also `.svg`, or `.html` for a page that moves.
 
@@ -52,7 +53,11 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
     """
     import xarray as xr
 
+    from cycloid_fmu.cad.profile import Profile
+    from cycloid_fmu.draw.profiles import plot_profile
+    from cycloid_fmu.draw.sweeps import plot_sweep
     from cycloid_fmu.motion import Motion
+    from cycloid_fmu.studies.sweep import FORMAT as SWEEP
     from cycloid_fmu.studies.yields import Findings
     from cycloid_fmu.surfaces.surface import ErrorSurface
     from cycloid_fmu.wear.life import WearRun
@@ -65,7 +70,9 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
             write_motion(result, path)
         return plot_motion(result)
     if isinstance(result, xr.Dataset):
-        figure = plot_analysis(result)
+        figure = plot_sweep(result) if result.attrs.get("format") == SWEEP else plot_analysis(result)
+    elif isinstance(result, Profile):
+        figure = plot_profile(result)
     elif isinstance(result, Findings):
         figure = plot_tolerance(result.result)
     elif isinstance(result, WearRun):
