@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 import os
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
     from cycloid_fmu.cad.profile import Profile
     from cycloid_fmu.fmu.variables import Interface
+    from cycloid_fmu.motion import Motion
     from cycloid_fmu.reducer.description import Reducer
     from cycloid_fmu.reducer.first_stage import FirstStage
     from cycloid_fmu.studies.design import Design
@@ -228,6 +230,69 @@ class Drive:
             slices or slices_needed(self.surface), with_elements=slices is not None,
             workers=workers or os.cpu_count() or 1, progress=progress,
         )  # fmt: skip
+
+    def motion(
+        self,
+        torque: ArrayLike | str | Sequence[float | str],
+        crank_angle: ArrayLike | str = 0.0,
+        *,
+        exaggeration: float | None = None,
+        progress: Callable[[int], None] = lambda angles: None,
+    ) -> Motion:
+        """Where discs, pins and contacts are and what they carry: `cycloid_fmu.plot` draws it, `.html` as a page.
+
+        Parameters
+        ----------
+        torque
+            Of the environment on the output, counter-clockwise positive, N·m or text with a unit; one or several. At 0
+            the output is in the middle of its play. Behind a first stage it is the torque on the cycloid stage's
+            output, and that stage alone is seen.
+        crank_angle
+            rad, or text with a unit; one or several, which a page animates.
+        exaggeration
+            How many times larger the gaps between discs and pins are drawn, 1 to 1000; a round number that fits where
+            None.
+        progress
+            Called with the number of crank angles (times loads) that were just finished.
+
+        Returns
+        -------
+        cycloid_fmu.motion.Motion
+            Over loads and crank angles, SI.
+
+        Raises
+        ------
+        edge.InputError
+            If a torque can't be carried, or the crank angle or exaggeration is out of range.
+
+        Examples
+        --------
+        >>> import cycloid_fmu as cy, pathlib
+        >>> pair = cy.Pair(
+        ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm"
+        ... ).replace(offset="-40 um", isometric="-15 um")
+        >>> motion = cy.Drive(pair).motion("181 N*m", "30 deg")
+        >>> motion.exaggeration, round(float(motion.gap[0, 0, 0, 20].min() * 1e6), 1)
+        (20.0, 20.6)
+        >>> _ = cy.plot(motion, "drive.html")
+        >>> "181 N·m" in pathlib.Path("drive.html").read_text(encoding="utf-8")
+        True
+        """
+        from cycloid_fmu.motion import LARGEST_FACTOR, motion_of
+
+        if exaggeration is not None and not 1.0 <= exaggeration <= LARGEST_FACTOR:
+            raise edge.ArgumentError("exaggeration", f"it must be between 1 and {LARGEST_FACTOR:g}", exaggeration)
+        if isinstance(crank_angle, str):
+            try:
+                crank_angle = edge.quantity(crank_angle, "rad")
+            except ValueError as problem:
+                raise edge.ArgumentError("crank_angle", str(problem), crank_angle) from None
+        if not np.isfinite(crank_angle).all():
+            raise edge.ArgumentError("crank_angle", "it must be finite", crank_angle)
+        given = [torque] if isinstance(torque, str) or np.ndim(torque) == 0 else list(torque)  # type: ignore[arg-type]
+        loads = [_torque(t) for t in given]
+        found = motion_of(self.pair, self.surface, loads, crank_angle, exaggeration, progress=progress)
+        return dataclasses.replace(found, behind_first_stage=self.first_stage is not None)
 
     def judge(
         self,

@@ -51,7 +51,8 @@ def simulate(
     if plot is not None:
         from cycloid_fmu.draw import plots
 
-        plots.save(plots.plot_simulation(results), plot)
+        load = f", {torque:g} N·m, {speed / (2.0 * np.pi) * 60.0:g} rpm" if torque is not None else ""
+        plots.save(plots.plot_simulation(results, f"{fmu_file.name}{load}"), plot)
     if as_json:
         commands.print_json(results)
         return

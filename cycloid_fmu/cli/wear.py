@@ -70,14 +70,14 @@ def wear(
     if output is not None:
         write_surface(run.surface, output)
     if plot is not None:
-        from cycloid_fmu.draw import plots
+        from cycloid_fmu.draw import figure, wear_plots
 
-        figure = plots.plot_wear(run.model, run.states, run.new, figures)
+        drawn = wear_plots.plot_wear(run.model, run.states, run.new, figures)
         if judged is not None:
             from cycloid_fmu.draw.verdicts import show_verdicts
 
-            show_verdicts(figure, judged.verdicts)
-        plots.save(figure, plot)
+            show_verdicts(drawn, judged.verdicts)
+        figure.save(drawn, plot)
     for note in run.notes:
         typer.echo(note, err=True)
     if as_json:

@@ -16,11 +16,11 @@ from cycloid_fmu.edge import ARCMIN, ARCSEC
 
 if TYPE_CHECKING:
     import xarray as xr
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from cycloid_fmu.geometry.pair import Pair
     from cycloid_fmu.supports.figures import Share
-    from cycloid_fmu.wear.progress import WearModel, WearRate, WearState
 
 
 def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
@@ -29,9 +29,10 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
     Parameters
     ----------
     result
-        What `Drive.analyze`, `study`, `sweep`, `wear`, `profile` or `budget` returned, a drive or an error surface.
+        What `Drive.analyze`, `motion`, `study`, `sweep`, `wear`, `profile` or `budget` returned, a drive or an
+        error surface.
     path
-        PNG or PDF by its ending.
+        `.png` or `.pdf`; of a motion also `.svg`, or `.html` for a page that moves.
 
     Raises
     ------
@@ -55,11 +56,19 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
     from cycloid_fmu.cad.profile import Profile
     from cycloid_fmu.draw.profiles import plot_profile
     from cycloid_fmu.draw.sweeps import plot_sweep
+    from cycloid_fmu.motion import Motion
     from cycloid_fmu.studies.sweep import FORMAT as SWEEP
     from cycloid_fmu.studies.yields import Findings
     from cycloid_fmu.surfaces.surface import ErrorSurface
     from cycloid_fmu.wear.life import WearRun
 
+    if isinstance(result, Motion):
+        from cycloid_fmu.draw.drive_page import write_motion
+        from cycloid_fmu.draw.drive_picture import plot_motion
+
+        if path is not None:
+            write_motion(result, path)
+        return plot_motion(result)
     if isinstance(result, xr.Dataset):
         figure = plot_sweep(result) if result.attrs.get("format") == SWEEP else plot_analysis(result)
     elif isinstance(result, Profile):
@@ -67,6 +76,8 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
     elif isinstance(result, Findings):
         figure = plot_tolerance(result.result)
     elif isinstance(result, WearRun):
+        from cycloid_fmu.draw.wear_plots import plot_wear
+
         figure = plot_wear(result.model, result.states, result.new, result.figures)
     elif isinstance(result, ErrorSurface) or isinstance(getattr(result, "surface", None), ErrorSurface):
         figure = plot_surface(getattr(result, "surface", result))
@@ -98,12 +109,15 @@ def plot_bearings(data: xr.Dataset, pair: Pair, shares: Sequence[Share]) -> Figu
             which = each if axis is axes[0] else f"crank {number}"
             axis.plot(angle, force, lw=1.0, label=which if values.shape[1] > 1 else None)
         if 1 < values.shape[1] <= 9:
-            show_legend(axis, ncols=3, fontsize=7)
+            show_legend(axis, ncols=3, fontsize=7, loc="upper center")
+            axis.set_ylim(top=axis.get_ylim()[1] * (1.3 if values.shape[1] > 3 else 1.15))  # room above the curves
         axis.set(xlabel="crank angle [°]", ylabel="force [N]", title=f"{name}, {float(first['torque']):g} N·m")
+        axis.title.set_fontsize(9)
     for disc in data["disc"].values:
         one = first.sel(disc=disc)
         axes[3].plot(one["disc_shift_x"] * 1e6, one["disc_shift_y"] * 1e6, lw=1.0, label=f"disc {disc}")
-    axes[3].set(xlabel="x [µm]", ylabel="y [µm]", title="shift of each disc's centre")
+    axes[3].set(xlabel="x [µm]", ylabel="y [µm]")
+    axes[3].set_title(f"shift of each disc's centre, {float(first['torque']):g} N·m", fontsize=9)
     axes[3].set_aspect("equal", "datalim")
     show_legend(axes[3])
     soft = {share.part: share.compliance * 1e6 for share in shares}
@@ -114,69 +128,126 @@ def plot_bearings(data: xr.Dataset, pair: Pair, shares: Sequence[Share]) -> Figu
     for axis, lengths, label in ((axes[4], soft, "compliance [µrad/(N·m)]"), (axes[5], lost, "lost motion [arcmin]")):
         axis.barh(list(lengths), list(lengths.values()), color="#4c78a8")
         axis.invert_yaxis()
-        axis.set(xlabel=label, title="as drawn, part by part" + (", at 20 °C" if "temperature" in data.attrs else ""))
+        axis.set(xlabel=label)
+        at = ", at 20 °C" if "temperature" in data.attrs else ""
+        axis.set_title(f"{label.split(' [')[0]} as drawn, part by part{at}", fontsize=9)
         if not lengths:
             axis.text(0.5, 0.5, "needs a rated torque", ha="center", transform=axis.transAxes)
-    _show_temperature(figure, data)
+    figure.suptitle(title_of(data), fontsize=11)
     return figure
+
+
+_ZOOMED = 3  # pin pitches
+_ALIKE = "one pin pitch: all are alike"
+
+
+def title_of(data: xr.Dataset) -> str:
+    """Name the drive of an analysis, its loads and temperatures."""
+    pins, discs = data.sizes["pin"], data.sizes["disc"]
+    said = f"Cycloid drive {pins - 1}/{pins}" + (f", {discs} discs" if discs > 1 else "")
+    said += f", {', '.join(f'{load:g}' for load in data['torque'].values)} N·m on the output"
+    said += ", sun locked" if "first_stage" in data.attrs else ""
+    return said + (f"\n{data.attrs['temperature']}" if "temperature" in data.attrs else "")
+
+
+def _repeats(data: xr.Dataset, name: str) -> bool:
+    """Whether a figure does the same in each pin pitch: then a few of them show all."""
+    angle, pitch = data["crank_angle"].values, 2.0 * math.pi / data.sizes["pin"]
+    if angle.size < 100 or angle[-1] - angle[0] < 2 * _ZOOMED * pitch:
+        return False
+    # Neighbours in one folded pitch are from pitches far apart: where these differ it goes up and down all the time.
+    folded = data[name].values[:, np.argsort(angle % pitch)]
+    return bool((np.abs(np.diff(folded)).sum(axis=1) <= 10.0 * np.ptp(folded, axis=1)).all())
 
 
 def plot_analysis(data: xr.Dataset) -> Figure:
-    """Transmission error, backlash, contacting pins and largest pressure over the crank, and the load of each pin."""
-    figure, axes = new_figure(3, 2)
+    """Transmission error about its mean, backlash, contacts, pressure and stiffness over the crank, load of each pin.
+
+    What is the same in each pin pitch is drawn over one, with the points of all, the rest over all crank angles.
+    """
+    from matplotlib.ticker import MaxNLocator
+
+    figure, axes = new_figure(4, 2)
     angle = np.degrees(data["crank_angle"].values)
-    panels: Mapping[str, tuple[str, float]] = {
-        "transmission_error": ("transmission error [arcsec]", ARCSEC),
-        "backlash": ("backlash [arcsec]", ARCSEC),
-        "contact_count": ("pins in contact", 1.0),
-        "max_contact_pressure": ("largest pressure [MPa]", 1e-6),
-        "torsional_stiffness": ("stiffness [N·m/arcmin]", 1.0 / ARCMIN),
-    }
-    if "turning_arm_force" not in data:
-        panels = {**panels, "torsional_stiffness": ("mesh stiffness, rigid bodies\n[N·m/arcmin]", 1.0 / ARCMIN)}
-    single = ("backlash",)
-    for axis, (name, (label, factor)) in zip(axes, panels.items(), strict=False):
-        for torque in data["torque"].values[: 1 if name in single else None]:
+    pitch = 360.0 / data.sizes["pin"]
+    folded, whole = np.argsort(angle % pitch), np.arange(angle.size)
+    first = np.flatnonzero(angle <= angle[0] + _ZOOMED * pitch + 1e-9)
+    alike = _repeats(data, "transmission_error")
+    near, place = (folded, angle % pitch) if alike else (first, angle)
+    for axis, shown, at in ((axes[0], whole, angle), (axes[1], near, place)):
+        for torque in data["torque"].values:
+            error = data["transmission_error"].sel(torque=torque).values * ARCSEC
+            label = f"{torque:g} N·m: mean {error.mean():.2f}″, peak to peak {np.ptp(error):.2f}″"
+            axis.plot(at[shown], error[shown] - error.mean(), lw=1.0, label=label)
+        axis.set(xlabel="crank angle [°]", ylabel="TE - its mean [arcsec]")
+    axes[0].set_title("transmission error (TE) about its mean", fontsize=9)
+    zoom = f"transmission error (TE) about its mean, {_ALIKE}" if alike else f"its first {_ZOOMED} pin pitches"
+    axes[1].set_title(zoom, fontsize=9)
+    figure.legend(
+        *axes[0].get_legend_handles_labels(), title=title_of(data), title_fontsize=11, loc="outside upper center",
+        ncols=2, fontsize=8, frameon=False,
+    )  # fmt: skip
+    if alike:
+        figure.delaxes(axes[0])
+        axes[1].set_subplotspec(axes[1].get_subplotspec().get_gridspec()[0, :])
+    alone = "" if "turning_arm_force" in data else " of the mesh alone"
+    panels: tuple[tuple[str, str, str, float], ...] = (
+        ("backlash", "backlash", "[arcsec]", ARCSEC),
+        ("max_contact_pressure", "largest contact pressure", "[MPa]", 1e-6),
+        ("contact_count", "pins in contact", "pins", 1.0),
+        ("torsional_stiffness", f"torsional stiffness{alone}", "[N·m/arcmin]", 1.0 / ARCMIN),
+    )
+    for axis, (name, label, unit, factor) in zip(axes[2:6], panels, strict=True):
+        alike = _repeats(data, name)
+        seen, at = (folded, angle % pitch) if alike else (whole, angle)
+        for torque in data["torque"].values[: 1 if name == "backlash" else None]:
             values = data[name].sel(torque=torque).values * factor
-            axis.plot(angle, values, lw=1.2, label=f"{torque:g} N·m")
-        axis.set(xlabel="crank angle [°]", ylabel=label)
+            style = "steps-mid" if name == "contact_count" else "default"
+            axis.plot(at[seen], values[seen], lw=1.0, drawstyle=style)
+        axis.set(xlabel="crank angle [°]", ylabel=unit)
+        axis.set_title(label + (f", {_ALIKE}" if alike else ""), fontsize=9)
+        if name == "contact_count":
+            axis.yaxis.set_major_locator(MaxNLocator(integer=True))
+            axis.margins(y=0.15)
         if np.isnan(data[name].values).all():
             axis.text(0.5, 0.5, "no free position (interference)", ha="center", transform=axis.transAxes)
-    show_legend(axes[0])
+    figure.delaxes(axes[7])
+    axes[6].set_subplotspec(axes[6].get_subplotspec().get_gridspec()[3, :])
     forces = data["pin_force"].isel(torque=0, disc=0)
-    image = axes[5].pcolormesh(angle, data["pin"].values, forces.values.T, cmap="viridis", shading="nearest")
-    torque = data["torque"].values[0]
-    axes[5].set(xlabel="crank angle [°]", ylabel="pin", title=f"force of each pin, {torque:g} N·m, disc 0")
-    axes[5].title.set_fontsize(9)
-    figure.colorbar(image, ax=axes[5], label="N")
-    _show_temperature(figure, data)
+    image = axes[6].pcolormesh(angle, data["pin"].values, forces.values.T, cmap="viridis", shading="nearest")
+    of_disc = ", disc 0" if data.sizes["disc"] > 1 else ""
+    axes[6].set(xlabel="crank angle [°]", ylabel="pin")
+    axes[6].set_title(f"force of each pin, {data['torque'].values[0]:g} N·m{of_disc}", fontsize=9)
+    axes[6].grid(visible=False)
+    figure.colorbar(image, ax=axes[6], label="N")
     return figure
-
-
-def _show_temperature(figure: Figure, data: xr.Dataset) -> None:
-    if "temperature" in data.attrs:
-        figure.suptitle(data.attrs["temperature"], fontsize=9)
 
 
 def plot_lines(data: xr.Dataset) -> Figure:
     """Contact lines at one crank angle, the load around the pin circle, and the pressures that elements have seen."""
+    from matplotlib.ticker import MaxNLocator
+
     figure, axes = new_figure(2, 2)
     torque = float(data["torque"].values[0])
     one = data.isel(torque=0, disc=0)
     forces = one["pin_force"].max("crank_angle").values
     figure.delaxes(axes[0])
-    polar = figure.add_subplot(2, 2, 1, projection="polar")
+    polar: Any = figure.add_subplot(2, 2, 1, projection="polar")
     around = 2.0 * np.pi * data["pin"].values / data.sizes["pin"]
     polar.bar(around, one["pin_force"].isel(crank_angle=0).values, width=0.9 * around[1])
     polar.plot(np.append(around, around[0]), np.append(forces, forces[0]), "k.", ms=3)
+    polar.set_rlabel_position(135.0)
+    polar.yaxis.set_major_locator(MaxNLocator(3))
+    polar.tick_params(labelsize=7)
     polar.set_title(f"force of each pin at the first crank angle, N\n(dots: largest), {torque:g} N·m", fontsize=9)
     z = data["slice"].values * 1e3
     line = one["slice_force"].isel(crank_angle=0)
     for pin in np.argsort(-line.sum("slice").values)[:5]:
         width = z[1] - z[0] if z.size > 1 else 1.0
         axes[1].step(z, line.values[pin] / width, where="mid", label=f"pin {pin}")
-    axes[1].set(xlabel="across the face [mm]", ylabel="line load [N/mm]", title="contact lines, first crank angle")
-    show_legend(axes[1])
+    axes[1].set(xlabel="across the face [mm]", ylabel="line load [N/mm]")
+    axes[1].set_title(f"contact lines at the first crank angle, {torque:g} N·m", fontsize=9)
+    show_legend(axes[1], loc="center left", bbox_to_anchor=(1.0, 0.5))
     flank = one["gear_element_pressure"].max("tooth").values * 1e-6
     pins = data["pin_element_pressure"].isel(torque=0).max("pin").values * 1e-6
     edges = [z.min() - 1e-9, z.max() + 1e-9]
@@ -184,13 +255,19 @@ def plot_lines(data: xr.Dataset) -> Figure:
         (axes[2], flank, [*edges, 0.0, 1.0], "tooth: share of the arc"),
         (axes[3], pins, [*edges, -90.0, 90.0], "pin: angle from the centre [°]"),
     ):
+        loaded = np.flatnonzero(image.max(axis=1) > 0.0)
         shown = axis.imshow(image, extent=extent, origin="lower", aspect="auto", cmap="magma", interpolation="nearest")
         axis.set(xlabel="across the face [mm]", ylabel=label)
+        if loaded.size:  # where nothing ever presses there is nothing to see
+            span = (extent[3] - extent[2]) / image.shape[0]
+            low, high = (extent[2] + span * (edge + side) for edge, side in ((loaded[0], 0.0), (loaded[-1], 1.0)))
+            axis.set_ylim(max(low - 0.2 * (high - low), extent[2]), min(high + 0.2 * (high - low), extent[3]))
         axis.grid(visible=False)
         figure.colorbar(shown, ax=axis, label="largest pressure [MPa]")
-    axes[2].set_title("over all teeth and crank angles", fontsize=9)
-    axes[3].set_title("over all pins and crank angles", fontsize=9)
-    _show_temperature(figure, data)
+    axes[2].set_title(f"flanks, over all teeth and crank angles, {torque:g} N·m", fontsize=9)
+    axes[3].set_title(f"pins, over all pins and crank angles, {torque:g} N·m", fontsize=9)
+    figure.suptitle(title_of(data), fontsize=11)
+    figure.suptitle(title_of(data), fontsize=11)
     return figure
 
 
@@ -230,13 +307,16 @@ def plot_surface(surface: object) -> Figure:
         axis.set_title(f"deviation, {title}", fontsize=9)
         axis.grid(False)
         figure.colorbar(image, ax=axis, label="µm")
+    pair = surface.pair
+    origin = "" if surface.origin == "nominal" else f", {surface.origin}"
+    figure.suptitle(f"Errors of a cycloid drive {pair.gear_teeth}/{pair.pins}{origin}", fontsize=11)
     return figure
 
 
 def plot_budget(found: Mapping[str, Mapping[str, float]], stack: object = None) -> Figure:
-    """Pareto chart of a lost motion budget's terms, closed form beside contact model, and below how the total scatters.
+    """Terms of a lost motion budget by size, closed form beside contact model, and below how the total scatters.
 
-    The line is the closed form's cumulative share of all terms' amounts; `stack` is a `reducer.Stack` or None.
+    `stack` is a `reducer.Stack` or None.
     """
     from cycloid_fmu.reducer.lost_motion import TERMS
     from cycloid_fmu.reducer.stack import Stack
@@ -244,28 +324,26 @@ def plot_budget(found: Mapping[str, Mapping[str, float]], stack: object = None) 
     closed, exact = found["standard"], found["geometric_sun_locked"]
     names = sorted(TERMS, key=lambda n: -abs(closed[n]))
     names = [n for n in names if closed[n] != 0.0 or exact[n] != 0.0]
-    figure, axes = new_figure(3 if stack is None else 5)
-    for axis in axes:
-        figure.delaxes(axis)
-    grid = figure.add_gridspec(3 if stack is None else 5, 1)
-    axis = figure.add_subplot(grid[:3])
+    figure, axes = new_figure(1 if stack is None else 2)
+    figure.set_figheight(4.6 if stack is None else 8.0)
+    axis = axes[0]
     place = np.arange(len(names))
     for shift, terms, label in ((-0.2, closed, "closed form"), (0.2, exact, "contact model, sun locked")):
         axis.bar(
-            place + shift, [terms[n] * ARCMIN for n in names], 0.38, label=f"{label}: {terms['total'] * ARCMIN:.3f}′"
+            place + shift,
+            [terms[n] * ARCMIN for n in names],
+            0.38,
+            label=f"{label}: {terms['total'] * ARCMIN:.3f}′ in all",
         )
     axis.axhline(0.0, color="k", lw=0.8)
     axis.set(ylabel="play at the output [arcmin]")
+    axis.set_title("lost motion, term by term; below zero a term takes play away", fontsize=9)
     axis.set_xticks(place, [n.replace("_", "\n") for n in names], fontsize=7)
     axis.grid(alpha=0.3, axis="y")
     show_legend(axis, loc="lower right")
-    share = axis.twinx()
-    amounts = np.abs([closed[n] for n in names])
-    share.plot(place, 100.0 * np.cumsum(amounts) / amounts.sum(), "k.-", lw=1)
-    share.set(ylabel="closed form, cumulative share [%]", ylim=(0.0, 105.0))
     if stack is not None:
         assert isinstance(stack, Stack)
-        axis = figure.add_subplot(grid[3:])
+        axis = axes[1]
         for name, label in (("standard", "closed form"), ("geometric", "contact model, sun locked")):
             axis.hist(stack.samples[name] * ARCMIN, bins=40, alpha=0.5, density=True, label=label)
         for span, label, height in (
@@ -275,7 +353,6 @@ def plot_budget(found: Mapping[str, Mapping[str, float]], stack: object = None) 
             axis.plot([v * ARCMIN for v in span], [height] * 2, "|-", transform=axis.get_xaxis_transform(), label=label)
         axis.set(xlabel="total play [arcmin]", ylabel="density", ylim=(0.0, 1.2 * axis.get_ylim()[1]))
         show_legend(axis, ncols=4, loc="lower left", bbox_to_anchor=(0.0, 1.0))
-        axis.grid(alpha=0.3)
     return figure
 
 
@@ -301,17 +378,34 @@ def plot_tolerance(result: object) -> Figure:
     for axis, name in zip(axes, names, strict=False):
         unit, factor = SHOWN[FIGURES[name][0]]
         values = result.figure(name)[result.independent] * factor
+        signed = name == "mean_transmission_error"  # that of both directions together would leave a gap between them
         for k, column in enumerate(values.reshape(len(values), -1).T):
             label = f"{study.torque[k]:g} N·m" if name in PER_TORQUE else None
+            column = column * np.sign(study.torque[k] or 1.0) if signed else column
             axis.hist(column, bins="auto", histtype="stepfilled", alpha=0.5, label=label)
+        axis.set(xlabel=f"{name.replace('_', ' ')}{', along the load' if signed else ''} [{unit}]", ylabel="drives")
         if name in limits:
-            axis.axvline(
-                limits[name] * factor, color="k", ls="--", lw=1, label=f"limit: {kept[name]['share']:.1%} keep it"
+            _show_limit(
+                axis, limits[name] * factor, f"limit {limits[name] * factor:g}: {kept[name]['share']:.1%} keep it"
             )
-        axis.set(xlabel=f"{name.replace('_', ' ')} [{unit}]", ylabel="drives")
         if axis.get_legend_handles_labels()[0]:
-            show_legend(axis)
+            show_legend(axis, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)
+    teeth, drives = study.pair.gear_teeth, result.figure(names[0])[result.independent].shape[0]
+    figure.suptitle(f"Cycloid drive {teeth}/{teeth + 1}: {drives} drives within tolerances", fontsize=11)
     return figure
+
+
+def _show_limit(axis: Axes, limit: float, label: str) -> None:
+    """Show a limit as a line; where it is far from all drives as an arrow, so that these are not squeezed."""
+    low, high = axis.get_xlim()
+    if low - 0.5 * (high - low) <= limit <= high + 0.5 * (high - low):
+        axis.axvline(limit, color="k", ls="--", lw=1, label=label)
+        return
+    beyond = limit > high
+    axis.plot([], [], "k", marker="$\\rightarrow$" if beyond else "$\\leftarrow$", ls="", ms=9, label=label)
+    end, start = (0.995, 0.9) if beyond else (0.005, 0.1)
+    arrow = {"arrowstyle": "->", "lw": 1.2}
+    axis.annotate("", (end, 0.9), (start, 0.9), xycoords="axes fraction", textcoords="axes fraction", arrowprops=arrow)
 
 
 def plot_indices(factors: Sequence[str], indices: Mapping[str, Mapping[str, NDArray[np.float64]]]) -> Figure:
@@ -351,8 +445,8 @@ def plot_allocation(factors: Sequence[str], scale: NDArray[np.float64], title: s
     return figure
 
 
-def plot_simulation(results: Mapping[str, NDArray[np.float64]]) -> Figure:
-    """Output angle's error, backlash and largest pressure of an FMU's run over time."""
+def plot_simulation(results: Mapping[str, NDArray[np.float64]], title: str) -> Figure:
+    """Output angle's error, backlash and largest pressure of an FMU's run over time; the title names FMU and load."""
     figure, axes = new_figure(3, sharex=True)
     time = results["time"]
     for axis, (name, label, factor) in zip(
@@ -367,6 +461,7 @@ def plot_simulation(results: Mapping[str, NDArray[np.float64]]) -> Figure:
         axis.plot(time, results[name] * factor, lw=1.2)
         axis.set(ylabel=label)
     axes[-1].set(xlabel="time [s]")
+    figure.suptitle(title, fontsize=11)
     return figure
 
 
@@ -387,6 +482,8 @@ def plot_comparison(
     other: str,
 ) -> Figure:
     """Difference of each variable that two FMUs, or an FMU and a recording, have in common, over time."""
+    equal = [name for name, (first, second) in pairs.items() if np.array_equal(first, second)]
+    pairs = {name: both for name, both in pairs.items() if name not in equal} or pairs
     figure, axes = new_figure((len(pairs) + 1) // 2, 2, sharex=True)
     for axis, (name, (first, second)) in zip(axes, pairs.items(), strict=False):
         unit, factor = DIFFERENCE_UNITS.get(name, ("", 1.0))
@@ -396,86 +493,5 @@ def plot_comparison(
         axis.set_axis_off()
     for axis in axes[-2:]:
         axis.set(xlabel="time [s]")
-    figure.suptitle(f"{one} less {other}")
-    return figure
-
-
-def plot_wear(model: WearModel, states: list[WearState], new: WearRate, figures: Mapping[str, Any]) -> Figure:
-    """Mesh of one pin when new, wear depth over both bodies, and depth and accuracy over life."""
-    from cycloid_fmu.contact.tooth_contact import loaded_contacts
-    from cycloid_fmu.contact.transmission import drive_of
-    from cycloid_fmu.wear.progress import contact_coefficients
-    from cycloid_fmu.wear.sliding import velocities
-
-    figure, axes = new_figure(4, 3)
-    drive = drive_of(model.pair, model.surface, model.unworn.gear.shape[3])
-    torque = model.heaviest_torque
-    if torque != 0.0:
-        contacts = loaded_contacts(drive, model.sweep.crank_angle, torque)
-        order = np.argsort(contacts.phase)
-        speed = velocities(drive, contacts)
-        phase = contacts.phase[order]
-        coefficient = contact_coefficients(model.law, drive, contacts)
-        mesh: list[tuple[str, list[tuple[str, NDArray[np.float64]]]]] = [
-            ("force [N]", [("", contacts.force)]),
-            ("pressure [MPa]", [("", contacts.pressure * 1e-6)]),
-            ("half width [µm]", [("", contacts.half_width * 1e6)]),
-            ("velocity [mm/rad of the ring]",
-             [("along pin", speed.pin * 1e3), ("along gear", speed.gear * 1e3), ("sliding", speed.sliding * 1e3)]),
-            ("slip coefficient", [("gear", speed.gear_slip), ("pin", speed.pin_slip)]),
-            ("k_0 [m²/N]", [("", coefficient)]),
-        ]  # fmt: skip
-        for axis, (label, curves) in zip(axes, mesh, strict=False):
-            for name, values in curves:
-                axis.plot(phase, values[order], ".", ms=2, label=name)
-            axis.set(xlabel="pin's angle from the crank [rad]", ylabel=label)
-            if curves[0][0]:
-                show_legend(axis, markerscale=4)
-        axes[0].set_title(f"new, {torque:g} N·m", fontsize=9)
-        axes[4].set_ylim(-12.0, 12.0)
-        axes[4].set_title("the pin's has a pole where the contact turns back", fontsize=9)
-    turns = states[-1].crank_turns
-    for axis, body, along, label in (
-        (axes[6], "gear", np.linspace(0.0, 1.0, model.unworn.gear.shape[2]), "tooth's arc, root to root"),
-        (
-            axes[7],
-            "pin",
-            np.linspace(-90.0, 90.0, model.unworn.pin.shape[1]),
-            "pin: angle from the circle's centre [°]",
-        ),
-    ):
-        for state in states[1:]:
-            depth = getattr(state.depth, body)
-            axis.plot(along, depth.reshape(-1, along.size, depth.shape[-1]).max(axis=(0, 2)) * 1e6, lw=0.8, color="C0")
-        linear = getattr(new.depth, body) * turns
-        shown = linear.reshape(-1, along.size, linear.shape[-1]).max(axis=(0, 2)) * 1e6
-        axis.set_ylim(0.0, max(1.3 * getattr(states[-1].depth, body).max() * 1e6, 1e-3))
-        axis.plot(along, shown, "k--", lw=1.0, label=f"without update: {shown.max():.3g} µm")
-        last = getattr(states[-1].depth, body).reshape(-1, along.size, linear.shape[-1]).max(axis=(0, 2))
-        worn = np.flatnonzero(last + shown > 0.0)
-        if worn.size:
-            margin = 0.1 * (along[worn[-1]] - along[worn[0]])
-            axis.set_xlim(along[worn[0]] - margin, along[worn[-1]] + margin)
-        axis.set(xlabel=label, ylabel="depth [µm]")
-        axis.set_title(f"{body}: each step, deepest of all", fontsize=9)
-        show_legend(axis)
-    life = figures["life"]
-    at = np.array(life["crank_turns"]) * 1e-6
-    for body in ("gear", "pin"):
-        axes[8].plot(at, np.array(life[f"{body}_depth_max"]) * 1e6, ".-", ms=4, lw=1, label=body)
-    axes[8].set(xlabel="million crank turns", ylabel="deepest [µm]")
-    show_legend(axes[8])
-    for axis, name, label in (
-        (axes[9], "transmission_error", "mean TE [arcsec]"),
-        (axes[10], "backlash", "mean [arcsec]"),
-        (axes[10], "lost_motion", "mean [arcsec]"),
-    ):
-        axis.plot(at, np.asarray(life[name]) * ARCSEC, ".-", ms=4, lw=1, label=name.replace("_", " "))
-        axis.set(xlabel="million crank turns", ylabel=label)
-    show_legend(axes[10])
-    for name, label in (("transmission_error", "TE"), ("backlash", "backlash"), ("lost_motion", "lost motion")):
-        name = f"{name}_range"
-        axes[11].plot(at, np.asarray(life[name]) * ARCSEC, ".-", ms=4, lw=1, label=label)
-    axes[11].set(xlabel="million crank turns", ylabel="peak to peak [arcsec]")
-    show_legend(axes[11])
+    figure.suptitle(f"{one} minus {other}" + (f"\nno difference: {', '.join(equal)}" if equal else ""), fontsize=11)
     return figure

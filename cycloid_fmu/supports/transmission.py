@@ -112,6 +112,8 @@ class OnBearings(Transmission):
     ----------
     disc_shift_x, disc_shift_y
         Shape (torques, angles, discs): shift of each disc's centre from its ideal place, m.
+    disc_turn
+        Shape (torques, angles, discs): rotation of each disc beyond the output's deviation, rad.
     turning_arm_force
         Shape (torques, angles, discs, cranks), N; one crank with output rollers.
     crank_bearing_force
@@ -124,6 +126,7 @@ class OnBearings(Transmission):
 
     disc_shift_x: Array
     disc_shift_y: Array
+    disc_turn: Array
     turning_arm_force: Array
     crank_bearing_force: Array
     main_bearing_force: Array
@@ -293,6 +296,7 @@ def _result(
         *lines[:4],
         disc_shift_x=kept.place[..., 3 : 3 + 3 * discs : 3],
         disc_shift_y=kept.place[..., 4 : 3 + 3 * discs : 3],
+        disc_turn=kept.place[..., 5 : 3 + 3 * discs : 3] - kept.place[..., :1],
         turning_arm_force=kept.turning_arm,
         crank_bearing_force=kept.crank_bearing,
         main_bearing_force=kept.main_bearing,

@@ -42,7 +42,8 @@ def fit_panels(result: Identification) -> list[Panel]:
         Panel("Measured and fitted", "crank turns", "transmission error [arcsec]", tuple(fitted),
               "Points are measured, lines are the fit with the bench's own errors; the first turns of the crank."),
         Panel("Residual", "crank turns", "measured minus fitted [arcsec]", tuple(left),
-              f"{result.residual / _ARC:.3f}″ rms are left; the noise of a point is {result.noise / _ARC:.3f}″."),
+              f"{result.residual / _ARC:.3f}″ rms are left; the noise of a point is {result.noise / _ARC:.3f}″. "
+              "A click on a curve's name hides it, a double click all others."),
     ]  # fmt: skip
     orders = spectra_panel(rest, [spectrum(c) for c in rest], result.pair, "Orders of what is left")
     loops = [panel for one in result.loops for panel in _loop_panels(one)]
@@ -73,9 +74,13 @@ def _intervals(parameters: Sequence[Parameter]) -> Panel:
     lines = [Trace("95 % interval" if i == 0 else "", np.array(p.interval) * 1e6, np.array([-i, -i], float), "thick", 0)
              for i, p in enumerate(shown)]  # fmt: skip
     at, place = np.array([p.value * 1e6 for p in shown]), -np.arange(float(len(shown)))
-    values = Trace("", at, place, "points", -1, tuple(f"{value:.2f}" for value in at))
-    return Panel("Identified errors", "error [µm]", "", (*lines, values),
-                 "Each with its 95 % interval.", y_names=tuple(p.name for p in shown))  # fmt: skip
+    ends = np.array([at, *zip(*(t.x for t in lines), strict=True)]) if lines else np.zeros((1, 1))
+    beside = np.full(at.size, np.nanmax(ends) + 0.15 * max(np.nanmax(ends) - np.nanmin(ends), 1e-3))
+    # In a column of their own: beside the points they lay over each other.
+    values = Trace("", beside, place, "words", -1, tuple(f"{value:.2f}" for value in at))
+    return Panel("Identified errors", "error [µm]", "", (*lines, Trace("", at, place, "dots", 1), values),
+                 "Each with its 95 % interval; the column on the right is its value.",
+                 y_names=tuple(p.name for p in shown))  # fmt: skip
 
 
 _ARC = 1.0 / ARCSEC

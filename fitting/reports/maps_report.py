@@ -9,14 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cycloid_fmu import edge
-from cycloid_fmu.draw.figure import new_figure
 from cycloid_fmu.edge import ARCMIN, ARCSEC
 from fitting.reports.page import html_page, made_now
-from fitting.reports.panels import HeatMap, Panel
+from fitting.reports.panels import HeatMap, Panel, Trace
 
 if TYPE_CHECKING:
     import xarray as xr
-    from matplotlib.figure import Figure
 
 _RPM = 30.0 / math.pi
 _ABOVE = """<p>{{ curves }} curves. {{ axis }}</p>
@@ -47,21 +45,35 @@ def map_panels(found: xr.Dataset) -> list[Panel]:
     for name, title, unit, factor, ways in shown:
         for way, said in ways:
             values = found[name].sel(direction=way) if way else found[name]
-            panels += _panel(f"{title}{', ' if said else ''}{said} [{unit}]", found, values * factor)
+            panels += _panel(f"{title}{', ' if said else ''}{said}", unit, found, values * factor)
     for order, kind in zip(found.order.values, found.order_name.values, strict=True):
         for way, said in two:
             values = found.order_amplitude.sel(order=order, direction=way) * ARCSEC
             of = f" ({kind})" if kind else ""
-            panels += _panel(f"Order {order}{of}, amplitude, {said} [arcsec]", found, values)
+            panels += _panel(f"Order {order}{of}, amplitude, {said}", "arcsec", found, values)
     return panels
 
 
-def _panel(title: str, found: xr.Dataset, values: xr.DataArray) -> list[Panel]:
+def _panel(title: str, unit: str, found: xr.Dataset, values: xr.DataArray) -> list[Panel]:
+    """A map for each temperature; where torque or speed is one alone, lines over the other."""
     if not np.isfinite(values).any():
         return []
     names = tuple(
         "" if not np.isfinite(t) else f"{t - 273.15:.4g} °C" for t in found.temperature.values
     )  # fmt: skip
+    labels = {"torque": "torque [N·m]", "speed": "speed [rpm]"}
+    axes = {"torque": found.torque.values, "speed": found.speed.values * _RPM}
+    for across, alone in (("torque", "speed"), ("speed", "torque")):
+        if axes[alone].size == 1 < axes[across].size:
+            traces: list[Trace] = []
+            for i, name in enumerate(names):
+                line = values.isel(temperature=i).squeeze(alone).values
+                traces.append(Trace(name, axes[across], line, "line", i))
+                traces.append(Trace("", axes[across], line, "dots", i))
+            (at,) = axes[alone]
+            word, shown = labels[alone].rstrip("]").split(" [")
+            caption = "" if np.isnan(at) else f"At a {word} of {at:.4g} {shown}."
+            return [Panel(title, labels[across], f"[{unit}]", tuple(traces), caption)]
     maps = tuple(
         HeatMap(
             name, found.torque.values, found.speed.values * _RPM,
@@ -69,7 +81,7 @@ def _panel(title: str, found: xr.Dataset, values: xr.DataArray) -> list[Panel]:
         )
         for i, name in enumerate(names)
     )  # fmt: skip
-    return [Panel(title, "torque [N·m]", "speed [rpm]", (), "", heat=maps)]
+    return [Panel(f"{title} [{unit}]", labels["torque"], labels["speed"], (), "", heat=maps)]
 
 
 def write_maps_report(found: xr.Dataset, path: str | os.PathLike[str]) -> None:
@@ -86,21 +98,3 @@ def write_maps_report(found: xr.Dataset, path: str | os.PathLike[str]) -> None:
     )  # fmt: skip
     with edge.written_whole(target) as temporary:
         temporary.write_text(text, encoding="utf-8")
-
-
-def plot_maps(found: xr.Dataset) -> Figure:
-    """Draw the maps without their orders, a row each, one column for each temperature."""
-    panels = [p for p in map_panels(found) if not p.title.startswith("Order")]
-    figure, axes = new_figure(len(panels), found.temperature.size)
-    for row, panel in zip(np.reshape(axes, (len(panels), -1)), panels, strict=True):
-        values = np.concatenate([one.z.ravel() for one in panel.heat])
-        for axis, one in zip(row, panel.heat, strict=True):
-            drawn = axis.imshow(one.z, origin="lower", aspect="auto", vmin=np.nanmin(values), vmax=np.nanmax(values))
-            axis.set_xticks(range(one.x.size), [f"{v:.4g}" for v in one.x], fontsize=6)
-            axis.set_yticks(range(one.y.size), ["" if np.isnan(v) else f"{v:.4g}" for v in one.y], fontsize=6)
-            axis.set_title(f"{panel.title}\n{one.name}" if axis is row[0] else one.name, fontsize=7, loc="left")
-            axis.grid(visible=False)
-            axis.set_xlabel(panel.x_label, fontsize=6)
-        row[0].set_ylabel(panel.y_label, fontsize=6)
-        figure.colorbar(drawn, ax=list(row))
-    return figure

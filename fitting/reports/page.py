@@ -5,13 +5,14 @@ from __future__ import annotations
 import base64
 import datetime
 import json
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from cycloid_fmu import __version__
-from fitting.reports.panels import Panel, Trace
+from fitting.reports.panels import Panel, Trace, names_above, x_range
 
 COLOURS = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b", "#e377c2")
 GREY = "#777777"
@@ -38,12 +39,15 @@ tr.part td { color: #555; font-size: .92em; border-bottom-style: dotted; }
 tr.part td:first-child { padding-left: 1.2em; }
 td.definition { font-size: .85em; color: #555; } code { font-size: .8em; word-break: break-all; color: #777; }
 .panel { height: 380px; } section { break-inside: avoid; } li { margin: .2em 0; }
+@media (max-width: 700px) { table { display: block; overflow-x: auto; } td.definition { min-width: 16em; }
+  code { word-break: normal; } }
 @media print { body { margin: 0; max-width: none; font-size: 11px; } .panel { height: 300px; }
   .modebar { display: none; } }
 </style></head><body>
 <h1>{{ title }}</h1><p class="facts">{{ facts }}</p>
 """
-_PANELS = """{% for p in panels %}<section><h2>{{ p.title }}</h2><div class="panel" id="panel-{{ loop.index0 }}"></div>
+_PANELS = """{% for p in panels %}<section><h2>{{ p.title }}</h2><div class="panel" id="panel-{{ loop.index0 }}"
+{% if p.y_names|length > 16 %} style="height: {{ 110 + 17 * p.y_names|length }}px"{% endif %}></div>
 <p class="caption">{{ p.caption }}</p></section>
 {% endfor %}
 """
@@ -123,11 +127,17 @@ def _plotly(panel: Panel) -> dict[str, Any]:
             named = {"mode": "markers+text", "text": list(t.texts), "textposition": "top center",
                      "textfont": {"size": 11}, "cliponaxis": False}  # fmt: skip
             one |= {"mode": "markers", "marker": {"color": "#222" if t.texts else GREY, "size": 5 if t.texts else 2}}
-            one |= named if t.texts else {}
+            one |= named if t.texts and not panel.log_x else {}
         elif t.style == "dots":
             one |= {"mode": "markers", "marker": {"color": _colour(t), "size": 4}}
         elif t.style == "words":
-            one |= {"mode": "text", "text": list(t.texts), "textfont": {"size": 11}, "hoverinfo": "skip"}
+            one |= {
+                "mode": "text",
+                "text": list(t.texts),
+                "textfont": {"size": 11},
+                "hoverinfo": "skip",
+                "cliponaxis": False,
+            }
         else:
             one["line"] = {**_PLOTLY_LINES[t.style], "color": _colour(t)}
         data.append(one)
@@ -142,8 +152,27 @@ def _plotly(panel: Panel) -> dict[str, Any]:
     if panel.y_names:
         rows = [-row for row in range(len(panel.y_names))]
         layout["yaxis"] |= {"tickvals": rows, "ticktext": list(panel.y_names), "tickfont": {"size": 10}}
+    if panel.log_x:
+        _name_above(panel, layout)
     if panel.round:
         layout["margin"] |= {"l": 10, "r": 10, "b": 10}
         layout["xaxis"] = {"visible": False}
         layout["yaxis"] = {"visible": False, "scaleanchor": "x"}
     return {"data": data, "layout": layout}
+
+
+def _name_above(panel: Panel, layout: dict[str, Any]) -> None:
+    """Set the axes and put the names of points in a row above them, upright, each with a line to its point."""
+    low, high = (math.log10(end) for end in x_range(panel))
+    lowest, highest = (
+        math.log10(end(float(end(t.y[t.y > 0.0])) for t in panel.traces if (t.y > 0.0).any())) for end in (min, max)
+    )
+    top = highest + 0.5 * (highest - lowest)
+    layout["xaxis"] |= {"type": "log", "range": [low, high]}
+    layout["yaxis"] |= {"range": [lowest, top]}
+    layout["annotations"] = [
+        {"text": text, "x": math.log10(x), "y": math.log10(y), "ax": low + place * (high - low),
+         "ay": highest + 0.3 * (highest - lowest), "axref": "x", "ayref": "y", "textangle": -90, "font": {"size": 11},
+         "arrowhead": 0, "arrowwidth": 0.6, "arrowcolor": GREY}
+        for x, y, place, text in names_above(panel)
+    ]  # fmt: skip

@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 
 _MIDDLE = 0.12  # share of the rated torque that the middle of a loop shows
 _NAMED = 14  # orders that bear their names
+_APART = 0.045  # of the x axis: from one upright name to the next, also on a telephone
 _DRAWN = 100_000  # points of all lines of a panel
 
 
@@ -68,7 +69,8 @@ class Panel:
     """One diagram with its title, axes, and a sentence that says what is seen.
 
     `y_names` stand beside the y axis in place of numbers, at 0, -1, -2 and so on; what is `round` has no axes, and a
-    circle is one. `heat` are maps side by side, in place of traces, with one scale of colours.
+    circle is one. `heat` are maps side by side, in place of traces, with one scale of colours. With `log_x` names of
+    points stand in a row above them, each with a line to its point.
     """
 
     title: str
@@ -80,6 +82,32 @@ class Panel:
     y_names: tuple[str, ...] = ()
     round: bool = False
     heat: tuple[HeatMap, ...] = ()
+    log_x: bool = False
+
+
+def names_above(panel: Panel) -> list[tuple[float, float, float, str]]:
+    """Return x and y of each named point of a panel, the place of its name and the name.
+
+    Places are shares of the x axis, so far apart that upright names do not overlap.
+    """
+    from scipy.optimize import isotonic_regression
+
+    named = sorted((x, y, t) for one in panel.traces for x, y, t in zip(one.x, one.y, one.texts, strict=False))
+    if not named:
+        return []
+    low, high = (math.log10(end) for end in x_range(panel))
+    number = np.arange(len(named))
+    ideal = (np.log10([x for x, _, _ in named]) - low) / (high - low)
+    # Nearest to the points of all places that are far enough apart.
+    places = isotonic_regression(ideal - _APART * number).x + _APART * number
+    places = np.clip(places, _APART * number, 1.0 - _APART * number[::-1])
+    return [(x, y, float(place), text) for (x, y, text), place in zip(named, places, strict=True)]
+
+
+def x_range(panel: Panel) -> tuple[float, float]:
+    """Smallest and largest x of a panel's traces on a logarithmic scale, with a margin."""
+    every = np.concatenate([t.x for t in panel.traces])
+    return 0.85 * float(every.min()), 1.1 * float(every.max())
 
 
 def label_of(curve: Curve) -> str:
@@ -135,7 +163,8 @@ def _curves_panel(curves: list[Curve]) -> Panel:
         traces.append(Trace(label_of(curve), turn, error, "thin", number))
     return Panel(
         "Transmission error over one output turn", "output turn [°]", "transmission error [arcsec]", tuple(traces),
-        "Mean of all turns at each angle, one curve for each load and direction; the mean of each curve is taken off.",
+        "Mean of all turns at each angle, one curve for each load and direction; the mean of each curve is taken off. "
+        "Loads that agree lie over each other; on a page a click on a curve's name hides it.",
     )  # fmt: skip
 
 
@@ -167,15 +196,15 @@ def spectra_panel(
         "Pin: errors of pins and ring; tooth: errors of the gear's teeth; mesh: both; rig: coaxiality and couplings "
         "(large errors of pins and teeth beat at order 1 too). "
         "Dashed: what noise alone has. An amplitude's 95 % interval is ± 1.4 times the dashed line.",
-        log_y=True,
+        log_y=True, log_x=True,
     )  # fmt: skip
 
 
 def _well_spaced(amplitude: Array) -> list[int]:
-    """Return the orders whose names have room: the largest, without those beside one that is nearly as large."""
+    """Return the orders that bear names: the largest, without those beside one that is nearly as large."""
     chosen: list[int] = []
     for order in np.argsort(-amplitude)[: np.count_nonzero(amplitude)]:
-        beside = [k for k in chosen if abs(k - order) < amplitude.size / 60]
+        beside = [k for k in chosen if abs(k - order) < 0.06 * order]
         if all(amplitude[k] > 2.0 * amplitude[order] for k in beside) and len(beside) < 2:
             chosen.append(int(order))
         if len(chosen) == _NAMED:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import re
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -23,12 +25,13 @@ from fitting.figures.maps import FORMAT as MAPS
 from fitting.figures.metrics import Figures
 from fitting.model.prior import TOLERANCE
 from fitting.recordings.inspection import Inspection, Look
-from fitting.reports.maps_report import plot_maps
-from fitting.reports.panels import Panel, label_of, panels_of
+from fitting.reports.maps_report import map_panels
+from fitting.reports.panels import Panel, label_of, names_above, panels_of, x_range
 from fitting.reports.ring import ring_panel
 from fitting.transmission_error.curve import Curve
 
 if TYPE_CHECKING:
+    import xarray as xr
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -87,7 +90,7 @@ def draw_panel(axis: Axes, panel: Panel) -> None:
         if trace.style == "points":
             size, colour = (4.0, "0") if trace.texts else (1.0, "0.45")
             axis.plot(trace.x, trace.y, ".", ms=size, color=colour, label=trace.label or None)
-            for x, y, text in zip(trace.x, trace.y, trace.texts, strict=False):
+            for x, y, text in zip(trace.x, trace.y, () if panel.log_x else trace.texts, strict=False):
                 axis.annotate(text, (x, y), (0, 3), textcoords="offset points", rotation=60, fontsize=7)
             continue
         if trace.style == "dots":
@@ -103,6 +106,8 @@ def draw_panel(axis: Axes, panel: Panel) -> None:
     axis.set(xlabel=panel.x_label, ylabel=panel.y_label)
     if panel.log_y:
         axis.set_yscale("log")
+    if panel.log_x:
+        axis.set(xscale="log", xlim=x_range(panel))
     if panel.y_names:
         axis.set_yticks([-float(row) for row in range(len(panel.y_names))], panel.y_names, fontsize=7)
     axis.set_title(panel.title, fontsize=10, loc="left")
@@ -115,8 +120,14 @@ def draw_panel(axis: Axes, panel: Panel) -> None:
     elif any(t.texts for t in panel.traces):
         scale = axis.yaxis.get_transform()
         low, high = scale.transform(axis.get_ylim())
-        above = high + 0.25 * (high - low)  # room for the highest points' names
+        above = high + (0.6 if panel.log_x else 0.25) * (high - low)  # room for names
         axis.set_ylim(top=float(scale.inverted().transform(above)))
+    if panel.log_x:
+        for x, y, place, text in names_above(panel):
+            axis.annotate(
+                text, (x, y), (place, 0.99), textcoords="axes fraction", rotation=90, fontsize=7, ha="center", va="top",
+                arrowprops={"arrowstyle": "-", "lw": 0.4, "color": "0.5", "shrinkA": 1.0, "shrinkB": 1.0},
+            )  # fmt: skip
 
 
 def plot_panels(panels: Sequence[Panel]) -> Figure:
@@ -124,6 +135,30 @@ def plot_panels(panels: Sequence[Panel]) -> Figure:
     figure, axes = new_figure(len(panels))
     for axis, panel in zip(axes, panels, strict=True):
         draw_panel(axis, panel)
+    return figure
+
+
+def plot_maps(found: xr.Dataset) -> Figure:
+    """Draw the maps without their orders, a row each, one column for each temperature."""
+    panels = [p for p in map_panels(found) if not p.title.startswith("Order")]
+    figure, axes = new_figure(len(panels), found.temperature.size)
+    for number, (row, panel) in enumerate(zip(np.reshape(axes, (len(panels), -1)), panels, strict=True)):
+        if not panel.heat:
+            row[0].set_subplotspec(row[0].get_subplotspec().get_gridspec()[number, :])
+            for axis in row[1:]:
+                figure.delaxes(axis)
+            draw_panel(row[0], panel)
+            continue
+        values = np.concatenate([one.z.ravel() for one in panel.heat])
+        for axis, one in zip(row, panel.heat, strict=True):
+            drawn = axis.imshow(one.z, origin="lower", aspect="auto", vmin=np.nanmin(values), vmax=np.nanmax(values))
+            axis.set_xticks(range(one.x.size), [f"{v:.4g}" for v in one.x], fontsize=6)
+            axis.set_yticks(range(one.y.size), ["" if np.isnan(v) else f"{v:.4g}" for v in one.y], fontsize=6)
+            axis.set_title(f"{panel.title}\n{one.name}" if axis is row[0] else one.name, fontsize=7, loc="left")
+            axis.grid(visible=False)
+            axis.set_xlabel(panel.x_label, fontsize=6)
+        row[0].set_ylabel(panel.y_label, fontsize=6)
+        figure.colorbar(drawn, ax=list(row))
     return figure
 
 
@@ -194,7 +229,7 @@ def plot_comparison(
     label
         What the simulation is called in the legend.
     crank_turns
-        How much of the upper axis is shown; the residual below shows the whole output turn.
+        How much of the upper axis is shown; the residuals below, one row a curve, show the whole output turn.
 
     Examples
     --------
@@ -205,7 +240,11 @@ def plot_comparison(
     >>> len(fitting.plot_comparison([curve], [1e-5 * np.cos(curve.input_angle)], "simulated").axes)
     2
     """
-    figure, axes = new_figure(2)
+    figure, axes = new_figure(1 + len(curves))
+    figure.set_size_inches(9.0, 3.4 + 1.3 * len(curves))
+    axes[0].set_subplotspec(figure.add_gridspec(2, 1, height_ratios=(2.4, 1.3 * len(curves)))[0])
+    rows = axes[0].get_gridspec()[1].subgridspec(len(curves), 1)
+    widest = max(np.abs(c.transmission_error - m).max() for c, m in zip(curves, simulated, strict=True)) * ARCSEC
     for number, (curve, model) in enumerate(zip(curves, simulated, strict=True)):
         turns = curve.input_angle / (2.0 * np.pi)
         shown = turns <= crank_turns
@@ -214,9 +253,14 @@ def plot_comparison(
         entry = f"{label_of(curve)}: {np.sqrt(np.mean(left**2)):.2f}″ rms left"
         axes[0].plot(turns[shown], curve.transmission_error[shown] * ARCSEC, ".", ms=4, color=colour, alpha=0.5)
         axes[0].plot(turns[shown], model[shown] * ARCSEC, lw=1.2, color=colour, label=entry)
-        axes[1].plot(turns, left, ".", ms=1.5, color=colour, alpha=0.6)
-    axes[0].set(ylabel="transmission error [arcsec]")
-    axes[1].set(xlabel="crank turns", ylabel="measured - simulated [arcsec]")
+        below = axes[1 + number]
+        below.set_subplotspec(rows[number])
+        below.plot(turns, left, ".", ms=1.5, color=colour)
+        below.set(ylim=(-1.1 * widest, 1.1 * widest))
+        below.tick_params(labelbottom=number == len(curves) - 1)
+    axes[0].set(ylabel="transmission error\n[arcsec]", xlabel="crank turns: the first ones")
+    axes[-1].set(xlabel="crank turns")
+    axes[1].set_title(f"measured - {label}, each curve by itself [arcsec]", fontsize=9, loc="left")
     handles, labels = axes[0].get_legend_handles_labels()
     title = f"points: measured, lines: {label}"
     figure.legend(handles, labels, loc="outside upper center", ncols=2, fontsize=9, frameon=False, title=title)
@@ -236,20 +280,35 @@ def plot_ring(ring: Realised) -> Figure:
     return figure
 
 
+def _readable(name: str) -> str:
+    """Write the name of a structured error for people: `pin_radial_2_cos` is "pin radial, order 2, cos"."""
+    wave = re.fullmatch(r"(.+)_(\d+)_(cos|sin)", name)
+    return (f"{wave[1]}, order {wave[2]}, {wave[3]}" if wave else name).replace("_", " ")
+
+
 def plot_plans(plans: Sequence[Plan]) -> Figure:
-    """Standard error of each error, pin and tooth with each set of runs, as a share of its tolerance."""
+    """Standard error of each error, pin and tooth with each set of runs, as a share of its tolerance.
+
+    Errors that no set of runs resolves have no row; the title names them.
+    """
     figure, (axis,) = new_figure(1)
     each = {f"{name}, each": name for name in plans[-1].realised}
     names = [*plans[-1].standard_error, *plans[-1].held, *each]
-    figure.set_figheight(1.5 + 0.22 * len(names))
-    for number, plan in enumerate(plans):
-        errors = {**plan.standard_error, **{label: plan.realised[name] for label, name in each.items()}}
-        share = [errors.get(n, np.nan) / TOLERANCE["m" if n in each else unit_of(n)] for n in names]
-        axis.plot(share, np.arange(len(names)), "o", color=f"C{number}", label=plan.runs)
-    axis.set(xscale="log", xlabel="standard error as a share of what the error may be unmeasured")
-    axis.set_yticks(np.arange(len(names)), names, fontsize=7)
-    axis.invert_yaxis()
-    figure.legend(loc="outside upper center", ncols=2, fontsize=8, frameon=False)
+    errors = [{**p.standard_error, **{label: p.realised[name] for label, name in each.items()}} for p in plans]
+    unknown = [n for n in names if not any(np.isfinite(one.get(n, np.nan)) for one in errors)]
+    names = [n for n in names if n not in unknown]
+    figure.set_figheight(1.8 + 0.24 * len(names))
+    for number, (plan, found) in enumerate(zip(plans, errors, strict=True)):
+        share = [found.get(n, np.nan) / TOLERANCE["m" if n in each else unit_of(n)] for n in names]
+        beside = 0.5 * (number - 0.5 * (len(plans) - 1)) / len(plans)  # equal values are all seen
+        axis.plot(share, np.arange(len(names)) + beside, "o", ms=4.5, color=f"C{number}", label=plan.runs)
+    axis.set(xscale="log", xlabel="standard error as a share of what the error may be unmeasured; left is better")
+    axis.set_yticks(np.arange(len(names)), [_readable(n) for n in names], fontsize=8)
+    axis.set_ylim(len(names) - 0.4, -0.6)
+    if unknown:
+        held = textwrap.fill(f"not resolved by any of them: {'; '.join(_readable(n) for n in unknown)}", 100)
+        axis.set_title(held, fontsize=8, loc="left", color="0.3")
+    figure.legend(loc="outside upper center", ncols=3, fontsize=8, frameon=False)
     return figure
 
 

@@ -8,7 +8,8 @@ from common import ARCSEC, WEAR_PAIR, make_pair
 
 from cycloid_fmu import edge
 from cycloid_fmu.contact.transmission import drive_of, solve
-from cycloid_fmu.draw import plots
+from cycloid_fmu.draw import figure as plots_of
+from cycloid_fmu.draw import wear_plots
 from cycloid_fmu.fmu.build import build_fmu
 from cycloid_fmu.fmu.model import DriveModel
 from cycloid_fmu.geometry.profile import flank_normals, flank_points
@@ -519,7 +520,7 @@ def test_the_command_wears_a_drive(command, tmp_path):
     assert figures["linear"]["gear_depth_max"] == pytest.approx(50.47e-6 / 30, rel=0.01)
     assert figures["updated"]["gear_depth_max"] < figures["linear"]["gear_depth_max"]
     assert figures["sliding_loss"] == pytest.approx(0.05 * figures["sliding_work"] / (400 * 2 * np.pi / 39))
-    plots.save(plots.plot_wear(whole, states, new, figures), tmp_path / "wear.png")
+    plots_of.save(wear_plots.plot_wear(whole, states, new, figures), tmp_path / "wear.png")
     assert (tmp_path / "wear.png").stat().st_size > 50000
 
 

@@ -6,12 +6,14 @@ import subprocess
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from test_metrics import ARCMIN, ARCSEC, KNOWN, loop, recording, run_with
 
 from cycloid_fmu.geometry.pair import read_pair
 from fitting.figures.metrics import figures_of
 from fitting.figures.survey import survey
-from fitting.reports.panels import order_name, panels_of
+from fitting.reports.panels import Panel, Trace, names_above, order_name, panels_of
 from fitting.reports.report import report
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
@@ -64,7 +66,7 @@ def test_a_browser_shows_every_panel_and_asks_for_nothing_else(page, found):
     assert page.locator(".panel").count() == len(panels_of(found)) == 8
     for number in range(8):
         assert page.locator(f"#panel-{number} .scatterlayer .trace").count() >= 1
-    labels = page.locator("#panel-1 .textpoint").all_text_contents()
+    labels = page.locator("#panel-1 .annotation-text").all_text_contents()
     assert {"39 pin", "40 tooth", "78 pin", "1560 mesh"} <= set(labels)
 
 
@@ -122,3 +124,17 @@ def test_report_from_the_command_line(command, tmp_path):
     run = command("cycloid-fit", "report", BENCH / "30Nm-forward.csv", "--ratio", "39", "-o", "r.docx")
     assert run.returncode == 2
     assert "must end in .html or .pdf" in run.stderr
+
+
+@settings(max_examples=50)
+@given(st.lists(st.integers(1, 2000), min_size=1, max_size=14, unique=True))
+def test_names_of_orders_stand_in_their_order_and_never_on_each_other(orders):
+    x = np.array(orders, float)
+    curve = Trace("", np.arange(1.0, 2001.0), np.ones(2000))
+    named = Trace("", x, np.ones(x.size), "points", -1, tuple(map(str, orders)))
+    found = names_above(Panel("", "", "", (curve, named), "", log_x=True))
+    places = np.array([place for _, _, place, _ in found])
+    assert [text for *_, text in found] == [str(order) for order in sorted(orders)]
+    assert (np.diff(places) > 0.0449).all()
+    assert places.min() >= -1e-12
+    assert places.max() <= 1.0 + 1e-12

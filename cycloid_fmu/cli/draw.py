@@ -1,0 +1,78 @@
+"""`cycloid-fmu draw`."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cycloid_fmu import edge
+from cycloid_fmu.cli.shared import PairFile, SurfaceFile
+from cycloid_fmu.edge import commands
+
+_FRAMES = 180  # crank angles of a page that moves
+
+
+def draw(
+    pair_file: PairFile,
+    output: Annotated[
+        Path,
+        commands.output_option(
+            (".html", ".svg", *edge.PICTURES), "OUT.html|svg|png|pdf", "A page that moves, or a picture."
+        ),
+    ],
+    torque: Annotated[
+        list[float] | None,
+        commands.quantity_option(
+            "N*m", "Torque on the output; a page may have several.", show_default="the rated torque"
+        ),
+    ] = None,
+    crank_angle: Annotated[
+        float, commands.quantity_option("rad", 'Crank angle of the picture, such as "30 deg".', show_default="0 deg")
+    ] = 0.0,
+    surface_file: SurfaceFile = None,
+    exaggeration: Annotated[
+        float | None,
+        typer.Option(
+            help="How many times larger gaps between discs and pins are drawn; 1 is to scale.",
+            show_default="a round number that fits",
+        ),
+    ] = None,
+) -> None:
+    """Draw discs, pins, contacts and forces, with gaps exaggerated; as a page with a crank turn to play.
+
+    With one torque a page also has its half, none, and both against it. One tooth is drawn close up, with its
+    modification and its deviations, worn ones too.
+
+    Example: [cyan]cycloid-fmu draw pair.toml --torque "181 N*m" --crank-angle "30 deg" -o drive.html[/]
+    """
+    import numpy as np
+
+    from cycloid_fmu.draw.drive_page import write_motion
+    from cycloid_fmu.drive import read_drive
+
+    drive = read_drive(pair_file, surface_file)
+    if not torque:
+        if drive.pair.rated_torque is None:
+            raise edge.ArgumentError("torque", "is missing; give it, or state rated_torque in the pair file")
+        torque = [drive.pair.rated_torque]
+    moves = output.suffix.lower() == ".html"
+    if len(torque) > 1 and not moves:
+        raise edge.ArgumentError(
+            "torque", "a picture shows one load; give one torque, or write a page, .html", f"{torque[1]:g} N*m"
+        )
+    loads, first, angles = torque, 0, np.array([crank_angle])
+    if moves:
+        if len(torque) == 1 and torque[0] != 0.0:
+            # On bearings the play is known beside a rated torque alone.
+            none = [0.0] if drive.pair.supports is None or drive.pair.rated_torque is not None else []
+            loads = sorted([-torque[0], -0.5 * torque[0], *none, 0.5 * torque[0], torque[0]])
+            first = loads.index(torque[0])
+        angles = (crank_angle + np.linspace(0.0, 2.0 * math.pi, _FRAMES, endpoint=False)) % (2.0 * math.pi)
+        angles.sort()
+    with commands.progress("crank angles", angles.size * len(loads)) as progress:
+        motion = drive.motion(loads, angles, exaggeration=exaggeration, progress=progress)
+    write_motion(motion, output, first, int(np.argmin(np.abs(angles - crank_angle % (2.0 * math.pi)))))
+    typer.echo(f"{output}: gaps × {motion.exaggeration:g}")
