@@ -1,10 +1,10 @@
 """From recordings to the drive's errors: the way to the best fit; `fitting.estimation.result` states it.
 
-The structured errors that the data tell apart are fitted with the exact contact model and its analytic Jacobian; lmfit
-takes the last step, confirms the optimum and states its covariance. What every single pin and tooth does beyond them is
-a random scatter of unknown size: it is estimated together with the noise (restricted maximum likelihood), and where
-there is any it is part of the fit, so that it neither bends the structured errors nor lets their intervals look smaller
-than they are.
+The structured errors that the data tell apart are fitted with the exact contact model and its analytic Jacobian; a
+trust region takes the last step, confirms the optimum and states its covariance. What every single pin and tooth does
+beyond them is a random scatter of unknown size: it is estimated together with the noise (restricted maximum
+likelihood), and where there is any it is part of the fit, so that it neither bends the structured errors nor lets their
+intervals look smaller than they are.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ _SETTLED = 1e-7, 1e-7, 1e-7, 1e-4  # m and rad: supports that give way by no mor
 _TOLD_APART = 10.0  # of -2 log likelihood: a description that is less likely by more is excluded, 150 to 1
 _CHOICES = 3  # of errors to fit, which change where the state at which they are chosen does
 # A fit ends where a step gains less than this of the sum of squares in units of the noise: what moves one estimate by a
-# standard error at most, and by a tenth where it is shared among all. lmfit's steps follow.
+# standard error at most, and by a tenth where it is shared among all. The last step follows.
 _START_GAIN, _GAIN = 8.0, 1.0
 
 
