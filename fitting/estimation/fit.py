@@ -36,6 +36,7 @@ from fitting.model.observations import (
     nuisance_columns,
     scatter_names,
     scatter_parts,
+    split,
     spread_of,
     with_scatter,
 )
@@ -204,13 +205,17 @@ class Problem:
             found[part] = (self.scale[part.start] / max(scatter.get(name, 0.0), 1e-2 * NO_SCATTER)) ** 2
         return found
 
-    def normal(self, unknowns: Array, observed: Observations, limit: Array) -> _Normal:
-        """Evaluate the model and its normal equations; points further off than `limit` (curves,) do not count."""
+    def normal(self, unknowns: Array, observed: Observations, limit: Array, known: Linear | None = None) -> _Normal:
+        """Evaluate the model, unless it is known, and its normal equations.
+
+        Points further off than `limit` (curves,) do not count.
+        """
         state = self.state(unknowns)
+        parts = None if known is None else split(known, observed.ends)
 
         def of(number: int) -> tuple[Linear, tuple[Array, ...]]:
             one = observed.some([number])
-            linear = linearised_curve(self.pair, observed, number, state, self.around)
+            linear = parts[number] if parts else linearised_curve(self.pair, observed, number, state, self.around)
             left = one.weight * left_of(one, linear, state)
             inside = (np.abs(left) <= limit[number]) & (one.weight > 0.0)
             columns = self.columns(one, linear)[inside]
@@ -221,7 +226,7 @@ class Problem:
 
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             linears, sums = zip(*pool.map(of, range(len(observed.curves))), strict=True)
-        return _Normal(joined(linears), *(np.array(v) for v in zip(*sums, strict=True)))
+        return _Normal(joined(linears) if known is None else known, *(np.array(v) for v in zip(*sums, strict=True)))
 
 
 def _limits(normal: _Normal) -> Array:
@@ -237,6 +242,7 @@ def fit(
     *,
     gain: float,
     around: LinearisationPoint | None = None,
+    linear: Linear | None = None,
     evaluations: int = EVALUATIONS,
     estimated: bool = True,
     known: Mapping[str, float] | None = None,
@@ -257,6 +263,8 @@ def fit(
         row bring no more.
     around
         A drive near which the model is taken to first order, a tenth of the work; None for the exact one.
+    linear
+        The model at the start, where it was evaluated there already.
     evaluations
         How often the model is evaluated at most.
     estimated
@@ -275,12 +283,12 @@ def fit(
     known = {**{n: v for n, v in KNOWN_SIZES.items() if n in problem.parts}, **(known or {})}
     scatter = {**scatter, **known}
     limit = np.full(len(observed.curves), np.inf)
-    now = problem.normal(unknowns, observed, limit)
+    now = problem.normal(unknowns, observed, limit, linear)
     limit = _limits(now)
     if estimated:
         observed, now = _at_noise(observed, now, now.scale**2)
         limit = np.full_like(limit, OUTLYING)
-    damping, done, idle, settled = 1e-3, 1, 0, not estimated
+    damping, done, idle, settled = 1e-3, 1 if linear is None else 0, 0, not estimated
     while done < evaluations:
         precision = problem.precision(scatter)
         precision[list(pins)] = _PINNED

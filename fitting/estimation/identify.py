@@ -396,14 +396,15 @@ def _fitted(
     observed = observations(curves, pair, profile=known.profile, first_stage=known.first_stage)
     if misfit is not None:
         observed = observed.with_misfit(*misfit)
-    rough = _starting_estimate(pair, observed, start, searched, progress)
+    rough, linear = _starting_estimate(pair, observed, start, searched, progress)
     state, scatter = rough.state, {**dict.fromkeys(observed.estimated, _MISFIT), **rough.scatter}
     weight = observed.weight * np.median(rough.observed.weight) / np.median(observed.weight)
     observed = dataclasses.replace(observed, weight=weight).with_sizes(scatter)
-    estimate = _settled(pair, observed, dataclasses.replace(rough, state=state, scatter=scatter), known, progress)
+    rough = dataclasses.replace(rough, state=state, scatter=scatter)
+    estimate = _settled(pair, observed, rough, linear, known, progress)
     if not known.scatter and len(_chosen(estimate.observed, estimate.linear, pair, {})) > len(estimate.chosen):
         # A scatter that does what errors would hides them.
-        again = _settled(pair, observed, _without_scatter(pair, estimate), known, progress)
+        again = _settled(pair, observed, _without_scatter(pair, estimate), None, known, progress)
         estimate = min(estimate, again, key=lambda e: e.unlikelihood)
     return dataclasses.replace(estimate, disagreeing=rough.disagreeing)
 
@@ -417,16 +418,25 @@ def _without_scatter(pair: Pair, found: Estimate) -> Estimate:
 
 
 def _settled(
-    pair: Pair, observed: Observations, start: Estimate, known: Prior, progress: Callable[[str], None]
+    pair: Pair,
+    observed: Observations,
+    start: Estimate,
+    linear: Linear | None,
+    known: Prior,
+    progress: Callable[[str], None],
 ) -> Estimate:
-    """Fit from a start, until the errors that are chosen where it ends are those that were fitted."""
-    state, scatter = start.state, start.scatter
-    linear, before = linearise(pair, observed, state), list(start.chosen)
+    """Fit from a start, until the errors that are chosen where it ends are those that were fitted.
+
+    `linear` is the model at the start, where it is known.
+    """
+    state, scatter, before = start.state, start.scatter, list(start.chosen)
+    linear = linearise(pair, observed, state) if linear is None else linear
     chosen = _chosen(observed, linear, pair, scatter)
     for _ in range(_CHOICES):
-        state = _carried_over(pair, observed, linear, state, before, chosen)
+        carried = _carried_over(pair, observed, linear, state, before, chosen)
         progress(f"fitting {len(chosen)} errors and the scatter of pins and teeth")
-        estimate = fit(pair, observed, chosen, state, scatter, gain=_GAIN, known=known.scatter)
+        there = linear if carried is state else None
+        estimate = fit(pair, observed, chosen, carried, scatter, gain=_GAIN, linear=there, known=known.scatter)
         state, scatter, linear, before = estimate.state, estimate.scatter, estimate.linear, chosen
         chosen = _chosen(estimate.observed, linear, pair, scatter)
         if chosen == before:
@@ -465,8 +475,10 @@ def _chosen(observed: Observations, linear: Linear, pair: Pair, scatter: Mapping
 
 def _starting_estimate(
     pair: Pair, observed: Observations, start: Estimate | None, searched: bool, progress: Callable[[str], None]
-) -> Estimate:
-    """A fit near the best one: where another fit ended, or the best of several starts on some of the points.
+) -> tuple[Estimate, Linear | None]:
+    """A fit near the best one, and the exact model there where it was evaluated.
+
+    It is where another fit ended, or the best of several starts on some of the points.
 
     The curves' corners make minima beside the best one. From the prior and by way of the largest load alone a fit
     rarely ends in the same wrong one, so two that agree are enough, all curves explained alike. Otherwise the pins
@@ -486,11 +498,11 @@ def _starting_estimate(
 
     if start is not None and not searched:
         if len(start.observed.curves) != len(observed.curves):
-            state, _ = zeroed(observed, start.state, None)
-        else:
-            known = dict(zip(start.observed.bench_names, start.state.bench, strict=True))
-            state = dataclasses.replace(start.state, bench=np.array([known.get(n, 0.0) for n in observed.bench_names]))
-        return dataclasses.replace(start, state=state)
+            state, linear = zeroed(observed, start.state, None)
+            return dataclasses.replace(start, state=state), linear
+        known = dict(zip(start.observed.bench_names, start.state.bench, strict=True))
+        state = dataclasses.replace(start.state, bench=np.array([known.get(n, 0.0) for n in observed.bench_names]))
+        return dataclasses.replace(start, state=state), None
     few, fewer = observed.thinned(_START_POINTS), observed.thinned(_START_POINTS // 2)
     loads = np.array([0.0 if c.branch else abs(c.torque) for c in few.curves])
     high, all_of_them = np.flatnonzero(loads > 0.7 * loads.max()), np.arange(loads.size)
@@ -503,7 +515,8 @@ def _starting_estimate(
     ) -> Estimate:
         state, linear = zeroed(part, state, around)
         chosen = _chosen(part, linear, pair, {})
-        return fit(pair, part, chosen, state, scatter, gain=_START_GAIN, around=around, evaluations=_START_EVALUATIONS)
+        return fit(pair, part, chosen, state, scatter, gain=_START_GAIN, around=around, linear=linear,
+                   evaluations=_START_EVALUATIONS)  # fmt: skip
 
     # To first order from the prior, and from there once more; a crank whose zero is unknown and discs that float need
     # the exact model.
@@ -555,4 +568,4 @@ def _starting_estimate(
                 searching = True
                 break
         alike = agree()
-    return dataclasses.replace(found[0], disagreeing=0 if alike else len(found))
+    return dataclasses.replace(found[0], disagreeing=0 if alike else len(found)), None

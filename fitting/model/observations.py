@@ -503,6 +503,12 @@ def joined(each: Sequence[Linear]) -> Linear:
     return Linear(*(np.concatenate([getattr(f, n.name) for f in each]) for n in dataclasses.fields(Linear)))
 
 
+def split(linear: Linear, ends: NDArray[np.int64]) -> list[Linear]:
+    """Return the model of each curve from that of all, whose curves end at `ends`, the last one's apart."""
+    parts = [np.split(getattr(linear, f.name), ends) for f in dataclasses.fields(Linear)]
+    return [Linear(*each) for each in zip(*parts, strict=True)]
+
+
 def left_of(observed: Observations, linear: Linear, state: State) -> Array:
     """Measured minus modelled transmission error, the bench's part included, shape (points,), rad."""
     return observed.measured - linear.model - observed.bench @ state.bench
