@@ -1,4 +1,4 @@
-"""The last step of a fit: a trust region confirms the optimum within what is possible and states its covariance."""
+"""The last step of a fit, within what is possible: it confirms the optimum and states its covariance."""
 
 from __future__ import annotations
 
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     import lmfit
 
 Array = NDArray[np.float64]
-
-_CONFIRMATIONS = 2  # evaluations of the model that the last step may cost
 
 
 @dataclass(frozen=True)
@@ -43,6 +41,21 @@ class Confirmed:
     vary: bool
     stderr: float | None = None
     correl: Mapping[str, float] | None = None
+
+
+@dataclass(frozen=True)
+class _Evaluated:
+    """The model at some values: residual and its slopes by the unknowns in the frame of their triangular factor."""
+
+    values: Array
+    state: State
+    linear: Linear
+    slopes: Array
+    left: Array
+
+    @property
+    def misfit(self) -> float:
+        return float(self.left @ self.left)
 
 
 def with_covariance(parameters: Mapping[str, Confirmed], covariance: Array) -> dict[str, Confirmed]:
@@ -101,17 +114,16 @@ def possible(pair: Pair, name: str) -> tuple[float, float]:
 def confirmed(pair: Pair, estimate: Estimate, gain: float) -> tuple[Estimate, dict[str, Confirmed], Array]:
     """Take the last step from where a fit ended, at the noise and the scatter that it found.
 
-    SciPy's `least_squares` (trust region within bounds: Branch, Coleman and Li, SIAM J. Sci. Comput. 21 (1999) 1) has
-    the residual in units of the noise with its analytic Jacobian, rotated into the frame of the Jacobian's triangular
-    factor: sum of squares, gradient and Gauss-Newton matrix are the same, with as many rows as there are unknowns.
+    It is Gauss and Newton's, undamped, within the bounds: an unknown that stands at one and would go beyond stays
+    there. The residual in units of the noise and its analytic Jacobian are rotated into the frame of the Jacobian's
+    triangular factor: sum of squares, gradient and Gauss-Newton matrix are the same, with as many rows as unknowns.
 
     Parameters
     ----------
     pair, estimate
         The nominal pair and where the fit ended.
     gain
-        The search ends where a step gains less than this of the sum of squares in units of the noise, and after two
-        evaluations of the model at most.
+        A step that promises less than this of the sum of squares in units of the noise is not taken.
 
     Returns
     -------
@@ -123,8 +135,6 @@ def confirmed(pair: Pair, estimate: Estimate, gain: float) -> tuple[Estimate, di
     covariance
         Of those that vary, in their order, SI.
     """
-    from scipy.optimize import least_squares
-
     problem, observed = Problem(pair, estimate.observed, estimate.chosen), estimate.observed
     prior = np.sqrt(problem.precision(estimate.scatter))
     lowest = dict(zip(observed.bearing_names, observed.bearing_lowest, strict=True))
@@ -134,43 +144,36 @@ def confirmed(pair: Pair, estimate: Estimate, gain: float) -> tuple[Estimate, di
         for name in problem.names
     ])  # fmt: skip
 
-    def evaluated(values: Array, linear: Linear | None = None) -> tuple[State, Linear, Array]:
+    def evaluated(values: Array, linear: Linear | None = None) -> _Evaluated:
         state = problem.state(values / problem.scale)
         linear = linearise(pair, observed, state) if linear is None else linear
         left = np.concatenate([observed.weight * left_of(observed, linear, state), -prior * values / problem.scale])
-        slopes = np.vstack([-problem.columns(observed, linear), -np.diag(prior)]) / problem.scale
+        slopes = np.vstack([problem.columns(observed, linear), np.diag(prior)])
         triangle: Array = np.asarray(np.linalg.qr(np.column_stack([slopes, left]), mode="r"))
-        return state, linear, triangle
-
-    known: dict[bytes, tuple[State, Linear, Array]] = {}
-
-    def at(values: Array) -> Array:
-        if values.tobytes() not in known:
-            known[values.tobytes()] = evaluated(values)
-        return known[values.tobytes()][2]
+        return _Evaluated(values, state, linear, triangle[:, :-1], triangle[:, -1])
 
     ended = problem.unknowns(estimate.state) * problem.scale
     start = np.clip(ended, low, high)
     inside = bool(np.allclose(start, ended, rtol=1e-9, atol=0.0))
-    known[start.tobytes()] = evaluated(start, estimate.linear if inside else None)
-    misfit = float(np.sum(known[start.tobytes()][2][:, -1] ** 2))
-    result = least_squares(
-        lambda values: at(values)[:, -1], start, jac=lambda values: at(values)[:, :-1], bounds=(low, high),
-        x_scale=problem.scale, ftol=gain / misfit, gtol=None, max_nfev=1 + _CONFIRMATIONS,
-    )  # fmt: skip
-    covariance = np.linalg.inv(result.jac.T @ result.jac)
+    best = first = evaluated(start, estimate.linear if inside else None)
+    slope = first.slopes.T @ first.left
+    free = ~(((start <= low) & (slope < 0.0)) | ((start >= high) & (slope > 0.0)))
+    step = np.zeros(start.size)
+    step[free] = np.linalg.lstsq(first.slopes[:, free], first.left, rcond=None)[0]
+    taken = not inside or slope @ step >= gain
+    if taken:
+        then = evaluated(np.clip(start + step * problem.scale, low, high))
+        best = min(first, then, key=lambda one: one.misfit)
+    covariance = np.linalg.inv(best.slopes.T @ best.slopes) * np.outer(problem.scale, problem.scale)
     covariance = 0.5 * (covariance + covariance.T)
-    parameters = {
-        name: Confirmed(value, least, most, vary=True)
-        for name, value, least, most in zip(problem.names, result.x.tolist(), low.tolist(), high.tolist(), strict=True)
-    }
+    stated = zip(problem.names, best.values.tolist(), low.tolist(), high.tolist(), strict=True)
+    parameters = {name: Confirmed(value, least, most, vary=True) for name, value, least, most in stated}
     for name in observed.errors:
         if name not in estimate.chosen:
             parameters[name] = Confirmed(structured_value(pair, problem.prior, name), *possible(pair, name), vary=False)
-    state, linear, _ = known[result.x.tobytes()]
-    evaluations = estimate.evaluations + len(known) - inside
     found = dataclasses.replace(
-        estimate, state=state, linear=linear, misfit=2.0 * float(result.cost), evaluations=evaluations,
-        unlikelihood=estimate.unlikelihood + 2.0 * float(result.cost) - misfit,
+        estimate, state=best.state, linear=best.linear, misfit=best.misfit,
+        evaluations=estimate.evaluations + int(taken) + (not inside),
+        unlikelihood=estimate.unlikelihood + best.misfit - first.misfit,
     )  # fmt: skip
     return found, parameters, covariance

@@ -1,7 +1,7 @@
 """From recordings to the drive's errors: the way to the best fit; `fitting.estimation.result` states it.
 
-The structured errors that the data tell apart are fitted with the exact contact model and its analytic Jacobian; a
-trust region takes the last step, confirms the optimum and states its covariance. What every single pin and tooth does
+The structured errors that the data tell apart are fitted with the exact contact model and its analytic Jacobian;
+`confirmation` takes the last step and states the covariance. What every single pin and tooth does
 beyond them is a random scatter of unknown size: it is estimated together with the noise (restricted maximum
 likelihood), and where there is any it is part of the fit, so that it neither bends the structured errors nor lets their
 intervals look smaller than they are.
@@ -193,7 +193,7 @@ def identify(
             rest = [*(c for i, c in enumerate(running) if i not in kept), *loops]
             if kept:
                 progress("fitting without the curves kept back")
-                # Where it predicts badly the whole fit has the say, so one to first order is enough: a third of the work.
+                # One to first order is enough, a third of the work: where it predicts badly the whole fit has the say.
                 start, _ = _starting_estimate(pair, _observed(rest, pair, prior), None, False, progress)
                 predicted = _predicted(pair, start, [running[i] for i in kept])
                 if predicted.residual > _MISPREDICTED * start.noise or is_uneven(start):

@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from cycloid_fmu import edge
 from fitting.recordings.formats import PIECE, BenchFile, Piece, RawChannel, name_and_unit, numbers_of, unique, unit_text
 
