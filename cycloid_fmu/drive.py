@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from cycloid_fmu import edge
 from cycloid_fmu.errors.kinds import KINDS, kind_of, names_of
 from cycloid_fmu.errors.stated import Errors
-from cycloid_fmu.geometry.pair import ANGLES, Pair
+from cycloid_fmu.geometry import ANGLES
+from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.provenance import drive_hash, drive_text, stating
 from cycloid_fmu.surfaces.structured import dimensions, profile_wave
 from cycloid_fmu.surfaces.surface import ErrorSurface, check_surface, stated_values, surface_of_pair
