@@ -2,9 +2,15 @@
 
 Three loads, both directions, 720 angles each, of drives whose pins scatter by 2 µm beyond their structured errors. The
 plain way is scipy's least_squares with finite differences and all structured errors free; CYCLOID_SEEDS drives, else 1.
+From the command line the same recordings are CSV files, and the baseline is a process that loads the packages which
+reading and fitting cannot do without.
 """
 
 import os
+import resource
+import statistics
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -44,6 +50,36 @@ def drive(pair, seed):
         curves.append(Curve(angle, noisy, np.full(angle.size, np.nan), np.ones(angle.size, int), load, 0.0,
                             int(np.sign(load)), -39.0, True, True, f"{load:g}", "0"))  # fmt: skip
     return curves, values
+
+
+def processor_seconds(*words):
+    """User and system time of a process."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run([str(word) for word in words], check=True, capture_output=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def test_from_the_command_line(benchmark, tmp_path):
+    files = []
+    for curve in drive(read_pair(PAIR), 0)[0]:
+        files.append(tmp_path / f"{curve.torque:g}.csv")
+        way = slice(None, None, curve.direction)
+        output = curve.transmission_error + curve.input_angle / curve.ratio
+        columns = np.arange(720) * 0.01, curve.input_angle[way], output[way], np.full(720, curve.torque)
+        head = "time [s],input_angle [rad],output_angle [rad],torque [N*m]"
+        np.savetxt(files[-1], np.column_stack(columns), "%.17g", delimiter=",", header=head, comments="")
+    words = ("cycloid-fit", "identify", *files, "--pair", PAIR, "-o", tmp_path / "fit.json")
+    bare = (sys.executable, "-c", "import numba, pyarrow, pydantic, scipy.linalg, scipy.special, typer")
+    processor_seconds(*words)  # kernels are compiled
+    spent, alone = [], []
+    benchmark.pedantic(
+        lambda: spent.append(processor_seconds(*words)), setup=lambda: alone.append(processor_seconds(*bare)), rounds=5
+    )
+    benchmark.extra_info["processor seconds, least and median"] = f"{min(spent):.2f}, {statistics.median(spent):.2f}"
+    benchmark.extra_info["loading its packages alone"] = f"{min(alone):.2f}, {statistics.median(alone):.2f}"
+    ratio = statistics.median(one / other for one, other in zip(spent, alone, strict=True))
+    benchmark.extra_info["times loading its packages alone"] = round(ratio, 2)
 
 
 def plain_fit(pair, curves):

@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from cycloid_fmu import edge
 from cycloid_fmu.errors.kinds import KINDS, kind_of, names_of
 from cycloid_fmu.errors.stated import Errors
-from cycloid_fmu.geometry.pair import ANGLES, Pair
+from cycloid_fmu.geometry import ANGLES
+from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.provenance import drive_hash, drive_text, stating
 from cycloid_fmu.surfaces.structured import dimensions, profile_wave
 from cycloid_fmu.surfaces.surface import ErrorSurface, check_surface, stated_values, surface_of_pair
@@ -231,56 +232,6 @@ class Drive:
             workers=workers or os.cpu_count() or 1, progress=progress,
         )  # fmt: skip
 
-    def judge(
-        self,
-        requirements: Requirements | str | os.PathLike[str],
-        torque: Sequence[float | str] | None = None,
-        *,
-        angles: int = ANGLES,
-        turns: int = 1,
-        workers: int | None = None,
-        progress: Callable[[int], None] = lambda angles: None,
-    ) -> Judged:
-        """Say of each limit whether the drive keeps it, by how much and where; lives of bearings and what slides.
-
-        Parameters
-        ----------
-        requirements
-            What an application asks of the drive, or its file (cycloid-requirements/1).
-        torque
-            Of the environment on the output, N·m or text with a unit; those of the duty are judged as well.
-        angles, turns
-            Crank angles, and the turns that they span.
-        workers, progress
-            As of `analyze`.
-
-        Raises
-        ------
-        edge.InputError
-            If the file can't be read, there is no torque, one can't be carried, or the pair lacks something that a
-            limit needs.
-
-        Examples
-        --------
-        >>> import cycloid_fmu as cy
-        >>> from cycloid_fmu.studies.limits import Requirements
-        >>> pair = cy.Pair(
-        ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm"
-        ... )
-        >>> asked = Requirements(limits={"max_contact_pressure": "1000 MPa", "backlash": "1 arcmin"})
-        >>> [(one.figure, one.met) for one in cy.Drive(pair).judge(asked, ["181 N*m"], angles=45).verdicts]
-        [('backlash', True), ('max_contact_pressure', False)]
-        """
-        from cycloid_fmu.studies.limits import Requirements, read_requirements
-        from cycloid_fmu.studies.verdicts import judge_drive
-
-        stated = requirements if isinstance(requirements, Requirements) else read_requirements(requirements)
-        return judge_drive(
-            self.pair, self.surface, self.first_stage, stated, [_torque(t) for t in torque or ()],
-            np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False), workers=workers or os.cpu_count() or 1,
-            progress=progress,
-        )  # fmt: skip
-
     def motion(
         self,
         torque: ArrayLike | str | Sequence[float | str],
@@ -343,6 +294,56 @@ class Drive:
         loads = [_torque(t) for t in given]
         found = motion_of(self.pair, self.surface, loads, crank_angle, exaggeration, progress=progress)
         return dataclasses.replace(found, behind_first_stage=self.first_stage is not None)
+
+    def judge(
+        self,
+        requirements: Requirements | str | os.PathLike[str],
+        torque: Sequence[float | str] | None = None,
+        *,
+        angles: int = ANGLES,
+        turns: int = 1,
+        workers: int | None = None,
+        progress: Callable[[int], None] = lambda angles: None,
+    ) -> Judged:
+        """Say of each limit whether the drive keeps it, by how much and where; lives of bearings and what slides.
+
+        Parameters
+        ----------
+        requirements
+            What an application asks of the drive, or its file (cycloid-requirements/1).
+        torque
+            Of the environment on the output, N·m or text with a unit; those of the duty are judged as well.
+        angles, turns
+            Crank angles, and the turns that they span.
+        workers, progress
+            As of `analyze`.
+
+        Raises
+        ------
+        edge.InputError
+            If the file can't be read, there is no torque, one can't be carried, or the pair lacks something that a
+            limit needs.
+
+        Examples
+        --------
+        >>> import cycloid_fmu as cy
+        >>> from cycloid_fmu.studies.limits import Requirements
+        >>> pair = cy.Pair(
+        ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm"
+        ... )
+        >>> asked = Requirements(limits={"max_contact_pressure": "1000 MPa", "backlash": "1 arcmin"})
+        >>> [(one.figure, one.met) for one in cy.Drive(pair).judge(asked, ["181 N*m"], angles=45).verdicts]
+        [('backlash', True), ('max_contact_pressure', False)]
+        """
+        from cycloid_fmu.studies.limits import Requirements, read_requirements
+        from cycloid_fmu.studies.verdicts import judge_drive
+
+        stated = requirements if isinstance(requirements, Requirements) else read_requirements(requirements)
+        return judge_drive(
+            self.pair, self.surface, self.first_stage, stated, [_torque(t) for t in torque or ()],
+            np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False), workers=workers or os.cpu_count() or 1,
+            progress=progress,
+        )  # fmt: skip
 
     def compliance(self, *, progress: Callable[[int], None] = lambda parts: None) -> list[Share]:
         """Where the compliance and the lost motion of the drive as drawn come from: mesh, bearings, seats, clearances.

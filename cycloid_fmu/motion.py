@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import contact
 from cycloid_fmu.contact.transmission import Transmission, mesh_of, slices_needed
-from cycloid_fmu.geometry.pair import ANGLES, Pair
+from cycloid_fmu.geometry import ANGLES
+from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_curvature, flank_normals, flank_points
 from cycloid_fmu.supports.transmission import OnBearings, problem_of, solve
 from cycloid_fmu.surfaces.structured import dimensions

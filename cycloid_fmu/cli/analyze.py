@@ -12,7 +12,7 @@ import typer
 from cycloid_fmu import edge
 from cycloid_fmu.cli.shared import LimitsFile, PairFile, SurfaceFile, leave, print_judged
 from cycloid_fmu.edge import commands
-from cycloid_fmu.geometry.pair import ANGLES
+from cycloid_fmu.geometry import ANGLES
 
 if TYPE_CHECKING:
     from cycloid_fmu.contact.transmission import Transmission

@@ -11,7 +11,7 @@ import typer
 
 from cycloid_fmu.cli.shared import LimitsFile, PairFile, TolerancesFile, leave, print_verdicts
 from cycloid_fmu.edge import commands
-from cycloid_fmu.geometry.pair import ANGLES
+from cycloid_fmu.geometry import ANGLES
 
 if TYPE_CHECKING:
     from cycloid_fmu.studies.allocation import Allocation

@@ -438,15 +438,30 @@ def error_sensitivity(
     contact.sweep_sensitivities(drive, angles, torques, deviation, each, by_angle, by_torque)
     _check_again(drive, angles, torques, ~(by_torque > 0.0))
     jacobian = each @ columns
-    elements = PROFILE_POINTS if surface.gear_deviation is None else surface.gear_deviation.shape[2]
-    profiles = {at: wave for at, name in enumerate(names) if (wave := profile_wave(name, elements)) is not None}
+    profiles = [at for at, name in enumerate(names) if profile_wave(name, PROFILE_POINTS) is not None]
     if profiles:
-        places = np.concatenate([[0.0], equal_arc_parameters(pair, elements), [2.0 * np.pi / pair.gear_teeth]])
-        waves = np.pad(np.array(list(profiles.values())), ((0, 0), (1, 1)), "edge")
-        of_waves = np.empty((angles.size, len(profiles)))
-        contact.sweep_flank_sensitivities(drive, angles, deviation, places, waves, of_waves)
-        jacobian[:, list(profiles)] = of_waves
+        jacobian[:, profiles] = form_sensitivity(
+            pair, surface, deviation, angles, [names[at] for at in profiles], slices
+        )
     return deviation, jacobian, each, np.stack([by_angle - 1.0 / pair.ratio, by_torque], axis=1)
+
+
+def form_sensitivity(
+    pair: Pair,
+    surface: ErrorSurface,
+    transmission_error: ArrayLike,
+    crank_angle: ArrayLike,
+    names: list[str],
+    slices: int = 1,
+) -> Array:
+    """Derivatives of a solved transmission error by orders of the profile deviation, shape (angles, names), rad/m."""
+    angles, deviation = _contiguous(crank_angle), _contiguous(transmission_error)
+    elements = PROFILE_POINTS if surface.gear_deviation is None else surface.gear_deviation.shape[2]
+    places = np.concatenate([[0.0], equal_arc_parameters(pair, elements), [2.0 * np.pi / pair.gear_teeth]])
+    waves = np.pad(np.array([profile_wave(name, elements) for name in names]), ((0, 0), (1, 1)), "edge")
+    found = np.empty((angles.size, len(names)))
+    contact.sweep_flank_sensitivities(drive_of(pair, surface, slices), angles, deviation, places, waves, found)
+    return found
 
 
 LARGEST_PRESSURE = 4e9

@@ -25,7 +25,6 @@ from cycloid_fmu.geometry.supports import Supports
 from cycloid_fmu.geometry.temperature import Expansions, Temperatures
 
 FORMAT = "cycloid-pair/1"
-ANGLES = 367  # of a sweep over a crank turn where no one says: a prime, so that no number of pins is in step with it
 LOST_MOTION_LOAD = 0.03  # of the rated torque (GB/T 40731)
 _SHARE = f"{100.0 * LOST_MOTION_LOAD:g} %"
 LOST_MOTION = f"output angle at +{_SHARE} of the rated torque less that at -{_SHARE} (GB/T 40731)"

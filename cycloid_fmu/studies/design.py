@@ -23,7 +23,8 @@ import pydantic
 from numpy.typing import NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.geometry.pair import ANGLES, Pair
+from cycloid_fmu.geometry import ANGLES
+from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_normals, flank_points
 from cycloid_fmu.reducer.drive_file import parts_of_file
 from cycloid_fmu.reducer.transmission import solve

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.contact.transmission import Transmission, slices_needed
-from cycloid_fmu.geometry.pair import ANGLES, Pair
+from cycloid_fmu.geometry import ANGLES
+from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.reducer.transmission import solve
 from cycloid_fmu.studies import limits as judging

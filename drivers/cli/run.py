@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import itertools
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 import drivers
 from cycloid_fmu import edge
 from drivers.cli.shown import Allowed, LiveLine, recording
-from drivers.recorder.sequence import Step, read_sequence
-from drivers.recorder.watchdog import watched
+
+if TYPE_CHECKING:
+    from drivers.recorder.sequence import Step
 
 
 def run(
@@ -26,6 +27,9 @@ def run(
     Recordings are written beside the sequence; steps that are recorded are left out, so an interrupted sequence goes on
     where it was. A step that falls short is kept under another name, and made again if you say so.
     """
+    from drivers.recorder.sequence import read_sequence
+    from drivers.recorder.watchdog import watched
+
     made = read_sequence(sequence, allow=allow or ())
     driven, numbers = made.file.drive is not None, itertools.count(1)
 

@@ -4,7 +4,6 @@ Gauss-Newton steps on the exact contact model with its analytic derivatives, dam
 pins come into contact the curves have corners). Single pins and teeth are random displacements whose variance is not
 known: with every step it is estimated together with each curve's noise by restricted maximum likelihood, from the same
 normal equations (MacKay, Neural Computation 4 (1992) 415, section 4; Harville, J. Am. Stat. Assoc. 72 (1977) 320).
-Where that has ended, lmfit takes the last step, confirms the optimum and states its covariance.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ import os
 from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,18 +34,15 @@ from fitting.model.observations import (
     State,
     joined,
     left_of,
-    linearise,
     linearised_curve,
     nuisance_columns,
     scatter_names,
     scatter_parts,
+    split,
     spread_of,
     with_scatter,
 )
 from fitting.model.prior import tolerances_of
-
-if TYPE_CHECKING:
-    import lmfit
 
 Array = NDArray[np.float64]
 
@@ -59,7 +54,6 @@ TURNS = 3  # fewer do not say how they scatter
 _PROFILE_GAIN, _PROFILE_WITHIN = 0.02, 0.1  # of the rise: where a fit of a profile ends, and how near it must come
 _CRANK_SCALE, _CREEP_SCALE = 1e-2, 1e-6  # rad
 _SCATTER_SCALE = {"m": 1e-6, "rad": 1e-4}
-_CONFIRMATIONS = 2  # evaluations of the model that the last step may cost
 _ROUNDS, _LINEAR = 40, 0.02  # of the variances' fixed point on one model, where a step promises so little a point
 _SETTLED = 3e-3  # relative change of a deviation with one round, which comes near by ever smaller ones; in a start more
 _SIZES = np.geomspace(0.05, 20.0, 32)  # times the usual one: over which a size is averaged
@@ -138,7 +132,7 @@ class Problem:
     ) -> None:
         self.pair, self.chosen, self.around = pair, list(chosen), around
         self.prior = surface_of_pair(pair)
-        self.bounds = [_stated(name) for name in chosen]
+        self.bounds = [stated_range(name) for name in chosen]
         self.columns_of_chosen = [observed.errors.index(n) for n in chosen]
         known = np.isfinite(observed.bench_prior)
         crank = [_CRANK_SCALE] if observed.fit_crank else []
@@ -214,13 +208,17 @@ class Problem:
             found[part] = (self.scale[part.start] / max(scatter.get(name, 0.0), 1e-2 * NO_SCATTER)) ** 2
         return found
 
-    def normal(self, unknowns: Array, observed: Observations, limit: Array) -> _Normal:
-        """Evaluate the model and its normal equations; points further off than `limit` (curves,) do not count."""
+    def normal(self, unknowns: Array, observed: Observations, limit: Array, known: Linear | None = None) -> _Normal:
+        """Evaluate the model, unless it is known, and its normal equations.
+
+        Points further off than `limit` (curves,) do not count.
+        """
         state = self.state(unknowns)
+        parts = None if known is None else split(known, observed.ends)
 
         def of(number: int) -> tuple[Linear, tuple[Array, ...]]:
             one = observed.some([number])
-            linear = linearised_curve(self.pair, observed, number, state, self.around)
+            linear = parts[number] if parts else linearised_curve(self.pair, observed, number, state, self.around)
             left = one.weight * left_of(one, linear, state)
             inside = (np.abs(left) <= limit[number]) & (one.weight > 0.0)
             columns = self.columns(one, linear)[inside]
@@ -231,7 +229,7 @@ class Problem:
 
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             linears, sums = zip(*pool.map(of, range(len(observed.curves))), strict=True)
-        return _Normal(joined(linears), *(np.array(v) for v in zip(*sums, strict=True)))
+        return _Normal(joined(linears) if known is None else known, *(np.array(v) for v in zip(*sums, strict=True)))
 
 
 def _limits(normal: _Normal) -> Array:
@@ -247,6 +245,7 @@ def fit(
     *,
     gain: float,
     around: LinearisationPoint | None = None,
+    linear: Linear | None = None,
     evaluations: int = EVALUATIONS,
     estimated: bool = True,
     known: Mapping[str, float] | None = None,
@@ -267,6 +266,8 @@ def fit(
         row bring no more.
     around
         A drive near which the model is taken to first order, a tenth of the work; None for the exact one.
+    linear
+        The model at the start, where it was evaluated there already.
     evaluations
         How often the model is evaluated at most.
     estimated
@@ -285,12 +286,12 @@ def fit(
     known = {**{n: v for n, v in KNOWN_SIZES.items() if n in problem.parts}, **(known or {})}
     scatter = {**scatter, **known}
     limit = np.full(len(observed.curves), np.inf)
-    now = problem.normal(unknowns, observed, limit)
+    now = problem.normal(unknowns, observed, limit, linear)
     limit = _limits(now)
     if estimated:
         observed, now = _at_noise(observed, now, now.scale**2)
         limit = np.full_like(limit, OUTLYING)
-    damping, done, idle, settled = 1e-3, 1, 0, not estimated
+    damping, done, idle, settled = 1e-3, 1 if linear is None else 0, 0, not estimated
     while done < evaluations:
         precision = problem.precision(scatter)
         precision[list(pins)] = _PINNED
@@ -438,100 +439,11 @@ def allowed_radius(pair: Pair, estimate: Estimate) -> float:
     return float(np.sqrt(np.trapezoid(weight * sizes**2, sizes) / np.trapezoid(weight, sizes)))
 
 
-def _stated(name: str) -> tuple[float, float]:
+def stated_range(name: str) -> tuple[float, float]:
     """What a pair file may state of an error."""
     largest = {"m": LARGEST_DEVIATION, "rad": LARGEST_MISALIGNMENT}[unit_of(name)]
     largest = LARGEST_ELEMENT if name in profile_names(PROFILE_ORDERS) else largest
     return -largest, largest
-
-
-def possible(pair: Pair, name: str) -> tuple[float, float]:
-    """Return what an error can be, m or rad: what a pair file may state, and what still makes a gear pair."""
-    g = pair
-    low, high = _stated(name)
-    if name == "eccentricity":
-        low, high = max(low, -g.eccentricity), min(high, g.pin_circle_radius / g.pins - g.eccentricity)
-    if name == "pin_circle_radius":
-        low = max(low, g.eccentricity * g.pins - g.pin_circle_radius)
-    if name == "pin_radius":
-        touching = g.pin_circle_radius * np.sin(np.pi / g.pins)
-        low, high = max(low, -g.pin_radius), min(high, float(touching) - g.pin_radius)
-    return low, high
-
-
-def confirmed(pair: Pair, estimate: Estimate, gain: float) -> tuple[Estimate, lmfit.Parameters, Array]:
-    """Have lmfit take the last step from where a fit ended, at the noise and the scatter that it found.
-
-    The residual in units of the noise goes to `lmfit.Minimizer` (least squares within bounds, trust region) with its
-    analytic Jacobian, rotated into the frame of the Jacobian's triangular factor: sum of squares, gradient and
-    Gauss-Newton matrix are the same, with as many rows as there are unknowns.
-
-    Parameters
-    ----------
-    pair, estimate
-        The nominal pair and where the fit ended.
-    gain
-        lmfit ends where a step gains less than this of the sum of squares in units of the noise, and after two
-        evaluations of the model at most.
-
-    Returns
-    -------
-    estimate
-        At lmfit's optimum, or as it was where that is no better.
-    parameters
-        Every error, the bench and every pin's and tooth's scatter, SI, with standard errors, correlations and the
-        bounds of `possible`; errors that are not fitted do not vary.
-    covariance
-        Of those that vary, in their order, SI.
-    """
-    from lmfit import Minimizer, Parameters
-
-    problem, observed = Problem(pair, estimate.observed, estimate.chosen), estimate.observed
-    prior = np.sqrt(problem.precision(estimate.scatter))
-    parameters, lowest = Parameters(), dict(zip(observed.bearing_names, observed.bearing_lowest, strict=True))
-    for name, value in zip(problem.names, problem.unknowns(estimate.state) * problem.scale, strict=True):
-        # The bench's nuisances have their priors; one that came out below zero is zero within its standard error.
-        low, high = possible(pair, name) if name in estimate.chosen else (lowest.get(name, -np.inf), np.inf)
-        parameters.add(name, float(value), min=low, max=high)
-    for name in observed.errors:
-        if name not in estimate.chosen:
-            low, high = possible(pair, name)
-            parameters.add(name, structured_value(pair, problem.prior, name), vary=False, min=low, max=high)
-
-    def evaluated(values: Array, linear: Linear | None = None) -> tuple[State, Linear, Array]:
-        state = problem.state(values / problem.scale)
-        linear = linearise(pair, observed, state) if linear is None else linear
-        left = np.concatenate([observed.weight * left_of(observed, linear, state), -prior * values / problem.scale])
-        slopes = np.vstack([-problem.columns(observed, linear), -np.diag(prior)]) / problem.scale
-        triangle: Array = np.asarray(np.linalg.qr(np.column_stack([slopes, left]), mode="r"))
-        return state, linear, triangle
-
-    known: dict[bytes, tuple[State, Linear, Array]] = {}
-
-    def at(parameters: lmfit.Parameters) -> Array:
-        values = np.array([parameters[n].value for n in problem.names])
-        if values.tobytes() not in known:
-            known[values.tobytes()] = evaluated(values)
-        return known[values.tobytes()][2]
-
-    start = np.array([parameters[n].value for n in problem.names])
-    inside = bool(np.allclose(start, problem.unknowns(estimate.state) * problem.scale, rtol=1e-9, atol=0.0))
-    known[start.tobytes()] = evaluated(start, estimate.linear if inside else None)
-    misfit = float(np.sum(known[start.tobytes()][2][:, -1] ** 2))
-    minimizer = Minimizer(lambda p: at(p)[:, -1], parameters, scale_covar=False)
-    # At lmfit's own limit of evaluations there would be no covariance; at SciPy's there is one.
-    minimizer.kws["max_nfev"] = 1 + _CONFIRMATIONS
-    result = minimizer.minimize(
-        method="least_squares", jac=lambda p: at(p)[:, :-1], x_scale=problem.scale, ftol=gain / misfit, gtol=None
-    )
-    best = np.array([result.params[n].value for n in problem.names])
-    state, linear, _ = known[best.tobytes()]
-    evaluations = estimate.evaluations + len(known) - inside
-    estimate = dataclasses.replace(
-        estimate, state=state, linear=linear, misfit=float(result.chisqr), evaluations=evaluations,
-        unlikelihood=estimate.unlikelihood + float(result.chisqr) - misfit,
-    )  # fmt: skip
-    return estimate, result.params, np.asarray(0.5 * (result.covar + result.covar.T))
 
 
 def freedom(pair: Pair, estimate: Estimate, covariance: Array, known: Collection[str]) -> Array:

@@ -1,10 +1,10 @@
 """From recordings to the drive's errors: the way to the best fit; `fitting.estimation.result` states it.
 
-The structured errors that the data tell apart are fitted with the exact contact model and its analytic Jacobian; lmfit
-takes the last step, confirms the optimum and states its covariance. What every single pin and tooth does beyond them is
-a random scatter of unknown size: it is estimated together with the noise (restricted maximum likelihood), and where
-there is any it is part of the fit, so that it neither bends the structured errors nor lets their intervals look smaller
-than they are.
+The structured errors that the data tell apart are fitted with the exact contact model and its analytic Jacobian;
+`confirmation` takes the last step and states the covariance. What every single pin and tooth does
+beyond them is a random scatter of unknown size: it is estimated together with the noise (restricted maximum
+likelihood), and where there is any it is part of the fit, so that it neither bends the structured errors nor lets their
+intervals look smaller than they are.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ _SETTLED = 1e-7, 1e-7, 1e-7, 1e-4  # m and rad: supports that give way by no mor
 _TOLD_APART = 10.0  # of -2 log likelihood: a description that is less likely by more is excluded, 150 to 1
 _CHOICES = 3  # of errors to fit, which change where the state at which they are chosen does
 # A fit ends where a step gains less than this of the sum of squares in units of the noise: what moves one estimate by a
-# standard error at most, and by a tenth where it is shared among all. lmfit's steps follow.
+# standard error at most, and by a tenth where it is shared among all. The last step follows.
 _START_GAIN, _GAIN = 8.0, 1.0
 
 
@@ -194,7 +194,8 @@ def identify(
             rest = [*(c for i, c in enumerate(running) if i not in kept), *loops]
             if kept:
                 progress("fitting without the curves kept back")
-                start = _fitted(rest, pair, None, prior, progress)
+                # One to first order is enough, a third of the work: where it predicts badly the whole fit has the say.
+                start, _ = _starting_estimate(pair, _observed(rest, pair, prior), None, False, progress)
                 predicted = _predicted(pair, start, [running[i] for i in kept])
                 if predicted.residual > _MISPREDICTED * start.noise or is_uneven(start):
                     start = None
@@ -390,6 +391,10 @@ def _validated(
     return found, verdict or first
 
 
+def _observed(curves: Sequence[Curve], pair: Pair, known: Prior) -> Observations:
+    return observations(curves, pair, profile=known.profile, first_stage=known.first_stage)
+
+
 def _fitted(
     curves: Sequence[Curve],
     pair: Pair,
@@ -400,17 +405,18 @@ def _fitted(
     searched: bool = False,
 ) -> Estimate:
     """Fit from where another fit ended, or around there `searched` for a better minimum, or from the prior."""
-    observed = observations(curves, pair, profile=known.profile, first_stage=known.first_stage)
+    observed = _observed(curves, pair, known)
     if misfit is not None:
         observed = observed.with_misfit(*misfit)
-    rough = _starting_estimate(pair, observed, start, searched, progress)
+    rough, linear = _starting_estimate(pair, observed, start, searched, progress)
     state, scatter = rough.state, {**dict.fromkeys(observed.estimated, _MISFIT), **rough.scatter}
     weight = observed.weight * np.median(rough.observed.weight) / np.median(observed.weight)
     observed = dataclasses.replace(observed, weight=weight).with_sizes(scatter)
-    estimate = _settled(pair, observed, dataclasses.replace(rough, state=state, scatter=scatter), known, progress)
+    rough = dataclasses.replace(rough, state=state, scatter=scatter)
+    estimate = _settled(pair, observed, rough, linear, known, progress)
     if not known.scatter and len(_chosen(estimate.observed, estimate.linear, pair, {})) > len(estimate.chosen):
         # A scatter that does what errors would hides them.
-        again = _settled(pair, observed, _without_scatter(pair, estimate), known, progress)
+        again = _settled(pair, observed, _without_scatter(pair, estimate), None, known, progress)
         estimate = min(estimate, again, key=lambda e: e.unlikelihood)
     return dataclasses.replace(estimate, disagreeing=rough.disagreeing)
 
@@ -424,16 +430,25 @@ def _without_scatter(pair: Pair, found: Estimate) -> Estimate:
 
 
 def _settled(
-    pair: Pair, observed: Observations, start: Estimate, known: Prior, progress: Callable[[str], None]
+    pair: Pair,
+    observed: Observations,
+    start: Estimate,
+    linear: Linear | None,
+    known: Prior,
+    progress: Callable[[str], None],
 ) -> Estimate:
-    """Fit from a start, until the errors that are chosen where it ends are those that were fitted."""
-    state, scatter = start.state, start.scatter
-    linear, before = linearise(pair, observed, state), list(start.chosen)
+    """Fit from a start, until the errors that are chosen where it ends are those that were fitted.
+
+    `linear` is the model at the start, where it is known.
+    """
+    state, scatter, before = start.state, start.scatter, list(start.chosen)
+    linear = linearise(pair, observed, state) if linear is None else linear
     chosen = _chosen(observed, linear, pair, scatter)
     for _ in range(_CHOICES):
-        state = _carried_over(pair, observed, linear, state, before, chosen)
+        carried = _carried_over(pair, observed, linear, state, before, chosen)
         progress(f"fitting {len(chosen)} errors and the scatter of pins and teeth")
-        estimate = fit(pair, observed, chosen, state, scatter, gain=_GAIN, known=known.scatter)
+        there = linear if carried is state else None
+        estimate = fit(pair, observed, chosen, carried, scatter, gain=_GAIN, linear=there, known=known.scatter)
         state, scatter, linear, before = estimate.state, estimate.scatter, estimate.linear, chosen
         chosen = _chosen(estimate.observed, linear, pair, scatter)
         if chosen == before:
@@ -472,8 +487,10 @@ def _chosen(observed: Observations, linear: Linear, pair: Pair, scatter: Mapping
 
 def _starting_estimate(
     pair: Pair, observed: Observations, start: Estimate | None, searched: bool, progress: Callable[[str], None]
-) -> Estimate:
-    """A fit near the best one: where another fit ended, or the best of several starts on some of the points.
+) -> tuple[Estimate, Linear | None]:
+    """A fit near the best one, and the exact model there where it was evaluated.
+
+    It is where another fit ended, or the best of several starts on some of the points.
 
     The curves' corners make minima beside the best one. From the prior and by way of the largest load alone a fit
     rarely ends in the same wrong one, so two that agree are enough, all curves explained alike. Otherwise the pins
@@ -493,11 +510,11 @@ def _starting_estimate(
 
     if start is not None and not searched:
         if len(start.observed.curves) != len(observed.curves):
-            state, _ = zeroed(observed, start.state, None)
-        else:
-            known = dict(zip(start.observed.bench_names, start.state.bench, strict=True))
-            state = dataclasses.replace(start.state, bench=np.array([known.get(n, 0.0) for n in observed.bench_names]))
-        return dataclasses.replace(start, state=state)
+            state, linear = zeroed(observed, start.state, None)
+            return dataclasses.replace(start, state=state), linear
+        known = dict(zip(start.observed.bench_names, start.state.bench, strict=True))
+        state = dataclasses.replace(start.state, bench=np.array([known.get(n, 0.0) for n in observed.bench_names]))
+        return dataclasses.replace(start, state=state), None
     few, fewer = observed.thinned(_START_POINTS), observed.thinned(_START_POINTS // 2)
     loads = np.array([0.0 if c.branch else abs(c.torque) for c in few.curves])
     high, all_of_them = np.flatnonzero(loads > 0.7 * loads.max()), np.arange(loads.size)
@@ -510,8 +527,9 @@ def _starting_estimate(
     ) -> Estimate:
         state, linear = zeroed(part, state, around)
         chosen = _chosen(part, linear, pair, {})
-        return fit(pair, part, chosen, state, scatter, gain=_START_GAIN, around=around, evaluations=_START_EVALUATIONS,
-                   known={PIN_RADIUS: NO_SCATTER})  # fmt: skip  # radii could do here what other errors do
+        # Radii could do here what other errors do.
+        return fit(pair, part, chosen, state, scatter, gain=_START_GAIN, around=around, linear=linear,
+                   evaluations=_START_EVALUATIONS, known={PIN_RADIUS: NO_SCATTER})  # fmt: skip
 
     # To first order from the prior, and from there once more; a crank whose zero is unknown and discs that float need
     # the exact model.
@@ -563,4 +581,4 @@ def _starting_estimate(
                 searching = True
                 break
         alike = agree()
-    return dataclasses.replace(found[0], disagreeing=0 if alike else len(found))
+    return dataclasses.replace(found[0], disagreeing=0 if alike else len(found)), None

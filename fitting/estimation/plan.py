@@ -234,7 +234,7 @@ class _Foretold:
         self.linear = joined([once, once])
         whole = self.observed
         if form > 0.0:
-            columns = form_columns(pair, self.observed.some(range(self.second)), state)
+            columns = form_columns(pair, self.observed.some(range(self.second)), state, once)
             whole = whole.with_form(np.vstack([columns, columns]), form)
         self.told = [information_of_points(*self._some(whole, [n]), self.names, self.spread)
                      for n in range(2 * self.second)]  # fmt: skip

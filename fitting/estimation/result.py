@@ -12,6 +12,7 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,15 +36,8 @@ from fitting.estimation.allowances import (
     moved_by_form,
     moved_by_held,
 )
-from fitting.estimation.fit import (
-    NO_SCATTER,
-    Estimate,
-    allowed_radius,
-    confirmed,
-    freedom,
-    profile_interval,
-    turn_bootstrap,
-)
+from fitting.estimation.confirmation import Confirmed, as_lmfit, confirmed, lmfit_states, with_covariance
+from fitting.estimation.fit import NO_SCATTER, Estimate, allowed_radius, freedom, profile_interval, turn_bootstrap
 from fitting.estimation.parameter import CONFIDENCE, Parameter, parameter, parameter_as_json, withheld
 from fitting.estimation.realised import GAUGE, Realised, realised
 from fitting.estimation.validation import HeldOut, Verdict
@@ -76,7 +70,7 @@ FORMAT = "cycloid-identification/1"
 _LEFT = 1.3  # times its noise: a curve of which more is left is not explained wholly
 _ANGLES = 720  # of a crank turn that count as different: samples in step with it are closer than that
 _TOLD = 1.5  # angles of the crank in all curves for each single displacement: with fewer a fit finds many minima
-_AT_BOUND = 1e-3  # of the bound: lmfit ends so close beside it
+_AT_BOUND = 1e-3  # of the bound: the last step ends so close beside it
 
 
 @dataclass(frozen=True)
@@ -99,7 +93,7 @@ class Identification:
     bench
         {name: value} of the bench's nuisances: zeros and encoder eccentricity (rad), compliance of the chain beside
         the gear pair (rad/(N·m)), friction torque, and that of loops (N·m).
-    lmfit_parameters
+    confirmed
         All structured errors and the bench's nuisances in SI: values, standard errors, correlations, and what each
         error can be as bounds. Those that are held do not vary; their standard error is what they may be unmeasured.
     surface
@@ -151,7 +145,7 @@ class Identification:
     bearings: tuple[Parameter, ...]
     clock_lag: Parameter | None
     bench: dict[str, float]
-    lmfit_parameters: lmfit.Parameters
+    confirmed: Mapping[str, Confirmed]
     surface: ErrorSurface
     correlation: Array
     singular_values: Array
@@ -176,6 +170,11 @@ class Identification:
     def fitted(self) -> tuple[str, ...]:
         """Names of the fitted parameters."""
         return tuple(p.name for p in self.parameters if p.held is None)
+
+    @cached_property
+    def lmfit_parameters(self) -> lmfit.Parameters:
+        """What was `confirmed`, as lmfit has it."""
+        return as_lmfit(self.confirmed)
 
     @property
     def drive(self) -> Drive:
@@ -259,10 +258,10 @@ def result_of(
         added = np.maximum(turns**2 - (inflation * white) ** 2, 0.0)
         every[np.diag_indices(len(chosen))] += added
     # The scatter of pins and teeth stands behind the errors and the bench.
-    lmfit_parameters = _stated(found, every[: -spread.size, : -spread.size], observed.profile)
+    stated = _stated(found, every[: -spread.size, : -spread.size], observed.profile)
     own = observed.bearing_names
-    bench = {n: p.value for n, p in lmfit_parameters.items() if n not in names and n not in own}
-    deviations = np.array([float(lmfit_parameters[n].stderr) for n in own])
+    bench = {n: p.value for n, p in stated.items() if n not in names and n not in own}
+    deviations = np.array([stated[n].stderr for n in own], dtype=float)
     deviations = np.hypot(deviations, moved_by_held(pair, fit)) if own else deviations
     bearings = bearings_found(pair, observed, state.bearings, deviations)
     made = pair_with(pair, state.bearings)
@@ -275,7 +274,7 @@ def result_of(
     plain = with_scatter(pair, state.surface, -state.scatter)
     lag = None
     if LAG_NAME in bench:
-        lag = clock_lag_found(observed, linear, bench[LAG_NAME], float(lmfit_parameters[LAG_NAME].stderr))
+        lag = clock_lag_found(observed, linear, bench[LAG_NAME], float(stated[LAG_NAME].stderr or 0.0))
     singular, combinations, reasons = weakness(observed, linear, names, chosen)
     moved = dict(zip(chosen, moved_by_form(pair, fit, form) if form else np.zeros(len(chosen)), strict=True))
     parameters = []
@@ -318,7 +317,7 @@ def result_of(
         bearings=tuple(bearings),
         clock_lag=lag,
         bench=bench,
-        lmfit_parameters=lmfit_parameters,
+        confirmed=stated,
         surface=surface,
         correlation=covariance / np.outer(error, error),
         singular_values=singular,
@@ -371,28 +370,17 @@ def _of_discs(others: int) -> list[str]:
     ]
 
 
-def _bounded(parameter: lmfit.Parameter) -> bool:
+def _bounded(parameter: Confirmed) -> bool:
     return bool(min(parameter.value - parameter.min, parameter.max - parameter.value) < _AT_BOUND * parameter.max)
 
 
-def _stated(found: lmfit.Parameters, covariance: Array, profile: Mapping[str, float]) -> lmfit.Parameters:
-    """Return the first of lmfit's parameters, those of a covariance, and what is held, with what is stated of them."""
-    from lmfit import Parameters
-
-    names = [n for n, p in found.items() if p.vary][: len(covariance)]
+def _stated(found: Mapping[str, Confirmed], covariance: Array, profile: Mapping[str, float]) -> dict[str, Confirmed]:
+    """Return the first of the parameters, those of a covariance, and what is held, with what is stated of them."""
     held = [n for n, p in found.items() if not p.vary]
-    deviation = np.sqrt(np.diag(covariance))
-    correlation = covariance / np.outer(deviation, deviation)
-    stated = Parameters()
-    for name in (*names, *held):
-        one = found[name]
-        stated.add(name, one.value, vary=one.vary, min=one.min, max=one.max)
-    for name, sigma in zip(held, tolerances_of(held, profile), strict=True):
-        stated[name].stderr = float(sigma)
-    for at, name in enumerate(names):
-        stated[name].stderr = float(deviation[at])
-        stated[name].correl = {n: float(correlation[at, i]) for i, n in enumerate(names) if i != at}
-    return stated
+    before = tolerances_of(held, profile)
+    return with_covariance(found, covariance) | {
+        name: dataclasses.replace(found[name], stderr=float(sigma)) for name, sigma in zip(held, before, strict=True)
+    }
 
 
 def _loops(pair: Pair, fit: Estimate, fitted: Sequence[Array], covariance: Array) -> tuple[LoopFit, ...]:
@@ -525,7 +513,7 @@ def as_json(result: Identification) -> dict[str, Any]:
         **({"bearings": {p.name: parameter_as_json(p) for p in result.bearings}} if result.bearings else {}),
         **({"clock_lag": parameter_as_json(result.clock_lag)} if result.clock_lag else {}),
         "bench": result.bench,
-        "lmfit_parameters": json.loads(result.lmfit_parameters.dumps()),
+        "lmfit_parameters": lmfit_states(result.confirmed),
         "correlation": {"of": list(result.fitted), "matrix": result.correlation},
         "singular_values": result.singular_values,
         "weak_combinations": list(result.weak_combinations),

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu.contact import first_order
-from cycloid_fmu.contact.transmission import error_sensitivity
+from cycloid_fmu.contact.transmission import error_sensitivity, form_sensitivity
 from cycloid_fmu.errors.kinds import KINDS, kinds_of, structured_names
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.reducer.first_stage import FirstStage
@@ -489,21 +489,24 @@ def linearised_curve(
                   share * by_crank, share * s * against * by_torque)  # fmt: skip
 
 
-def form_columns(pair: Pair, observed: Observations, state: State) -> Array:
+def form_columns(pair: Pair, observed: Observations, state: State, linear: Linear) -> Array:
     """Return derivatives by the `PROFILE_ORDERS` of a form that all flanks share, shape (points, orders), rad/m.
 
-    The pair has no supports: the model on bearings has no form.
+    `linear` is the model at the state. The pair has no supports: the model on bearings has no form.
     """
     names = profile_names(PROFILE_ORDERS)
     s = share_of(observed.first_stage, pair)
+    is_solved = observed.first_stage is None and observed.give is None
 
-    def one(curve: Curve) -> Array:
-        torque = np.where(curve.torque_at_points == 0.0, _LEAST_TORQUE * curve.torque, curve.torque_at_points)
+    def one(curve: Curve, model: Array) -> Array:
         angle = curve.input_angle + state.crank_offset
+        if is_solved:
+            return form_sensitivity(pair, state.surface, model, angle, names)
+        torque = np.where(curve.torque_at_points == 0.0, _LEAST_TORQUE * curve.torque, curve.torque_at_points)
         return s * error_sensitivity(pair, state.surface, s * torque, angle, names)[1]
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return np.concatenate(list(pool.map(one, observed.curves)))
+        return np.concatenate(list(pool.map(one, observed.curves, np.split(linear.model, observed.ends))))
 
 
 def linearise(pair: Pair, observed: Observations, state: State, around: LinearisationPoint | None = None) -> Linear:
@@ -517,6 +520,12 @@ def linearise(pair: Pair, observed: Observations, state: State, around: Linearis
 def joined(each: Sequence[Linear]) -> Linear:
     """Return the models of curves, one after another, as one."""
     return Linear(*(np.concatenate([getattr(f, n.name) for f in each]) for n in dataclasses.fields(Linear)))
+
+
+def split(linear: Linear, ends: NDArray[np.int64]) -> list[Linear]:
+    """Return the model of each curve from that of all, whose curves end at `ends`, the last one's apart."""
+    parts = [np.split(getattr(linear, f.name), ends) for f in dataclasses.fields(Linear)]
+    return [Linear(*each) for each in zip(*parts, strict=True)]
 
 
 def left_of(observed: Observations, linear: Linear, state: State) -> Array:

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from cycloid_fmu import edge
-from fitting.recordings.formats import BenchFile, Piece, RawChannel, unique
+from fitting.recordings.formats import BenchFile, Piece, RawChannel, numbers_of, unique
 from fitting.recordings.tables import CsvFile, decoded_start
 
 _ROWS = 1 << 15  # of a piece
@@ -181,7 +181,7 @@ class ScopeFile(BenchFile):
             )  # fmt: skip
         except pa.ArrowException:
             raise edge.InputError(f"{self.source}: {self._bad_cell(padded, number, wanted)}") from None
-        return {i: table.column(str(i)).to_numpy(zero_copy_only=False) for i in wanted}
+        return {i: numbers_of(table.column(str(i)).combine_chunks()) for i in wanted}
 
     def _bad_cell(self, rows: list[str], number: int, wanted: Sequence[int]) -> str:
         names = {i: n for n, (_, i) in self._places.items()}

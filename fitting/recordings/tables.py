@@ -11,10 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from cycloid_fmu import edge
-from fitting.recordings.formats import PIECE, BenchFile, Piece, RawChannel, name_and_unit, unique, unit_text
+from fitting.recordings.formats import PIECE, BenchFile, Piece, RawChannel, name_and_unit, numbers_of, unique, unit_text
 
 _NUMERIC = re.compile(r"\s*[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?\s*")
 _NOT_A_NUMBER = {"", "nan", "inf", "-inf", "n/a", "na", "null"}
@@ -169,7 +167,7 @@ class CsvFile(BenchFile):
         try:
             with arrow_csv.open_csv(self.source, **options) as reader:
                 for batch in reader:
-                    table = [batch.column(i).to_numpy(zero_copy_only=False) for i in range(len(names))]
+                    table = [numbers_of(batch.column(i)) for i in range(len(names))]
                     for begin in range(0, batch.num_rows, PIECE):
                         yield Piece(None, {n: v[begin : begin + PIECE] for n, v in zip(names, table, strict=True)})
         except pa.ArrowInvalid as problem:
@@ -228,6 +226,4 @@ class ParquetFile(BenchFile):
         """Yield pieces of these channels in the order of time."""
         stored = dict(zip((c.name for c in self.channels), self._names.values(), strict=True))
         for batch in self._file.iter_batches(batch_size=PIECE, columns=[stored[n] for n in names]):
-            yield Piece(
-                None, {n: np.asarray(batch.column(stored[n]).to_numpy(zero_copy_only=False), float) for n in names}
-            )
+            yield Piece(None, {n: numbers_of(batch.column(stored[n])) for n in names})

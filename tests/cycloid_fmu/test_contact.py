@@ -14,7 +14,8 @@ from cycloid_fmu.contact.deviations import Facing, added_curvature
 from cycloid_fmu.contact.transmission import drive_of, error_sensitivity, notes, solve
 from cycloid_fmu.drive import read_drive
 from cycloid_fmu.errors.kinds import structured_names
-from cycloid_fmu.geometry.pair import ANGLES, parse_pair, read_pair, write_pair
+from cycloid_fmu.geometry import ANGLES
+from cycloid_fmu.geometry.pair import parse_pair, read_pair, write_pair
 from cycloid_fmu.surfaces.files import write_surface
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import nominal_surface, surface_of_pair

@@ -18,7 +18,8 @@ from cycloid_fmu.drive import Drive
 from cycloid_fmu.surfaces.sampling import parse_tolerances
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
-from fitting.estimation.fit import confirmed, fit, possible, profile_interval, turn_bootstrap
+from fitting.estimation.confirmation import confirmed, possible, with_covariance
+from fitting.estimation.fit import fit, profile_interval, turn_bootstrap
 from fitting.estimation.identify import identify
 from fitting.estimation.realised import displaced
 from fitting.model.identifiability import chosen_errors, posterior_covariance
@@ -105,7 +106,7 @@ def test_the_optimum_is_that_of_finite_differences_for_a_twentieth_of_the_evalua
         assert structured_value(nominal, found.state.surface, name) == pytest.approx(value, abs=0.1 * one), name
 
 
-def test_lmfit_confirms_the_optimum_and_its_covariance(simple, nominal, monkeypatch):
+def test_the_last_step_confirms_the_optimum_and_its_covariance(simple, nominal, monkeypatch):
     """It moves no error by more than a twentieth of its standard error, for two evaluations of the model at most."""
     _, observed = simple
     found = fit(nominal, observed, ERRORS, at_nominal(nominal, observed), {"pin_radial": 1e-6}, gain=1e-3,
@@ -120,6 +121,7 @@ def test_lmfit_confirms_the_optimum_and_its_covariance(simple, nominal, monkeypa
 
     monkeypatch.setattr(fitting.model.observations, "error_sensitivity", counted)
     again, parameters, covariance = confirmed(nominal, found, gain=1e-6)
+    parameters = with_covariance(parameters, covariance)
     assert solved <= 2 * observed.measured.size
     assert again.misfit <= found.misfit * (1.0 + 1e-12)
     for name in ERRORS:
@@ -138,14 +140,15 @@ def test_lmfit_confirms_the_optimum_and_its_covariance(simple, nominal, monkeypa
     )
 
 
-def test_lmfit_leads_to_the_optimum_from_beside_it(simple, nominal):
+def test_the_last_step_leads_to_the_optimum_from_beside_it(simple, nominal):
     _, observed = simple
     found = fit(nominal, observed, ERRORS, at_nominal(nominal, observed), {}, gain=1e-3, estimated=False)
     moved = with_structured(nominal, found.state.surface, {"eccentricity": structured_value(
         nominal, found.state.surface, "eccentricity") + 200e-9})  # fmt: skip
     state = dataclasses.replace(found.state, surface=moved)
     beside = dataclasses.replace(found, state=state, linear=linearise(nominal, found.observed, state))
-    again, parameters, _ = confirmed(nominal, beside, gain=1e-3)
+    again, parameters, covariance = confirmed(nominal, beside, gain=1e-3)
+    parameters = with_covariance(parameters, covariance)
     assert parameters["eccentricity"].stderr < 100e-9
     for name in ERRORS:
         value = structured_value(nominal, found.state.surface, name)
@@ -168,7 +171,7 @@ def test_bounds_are_where_the_pair_ceases_to_be_one(nominal):
 def test_a_fit_that_leaves_what_is_possible_ends_at_its_bound_and_says_so(simple, nominal, monkeypatch):
     _, observed = simple
     monkeypatch.setattr(
-        "fitting.estimation.fit.possible",
+        "fitting.estimation.confirmation.possible",
         lambda pair, name: (-0.5e-6, 0.5e-6) if name == "pin_radius" else (-1e-3, 1e-3),
     )
     found = identify(observed.curves, Drive(nominal), held_out=False)

@@ -98,6 +98,11 @@ def test_json_says_value_interval_and_what_is_held(found):
 def test_lmfit_reads_its_parameters_back(found, tmp_path):
     found.write(tmp_path / "fit.json")
     again = read_lmfit_parameters(tmp_path / "fit.json")
+    written = json.loads((tmp_path / "fit.json").read_text())["lmfit_parameters"]
+    by_lmfit = json.loads(edge.json_text(json.loads(found.lmfit_parameters.dumps())))
+    assert written["params"] == by_lmfit["params"]
+    # lmfit writes functions of its own besides, as pickles.
+    assert written["unique_symbols"].items() <= by_lmfit["unique_symbols"].items()
     assert [*again] == [*found.lmfit_parameters]
     for name, one in found.lmfit_parameters.items():
         other = again[name]
