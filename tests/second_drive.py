@@ -38,7 +38,7 @@ class Body:
         Shape (discs, teeth): by how much each tooth is turned about its disc's centre, rad.
     form
         Amplitudes of cos(kπu), k = 1, 2, …, u = 0 … 1 along a flank's arc from root to root, on all flanks alike:
-        material added, m; a thickness alone, whose slope and curvature contacts do not feel.
+        material added, m, to second order of its slope; a disc's shift does not see the slope.
     bearing, windup
         Springs that hold a disc's centre, N/m in every direction, none where it is rigid; and what more the output
         turns under its torque, rad/(N·m).
@@ -114,12 +114,24 @@ def _trochoid(s, made):
 
 
 def _along(s, made):
-    """Share of a flank's arc at which contacts with parameters 0 ≤ s < 2π stand."""
+    """Share of a flank's arc at which contacts with parameters 0 ≤ s < 2π stand, and the length of the arc, m."""
     grid = np.linspace(0.0, 2.0 * np.pi, 2001)
     _, first, second = _trochoid(grid, made)
     speed = np.abs(first) - made.cut[1] * np.imag(np.conj(first) * second) / np.abs(first) ** 2
     arc = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))])
-    return np.interp(s, grid, arc / arc[-1])
+    return np.interp(s, grid, arc / arc[-1]), arc[-1] * (grid[1] - grid[0])
+
+
+def _form(s, made):
+    """Thickness of the form there, its slope and its second derivative along the arc: m, 1, 1/m."""
+    share, length = _along(s, made)
+    waves = np.pi * np.arange(1, len(made.form) + 1)
+    phase, each = share[:, None] * waves, np.array(made.form)
+    return (
+        np.cos(phase) @ each,
+        -np.sin(phase) @ (each * waves) / length,
+        -np.cos(phase) @ (each * waves**2) / length**2,
+    )
 
 
 def _hertz(depth, curvature, radius, made):
@@ -171,18 +183,22 @@ def _pushed(made, theta, state, shift):
             within = s - 2.0 * np.pi * of
             radius = made.pin_radius[pin]
             gap = np.real((place - curve) * np.conj(outward)) + made.cut[1] - radius
+            path = np.imag(np.conj(first) * second) / np.abs(first) ** 3
+            bend, lever = path / (1.0 - path * made.cut[1]), np.imag(np.conj(curve) * outward)
             if made.form:
-                orders = np.arange(1, len(made.form) + 1)
-                gap = gap - np.cos(np.pi * _along(within, made)[:, None] * orders) @ made.form
+                thick, slope_of, bent = _form(within, made)
+                # Where the flank slopes, the contact stands aside by as much as the two bodies' curvatures let it.
+                gap = gap - thick - 0.5 * slope_of**2 / (1.0 / radius + bend)
+                aside = np.real(-1j * place * np.conj(first)) / np.abs(first) * (1.0 - path * made.cut[1])
+                bend, lever = bend - bent, lever + slope_of * aside
             touch = (gap < 0.0) & (within >= 0.0) & (within < 2.0 * np.pi)
-            row, curve, outward, gap, radius = row[touch], curve[touch], outward[touch], gap[touch], radius[touch]
-            path = np.imag(np.conj(first[touch]) * second[touch]) / np.abs(first[touch]) ** 3
-            force, stiffness = _hertz(-gap, path / (1.0 - path * made.cut[1]), radius, made)
+            row, outward = row[touch], outward[touch]
+            force, stiffness = _hertz(-gap[touch], bend[touch], radius[touch], made)
             # The tooth's own frame turns back into the plane.
             back = turn[row] * np.exp(1j * made.turned[disc, of[touch] % made.teeth])
             normal = outward * back
             arms = np.zeros((row.size, size))
-            arms[:, 0] = np.imag(np.conj(curve) * outward)
+            arms[:, 0] = lever[touch]
             if size > 1:
                 arms[:, held] = np.stack([normal.real, normal.imag], axis=1)
             np.add.at(total, row, force[:, None] * arms)

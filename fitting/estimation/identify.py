@@ -23,13 +23,14 @@ from cycloid_fmu.drive import Drive
 from cycloid_fmu.errors.kinds import wave_of
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.sampling import Tolerances, read_tolerances
-from cycloid_fmu.surfaces.structured import structured_value, with_structured
+from cycloid_fmu.surfaces.structured import profile_names, structured_value, with_structured
 from cycloid_fmu.surfaces.surface import DEVIATIONS, ErrorSurface, surface_of_pair
 from fitting.arguments import positive
 from fitting.estimation.fit import NO_SCATTER, OUTLYING, TURNS, Estimate, fit
 from fitting.estimation.result import Identification, is_uneven, result_of
 from fitting.estimation.validation import (
     HeldOut,
+    Likely,
     Residual,
     Verdict,
     likely_causes,
@@ -37,7 +38,7 @@ from fitting.estimation.validation import (
     verdict_of,
     yardsticks,
 )
-from fitting.model.discrepancy import GIVE, causes, given_way
+from fitting.model.discrepancy import FORM, GIVE, causes, given_way
 from fitting.model.discs import other_descriptions
 from fitting.model.identifiability import chosen_errors
 from fitting.model.loops import observed_curves, on_the_curves_zero
@@ -45,6 +46,7 @@ from fitting.model.observations import (
     CREEP,
     MISFIT,
     NO_CREEP,
+    PROFILE_ORDERS,
     Linear,
     LinearisationPoint,
     Observations,
@@ -197,7 +199,9 @@ def identify(
                 predicted = _predicted(pair, start, [running[i] for i in kept])
                 if predicted.residual > _MISPREDICTED * start.noise or is_uneven(start):
                     start = None
-            found, verdict = _validated([*running, *loops], pair, start, prior, progress)
+            shape = 0.0 if prior.profile or pair.supports is not None else shape
+            found, verdict = _validated([*running, *loops], pair, start, prior, shape, progress)
+            shape = 0.0 if found.observed.profile else shape
             if predicted is not None and verdict.state == "explained" and _is_mispredicted(predicted):
                 # The first fit may have ended beside its best optimum, which the whole one has found.
                 progress("fitting without the curves kept back, from there")
@@ -206,8 +210,7 @@ def identify(
             found, others = _described_otherwise(pair, found, prior, progress)
             verdict = dataclasses.replace(verdict, descriptions=1 + len(others), disagreeing=found.disagreeing)
             result = result_of(
-                pair, found, verdict, predicted, prior.scatter, profiled, bootstrap, _GAIN, others,
-                0.0 if prior.profile or pair.supports is not None else shape, progress,
+                pair, found, verdict, predicted, prior.scatter, profiled, bootstrap, _GAIN, others, shape, progress,
             )  # fmt: skip
     except np.linalg.LinAlgError:
         raise edge.InputError(
@@ -341,21 +344,38 @@ def _validated(
     pair: Pair,
     start: Estimate | None,
     known: Prior,
+    form: float,
     progress: Callable[[str], None],
 ) -> tuple[Estimate, Verdict]:
-    """Fit curves, and where the errors do not explain them fit what most likely does beside them."""
+    """Fit curves, and where the errors do not explain them fit what most likely does beside them.
+
+    That flanks may have a form in common, each of its orders as large as `form` (m), is one such cause.
+    """
+    formed = False
+
+    def looks_like(found: Estimate, likely: Likely | None = None) -> Likely:
+        state = found.state if form and not formed else None
+        columns = causes(pair, found.observed, found.linear, state)
+        return likely_causes(Residual(pair, found), columns, likely)
+
     found = _fitted(curves, pair, start, known, progress)
     progress("testing what is left")
-    likely = likely_causes(Residual(pair, found), causes(pair, found.observed, found.linear))
-    first = verdict_of(pair, found, likely)
+    likely = looks_like(found)
+    if FORM in likely.columns or any(FORM in alike for alike in likely.alike.values()):
+        # Contacts move along a flank as its form has it: it is fitted as an error of the pair.
+        known = dataclasses.replace(known, profile=dict.fromkeys(profile_names(PROFILE_ORDERS), form))
+        progress("fitting the form of the flanks")
+        formed, found = True, _fitted(curves, pair, _without_scatter(pair, found), known, progress)
+        likely = looks_like(found)
+    first = verdict_of(pair, found, likely, formed)
     if (likely.columns or first.state == "not explained") and first.residual < _BESIDE * first.noise:
         # It may be that a better minimum leaves nothing.
         other = _fitted(curves, pair, found, known, progress, searched=True)
         if other.unlikelihood < found.unlikelihood - _GAIN:
             found = other
             progress("testing what is left")
-            likely = likely_causes(Residual(pair, found), causes(pair, found.observed, found.linear))
-            first = verdict_of(pair, found, likely)
+            likely = looks_like(found)
+            first = verdict_of(pair, found, likely, formed)
     if likely.columns:
         # The scatter has swallowed what it could of the causes.
         found = _without_scatter(pair, found)
@@ -365,7 +385,7 @@ def _validated(
         taken = 0.0 if give is None else likely.columns[GIVE] @ coefficients
         misfit = likely.columns, give, taken
         found = _fitted(curves, pair, found, known, progress, misfit)
-        verdict = verdict_of(pair, found, likely)
+        verdict = verdict_of(pair, found, likely, formed)
         before = give
         part = found.observed.estimated.get(f"{MISFIT}_{GIVE}")
         if part is not None:
@@ -374,7 +394,7 @@ def _validated(
         if give is None or (before is not None and (np.abs(give - before) < _SETTLED).all()):
             if verdict.state != "not explained":
                 break
-            likely = likely_causes(Residual(pair, found), causes(pair, found.observed, found.linear), likely)
+            likely = looks_like(found, likely)
         else:
             # Supports that gave way have moved the contacts: what more of it does is taken there.
             moved = dataclasses.replace(found.observed, give=give)
@@ -401,10 +421,6 @@ def _fitted(
     weight = observed.weight * np.median(rough.observed.weight) / np.median(observed.weight)
     observed = dataclasses.replace(observed, weight=weight).with_sizes(scatter)
     estimate = _settled(pair, observed, dataclasses.replace(rough, state=state, scatter=scatter), known, progress)
-    if not known.scatter and len(_chosen(estimate.observed, estimate.linear, pair, {})) > len(estimate.chosen):
-        # A scatter that does what errors would hides them.
-        again = _settled(pair, observed, _without_scatter(pair, estimate), known, progress)
-        estimate = min(estimate, again, key=lambda e: e.unlikelihood)
     return dataclasses.replace(estimate, disagreeing=rough.disagreeing)
 
 
@@ -422,13 +438,13 @@ def _settled(
     """Fit from a start, until the errors that are chosen where it ends are those that were fitted."""
     state, scatter = start.state, start.scatter
     linear, before = linearise(pair, observed, state), list(start.chosen)
-    chosen = _chosen(observed, linear, pair, scatter)
+    chosen = _chosen(observed, linear, pair)
     for _ in range(_CHOICES):
         state = _carried_over(pair, observed, linear, state, before, chosen)
         progress(f"fitting {len(chosen)} errors and the scatter of pins and teeth")
         estimate = fit(pair, observed, chosen, state, scatter, gain=_GAIN, known=known.scatter)
         state, scatter, linear, before = estimate.state, estimate.scatter, estimate.linear, chosen
-        chosen = _chosen(estimate.observed, linear, pair, scatter)
+        chosen = _chosen(estimate.observed, linear, pair)
         if chosen == before:
             break
     return estimate
@@ -456,8 +472,10 @@ def _carried_over(
                                bench=state.bench + share[size.size :])  # fmt: skip
 
 
-def _chosen(observed: Observations, linear: Linear, pair: Pair, scatter: Mapping[str, float]) -> list[str]:
-    chosen = chosen_errors(observed, linear, observed.errors, spread_of(pair, scatter))
+def _chosen(observed: Observations, linear: Linear, pair: Pair) -> list[str]:
+    # Without what single pins and teeth do, which widens the intervals: a scatter that took what held errors did would
+    # keep them held, and others that move the curves nearly as these do would take the rest.
+    chosen = chosen_errors(observed, linear, observed.errors, spread_of(pair, {}))
     if not chosen:
         raise edge.InputError("the data tell none of the structured errors apart; record more loads or more turns.")
     return chosen
@@ -502,7 +520,7 @@ def _starting_estimate(
         part: Observations, state: State, scatter: Mapping[str, float], around: LinearisationPoint | None
     ) -> Estimate:
         state, linear = zeroed(part, state, around)
-        chosen = _chosen(part, linear, pair, {})
+        chosen = _chosen(part, linear, pair)
         return fit(pair, part, chosen, state, scatter, gain=_START_GAIN, around=around, evaluations=_START_EVALUATIONS)
 
     # To first order from the prior, and from there once more; a crank whose zero is unknown and discs that float need

@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu.geometry.pair import Pair
-from fitting.model.observations import GIVES, Linear, Observations
+from fitting.model.observations import GIVES, Linear, Observations, State, form_columns
 from fitting.transmission_error.curve import Curve
 
 Array = NDArray[np.float64]
 
 GIVE = "support_give"
+FORM = "flank_form"
 RUN_OUT = (1, 2, 3)  # orders of a shaft that its encoder and couplings make
 _SLOW = 6  # degree of what a zero drifts over a recording
 _CRANK = 100.0  # rad of the crank for one of the transmission error
@@ -28,24 +29,28 @@ SENTENCES = {
     "friction": "friction that grows with the load",
     "torque_ripple": "torque that the sensor does not see",
     "run_out": "run-out of a shaft or its encoder",
+    FORM: "a form that all flanks share",
     "drift": "a zero that drifts within a recording",
     "clock_lag": "one angle's clock that is late",
 }
 
 
-def causes(pair: Pair, observed: Observations, linear: Linear) -> dict[str, Array]:
+def causes(pair: Pair, observed: Observations, linear: Linear, formed: State | None = None) -> dict[str, Array]:
     """Return what each cause may add to the transmission error, near a state of the model.
 
     Parameters
     ----------
     pair, observed, linear
         The nominal pair, the observations, and the model at the state.
+    formed
+        The state, where a form that all flanks share is not known and so among the causes: to first order, enough to
+        suspect it.
 
     Returns
     -------
     columns
-        {cause as in `SENTENCES`: shape (points, columns)}, each near 1, so that its coefficient is rad. A cause that
-        these recordings can't show is left out.
+        {cause as in `SENTENCES`: shape (points, columns)}, each near 1, so that its coefficient is rad; of a form, m. A
+        cause that these recordings can't show is left out.
     """
     curves = observed.curves
     sizes = [c.input_angle.size for c in curves]
@@ -76,8 +81,10 @@ def causes(pair: Pair, observed: Observations, linear: Linear) -> dict[str, Arra
     if any(lag.any() for lag in lags):
         # A late output angle is that of the crank a moment before. At a steady speed it is an offset, as play is.
         found["clock_lag"] = [-np.concatenate(lags) * (1.0 / curves[0].ratio + linear.by_crank)]
+    if formed is not None:
+        found[FORM] = list(form_columns(pair, observed, formed).T)
     every = {
-        name: np.column_stack(columns if name == GIVE else [_unit(one) for one in columns])
+        name: np.column_stack(columns if name in (GIVE, FORM) else [_unit(one) for one in columns])
         for name, columns in found.items()
         if columns
     }
