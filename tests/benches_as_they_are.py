@@ -17,7 +17,7 @@ import joblib
 import numpy as np
 import second_drive
 from sampled_drives import ARCSEC, LOADS, SMALL, structured
-from scipy.special import ndtri, stdtr, stdtridf
+from scipy import special
 
 import fitting
 from cycloid_fmu.drive import Drive
@@ -213,12 +213,12 @@ def scores(found, values):
     fitted = [p for p in found.parameters if p.held is None]
     low, high = np.array([p.interval for p in fitted]).T
     error = np.array([p.standard_error for p in fitted])
-    degrees = stdtridf(0.975, np.maximum(0.5 * (high - low) / error, 1.96 + 1e-4))
+    degrees = special.stdtridf(0.975, np.maximum(0.5 * (high - low) / error, 1.96 + 1e-4))
     sets = [{p.name: p.value for p in fitted}, *found.other_descriptions]
     every = [np.array([one[p.name] - values.get(p.name, 0.0) for p in fitted]) / error for one in sets]
     nearest = min(every, key=lambda one: float(np.sum(one**2)))
-    chance = np.maximum(stdtr(degrees, -np.abs(nearest)), 1e-300)
-    return dict(zip((p.name for p in fitted), (-np.sign(nearest) * ndtri(chance)).tolist(), strict=True))
+    chance = np.maximum(special.stdtr(degrees, -np.abs(nearest)), 1e-300)
+    return dict(zip((p.name for p in fitted), (-np.sign(nearest) * special.ndtri(chance)).tolist(), strict=True))
 
 
 def names(verdict):
