@@ -9,7 +9,6 @@ import dataclasses
 import hashlib
 import json
 import sys
-import time
 import zlib
 from pathlib import Path
 
@@ -119,6 +118,11 @@ EFFECTS = {
 NOTHING = [name for name, effect in EFFECTS.items() if not effect.causes]
 
 
+def small():
+    """The pair of 11/12 that the studies are made with."""
+    return read_pair(ROOT / "examples" / "drive-39-40.toml").replace(**SMALL)
+
+
 def on_bearings(pair, surface, stiffness=STIFF):
     """The same drive and errors on three cranks in bearings of this stiffness, N/m."""
     supports = {
@@ -226,33 +230,36 @@ def names(verdict):
     return {cause for misfit in verdict.misfits for cause in (misfit.cause, *misfit.alike)}
 
 
-def outcome(name, pair, seed):
-    """What became of one drive, as the table counts it: plain values."""
-    begun = time.perf_counter()
-    found, values = identified(name, pair, seed)
+def outcome(name, seed):
+    """What became of one drive of 11/12, as the table counts it: plain values."""
+    found, values = identified(name, small(), seed)
     verdict = found.verdict
     away = {} if verdict.state == "not explained" else scores(found, values)
     return {
         "effect": name, "seed": seed, "state": verdict.state, "causes": sorted(names(verdict)), "away": away,
-        "sentence": verdict.sentence, "seconds": time.perf_counter() - begun,
+        "sentence": verdict.sentence,
     }  # fmt: skip
 
 
-def outcomes(drives, pair, effects, kept):
-    """Outcomes of all drives, those in the file `kept` first, the others as they come."""
+def resumed(task, wanted, kept, what):
+    """What a task returns for each of some arguments, those in the file `kept` first, the others as they come."""
     lines = kept.read_text(encoding="utf-8").splitlines() if kept.exists() else []
-    every = {(one["effect"], one["seed"]): one for one in map(json.loads, lines)}
-    wanted = [(name, seed) for seed in range(drives) for name in effects]
-    tasks = (joblib.delayed(outcome)(name, pair, seed) for name, seed in wanted if (name, seed) not in every)
+    every = {tuple(given): found for given, found in map(json.loads, lines)}
+    left = [given for given in wanted if given not in every]
+
+    def one(given):
+        return given, task(*given)
+
     kept.parent.mkdir(parents=True, exist_ok=True)
-    with Bar("drives", len(wanted)) as bar, kept.open("a", encoding="utf-8") as file:
-        bar.advance(sum(one in every for one in wanted))
-        for one in joblib.Parallel(n_jobs=-1, return_as="generator_unordered", batch_size=1)(tasks):
-            file.write(json.dumps(one) + "\n")
+    with Bar(what, len(wanted)) as bar, kept.open("a", encoding="utf-8") as file:
+        bar.advance(len(wanted) - len(left))
+        parallel = joblib.Parallel(n_jobs=-1, return_as="generator_unordered", batch_size=1)
+        for given, found in parallel(joblib.delayed(one)(given) for given in left):
+            file.write(json.dumps([given, found]) + "\n")
             file.flush()
-            every[one["effect"], one["seed"]] = one
+            every[given] = found
             bar.advance()
-    return [every[one] for one in wanted]
+    return [every[given] for given in wanted]
 
 
 def is_right(one):
@@ -301,18 +308,18 @@ def _farthest(every):
     return f"{away.max():.1f}" if away.size else "–"
 
 
-def fingerprint():
-    """Of the code that the table depends on."""
-    own = (Path(__file__).with_name(f"{n}.py") for n in ("benches_as_they_are", "second_drive", "sampled_drives"))
+def kept_file(study, *modules):
+    """Where a study of some modules of tests keeps what is done, until these or the product change."""
     files = [file for room in ("fitting", "cycloid_fmu") for file in sorted((ROOT / room).rglob("*.py"))]
-    files += own
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:12]
+    files += [Path(__file__).with_name(f"{name}.py") for name in ("second_drive", "sampled_drives", *modules)]
+    mark = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:12]
+    return ROOT / "docs" / "generated" / f"{study}-{mark}.jsonl"
 
 
 if __name__ == "__main__":
-    nominal = read_pair(ROOT / "examples" / "drive-39-40.toml").replace(**SMALL)
-    chosen = sys.argv[2:] or list(EFFECTS)
-    kept = ROOT / "docs" / "generated" / f"benches-{fingerprint()}.jsonl"
     sys.stdout.reconfigure(encoding="utf-8")
-    for line in table(outcomes(int(sys.argv[1]), nominal, chosen, kept), chosen):
+    chosen = sys.argv[2:] or list(EFFECTS)
+    wanted = [(name, seed) for seed in range(int(sys.argv[1])) for name in chosen]
+    kept = kept_file("benches", "benches_as_they_are")
+    for line in table(resumed(outcome, wanted, kept, "drives"), chosen):
         print(line, flush=True)

@@ -27,9 +27,9 @@ def floating(small):
 
 
 @pytest.mark.parametrize("effect", QUICK)
-def test_a_cause_is_named_and_the_intervals_allow_for_it(small, effect):
+def test_a_cause_is_named_and_the_intervals_allow_for_it(effect):
     """The crank's give left an eccentricity 20 standard errors off and no trace in what the fit called noise."""
-    one = outcome(effect, small, 0)
+    one = outcome(effect, 0)
     assert is_right(one)
     assert len(one["away"]) > 15
     assert np.abs([*one["away"].values()]).max() < 4.5
@@ -68,12 +68,12 @@ def test_the_noise_of_the_fit_is_no_yardstick(small):
 
 
 @pytest.mark.slow(20)
-def test_effects_are_explained_or_told(small, record_property):
+def test_effects_are_explained_or_told(record_property):
     """Right causes, few false alarms, coverage; a fortieth of CYCLOID_SEEDS drives, else of 200, or some effects."""
     seeds = int(os.environ.get("CYCLOID_SEEDS", "200"))
     drives = max(1, seeds // 40)
     for effect in list(EFFECTS)[:: 1 if seeds >= 40 else 5]:
-        found = [outcome(effect, small, seed) for seed in range(drives)]
+        found = [outcome(effect, seed) for seed in range(drives)]
         right = sum(map(is_right, found))
         stated = np.abs([away for one in found for away in one["away"].values()])
         inside = f", {np.mean(stated < 1.96):.3f} of {stated.size} intervals hold the truth" if stated.size else ""
