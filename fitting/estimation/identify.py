@@ -521,7 +521,14 @@ def _starting_estimate(
     ) -> Estimate:
         state, linear = zeroed(part, state, around)
         chosen = _chosen(part, linear, pair)
-        return fit(pair, part, chosen, state, scatter, gain=_START_GAIN, around=around, evaluations=_START_EVALUATIONS)
+        one = fit(pair, part, chosen, state, scatter, gain=_START_GAIN, around=around, evaluations=_START_EVALUATIONS)
+        try:
+            # To first order a fit may end where no contacts balance the load: no optimum of the exact model.
+            if around is not None:
+                linearisation_point(pair, one.state.surface, few)
+        except edge.InputError:
+            return dataclasses.replace(one, unlikelihood=np.inf)
+        return one
 
     # To first order from the prior, and from there once more; a crank whose zero is unknown and discs that float need
     # the exact model.
@@ -544,7 +551,9 @@ def _starting_estimate(
         part = high if number == 1 else all_of_them
         progress(f"finding a start ({len(found) + 1})")
         one = ended(fewer.some(part), state, unknown, None if nominal is None else nominal.some(part))
-        found.append(ended(few, one.state, one.scatter, around(one.state.surface)))
+        if np.isfinite(one.unlikelihood):
+            one = ended(few, one.state, one.scatter, around(one.state.surface))
+        found.append(one if np.isfinite(one.unlikelihood) else ended(few, state, unknown, None))
         alike = agree() and not is_uneven(found[0])
         if alike:
             break

@@ -131,8 +131,8 @@ def weakness(
     reasons
         {name: why} of every error that is not chosen.
     beside
-        Those of them that move the curves otherwise than any of the chosen ones do, if only a little: held where they
-        are, they may have moved these.
+        Those of them that move the curves otherwise than the chosen ones do, if only a little: held where they are,
+        they may have moved these. Of a set that moves the curves alike the first stands for all.
     """
     weight = observed.weight[:, None]
     nuisances, priors = nuisance_columns(observed, linear)
@@ -166,7 +166,9 @@ def weakness(
         else:
             reasons[name] = f"the data leave it too uncertain beside {alike}"
         weak.append(_in_words(name, [(float(share[j]), chosen[j]) for j in leading]))
-        if left > _STOOD_FOR:
+        others = columns[:, [*keep, *(list(names).index(n) for n in beside)]]
+        rest = columns[:, i] - others @ np.linalg.lstsq(others, columns[:, i], rcond=None)[0]
+        if float(np.linalg.norm(rest)) > _STOOD_FOR * length:
             beside.append(name)
     return singular, tuple(weak), reasons, tuple(beside)
 
