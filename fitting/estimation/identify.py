@@ -518,17 +518,19 @@ def _starting_estimate(
 
     def ended(
         part: Observations, state: State, scatter: Mapping[str, float], around: LinearisationPoint | None
-    ) -> Estimate:
-        state, linear = zeroed(part, state, around)
-        chosen = _chosen(part, linear, pair)
-        one = fit(pair, part, chosen, state, scatter, gain=_START_GAIN, around=around, evaluations=_START_EVALUATIONS)
+    ) -> Estimate | None:
         try:
-            # To first order a fit may end where no contacts balance the load: no optimum of the exact model.
-            if around is not None:
-                linearisation_point(pair, one.state.surface, few)
+            state, linear = zeroed(part, state, around)
+            chosen = _chosen(part, linear, pair)
+            return fit(
+                pair, part, chosen, state, scatter, gain=_START_GAIN, around=around, evaluations=_START_EVALUATIONS
+            )
         except edge.InputError:
-            return dataclasses.replace(one, unlikelihood=np.inf)
-        return one
+            # To first order a fit may end where no contacts balance the load.
+            return None
+
+    def take(one: Estimate | None) -> None:
+        found.extend([] if one is None else [one])
 
     # To first order from the prior, and from there once more; a crank whose zero is unknown and discs that float need
     # the exact model.
@@ -537,7 +539,10 @@ def _starting_estimate(
     found: list[Estimate] = []
 
     def around(surface: ErrorSurface) -> LinearisationPoint | None:
-        return None if nominal is None else linearisation_point(pair, surface, few)
+        try:
+            return None if nominal is None else linearisation_point(pair, surface, few)
+        except edge.InputError:
+            return None
 
     def agree() -> bool:
         """Put the best first; whether the next ended there too."""
@@ -551,24 +556,28 @@ def _starting_estimate(
         part = high if number == 1 else all_of_them
         progress(f"finding a start ({len(found) + 1})")
         one = ended(fewer.some(part), state, unknown, None if nominal is None else nominal.some(part))
-        if np.isfinite(one.unlikelihood):
-            one = ended(few, one.state, one.scatter, around(one.state.surface))
-        found.append(one if np.isfinite(one.unlikelihood) else ended(few, state, unknown, None))
+        on = None if one is None else ended(few, one.state, one.scatter, around(one.state.surface))
+        take(on or ended(few, state, unknown, None))
         alike = agree() and not is_uneven(found[0])
         if alike:
             break
     if start is not None:
-        found.append(ended(few, start.state, start.scatter, around(start.state.surface)))
+        take(ended(few, start.state, start.scatter, around(start.state.surface)))
+    if not found:
+        raise edge.InputError(
+            "no errors were found with which the pair's contacts carry the loads of these curves; check counts per "
+            "turn, directions and the pair file."
+        )
     for order in (1, 3) if pair.discs == 2 else ():
         # Two discs see the product of odd orders round the ring alone: each pair of them may come out negated.
         progress(f"finding a start ({len(found) + 1})")
         state = _negated(pair, found[0].state, order, found[0].chosen)
-        found.append(ended(few, state, unknown, around(found[0].state.surface)))
+        take(ended(few, state, unknown, around(found[0].state.surface)))
         agree()
     # On bearings another disc as the first makes nearly the same curves: a minimum beside the best one.
     for surface in other_descriptions(pair, found[0].state.surface) if pair.supports is not None else ():
         progress(f"finding a start ({len(found) + 1})")
-        found.append(ended(few, _described_by(pair, found[0], surface), found[0].scatter, None))
+        take(ended(few, _described_by(pair, found[0], surface), found[0].scatter, None))
         agree()
     # In a minimum beside the best one pins that lie side by side stand wrong, one for the other; most is left there.
     searching = not alike
@@ -577,8 +586,9 @@ def _starting_estimate(
         near = around(best.state.surface)
         for pin, reach in itertools.product(_suspects(pair, best), _REACHES):
             progress(f"finding a start ({len(found) + 1})")
-            found.append(ended(few, _put_back(pair, best.state, pin, reach), best.scatter, near))
-            if found[-1].unlikelihood < best.unlikelihood - _AGREE * few.measured.size:
+            one = ended(few, _put_back(pair, best.state, pin, reach), best.scatter, near)
+            take(one)
+            if one is not None and one.unlikelihood < best.unlikelihood - _AGREE * few.measured.size:
                 searching = True
                 break
         alike = agree()

@@ -80,7 +80,7 @@ def causes(pair: Pair, observed: Observations, linear: Linear, formed: State | N
     lags = [np.zeros(c.input_angle.size) if c.speed is None else _changing(c.speed) for c in curves]
     if any(lag.any() for lag in lags):
         # A late output angle is that of the crank a moment before. At a steady speed it is an offset, as play is.
-        found["clock_lag"] = [-np.concatenate(lags) * (1.0 / curves[0].ratio + linear.by_crank)]
+        found["clock_lag"] = [-np.concatenate(lags) * (1.0 / curves[0].ratio + np.nan_to_num(linear.by_crank))]
     if formed is not None:
         found[FORM] = list(form_columns(pair, observed, formed).T)
     every = {
@@ -96,7 +96,8 @@ def _give(pair: Pair, observed: Observations, linear: Linear) -> list[Array]:
     shifts = [linear.structured[:, observed.errors.index(n)] for n in GIVES]
     # A disc on a crank that gives way leads or lags it, as if the crank stood elsewhere.
     growth = _growth(observed, np.concatenate([c.torque_at_points for c in observed.curves]))
-    each = zip((*shifts, linear.by_crank), _units(pair), strict=True)
+    # At a corner a curve has no slope.
+    each = zip((*shifts, np.nan_to_num(linear.by_crank)), _units(pair), strict=True)
     return [shift * unit * of for shift, unit in each for of in growth]
 
 

@@ -148,7 +148,8 @@ def weakness(
     columns = columns - q @ (q.T @ columns)
     singular = np.linalg.svd(columns, compute_uv=False)
     keep = [list(names).index(n) for n in chosen]
-    weak, reasons, beside = [], {}, []
+    weak, reasons = [], {}
+    beside: list[str] = []
     for i, name in enumerate(names):
         if i in keep:
             continue
