@@ -16,6 +16,7 @@ from sampled_drives import LOADS, structured
 from scipy import special, stats
 
 import fitting
+from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.surfaces.structured import with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
@@ -83,7 +84,10 @@ def drawn(seed):
 def ranks(seed):
     """Rank, 0 to DRAWS, of the truth among draws of what is stated of each error: {name: rank}, and the verdict."""
     runs, truth = drawn(seed)
-    found = identify(runs, Drive(small()), held_out=False, form="0 um")
+    try:
+        found = identify(runs, Drive(small()), held_out=False, form="0 um")
+    except edge.InputError:
+        return {"state": "refused", "ranks": {}}
     state = found.verdict.state
     if state == "not explained":
         return {"state": state, "ranks": {}}

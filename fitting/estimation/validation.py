@@ -230,20 +230,23 @@ class Residual:
 
 
 def _creeps_with_load(estimate: Estimate) -> dict[str, tuple[float, float]]:
-    """Whether recordings' zeros stand on a line over the torque, which is what gives way and no creep."""
+    """Whether recordings' zeros stand on a line over the torque, which is what gives way and no creep.
+
+    The line may step where the torque changes its side: by the play that errors held back do not make.
+    """
     part = estimate.observed.estimated.get(CREEP)
-    if part is None or part.stop - part.start < 4:
+    if part is None or part.stop - part.start < 5:
         return {}
     zero, torque = estimate.state.bench[part], np.array([
         np.mean(np.concatenate([c.torque_at_points for c in estimate.observed.curves])[column > 0.0])
         for column in estimate.observed.bench[:, part].T
     ])  # fmt: skip
-    line = np.column_stack([np.ones_like(torque), torque])
+    line = np.column_stack([np.ones_like(torque), torque, np.sign(torque)])
     left = float(np.sum((zero - line @ np.linalg.lstsq(line, zero, rcond=None)[0]) ** 2))
-    every, free = float(np.sum((zero - zero.mean()) ** 2)), zero.size - 2
+    every, free = float(np.sum((zero - zero.mean()) ** 2)), zero.size - 3
     if not every > left > 0.0:
         return {}
-    chance = float(special.fdtrc(1, free, free * (every / left - 1.0)))
+    chance = float(special.fdtrc(2, free, 0.5 * free * (every / left - 1.0)))
     return {"compliance": (chance, zero.size * float(np.log(every / left)))}
 
 

@@ -13,7 +13,9 @@ from cycloid_fmu import edge
 from fitting.estimation.result import as_json
 from fitting.reports.report import report
 
-QUICK = [effect for effect in EFFECTS if effect.startswith(("none", "crank bearing"))]
+# Of the first the fit once held seven errors, whose part the scatter and the centre distances took: 24 standard errors.
+# The second's zeros seemed to creep, the third's supports to give way.
+QUICK = {"none": 2, "soft chain, 20″ at 200 N·m": 4, "flank form 1 µm": 0}
 
 
 @pytest.fixture(scope="module")
@@ -26,13 +28,25 @@ def floating(small):
     return identified("disc and cranks on bearings", small, 0, turns=1)[0]
 
 
-@pytest.mark.parametrize("effect", QUICK)
-def test_a_cause_is_named_and_the_intervals_allow_for_it(effect):
-    """The crank's give left an eccentricity 20 standard errors off and no trace in what the fit called noise."""
-    one = outcome(effect, 0)
+@pytest.mark.parametrize(("effect", "seed"), QUICK.items())
+def test_a_cause_is_named_and_the_intervals_allow_for_it(effect, seed):
+    one = outcome(effect, seed)
     assert is_right(one)
-    assert len(one["away"]) > 15
-    assert np.abs([*one["away"].values()]).max() < 4.5
+    assert len(one["away"]) >= 21
+    assert np.abs([*one["away"].values()]).max() < 4.0
+
+
+def test_an_error_that_is_held_widens_those_that_do_nearly_the_same(small):
+    """One load can't tell pin circle radius, which is held, from pin radius: neither is known to a micrometre."""
+    found, values = identified("none", small, 1, loads=(200.0, -200.0))
+    stated = {p.name: p for p in found.parameters}
+    circle, pin = stated["pin_circle_radius"], stated["pin_radius"]
+    assert found.verdict.state == "explained"
+    assert circle.held
+    assert abs(values["pin_circle_radius"]) > 2e-6
+    assert pin.standard_error > circle.standard_error
+    assert pin.interval[0] < values["pin_radius"] < pin.interval[1]
+    assert stated["pin_radial_2_cos"].standard_error < 0.5e-6
 
 
 def test_a_drive_on_bearings_is_not_explained_by_rigid_supports(floating):
