@@ -37,7 +37,9 @@ PATTERNS = ("pin_radial", "pin_tangential", "tooth_cumulative_pitch")
 SINGLE = tuple(f"{pattern}_at_3" for pattern in PATTERNS)
 GROUPS = {
     "sizes and places": ("eccentricity", "pin_radius", "pin_circle_radius", "centre_distance"),
-    **{f"orders of {pattern}": tuple(f"{pattern}_{k}_" for k in (1, 2, 3)) for pattern in PATTERNS},
+    "orders of the pins' radial places": tuple(f"pin_radial_{k}_" for k in (1, 2, 3)),
+    "orders of their tangential places": tuple(f"pin_tangential_{k}_" for k in (1, 2, 3)),
+    "orders of the teeth": tuple(f"tooth_cumulative_pitch_{k}_" for k in (1, 2, 3)),
     "single pins and teeth": SINGLE, "bench": ("friction_torque", "chain_compliance"),
 }  # fmt: skip
 
@@ -165,19 +167,18 @@ def draw(every, path):
     for number, (group, starts) in enumerate(GROUPS.items()):
         row, column = divmod(number, 3)
         top, low = axes[6 * row + column], axes[6 * row + 3 + column]
-        members = {name: one for name, one in found.items() if name.startswith(starts) and (
-            ("_at_" in name) == (group == "single pins and teeth"))}  # fmt: skip
+        members = {name: one for name, one in found.items() if name.startswith(starts)}
         pooled = np.concatenate([*members.values()])
         top.hist(pooled, BINS, range=(0, DRAWS + 1), color="#4c78a8")
         top.axhline(pooled.size / BINS, color="0.3", lw=0.8)
-        top.set(title=group, xlabel="rank of the truth", ylabel="drives")
+        top.set_title(group, fontsize=10)
+        top.set(xlabel="rank of the truth", ylabel="errors of all drives")
         count = int(np.median([len(one) for one in members.values()]))
         places, least, most = band(count)
-        low.fill_between(places, least, most, color="0.88", label="95 % of studies")
-        for name, one in members.items():
-            low.plot(places, away(one), lw=0.9, label=name if len(members) < 6 else None)
-        low.set(xlabel="share of the draws", ylabel="ranks below less share")
-        low.legend(fontsize=6)
+        low.fill_between(places, least, most, color="0.88")
+        for one in members.values():
+            low.plot(places, away(one), lw=0.9)
+        low.set(xlabel="share of all ranks", ylabel="truths below, less share", ylim=(-0.16, 0.16))
     save(figure, path)
 
 
