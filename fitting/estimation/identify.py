@@ -38,7 +38,7 @@ from fitting.estimation.validation import (
     verdict_of,
     yardsticks,
 )
-from fitting.model.discrepancy import FORM, GIVE, causes, given_way
+from fitting.model.discrepancy import GIVE, causes, given_way
 from fitting.model.discs import other_descriptions
 from fitting.model.identifiability import chosen_errors
 from fitting.model.loops import observed_curves, on_the_curves_zero
@@ -361,11 +361,10 @@ def _validated(
     found = _fitted(curves, pair, start, known, progress)
     progress("testing what is left")
     likely = looks_like(found)
-    if FORM in likely.columns or any(FORM in alike for alike in likely.alike.values()):
-        # Contacts move along a flank as its form has it: it is fitted as an error of the pair.
-        known = dataclasses.replace(known, profile=dict.fromkeys(profile_names(PROFILE_ORDERS), form))
+    if likely.formed:
+        known, formed = _with_form(known, form), True
         progress("fitting the form of the flanks")
-        formed, found = True, _fitted(curves, pair, _without_scatter(pair, found), known, progress)
+        found = _fitted(curves, pair, _without_scatter(pair, found), known, progress)
         likely = looks_like(found)
     first = verdict_of(pair, found, likely, formed)
     if (likely.columns or first.state == "not explained") and first.residual < _BESIDE * first.noise:
@@ -395,12 +394,19 @@ def _validated(
             if verdict.state != "not explained":
                 break
             likely = looks_like(found, likely)
+            if likely.formed:
+                known, formed = _with_form(known, form), True
         else:
             # Supports that gave way have moved the contacts: what more of it does is taken there.
             moved = dataclasses.replace(found.observed, give=give)
             there = causes(pair, moved, linearise(pair, moved, found.state))
             likely = dataclasses.replace(likely, columns={n: there.get(n, one) for n, one in likely.columns.items()})
     return found, verdict or first
+
+
+def _with_form(known: Prior, form: float) -> Prior:
+    """What is known, with a form of the flanks among the errors: contacts move along a flank as its form has it."""
+    return dataclasses.replace(known, profile=dict.fromkeys(profile_names(PROFILE_ORDERS), form))
 
 
 def _fitted(

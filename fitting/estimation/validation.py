@@ -347,11 +347,15 @@ def failures(residual: Residual, left: Array) -> tuple[list[str], Array]:
 
 @dataclass(frozen=True)
 class Likely:
-    """Causes that what is left looks like: {cause: columns}, what can't be told from each, orders of "orders"."""
+    """Causes that what is left looks like: {cause: columns}, what can't be told from each, orders of "orders".
+
+    `formed` says whether a form of the flanks may be among them, which is no column: it joins the errors.
+    """
 
     columns: dict[str, Array]
     alike: dict[str, tuple[str, ...]]
     orders: tuple[float, ...]
+    formed: bool = False
 
 
 def likely_causes(residual: Residual, columns: Mapping[str, Array], known: Likely | None = None) -> Likely:
@@ -367,13 +371,15 @@ def likely_causes(residual: Residual, columns: Mapping[str, Array], known: Likel
         Those that are part of the fit already.
     """
     found = {name: columns[name] for name in known.columns if name in columns} if known else {}
-    pulls = residual.pulls
+    pulls, formed = residual.pulls, False
     alike = dict(known.alike) if known else {}
     rest = {name: one for name, one in columns.items() if name not in found}
     while rest:
         scores = {name: residual.score(one) for name, one in rest.items()}
         chances = {n: min(chance, pulls.get(n, (1.0, 0.0))[0]) for n, (chance, _) in scores.items()}
         told = [n for n, chance in chances.items() if chance * len(columns) < _FALSE]
+        formed = formed or FORM in told
+        told = [n for n in told if n != FORM]
         if not told:
             break
         gains = {n: max(float(residual.left @ scores[n][1]) - rest[n].shape[1], pulls.get(n, (1.0, 0.0))[1])
@@ -391,7 +397,7 @@ def likely_causes(residual: Residual, columns: Mapping[str, Array], known: Likel
         residual.take(waves(residual.observed, order))
     if orders:
         found["orders"] = np.hstack([waves(residual.observed, order) for order in orders])
-    return Likely(found, alike, tuple(orders))
+    return Likely(found, alike, tuple(orders), formed)
 
 
 def _form_of(pair: Pair, estimate: Estimate, residual: Residual) -> float:
