@@ -117,9 +117,9 @@ def identify(
     held_out
         Whether a load or direction is first kept from the fit and predicted.
     form
-        What a form that all flanks share may be, standard deviation of each of its first four half waves, m: errors
-        that the curves can't tell from it have intervals that allow for it. 0 where the flanks' form is known; that
-        which tolerances state is fitted instead.
+        What a form that all flanks share may be, standard deviation of each of its first four half waves, m. It is
+        fitted where the curves show one; elsewhere errors that the curves can't tell from it have intervals that allow
+        for it. 0 where the flanks' form is known; that which tolerances state is always fitted.
     progress
         Called with what is being done.
 
