@@ -46,6 +46,7 @@ from fitting.model.observations import (
     CREEP,
     MISFIT,
     NO_CREEP,
+    PIN_RADIUS,
     PROFILE_ORDERS,
     Linear,
     LinearisationPoint,
@@ -401,6 +402,12 @@ def _validated(
             moved = dataclasses.replace(found.observed, give=give)
             there = causes(pair, moved, linearise(pair, moved, found.state))
             likely = dataclasses.replace(likely, columns={n: there.get(n, one) for n, one in likely.columns.items()})
+    if found.disagreeing and verdict is not None and verdict.state != "not explained":
+        # The starts knew of no cause: whether two of them agree beside it is what counts.
+        again = _fitted(curves, pair, None, known, progress, misfit)
+        better = again.unlikelihood < found.unlikelihood + _GAIN
+        found = again if better else dataclasses.replace(found, disagreeing=again.disagreeing)
+        verdict = verdict_of(pair, found, likely, formed)
     return found, verdict or first
 
 
@@ -519,7 +526,7 @@ def _starting_estimate(
     loads = np.array([0.0 if c.branch else abs(c.torque) for c in few.curves])
     high, all_of_them = np.flatnonzero(loads > 0.7 * loads.max()), np.arange(loads.size)
     # A scatter that grows from nothing as the data ask for it leads past most of the wrong minima.
-    unknown = _no_scatter(pair)
+    unknown = {**dict.fromkeys(observed.estimated, _MISFIT), **_no_scatter(pair)}
     pitch = 2.0 * np.pi / pair.pins if observed.fit_crank else 0.0
 
     def ended(
@@ -528,9 +535,9 @@ def _starting_estimate(
         try:
             state, linear = zeroed(part, state, around)
             chosen = _chosen(part, linear, pair)
-            return fit(
-                pair, part, chosen, state, scatter, gain=_START_GAIN, around=around, evaluations=_START_EVALUATIONS
-            )
+            return fit(pair, part, chosen, state, scatter, gain=_START_GAIN, around=around,
+                       evaluations=_START_EVALUATIONS,
+                       known={PIN_RADIUS: NO_SCATTER})  # fmt: skip  # radii could do here what other errors do
         except edge.InputError:
             # To first order a fit may end where no contacts balance the load.
             return None

@@ -6,7 +6,7 @@ import os
 
 import numpy as np
 import pytest
-from benches_as_they_are import EFFECTS, identified, is_right, names, outcome
+from benches_as_they_are import EFFECTS, identified, is_right, names, outcome, scores
 from sampled_drives import ARCSEC, SMALL
 
 from cycloid_fmu import edge
@@ -79,6 +79,16 @@ def test_the_noise_of_the_fit_is_no_yardstick(small):
     assert found.held_out.noise == pytest.approx(0.5 * ARCSEC, rel=0.35)
     assert found.held_out.residual > 4.0 * found.held_out.noise
     assert names(found.verdict) == {"run_out"}
+
+
+def test_a_late_clock_is_timed_and_corrected(small):
+    found, values = identified("speed ripple and an output clock 30 µs late", small, 0)
+    assert names(found.verdict) == {"clock_lag"}
+    low, high = found.clock_lag.interval
+    assert low < 30e-6 < high
+    assert high - low < 3e-6
+    assert any(note.startswith("The output angle's clock is ") for note in found.notes)
+    assert np.abs([*scores(found, values).values()]).max() < 4.0
 
 
 @pytest.mark.slow(20)
