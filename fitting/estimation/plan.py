@@ -245,7 +245,7 @@ class _Foretold:
         loop = list(range(len(self.runs), self.second))
         numbers = [self.runs.index(one) for one in runs] + loop * with_loop
         observed, linear = self._some(self.observed, numbers)
-        chosen = chosen_errors(observed, linear, self.names, spread_of(self.pair, {}))
+        chosen = chosen_errors(observed, linear, self.names, self.spread)
         _, _, reasons, _ = weakness(observed, linear, self.names, chosen)
         information = self.before + sum(self.told[n] for n in numbers)
         covariance = covariance_from(information, observed, self.names, chosen, self.spread)
