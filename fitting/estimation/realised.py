@@ -13,13 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
+from scipy.special import stdtrit
 
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.posterior import DISC_PHASE
 from cycloid_fmu.surfaces.structured import displacement_columns, displacement_layout, displacement_vector
 from cycloid_fmu.surfaces.surface import ErrorSurface
 from fitting.estimation.fit import NO_SCATTER
-from fitting.estimation.parameter import NORMAL, Parameter, parameter, withheld
+from fitting.estimation.parameter import CONFIDENCE, NORMAL, Parameter, parameter, withheld
 from fitting.model.observations import PIN_RADIUS, estimated_parts, scatter_names, scatter_parts
 from fitting.model.prior import tolerances_of
 
@@ -231,11 +232,18 @@ def realised(pair: Pair, surface: ErrorSurface, chosen: Sequence[str], covarianc
     before = displaced_covariance(pair, chosen, unmeasured, lever)
     deviation, prior = np.sqrt(np.maximum(np.diag(variance), 0.0)), np.sqrt(np.diag(before))
     own = _own_information(covariance, spread)
+    # A radius is known as well as the size of their scatter is, from as many of them as the curves tell.
+    size = estimated_parts(pair)[PIN_RADIUS]
+    told = pair.pins - float(np.trace(covariance[-spread.size :, -spread.size :][size, size])) / max(
+        float(spread[size.start]), NO_SCATTER) ** 2  # fmt: skip
+    of_radius = float(stdtrit(max(told, 2.0), 0.5 + 0.5 * CONFIDENCE))
     elements = []
     for at, name in enumerate(scatter_names(pair)[: values.size]):
         bounded = own[at] * (_MEASURED * max(spread[at], _SMALL)) ** 2 < 1.0
         why = "it hardly carries load in these curves: bounded by its neighbours, not measured" if bounded else None
-        elements.append(parameter(name, "m", float(values[at]), float(deviation[at]), float(prior[at]), why))
+        quantile = of_radius if name.startswith(PIN_RADIUS) else NORMAL
+        one = parameter(name, "m", float(values[at]), float(deviation[at]), float(prior[at]), why, quantile)
+        elements.append(one)
     circles = _circles(pair)
     orders = [
         one
