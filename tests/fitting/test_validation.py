@@ -91,7 +91,7 @@ def test_a_late_clock_is_timed_and_corrected(small):
     assert np.abs([*scores(found, values).values()]).max() < 4.0
 
 
-@pytest.mark.slow(20)
+@pytest.mark.slow(300)
 def test_effects_are_explained_or_told(record_property):
     """Right causes, few false alarms, coverage; a fortieth of CYCLOID_SEEDS drives, else of 200, or some effects."""
     seeds = int(os.environ.get("CYCLOID_SEEDS", "200"))
