@@ -54,6 +54,13 @@ def moved_by_held(pair: Pair, fit: Estimate, names: Sequence[str]) -> Array:
     return found
 
 
+def _inverse(information: Array) -> Array:
+    """Invert information about unknowns that are known to very unlike degrees."""
+    size = np.sqrt(np.diag(information))
+    found: Array = linalg.inv(information / np.outer(size, size)) / np.outer(size, size)
+    return found
+
+
 def moved_by_form(pair: Pair, fit: Estimate, form: float) -> Array:
     """How far a form that all flanks share may have moved the fitted errors: standard deviations, m or rad.
 
@@ -67,12 +74,12 @@ def moved_by_form(pair: Pair, fit: Estimate, form: float) -> Array:
     precision = np.concatenate([problem.precision(fit.scatter), np.ones(beside.shape[1])])
     information = columns.T @ columns + np.diag(precision)
     left = observed.weight * left_of(observed, fit.linear, fit.state)
-    covariance = linalg.inv(information)
+    covariance = _inverse(information)
     slope = columns.T @ left
     # The fit has ended, so that its own unknowns have no slope.
     slope[: own.shape[1]] = 0.0
     moved = covariance @ slope
-    alone = linalg.inv(information[: own.shape[1], : own.shape[1]])
+    alone = _inverse(information[: own.shape[1], : own.shape[1]])
     grown = np.diag(covariance)[:count] - np.diag(alone)[:count] + moved[:count] ** 2
     found: Array = np.sqrt(np.maximum(grown, 0.0)) * problem.scale[:count]
     return found

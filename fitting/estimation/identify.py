@@ -12,10 +12,12 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import os
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 from threadpoolctl import threadpool_limits
 
 from cycloid_fmu import edge
@@ -190,7 +192,9 @@ def identify(
             )
     try:
         # The kernel's threads keep the processor busy; those of linear algebra would spin beside them.
-        with threadpool_limits(limits=1, user_api="blas"):
+        with threadpool_limits(limits=1, user_api="blas"), warnings.catch_warnings():
+            # What is all but singular is so to the last digit of a double: no interval from it is worth stating.
+            warnings.simplefilter("error", linalg.LinAlgWarning)
             kept, start = kept_back(running) if held_out else (), None
             predicted = None
             rest = [*(c for i, c in enumerate(running) if i not in kept), *loops]
@@ -214,7 +218,7 @@ def identify(
             result = result_of(
                 pair, found, verdict, predicted, prior.scatter, profiled, bootstrap, _GAIN, others, shape, progress,
             )  # fmt: skip
-    except np.linalg.LinAlgError:
+    except (np.linalg.LinAlgError, linalg.LinAlgWarning):
         raise edge.InputError(
             "the equations of the fit are singular, as they are where curves have no noise; add some to simulated ones."
         ) from None

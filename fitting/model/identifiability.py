@@ -75,7 +75,9 @@ def chosen_errors(observed: Observations, linear: Linear, names: Sequence[str], 
     own = np.flatnonzero([*free, *np.zeros(len(information) - len(names), bool)])
     other = np.setdiff1d(np.arange(len(information)), own)
     # What scatter, form and nuisances leave of the information about the errors.
-    blurred = linalg.solve(information[np.ix_(other, other)], information[np.ix_(other, own)], assume_a="pos")
+    size = np.sqrt(np.diag(information)[other])
+    among = information[np.ix_(other, other)] / np.outer(size, size)
+    blurred = linalg.solve(among, information[np.ix_(other, own)] / size[:, None], assume_a="pos") / size[:, None]
     left = information[np.ix_(own, own)] - information[np.ix_(own, other)] @ blurred
     found = choose(0.5 * (left + left.T), [n for n, one in zip(names, free, strict=True) if one])
     return [n for n in names if n in found or n in observed.profile]
