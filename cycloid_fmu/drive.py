@@ -5,14 +5,14 @@ from __future__ import annotations
 import functools
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cycloid_fmu import edge
-from cycloid_fmu.errors.kinds import KINDS, kind_of, structured_names
+from cycloid_fmu.errors.kinds import KINDS, kind_of, names_of
 from cycloid_fmu.errors.stated import Errors
 from cycloid_fmu.geometry import ANGLES
 from cycloid_fmu.geometry.pair import Pair
@@ -23,9 +23,13 @@ from cycloid_fmu.surfaces.surface import ErrorSurface, check_surface, stated_val
 if TYPE_CHECKING:
     import xarray as xr
 
+    from cycloid_fmu.cad.profile import Profile
     from cycloid_fmu.fmu.variables import Interface
     from cycloid_fmu.reducer.description import Reducer
     from cycloid_fmu.reducer.first_stage import FirstStage
+    from cycloid_fmu.studies.design import Design
+    from cycloid_fmu.studies.limits import Requirements
+    from cycloid_fmu.studies.verdicts import Judged
     from cycloid_fmu.studies.yields import Findings
     from cycloid_fmu.supports.figures import BearingLoad, Share
     from cycloid_fmu.surfaces.sampling import Tolerances
@@ -226,6 +230,56 @@ class Drive:
             workers=workers or os.cpu_count() or 1, progress=progress,
         )  # fmt: skip
 
+    def judge(
+        self,
+        requirements: Requirements | str | os.PathLike[str],
+        torque: Sequence[float | str] | None = None,
+        *,
+        angles: int = ANGLES,
+        turns: int = 1,
+        workers: int | None = None,
+        progress: Callable[[int], None] = lambda angles: None,
+    ) -> Judged:
+        """Say of each limit whether the drive keeps it, by how much and where; lives of bearings and what slides.
+
+        Parameters
+        ----------
+        requirements
+            What an application asks of the drive, or its file (cycloid-requirements/1).
+        torque
+            Of the environment on the output, N·m or text with a unit; those of the duty are judged as well.
+        angles, turns
+            Crank angles, and the turns that they span.
+        workers, progress
+            As of `analyze`.
+
+        Raises
+        ------
+        edge.InputError
+            If the file can't be read, there is no torque, one can't be carried, or the pair lacks something that a
+            limit needs.
+
+        Examples
+        --------
+        >>> import cycloid_fmu as cy
+        >>> from cycloid_fmu.studies.limits import Requirements
+        >>> pair = cy.Pair(
+        ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm"
+        ... )
+        >>> asked = Requirements(limits={"max_contact_pressure": "1000 MPa", "backlash": "1 arcmin"})
+        >>> [(one.figure, one.met) for one in cy.Drive(pair).judge(asked, ["181 N*m"], angles=45).verdicts]
+        [('backlash', True), ('max_contact_pressure', False)]
+        """
+        from cycloid_fmu.studies.limits import Requirements, read_requirements
+        from cycloid_fmu.studies.verdicts import judge_drive
+
+        stated = requirements if isinstance(requirements, Requirements) else read_requirements(requirements)
+        return judge_drive(
+            self.pair, self.surface, self.first_stage, stated, [_torque(t) for t in torque or ()],
+            np.linspace(0.0, 2.0 * math.pi * turns, angles, endpoint=False), workers=workers or os.cpu_count() or 1,
+            progress=progress,
+        )  # fmt: skip
+
     def compliance(self, *, progress: Callable[[int], None] = lambda parts: None) -> list[Share]:
         """Where the compliance and the lost motion of the drive as drawn come from: mesh, bearings, seats, clearances.
 
@@ -325,7 +379,7 @@ class Drive:
 
         if crank_angle is None:
             crank_angle = np.linspace(0.0, 2.0 * math.pi, angles, endpoint=False)
-        known = structured_names((1, 2, 3)) + (list(LAWS) if self.pair.supports is not None else [])
+        known = names_of(self.pair) + (list(LAWS) if self.pair.supports is not None else [])
         names = list(errors) if errors is not None else known
         for name in names:
             if name not in known and kind_of(name) is None and profile_wave(name, 1) is None:
@@ -424,6 +478,71 @@ class Drive:
         yields.check(study, "pair", "tolerances", to_first_order=first_order is not None)
         return yields.conduct(study, first_order, workers=workers or os.cpu_count() or 1, progress=progress)
 
+    def sweep(
+        self,
+        vary: Mapping[str, str | Iterable[float | str]],
+        torque: float | str | Sequence[float | str] | None = None,
+        output: str | os.PathLike[str] | None = None,
+        *,
+        angles: int = ANGLES,
+        turns: int = 1,
+        workers: int | None = None,
+        progress: Callable[[int], None] = lambda drives: None,
+    ) -> xr.Dataset:
+        """Solve the drive with every combination of several values of its pair file.
+
+        Parameters
+        ----------
+        vary
+            {name in a pair file: its values}, such as `{"pin_radius": "2.5:3.5:11 mm"}`, eleven values with both ends,
+            or `{"supports.turning_arm.clearance": ["0 um", "5 um"]}`; names are `isometric`, `errors.pin_radius`,
+            `temperature` of all bodies and the amplitude `errors.pin_radial.order_2`, too.
+        torque
+            Loads on the output, N·m or text with a unit, not 0; the rated torque where not given.
+        output
+            Where the result is written: netCDF, or a table in field units as CSV or Parquet, by the ending. Until then
+            a file with `.checkpoint` behind its name keeps what is done, and the same call goes on from there.
+        angles, turns
+            Crank angles of each drive, and the turns that they span.
+        workers, progress
+            Processes, one for each core where not given; called with the number of drives just finished.
+
+        Returns
+        -------
+        xarray.Dataset
+            Figures over what varies, those under load over `torque` as well, SI (format `cycloid-sweep/1`). Where
+            values make no drive they are NaN, and `reason` says why.
+
+        Raises
+        ------
+        edge.InputError
+            If there is no such value, no load, or no value makes a drive.
+
+        Examples
+        --------
+        >>> import cycloid_fmu as cy
+        >>> pair = cy.Pair(
+        ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm"
+        ... )
+        >>> found = cy.Drive(pair).sweep({"offset": "-40:0:3 um", "eccentricity": ["1.3 mm", "1.7 mm"]}, 100, angles=90,
+        ...                              workers=1)
+        >>> found.backlash.dims, found.angular_transmission_error.shape
+        (('offset', 'eccentricity'), (3, 2, 1))
+        >>> str(found.reason.values[0, 1])[:62]
+        '[pair] eccentricity = "1.7 mm": eccentricity x pins / pin circ'
+        """
+        from cycloid_fmu.studies.sweep import Sweep, vary_of
+        from cycloid_fmu.studies.sweep_files import conduct
+
+        rated = self.pair.rated_torque
+        given = rated if torque is None else torque
+        loads = [given] if isinstance(given, str) or np.ndim(given) == 0 else list(given)  # type: ignore[arg-type]
+        sweep = Sweep(
+            self.pair, self.surface, self.first_stage, vary_of(vary),
+            tuple(_torque(one) for one in loads if one is not None), angles, turns,
+        )  # fmt: skip
+        return conduct(sweep, output, workers=workers or os.cpu_count() or 1, progress=progress)
+
     def wear(
         self,
         law: WearLaw | str | os.PathLike[str],
@@ -476,6 +595,80 @@ class Drive:
             self.pair, self.surface, stated, loads, crank_turns, source, workers=workers or os.cpu_count() or 1,
             progress=progress,
         )  # fmt: skip
+
+    def design(
+        self,
+        goals: str | Sequence[str],
+        vary: Mapping[str, tuple[float | str, float | str]],
+        *,
+        limits: Mapping[str, Any] | None = None,
+        duty: Sequence[Mapping[str, Any]] = (),
+        friction_coefficient: float | None = None,
+        tolerances: Tolerances | str | os.PathLike[str] | None = None,
+        required_yield: float = 0.99,
+        starts: int = 4,
+        points: int = 7,
+        seed: int = 1,
+        progress: Callable[[str], None] = lambda step: None,
+    ) -> list[Design]:
+        """Search geometry and modification that keep limits and are best by a goal, or by two.
+
+        Parameters
+        ----------
+        goals
+            A figure or size that should be as good as it can be, or two for a Pareto front
+            (`cycloid_fmu.studies.design.GOALS`).
+        vary
+            {name: (lowest, highest)} of `cycloid_fmu.studies.design.VARIABLES`, SI or text with a unit; all else stays.
+        limits, duty, friction_coefficient
+            What is asked of the drive, as in a requirements file; the torques are those of the duty, or the rated one.
+        tolerances, required_yield
+            With tolerances the limits hold for this share of the drives that they allow, else for the drive as drawn.
+        starts, seed
+            Places to start from beside this drive; the same seed finds the same.
+        points
+            Drives of a Pareto front.
+        progress
+            Told what is being done.
+
+        Returns
+        -------
+        designs
+            One, or those of the front.
+
+        Raises
+        ------
+        edge.InputError
+            If a name or range is wrong, there is no torque, or no drive can be made within the ranges.
+
+        Examples
+        --------
+        The offset that leaves least play beside an isometric modification:
+
+        >>> import cycloid_fmu as cy
+        >>> pair = cy.Pair(
+        ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm",
+        ...     rated_torque="181 N*m",
+        ... )
+        >>> drive = cy.Drive(pair).replace(isometric="-15 um")
+        >>> (found,) = drive.design("backlash", {"offset": ("-60 um", "0 um")}, limits={"interference": "0.1 um"})
+        >>> round(found.values["offset"] * 1e6, 1), found.met
+        (-25.6, True)
+        """
+        from cycloid_fmu.studies.design import DesignTask, search
+
+        refuse_first_stage(self, "a search")
+        if self.pair.errors or self.surface != surface_of_pair(self.pair):
+            raise edge.ArgumentError("drive", "has errors; a design is searched as drawn: give the drive without them")
+        if not duty and self.pair.rated_torque is not None:
+            duty = ({"torque": self.pair.rated_torque, "output_speed": 0.0, "share": 1.0},)
+        task = DesignTask(
+            goals=(goals,) if isinstance(goals, str) else tuple(goals), vary=dict(vary), limits=dict(limits or {}),
+            duty=tuple(duty), friction_coefficient=friction_coefficient,
+            robust=None if tolerances is None else {"yield": required_yield},
+        )  # fmt: skip
+        allowed = None if tolerances is None else _tolerances(tolerances)
+        return search(self.pair, task, allowed, starts=starts, points=points, seed=seed, progress=progress)
 
     def build_fmu(
         self,
@@ -536,6 +729,45 @@ class Drive:
             from cycloid_fmu.fmu.build import build_fmu
 
             build_fmu(self, path, interface=interface, fmi_version=fmi_version, draws=draws, seed=seed)
+
+    def profile(self, *, disc: int = 0, chord_error: float | str = 1e-7) -> Profile:
+        """Return a disc as made for CAD, CAM and measuring machines: its outline in arcs, holes, pins and pin circle.
+
+        Parameters
+        ----------
+        disc
+            Number of the disc, from 0.
+        chord_error
+            Largest distance of the flank from its arcs, m or text with a unit.
+
+        Returns
+        -------
+        Profile
+            At 20 °C, in the disc's frame; its method `write` writes DXF, SVG, CSV or STEP by the ending of the name.
+
+        Raises
+        ------
+        edge.InputError
+            If there is no such disc, the chord error is out of range or a hole cuts the flank.
+
+        Examples
+        --------
+        >>> import cycloid_fmu as cy
+        >>> pair = cy.Pair(
+        ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm"
+        ... )
+        >>> profile = cy.Drive(pair).profile(chord_error="0.05 um")
+        >>> profile.largest_error <= 5e-8, round(profile.area * 1e6)
+        (True, 11693)
+        >>> profile.write("disc.svg")
+        """
+        from cycloid_fmu.cad.profile import profile_of
+
+        try:
+            limit = edge.quantity(chord_error, "m")
+        except ValueError as problem:
+            raise edge.ArgumentError("chord_error", str(problem), chord_error) from None
+        return profile_of(self.pair, self.surface, disc, limit)
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the drive: a pair file (`.toml`) or an error surface (`.nc`), which holds form and wear as well.

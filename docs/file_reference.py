@@ -15,6 +15,7 @@ from cycloid_fmu.errors.kinds import KINDS, ErrorKind
 from cycloid_fmu.fmu import friction_file
 from cycloid_fmu.geometry import pair
 from cycloid_fmu.reducer import description as reducer
+from cycloid_fmu.studies import design, limits
 from cycloid_fmu.surfaces import sampling
 from cycloid_fmu.wear import law as wear_law
 from drivers.encoder import protocols
@@ -29,6 +30,8 @@ FILES = (
     ("Gear pair", pair.FORMAT, pair._File, "drive-39-40-as-made.toml"),
     ("RV reducer", reducer.FORMAT, reducer.Reducer, "rv-20e.toml"),
     ("Tolerances", sampling.FORMAT, sampling.file_model(), "tolerances.toml"),
+    ("Requirements of an application", limits.FORMAT, limits.Requirements, "requirements.toml"),
+    ("Search for a drive", design.FORMAT, design.DesignTask, "design.toml"),
     ("Friction", friction_file.FORMAT, friction_file._FrictionFile, "friction.toml"),
     ("Wear law", wear_law.FORMAT, wear_law._WearFile, "wear.toml"),
     ("Bench wiring", bench.BENCH_FORMAT, bench._BenchFile, None),
@@ -45,6 +48,7 @@ QUANTITIES = {
     "m": "length", "rad": "angle", "N*m": "torque", "Pa": "pressure", "s": "time", "rad/s": "speed",
     "K": "temperature", "N": "force", "N/m": "stiffness", "N*m/rad": "torsional stiffness",
     "1/K": "per kelvin", "N*m*s/rad": "rotational damping", "1/Pa": "pressure viscosity", "m^2/N": "wear coefficient",
+    "m/s": "velocity", "W/m^2": "power over area",
 }  # fmt: skip
 ELSEWHERE = ("stage",)  # a reducer's [pair], [modification], [material] and [supports] are those of a pair file
 INTRODUCTION = """# Files

@@ -15,11 +15,15 @@ SPDX = {
     "GNU Lesser General Public License v3 or later (LGPLv3+)": "LGPL-3.0-or-later", "PSF": "PSF-2.0",
     "Mozilla Public License 2.0 (MPL 2.0)": "MPL-2.0", "Python Software Foundation License": "PSF-2.0",
 }  # fmt: skip
-STATED = {"fmpy": "BSD-2-Clause"}  # by the licence file alone
+STATED = {
+    "fmpy": "BSD-2-Clause",  # by the licence file alone
+    # The binding says Apache-2.0; the wheel holds Open CASCADE as well.
+    "cadquery-ocp-novtk": "Apache-2.0 AND LGPL-2.1-only WITH OCCT-exception-1.0",
+}
 # Anything may be built on these, as long as packages under LGPL or MPL stay packages of their own that can be replaced.
 ALLOWED = {
-    "0BSD", "Apache-2.0", "BSD-2-Clause", "BSD-3-Clause", "CC0-1.0", "ISC", "LGPL-3.0-only", "LGPL-3.0-or-later",
-    "LLVM-exception", "MIT", "MIT-CMU", "MPL-2.0", "PSF-2.0", "Zlib",
+    "0BSD", "Apache-2.0", "BSD-2-Clause", "BSD-3-Clause", "CC0-1.0", "ISC", "LGPL-2.1-only", "LGPL-3.0-only",
+    "LGPL-3.0-or-later", "LLVM-exception", "MIT", "MIT-CMU", "MPL-2.0", "OCCT-exception-1.0", "PSF-2.0", "Zlib",
 }  # fmt: skip
 HEAD = """# Licences
 

@@ -16,44 +16,62 @@ from fitting.estimation.identify import identify
 from fitting.estimation.realised import displaced, displaced_covariance
 from fitting.model.discs import other_descriptions
 from fitting.model.identifiability import chosen_errors, posterior_covariance
-from fitting.model.observations import State, errors_of, linearise, observations, scatter_parts, spread_of
+from fitting.model.observations import (
+    PIN_RADIUS,
+    RADIUS_SPREAD,
+    State,
+    errors_of,
+    estimated_parts,
+    linearise,
+    observations,
+    scatter_parts,
+    spread_of,
+)
 
 SCATTER = 2e-6
 
 
-def random_ring(pair, generator, scatter=SCATTER):
-    """A drive as of `random_drive`, whose teeth scatter too."""
+def random_ring(pair, generator, scatter=SCATTER, radius=RADIUS_SPREAD):
+    """A drive as of `random_drive`, whose teeth scatter too, and the radii of whose pins do."""
     surface, values = random_drive(pair, generator, scatter)
     pitch = surface.tooth_cumulative_pitch
-    return surface.replace(tooth_cumulative_pitch=pitch + generator.normal(0.0, scatter, pitch.shape)), values
+    pitch = pitch + generator.normal(0.0, scatter, pitch.shape)
+    each = surface.pin_radius_deviation + generator.normal(0.0, radius, pair.pins)
+    return surface.replace(tooth_cumulative_pitch=pitch, pin_radius_deviation=each), values
 
 
-def cramer_rao(pair, surface, curves, noise, scatter=SCATTER):
+def cramer_rao(pair, surface, curves, noise, scatter, radius, lever):
     """Covariance of every pin and tooth, gauge removed, that no estimate can fall below, shape as of `displaced`.
 
-    `noise` is a single sample's, rad. From the exact model's derivatives at the drive itself, structured errors and the
-    bench's zeros unknown, with the scatter's size as prior: ten times that size as prior changes it by 0.1 %.
+    `noise` is a single sample's, rad; radial places are those of pins of the mean radius, by the lever. From the exact
+    model's derivatives at the drive itself, structured errors and the bench's zeros unknown, with the scatters' sizes
+    as prior: ten times that of the places changes it by 0.1 %.
     """
     observed = observations(curves, pair, [noise / np.sqrt(np.median(c.sample_count)) for c in curves])
     state = State(surface, np.zeros(spread_of(pair, {}).size), np.zeros(observed.bench.shape[1]))
     linear, names = linearise(pair, observed, state), errors_of(pair)
-    spread = spread_of(pair, dict.fromkeys(scatter_parts(pair), scatter))
+    spread = spread_of(pair, {**dict.fromkeys(scatter_parts(pair), scatter), PIN_RADIUS: radius})
     chosen = chosen_errors(observed, linear, names, spread)
-    return displaced_covariance(pair, chosen, posterior_covariance(observed, linear, names, chosen, spread))
+    covariance = posterior_covariance(observed, linear, names, chosen, spread)
+    return displaced_covariance(pair, chosen, covariance, lever)
 
 
-def ring(pair, number, *, loads=LOADS, each=24.0, turns=1, noise=0.5 * ARCSEC, scatter=SCATTER, seed=0):
+def ring(
+    pair, number, *, loads=LOADS, each=24.0, turns=1, noise=0.5 * ARCSEC, scatter=SCATTER, radius=RADIUS_SPREAD, seed=0
+):
     """One random ring: identification, distances of its elements from the truth, m, and their Cramér-Rao bounds, m.
 
     Of several discs any may be called the first: the truth is the description of the drive that lies nearest.
     """
     generator = np.random.default_rng([seed, number])
-    surface, _ = random_ring(pair, generator, scatter)
+    surface, _ = random_ring(pair, generator, scatter, radius)
     runs = [recorded(pair, surface, load, generator, each=each, turns=turns, noise=noise) for load in loads]
     found = identify(runs, Drive(pair), held_out=False)
     stated = np.array([one.value for one in found.realised.elements])
-    bound = np.sqrt(np.diag(cramer_rao(pair, surface, found.curves, noise, max(scatter, NO_SCATTER))))
-    away = [stated - displaced(pair, one) for one in (surface, *other_descriptions(pair, surface))]
+    lever = found.realised.radius_lever
+    sizes = max(scatter, NO_SCATTER), max(radius, NO_SCATTER)
+    bound = np.sqrt(np.diag(cramer_rao(pair, surface, found.curves, noise, *sizes, lever)))
+    away = [stated - displaced(pair, one, lever) for one in (surface, *other_descriptions(pair, surface))]
     return found, min(away, key=rms), bound
 
 
@@ -68,7 +86,7 @@ def figures_of(found, distance, bound):
     inside = (low <= stated - distance) & (stated - distance <= high)
     return {
         name: (rms(distance[part]), rms(bound[part]), int(inside[part].sum()), part.stop - part.start)
-        for name, part in scatter_parts(found.pair).items()
+        for name, part in estimated_parts(found.pair).items()
     }
 
 
@@ -83,7 +101,7 @@ def table(drives, first=0):
         yield f"{number}: {found.verdict.state}, {found.residual / ARCSEC:.3f}″, {words}"
     yield "| each | rms distance from the truth, µm | worst ring | times the Cramér–Rao bound | intervals that hold |"
     yield "| --- | --- | --- | --- | --- |"
-    for name in scatter_parts(pair):
+    for name in estimated_parts(pair):
         distance, bound, inside, count = np.array([one[name] for one in every]).T
         yield (
             f"| `{name}` | {rms(distance) * 1e6:.3f} | {distance.max() * 1e6:.3f} | {rms(distance) / rms(bound):.2f} | "

@@ -94,7 +94,7 @@ def test_the_version_is_shown(command, name):
             ["cycloid-bench", "record", "b.toml", "--ouput", "r"],
             "--ouput is not an option of cycloid-bench record; did you mean --output?",
         ),
-        (["cycloid-fmu", "analyze", "p.toml"], "Missing option '--torque'; see cycloid-fmu analyze --help."),
+        (["cycloid-fmu", "analyze", "p.toml"], "--torque is missing; give it, or --limits with a duty."),
     ],
 )
 def test_unknown_words_are_answered_in_a_sentence(command, words, sentence):

@@ -28,6 +28,7 @@ from cycloid_fmu.fmu.friction_file import read_friction
 from cycloid_fmu.fmu.run import read_motion, stated_drive, units_of
 from cycloid_fmu.reducer.description import read_reducer
 from cycloid_fmu.studies.checkpoint import Checkpoint
+from cycloid_fmu.studies.limits import read_requirements
 from cycloid_fmu.studies.tolerance import Study
 from cycloid_fmu.surfaces.measuring import measured_surface, read_points
 from cycloid_fmu.surfaces.surface import surface_of_pair
@@ -277,6 +278,7 @@ READERS = {
     "pair": (text_file("pair.toml", SMALL.text + ERRORS), cy.read_drive),
     "reducer": (example("rv-20e.toml"), read_reducer),
     "tolerances": (example("tolerances.toml"), cy.read_tolerances),
+    "requirements": (example("requirements.toml"), read_requirements),
     "wear": (example("wear.toml"), read_wear_law),
     "friction": (example("friction.toml"), read_friction),
     "measured losses": (

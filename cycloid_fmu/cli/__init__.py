@@ -6,8 +6,21 @@ app = commands.command_line(
     "cycloid-fmu",
     "Cycloid-pin gear drives: transmission error, backlash, load sharing, and FMUs made from them.",
     __name__,
-    ("analyze", "surface", "build", "inspect", "simulate", "compare", "wear", "budget", "tolerance"),
-)
+    (
+        "analyze",
+        "surface",
+        "build",
+        "inspect",
+        "simulate",
+        "compare",
+        "wear",
+        "budget",
+        "tolerance",
+        "sweep",
+        "design",
+        "profile",
+    ),
+)  # fmt: skip
 
 
 def main() -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cycloid_fmu import edge
-from cycloid_fmu.cli.shared import PairFile, SurfaceFile
+from cycloid_fmu.cli.shared import LimitsFile, PairFile, SurfaceFile, leave, print_judged
 from cycloid_fmu.edge import commands
 from cycloid_fmu.geometry import ANGLES
 
@@ -23,8 +23,11 @@ if TYPE_CHECKING:
 def analyze(
     pair_file: PairFile,
     torque: Annotated[
-        list[float], commands.quantity_option("N*m", 'Torque on the output, such as "-181 N*m"; may be repeated.')
-    ],
+        list[float] | None,
+        commands.quantity_option(
+            "N*m", 'Torque on the output, such as "-181 N*m"; may be repeated. Those of a duty are taken as well.'
+        ),
+    ] = None,
     output: Annotated[Path | None, commands.output_option((".nc",), "OUT.nc", "Write the dataset (netCDF).")] = None,
     surface_file: SurfaceFile = None,
     angles: Annotated[int, typer.Option(min=1, help="Crank angles, evenly from 0, end excluded.")] = ANGLES,
@@ -42,6 +45,7 @@ def analyze(
             help="Temperatures of ring, pins, discs, carrier and crank, or one of all; else those of the pair file.",
         ),
     ] = None,
+    limits_file: LimitsFile = None,
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
@@ -49,6 +53,14 @@ def analyze(
 
     Example: [cyan]cycloid-fmu analyze pair.toml --torque "-181 N*m" --torque "181 N*m" -o out.nc --plot out.png[/]
     """
+    asked = None
+    if limits_file is not None:
+        from cycloid_fmu.studies import limits, verdicts
+
+        asked = limits.read_requirements(limits_file)
+        torque = verdicts.loads_of(asked, torque)
+    elif not torque:
+        raise edge.ArgumentError("torque", "is missing; give it, or --limits with a duty")
     import numpy as np
 
     from cycloid_fmu.contact.transmission import Interrupted, notes, slices_needed
@@ -59,6 +71,8 @@ def analyze(
     drive = read_drive(pair_file, surface_file)
     if temperature is not None:
         drive = drive.replace(temperature=parse_temperatures(temperature, drive.pair.temperature))
+    if asked is not None:
+        verdicts.check(asked, drive.pair, str(limits_file), str(pair_file))
     used = slices or slices_needed(drive.surface)
     angle = np.linspace(0.0, 2.0 * np.pi * turns, angles, endpoint=False)
     with commands.progress("crank angles", angles * len(torque)) as progress:
@@ -74,12 +88,19 @@ def analyze(
         typer.echo(f"Interrupted: {finished} of {angles} crank angles are done.", err=True)
     if finished == 0:
         raise typer.Exit(edge.INTERRUPTED)
+    judged = None
+    if asked is not None and finished == angles:
+        judged = verdicts.judge_sweep(
+            drive.pair, drive.surface, drive.first_stage, asked, found, os.cpu_count() or 1
+        )  # fmt: skip
     supported = drive.pair.supports is not None and drive.pair.rated_torque is not None
     shares = drive.compliance() if supported and (plot is not None or not as_json) else []
     if output is not None or plot is not None or as_json:
         # Only here: xarray takes longer to load than the sweep.
         whole = finished == angles
         data = transmission.labelled(drive.pair, drive.surface, drive.first_stage, found, used, complete=whole)
+        if judged is not None:
+            data = judged.labelled(data)
         if output is not None:
             edge.write_netcdf(data, output)
         if plot is not None:
@@ -87,21 +108,33 @@ def analyze(
 
             if drive.pair.supports is not None:
                 plots.save(plots.plot_bearings(data, drive.pair, shares), plot.with_stem(f"{plot.stem}-bearings"))
-            plots.save(plots.plot_analysis(data), plot)
+            figure = plots.plot_analysis(data)
+            if judged is not None:
+                from cycloid_fmu.draw.verdicts import plot_duty, show_verdicts
+
+                if judged.sliding:
+                    plots.save(plot_duty(judged), plot.with_stem(f"{plot.stem}-duty"))
+                show_verdicts(figure, judged.verdicts)
+            plots.save(figure, plot)
             if slices is not None:
                 plots.save(plots.plot_lines(data), plot.with_stem(f"{plot.stem}-lines"))
         if as_json:
-            commands.print_json({str(k): v.values for k, v in {**data.coords, **data.data_vars}.items()})
+            arrays = {str(k): v.values for k, v in {**data.coords, **data.data_vars}.items()}
+            commands.print_json(arrays | ({} if judged is None else judged.numbers()))
     if not as_json:
         held = "" if drive.first_stage is None else f", ratio {drive.ratio:g}, sun locked"
         warm = "" if drive.pair.temperature is None else f", {drive.pair.temperature}"
         _print(found, f"{pair_file.name}, {finished} crank angles over {turns} turn(s){held}{warm}")
         if drive.pair.supports is not None:
             _print_bearings(drive, found, shares)
+        if judged is not None:
+            print_judged(judged, f"Limits of {limits_file.name if limits_file else ''}")
     for note in notes(drive.pair, found):
         typer.echo(f"Note: {note}", err=True)
     if finished < angles:
         raise typer.Exit(edge.INTERRUPTED)
+    if judged is not None:
+        leave(judged.verdicts)
 
 
 def _print(found: Transmission, title: str) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cycloid_fmu import edge
+from cycloid_fmu.cli.shared import LimitsFile, leave, print_verdicts
 from cycloid_fmu.edge import commands
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ def budget(
     reducer_file: Annotated[Path, typer.Argument(metavar="REDUCER.toml", help="Format cycloid-reducer/1.")],
     samples: Annotated[int, typer.Option(min=100, help="Reducers drawn within the tolerances.")] = 1000,
     seed: Annotated[int, typer.Option(min=0, help="The same seed draws the same reducers.")] = 1,
+    limits_file: LimitsFile = None,
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
@@ -31,20 +33,36 @@ def budget(
     from cycloid_fmu.reducer.stack import stack_summary
 
     reducer = read_reducer(reducer_file)
+    asked = None
+    if limits_file is not None:
+        from cycloid_fmu.studies.limits import judge_budget, not_judged, read_requirements
+
+        asked = read_requirements(limits_file).limits
     warnings = contradictions(reducer, str(reducer_file))
     found = rv.budget(reducer)
     remarks = rv.remarks(reducer, found)
     with commands.progress("reducers", samples) as progress:
         stack = scattered(reducer, samples, seed, progress)
+    scatter = None if stack is None else stack_summary(stack)
+    verdicts = []
+    if asked is not None:
+        upper = None if scatter is None else scatter["monte_carlo"]["geometric"]["central"][1]
+        verdicts = judge_budget(asked, found["geometric_sun_locked"]["total"], upper)
     if plot is not None:
         from cycloid_fmu.draw import plots
 
-        plots.save(plots.plot_budget(found, stack), plot)
+        figure = plots.plot_budget(found, stack)
+        if verdicts:
+            from cycloid_fmu.draw.verdicts import show_verdicts
+
+            show_verdicts(figure, verdicts)
+        plots.save(figure, plot)
     if as_json:
-        scatter = None if stack is None else stack_summary(stack)
+        judged = {} if asked is None else {"verdicts": [one.numbers() for one in verdicts]}
         commands.print_json(
-            {**found, "ratio": reducer.ratio, "stack": scatter, "remarks": remarks, "warnings": warnings}
+            {**found, "ratio": reducer.ratio, "stack": scatter, "remarks": remarks, "warnings": warnings, **judged}
         )
+        leave(verdicts)
         return
     values, closed = values_of(reducer), found["standard"]
     terms = sorted((n for n in rv.TERMS if any(v[n] for v in found.values())), key=lambda n: -abs(closed[n]))
@@ -69,6 +87,9 @@ def budget(
         _print_stack(stack, samples)
     for warning in warnings:
         typer.echo(warning, err=True)
+    if asked is not None and limits_file is not None:
+        print_verdicts(f"Limits of {limits_file.name}", verdicts, not_judged(asked, verdicts))
+    leave(verdicts)
 
 
 def _print_stack(stack: Stack, samples: int) -> None:

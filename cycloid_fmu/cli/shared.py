@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cycloid_fmu import edge
 from cycloid_fmu.edge import commands
+
+if TYPE_CHECKING:
+    from cycloid_fmu.studies.limits import Verdict
+    from cycloid_fmu.studies.verdicts import Judged
 
 PairFile = Annotated[Path, typer.Argument(metavar="PAIR.toml", help="The gear pair (format cycloid-pair/1).")]
 SurfaceFile = Annotated[
@@ -23,6 +29,42 @@ MotionFile = Annotated[
         help="The inputs over time: time \\[s] and a column each, such as flange_a.phi \\[rad]; a recording will do.",
     ),
 ]
+LimitsFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--limits",
+        metavar="REQUIREMENTS.toml",
+        help="What is asked of the drive (cycloid-requirements/1): which limits are met; status 4 where one is not.",
+    ),
+]
 TolerancesFile = Annotated[
     Path, typer.Option("--tolerances", metavar="T.toml", help="Tolerances, limits and costs (cycloid-tolerances/1).")
 ]
+
+
+def print_verdicts(title: str, verdicts: Sequence[Verdict], not_judged: Sequence[str]) -> None:
+    """Print whether each limit is met, by how much and where, and which limits this command does not judge."""
+    from cycloid_fmu.studies.limits import HEAD, row_of
+
+    if verdicts:
+        commands.print_table(title, HEAD, [row_of(one) for one in verdicts])
+    if not_judged:
+        names = ", ".join(name.replace("_", " ") for name in not_judged)
+        typer.echo(f"Limits that this command does not judge: {names}.")
+
+
+def print_judged(judged: Judged, title: str) -> None:
+    """Print the verdicts, and before them the bearings' lives and what slides over the duty."""
+    from cycloid_fmu.studies.verdicts import LIVES_HEAD, SLIDING_HEAD, life_rows, sliding_rows
+
+    if judged.lives:
+        commands.print_table("Bearings over the duty", LIVES_HEAD, life_rows(judged))
+    if judged.sliding:
+        commands.print_table("Sliding of flanks on pins, the largest", SLIDING_HEAD, sliding_rows(judged))
+    print_verdicts(title, judged.verdicts, judged.not_judged)
+
+
+def leave(verdicts: Sequence[Verdict]) -> None:
+    """End the command with the status that says that all is done and a limit is not met, where one is not."""
+    if not all(one.met for one in verdicts):
+        raise typer.Exit(edge.NOT_MET)

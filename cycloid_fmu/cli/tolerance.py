@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cycloid_fmu.cli.shared import PairFile, TolerancesFile
+from cycloid_fmu.cli.shared import LimitsFile, PairFile, TolerancesFile, leave, print_verdicts
 from cycloid_fmu.edge import commands
 from cycloid_fmu.geometry import ANGLES
 
 if TYPE_CHECKING:
     from cycloid_fmu.studies.allocation import Allocation
+    from cycloid_fmu.studies.limits import Verdict
     from cycloid_fmu.studies.yields import Findings
 
 
@@ -55,6 +56,7 @@ def tolerance(
             (".nc",), "STUDY.nc", "Write the study (netCDF); what is done is kept beside it until then."
         ),
     ] = None,
+    limits_file: LimitsFile = None,
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
@@ -70,6 +72,12 @@ def tolerance(
     study = yields.read_study(
         pair_file, tolerances_file, torque, samples=samples, seed=seed, design=design, angles=angles, turns=turns
     )
+    asked = None
+    if limits_file is not None:
+        from cycloid_fmu.studies.limits import not_judged, read_requirements
+
+        asked = read_requirements(limits_file).limits
+        study = yields.with_limits(study, asked, str(limits_file), str(tolerances_file))
     to_first_order = screen is not None or target is not None
     yields.check(study, str(pair_file), str(tolerances_file), to_first_order=to_first_order)
     machines = {"workers": workers, "scheduler": scheduler}
@@ -85,23 +93,34 @@ def tolerance(
                 progress=progress,
                 **machines,  # type: ignore[arg-type]
             )
+    verdicts = [] if asked is None else yields.judged(found.result)
     if plot is not None:
-        _plot(found, allocation, plot)
+        _plot(found, allocation, verdicts, plot)
     if as_json:
         given = None if allocation is None else dataclasses.asdict(allocation)
-        commands.print_json({**found.numbers(), "allocation": given})
+        judged = {} if asked is None else {"verdicts": [one.numbers() for one in verdicts]}
+        commands.print_json({**found.numbers(), "allocation": given, **judged})
+        leave(verdicts)
         return
     drives = int(found.result.independent.sum())
     _print_figures(found, f"{pair_file.name}: {drives} drives within {tolerances_file.name}")
     if allocation is not None:
         _print_allocation(found, allocation)
+    if asked is not None and limits_file is not None:
+        title = f"Limits of {limits_file.name}, the worst drive: met where every drive keeps them"
+        print_verdicts(title, verdicts, not_judged(asked, verdicts))
+    leave(verdicts)
 
 
-def _plot(found: Findings, allocation: Allocation | None, plot: Path) -> None:
+def _plot(found: Findings, allocation: Allocation | None, verdicts: list[Verdict], plot: Path) -> None:
     from cycloid_fmu.draw import plots
 
-    factors = found.result.study.factors
-    plots.save(plots.plot_tolerance(found.result), plot)
+    factors, figure = found.result.study.factors, plots.plot_tolerance(found.result)
+    if verdicts:
+        from cycloid_fmu.draw.verdicts import show_verdicts
+
+        show_verdicts(figure, verdicts)
+    plots.save(figure, plot)
     if found.indices:
         plots.save(plots.plot_indices(factors, found.indices), plot.with_stem(f"{plot.stem}-indices"))
     if allocation is not None:

@@ -9,8 +9,9 @@ from typing import Annotated, Any
 import typer
 
 from cycloid_fmu import edge
-from cycloid_fmu.cli.shared import PairFile, SurfaceFile
+from cycloid_fmu.cli.shared import LimitsFile, PairFile, SurfaceFile, leave, print_judged
 from cycloid_fmu.edge import commands
+from cycloid_fmu.geometry import ANGLES
 
 
 def wear(
@@ -32,6 +33,7 @@ def wear(
         Path | None, commands.output_option((".nc",), "WORN.nc", "Write the worn surface and its life (netCDF).")
     ] = None,
     surface_file: SurfaceFile = None,
+    limits_file: LimitsFile = None,
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
@@ -48,24 +50,44 @@ def wear(
     loads, turns = duty_cycle(law, torque, crank_turns, duty_file, str(wear_file))
     drive = read_drive(pair_file, surface_file)
     refuse_first_stage(drive, "wear")
+    asked = None
+    if limits_file is not None:
+        from cycloid_fmu.studies import verdicts
+        from cycloid_fmu.studies.limits import read_requirements
+
+        asked = read_requirements(limits_file)
+        verdicts.check(asked.of_wear, drive.pair, str(limits_file), str(pair_file))
     with commands.Bar("crank turns", turns or 1.0) as bar:
         run = life.run_wear(
             drive.pair, drive.surface, law, loads, turns, str(wear_file), workers=os.cpu_count() or 1,
             progress=lambda done: bar.update(completed=done),
         )  # fmt: skip
     figures = run.figures
+    judged = None
+    if asked is not None:
+        with commands.progress("crank angles", ANGLES * len(loads)) as progress:
+            judged = verdicts.judge_worn(run, asked, workers=os.cpu_count() or 1, progress=progress)
     if output is not None:
         write_surface(run.surface, output)
     if plot is not None:
         from cycloid_fmu.draw import plots
 
-        plots.save(plots.plot_wear(run.model, run.states, run.new, figures), plot)
+        figure = plots.plot_wear(run.model, run.states, run.new, figures)
+        if judged is not None:
+            from cycloid_fmu.draw.verdicts import show_verdicts
+
+            show_verdicts(figure, judged.verdicts)
+        plots.save(figure, plot)
     for note in run.notes:
         typer.echo(note, err=True)
     if as_json:
-        commands.print_json(figures)
+        commands.print_json(figures | ({} if judged is None else judged.numbers()))
     else:
         _print(figures, pair_file.name)
+        if judged is not None and limits_file is not None:
+            print_judged(judged, f"Limits of {limits_file.name}, the drive as worn")
+    if judged is not None:
+        leave(judged.verdicts)
 
 
 def _print(figures: dict[str, Any], name: str) -> None:

@@ -1,4 +1,4 @@
-"""Plots of what this package computes; every function returns a matplotlib figure, saved by `save`."""
+"""Plots of what this package computes; every function returns a matplotlib figure."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cycloid_fmu import edge
+from cycloid_fmu.draw.figure import new_figure, show_legend
+from cycloid_fmu.draw.figure import save as save  # commands write what they draw
 from cycloid_fmu.edge import ARCMIN, ARCSEC
 
 if TYPE_CHECKING:
     import xarray as xr
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from cycloid_fmu.geometry.pair import Pair
@@ -29,7 +29,7 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
     Parameters
     ----------
     result
-        What `Drive.analyze`, `study`, `wear` or `budget` returned, a drive or an error surface.
+        What `Drive.analyze`, `study`, `sweep`, `wear`, `profile` or `budget` returned, a drive or an error surface.
     path
         PNG or PDF by its ending.
 
@@ -52,12 +52,18 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
     """
     import xarray as xr
 
+    from cycloid_fmu.cad.profile import Profile
+    from cycloid_fmu.draw.profiles import plot_profile
+    from cycloid_fmu.draw.sweeps import plot_sweep
+    from cycloid_fmu.studies.sweep import FORMAT as SWEEP
     from cycloid_fmu.studies.yields import Findings
     from cycloid_fmu.surfaces.surface import ErrorSurface
     from cycloid_fmu.wear.life import WearRun
 
     if isinstance(result, xr.Dataset):
-        figure = plot_analysis(result)
+        figure = plot_sweep(result) if result.attrs.get("format") == SWEEP else plot_analysis(result)
+    elif isinstance(result, Profile):
+        figure = plot_profile(result)
     elif isinstance(result, Findings):
         figure = plot_tolerance(result.result)
     elif isinstance(result, WearRun):
@@ -71,30 +77,6 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
     if path is not None:
         save(figure, path)
     return figure
-
-
-def save(figure: Figure, path: str | os.PathLike[str]) -> None:
-    """Write a figure as PNG or PDF by its name's ending, whole or not at all."""
-    with edge.written_whole(edge.output_path(path, "path", edge.PICTURES)) as temporary:
-        figure.savefig(temporary, dpi=150)
-
-
-def new_figure(rows: int = 1, columns: int = 1, *, sharex: bool = False) -> tuple[Figure, NDArray[np.object_]]:
-    """Return a figure that needs no screen, and its axes as a flat array."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9.0 if columns == 1 else 4.8 * columns + 1.2, 2.4 * rows + 0.8), layout="constrained")
-    axes = np.atleast_1d(figure.subplots(rows, columns, sharex=sharex))
-    for axis in axes.flat:
-        axis.grid(alpha=0.3)
-        for side in ("top", "right"):
-            axis.spines[side].set_visible(False)
-    return figure, axes.ravel()
-
-
-def show_legend(axis: Axes, **options: Any) -> None:
-    """Show what the lines are, on a ground that keeps it readable where they pass below it."""
-    axis.legend(**{"fontsize": 8, "framealpha": 0.85, "edgecolor": "none", **options})
 
 
 def plot_bearings(data: xr.Dataset, pair: Pair, shares: Sequence[Share]) -> Figure:

@@ -432,3 +432,12 @@ def progress(what: str, total: float | None) -> Iterator[Callable[[float], None]
     """Show how far a computation is; yields what its `progress` argument calls with how many more are done."""
     with Bar(what, total) as bar:
         yield bar.advance
+
+
+@contextmanager
+def status() -> Iterator[Callable[[str], None]]:
+    """Show on a terminal what is being done; yields what a `progress` argument calls."""
+    from rich.console import Console
+
+    with Console(stderr=True).status("starting …") as shown:
+        yield lambda step: shown.update(f"{step} …")

@@ -28,7 +28,7 @@ EXAMPLES = {
     "m": "64 mm", "rad": "0.5 arcmin", "N": "5 N", "N*m": "181 N*m", "Pa": "206 GPa", "s": "10 ms", "rad/s": "15 rpm",
     "K": "20 degC", "1/K": "11.5e-6 1/K", "rad/(N*m)": "0.02 arcsec/(N*m)", "1/Pa": "2.2e-8 1/Pa",
     "m^2/N": "1e-18 m^2/N", "kg*m^2": "0.05 kg*m^2", "N/m": "400 N/um", "N*m/rad": "49 N*m/arcmin",
-    "N*m*s/rad": "1e-3 N*m*s/rad",
+    "N*m*s/rad": "1e-3 N*m*s/rad", "m/s": "0.5 m/s", "W/m^2": "20 W/mm^2",
 }  # fmt: skip
 # The usual units, so that reading them takes no half a second to load pint; a test compares each with pint.
 USUAL = {
@@ -54,6 +54,8 @@ USUAL = {
         "N*m/rad": 1.0, "N*m/arcmin": 3437.7467707849396, "kN*m/rad": 1e3,
     },
     "N*m*s/rad": {"N*m*s/rad": 1.0},
+    "m/s": {"m/s": 1.0, "mm/s": 1e-3},
+    "W/m^2": {"W/m^2": 1.0, "W/mm^2": 1e6},
     "N/m": {"N/m": 1.0, "N/mm": 1e3, "N/um": 1e6, "N/µm": 1e6, "kN/mm": 1e6},
 }  # fmt: skip
 _CELSIUS, _ICE = ("degC", "°C"), 273.15  # the one unit with an offset: a temperature, never a difference

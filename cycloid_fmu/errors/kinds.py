@@ -42,6 +42,7 @@ Displacement = Callable[[Sizes, Array], Array]
 Of = Literal["drive", "pin", "tooth", "hole", "crank", "eccentric", "roller", "roller_hole"]
 
 LARGEST_DEVIATION = 1e-3
+ORDERS = (1, 2, 3)  # of the waves that are parameters of FMUs and of sensitivities
 LARGEST_MISALIGNMENT = 0.02
 BODIES = (
     "centre_x", "centre_y", "tilt_x", "tilt_y", "crank_throw", "generating_pin_radius", "generating_circle_radius",
@@ -236,6 +237,12 @@ def structured_names(orders: Collection[int]) -> list[str]:
         elif kind.waves:
             found += [f"{kind.name}_{order}_{part}" for order in orders for part in ("cos", "sin")]
     return found
+
+
+def names_of(pair: Sizes) -> list[str]:
+    """Return the structured errors of a pair: waves of the orders that its teeth can tell from one another."""
+    teeth = pair.places["tooth"][-1]
+    return structured_names([order for order in ORDERS if 2 * order <= teeth])
 
 
 def wave_of(name: str) -> tuple[ErrorKind, int, str] | None:

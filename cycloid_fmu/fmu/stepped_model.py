@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu.contact.transmission import drive_of, slices_needed
-from cycloid_fmu.errors.kinds import structured_names
+from cycloid_fmu.errors.kinds import names_of
 from cycloid_fmu.fmu.constants import REFERENCE_TEMPERATURE, UNRATED_LOAD
 from cycloid_fmu.fmu.friction import NO_FRICTION, UNSTRAINED, FrictionState, Law
 from cycloid_fmu.fmu.losses import check_losses
 from cycloid_fmu.fmu.mesh import ContactTeeth, StepError
 from cycloid_fmu.fmu.on_bearings import SupportedTeeth
-from cycloid_fmu.fmu.variables import LOSSLESS, ORDERS
+from cycloid_fmu.fmu.variables import LOSSLESS
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.posterior import displaced
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
@@ -154,7 +154,7 @@ class SteppedModel(State, FrictionState):
         self._rebuild()
 
     def _structured(self) -> dict[str, float]:
-        return {name: structured_value(self.pair, self.surface, name) for name in structured_names(ORDERS)}
+        return {name: structured_value(self.pair, self.surface, name) for name in names_of(self.pair)}
 
     def _changed(self) -> dict[str, float]:
         return {n: v for n, v in self.errors.items() if v != self._stated[n]}

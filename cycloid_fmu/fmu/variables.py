@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from cycloid_fmu.errors.kinds import KINDS, kind_of, structured_names, wave_of
+from cycloid_fmu.errors.kinds import KINDS, kind_of, names_of, wave_of
 from cycloid_fmu.fmu.constants import FRICTION_ELEMENTS, REFERENCE_TEMPERATURE
 from cycloid_fmu.fmu.friction import FLANGES, Law
 from cycloid_fmu.fmu.friction_file import LIMITS, Friction
@@ -25,7 +25,6 @@ from cycloid_fmu.surfaces.surface import ErrorSurface
 InterfaceKind = Literal["kinematic", "compliant"]
 Kind = Literal["real", "integer", "boolean"]
 INTERFACES: tuple[InterfaceKind, ...] = ("kinematic", "compliant")
-ORDERS = (1, 2, 3)
 LossRow = tuple[float, float, float, float, float]
 LOSSLESS: tuple[LossRow, ...] = ((0.0, 1.0, 1.0, 0.0, 0.0),)
 FRICTIONLESS = Friction()
@@ -248,7 +247,7 @@ def _flanges(pair: Pair, interface: Interface) -> list[Variable]:
 
 def _parameters(pair: Pair, surface: ErrorSurface, interface: Interface) -> list[Variable]:
     found = []
-    for name in structured_names(ORDERS):
+    for name in names_of(pair):
         kind, wave = kind_of(name), wave_of(name)
         assert kind is not None
         text = kind.description

@@ -19,6 +19,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.edge import Config, Length
 from cycloid_fmu.errors.kinds import KINDS, LARGEST_DEVIATION, kinds_of
 from cycloid_fmu.errors.stated import Errors
+from cycloid_fmu.geometry import ANGLES as ANGLES
 from cycloid_fmu.geometry import sizes
 from cycloid_fmu.geometry import temperature as thermal
 from cycloid_fmu.geometry.supports import Supports
@@ -36,14 +37,20 @@ def _positive(value: float) -> float:
     return value
 
 
-def _deviation(value: float) -> float:
-    if abs(value) > LARGEST_DEVIATION:
-        raise ValueError("modifications and errors must lie between -1 mm and 1 mm")
+def _teeth(value: int) -> int:
+    if value < LEAST_TEETH:
+        raise ValueError(
+            f"it must be {LEAST_TEETH} at least; with one, there are crank angles at which no pin has an arm"
+        )
+    if value > MOST_TEETH:
+        raise ValueError(f"it must be {MOST_TEETH} at most; above, results are not checked against a second solver")
     return value
 
 
+_LARGEST_SHARE = 1.0 / 64.0  # of the pin circle's radius that a modification may be, where that is more than 1 mm
+LEAST_TEETH, MOST_TEETH = 2, 300
+GearTeeth = Annotated[int, pydantic.Field(strict=True), pydantic.AfterValidator(_teeth)]
 PositiveLength = Annotated[Length, pydantic.AfterValidator(_positive)]
-Deviation = Annotated[Length, pydantic.AfterValidator(_deviation)]
 PositivePressure = Annotated[edge.Pressure, pydantic.AfterValidator(_positive)]
 PositiveTorque = Annotated[edge.Torque, pydantic.AfterValidator(_positive)]
 
@@ -92,14 +99,14 @@ class Modification(Config):
         ΔR_p, added to the generating circle's radius: < 0 removes material, > 0 adds it and makes the pair interfere.
     """
 
-    isometric: Deviation = 0.0
-    offset: Deviation = 0.0
+    isometric: Length = 0.0
+    offset: Length = 0.0
 
 
 class _Geometry(Config):
     """The geometry as drawn."""
 
-    gear_teeth: int = pydantic.Field(ge=6, le=120, strict=True)
+    gear_teeth: GearTeeth
     pins: int | None = pydantic.Field(default=None, strict=True)
     pin_circle_radius: sizes.CircleRadius
     pin_radius: sizes.PinRadius
@@ -132,7 +139,7 @@ class Pair(Config):
     Attributes
     ----------
     gear_teeth
-        Teeth of the cycloid gear, z_c.
+        Teeth of the cycloid gear, z_c, 2 to 300.
     pins
         Pins of the ring, z_p = z_c + 1; need not be given.
     pin_circle_radius
@@ -184,7 +191,7 @@ class Pair(Config):
     1.0625; it must stay below 1, so the eccentricity below "1.6 mm".
     """
 
-    gear_teeth: int = pydantic.Field(ge=6, le=120, strict=True)
+    gear_teeth: GearTeeth
     pins: int = pydantic.Field(strict=True)
     pin_circle_radius: sizes.CircleRadius
     pin_radius: sizes.PinRadius
@@ -310,7 +317,19 @@ def _contradictions(pair: Pair) -> list[tuple[str, str]]:
     """Return why a pair can't be made or its errors not be its own: the table in a pair file, and a sentence."""
     if pair.pins != pair.gear_teeth + 1:
         teeth = pair.gear_teeth
-        return [("pair", f"pins = {pair.pins}: a gear of gear_teeth = {teeth} needs one pin more, {teeth + 1}")]
+        sentence = f"pins = {pair.pins}: a gear of gear_teeth = {teeth} needs one pin more, {teeth + 1}"
+        if pair.pins > teeth:
+            why = "with more, flanks of neighbouring teeth cross, and contact on what is left of the cut tips"
+            sentence += f"; {why} is not modelled"
+        elif pair.pins < teeth:
+            why = "with fewer pins than lobes (hypocycloid) the flanks lie around the pins, in a ring, which"
+            sentence += f"; {why} is not modelled"
+        return [("pair", sentence)]
+    most = max(LARGEST_DEVIATION, _LARGEST_SHARE * pair.pin_circle_radius)
+    for name in Modification.model_fields:
+        if abs(value := getattr(pair.modification, name)) > most:
+            limits = f"it must lie between -{most * 1e3:.6g} mm and {most * 1e3:.6g} mm in this size"
+            return [("modification", f"{name} = {_mm(value)}: {limits}")]
     k = pair.shortening
     if k >= 1.0:
         largest = pair.generating_circle_radius / pair.pins

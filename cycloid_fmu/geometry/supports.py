@@ -19,12 +19,13 @@ def _positive(value: float) -> float:
 
 
 def _clearance(value: float) -> float:
-    if not 0.0 <= value <= LARGEST_CLEARANCE:
-        raise ValueError("a clearance lies between 0 and 0.2 mm")
+    if value < 0.0:
+        raise ValueError("a clearance must not be below zero")
     return value
 
 
-LARGEST_CLEARANCE = 2e-4
+_SMALL_CLEARANCE = 2e-4  # m, allowed of any size: bearings of the drives that catalogues show have a tenth of it
+_CLEARANCE_SHARE = 5e-3  # of the circle's radius, allowed of large drives
 Clearance = Annotated[Length, pydantic.AfterValidator(_clearance)]
 PositiveForce = Annotated[edge.Force, pydantic.AfterValidator(_positive)]
 TorsionalStiffness = Annotated[edge.TorsionalStiffness, pydantic.AfterValidator(_positive)]
@@ -183,7 +184,17 @@ class Supports(Config):
             raise ValueError(f"count = {self.count}: output rollers are at least 3")
         if not math.isfinite(self.first_angle):
             raise ValueError("first_angle must be finite")
+        for name in ("turning_arm", "crank_shaft", "main", "output_roller", "pin_seat"):
+            stated = getattr(self, name)
+            if stated is not None and stated.clearance > self.largest_clearance:
+                given, most = (f"{value * 1e3:.6g} mm" for value in (stated.clearance, self.largest_clearance))
+                raise ValueError(f"[supports.{name}] clearance is {given}; it lies between 0 and {most} in this size")
         return self
+
+    @property
+    def largest_clearance(self) -> float:
+        """Largest diametral clearance that may be stated, m: 0.2 mm, or of large drives a share of their radius."""
+        return max(_SMALL_CLEARANCE, _CLEARANCE_SHARE * self.circle_radius)
 
     @property
     def cranks(self) -> int:

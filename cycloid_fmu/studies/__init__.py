@@ -1,1 +1,1 @@
-"""Studies of many drives: tolerances and their allocation."""
+"""Studies of many drives: tolerances and their allocation, sweeps."""

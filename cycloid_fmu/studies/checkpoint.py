@@ -1,9 +1,11 @@
-"""The samples of a tolerance study that were solved, kept on disk until the study is written."""
+"""The drives of a study that were solved, kept on disk until the study is written."""
 
 from __future__ import annotations
 
 import json
+import math
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -13,7 +15,7 @@ from numpy.typing import NDArray
 from cycloid_fmu import edge
 
 Array = NDArray[np.float64]
-FORMAT = "cycloid-tolerance-checkpoint/1"
+FORMAT = "cycloid-study-checkpoint/1"
 
 
 class Identified(Protocol):
@@ -24,9 +26,10 @@ class Identified(Protocol):
 
 
 class Checkpoint:
-    """The samples that were solved, on disk: a header and a line for each task, each with its CRC-32.
+    """The drives that were solved, on disk: a header and a line for each task, each with its CRC-32.
 
-    A line that a kill cut short is passed over, and its samples are solved again.
+    A line that a kill cut short is passed over, and its drives are solved again. `done` has the figures of each task by
+    its first drive, `notes` what was said of its drives.
 
     Raises
     ------
@@ -37,6 +40,7 @@ class Checkpoint:
     def __init__(self, path: Path, study: Identified) -> None:
         self.path = path
         self.done: dict[int, Array] = {}
+        self.notes: dict[int, list[str]] = {}
         identity = study.identity()
         if edge.writable(path).exists():
             self._read(identity)
@@ -48,12 +52,13 @@ class Checkpoint:
         lines = edge.read_text(self.path).splitlines()
         header = _content(lines[0]) if lines else None
         if header is None:
-            raise edge.InputError(f"{self.path}: this is not a checkpoint of a tolerance study; move it away.")
+            raise edge.InputError(f"{self.path}: this is not a checkpoint of a study; move it away.")
         edge.check_format(header.get("format"), FORMAT, str(self.path))
         with edge.parsed_by_others(self.path, "this checkpoint is damaged; move it away"):
             stated = dict(header["study"])
             records = [record for record in map(_content, lines[1:]) if record is not None]
             self.done = {int(one["first"]): np.array(one["values"], dtype=float) for one in records}
+            self.notes = {int(one["first"]): list(map(str, one["notes"])) for one in records if "notes" in one}
         for name in {**identity, **stated}:
             mine, theirs = identity.get(name), stated.get(name)
             if theirs != mine:
@@ -64,11 +69,13 @@ class Checkpoint:
                     "study, or remove the file to start anew."
                 )
 
-    def add(self, first: int, values: Array) -> None:
-        """Keep the figures of the samples from `first` on."""
+    def add(self, first: int, values: Array, notes: Sequence[str] = ()) -> None:
+        """Keep the figures of the drives from `first` on, NaN where there are none, and what was said of them."""
+        numbers = [[None if math.isnan(number) else number for number in row] for row in values.tolist()]
+        record = {"first": first, "values": numbers, **({"notes": list(notes)} if notes else {})}
         # A newline first: a line that a kill cut short must not spoil this one.
         with edge.naming(self.path), edge.writable(self.path).open("a", encoding="utf-8") as file:
-            file.write("\n" + _line({"first": first, "values": values.tolist()}))
+            file.write("\n" + _line(record))
 
 
 def _line(record: dict[str, Any]) -> str:

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import importlib.metadata
 import json
 import math
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -21,12 +20,13 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.contact.first_order import NearDrives, Screen
-from cycloid_fmu.contact.transmission import SLICES_MISALIGNED, slices_needed
+from cycloid_fmu.contact.transmission import SLICES_MISALIGNED, Transmission, slices_needed
 from cycloid_fmu.geometry import ANGLES
 from cycloid_fmu.geometry.pair import LOST_MOTION, Pair
 from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.reducer.transmission import solve
 from cycloid_fmu.studies.checkpoint import Checkpoint
+from cycloid_fmu.studies.machines import Solved, check_versions, complete, solved, versions
 from cycloid_fmu.surfaces.sampling import LARGEST_SEED, AngleError, Tolerances, surface_at
 from cycloid_fmu.surfaces.structured import displacement_vector
 from cycloid_fmu.surfaces.surface import Elements, ErrorSurface, nominal_surface
@@ -41,8 +41,6 @@ FORMAT = "cycloid-tolerance-study/1"
 CHUNK = 16  # samples of one task
 PLAY_STEP = 10  # play and lost motion, which cost most and vary slowly, are taken at each tenth crank angle
 FORM = Elements(profile=50, width=5, angle=25)  # of sampled form deviations
-# Packages whose versions decide the last digits.
-_DECISIVE = ("cycloid-fmu", "numba", "numpy", "scipy")
 PER_TORQUE = ("angular_transmission_error", "mean_transmission_error", "max_contact_pressure")
 FIGURES = {
     "angular_transmission_error": ("rad", "largest less smallest transmission error over the crank angles"),
@@ -111,12 +109,6 @@ class Study:
             "versions": versions(),
             **({} if self.first_stage is None else {"first_stage": self.first_stage.text}),
         }
-
-
-@functools.cache
-def versions() -> dict[str, str]:
-    """Return the versions of the packages that decide a result's last digits."""
-    return {name: importlib.metadata.version(name) for name in _DECISIVE}
 
 
 def check_study(study: Study, pair_source: str, tolerances_source: str) -> None:
@@ -202,25 +194,38 @@ def crank_angles(study: Study) -> Array:
     return np.linspace(0.0, 2.0 * np.pi * study.turns, study.angles, endpoint=False)
 
 
+def loaded_figures(found: Transmission) -> dict[str, Array]:
+    """Return the figures at each torque of a solution under load, by their names in `FIGURES`, shape (torques,)."""
+    return {
+        "angular_transmission_error": np.ptp(found.transmission_error, axis=1),
+        "mean_transmission_error": found.transmission_error.mean(axis=1),
+        "max_contact_pressure": found.max_contact_pressure.max(axis=1),
+    }
+
+
+def free_figures(pair: Pair, surface: ErrorSurface, first_stage: FirstStage | None, angles: Array) -> dict[str, float]:
+    """Return the figures of play and lost motion, by their names in `FIGURES`, at one of `PLAY_STEP` angles (rad).
+
+    There is no lost motion without a rated torque.
+    """
+    free = solve(
+        pair, surface, first_stage, pair.lost_motion_loads, angles[::PLAY_STEP], slices_needed(surface),
+        with_stiffness=False,
+    )  # fmt: skip
+    backlash = np.where(np.isnan(free.backlash), 0.0, free.backlash)
+    found = {"mean_backlash": backlash.mean(), "backlash": backlash.max(), "interference": free.interference.max()}
+    if pair.lost_motion_loads:
+        found["lost_motion"] = (free.transmission_error[0] - free.transmission_error[1]).max()
+    return found
+
+
 def figures_of(study: Study, surface: ErrorSurface) -> Array:
     """Return the figures of one drive in the order of `Study.columns`, by the exact kernel."""
-    angles, slices = crank_angles(study), slices_needed(surface)
-    first = study.first_stage
-    loaded = solve(study.pair, surface, first, study.torque, angles, slices, with_play=False, with_stiffness=False)
-    free = solve(
-        study.pair, surface, first, study.pair.lost_motion_loads, angles[::PLAY_STEP], slices, with_stiffness=False
+    angles, first = crank_angles(study), study.first_stage
+    loaded = solve(
+        study.pair, surface, first, study.torque, angles, slices_needed(surface), with_play=False, with_stiffness=False
     )
-    backlash = np.where(np.isnan(free.backlash), 0.0, free.backlash)
-    found: dict[str, Any] = {
-        "angular_transmission_error": np.ptp(loaded.transmission_error, axis=1),
-        "mean_transmission_error": loaded.transmission_error.mean(axis=1),
-        "max_contact_pressure": loaded.max_contact_pressure.max(axis=1),
-        "mean_backlash": backlash.mean(),
-        "backlash": backlash.max(),
-        "interference": free.interference.max(),
-    }
-    if study.pair.lost_motion_loads:
-        found["lost_motion"] = (free.transmission_error[0] - free.transmission_error[1]).max()
+    found: dict[str, Any] = {**loaded_figures(loaded), **free_figures(study.pair, surface, first, angles)}
     return np.array([found[name] if k is None else found[name][k] for name, k in study.columns])
 
 
@@ -283,98 +288,25 @@ def figures_to_first_order(study: Study, screen: NearDrives, errors: Array) -> A
     return np.column_stack([found[name] if k is None else found[name][k] for name, k in study.columns])
 
 
-def _check_versions(wanted: dict[str, str]) -> None:
-    """Refuse to work where other versions would compute other digits."""
-    here = versions()
-    for name, version in wanted.items():
-        if here[name] != version:
-            raise edge.InputError(
-                f"a worker has {name} {here[name]}, this process {version}; give all workers the same version."
-            )
-
-
 _screens: dict[str, Screen] = {}  # the last one of this process
 
 
-def _screening_task(wanted: dict[str, str], study: Study, first: int, rows: Array) -> tuple[int, Array]:
+def _screening_task(wanted: dict[str, str], study: Study, first: int, rows: Array) -> Solved:
     """Solve some samples to first order, as `_task` does exactly."""
-    _check_versions(wanted)
+    check_versions(wanted)
     key = json.dumps(study.identity())
     if key not in _screens:
         _screens.clear()
         _screens[key] = screen_of(study)
     drawn = displacement_vector(study.pair, nominal_surface(study.pair))
     errors = np.array([displacement_vector(study.pair, surface_of(study, row)) - drawn for row in rows])
-    return first, figures_to_first_order(study, _screens[key], errors)
+    return Solved(first, figures_to_first_order(study, _screens[key], errors))
 
 
-def _task(wanted: dict[str, str], study: Study, first: int, rows: Array) -> tuple[int, Array]:
+def _task(wanted: dict[str, str], study: Study, first: int, rows: Array) -> Solved:
     """Solve some samples wherever this runs."""
-    _check_versions(wanted)
-    return first, np.array([figures_of(study, surface_of(study, row)) for row in rows])
-
-
-def _connected(scheduler: str) -> Any:
-    """Return a client of a dask scheduler whose workers are there."""
-    try:
-        from distributed import Client
-    except ImportError:
-        problem = "this needs dask: pip install 'cycloid-fmu[distributed]'"
-        raise edge.ArgumentError("scheduler", problem, scheduler) from None
-    try:
-        client = Client(scheduler, timeout=5, set_as_default=False)
-    except (OSError, ValueError) as failure:
-        problem = f"no scheduler answers there ({type(failure).__name__})"
-        raise edge.ArgumentError("scheduler", problem, scheduler) from None
-    if not client.scheduler_info(n_workers=-1)["workers"]:
-        client.close()
-        raise edge.ArgumentError("scheduler", "it has no workers; start one with dask worker", scheduler)
-    return client
-
-
-def solved(
-    study: Study,
-    waiting: Mapping[int, Array],
-    workers: int,
-    scheduler: str | None,
-    task: Callable[[dict[str, str], Study, int, Array], tuple[int, Array]] = _task,
-) -> Iterator[tuple[int, Array]]:
-    """Yield (first sample, figures) of the waiting tasks as they are finished, in any order.
-
-    Parameters
-    ----------
-    waiting
-        {first sample: points, shape (samples, factors)}.
-    workers
-        Processes of this machine; 1 works in this one.
-    scheduler
-        Address of a dask scheduler, such as "tcp://host:8786"; its workers are used instead.
-    task
-        What solves them: the exact kernel, or that of first order.
-
-    Raises
-    ------
-    edge.InputError
-        If the scheduler does not answer, or a worker has other versions.
-    """
-    import joblib
-
-    wanted = versions()
-    if scheduler is None:
-        tasks = (joblib.delayed(task)(wanted, study, first, rows) for first, rows in waiting.items())
-        yield from joblib.Parallel(n_jobs=workers, return_as="generator_unordered", batch_size=1)(tasks)
-        return
-    client = _connected(scheduler)
-    try:
-        from distributed import as_completed
-
-        # Not through joblib's own dask backend: it scatters arguments, which are lost with a worker that is killed.
-        futures = [client.submit(task, wanted, study, *rows, pure=False) for rows in waiting.items()]
-        for future in as_completed(futures, loop=client.loop):
-            yield future.result()
-            future.release()
-    finally:
-        client.close()
+    check_versions(wanted)
+    return Solved(first, np.array([figures_of(study, surface_of(study, row)) for row in rows]))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -425,7 +357,7 @@ def run(
     checkpoint
         Where finished samples are kept as they come.
     workers, scheduler
-        As in `solved`; the result does not depend on them.
+        As in `machines.solved`; the result does not depend on them.
     progress
         Told how many samples were just finished, first those of the checkpoint.
 
@@ -436,24 +368,17 @@ def run(
     """
     place = points(study)
     tasks = {first: place[first : first + CHUNK] for first in range(0, len(place), CHUNK)}
-    done = {} if checkpoint is None else {k: v for k, v in checkpoint.done.items() if k in tasks}
-    for values in done.values():
-        progress(len(values))
-    waiting = {first: rows for first, rows in tasks.items() if first not in done}
+    done: dict[int, Solved] = {}
 
     def result() -> Result:
         kept = sorted(done)
-        numbers = [np.arange(first, first + len(done[first])) for first in kept]
+        numbers = [np.arange(first, first + len(done[first].values)) for first in kept]
         sample = np.concatenate(numbers) if kept else np.empty(0, np.int64)
-        values = np.concatenate([done[k] for k in kept]) if kept else np.empty((0, len(study.columns)))
+        values = np.concatenate([done[k].values for k in kept]) if kept else np.empty((0, len(study.columns)))
         return Result(study, place[sample], values, sample)
 
     try:
-        for first, values in solved(study, waiting, workers, scheduler) if waiting else ():
-            done[first] = values
-            if checkpoint is not None:
-                checkpoint.add(first, values)
-            progress(len(values))
+        complete(study, tasks, done, _task, checkpoint, workers=workers, scheduler=scheduler, progress=progress)
     except KeyboardInterrupt:
         raise Interrupted(result(), len(place), checkpoint) from None
     return result()
@@ -508,7 +433,7 @@ def screened(
     values = np.empty((len(place), len(study.columns)))
     size = 16 * CHUNK
     tasks = {k: place[k : k + size] for k in range(0, len(place), size)}
-    for first, found in solved(study, tasks, workers, scheduler, _screening_task):
+    for first, found, _ in solved(study, tasks, _screening_task, workers, scheduler):
         values[first : first + len(found)] = found
         progress(len(found))
     taken = demand(study, values)
@@ -517,7 +442,7 @@ def screened(
     confirmed = np.sort(nearest[: max(1, math.ceil(share * len(place)))])
     exact = np.empty((confirmed.size, values.shape[1]))
     waiting = {k: place[confirmed[k : k + CHUNK]] for k in range(0, confirmed.size, CHUNK)}
-    for first, found in solved(study, waiting, workers, scheduler):
+    for first, found, _ in solved(study, waiting, _task, workers, scheduler):
         exact[first : first + len(found)] = found
         progress(len(found))
     difference = {

@@ -10,21 +10,28 @@ from pathlib import Path
 from typing import Any
 
 from cycloid_fmu import edge
+from cycloid_fmu.contact.transmission import slices_needed
 from cycloid_fmu.reducer.drive_file import parts_of_file
+from cycloid_fmu.reducer.transmission import solve
+from cycloid_fmu.studies import limits as judging
 from cycloid_fmu.studies.checkpoint import Checkpoint
 from cycloid_fmu.studies.tolerance import (
+    PER_TORQUE,
+    PLAY_STEP,
     Array,
     Result,
     Screened,
     Study,
     check_first_order,
     check_study,
+    crank_angles,
     dataset_of,
     points,
     run,
     screened,
     sobol_indices,
     statistics,
+    surface_of,
     yields,
 )
 from cycloid_fmu.surfaces.sampling import read_tolerances
@@ -96,6 +103,44 @@ def read_study(
             raise edge.ArgumentError("torque", f"is missing; give it, or state [pair] rated_torque in {pair_file}")
         torque = (pair.rated_torque, -pair.rated_torque)
     return Study(pair, tolerances, torque=tuple(torque), first_stage=first_stage, **settings)
+
+
+def with_limits(study: Study, limits: judging.Limits, source: str, tolerances_source: str) -> Study:
+    """Return a study that judges the limits of a requirements file, those of them that a study has figures for.
+
+    Raises
+    ------
+    edge.InputError
+        If the tolerances file states limits of its own.
+    """
+    if study.tolerances.limits.stated():
+        raise edge.InputError(
+            f"{tolerances_source}: [limits] is stated here and in {source}; state the limits in one of them."
+        )
+    return dataclasses.replace(study, tolerances=study.tolerances.replace(limits=limits.of_study))
+
+
+def judged(result: Result) -> list[judging.Verdict]:
+    """Return the verdicts on a study: a limit is met where every drive keeps it.
+
+    The value is the worst drive's, `sample` its number, and the place where it has it, from solving it once more.
+    """
+    study, found = result.study, []
+    for name, limit in study.tolerances.limits.stated().items():
+        values = result.values[:, [n == name for n, _ in study.columns]]
+        row = int(values.max(axis=1).argmax())
+        surface = surface_of(study, result.point[row])
+        loaded = name in PER_TORQUE
+        angle = crank_angles(study)[:: 1 if loaded else PLAY_STEP]
+        slices, loads = slices_needed(surface), study.torque if loaded else study.pair.lost_motion_loads
+        again = solve(study.pair, surface, study.first_stage, loads, angle, slices, with_stiffness=False)
+        data = {**vars(again), "backlash": again.backlash}
+        if name == "lost_motion":
+            data["lost_motion"] = again.transmission_error[0] - again.transmission_error[1]
+        (place,) = judging.judge(judging.Limits(**{name: limit}), study.pair, data)
+        where = {"sample": int(result.sample[row]), **place.where}
+        found.append(judging.verdict(name, float(values.max()), limit, where))
+    return found
 
 
 def check(study: Study, pair_source: str, tolerances_source: str, *, to_first_order: bool = False) -> None:

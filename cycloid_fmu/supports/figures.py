@@ -186,3 +186,53 @@ def bearing_loads(pair: Pair, found: Transmission, load: int = 0) -> list[Bearin
         add(f"crank bearing{where}", found.crank_bearing_force[load, :, crank], supports.crank_shaft, at_shaft)
     add("main bearing", found.main_bearing_force[load], supports.main, 1.0 / pair.gear_teeth)
     return rows
+
+
+@dataclass(frozen=True)
+class DutyLife:
+    """Load and life of one bearing over a duty of several loads and speeds.
+
+    Attributes
+    ----------
+    bearing
+        As of `BearingLoad`.
+    equivalent
+        Constant load of the same life at the duty's mean speed, N; 0 where nothing turns.
+    life
+        Basic rating life L10h, s; infinite where nothing loads it or nothing turns, NaN without a capacity.
+    """
+
+    bearing: str
+    equivalent: float
+    life: float
+
+
+def lives_over_duty(
+    loads: Sequence[Sequence[BearingLoad]], crank_speed: Sequence[float], share: Sequence[float]
+) -> list[DutyLife]:
+    """Return every bearing's load and basic rating life over a duty.
+
+    Each load uses up its share of a life (Palmgren-Miner), which is ISO 281's mean load for varying load and speed:
+    P = (sum(q n P_i^p)/sum(q n))^(1/p), p = 10/3, over shares q of time at speeds n. Modified lives (a_ISO) need the
+    lubricant's viscosity and cleanliness, which no file states.
+
+    Parameters
+    ----------
+    loads
+        Bearings of each row of the duty, `bearing_loads`.
+    crank_speed
+        Of each row, rad/s, not below 0.
+    share
+        Of the time, of each row.
+    """
+    turning = np.asarray(crank_speed) * np.asarray(share) / (2.0 * math.pi)
+    found = []
+    for rows in zip(*loads, strict=True):
+        used = math.fsum(turns / one.life for turns, one in zip(turning, rows, strict=True) if turns > 0.0)
+        equivalent = 0.0
+        if turning.any():
+            parts = turning @ np.array([one.equivalent**LIFE_EXPONENT for one in rows])
+            equivalent = float((parts / turning.sum()) ** (1.0 / LIFE_EXPONENT))
+        life = math.nan if math.isnan(rows[0].life) else math.inf if used == 0.0 else 1.0 / used
+        found.append(DutyLife(rows[0].bearing, equivalent, life))
+    return found

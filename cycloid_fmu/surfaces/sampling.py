@@ -55,6 +55,15 @@ def _up_to(largest: float, shown: str) -> pydantic.AfterValidator:
     return pydantic.AfterValidator(check)
 
 
+def _not_below_zero(value: float) -> float:
+    if value < 0.0:
+        raise ValueError("a limit is the largest size allowed; it must not be below zero")
+    return value
+
+
+LargestAngle = Annotated[Angle, pydantic.AfterValidator(_not_below_zero)]
+LargestLength = Annotated[Length, pydantic.AfterValidator(_not_below_zero)]
+LargestPressure = Annotated[edge.Pressure, pydantic.AfterValidator(_not_below_zero)]
 LengthTolerance = Annotated[Length, _up_to(LARGEST_DEVIATION, "1 mm")]
 AngleTolerance = Annotated[Angle, _up_to(LARGEST_MISALIGNMENT, "20 mrad")]
 ZoneTolerance = Annotated[Length, _up_to(2.0 * LARGEST_ELEMENT, "1 mm")]
@@ -153,11 +162,11 @@ class Limits(Config):
         Pa; at every load.
     """
 
-    angular_transmission_error: Angle | None = None
-    backlash: Angle | None = None
-    lost_motion: Angle | None = None
-    interference: Length | None = None
-    max_contact_pressure: edge.Pressure | None = None
+    angular_transmission_error: LargestAngle | None = None
+    backlash: LargestAngle | None = None
+    lost_motion: LargestAngle | None = None
+    interference: LargestLength | None = None
+    max_contact_pressure: LargestPressure | None = None
 
     def stated(self) -> dict[str, float]:
         """Return the limits that are stated, SI."""

@@ -35,7 +35,7 @@ def compare(
         file if file.suffix.lower() == ".json" else fitting.read_recordings(file, mapping)[0]
         for file in (before, after)
     )
-    with options.status() as progress:
+    with commands.status() as progress:
         found = fitting.compare(first, second, nominal, ratio=ratio, rated_torque=rated_torque, progress=progress)
     if plot is not None:
         fitting.plot(found, plot)

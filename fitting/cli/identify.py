@@ -57,7 +57,7 @@ def identify(
 
     nominal = read_drive(drive)
     recordings = fitting.read_recordings(files, mapping, read_head)
-    with options.status() as progress:
+    with commands.status() as progress:
         result = fitting.identify(
             recordings,
             nominal,

@@ -37,7 +37,7 @@ def maps(
     nominal = read_drive(drive) if drive is not None else float(ratio or 0.0)
     if not nominal:
         raise edge.ArgumentError("ratio", "give the signed ratio input/output, such as -39", ratio)
-    with options.status() as progress:
+    with commands.status() as progress:
         found = fitting.maps(fitting.read_recordings(files, mapping), nominal, progress=progress)
     if output is not None:
         write_maps(found, output)

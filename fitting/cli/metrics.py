@@ -32,7 +32,7 @@ def metrics(
 
     nominal = None if drive is None else read_drive(drive)
     recordings = fitting.read_recordings(files, mapping)
-    with options.status() as progress:
+    with commands.status() as progress:
         found = fitting.metrics(
             recordings, nominal, ratio=ratio, rated_torque=rated_torque, instruments=instruments, progress=progress,
             stiffness_limits=None if stiffness_limits is None else [one.strip() for one in stiffness_limits.split(",")],

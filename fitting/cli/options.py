@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -37,15 +36,6 @@ StiffnessLimits = Annotated[
 ]
 MappingFile = Annotated[Path | None, typer.Option(metavar="MAP.toml", help="Which channel is what; see inspect.")]
 FIELD_UNITS = {"m": (1e6, "µm"), "rad": (1e3, "mrad"), "1": (1.0, "of the stated")}
-
-
-@contextmanager
-def status() -> Iterator[Callable[[str], None]]:
-    """Show on a terminal what is being done; yields what a `progress` argument calls."""
-    from rich.console import Console
-
-    with Console(stderr=True).status("reading …") as shown:
-        yield lambda step: shown.update(f"{step} …")
 
 
 def print_notes(notes: Iterable[str]) -> None:

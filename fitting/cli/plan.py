@@ -31,6 +31,9 @@ def plan(
             "m", "What single pins and teeth do beyond their low orders, standard deviation.", show_default="0.3 um"
         ),
     ] = 0.3e-6,
+    form: Annotated[
+        str, typer.Option(metavar="LENGTH", help="What a form that all flanks share may be; 0 um where it is known.")
+    ] = "1 um",
     loop: Annotated[
         float | None,
         commands.quantity_option("N*m", "Also with a hysteresis loop to this torque, the crank locked at pin 0."),
@@ -49,7 +52,7 @@ def plan(
     from cycloid_fmu.surfaces.structured import unit_of
 
     plans = fitting.plan(
-        read_drive(drive), torque, turns=turns, samples=samples, noise=noise, scatter=scatter, loop=loop
+        read_drive(drive), torque, turns=turns, samples=samples, noise=noise, scatter=scatter, form=form, loop=loop
     )
     if plot is not None:
         fitting.plot(plans, plot)

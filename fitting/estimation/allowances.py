@@ -12,14 +12,16 @@ from scipy import linalg
 
 from cycloid_fmu.geometry.pair import Pair
 from fitting.estimation.fit import Estimate, Problem
-from fitting.estimation.parameter import NORMAL, Parameter
+from fitting.estimation.parameter import NORMAL, Parameter, parameter
 from fitting.model.bearings import as_stated, unit_of_bearing
-from fitting.model.observations import Observations, form_columns, left_of
+from fitting.model.discrepancy import LAG, by_lag
+from fitting.model.observations import MISFIT, Linear, Observations, form_columns, left_of
 from fitting.model.prior import tolerances_of
 
 Array = NDArray[np.float64]
 
 _WIDE, _WIDEST = 2.0, 4  # times as wide for a form of the flanks: what a note names, and how many
+LAG_NAME = f"{MISFIT}_{LAG}_0"
 _TOLD = 0.1  # share of a bearing's variance that the data must take away for it to be told
 
 
@@ -103,3 +105,21 @@ def bearings_found(
         why = None if share > _TOLD else "these curves do not tell it from the errors: it goes with them"
         found.append(Parameter(name, unit_of_bearing(name), float(value), scale * sigma, interval, share, why))
     return found
+
+
+def clock_lag_found(observed: Observations, linear: Linear, coefficient: float, deviation: float) -> Parameter:
+    """Return by how much time the output angle is late, from the coefficient (rad) of that cause of misfit.
+
+    The fit has the cause's column from where it began; the time is that of the derivative where it ended.
+    """
+    column = observed.bench[:, observed.bench_names.index(LAG_NAME)]
+    late = by_lag(observed, linear)
+    seconds = float(column @ late / (late @ late))
+    return parameter("clock_lag", "s", coefficient * seconds, deviation * abs(seconds), math.inf)
+
+
+def lag_note(lag: Parameter) -> str:
+    """Return a clock's lag in words."""
+    angle, size = ("output", lag.value) if lag.value > 0.0 else ("input", -lag.value)
+    reach = "" if math.isnan(lag.interval[0]) else f" ± {0.5 * (lag.interval[1] - lag.interval[0]) * 1e6:.2g}"
+    return f"The {angle} angle's clock is {size * 1e6:.4g}{reach} µs late (95 %); the fit corrects it."

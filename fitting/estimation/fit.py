@@ -25,7 +25,9 @@ from cycloid_fmu.surfaces.surface import LARGEST_ELEMENT, surface_of_pair
 from fitting.model.identifiability import UNKNOWN
 from fitting.model.observations import (
     KNOWN_SIZES,
+    PIN_RADIUS,
     PROFILE_ORDERS,
+    RADIUS_SPREAD,
     Linear,
     LinearisationPoint,
     Observations,
@@ -54,6 +56,7 @@ _CRANK_SCALE, _CREEP_SCALE = 1e-2, 1e-6  # rad
 _SCATTER_SCALE = {"m": 1e-6, "rad": 1e-4}
 _ROUNDS, _LINEAR = 40, 0.02  # of the variances' fixed point on one model, where a step promises so little a point
 _SETTLED = 3e-3  # relative change of a deviation with one round, which comes near by ever smaller ones; in a start more
+_SIZES = np.geomspace(0.05, 20.0, 32)  # times the usual one: over which a size is averaged
 _PINNED = 1e6  # precision that holds an unknown where it is put, in its scale
 _SHRINKS, _GROWS = 0.1, 10.0  # by how much a variance may change with one step
 
@@ -410,6 +413,30 @@ def _solved(gram: Array, slope: Array) -> Array:
     size = np.sqrt(np.diag(gram))
     found: Array = linalg.cho_solve(linalg.cho_factor(gram / np.outer(size, size)), slope / size) / size
     return found
+
+
+def allowed_radius(pair: Pair, estimate: Estimate) -> float:
+    """Return the root mean square of the scatter that single pins' radii may have after measuring, m.
+
+    Curves tell it badly from the radial places', so that its most likely value is often zero where it is not. This is
+    the mean over its distribution: the restricted likelihood in the linear model, all other variances as they are,
+    each size as likely beforehand (Gelman, Bayesian Analysis 1 (2006) 515).
+    """
+    problem = Problem(pair, estimate.observed, estimate.chosen)
+    columns = problem.columns(estimate.observed, estimate.linear)
+    unknowns = problem.unknowns(estimate.state)
+    gram = columns.T @ columns
+    left = estimate.observed.weight * left_of(estimate.observed, estimate.linear, estimate.state)
+    moment = columns.T @ left + gram @ unknowns
+    sizes = np.concatenate([[NO_SCATTER], RADIUS_SPREAD * _SIZES])
+    unlikely = []
+    for size in sizes:
+        precision = problem.precision({**estimate.scatter, PIN_RADIUS: float(size)})
+        whole = gram + np.diag(precision)
+        unlikely.append(np.linalg.slogdet(whole)[1] - np.log(precision).sum() - moment @ _solved(whole, moment))
+    log = -0.5 * np.array(unlikely)
+    weight = np.exp(log - log.max())
+    return float(np.sqrt(np.trapezoid(weight * sizes**2, sizes) / np.trapezoid(weight, sizes)))
 
 
 def stated_range(name: str) -> tuple[float, float]:

@@ -45,6 +45,7 @@ from fitting.model.observations import (
     CREEP,
     MISFIT,
     NO_CREEP,
+    PIN_RADIUS,
     Linear,
     LinearisationPoint,
     Observations,
@@ -381,6 +382,12 @@ def _validated(
             moved = dataclasses.replace(found.observed, give=give)
             there = causes(pair, moved, linearise(pair, moved, found.state))
             likely = dataclasses.replace(likely, columns={n: there.get(n, one) for n, one in likely.columns.items()})
+    if found.disagreeing and verdict is not None and verdict.state != "not explained":
+        # The starts knew of no cause: whether two of them agree beside it is what counts.
+        again = _fitted(curves, pair, None, known, progress, misfit)
+        better = again.unlikelihood < found.unlikelihood + _GAIN
+        found = again if better else dataclasses.replace(found, disagreeing=again.disagreeing)
+        verdict = verdict_of(pair, found, likely)
     return found, verdict or first
 
 
@@ -512,7 +519,7 @@ def _starting_estimate(
     loads = np.array([0.0 if c.branch else abs(c.torque) for c in few.curves])
     high, all_of_them = np.flatnonzero(loads > 0.7 * loads.max()), np.arange(loads.size)
     # A scatter that grows from nothing as the data ask for it leads past most of the wrong minima.
-    unknown = _no_scatter(pair)
+    unknown = {**dict.fromkeys(observed.estimated, _MISFIT), **_no_scatter(pair)}
     pitch = 2.0 * np.pi / pair.pins if observed.fit_crank else 0.0
 
     def ended(
@@ -520,8 +527,9 @@ def _starting_estimate(
     ) -> Estimate:
         state, linear = zeroed(part, state, around)
         chosen = _chosen(part, linear, pair, {})
+        # Radii could do here what other errors do.
         return fit(pair, part, chosen, state, scatter, gain=_START_GAIN, around=around, linear=linear,
-                   evaluations=_START_EVALUATIONS)  # fmt: skip
+                   evaluations=_START_EVALUATIONS, known={PIN_RADIUS: NO_SCATTER})  # fmt: skip
 
     # To first order from the prior, and from there once more; a crank whose zero is unknown and discs that float need
     # the exact model.

@@ -14,7 +14,11 @@ from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.arguments import positive
-from fitting.estimation.realised import displaced_covariance, errors_by_pattern
+from fitting.estimation.realised import (
+    displaced_covariance,
+    errors_by_pattern,
+    radius_lever_of,
+)
 from fitting.model.identifiability import (
     chosen_errors,
     covariance_from,
@@ -24,11 +28,14 @@ from fitting.model.identifiability import (
 )
 from fitting.model.loops import planned_branches
 from fitting.model.observations import (
+    PIN_RADIUS,
+    RADIUS_SPREAD,
     Linear,
     Observations,
     State,
     errors_of,
     estimated_parts,
+    form_columns,
     joined,
     linearise,
     observations,
@@ -60,8 +67,8 @@ class Plan:
     runs
         The runs in words.
     standard_error
-        {name: m or rad} of the errors that would be identified, the pins' and teeth's scatter allowed for, of flanks
-        without form (`form = 0` of `fitting.identify`).
+        {name: m or rad} of the errors that would be identified, the pins' and teeth's scatter and a form of the flanks
+        allowed for.
     held
         {name: why} of the others.
     realised
@@ -122,6 +129,7 @@ def plan(
     samples: int = 24,
     noise: float | str = "0.5 arcsec",
     scatter: float | str = "0.3 um",
+    form: float | str = "1 um",
     loop: float | str | None = None,
 ) -> list[Plan]:
     """Return what ever larger sets of bench runs would identify of a drive, before anything is measured.
@@ -140,8 +148,10 @@ def plan(
     noise
         Standard deviation of a single sample of the transmission error, rad.
     scatter
-        What single pins and teeth do beyond the structured errors, standard deviation, m. The derivatives are those of
-        a ring that is drawn with it.
+        What places of single pins and teeth do beyond the structured errors, standard deviation, m; single pins' radii
+        as much, 0.3 µm at most. The derivatives are those of a ring that is drawn with it.
+    form
+        What a form that all flanks share may be, m, as in `fitting.identify`; drives with supports have none.
     loop
         Torque up to which a hysteresis loop goes, N·m, the crank locked at pin 0: the first and the last set come with
         it too.
@@ -165,6 +175,7 @@ def plan(
     loads = {positive(one, "N*m", "torque") for one in given}
     level = positive(noise, "rad", "noise")
     spread = positive(scatter, "m", "scatter", zero=True)
+    shape = 0.0 if drive.pair.supports is not None else positive(form, "m", "form", zero=True)
     peak = None if loop is None else positive(loop, "N*m", "loop")
     if not loads:
         raise edge.ArgumentError("torque", "is missing")
@@ -182,7 +193,7 @@ def plan(
     if peak is not None:
         wound = [(f"{s[0]} and a loop to {peak:g} N·m", s[1], s[2], True) for s in (sets[0], sets[-1])]
         sets = [sets[0], wound[0], *sets[1:], wound[1]]
-    foretold = _Foretold(drive, ordered, peak, turns, samples, level, spread)
+    foretold = _Foretold(drive, ordered, peak, turns, samples, level, spread, shape)
     return [
         foretold.plan(runs, [(t, way) for t in torques for way in directions], with_loop)
         for runs, torques, directions, with_loop in sets
@@ -194,11 +205,13 @@ class _Foretold:
 
     def __init__(
         self, drive: Drive, torques: Sequence[float], loop: float | None, turns: float, samples: int, noise: float,
-        scatter: float,
+        scatter: float, form: float,
     ) -> None:  # fmt: skip
         pair = drive.pair
         self.pair, self.names = pair, errors_of(pair)
-        self.spread = spread_of(pair, dict.fromkeys(estimated_parts(pair), scatter))
+        self.spread = spread_of(
+            pair, {**dict.fromkeys(estimated_parts(pair), scatter), PIN_RADIUS: min(scatter, RADIUS_SPREAD)}
+        )
         self.peak = max(torques) if loop is None else loop
         loads = [*torques, *_between(torques)]
         self.runs = [(t, way) for t in loads for way in (1, -1)]
@@ -219,14 +232,19 @@ class _Foretold:
         state = State(surface, np.zeros_like(self.spread), np.zeros(self.observed.bench.shape[1]))
         once = linearise(pair, self.observed.some(range(self.second)), state)
         self.linear = joined([once, once])
-        self.told = [information_of_points(*self._some([n]), self.names, self.spread) for n in range(2 * self.second)]
-        self.before = known_before(*self._some([0]), self.names, self.spread)
+        whole = self.observed
+        if form > 0.0:
+            columns = form_columns(pair, self.observed.some(range(self.second)), state, once)
+            whole = whole.with_form(np.vstack([columns, columns]), form)
+        self.told = [information_of_points(*self._some(whole, [n]), self.names, self.spread)
+                     for n in range(2 * self.second)]  # fmt: skip
+        self.before = known_before(*self._some(whole, [0]), self.names, self.spread)
 
     def plan(self, words: str, runs: Sequence[tuple[float, int]], with_loop: bool) -> Plan:
         """What a set of runs would identify, and which run would come next."""
         loop = list(range(len(self.runs), self.second))
         numbers = [self.runs.index(one) for one in runs] + loop * with_loop
-        observed, linear = self._some(numbers)
+        observed, linear = self._some(self.observed, numbers)
         chosen = chosen_errors(observed, linear, self.names, self.spread)
         _, _, reasons = weakness(observed, linear, self.names, chosen)
         information = self.before + sum(self.told[n] for n in numbers)
@@ -248,14 +266,15 @@ class _Foretold:
             tuple(nexts),
         )  # fmt: skip
 
-    def _some(self, numbers: Sequence[int]) -> tuple[Observations, Linear]:
+    def _some(self, observed: Observations, numbers: Sequence[int]) -> tuple[Observations, Linear]:
         places = np.split(np.arange(self.observed.measured.size), self.observed.ends)
         part = np.concatenate([places[n] for n in numbers])
         linear = Linear(*(getattr(self.linear, f.name)[part] for f in dataclasses.fields(Linear)))
-        return self.observed.some(numbers), linear
+        return observed.some(numbers), linear
 
     def _of_elements(self, chosen: Sequence[str], covariance: Array) -> dict[str, float]:
-        return errors_by_pattern(self.pair, displaced_covariance(self.pair, chosen, covariance))
+        lever = radius_lever_of(self.pair, chosen, covariance)
+        return errors_by_pattern(self.pair, displaced_covariance(self.pair, chosen, covariance, lever))
 
     def _mean_square(self, realised: Mapping[str, float]) -> float:
         sizes = {name: part.stop - part.start for name, part in estimated_parts(self.pair).items()}

@@ -13,14 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
+from scipy.special import stdtrit
 
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.posterior import DISC_PHASE
 from cycloid_fmu.surfaces.structured import displacement_columns, displacement_layout, displacement_vector
 from cycloid_fmu.surfaces.surface import ErrorSurface
 from fitting.estimation.fit import NO_SCATTER
-from fitting.estimation.parameter import NORMAL, Parameter, parameter, withheld
-from fitting.model.observations import estimated_parts, scatter_names, scatter_parts
+from fitting.estimation.parameter import CONFIDENCE, NORMAL, Parameter, parameter, withheld
+from fitting.model.observations import PIN_RADIUS, estimated_parts, scatter_names, scatter_parts
 from fitting.model.prior import tolerances_of
 
 Array = NDArray[np.float64]
@@ -28,9 +29,10 @@ Array = NDArray[np.float64]
 ORDERS_STATED = 5  # of pins and teeth, from 0 up
 GAUGE = (
     "Pins turned all alike, and teeth turned all alike, are the output angle's zero: both means are zero here.",
-    "Pins further out all alike are pin_circle_radius: the radial mean is zero here.",
+    "Pins further out all alike are pin_circle_radius, thicker ones pin_radius: both means are zero here.",
     "A ring shifted as a whole is centre_distance: of order 1 only what is no shift is stated here.",
-    "All pins are taken to be as thick as one another: a thicker one is stated further in, by some 1.6 times that.",
+    "A thicker pin and one further in move the curves nearly alike: pin_radial is that of a pin of the mean radius "
+    "with the same effect. The pin's own place is that plus radius_lever times its pin_radius_deviation.",
 )
 _MEASURED = 3.0  # times the scatter, or _SMALL: what the data tell of a pin or tooth by itself must be more exact
 _SMALL = 1e-6  # m
@@ -43,8 +45,9 @@ class Realised:
     Attributes
     ----------
     elements
-        Radial and tangential place of every pin, cumulative pitch of every tooth of each disc: `pin_radial_at_0`, …
-        (m). Where a pin or tooth was only bounded by its neighbours, not measured, it is held.
+        Radial and tangential place of every pin, cumulative pitch of every tooth of each disc, radius of every pin:
+        `pin_radial_at_0`, … (m). The radial place is that of a pin of the mean radius that does the same. Where a pin
+        or tooth was only bounded by its neighbours, not measured, it is held.
     orders
         Amplitude (m) and phase (rad: where round the circle it is largest, times the order) of this ring's orders 0 to
         5, where the gauge leaves anything of them: `pin_radial_2_amplitude`, `pin_radial_2_phase`, …, with several
@@ -52,8 +55,11 @@ class Realised:
     covariance
         Of the elements in their order, m².
     circles
-        {name: where its elements stand}: `pin_radial`, `pin_tangential`, and `tooth_cumulative_pitch` or, with several
-        discs, `tooth_cumulative_pitch_of_disc_1`, …
+        {name: where its elements stand}: `pin_radial`, `pin_tangential`, `tooth_cumulative_pitch` or, with several
+        discs, `tooth_cumulative_pitch_of_disc_1`, …, and `pin_radius_deviation`.
+    radius_lever
+        How far in a pin stands that does what one thicker by 1 does: a pin's own radial place is the stated one plus
+        this times its radius.
 
     Examples
     --------
@@ -64,6 +70,7 @@ class Realised:
     orders: tuple[Parameter, ...]
     covariance: Array
     circles: dict[str, slice]
+    radius_lever: float
 
     def withheld(self) -> Realised:
         """The same without intervals, where the curves are not explained."""
@@ -77,12 +84,13 @@ class Realised:
 def gauge(pair: Pair) -> Array:
     """Return displacements of pins and teeth that the structured errors and the bench do too, as unit directions.
 
-    They are the pins' radial and tangential mean, a shift of the ring along x and y, and the mean of all teeth.
+    They are the pins' radial and tangential mean, the mean of all teeth, that of the pins' radii, and a shift of the
+    ring along x and y.
 
     Returns
     -------
     directions
-        Shape (2 pins + discs x teeth, 5), orthonormal.
+        Shape (3 pins + discs x teeth, 6), orthonormal.
 
     Examples
     --------
@@ -91,34 +99,42 @@ def gauge(pair: Pair) -> Array:
     >>> pair = cy.Pair(gear_teeth=9, pin_circle_radius=0.04, pin_radius=0.004, eccentricity=0.002, face_width=0.01)
     >>> directions = gauge(pair)
     >>> directions.shape, bool(np.allclose(directions.T @ directions, np.eye(5)))
-    ((29, 5), True)
+    ((39, 6), True)
     """
-    parts = scatter_parts(pair)
-    radial, tangential, teeth = (parts[n] for n in ("pin_radial", "pin_tangential", "tooth_cumulative_pitch"))
+    parts = estimated_parts(pair)
+    radial, tangential = parts["pin_radial"], parts["pin_tangential"]
     at = 2.0 * np.pi * np.arange(pair.pins) / pair.pins
-    directions = np.zeros((teeth.stop, 5))
-    directions[radial, 0] = directions[tangential, 1] = directions[teeth, 2] = 1.0
-    directions[radial, 3], directions[tangential, 3] = np.cos(at), -np.sin(at)
-    directions[radial, 4], directions[tangential, 4] = np.sin(at), np.cos(at)
+    directions = np.zeros((_size(pair), 6))
+    for column, part in enumerate(parts.values()):
+        directions[part, column] = 1.0
+    directions[radial, 4], directions[tangential, 4] = np.cos(at), -np.sin(at)
+    directions[radial, 5], directions[tangential, 5] = np.sin(at), np.cos(at)
     found: Array = directions / np.linalg.norm(directions, axis=0)
     return found
 
 
-def displaced(pair: Pair, surface: ErrorSurface) -> Array:
+def displaced(pair: Pair, surface: ErrorSurface, radius_lever: float = 0.0) -> Array:
     """Return what a surface's errors displace of each pin and tooth, the gauge removed.
+
+    Parameters
+    ----------
+    pair, surface
+        The nominal pair and its errors.
+    radius_lever
+        Radial places are those of pins of the mean radius: less this times each pin's radius.
 
     Returns
     -------
     displacements
-        Shape (2 pins + discs x teeth,), m: radial, tangential, cumulative pitch.
+        Shape (3 pins + discs x teeth,), m: radial, tangential, cumulative pitch, radius.
     """
-    every = _of_pins_and_teeth(pair, displacement_vector(pair, surface))
+    every = _as_thick_as_the_mean(pair, radius_lever) @ _of_pins_and_teeth(pair, displacement_vector(pair, surface))
     directions = gauge(pair)
     left: Array = every - directions @ (directions.T @ every)
     return left
 
 
-def displaced_covariance(pair: Pair, chosen: Sequence[str], covariance: Array) -> Array:
+def displaced_covariance(pair: Pair, chosen: Sequence[str], covariance: Array, radius_lever: float = 0.0) -> Array:
     """Return the covariance of `displaced` from that of structured errors and scatter together.
 
     Parameters
@@ -130,24 +146,50 @@ def displaced_covariance(pair: Pair, chosen: Sequence[str], covariance: Array) -
     covariance
         Shape (chosen + scatter, chosen + scatter): as `ErrorSurface.covariance` of a fit, or as
         `fitting.model.identifiability.posterior_covariance` foretells it.
+    radius_lever
+        As in `displaced`.
     """
     waves, parts = _of_pins_and_teeth(pair, displacement_columns(pair, chosen)), scatter_parts(pair)
     single = np.eye(len(waves), max(part.stop for part in parts.values()))
     for disc in range(1, pair.discs):
         first = parts["tooth_cumulative_pitch"].start + disc * pair.gear_teeth
         single[first : first + pair.gear_teeth, parts[DISC_PHASE].start + disc - 1] = 1.0
-    lever = np.hstack([waves, single])
+    every = _as_thick_as_the_mean(pair, radius_lever) @ np.hstack([waves, single])
     directions = gauge(pair)
-    lever = lever - directions @ (directions.T @ lever)
-    found: Array = lever @ covariance @ lever.T
+    every = every - directions @ (directions.T @ every)
+    found: Array = every @ covariance @ every.T
     return 0.5 * (found + found.T)
 
 
 def _of_pins_and_teeth(pair: Pair, displacements: Array) -> Array:
-    """Pick pins' places and teeth's pitch, m, of what `displacement_layout` lays out along the first axis."""
+    """Pick pins' places, teeth's pitch and pins' radii, m, of what `displacement_layout` lays out along axis 0."""
     layout = displacement_layout(pair)
     pins = [displacements[layout[name]] for name in ("pin_radial", "pin_tangential")]
-    return np.concatenate([*pins, displacements[layout["tooth_turn"]] * pair.pin_circle_radius])
+    teeth = displacements[layout["tooth_turn"]] * pair.pin_circle_radius
+    return np.concatenate([*pins, teeth, displacements[layout["pin_radius"]]])
+
+
+def _size(pair: Pair) -> int:
+    size: int = max(part.stop for part in estimated_parts(pair).values())
+    return size
+
+
+def _as_thick_as_the_mean(pair: Pair, lever: float) -> Array:
+    """Take each pin's radius times a lever from its radial place, the rest as it is."""
+    parts, found = estimated_parts(pair), np.eye(_size(pair))
+    found[parts["pin_radial"], parts[PIN_RADIUS]] = -lever * np.eye(pair.pins)
+    return found
+
+
+def radius_lever_of(pair: Pair, chosen: Sequence[str], covariance: Array) -> float:
+    """Return the lever for which `displaced_covariance` is smallest, from the same.
+
+    Radii that are not known move the radial places by this, whatever they are: it is the slope of one on the other.
+    """
+    every = displaced_covariance(pair, chosen, covariance)
+    parts = estimated_parts(pair)
+    of_radius = float(np.trace(every[parts[PIN_RADIUS], parts[PIN_RADIUS]]))
+    return float(np.trace(every[parts["pin_radial"], parts[PIN_RADIUS]])) / of_radius if of_radius > 0.0 else 0.0
 
 
 def errors_by_pattern(pair: Pair, covariance: Array) -> dict[str, float]:
@@ -178,30 +220,37 @@ def realised(pair: Pair, surface: ErrorSurface, chosen: Sequence[str], covarianc
     >>> from fitting.estimation.realised import realised
     >>> pair = cy.Pair(gear_teeth=9, pin_circle_radius=0.04, pin_radius=0.004, eccentricity=0.002, face_width=0.01)
     >>> made = with_structured(pair, surface_of_pair(pair), {"pin_radial_2_cos": 3e-6})
-    >>> known = np.zeros((30, 30))
+    >>> known = np.zeros((40, 40))
     >>> known[0, 0] = 1e-14
-    >>> found = realised(pair, made, ["pin_radial_2_cos"], known, np.zeros(29))
+    >>> found = realised(pair, made, ["pin_radial_2_cos"], known, np.zeros(39))
     >>> [f"{p.name} {p.value:.1e} ± {p.standard_error:.1e}" for p in found.orders if p.name == "pin_radial_2_amplitude"]
     ['pin_radial_2_amplitude 3.0e-06 ± 1.0e-07']
     """
-    values, variance = displaced(pair, surface), displaced_covariance(pair, chosen, covariance)
-    before = displaced_covariance(
-        pair, chosen, np.diag(np.concatenate([tolerances_of(chosen), np.maximum(spread, NO_SCATTER)]) ** 2)
-    )
+    lever = radius_lever_of(pair, chosen, covariance)
+    values, variance = displaced(pair, surface, lever), displaced_covariance(pair, chosen, covariance, lever)
+    unmeasured = np.diag(np.concatenate([tolerances_of(chosen), np.maximum(spread, NO_SCATTER)]) ** 2)
+    before = displaced_covariance(pair, chosen, unmeasured, lever)
     deviation, prior = np.sqrt(np.maximum(np.diag(variance), 0.0)), np.sqrt(np.diag(before))
     own = _own_information(covariance, spread)
+    # A radius is known as well as the size of their scatter is, from as many of them as the curves tell.
+    size = estimated_parts(pair)[PIN_RADIUS]
+    told = pair.pins - float(np.trace(covariance[-spread.size :, -spread.size :][size, size])) / max(
+        float(spread[size.start]), NO_SCATTER) ** 2  # fmt: skip
+    of_radius = float(stdtrit(max(told, 2.0), 0.5 + 0.5 * CONFIDENCE))
     elements = []
     for at, name in enumerate(scatter_names(pair)[: values.size]):
         bounded = own[at] * (_MEASURED * max(spread[at], _SMALL)) ** 2 < 1.0
         why = "it hardly carries load in these curves: bounded by its neighbours, not measured" if bounded else None
-        elements.append(parameter(name, "m", float(values[at]), float(deviation[at]), float(prior[at]), why))
+        quantile = of_radius if name.startswith(PIN_RADIUS) else NORMAL
+        one = parameter(name, "m", float(values[at]), float(deviation[at]), float(prior[at]), why, quantile)
+        elements.append(one)
     circles = _circles(pair)
     orders = [
         one
         for n, part in circles.items()
         for one in _orders(n, values[part], variance[part, part], before[part, part], pair.discs)
     ]
-    return Realised(tuple(elements), tuple(orders), variance, circles)
+    return Realised(tuple(elements), tuple(orders), variance, circles, lever)
 
 
 def _own_information(covariance: Array, spread: Array) -> Array:
@@ -219,12 +268,14 @@ def _own_information(covariance: Array, spread: Array) -> Array:
 
 
 def _circles(pair: Pair) -> dict[str, slice]:
-    found = estimated_parts(pair)
-    if pair.discs > 1:
-        start = found.pop("tooth_cumulative_pitch").start
+    found = {}
+    for name, part in estimated_parts(pair).items():
+        if name != "tooth_cumulative_pitch" or pair.discs == 1:
+            found[name] = part
+            continue
         for disc in range(pair.discs):
-            first = start + disc * pair.gear_teeth
-            found[f"tooth_cumulative_pitch_of_disc_{disc + 1}"] = slice(first, first + pair.gear_teeth)
+            first = part.start + disc * pair.gear_teeth
+            found[f"{name}_of_disc_{disc + 1}"] = slice(first, first + pair.gear_teeth)
     return found
 
 

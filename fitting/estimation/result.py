@@ -26,9 +26,25 @@ from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.reducer.first_stage import FirstStage
 from cycloid_fmu.surfaces.structured import structured_value, unit_of
 from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
-from fitting.estimation.allowances import allowing, bearings_found, form_note, moved_by_form, moved_by_held
+from fitting.estimation.allowances import (
+    LAG_NAME,
+    allowing,
+    bearings_found,
+    clock_lag_found,
+    form_note,
+    lag_note,
+    moved_by_form,
+    moved_by_held,
+)
 from fitting.estimation.confirmation import Confirmed, as_lmfit, confirmed, lmfit_states, with_covariance
-from fitting.estimation.fit import NO_SCATTER, Estimate, freedom, profile_interval, turn_bootstrap
+from fitting.estimation.fit import (
+    NO_SCATTER,
+    Estimate,
+    allowed_radius,
+    freedom,
+    profile_interval,
+    turn_bootstrap,
+)
 from fitting.estimation.parameter import CONFIDENCE, Parameter, parameter, parameter_as_json, withheld
 from fitting.estimation.realised import GAUGE, Realised, realised
 from fitting.estimation.validation import HeldOut, Verdict
@@ -40,6 +56,7 @@ from fitting.model.first_stage import share_of, with_play
 from fitting.model.identifiability import weakness
 from fitting.model.loops import LoopFit, play_of
 from fitting.model.observations import (
+    PIN_RADIUS,
     estimated_parts,
     left_of,
     scatter_columns,
@@ -78,6 +95,8 @@ class Identification:
     bearings
         Of a drive with supports: each bearing's stiffness as a share of what the pair file states (unit "1"), and its
         clearance, m.
+    clock_lag
+        By how much the output angle is late (> 0) or the input angle (< 0), s, where the curves show it.
     bench
         {name: value} of the bench's nuisances: zeros and encoder eccentricity (rad), compliance of the chain beside
         the gear pair (rad/(N·m)), friction torque, and that of loops (N·m).
@@ -131,6 +150,7 @@ class Identification:
     parameters: tuple[Parameter, ...]
     realised: Realised
     bearings: tuple[Parameter, ...]
+    clock_lag: Parameter | None
     bench: dict[str, float]
     confirmed: Mapping[str, Confirmed]
     surface: ErrorSurface
@@ -226,6 +246,8 @@ def result_of(
     form
         What each order of a form that all flanks share may be, a standard deviation, m: intervals allow for it.
     """
+    if PIN_RADIUS not in known:
+        fit = dataclasses.replace(fit, scatter={**fit.scatter, PIN_RADIUS: allowed_radius(pair, fit)})
     names, chosen, spread = list(fit.observed.errors), list(fit.chosen), spread_of(pair, fit.scatter)
     whitened = fit.observed.weight * left_of(fit.observed, fit.linear, fit.state)
     each = np.split(whitened, fit.observed.ends)
@@ -257,6 +279,9 @@ def result_of(
     error = np.sqrt(np.diag(covariance))
     prior = surface_of_pair(pair)
     plain = with_scatter(pair, state.surface, -state.scatter)
+    lag = None
+    if LAG_NAME in bench:
+        lag = clock_lag_found(observed, linear, bench[LAG_NAME], float(stated[LAG_NAME].stderr or 0.0))
     singular, combinations, reasons = weakness(observed, linear, names, chosen)
     moved = dict(zip(chosen, moved_by_form(pair, fit, form) if form else np.zeros(len(chosen)), strict=True))
     parameters = []
@@ -279,6 +304,7 @@ def result_of(
     if not told:
         parameters, ring = [withheld(one) for one in parameters], ring.withheld()
         bearings = [withheld(one) for one in bearings]
+        lag = withheld(lag) if lag else None
     surface = state.surface.replace(
         pair=made.nominal,
         origin="identified",
@@ -296,6 +322,7 @@ def result_of(
         parameters=tuple(parameters),
         realised=ring,
         bearings=tuple(bearings),
+        clock_lag=lag,
         bench=bench,
         confirmed=stated,
         surface=surface,
@@ -314,6 +341,7 @@ def result_of(
         implausible={c.source: c.implausible for c in observed.curves},
         other_descriptions=tuple(_structured(pair, one) for one in others),
         notes=(
+            *((lag_note(lag),) if lag else ()),
             *_notes(pair, fit, verdict),
             *form_note(parameters, form),
             *_of_discs(len(others)),
@@ -405,7 +433,7 @@ def _ambiguity(pair: Pair, fit: Estimate) -> list[str]:
             "beside the best one and the intervals are too narrow."
         )
     unknown = sum(p.stop - p.start for n, p in scatter_parts(pair).items()
-                  if n.startswith("pin_") and fit.scatter[n] > NO_SCATTER)  # fmt: skip
+                  if n in ("pin_radial", "pin_tangential") and fit.scatter[n] > NO_SCATTER)  # fmt: skip
     seen = sum(np.unique(np.rint(c.input_angle / (2.0 * np.pi) * _ANGLES) % _ANGLES).size for c in curves)
     if seen < _TOLD * unknown:
         notes.append(
@@ -485,10 +513,12 @@ def as_json(result: Identification) -> dict[str, Any]:
         "other_descriptions": list(result.other_descriptions),
         "realised": {
             "gauge": list(GAUGE),
+            "radius_lever": result.realised.radius_lever,
             "elements": {p.name: parameter_as_json(p) for p in result.realised.elements},
             "orders": {p.name: parameter_as_json(p) for p in result.realised.orders},
         },
         **({"bearings": {p.name: parameter_as_json(p) for p in result.bearings}} if result.bearings else {}),
+        **({"clock_lag": parameter_as_json(result.clock_lag)} if result.clock_lag else {}),
         "bench": result.bench,
         "lmfit_parameters": lmfit_states(result.confirmed),
         "correlation": {"of": list(result.fitted), "matrix": result.correlation},

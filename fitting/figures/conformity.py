@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import pydantic
 
@@ -15,6 +15,7 @@ from fitting.figures.figure import UNITS
 from fitting.figures.metrics import Figures
 
 FORMAT = "cycloid-certificate/1"
+LOWER = ("torsional_stiffness",)  # figures whose limit is the smallest allowed
 Verdict = Literal["pass", "fail", "undecided"]
 Rule = Literal["guard band", "simple acceptance"]
 RULES = {
@@ -84,7 +85,7 @@ class Certificate(edge.Config):
     decision_rule
         "guard band" (ISO 14253-1) or "simple acceptance" (both ILAC-G8).
     limits
-        {figure: its limits}.
+        {figure: its limits}: one text, the largest allowed and of the torsional stiffness the smallest, or min and max.
     """
 
     number: str = ""
@@ -93,6 +94,15 @@ class Certificate(edge.Config):
     conditions: dict[str, str] = pydantic.Field(default_factory=dict)
     decision_rule: Rule
     limits: dict[str, Limit]
+
+    @pydantic.field_validator("limits", mode="before")
+    @classmethod
+    def _of_one_side(cls, given: Any) -> Any:
+        """A limit that is one text is on the figure's own side, as in a requirements file."""
+        if not isinstance(given, Mapping):
+            return given
+        sides = {True: "min", False: "max"}
+        return {name: {sides[name in LOWER]: v} if isinstance(v, str) else v for name, v in given.items()}
 
     @pydantic.field_validator("limits")
     @classmethod

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu.geometry.pair import Pair
-from cycloid_fmu.geometry.supports import LARGEST_CLEARANCE, Bearing, OutputRoller
+from cycloid_fmu.geometry.supports import Bearing, OutputRoller
 from cycloid_fmu.reducer.first_stage import FirstStage
 
 Array = NDArray[np.float64]
@@ -91,17 +91,17 @@ def pair_with(pair: Pair, changes: Array) -> Pair:
     names = unknown_bearings(pair)
     if not names or changes.size == 0:
         return pair
+    assert pair.supports is not None
     given: dict[str, dict[str, Any]] = {}
     for name, change in zip(names, changes.tolist(), strict=False):
         bearing, _, what = name.rpartition("_")
         one = getattr(pair.supports, bearing)
         if what == "clearance":
-            value = {"clearance": min(max(one.clearance + change, 0.0), LARGEST_CLEARANCE)}
+            value = {"clearance": min(max(one.clearance + change, 0.0), pair.supports.largest_clearance)}
         elif one.stiffness is not None:
             value = {"stiffness": one.stiffness * math.exp(change)}
         else:
             value = {"roller_length": one.roller_length * math.exp(_OF_LENGTH * change)}
         given.setdefault(bearing, {}).update(value)
     changed = {name: getattr(pair.supports, name).model_copy(update=values) for name, values in given.items()}
-    assert pair.supports is not None
     return pair.replace(supports=pair.supports.model_copy(update=changed))

@@ -17,7 +17,7 @@ from fitting.transmission_error.curve import Curve
 
 Array = NDArray[np.float64]
 
-GIVE = "support_give"
+GIVE, LAG = "support_give", "clock_lag"
 RUN_OUT = (1, 2, 3)  # orders of a shaft that its encoder and couplings make
 _SLOW = 6  # degree of what a zero drifts over a recording
 _CRANK = 100.0  # rad of the crank for one of the transmission error
@@ -29,7 +29,7 @@ SENTENCES = {
     "torque_ripple": "torque that the sensor does not see",
     "run_out": "run-out of a shaft or its encoder",
     "drift": "a zero that drifts within a recording",
-    "clock_lag": "one angle's clock that is late",
+    LAG: "one angle's clock that is late",
 }
 
 
@@ -72,16 +72,26 @@ def causes(pair: Pair, observed: Observations, linear: Linear) -> dict[str, Arra
         ],
         "drift": _of_curves(observed, [_drifts(way(c)) for c in curves]),
     }
-    lags = [np.zeros(c.input_angle.size) if c.speed is None else _changing(c.speed) for c in curves]
-    if any(lag.any() for lag in lags):
-        # A late output angle is that of the crank a moment before. At a steady speed it is an offset, as play is.
-        found["clock_lag"] = [-np.concatenate(lags) * (1.0 / curves[0].ratio + linear.by_crank)]
+    late = by_lag(observed, linear)
+    if late.any():
+        found[LAG] = [late]
     every = {
         name: np.column_stack(columns if name == GIVE else [_unit(one) for one in columns])
         for name, columns in found.items()
         if columns
     }
     return {name: columns for name, columns in every.items() if columns.any()}
+
+
+def by_lag(observed: Observations, linear: Linear) -> Array:
+    """Return what an output angle that is late adds for each second, shape (points,), rad/s.
+
+    A late output angle is that of the crank a moment before. At a steady speed that is an offset, as play is: it is
+    zero there, and where no speed is known.
+    """
+    lags = [np.zeros(c.input_angle.size) if c.speed is None else _changing(c.speed) for c in observed.curves]
+    found: Array = -np.concatenate(lags) * (1.0 / observed.curves[0].ratio + linear.by_crank)
+    return found
 
 
 def _give(pair: Pair, observed: Observations, linear: Linear) -> list[Array]:

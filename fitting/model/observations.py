@@ -48,6 +48,8 @@ CREEP = "output_angle_creep"  # what a common zero has moved from one recording 
 MISFIT = "misfit"  # what the model does not hold, by cause; how large, the fit estimates
 GIVES = ("centre_distance_x", "centre_distance_y", "eccentricity")  # what moves where supports give way
 NO_CREEP = 1e-8  # rad
+PIN_RADIUS = "pin_radius_deviation"
+RADIUS_SPREAD = 0.3e-6  # m: usual of single pins' radii, as a sort of rollers is 2 µm of diameter wide (ISO 3096, G2)
 _REACH = 80e-6  # m: gaps that errors and the rotation may close where contacts are taken to first order
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 _LEAST_TORQUE = 1e-3  # of a curve's mean: without any the output is free in its play
@@ -157,6 +159,14 @@ class Observations:
             self, bench_names=(*self.bench_names, *names), bench=np.hstack([self.bench, *columns.values()]),
             bench_prior=np.concatenate([self.bench_prior, np.full(len(names), NO_CREEP)]), give=give,
             measured=self.measured + taken,
+        )  # fmt: skip
+
+    def with_form(self, columns: Array, form: float) -> Observations:
+        """The same with the orders of a form that all flanks share (`form_columns`) as nuisances of this size, m."""
+        names = [f"form_{i}" for i in range(columns.shape[1])]
+        return dataclasses.replace(
+            self, bench_names=(*self.bench_names, *names), bench=np.hstack([self.bench, columns]),
+            bench_prior=np.concatenate([self.bench_prior, np.full(len(names), form)]),
         )  # fmt: skip
 
     @property
@@ -329,11 +339,16 @@ def errors_of(pair: Pair) -> list[str]:
 def scatter_parts(pair: Pair) -> dict[str, slice]:
     """Return where each pattern of single displacements stands in a scatter vector.
 
-    Every pin's place and every tooth's pitch; of further discs by how much their teeth stand elsewhere than the first
-    one's, `disc_phase`; with supports each hole, crank, roller and eccentric.
+    Every pin's place, every tooth's pitch and every pin's radius; of further discs by how much their teeth stand
+    elsewhere than the first one's, `disc_phase`; with supports each hole, crank, roller and eccentric.
     """
     g = pair
-    sizes = {"pin_radial": g.pins, "pin_tangential": g.pins, "tooth_cumulative_pitch": g.discs * g.gear_teeth}
+    sizes = {
+        "pin_radial": g.pins,
+        "pin_tangential": g.pins,
+        "tooth_cumulative_pitch": g.discs * g.gear_teeth,
+        PIN_RADIUS: g.pins,
+    }
     if g.discs > 1:
         sizes[DISC_PHASE] = g.discs - 1
     sizes |= {name: math.prod(kind.shape(g)) for name, kind in kinds_of(g).items() if kind.of_supports}
@@ -388,10 +403,11 @@ def scatter_between(pair: Pair, surface: ErrorSurface, plain: ErrorSurface) -> A
 def scatter_columns(pair: Pair, each: Array) -> Array:
     """Return derivatives by a scatter vector, last axis, from those by every error as in `contact.sensitivities`."""
     layout = displacement_layout(pair)
-    columns = [each[..., layout[name]] for name in ("pin_radial", "pin_tangential")]
-    columns.append(each[..., layout["tooth_turn"]] / pair.pin_circle_radius)
+    by_tooth = each[..., layout["tooth_turn"]] / pair.pin_circle_radius
+    columns = [each[..., layout["pin_radial"]], each[..., layout["pin_tangential"]], by_tooth,
+               each[..., layout["pin_radius"]]]  # fmt: skip
     if pair.discs > 1:
-        by_disc = columns[-1].reshape(*each.shape[:-1], pair.discs, pair.gear_teeth).sum(axis=-1)
+        by_disc = by_tooth.reshape(*each.shape[:-1], pair.discs, pair.gear_teeth).sum(axis=-1)
         columns.append(by_disc[..., 1:])
     for kind in kinds_of(pair).values():
         if kind.of_supports:

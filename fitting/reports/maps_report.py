@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cycloid_fmu import edge
-from cycloid_fmu.draw.plots import new_figure
+from cycloid_fmu.draw.figure import new_figure
 from cycloid_fmu.edge import ARCMIN, ARCSEC
 from fitting.reports.page import html_page, made_now
 from fitting.reports.panels import HeatMap, Panel

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cycloid_fmu import edge
 from cycloid_fmu.contact.transmission import solve
-from cycloid_fmu.draw.plots import new_figure, save, show_legend
+from cycloid_fmu.draw.figure import new_figure, save, show_legend
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.surfaces.structured import unit_of

@@ -19,6 +19,7 @@ _STEPS = (0.1, 0.2, 0.5)  # µm, and powers of ten of them: what the grid's circ
 _TITLES = {
     "pin_radial": "pins, radial",
     "pin_tangential": "pins, tangential",
+    "pin_radius_deviation": "pins, radius",
 }
 
 

@@ -10,7 +10,10 @@ from test_loop_drift import COULOMB, RATED, swung, wound
 
 import fitting
 from cycloid_fmu import edge
+from cycloid_fmu.studies import limits as asked
+from fitting.figures import conformity
 from fitting.figures.conformity import Certificate, decide, decisions_of, read_certificate, verdict_of
+from fitting.figures.figure import UNITS
 
 ARCSEC = np.pi / 648000
 TEXT = (EXAMPLES / "certificate.toml").read_text(encoding="utf-8")
@@ -42,6 +45,15 @@ def test_wrong_decisions_are_as_rare_as_the_rule_says():
 def certificate(rule="guard band", **limits):
     device = {"name": "39/40", "serial_number": "7"}
     return Certificate(device=device, decision_rule=rule, limits={n: {"max": v} for n, v in limits.items()})
+
+
+def test_a_limit_that_is_one_text_is_on_the_figure_s_own_side():
+    device = {"name": "39/40", "serial_number": "7"}
+    short = {"backlash": "35 arcsec", "torsional_stiffness": "25 N*m/arcmin"}
+    whole = {"backlash": {"max": "35 arcsec"}, "torsional_stiffness": {"min": "25 N*m/arcmin"}}
+    one, other = (Certificate(device=device, decision_rule="guard band", limits=g) for g in (short, whole))
+    assert one == other
+    assert set(asked.LOWER) >= set(conformity.LOWER) == set(asked.LOWER) & set(UNITS)
 
 
 def test_the_verdict_of_a_drive_is_that_of_its_worst_figure(found):
@@ -92,10 +104,10 @@ def test_a_certificate_needs_instruments_and_html(found, tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ('lost_motion = {max = "1 arcmin"}', "lost_motion = {}", "state min, max or both"),
-        ('lost_motion = {max = "1 arcmin"}', 'lost_motion = {max = "1 mm"}', "lost_motion"),
-        ('lost_motion = {max = "1 arcmin"}', 'lost = {max = "1 arcmin"}', "lost is no figure"),
-        ('lost_motion = {max = "1 arcmin"}', 'lost_motion = {min = "2 arcmin", max = "1 arcmin"}', "min is above max"),
+        ('lost_motion = "1 arcmin"', "lost_motion = {}", "state min, max or both"),
+        ('lost_motion = "1 arcmin"', 'lost_motion = {max = "1 mm"}', "lost_motion"),
+        ('lost_motion = "1 arcmin"', 'lost = {max = "1 arcmin"}', "lost is no figure"),
+        ('lost_motion = "1 arcmin"', 'lost_motion = {min = "2 arcmin", max = "1 arcmin"}', "min is above max"),
         ('"guard band" ', '"shared risk" ', "decision_rule"),
         ('serial_number = "0007"', "", "[device] serial_number is missing"),
     ],

@@ -284,11 +284,11 @@ def test_every_pin_and_tooth_by_itself(nominal, tmp_path):
     curves = [curve(nominal, made, t, generator, each=24) for t in (20.0, -20.0, 200.0, -200.0)]
     tolerances = parse_tolerances((EXAMPLES / "tolerances.toml").read_text(), "tolerances.toml")
     known = scatter_of(nominal, tolerances)
-    assert set(known) == {"pin_tangential", "tooth_cumulative_pitch"}
+    assert set(known) == {"pin_tangential", "tooth_cumulative_pitch", "pin_radius_deviation"}
     assert 0.2e-6 < known["pin_tangential"] < 3e-6  # within a single pitch of ± 3 µm
     found = identify(curves, Drive(nominal), held_out=False, tolerances=Prior(known), profiled=["isometric"])
     assert any(n.startswith("isometric is held, so it has no profile") for n in found.notes)
-    assert len(found.realised.elements) == 40 + 40 + 39
+    assert len(found.realised.elements) == 40 + 40 + 39 + 40
     tangential = found.realised.circles["pin_tangential"]
     truth = displaced(nominal, made)[tangential]
     values = np.array([p.value for p in found.realised.elements[tangential]])

@@ -157,13 +157,22 @@ def test_more_runs_tell_no_less():
 
 
 def test_a_plan_foretells_the_fit(measured, nominal):
-    """The standard errors that a plan states are those that the fit of such runs then has (no scatter in either)."""
+    """The standard errors that a plan states are those that the fit of such runs then has (no scatter in either).
+
+    The fit can't know that pins are as thick as one another, which widens orders of the pins by a third.
+    """
     found = identify(measured(9), Drive(nominal), held_out=False)
     planned = plan(Drive(nominal), [20.0, 200.0], turns=1.0, samples=24, noise=0.5 * ARCSEC, scatter=1e-9)[-1]
-    ratios = [np.sqrt(p.standard_error**2 - p.form**2) / planned.standard_error[p.name] for p in found.parameters
-              if p.held is None and p.name in planned.standard_error]  # fmt: skip
+    ratios = {p.name: p.standard_error / planned.standard_error[p.name] for p in found.parameters
+              if p.held is None and p.name in planned.standard_error}  # fmt: skip
     assert len(ratios) > 15
-    assert np.median(ratios) == pytest.approx(1.0, abs=0.25)
+    assert np.median([*ratios.values()]) == pytest.approx(1.0, abs=0.4)
+    # What a form of the flanks of 1 µm costs, a factor of ten, is part of both.
+    for name in ("eccentricity", "pin_radius"):
+        (one,) = (p for p in found.parameters if p.name == name)
+        assert one.form > 0.9 * one.standard_error
+        # The fit adds how far its own curves, whose noise looks somewhat like form, say that it has moved them.
+        assert 0.6 < ratios[name] < 1.7
 
 
 def test_ensemble_have_the_fit_s_covariance(found, nominal, tmp_path):
@@ -257,6 +266,5 @@ def test_two_discs_without_tooth_errors_have_two_descriptions(nominal):
     off = [[abs(v[p.name] - values.get(p.name, 0.0)) / p.standard_error for p in fitted]
            for v in ({p.name: p.value for p in fitted}, other)]  # fmt: skip
     near, far = sorted(off, key=np.max)
-    # Without errors of the teeth little holds the discs apart: the nearer one is not always within its errors.
-    assert np.max(near) < 6.0
-    assert np.max(far) > 12.0
+    assert np.max(near) < 4.0
+    assert np.max(far) > 4.5

@@ -77,7 +77,7 @@ def test_the_surface_goes_through_its_file(found, nominal, tmp_path):
     again = read_surface(tmp_path / "s.nc")
     assert again.origin == "identified"
     assert again.covariance_of[: len(found.fitted)] == found.fitted
-    assert len(again.covariance_of) == len(found.fitted) + 40 + 40 + 39  # and the place of every pin and tooth
+    assert len(again.covariance_of) == len(found.fitted) + 40 + 40 + 39 + 40  # and every pin and tooth
     assert (again.covariance == found.surface.covariance).all()
     angles = np.linspace(0.0, 3.0, 20)
     first, second = (solve(nominal, s, 50.0, angles).transmission_error for s in (found.surface, again))

@@ -14,7 +14,13 @@ from cycloid_fmu.edge import json_table
 from cycloid_fmu.surfaces.structured import with_structured
 from cycloid_fmu.surfaces.surface import surface_of_pair
 from fitting.estimation.ensemble import ensemble
-from fitting.estimation.realised import displaced, displaced_covariance, errors_by_pattern, gauge, realised
+from fitting.estimation.realised import (
+    displaced,
+    displaced_covariance,
+    errors_by_pattern,
+    gauge,
+    realised,
+)
 from fitting.model.observations import scatter_columns, spread_of, with_scatter
 from fitting.reports.ring import ring_panel
 
@@ -40,12 +46,13 @@ def test_what_the_gauge_removes_other_errors_and_the_output_s_zero_do(nominal, c
     scatter[: len(directions)] = generator.normal(0.0, 2e-6, len(directions))
     surface = with_scatter(pair, surface_of_pair(pair), scatter)
     angle = np.linspace(0.0, 2.0 * np.pi * pair.gear_teeth, 97, endpoint=False)
-    others = ["pin_circle_radius", "centre_distance_x", "centre_distance_y"]
+    others = ["pin_circle_radius", "pin_radius", "centre_distance_x", "centre_distance_y"]
     _, columns, each, _ = error_sensitivity(pair, surface, 60.0, angle, others)
     does = scatter_columns(pair, each)[:, : len(directions)] @ directions
     size = np.sqrt(pair.pins)
     np.testing.assert_allclose(does[:, 0] * size, columns[:, 0], rtol=0, atol=1e-6 * np.abs(columns[:, 0]).max())
-    np.testing.assert_allclose(does[:, 3:] * size, -columns[:, 1:], rtol=0, atol=2e-4 * np.abs(columns[:, 1]).max())
+    np.testing.assert_allclose(does[:, 3] * size, columns[:, 1], rtol=0, atol=1e-6 * np.abs(columns[:, 1]).max())
+    np.testing.assert_allclose(does[:, 4:] * size, -columns[:, 2:], rtol=0, atol=2e-4 * np.abs(columns[:, 2]).max())
     # A turn of all pins, or of all teeth, turns the output but for what the crank's angle has then moved on.
     for turned in (does[:, 1], does[:, 2]):
         assert np.ptp(turned) < 5e-3 * np.abs(turned.mean())
@@ -53,7 +60,7 @@ def test_what_the_gauge_removes_other_errors_and_the_output_s_zero_do(nominal, c
 
 def test_a_shifted_turned_and_larger_ring_has_the_same_pins(small):
     surface = with_structured(small, surface_of_pair(small), {"pin_radial_2_cos": 3e-6, "pin_tangential_1_sin": 1e-6})
-    moved = with_scatter(small, surface, gauge(small) @ [4e-6, -3e-6, 2e-6, 5e-6, -1e-6])
+    moved = with_scatter(small, surface, gauge(small) @ [4e-6, -3e-6, 2e-6, 1e-6, 5e-6, -1e-6])
     np.testing.assert_allclose(displaced(small, moved), displaced(small, surface), atol=1e-18)
     larger = with_structured(small, moved, {"pin_circle_radius": 7e-6})
     np.testing.assert_allclose(displaced(small, larger), displaced(small, surface), atol=1e-18)
@@ -76,11 +83,11 @@ def test_every_pin_and_tooth_of_a_ring_is_within_its_interval_and_as_near_as_the
 def test_a_pin_that_no_curve_shows_is_held_and_no_other(small, scatter):
     """Each pin and tooth seen to 0.02 µm but two, beside orders that nothing else tells."""
     chosen = [f"pin_radial_{k}_{w}" for k in (2, 3) for w in ("cos", "sin")]
-    waves = np.zeros((35, 4))
+    waves = np.zeros((47, 4))
     angle = 2.0 * np.pi * np.arange(12) / 12
     waves[:12] = np.array([wave(k * angle) for k in (2, 3) for wave in (np.cos, np.sin)]).T
-    seen = np.delete(np.hstack([waves, np.eye(35)]), [5, 30], axis=0) / 0.02e-6
-    spread = np.full(35, scatter)
+    seen = np.delete(np.hstack([waves, np.eye(47)]), [5, 30], axis=0) / 0.02e-6
+    spread = np.full(47, scatter)
     covariance = np.linalg.inv(seen.T @ seen + np.diag([*np.full(4, 1e6), *spread**-2]))
     found = realised(small, surface_of_pair(small), chosen, covariance, spread)
     held = [one.name for one in found.elements if one.held]
@@ -101,14 +108,17 @@ def test_orders_are_those_of_the_elements(one_ring):
 def test_the_surface_says_the_same(one_ring, small):
     """Drives drawn from the identified surface's covariance scatter, pin by pin, as the standard errors say."""
     found, _, _ = one_ring
-    drawn = np.array([displaced(small, one.surface) for one in ensemble(found.drive, 400)])
+    lever = found.realised.radius_lever
+    drawn = np.array([displaced(small, one.surface, lever) for one in ensemble(found.drive, 400)])
     stated = np.array([one.standard_error for one in found.realised.elements])
     np.testing.assert_allclose(drawn.std(axis=0) / stated, 1.0, atol=0.15)
     surface = found.surface
     chosen = [n for n in surface.covariance_of if "_at_" not in n]
-    again = displaced_covariance(small, chosen, surface.covariance)
+    again = displaced_covariance(small, chosen, surface.covariance, lever)
     np.testing.assert_allclose(again, found.realised.covariance, rtol=1e-9, atol=1e-30)
-    np.testing.assert_allclose(displaced(small, surface), [one.value for one in found.realised.elements], atol=1e-18)
+    np.testing.assert_allclose(
+        displaced(small, surface, lever), [one.value for one in found.realised.elements], atol=1e-18
+    )
 
 
 def test_file_picture_and_report_have_every_pin_and_tooth(one_ring, tmp_path):
@@ -152,7 +162,7 @@ def test_a_plan_foretells_pins_and_teeth_and_the_run_that_helps(one_ring, small)
 
 @pytest.mark.slow(20)
 def test_pins_and_teeth_of_random_rings(nominal, record_property):
-    """Half of CYCLOID_SEEDS rings of 39/40, else of 200, with 2 µm in pins and teeth, 3 loads both ways and 0.5″."""
+    """Half of CYCLOID_SEEDS rings of 39/40, else of 200: 2 µm in places of pins and teeth, 0.3 µm in radii, 0.5″."""
     rings = max(1, int(os.environ.get("CYCLOID_SEEDS", "200")) // 2)
     figures = {}
     for number in range(rings):
@@ -165,6 +175,7 @@ def test_pins_and_teeth_of_random_rings(nominal, record_property):
             f"{rms(distance) * 1e6:.3f} µm rms, {rms(distance) / rms(bound):.2f} bounds, {covered:.3f} of {rings} rings"
         )
         record_property(f"realised {name}", said)
-        assert rms(distance) < (0.05e-6 if name.startswith("tooth") else 0.10e-6), (name, said)
+        limit = {"tooth_cumulative_pitch": 0.05e-6, "pin_radius_deviation": 0.3e-6}.get(name, 0.10e-6)
+        assert rms(distance) < limit, (name, said)
         assert rms(distance) < 1.5 * rms(bound), (name, said)
         assert rings < 20 or 0.92 <= covered <= 0.98, (name, said)

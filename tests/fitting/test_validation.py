@@ -75,6 +75,16 @@ def test_the_noise_of_the_fit_is_no_yardstick(small):
     assert names(found.verdict) == {"run_out"}
 
 
+def test_a_late_clock_is_timed_and_corrected(small):
+    found, values = identified("speed ripple and an output clock 30 µs late", small, 0)
+    assert names(found.verdict) == {"clock_lag"}
+    low, high = found.clock_lag.interval
+    assert low < 30e-6 < high
+    assert high - low < 3e-6
+    assert any(note.startswith("The output angle's clock is ") for note in found.notes)
+    assert 1.96 * np.abs([*distances(found, values).values()]).max() < 4.5
+
+
 @pytest.mark.slow(20)
 def test_effects_are_explained_or_told(small, record_property):
     """Right causes, few false alarms, coverage; a fortieth of CYCLOID_SEEDS drives, else of 200, or some effects."""

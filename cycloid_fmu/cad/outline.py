@@ -1,0 +1,131 @@
+"""The outline of one disc as it was made: the curve that files for CAD are fitted to.
+
+Points are complex numbers, x + iy, in m: the origin is the disc's axis, and the axes are those of the frame at crank
+angle 0, so the first disc's tooth 0 has its root on +x.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_curvature, flank_normals, flank_points, flank_speed
+from cycloid_fmu.surfaces.structured import dimensions
+from cycloid_fmu.surfaces.surface import ErrorSurface
+
+Array = NDArray[np.float64]
+Points = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, eq=False)
+class Tooth:
+    """The flank of one tooth as made, from its first root to its second.
+
+    Attributes
+    ----------
+    pair
+        The pair whose modification is the one really made, at 20 °C.
+    turned
+        The tooth's place: what turns tooth 0 of an ideal gear there, a complex number of magnitude 1.
+    low, high
+        Profile parameters, as of tooth 0, where it meets its neighbours, rad.
+    knots, heights
+        Parameters between which the deviation of the form is linear, rad, and its values there, > 0 material added, m;
+        of size 0 where the form is nominal.
+    """
+
+    pair: Pair
+    turned: complex
+    low: float
+    high: float
+    knots: Array
+    heights: Array
+
+    def points(self, alpha: ArrayLike) -> Points:
+        """Points of the flank at profile parameters of tooth 0, rad."""
+        x, y = flank_points(self.pair, alpha)
+        return np.asarray(self.turned * (x + 1j * y + self._height(alpha) * self._normals(alpha)))
+
+    def tangents(self, alpha: ArrayLike) -> Points:
+        """Unit tangents, counter-clockwise; at a knot that of the side behind it."""
+        along = self._along(alpha)
+        return np.asarray(along / np.abs(along))
+
+    def speed(self, alpha: ArrayLike) -> Array:
+        """Arc length for each radian of the profile parameter, m."""
+        return np.abs(self._along(alpha))
+
+    def _along(self, alpha: ArrayLike) -> Points:
+        rise = np.zeros(np.shape(alpha))
+        if self.knots.size:
+            slopes = np.diff(self.heights) / np.diff(self.knots)
+            rise = slopes[np.clip(np.searchsorted(self.knots, alpha, side="right") - 1, 0, slopes.size - 1)]
+        longer = flank_speed(self.pair, alpha) * (1.0 + self._height(alpha) * flank_curvature(self.pair, alpha))
+        return np.asarray(self.turned * (1j * longer + rise) * self._normals(alpha))
+
+    def curvature(self, alpha: ArrayLike) -> Array:
+        """Curvature of the flank with its modification, without deviations of its form, > 0 convex, 1/m."""
+        return flank_curvature(self.pair, alpha)
+
+    def _normals(self, alpha: ArrayLike) -> Points:
+        x, y = flank_normals(self.pair, alpha)
+        return np.asarray(x + 1j * y)
+
+    def _height(self, alpha: ArrayLike) -> Array:
+        if not self.knots.size:
+            return np.zeros(np.shape(alpha))
+        return np.asarray(np.interp(np.asarray(alpha), self.knots, self.heights))
+
+
+def teeth_of(pair: Pair, surface: ErrorSurface, disc: int) -> list[Tooth]:
+    """Return the teeth of a disc as made, counter-clockwise, each ending where the next one begins.
+
+    A tooth with a pitch error is turned as a whole about the disc's axis; it meets its neighbour on the ray between
+    their roots, where both flanks are equally far from the axis. Deviations of the form are those at mid-width, linear
+    in the profile parameter from one element's middle to the next, past the roots too.
+
+    Raises
+    ------
+    edge.InputError
+        If the drive can't have been made with its errors.
+    """
+    cold = pair.replace(temperature=None)
+    made = dimensions(cold, surface)
+    count = pair.gear_teeth
+    pitch = 2.0 * math.pi / count
+    flank = cold.nominal.replace(
+        isometric=made["generating_pin_radius"] - cold.pin_radius,
+        offset=made["generating_circle_radius"] - cold.pin_circle_radius,
+    )
+    knots, heights = _form(pair, surface, disc)
+    turn = made["tooth_turn"][disc]
+    clocked = -2.0 * math.pi * disc / pair.discs / count
+    ahead = 0.5 * (np.roll(turn, -1) - turn)  # from a tooth's second root to where it meets the next tooth
+    # At a root the polar angle grows by this for each radian of the profile parameter.
+    rate = float(flank_speed(flank, 0.0)) / abs(complex(*map(float, flank_points(flank, 0.0))))
+    return [
+        Tooth(
+            flank, cmath.exp(1j * (j * pitch + float(turn[j]) + clocked)), -float(ahead[j - 1]) / rate,
+            pitch + float(ahead[j]) / rate, knots, heights[j],
+        )
+        for j in range(count)
+    ]  # fmt: skip
+
+
+def _form(pair: Pair, surface: ErrorSurface, disc: int) -> tuple[Array, Array]:
+    """Profile parameters of a tooth's elements and of a neighbour's on either side, and the heights of every tooth."""
+    flanks = surface.gear_deviation
+    if flanks is None:
+        return np.empty(0), np.empty((pair.gear_teeth, 0))
+    elements, slices = flanks.shape[2:]
+    middle = flanks[disc, :, :, (slices - 1) // 2 : slices // 2 + 1].mean(axis=2)
+    inner = equal_arc_parameters(pair, elements)
+    pitch = 2.0 * math.pi / pair.gear_teeth
+    knots = np.concatenate([[inner[-1] - pitch], inner, [inner[0] + pitch]])
+    before, after = np.roll(middle, 1, axis=0)[:, -1:], np.roll(middle, -1, axis=0)[:, :1]
+    return knots, np.concatenate([before, middle, after], axis=1)

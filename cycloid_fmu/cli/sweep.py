@@ -1,0 +1,111 @@
+"""`cycloid-fmu sweep`."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cycloid_fmu import edge
+from cycloid_fmu.cli.shared import PairFile, SurfaceFile
+from cycloid_fmu.edge import commands
+from cycloid_fmu.geometry import ANGLES
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+def sweep(
+    pair_file: PairFile,
+    vary: Annotated[
+        list[str],
+        typer.Option(
+            metavar='"NAME=2.5:3.5:11 mm"',
+            help="A value of the pair file, and the values that it takes: a range with their number, or a list "
+            '"NAME=2.5, 3 mm"; may be repeated.',
+        ),
+    ],
+    torque: Annotated[
+        list[float] | None, commands.quantity_option("N*m", "Torque on the output; may be repeated. Default: rated.")
+    ] = None,
+    output: Annotated[
+        Path | None,
+        commands.output_option(
+            (".csv", ".parquet", ".nc"), "TABLE.csv|parquet|nc", "Write it; what is done is kept beside it until then."
+        ),
+    ] = None,
+    surface_file: SurfaceFile = None,
+    angles: Annotated[int, typer.Option(min=20, help="Crank angles, evenly from 0, end excluded.")] = ANGLES,
+    turns: Annotated[int, typer.Option(min=1, help="Crank turns that they span.")] = 1,
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = os.cpu_count() or 1,
+    plot: commands.PlotFile = None,
+    as_json: commands.AsJson = False,
+) -> None:
+    """Solve a drive with every combination of several values of its pair file: figures in a table, lines and maps.
+
+    Stopped or killed, the same command goes on where it was, if it has an output.
+
+    Example: [cyan]cycloid-fmu sweep pair.toml --vary "pin_radius=2.5:3.5:11 mm" --torque "181 N*m" -o table.csv[/]
+    """
+    from cycloid_fmu.drive import read_drive
+    from cycloid_fmu.studies.sweep import vary_of
+
+    given: dict[str, str] = {}
+    for each in vary:
+        name, is_given, values = each.partition("=")
+        if not is_given or name.strip() in given:
+            problem = "it is varied twice" if is_given else 'write NAME=VALUES, such as "pin_radius=2.5:3.5:11 mm"'
+            raise edge.ArgumentError("vary", problem, each)
+        given[name.strip()] = values.strip()
+    drive = read_drive(pair_file, surface_file)
+    size = math.prod(len(one.values) for one in vary_of(given))  # type: ignore[arg-type]
+    with commands.progress("drives", size) as progress:
+        data = drive.sweep(
+            given, torque or None, output, angles=angles, turns=turns, workers=workers, progress=progress
+        )  # fmt: skip
+    if plot is not None:
+        from cycloid_fmu.draw import plots, sweeps
+
+        plots.save(sweeps.plot_sweep(data), plot)
+    if as_json:
+        commands.print_json({str(k): v.values for k, v in {**data.coords, **data.data_vars}.items()})
+    else:
+        _print(data, f"{pair_file.name}: {size} drives")
+
+
+def _print(data: xr.Dataset, title: str) -> None:
+    from cycloid_fmu.studies.sweep import FREE, LOADED
+    from cycloid_fmu.studies.sweep_files import SHOWN, label_of, shown_values, varied_names, with_free_positions
+
+    def where(place: dict[str, int]) -> str:
+        shown = []
+        for name in varied_names(data):
+            values, unit = shown_values(data, name)
+            shown.append(f"{name} {values[place[name]]:g}{'' if unit == '1' else f' {unit}'}")
+        return ", ".join(shown)
+
+    rows, every = [], data["reason"].values
+    data = with_free_positions(data)
+    for name in (*LOADED, *FREE):
+        unit, factor = SHOWN[data[name].attrs["units"]]
+        for load in data["torque"].values if name in LOADED else [None]:
+            values = data[name] if load is None else data[name].sel(torque=load)
+            if not values.notnull().any():
+                continue
+            ends = [{str(d): int(k) for d, k in found.items()}
+                    for found in (values.argmin(...), values.argmax(...))]  # fmt: skip
+            shown = [f"{float(values[place]) * factor:.5g}" for place in ends]
+            at = "" if load is None else f"{load:g} N·m"
+            if shown[0] == shown[1]:
+                rows.append([label_of(name, unit), at, "all", shown[0], ""])
+                continue
+            rows.append([label_of(name, unit), at, "smallest", shown[0], where(ends[0])])
+            rows.append(["", "", "largest", shown[1], where(ends[1])])
+    commands.print_table(title, ["figure", "torque", "", "value", "at"], rows)
+    if reasons := list(dict.fromkeys(str(reason) for reason in every.ravel() if reason)):
+        rest = f" ({len(reasons) - 1} more in the output)" if len(reasons) > 1 else ""
+        missing = f"{int((every != '').sum())} of {every.size}"
+        typer.echo(f"{missing} drives are left out here or incomplete: {reasons[0]}{rest}.", err=True)

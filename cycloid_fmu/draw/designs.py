@@ -1,0 +1,81 @@
+"""Drives that a search found: the front of two goals, or how much room each limit leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cycloid_fmu.draw.figure import new_figure
+from cycloid_fmu.studies.design import Design, DesignTask, shown
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+def plot_designs(found: Sequence[Design], task: DesignTask, title: str) -> Figure:
+    """Draw the designs of a search.
+
+    Parameters
+    ----------
+    found, task
+        What `cycloid_fmu.studies.design.search` returned, and its task.
+    title
+        Of the picture.
+    """
+    figure, axes = new_figure(1, 2)
+    left, right = axes
+    if len(task.goals) == 2:
+        _front(left, found, task)
+    else:
+        _margins(left, found[0])
+    _ranges(right, found, task)
+    figure.suptitle(title)
+    return figure
+
+
+def _label(name: str) -> str:
+    return f"{name.replace('_', ' ')} [{shown(name, 0.0)[1]}]"
+
+
+def _front(axes: Axes, found: Sequence[Design], task: DesignTask) -> None:
+    first, second = task.goals
+    x, y = (np.array([float(shown(name, one.goals[name])[0]) for one in found]) for name in (first, second))
+    axes.plot(x, y, color="0.7", lw=1.0, zorder=1)
+    for number, (one, a, b) in enumerate(zip(found, x, y, strict=True), 1):
+        axes.plot(a, b, "o" if one.met else "x", color="C0" if one.met else "tab:red", zorder=2)
+        axes.annotate(f" {number}", (a, b), fontsize=8)
+    missed = "; red: a limit is missed" if not all(one.met for one in found) else ""
+    axes.set(xlabel=_label(first), ylabel=_label(second), title=f"best by one goal for each of the other{missed}")
+
+
+def _margins(axes: Axes, one: Design) -> None:
+    names = [v.figure.replace("_", " ") for v in one.verdicts][::-1]
+    shares = [100.0 * min(v.share, 1.0) for v in one.verdicts][::-1]
+    axes.barh(names, shares, color=["C0" if share >= 0.0 else "tab:red" for share in shares])
+    axes.axvline(0.0, color="0.3", lw=0.8)
+    goal = ", ".join(f"{name.replace('_', ' ')} {' '.join(shown(name, value))}" for name, value in one.goals.items())
+    axes.set(xlabel="room to the limit [% of the limit, 100 at most]", title=goal)
+
+
+def _ranges(axes: Axes, found: Sequence[Design], task: DesignTask) -> None:
+    names = list(task.vary)
+    at = np.arange(len(names))
+    for number, one in enumerate(found, 1):
+        share = [100.0 * (one.values[n] - task.vary[n][0]) / (task.vary[n][1] - task.vary[n][0]) for n in names]
+        shade = f"C{(number - 1) % 10}"
+        axes.plot(share, at, "o-", color=shade, lw=1.0, ms=4, label=f"{number}" if len(found) > 1 else "")
+        if len(found) == 1:
+            for k, name in enumerate(names):
+                axes.annotate(" ".join(shown(name, one.values[name])), (share[k], k), xytext=(0, 6),
+                              textcoords="offset points", ha="center", fontsize=8)  # fmt: skip
+    labels = [f"{n.replace('_', ' ')}\n{shown(n, task.vary[n][0])[0]} … {' '.join(shown(n, task.vary[n][1]))}"
+              for n in names]  # fmt: skip
+    axes.set_yticks(at, labels, fontsize=8)
+    axes.set(
+        xlabel="place in the range [%]", xlim=(-5.0, 105.0), ylim=(len(names) - 0.5, -0.7), title="what was searched"
+    )
+    if len(found) > 1:
+        axes.legend(title="design", fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))

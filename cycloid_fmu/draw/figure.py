@@ -1,0 +1,40 @@
+"""Figures as all plots have them: their frame, legend and file."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu import edge
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+def save(figure: Figure, path: str | os.PathLike[str], endings: Collection[str] = edge.PICTURES) -> None:
+    """Write a figure by its name's ending, one of `endings`, whole or not at all."""
+    with edge.written_whole(edge.output_path(path, "path", endings)) as temporary:
+        figure.savefig(temporary, dpi=150)
+
+
+def new_figure(rows: int = 1, columns: int = 1, *, sharex: bool = False) -> tuple[Figure, NDArray[np.object_]]:
+    """Return a figure that needs no screen, and its axes as a flat array."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.0 if columns == 1 else 4.8 * columns + 1.2, 2.4 * rows + 0.8), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(rows, columns, sharex=sharex))
+    for axis in axes.flat:
+        axis.grid(alpha=0.3)
+        for side in ("top", "right"):
+            axis.spines[side].set_visible(False)
+    return figure, axes.ravel()
+
+
+def show_legend(axis: Axes, **options: Any) -> None:
+    """Show what the lines are, on a ground that keeps it readable where they pass below it."""
+    axis.legend(**{"fontsize": 8, "framealpha": 0.85, "edgecolor": "none", **options})

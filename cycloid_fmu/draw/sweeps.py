@@ -1,0 +1,69 @@
+"""Pictures of sweeps: lines over one value, maps over two."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cycloid_fmu.draw.figure import new_figure, show_legend
+from cycloid_fmu.studies.sweep import FREE, LOADED
+from cycloid_fmu.studies.sweep_files import SHOWN, label_of, shown_values, varied_names, with_free_positions
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+
+def plot_sweep(data: xr.Dataset) -> Figure:
+    """Every figure of a sweep: over one value as lines, one a torque; over two as maps, at the first torque.
+
+    Of more than two the first two that take several values are drawn, at the first values of the others. Combinations
+    that make no drive, or one with interference, are left blank, grey in maps.
+    """
+    missing = int((data["reason"].values != "").sum())
+    size, data = data["reason"].size, with_free_positions(data)
+    names = varied_names(data)
+    several = [name for name in names if data.sizes[name] > 1][:2] or names[:1]
+    others = {name: 0 for name in names if name not in several}
+    one = data.isel(others)
+    shown = [name for name in (*LOADED, *FREE) if np.isfinite(one[name].values).any() and not _is_zero(one, name)]
+    figure, axes = new_figure((len(shown) + 1) // 2, 2)
+    for axis in axes[len(shown) :]:
+        figure.delaxes(axis)
+    labels = [label_of(name, shown_values(data, name)[1]) for name in several]
+    for axis, name in zip(axes, shown, strict=False):
+        unit, factor = SHOWN[one[name].attrs["units"]]
+        label = label_of(name, unit).replace(" [", "\n[")
+        places = [shown_values(data, each)[0] for each in several]
+        if len(several) == 1:
+            loads = data["torque"].values if name in LOADED else [None]
+            for load in loads:
+                values = one[name] if load is None else one[name].sel(torque=load)
+                axis.plot(places[0], values.values * factor, ".-", ms=4, lw=1.2,
+                          label=None if load is None else f"{load:g} N·m")  # fmt: skip
+            margin = 0.03 * float(np.ptp(places[0]))
+            axis.set(xlabel=labels[0], ylabel=label)
+            if margin > 0.0:
+                axis.set_xlim(min(places[0]) - margin, max(places[0]) + margin)
+            if name in LOADED and len(loads) > 1:
+                show_legend(axis)
+            continue
+        values = one[name].isel(torque=0) if name in LOADED else one[name]
+        image = axis.pcolormesh(places[1], places[0], values.transpose(*several).values * factor, shading="nearest")
+        axis.set_facecolor("0.85")
+        axis.grid(False)
+        axis.set(xlabel=labels[1], ylabel=labels[0])
+        figure.colorbar(image, ax=axis, label=label)
+    held = [f"{name.replace('_', ' ')} = {shown_values(data, name)[0][0]:g} {shown_values(data, name)[1]}"
+            for name in others]  # fmt: skip
+    if len(several) > 1:
+        held.insert(0, f"{float(data['torque'].values[0]):g} N·m")
+    if missing:
+        held.append(f"{missing} of {size} drives left out: no drive, or interference")
+    figure.suptitle(", ".join(held), fontsize=9)
+    return figure
+
+
+def _is_zero(data: xr.Dataset, name: str) -> bool:
+    return name == "interference" and not data[name].fillna(0.0).values.any()

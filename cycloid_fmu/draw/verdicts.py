@@ -1,0 +1,77 @@
+"""Verdicts below a picture, in red where a limit is not met; what slides, and how long bearings last, over a duty."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cycloid_fmu.draw.figure import new_figure, show_legend
+from cycloid_fmu.studies.limits import Verdict, line_of
+from cycloid_fmu.studies.verdicts import Judged
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_LINE = 0.17  # inch
+
+
+def show_verdicts(figure: Figure, verdicts: Sequence[Verdict]) -> Figure:
+    """Add a line for each verdict below a figure, which grows by them, and return it."""
+    if not verdicts:
+        return figure
+    width, height = figure.get_size_inches()
+    below = _LINE * (len(verdicts) + 1)
+    figure.set_size_inches(width, height + below)
+    share = below / (height + below)
+    if (layout := figure.get_layout_engine()) is not None:
+        layout.set(rect=(0.0, share, 1.0, 1.0 - share))  # type: ignore[call-arg]
+    for k, one in enumerate(verdicts):
+        place = share * (len(verdicts) - k) / (len(verdicts) + 1)
+        figure.text(0.02, place, line_of(one), fontsize=7.5, va="center", color="black" if one.met else "tab:red")
+    return figure
+
+
+def plot_duty(judged: Judged) -> Figure:
+    """Sliding and friction power of the pins over the crank at each row of a duty, and the bearings' lives over it."""
+    rows = len(judged.sliding)
+    figure, axes = new_figure(rows + bool(judged.lives), 2)
+    angle = np.degrees(judged.crank_angle)
+    for k, (load, found) in enumerate(judged.sliding):
+        title = f"{load.torque:g} N·m, {load.output_speed * 30.0 / np.pi:.4g} rpm, {load.share:.0%} of the time"
+        worst, pins = axes[2 * k], axes[2 * k + 1]
+        worst.plot(angle, found.sliding_speed.max(axis=(1, 2)), lw=1.0)
+        worst.set(xlabel="crank angle [°]", ylabel="largest sliding speed [m/s]", title=title)
+        worst.set_ylim(0.0, 1.1 * worst.get_ylim()[1])
+        values, label = found.sliding_speed, "sliding speed [m/s]"
+        if found.friction_power.size:
+            values, label = found.friction_power, "friction power [W]"
+            density = found.friction_power_density.max(axis=(1, 2)) * 1e-6
+            beside = worst.twinx()
+            beside.plot(angle, density, "C1", lw=1.0)
+            beside.set_ylabel("friction power over\nits contact [W/mm²]", color="C1")
+            beside.set_ylim(0.0, 1.1 * beside.get_ylim()[1])
+            worst.yaxis.label.set_color("C0")
+        disc = int(values.max(axis=(0, 2)).argmax())
+        place = np.arange(values.shape[2])
+        image = pins.pcolormesh(angle, place, values[:, disc].T, cmap="viridis", shading="nearest")
+        pins.set(xlabel="crank angle [°]", ylabel="pin", title=f"each pin, disc {disc}")
+        figure.colorbar(image, ax=pins, label=label)
+    if judged.lives:
+        known = [one for one in judged.lives if np.isfinite(one.life)]
+        for axis, lengths, label in (
+            (axes[-2], [one.life / 3600.0 for one in known], "L10h over the duty [h]"),
+            (axes[-1], [one.equivalent for one in known], "equivalent load [N]"),
+        ):
+            axis.barh([one.bearing for one in known], lengths, color="#4c78a8")
+            axis.invert_yaxis()
+            axis.set(xlabel=label, xscale="log" if axis is axes[-2] else "linear")
+            axis.tick_params(axis="y", labelsize=7)
+        asked = [one for one in judged.verdicts if one.figure == "bearing_life"]
+        for one in asked:
+            axes[-2].axvline(one.limit / 3600.0, color="k", ls="--", lw=1, label="limit")
+            show_legend(axes[-2])
+    for axis in axes:
+        axis.title.set_fontsize(9)
+    return figure

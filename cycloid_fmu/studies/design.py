@@ -1,0 +1,846 @@
+"""Drives that keep an application's limits: geometry and modification searched within ranges, for one goal or two.
+
+The search is sequential quadratic programming (SciPy's SLSQP; Kraft, DFVLR-FB 88-28, 1988) from several starts. Largest
+and smallest values over loads, crank angles and pins are replaced by the Kreisselmeier-Steinhauser envelope (IFAC
+Proc. 12 (1979) 113), which is never below the largest one: a design that keeps a limit by it keeps it exactly.
+Derivatives are central differences of the exact kernel. Where a yield is asked for, limits are tightened by how much
+worse than the drawn drive sampled ones are, and the search is repeated from there until that changes no more
+(sequential optimisation and reliability assessment; Du and Chen, J. Mech. Design 126 (2004) 225).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pydantic
+from numpy.typing import NDArray
+
+from cycloid_fmu import edge
+from cycloid_fmu.geometry.pair import ANGLES, Pair
+from cycloid_fmu.geometry.profile import equal_arc_parameters, flank_normals, flank_points
+from cycloid_fmu.reducer.drive_file import parts_of_file
+from cycloid_fmu.reducer.transmission import solve
+from cycloid_fmu.studies.limits import (
+    LOWER,
+    SHOWN,
+    Limits,
+    Requirements,
+    Verdict,
+    flank_curvature_radius,
+    static_safety,
+)
+from cycloid_fmu.studies.tolerance import Study, check_study, surface_of
+from cycloid_fmu.studies.tolerance import points as points_of
+from cycloid_fmu.studies.verdicts import check, judge_drive, loads_of
+from cycloid_fmu.supports.figures import bearing_loads, lives_over_duty
+from cycloid_fmu.surfaces.sampling import Tolerances, read_tolerances
+from cycloid_fmu.surfaces.structured import profile_names, profile_wave
+from cycloid_fmu.surfaces.surface import DEVIATIONS, ErrorSurface, surface_of_pair
+from cycloid_fmu.wear.friction import sliding_of
+
+Array = NDArray[np.float64]
+FORMAT = "cycloid-design/1"
+SIZES = ("pin_circle_radius", "pin_radius", "eccentricity", "face_width")
+MODIFICATIONS = ("isometric", "offset")
+ROTATION = "profile_rotation"
+FORMS = tuple(profile_names((1, 2, 3, 4)))
+VARIABLES = {**dict.fromkeys((*SIZES, *MODIFICATIONS), "m"), ROTATION: "rad", **dict.fromkeys(FORMS, "m")}
+"""What can be searched, and its unit: sizes and modification of a pair file; both flanks of each tooth turned about the
+gear's centre towards each other (> 0 removes material); orders of a profile that all teeth share."""
+GOALS = tuple(name for name in Limits.model_fields if name != "wear_depth")
+"""Figures that can be a goal or a limit of a design; sizes can be a goal too, the smaller the better."""
+
+_SHOWN = {
+    **dict.fromkeys(SIZES, ("mm", 1e3)), **dict.fromkeys((*MODIFICATIONS, *FORMS), ("µm", 1e6)), ROTATION: ("mrad", 1e3)
+}  # fmt: skip
+_ELEMENTS = 50  # along the profile of a form: its orders are low
+_NOTICED = {"m": 1e-6, "rad": 5e-6}  # of a figure whose limit is 0
+_ANGLES = 90  # crank angles of a sampled drive
+_PITCH_ANGLES = 24  # crank angles over one pitch of the pins, which is all that a drive without errors shows
+_SHARPNESS = (60.0, 400.0, 2500.0)  # of the envelope, times its values' size: the search ends at the last
+_STEP = 1e-3  # of a range, for differences
+_SPARE = 1e-4  # of a limit: what the search keeps of it, which ends a little beside
+_BINDS = 5e-3  # of a limit: kept by less, it binds
+_ROUNDS, _SETTLED = 6, 0.02  # of tightening, and the share of a limit by which it may still change
+_ITERATIONS = 60
+_GIVEN_WAY = 1e-3
+
+
+class Robust(edge.Config):
+    """For how many drives of those that a drawing allows the limits hold.
+
+    Attributes
+    ----------
+    tolerances
+        The tolerance file, beside the design's own file where the path is relative; in Python given by themselves.
+    required_yield
+        Share of drives that keep every limit.
+    samples
+        Drives that are solved in each round.
+    """
+
+    tolerances: str = ""
+    required_yield: float = pydantic.Field(alias="yield", gt=0.5, lt=1.0)
+    samples: int = pydantic.Field(default=128, ge=32, strict=True)
+    model_config = pydantic.ConfigDict(populate_by_name=True)
+
+
+class DesignTask(Requirements):
+    """What is searched: a drive, the ranges of what may change, what it must keep and what it should be best at.
+
+    Attributes
+    ----------
+    drive
+        Pair file of everything that does not change, and the first start; beside this file where the path is relative.
+        In Python the drive is given by itself.
+    goals
+        One figure of `GOALS` or size that should be as good as it can be, or two for a Pareto front.
+    vary
+        {name of `VARIABLES`: (lowest, highest)}, SI.
+    robust
+        None where the limits hold for the drive as drawn.
+    """
+
+    drive: str = ""
+    goals: tuple[str, ...] = pydantic.Field(min_length=1, max_length=2)
+    vary: dict[str, tuple[float, float]] = pydantic.Field(min_length=1)
+    robust: Robust | None = None
+
+    @pydantic.field_validator("goals")
+    @classmethod
+    def _known(cls, goals: tuple[str, ...]) -> tuple[str, ...]:
+        for name in goals:
+            if name not in (*GOALS, *SIZES):
+                near = edge.did_you_mean(name, (*GOALS, *SIZES)) or f"give one of {', '.join((*GOALS, *SIZES))}"
+                raise ValueError(f'"{name}" can\'t be a goal; {near}')
+        if len(set(goals)) < len(goals):
+            raise ValueError("both goals are the same")
+        return goals
+
+    @pydantic.field_validator("vary", mode="before")
+    @classmethod
+    def _ranges(cls, given: Any, info: pydantic.ValidationInfo) -> dict[str, tuple[float, float]]:
+        if not isinstance(given, Mapping):
+            raise ValueError("it must be a table of ranges")  # pydantic's own sentence is worse
+        found = {}
+        for name, ends in given.items():
+            if name not in VARIABLES:
+                near = edge.did_you_mean(str(name), VARIABLES) or f"give one of {', '.join(VARIABLES)}"
+                raise ValueError(f"{name} can't be varied; {near}")
+            if not isinstance(ends, Sequence) or isinstance(ends, str) or len(ends) != 2:
+                raise ValueError(f'{name} must be two ends, such as ["-40 um", "0 um"]')
+            try:
+                low, high = (edge.quantity(end, VARIABLES[name], info) for end in ends)
+            except ValueError as problem:
+                raise ValueError(f"{name}: {problem}") from None
+            if not low < high:
+                raise ValueError(f"{name}: the first end must be below the second")
+            found[str(name)] = (low, high)
+        return found
+
+
+def read_design_task(path: str | os.PathLike[str]) -> tuple[Pair, DesignTask, Tolerances | None]:
+    """Return the drive, the task and the tolerances of a design file, `cycloid-design/1`.
+
+    Raises
+    ------
+    edge.InputError
+        If a file can't be read, or something in it is wrong; it names the file.
+    """
+    source, beside = str(path), Path(path).parent
+    task = edge.validated(DesignTask, edge.toml_table(edge.read_text(path), FORMAT, source), source)
+    if not task.drive:
+        raise edge.InputError(f"{source}: drive is missing.")
+    if task.robust is not None and not task.robust.tolerances:
+        raise edge.InputError(f"{source}: [robust] tolerances is missing.")
+    pair, surface, first_stage = parts_of_file(beside / task.drive)
+    if first_stage is not None:
+        raise edge.InputError(f'{source}: drive = "{task.drive}": a whole reducer is not searched; give its gear pair.')
+    if pair.errors or surface != surface_of_pair(pair):
+        raise edge.InputError(
+            f'{source}: drive = "{task.drive}": it states errors; a design is searched as drawn; remove them.'
+        )
+    check(task, pair, source, str(beside / task.drive))
+    return pair, task, None if task.robust is None else read_tolerances(beside / task.robust.tolerances)
+
+
+def rotation_form(pair: Pair, elements: int) -> Array:
+    """Return the form of a tooth whose flanks are turned towards each other by 1 rad, shape (elements,), m/rad.
+
+    The rotation of the profile of Chinese practice (Guan, Zhang and others): the material that a turn about the gear's
+    centre takes along the flank's normal, on both sides; nothing at root and tip, so it is no clearance by itself.
+
+    Examples
+    --------
+    >>> import cycloid_fmu as cy
+    >>> pair = cy.Pair(gear_teeth=9, pin_circle_radius=0.04, pin_radius=0.004, eccentricity=0.002, face_width=0.01)
+    >>> form = rotation_form(pair, 100)
+    >>> bool(form.max() <= 0.0), round(form.min() * 1e3)  # e z_c = 18 mm is the longest lever
+    (True, -18)
+    """
+    alpha = equal_arc_parameters(pair, elements)
+    x, y = flank_points(pair, alpha)
+    along, up = flank_normals(pair, alpha)
+    found: Array = -np.abs(x * up - y * along)
+    return found
+
+
+@dataclasses.dataclass(frozen=True)
+class Candidate:
+    """A drive within the ranges: its pair as drawn, and the form of its flanks, if any is searched."""
+
+    pair: Pair
+    surface: ErrorSurface
+
+    @property
+    def has_form(self) -> bool:
+        """Whether a pair file alone does not hold it."""
+        return any(getattr(self.surface, name) is not None for name in DEVIATIONS)
+
+
+def candidate(pair: Pair, values: Mapping[str, float]) -> Candidate:
+    """Return the drive with these values of `VARIABLES`, SI; an `edge.InputError` says why it can't be made."""
+    made = pair.replace(**{n: v for n, v in values.items() if n in (*SIZES, *MODIFICATIONS)})
+    surface = surface_of_pair(made)
+    shapes = [v * np.asarray(profile_wave(n, _ELEMENTS)) for n, v in values.items() if n in FORMS]
+    if ROTATION in values:
+        shapes.append(values[ROTATION] * rotation_form(made, _ELEMENTS))
+    if shapes:
+        form = np.broadcast_to(np.sum(shapes, axis=0)[:, None], (made.discs, made.gear_teeth, _ELEMENTS, 1))
+        surface = surface.replace(gear_deviation=np.array(form))
+    return Candidate(made, surface)
+
+
+def values_over_sweep(
+    task: Requirements, one: Candidate, names: Sequence[str], angles: Array
+) -> dict[str, list[Array]]:
+    """Return each named figure as values whose worst counts, SI.
+
+    Parameters
+    ----------
+    task
+        For duty and friction.
+    names
+        Of `GOALS`.
+    angles
+        Crank angles, rad.
+
+    Returns
+    -------
+    values
+        {figure: arrays}: of the angular transmission error an array for each load, whose range counts; of the others
+        one array, whose largest value counts, of those in `LOWER` the smallest.
+    """
+    pair, limits = one.pair, set(names)
+    loads = np.array(loads_of(task, None))
+    found = solve(pair, one.surface, None, loads, angles, with_play=bool(limits & {"backlash", "interference"}))
+    loaded = loads != 0.0
+    every: dict[str, list[Array]] = {"angular_transmission_error": list(found.transmission_error)}
+    every["backlash"] = [np.nan_to_num(found.backlash)]
+    # Below zero where there is play, so that a search sees how far it is from interference.
+    every["interference"] = [found.interference - 0.5 * pair.eccentricity * pair.gear_teeth * every["backlash"][0]]
+    pressure = found.pin_pressure[loaded].max(axis=(-1, -2)).ravel()
+    every["max_contact_pressure"] = [pressure]
+    every["static_safety"] = [np.array([static_safety(pair, p) for p in pressure])] if "static_safety" in limits else []
+    every["torsional_stiffness"] = [found.torsional_stiffness[loaded].ravel()]
+    every["smallest_curvature_radius"] = [np.array([flank_curvature_radius(pair)])]
+    if "lost_motion" in limits:
+        up, down = solve(
+            pair, one.surface, None, pair.lost_motion_loads, angles, with_play=False, with_stiffness=False
+        ).transmission_error  # fmt: skip
+        every["lost_motion"] = [up - down]
+    turning = [(load, int(np.flatnonzero(loads == load.torque)[0])) for load in task.duty if load.output_speed > 0.0]
+    speeds = [load.output_speed * abs(pair.ratio) for load, _ in turning]
+    if limits & {"sliding_speed", "friction_power_density"}:
+        slides = [
+            sliding_of(pair, angles, found.pin_force[k], found.pin_pressure[k], speed, task.friction_coefficient)
+            for (_, k), speed in zip(turning, speeds, strict=True)
+        ]
+        for name in limits & {"sliding_speed", "friction_power_density"}:
+            every[name] = [np.concatenate([getattr(s, name).max(axis=(-1, -2)) for s in slides])]
+    if "bearing_life" in limits:
+        lives = lives_over_duty(
+            [bearing_loads(pair, found, k) for _, k in turning], speeds, [load.share for load, _ in turning]
+        )
+        every["bearing_life"] = [np.array([one.life for one in lives if math.isfinite(one.life)])]
+    return {name: every[name] for name in names}
+
+
+def _envelope(values: Array, sharpness: float) -> float:
+    """Kreisselmeier-Steinhauser envelope: at least the largest value, at most log(n)/sharpness of their size above."""
+    largest = float(values.max())
+    size = sharpness / max(float(np.abs(values).max()), 1e-300)
+    return largest + float(np.log(np.exp(size * (values - largest)).sum())) / size
+
+
+def _ripple(values: Array, sharpness: float) -> float:
+    """Range of values by the envelopes of both ends, in units of the range."""
+    offset, spread = float(values.mean()), max(float(np.ptp(values)), 1e-300)
+    away = (values - offset) / spread
+    return spread * (_envelope(away, sharpness) + _envelope(-away, sharpness))
+
+
+def worst_of(name: str, values: Sequence[Array], sharpness: float = math.inf) -> float:
+    """Return the worst of a figure's values, by the envelope where its sharpness is finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> sharp = worst_of("backlash", [np.array([1.0, 3.0, 2.9])])
+    >>> sharp, sharp < worst_of("backlash", [np.array([1.0, 3.0, 2.9])], 400.0) < 1.01 * sharp
+    (3.0, True)
+    """
+    exact = math.isinf(sharpness)
+    if name == "angular_transmission_error":
+        each = [float(np.ptp(v)) if exact else _ripple(v, sharpness) for v in values]
+        return max(each) if exact else _envelope(np.array(each), sharpness)
+    every = np.concatenate(values)
+    if name in LOWER:
+        return float(every.min()) if exact else -_envelope(-every, sharpness)
+    return float(every.max()) if exact else _envelope(every, sharpness)
+
+
+@dataclasses.dataclass(frozen=True)
+class Relaxed:
+    """What a limit or an end of a range costs where it binds.
+
+    Attributes
+    ----------
+    name, unit
+        The limit, or what is varied; SI.
+    value
+        The limit or the end of the range.
+    gain
+        By how much the first goal gets better for each unit by which this is relaxed, > 0; to first order.
+    of_a_tenth
+        By how much where it is relaxed by a tenth: of the limit, or of the range.
+    """
+
+    name: str
+    unit: str
+    value: float
+    gain: float
+    of_a_tenth: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Design:
+    """A drive that was found.
+
+    Attributes
+    ----------
+    pair, surface
+        The drive, as drawn; the surface holds its flanks' form, where any was searched.
+    values
+        {name: SI} of what was searched.
+    goals
+        {name: SI}: what the goals are.
+    verdicts
+        On every limit, of the drive as drawn, over a whole crank turn.
+    binding
+        What holds the goal back, the most costly first.
+    allowance
+        {limit: SI}: by how much worse than the drawn drive the tolerances make it, at the yield; empty without.
+    yields
+        {limit, or "all": share of drives that keep it, with the ends of its interval at 95 %}, of drives that the
+        search has not seen; empty without tolerances.
+    required_yield
+        Share of drives that is asked for; None without tolerances.
+    evaluations
+        Drives that were solved.
+    """
+
+    pair: Pair
+    surface: ErrorSurface
+    values: dict[str, float]
+    goals: dict[str, float]
+    verdicts: tuple[Verdict, ...]
+    binding: tuple[Relaxed, ...]
+    allowance: dict[str, float]
+    yields: dict[str, dict[str, float]]
+    required_yield: float | None
+    evaluations: int
+
+    @property
+    def met(self) -> bool:
+        """Whether all limits are kept, where a yield is asked for by that share of drives as far as samples tell."""
+        return all(one.met for one in self.verdicts) and self.has_yield
+
+    @property
+    def has_yield(self) -> bool:
+        """Whether the sampled drives do not exclude that the yield is the one asked for."""
+        return self.required_yield is None or self.yields["all"]["high"] >= self.required_yield
+
+    def numbers(self) -> dict[str, Any]:
+        """Return the design for scripts, SI."""
+        return {
+            "values": self.values, "goals": self.goals, "verdicts": [one.numbers() for one in self.verdicts],
+            "binding": [dataclasses.asdict(one) for one in self.binding], "allowance": self.allowance,
+            "yields": self.yields, "required_yield": self.required_yield, "met": self.met,
+            "evaluations": self.evaluations,
+        }  # fmt: skip
+
+
+class Search:
+    """One goal, others held at levels, over the unit cube of the ranges."""
+
+    def __init__(self, pair: Pair, task: DesignTask, allowance: Mapping[str, float]) -> None:
+        self.pair, self.task, self.allowance = pair, task, dict(allowance)
+        self.names = list(task.vary)
+        self.low, high = np.array([task.vary[n] for n in self.names]).T
+        self.width = high - self.low
+        self.limits = {n: v for n, v in task.limits.stated().items() if n in GOALS}
+        self.angles = np.linspace(0.0, 2.0 * np.pi / pair.pins, _PITCH_ANGLES, endpoint=False)
+        self.evaluations = 0
+        self._kept: dict[tuple[bytes, float], dict[str, float] | None] = {}
+
+    def values_at(self, place: Array) -> dict[str, float]:
+        """Return the values of a place in the unit cube, SI."""
+        return dict(zip(self.names, (self.low + np.clip(place, 0.0, 1.0) * self.width).tolist(), strict=True))
+
+    def place_of(self, pair: Pair) -> Array:
+        """Return the place of a pair, moved into the ranges."""
+        stated = {**{n: getattr(pair, n) for n in SIZES}, **{n: getattr(pair.modification, n) for n in MODIFICATIONS}}
+        found = [(stated.get(n, 0.0) - low) / width
+                 for n, low, width in zip(self.names, self.low, self.width, strict=True)]  # fmt: skip
+        place: Array = np.clip(np.array(found), 0.0, 1.0)
+        return place
+
+    def figures(self, place: Array, sharpness: float) -> dict[str, float] | None:
+        """Return the goals' and limits' figures at a place; None where no drive can be made."""
+        key = (np.asarray(place).tobytes(), sharpness)
+        if key not in self._kept:
+            self.evaluations += 1
+            values = self.values_at(place)
+            names = list(dict.fromkeys([*(g for g in self.task.goals if g not in SIZES), *self.limits]))
+            try:
+                one = candidate(self.pair, values)
+                swept = values_over_sweep(self.task, one, names, self.angles)
+                found = {n: worst_of(n, swept[n], sharpness) for n in names}
+                found |= {n: getattr(one.pair, n) for n in self.task.goals if n in SIZES}
+                self._kept[key] = found if all(map(math.isfinite, found.values())) else None
+            except edge.InputError:
+                self._kept[key] = None
+        return self._kept[key]
+
+    def exact(self, place: Array) -> dict[str, float]:
+        """Return the figures at a place that is a drive."""
+        found = self.figures(place, math.inf)
+        assert found is not None
+        return found
+
+    def margins(self, figures: Mapping[str, float], levels: Mapping[str, float]) -> Array:
+        """Return by how much each limit and each level of another goal is kept, as a share of it."""
+        found = []
+        for name, limit in self.limits.items():
+            allowed = self.tightened(name, limit)
+            found.append(_kept_by(name, figures[name], allowed, size_of(name, limit)))
+        found += [_kept_by(name, figures[name], level, size_of(name, level)) for name, level in levels.items()]
+        return np.array(found)
+
+    def tightened(self, name: str, limit: float) -> float:
+        """Return a limit as the drive as drawn has to keep it."""
+        return limit + self.allowance.get(name, 0.0) * (1.0 if name in LOWER else -1.0)
+
+    def gradients(self, place: Array, sharpness: float, of: Callable[[Mapping[str, float]], Array]) -> Array:
+        """Return central differences of some figures' values, shape (values, names); one-sided beside what can't be."""
+        here = self.figures(place, sharpness)
+        assert here is not None
+        columns = []
+        for k in range(place.size):
+            ends = []
+            for way in (1.0, -1.0):
+                beside = place.copy()
+                beside[k] = np.clip(place[k] + way * _STEP, 0.0, 1.0)
+                figures = self.figures(beside, sharpness)
+                ends.append((place[k], of(here)) if figures is None else (beside[k], of(figures)))
+            (up, above), (down, below) = ends
+            columns.append((above - below) / (up - down) if up > down else np.zeros_like(above))
+        return np.array(columns).T
+
+    def minimised(self, start: Array, goal: str, levels: Mapping[str, float]) -> Array | None:
+        """Return where SLSQP ends from a start, None where the start is no drive."""
+        from scipy.optimize import minimize
+
+        place = start
+        for sharpness in _SHARPNESS:
+            first = self.figures(place, sharpness)
+            if first is None:
+                return None
+            size = max(abs(first[goal]), 1e-12)
+            sign = -1.0 if goal in LOWER else 1.0
+
+            def fun(x: Array, sharpness: float = sharpness, size: float = size, sign: float = sign) -> float:
+                found = self.figures(x, sharpness)
+                return 1e3 if found is None else sign * found[goal] / size
+
+            def fun_slope(x: Array, sharpness: float = sharpness, size: float = size, sign: float = sign) -> Array:
+                if self.figures(x, sharpness) is None:
+                    return np.zeros_like(x)
+                slope: Array = self.gradients(x, sharpness, lambda f: np.array([sign * f[goal] / size]))[0]
+                return slope
+
+            def kept(x: Array, sharpness: float = sharpness) -> Array:
+                found = self.figures(x, sharpness)
+                if found is None:
+                    return np.full(len(self.limits) + len(levels), -1e3)
+                return self.margins(found, levels) - _SPARE
+
+            def kept_slope(x: Array, sharpness: float = sharpness) -> Array:
+                if self.figures(x, sharpness) is None:
+                    return np.zeros((len(self.limits) + len(levels), x.size))
+                return self.gradients(x, sharpness, lambda f: self.margins(f, levels))
+
+            constraints = [{"type": "ineq", "fun": kept, "jac": kept_slope}] if self.limits or levels else []
+            found = minimize(
+                fun, place, jac=fun_slope, bounds=[(0.0, 1.0)] * place.size, constraints=constraints, method="SLSQP",
+                options={"maxiter": _ITERATIONS, "ftol": 1e-7},
+            )  # fmt: skip
+            if self.figures(found.x, sharpness) is not None:
+                place = np.clip(found.x, 0.0, 1.0)
+        return place
+
+    def rank(self, place: Array, goal: str, levels: Mapping[str, float]) -> tuple[float, float]:
+        """Return what ranks places: by how much limits are missed, then the goal; smaller is better."""
+        figures = self.figures(place, math.inf)
+        if figures is None:
+            return math.inf, math.inf
+        missed = float(np.maximum(-self.margins(figures, levels), 0.0).sum()) if self.limits or levels else 0.0
+        return (0.0 if missed < 1e-6 else missed), figures[goal] * (-1.0 if goal in LOWER else 1.0)
+
+    def best(self, starts: Sequence[Array], goal: str, levels: Mapping[str, float]) -> Array:
+        """Return the best place that any start leads to.
+
+        Raises
+        ------
+        edge.InputError
+            If no start is a drive that can be made and carries the loads.
+        """
+        ends = [end for start in starts if (end := self.minimised(start, goal, levels)) is not None]
+        if not ends:
+            raise edge.InputError(
+                "vary: nowhere within these ranges was a gear found that can be made and carries the torques; give "
+                "ranges about the drive."
+            )
+        return min(ends, key=lambda end: self.rank(end, goal, levels))
+
+    def binding(self, place: Array, goal: str, levels: Mapping[str, float]) -> tuple[Relaxed, ...]:
+        """Return what holds the goal back at an optimum: multipliers of the binding limits and ends of ranges.
+
+        The goal's slope is a sum of those of what binds, none with a share below zero (Karush, Kuhn and Tucker), found
+        by non-negative least squares.
+        """
+        from scipy.optimize import nnls
+
+        sharpness = _SHARPNESS[-1]
+        figures = self.figures(place, sharpness)
+        if figures is None:
+            return ()
+        sign = -1.0 if goal in LOWER else 1.0
+        slope = self.gradients(place, sharpness, lambda f: np.array([sign * f[goal]]))[0]
+        names = [*self.limits, *levels]
+        held = self.margins(figures, levels)
+        rows, labels = [], list[tuple[str, str, float, float]]()
+        if names:
+            slopes = self.gradients(place, sharpness, lambda f: self.margins(f, levels))
+            for name, margin, row in zip(names, held, slopes, strict=True):
+                if margin < _BINDS:
+                    limit = levels.get(name, self.limits.get(name, 0.0))
+                    rows.append(row)
+                    labels.append((name, _unit_of(name), limit, 1.0 / size_of(name, limit)))
+        for k, name in enumerate(self.names):
+            for end, way in ((0.0, 1.0), (1.0, -1.0)):
+                if abs(place[k] - end) < 1e-6:
+                    rows.append(way * (np.arange(place.size) == k))
+                    value = float(self.low[k] + end * self.width[k])
+                    labels.append((name, VARIABLES[name], value, 1.0 / float(self.width[k])))
+        if not rows:
+            return ()
+        # Columns of one size, so that none is preferred.
+        matrix = np.array(rows, dtype=float).T
+        lengths = np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
+        shares, _ = nnls(matrix / lengths, slope)
+        found = [
+            Relaxed(name, unit, value, float(share / length) * per, 0.1 * float(share / length))
+            for (name, unit, value, per), share, length in zip(labels, shares, lengths, strict=True)
+            if share > 0.0
+        ]
+        return tuple(sorted(found, key=lambda one: -one.of_a_tenth))
+
+
+def _kept_by(name: str, value: float, allowed: float, size: float) -> float:
+    away = value - allowed if name in LOWER else allowed - value
+    return away / size
+
+
+def size_of(name: str, limit: float) -> float:
+    """Return the size by which a limit's margin is measured: its own, of a limit of 0 one that can be noticed, SI."""
+    return abs(limit) if limit != 0.0 else _NOTICED.get(_unit_of(name), 1.0)
+
+
+def _unit_of(name: str) -> str:
+    return VARIABLES.get(name) or edge.unit_of_field(Limits.model_fields[name]) or "1"
+
+
+def _starts(search: Search, count: int, seed: int) -> list[Array]:
+    """The drive itself, then evenly spread places that are drives."""
+    from scipy.stats import qmc
+
+    found = [search.place_of(search.pair)]
+    for place in qmc.Sobol(len(search.names), rng=np.random.default_rng(seed)).random(16 * count):
+        if len(found) > count:
+            break
+        if search.figures(place, _SHARPNESS[0]) is not None:
+            found.append(place)
+    return found
+
+
+def sampled_figures(
+    task: DesignTask, pair: Pair, form: ErrorSurface, tolerances: Tolerances, seed: int, workers: int
+) -> dict[str, Array]:
+    """Return the limits' figures of drives that tolerances allow: {limit: shape (samples,)}, SI.
+
+    Parameters
+    ----------
+    pair, form
+        The drive as drawn, and the form of its flanks.
+    """
+    assert task.robust is not None
+    torque = tuple(load for load in loads_of(task, None) if load != 0.0)
+    study = Study(pair, tolerances, samples=task.robust.samples, seed=seed, torque=torque)
+    check_study(study, task.drive, task.robust.tolerances)
+    angles = np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False)
+    names = [n for n in task.limits.stated() if n in GOALS]
+
+    def one(point: Array) -> list[float]:
+        made = surface_of(study, point)
+        if form.gear_deviation is not None:
+            drawn = form.gear_deviation
+            if made.gear_deviation is not None:
+                # Both along the profile at the middles of their own elements.
+                places = [(np.arange(size) + 0.5) / size for size in (made.gear_deviation.shape[2], drawn.shape[2])]
+                along = np.interp(places[0], places[1], drawn[0, 0, :, 0])
+                drawn = made.gear_deviation + along[:, None]
+            made = made.replace(gear_deviation=drawn)
+        swept = values_over_sweep(task, Candidate(pair, made), names, angles)
+        return [worst_of(n, swept[n]) for n in names]
+
+    with ThreadPoolExecutor(workers) as pool:
+        found = np.array(list(pool.map(one, points_of(study))))
+    return dict(zip(names, found.T, strict=True))
+
+
+def allowances(task: DesignTask, drawn: Mapping[str, float], figures: Mapping[str, Array]) -> dict[str, float]:
+    """Return by how much worse than the drive as drawn its limits' figures are in sampled drives, at the task's yield.
+
+    They hold together: the share of drives that keep every figure within its own is the yield, at the smallest level of
+    all figures' quantiles that does it.
+    """
+    assert task.robust is not None
+    names = list(figures)
+    worse = np.array([(figures[n] - drawn[n]) * (-1.0 if n in LOWER else 1.0) for n in names])
+    ranks, count = np.sort(worse, axis=1), worse.shape[1]
+    needed = math.ceil(task.robust.required_yield * count)
+    level = ranks[:, -1]
+    for k in range(needed - 1, count):
+        if np.count_nonzero((worse <= ranks[:, k, None]).all(axis=0)) >= needed:
+            level = ranks[:, k]
+            break
+    return dict(zip(names, level.tolist(), strict=True))
+
+
+def yields_of(limits: Mapping[str, float], figures: Mapping[str, Array]) -> dict[str, dict[str, float]]:
+    """Return the share of drives that keep each limit, and "all", with its Clopper-Pearson interval at 95 %."""
+    from scipy.stats import binomtest
+
+    kept = {n: v >= limits[n] if n in LOWER else v <= limits[n] for n, v in figures.items()}
+    kept["all"] = np.logical_and.reduce([*kept.values()])
+    found = {}
+    for name, good in kept.items():
+        interval = binomtest(int(good.sum()), good.size).proportion_ci()
+        found[name] = {"share": float(good.mean()), "low": float(interval.low), "high": float(interval.high)}
+    return found
+
+
+def search(
+    pair: Pair,
+    task: DesignTask,
+    tolerances: Tolerances | None = None,
+    *,
+    starts: int = 4,
+    seed: int = 1,
+    points: int = 7,
+    workers: int = 1,
+    progress: Callable[[str], None] = lambda step: None,
+) -> list[Design]:
+    """Search drives that keep a task's limits.
+
+    Parameters
+    ----------
+    pair
+        The drive as drawn, without errors.
+    task
+        What is searched; its paths are not read.
+    tolerances
+        Of the task's `robust`.
+    starts
+        Places to start from beside the drive itself.
+    seed
+        Of these places and of sampled drives; the same finds the same.
+    points
+        Drives of a Pareto front, both ends among them.
+    workers
+        Threads for sampled drives.
+    progress
+        Told what is being done.
+
+    Returns
+    -------
+    designs
+        One for one goal; of two goals those of the front, the best by the first goal first. Limits that can't be kept
+        are missed by as little as was found, and the verdicts say so.
+
+    Raises
+    ------
+    edge.InputError
+        If no drive can be made within the ranges, or a goal or limit needs something that is not stated.
+    """
+    _check(pair, task)
+    one = Search(pair, task, {})
+    places = _starts(one, starts, seed)
+    first, *others = task.goals
+    progress(f"searching the best {_words(first)}")
+    best = _tightened_best(one, task, tolerances, places, first, {}, seed, workers, progress)
+    ends = [(best, dict[str, float]())]
+    for second in others:
+        progress(f"searching the best {_words(second)}")
+        other = one.best([best, *places], second, {})
+        # Of the drives that are best by one goal the one that is best by the other too.
+        best = one.best([best], second, {first: _eased(first, one.exact(best)[first])})
+        level = _eased(second, one.exact(other)[second])
+        other = one.best([other], first, {second: level})
+        ends, near = [(best, {})], best
+        for number, between in enumerate(np.linspace(one.exact(best)[second], level, points)[1:-1].tolist()):
+            progress(f"point {number + 2} of {points} of the front")
+            near = one.best([near, other], first, {second: between})
+            ends.append((near, {second: between}))
+        ends.append((other, {second: level}))
+    progress("judging")
+    return [_designed(one, task, tolerances, *end, seed=seed, workers=workers) for end in ends]
+
+
+def _eased(name: str, value: float) -> float:
+    """A goal's best value, given way by a thousandth."""
+    return value + (-_GIVEN_WAY if name in LOWER else _GIVEN_WAY) * abs(value)
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _check(pair: Pair, task: DesignTask) -> None:
+    if task.limits.wear_depth is not None:
+        raise edge.ArgumentError("limits", "a search does not know wear; remove wear_depth")
+    asked = {name: 1.0 for name in task.goals if name in GOALS}
+    if "lost_motion" in asked and pair.rated_torque is None:
+        raise edge.ArgumentError("goals", "lost_motion needs the pair's rated_torque")
+    for name in ("bearing_life", "sliding_speed", "friction_power_density"):
+        if name in asked and not any(load.output_speed > 0.0 for load in task.duty):
+            raise edge.ArgumentError("goals", f"{name} needs speeds; state [[duty]] with an output_speed above 0")
+    if "friction_power_density" in asked and task.friction_coefficient is None:
+        raise edge.ArgumentError("goals", "friction_power_density needs friction_coefficient")
+    if "bearing_life" in asked and pair.supports is None:
+        raise edge.ArgumentError("goals", "bearing_life needs the pair's supports")
+
+
+def _tightened_best(
+    search: Search, task: DesignTask, tolerances: Tolerances | None, places: Sequence[Array], goal: str,
+    levels: Mapping[str, float], seed: int, workers: int, progress: Callable[[str], None],
+) -> Array:  # fmt: skip
+    """Return the best place, where a yield is asked for with limits that are tightened until they change no more."""
+    best = search.best(places, goal, levels)
+    if tolerances is None or not search.limits:
+        return best
+    for number in range(_ROUNDS):
+        progress(f"tightening the limits ({number + 1})")
+        one = candidate(search.pair, search.values_at(best))
+        figures = sampled_figures(task, one.pair, one.surface, tolerances, seed, workers)
+        found = allowances(task, search.exact(best), figures)
+        before, search.allowance = search.allowance, found
+        best = search.best([best, *places[:1]], goal, levels)
+        if before and all(abs(v - before[n]) < _SETTLED * size_of(n, search.limits[n]) for n, v in found.items()):
+            break
+    return best
+
+
+def _designed(
+    search: Search, task: DesignTask, tolerances: Tolerances | None, place: Array, levels: Mapping[str, float], *,
+    seed: int, workers: int,
+) -> Design:  # fmt: skip
+    values = search.values_at(place)
+    one = candidate(search.pair, values)
+    angles = np.linspace(0.0, 2.0 * np.pi, ANGLES, endpoint=False)
+    judged = judge_drive(one.pair, one.surface, None, task, None, angles)
+    figures = search.exact(place)
+    goals = {n: max(figures[n], 0.0) for n in task.goals}
+    seen: dict[str, dict[str, float]] = {}
+    if tolerances is not None and search.limits:
+        seen = yields_of(search.limits, sampled_figures(task, one.pair, one.surface, tolerances, seed + 1, workers))
+    return Design(
+        one.pair, one.surface, values, goals, judged.verdicts,
+        search.binding(place, task.goals[0], levels), dict(search.allowance), seen,
+        task.robust.required_yield if seen and task.robust else None, search.evaluations,
+    )  # fmt: skip
+
+
+def shown(name: str, value: float) -> tuple[str, str]:
+    """Return a goal's, limit's or varied value as people read it, and its unit.
+
+    Examples
+    --------
+    >>> shown("backlash", 0.00029), shown("pin_radius", 0.003), shown("offset", -4e-05)
+    (('0.99695', 'arcmin'), ('3', 'mm'), ('-40', 'µm'))
+    """
+    unit, factor = SHOWN[name] if name in SHOWN else _SHOWN[name]
+    return f"{value * factor:.5g}", unit
+
+
+def write_designs(found: Sequence[Design], folder: str | os.PathLike[str]) -> list[Path]:
+    """Write drives as pair files, with a surface file where flanks have form, and all of them as `designs.json`.
+
+    Returns
+    -------
+    paths
+        Of what was written: `design-1.toml`, `design-1.nc`, …, `designs.json`; the folder is made where it is missing.
+
+    Raises
+    ------
+    edge.InputError
+        If a file can't be written.
+    """
+    from cycloid_fmu.geometry.pair import write_pair
+    from cycloid_fmu.surfaces.files import write_surface
+
+    target = Path(folder)
+    try:
+        target.mkdir(exist_ok=True)
+    except OSError as failure:
+        raise edge.InputError(f"{folder}: it can't be made a folder: {failure.strerror}.") from None
+    written = []
+    for number, one in enumerate(found, 1):
+        written.append(target / f"design-{number}.toml")
+        write_pair(one.pair, written[-1])
+        if one.surface.gear_deviation is not None:
+            written.append(target / f"design-{number}.nc")
+            write_surface(one.surface, written[-1])
+    written.append(target / "designs.json")
+    with edge.written_whole(written[-1]) as temporary:
+        temporary.write_text(edge.json_text([one.numbers() for one in found]), encoding="utf-8")
+    return written

@@ -1,0 +1,451 @@
+"""What an application asks of a drive, and whether results keep it: each limit met or not, by how much and where.
+
+A drive's values are the drive; what an application asks of it is a file of its own, `cycloid-requirements/1`:
+`[limits]` and the duty under which they hold. Judging is pure: results go in as arrays by name (a dataset of
+`Drive.analyze`, or the same arrays), verdicts come out.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import pydantic
+from numpy.typing import NDArray
+
+from cycloid_fmu import edge
+from cycloid_fmu.contact.transmission import LARGEST_PRESSURE
+from cycloid_fmu.geometry.pair import Pair, smallest_convex_radius
+from cycloid_fmu.supports.figures import DutyLife
+from cycloid_fmu.surfaces import sampling
+
+Array = NDArray[np.float64]
+FORMAT = "cycloid-requirements/1"
+_SUM = 1e-6  # how far the shares of time may be from 1: decimals such as 0.333333
+_ABOVE_ZERO = pydantic.Field(gt=0.0, allow_inf_nan=False)
+
+
+class Limits(sampling.Limits):
+    """What a drive must keep: those of a tolerance file and more; each is one number, and its side is the figure's own.
+
+    Attributes
+    ----------
+    angular_transmission_error
+        Largest allowed; largest less smallest transmission error over the crank angles, rad; at every load.
+    backlash, lost_motion
+        Largest allowed over the crank angles, rad.
+    interference
+        Largest allowed over the crank angles, m.
+    max_contact_pressure
+        Largest allowed, Pa; at every load.
+    torsional_stiffness
+        Smallest allowed over the crank angles, N·m/rad; at every load but zero.
+    static_safety
+        Smallest allowed static safety of the contacts, S_0 = (p_limit/p)²: the load that makes the pressure limit over
+        the load (line contact). The limit is the pair's `pressure_limit`, or 4 GPa (ISO 76); at every load.
+    smallest_curvature_radius
+        Smallest allowed convex curvature radius of the flank as drawn, m.
+    bearing_life
+        Smallest allowed basic rating life L10h of each bearing over the duty (ISO 281), s.
+    sliding_speed
+        Largest allowed between flank and pin over the duty, m/s.
+    friction_power_density
+        Largest allowed friction power over the contact's area, μ p v with the mean Hertzian pressure, W/m².
+    wear_depth
+        Largest allowed on flanks and pins, m.
+    """
+
+    torsional_stiffness: Annotated[edge.TorsionalStiffness, _ABOVE_ZERO] | None = None
+    static_safety: float | None = pydantic.Field(default=None, gt=0.0, allow_inf_nan=False)
+    smallest_curvature_radius: Annotated[edge.Length, _ABOVE_ZERO] | None = None
+    bearing_life: Annotated[edge.Seconds, _ABOVE_ZERO] | None = None
+    sliding_speed: Annotated[edge.Velocity, _ABOVE_ZERO] | None = None
+    friction_power_density: Annotated[edge.PowerDensity, _ABOVE_ZERO] | None = None
+    wear_depth: Annotated[edge.Length, _ABOVE_ZERO] | None = None
+
+    @property
+    def of_study(self) -> sampling.Limits:
+        """Those that a tolerance study judges."""
+        return sampling.Limits(**{name: getattr(self, name) for name in sampling.Limits.model_fields})
+
+
+LOWER = ("torsional_stiffness", "static_safety", "smallest_curvature_radius", "bearing_life")
+"""Limits that are the smallest allowed; the others are the largest."""
+SHOWN = {
+    "angular_transmission_error": ("arcsec", edge.ARCSEC), "backlash": ("arcmin", edge.ARCMIN),
+    "lost_motion": ("arcmin", edge.ARCMIN), "interference": ("µm", 1e6), "max_contact_pressure": ("MPa", 1e-6),
+    "torsional_stiffness": ("N·m/arcmin", 1.0 / edge.ARCMIN), "static_safety": ("", 1.0),
+    "smallest_curvature_radius": ("mm", 1e3), "bearing_life": ("h", 1.0 / 3600.0), "sliding_speed": ("m/s", 1.0),
+    "friction_power_density": ("W/mm²", 1e-6), "wear_depth": ("µm", 1e6),
+}  # fmt: skip
+"""Unit and factor with which people are shown each figure."""
+
+
+class DutyLoad(edge.Config):
+    """One row of the duty: a load, how fast it turns, and its share of the time.
+
+    Attributes
+    ----------
+    torque
+        Of the environment on the output, N·m.
+    output_speed
+        Of the output, either way, rad/s; 0 is a standstill under load.
+    share
+        Of the time, above 0 and at most 1; those of a duty add up to 1.
+    """
+
+    torque: edge.Torque
+    output_speed: Annotated[edge.Speed, pydantic.Field(ge=0.0, allow_inf_nan=False)]
+    share: float = pydantic.Field(gt=0.0, le=1.0)
+
+
+class Requirements(edge.Config):
+    """What an application asks of a drive.
+
+    Attributes
+    ----------
+    limits
+        What the drive must keep.
+    duty
+        Loads, speeds and shares of time: bearing lives and sliding are taken over it, everything else at each torque.
+    friction_coefficient
+        Of flanks on pins, for the friction power; None where no one asks.
+
+    Examples
+    --------
+    >>> from cycloid_fmu.studies.limits import Requirements
+    >>> asked = Requirements(
+    ...     limits={"backlash": "1 arcmin", "bearing_life": "6000 h"},
+    ...     duty=[{"torque": "181 N*m", "output_speed": "15 rpm", "share": 1.0}],
+    ... )
+    >>> list(asked.limits.stated())
+    ['backlash', 'bearing_life']
+    """
+
+    limits: Limits = Limits()
+    duty: tuple[DutyLoad, ...] = ()
+    friction_coefficient: float | None = pydantic.Field(default=None, gt=0.0, le=1.0)
+
+    @property
+    def of_wear(self) -> Requirements:
+        """The same without what a wear run can't judge, which knows no bearings."""
+        return self.replace(limits=self.limits.replace(bearing_life=None))
+
+    @pydantic.model_validator(mode="after")
+    def _whole(self) -> Requirements:
+        total = math.fsum(load.share for load in self.duty)
+        if self.duty and abs(total - 1.0) > _SUM:
+            raise ValueError(
+                f"[[duty]] share adds up to {total:g} over the rows; it must add up to 1, a standstill being a row of "
+                "output_speed 0"
+            )
+        for name in ("bearing_life", "sliding_speed", "friction_power_density"):
+            if getattr(self.limits, name) is not None and not any(load.output_speed > 0.0 for load in self.duty):
+                raise ValueError(f"[limits] {name} needs speeds; state [[duty]] with an output_speed above 0")
+        if self.limits.friction_power_density is not None and self.friction_coefficient is None:
+            raise ValueError("[limits] friction_power_density needs friction_coefficient, which is missing")
+        return self
+
+
+def parse_requirements(text: str, source: str) -> Requirements:
+    """Return the requirements that a TOML text states; an `edge.InputError` names what is wrong in it."""
+    return edge.validated(Requirements, edge.toml_table(text, FORMAT, source), source)
+
+
+def read_requirements(path: str | os.PathLike[str]) -> Requirements:
+    """Return the requirements of a file, `cycloid-requirements/1`; an `edge.InputError` names what is wrong in it."""
+    return parse_requirements(edge.read_text(path), str(path))
+
+
+@dataclasses.dataclass(frozen=True)
+class Verdict:
+    """Whether a figure keeps its limit.
+
+    Attributes
+    ----------
+    figure
+        Its name, that of the limit.
+    unit
+        SI, of value, limit and margin.
+    value, limit
+        The worst value found, and the limit.
+    side
+        "max" where the limit is the largest value allowed, "min" where it is the smallest.
+    where
+        Where the worst value is: `torque` (N·m), `crank_angle` (rad), `disc`, `pin`, `bearing` and the like.
+    """
+
+    figure: str
+    unit: str
+    value: float
+    limit: float
+    side: Literal["min", "max"]
+    where: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+    @property
+    def margin(self) -> float:
+        """By how much the limit is kept, below 0 where it is not; in `unit`."""
+        return self.limit - self.value if self.side == "max" else self.value - self.limit
+
+    @property
+    def share(self) -> float:
+        """The margin as a share of the limit (1); NaN where the limit is 0."""
+        return self.margin / abs(self.limit) if self.limit != 0.0 else math.nan
+
+    @property
+    def met(self) -> bool:
+        """Whether the limit is kept; at the limit it is."""
+        return bool(self.margin >= 0.0)
+
+    def numbers(self) -> dict[str, Any]:
+        """Return the verdict for scripts, SI."""
+        return {
+            "figure": self.figure, "unit": self.unit, "value": self.value, self.side: self.limit, "met": self.met,
+            "margin": self.margin, "margin_share": self.share, "where": dict(self.where),
+        }  # fmt: skip
+
+
+def verdict(name: str, value: float, limit: float, where: Mapping[str, Any] | None = None) -> Verdict:
+    """Return the verdict on one figure of `Limits`, SI.
+
+    Examples
+    --------
+    >>> found = verdict("max_contact_pressure", 1.1e9, 1.5e9, {"pin": 3})
+    >>> found.met, round(found.margin * 1e-6), round(found.share, 3)
+    (True, 400, 0.267)
+    """
+    unit = edge.unit_of_field(Limits.model_fields[name]) or "1"
+    return Verdict(name, unit, float(value), float(limit), "min" if name in LOWER else "max", where or {})
+
+
+def static_safety(pair: Pair, pressure: float) -> float:
+    """Return S_0 = (p_limit/p)² of the contacts: how many times the load makes the pressure limit (1).
+
+    The pressure of a line contact grows with the root of its load (Hertz), and ISO 76 rates by load. The limit is the
+    pair's `pressure_limit`, or ISO 76's 4 GPa of roller bearings, at which the bodies are deformed for good by 1e-4 of
+    the roller's diameter. Infinite where nothing presses.
+    """
+    limit = LARGEST_PRESSURE if pair.pressure_limit is None else pair.pressure_limit
+    return (limit / pressure) ** 2 if pressure > 0.0 else math.inf
+
+
+def flank_curvature_radius(pair: Pair) -> float:
+    """Return the smallest convex curvature radius of the flank as drawn, m; infinite where none is convex."""
+    path = smallest_convex_radius(pair.generating_circle_radius, pair.eccentricity, pair.pins)
+    return path - pair.generating_pin_radius
+
+
+def judge(limits: Limits, pair: Pair, data: Mapping[Any, Any]) -> list[Verdict]:
+    """Return the verdicts on an analysis: on every stated limit that its arrays have a figure for, at the worst load.
+
+    Parameters
+    ----------
+    limits
+        What the drive must keep.
+    pair
+        For its pressure limit and its flank.
+    data
+        Arrays by name, SI: a dataset `cycloid-analysis/1`, or a mapping with `torque`, `crank_angle`,
+        `transmission_error`, `backlash`, `interference`, `torsional_stiffness` (torque, crank_angle) and `pin_pressure`
+        (torque, crank_angle, disc, pin). With `lost_motion` (crank_angle) it is judged too.
+
+    Examples
+    --------
+    >>> import cycloid_fmu as cy
+    >>> from cycloid_fmu.studies.limits import Limits, judge
+    >>> pair = cy.Pair(
+    ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm"
+    ... )
+    >>> data = cy.Drive(pair).analyze("181 N*m", angles=45)
+    >>> [(one.figure, one.met) for one in judge(Limits(static_safety=1.5, backlash="1 arcmin"), pair, data)]
+    [('backlash', True), ('static_safety', True)]
+    """
+    stated, found = limits.stated(), list[Verdict]()
+    torque, angle = np.atleast_1d(np.asarray(data["torque"])), np.asarray(data["crank_angle"])
+    loaded = np.flatnonzero(torque != 0.0)
+
+    def add(name: str, value: float, **where: Any) -> None:
+        if name in stated:
+            found.append(verdict(name, value, stated[name], where))
+
+    def at(values: Array, place: int, torques: Array = torque) -> dict[str, Any]:
+        """Where a flat place of values over torque, crank angle, disc and pin is."""
+        index = np.unravel_index(place, values.shape)
+        names = dict(zip(("torque", "crank_angle", "disc", "pin"), index, strict=False))
+        where: dict[str, Any] = {"torque": float(torques[index[0]]), "crank_angle": float(angle[index[1]])}
+        return where | {name: int(k) for name, k in names.items() if name in ("disc", "pin")}
+
+    error = np.asarray(data["transmission_error"])
+    ranges = np.ptp(error, axis=1)
+    if ranges.size:
+        k = int(ranges.argmax())
+        add(
+            "angular_transmission_error", ranges[k], torque=float(torque[k]),
+            crank_angle=float(angle[error[k].argmax()]), crank_angle_of_smallest=float(angle[error[k].argmin()]),
+        )  # fmt: skip
+    backlash = np.nan_to_num(np.atleast_2d(np.asarray(data["backlash"])))[0]
+    add("backlash", backlash.max(), crank_angle=float(angle[backlash.argmax()]))
+    if "lost_motion" in data:
+        lost = np.asarray(data["lost_motion"])
+        add("lost_motion", lost.max(), crank_angle=float(angle[lost.argmax()]))
+    interference = np.atleast_2d(np.asarray(data["interference"]))[0]
+    pressed = {"crank_angle": float(angle[interference.argmax()])} if interference.max() > 0.0 else {}
+    add("interference", interference.max(), **pressed)
+    pressure = np.asarray(data["pin_pressure"])
+    if pressure.size:
+        where = at(pressure, int(pressure.argmax()))
+        add("max_contact_pressure", pressure.max(), **where)
+        add("static_safety", static_safety(pair, float(pressure.max())), **where)
+    if loaded.size:
+        stiffness = np.asarray(data["torsional_stiffness"])[loaded]
+        add("torsional_stiffness", stiffness.min(), **at(stiffness, int(stiffness.argmin()), torque[loaded]))
+    add("smallest_curvature_radius", flank_curvature_radius(pair))
+    order = list(stated)
+    return sorted(found, key=lambda one: order.index(one.figure))
+
+
+def judge_lives(limits: Limits, lives: Iterable[DutyLife]) -> list[Verdict]:
+    """Return the verdict on the bearing of the shortest life, none without a limit.
+
+    Parameters
+    ----------
+    lives
+        Of `supports.figures.lives_over_duty`; those that are not known, NaN, are left out.
+    """
+    known = {one.bearing: one.life for one in lives if not math.isnan(one.life)}
+    if limits.bearing_life is None or not known:
+        return []
+    shortest = min(known, key=known.__getitem__)
+    return [verdict("bearing_life", known[shortest], limits.bearing_life, {"bearing": shortest})]
+
+
+def judge_sliding(
+    limits: Limits, duty: Sequence[DutyLoad], crank_angle: Array, figures: Mapping[str, Array]
+) -> list[Verdict]:
+    """Return the verdicts on what slides.
+
+    Parameters
+    ----------
+    duty
+        The rows that `figures` were taken for.
+    crank_angle
+        rad.
+    figures
+        {"sliding_speed" (m/s), "friction_power_density" (W/m²)}, each over duty, crank angle, disc and pin.
+    """
+    found = []
+    for name, limit in limits.stated().items():
+        if name in figures and figures[name].size:
+            row, angle, disc, pin = map(int, np.unravel_index(figures[name].argmax(), figures[name].shape))
+            where = {
+                "torque": duty[row].torque, "output_speed": duty[row].output_speed,
+                "crank_angle": float(crank_angle[angle]), "disc": disc, "pin": pin,
+            }  # fmt: skip
+            found.append(verdict(name, figures[name].max(), limit, where))
+    return found
+
+
+def judge_wear(limits: Limits, gear: Array, pin: Array, crank_turns: Array, deepest: Array) -> list[Verdict]:
+    """Return the verdict on the deepest wear, none without a limit.
+
+    Parameters
+    ----------
+    gear, pin
+        Depth of each element at the end, m: shapes (discs, teeth, profile, slices) and (pins, angle, slices).
+    crank_turns, deepest
+        The history, and the largest depth of both bodies at each of its states, m: where the limit is not met, the
+        verdict says after how many crank turns it was reached.
+    """
+    if limits.wear_depth is None:
+        return []
+    of_gear = gear.max() >= pin.max()
+    values, names = (gear, ("disc", "tooth")) if of_gear else (pin, ("pin",))
+    index = np.unravel_index(values.argmax(), values.shape)
+    where: dict[str, Any] = {"body": "gear" if of_gear else "pin"}
+    where |= dict(zip(names, map(int, index), strict=False))
+    if values.max() > limits.wear_depth:
+        where["reached_after_crank_turns"] = float(np.interp(limits.wear_depth, deepest, crank_turns))
+    return [verdict("wear_depth", values.max(), limits.wear_depth, where)]
+
+
+def judge_budget(limits: Limits, total: float, upper: float | None) -> list[Verdict]:
+    """Return the verdict on the mean play of an RV reducer, as its backlash; none without a limit.
+
+    Parameters
+    ----------
+    total
+        By the contact model with the sun locked, of the deviations' values, rad.
+    upper
+        Upper end of the central 99.73 % of the reducers within tolerances, which is judged then; None where nothing
+        scatters.
+    """
+    if limits.backlash is None:
+        return []
+    where = {"model": "contact model, sun locked, mean over the crank"}
+    if upper is not None:
+        where["of"] = "upper end of the central 99.73 % of the reducers"
+    return [verdict("backlash", total if upper is None else upper, limits.backlash, where)]
+
+
+def not_judged(limits: Limits, verdicts: Iterable[Verdict]) -> list[str]:
+    """Return the limits that are stated and have no verdict among these."""
+    judged = {one.figure for one in verdicts}
+    return [name for name in limits.stated() if name not in judged]
+
+
+def all_met(verdicts: Iterable[Verdict]) -> bool:
+    """Return whether every verdict is that its limit is met."""
+    return all(one.met for one in verdicts)
+
+
+HEAD = ("limit", "allowed", "found", "verdict", "margin", "where")
+"""Columns of `row_of`."""
+
+
+def row_of(one: Verdict) -> list[str]:
+    """Return a verdict as people read it: figure, limit, value, met or not, margin and its share, where."""
+    unit, factor = SHOWN[one.figure]
+    after = f" {unit}" if unit else ""
+    share = "" if not math.isfinite(one.share) else f" ({one.share:+.1%})"
+    return [
+        one.figure.replace("_", " "), f"{'≤' if one.side == 'max' else '≥'} {one.limit * factor:.5g}{after}",
+        f"{one.value * factor:.5g}{after}", "met" if one.met else "not met",
+        f"{one.margin * factor:+.4g}{after}{share}", place_of(one),
+    ]  # fmt: skip
+
+
+def place_of(one: Verdict) -> str:
+    """Return where a verdict's value is, as people read it."""
+    said = []
+    for name, value in one.where.items():
+        text = name.replace("_", " ")
+        if name == "torque":
+            said.append(f"at {value:g} N·m")
+        elif name == "output_speed":
+            said.append(f"{value * 30.0 / math.pi:.4g} rpm")
+        elif name.startswith("crank_angle"):
+            said.append(f"{text} {math.degrees(value):.2f}°")
+        elif name == "body":
+            said.append(f"on the {value}")
+        elif name in ("bearing", "model", "of"):
+            said.append(str(value))
+        else:
+            said.append(f"{text} {value:.4g}" if isinstance(value, float) else f"{text} {value}")
+    return ", ".join(said)
+
+
+def line_of(one: Verdict) -> str:
+    """Return a verdict as one line, for pictures and files.
+
+    Examples
+    --------
+    >>> print(line_of(verdict("max_contact_pressure", 1.1e9, 1.5e9, {"pin": 3})))
+    max contact pressure 1100 MPa, allowed ≤ 1500 MPa: met (+26.7%), pin 3
+    """
+    name, limit, value, met, _, where = row_of(one)
+    share = f" ({one.share:+.1%})" if math.isfinite(one.share) else ""
+    return f"{name} {value}, allowed {limit}: {met}{share}{', ' if where else ''}{where}"

@@ -1,0 +1,248 @@
+"""Sweeps: every combination of several values of a pair file, each drive solved by itself.
+
+A value that makes no drive is part of the result: its figures are NaN and a sentence says why.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import os
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu import edge
+from cycloid_fmu.contact.transmission import slices_needed
+from cycloid_fmu.geometry.pair import ANGLES, Pair
+from cycloid_fmu.reducer.first_stage import FirstStage
+from cycloid_fmu.reducer.transmission import solve
+from cycloid_fmu.studies.checkpoint import Checkpoint
+from cycloid_fmu.studies.machines import Solved, check_versions, complete, versions
+from cycloid_fmu.studies.tolerance import FIGURES as OF_STUDIES
+from cycloid_fmu.studies.tolerance import free_figures, loaded_figures
+from cycloid_fmu.studies.varied import Varied, drive_with, varied
+from cycloid_fmu.surfaces.surface import ErrorSurface
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+Array = NDArray[np.float64]
+FORMAT = "cycloid-sweep/1"
+MOST = 1_000_000  # drives of a sweep
+LOADED: Mapping[str, tuple[str, str]] = {
+    "angular_transmission_error": OF_STUDIES["angular_transmission_error"],
+    "ripple": ("rad", "root mean square of the transmission error about its mean over the crank angles"),
+    "mean_transmission_error": OF_STUDIES["mean_transmission_error"],
+    "torsional_stiffness": ("N*m/rad", "mean torsional stiffness over the crank angles"),
+    "max_contact_pressure": OF_STUDIES["max_contact_pressure"],
+    "loaded_pins": ("1", "mean share of the pins that carry more than 1 % of the most loaded one's force"),
+}
+FREE = {name: OF_STUDIES[name] for name in ("mean_backlash", "backlash", "lost_motion", "interference")}
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """What a sweep solves; two sweeps with equal fields have equal results.
+
+    Attributes
+    ----------
+    pair, surface, first_stage
+        The drive whose values vary.
+    vary
+        What varies; the last one fastest.
+    torque
+        Loads on the output, N·m, not zero.
+    angles, turns
+        Crank angles evenly from 0 over so many crank turns, end excluded.
+    """
+
+    pair: Pair
+    surface: ErrorSurface
+    first_stage: FirstStage | None
+    vary: tuple[Varied, ...]
+    torque: tuple[float, ...]
+    angles: int = ANGLES
+    turns: int = 1
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of values of each that varies."""
+        return tuple(len(one.values) for one in self.vary)
+
+    @functools.cached_property
+    def columns(self) -> tuple[tuple[str, int | None], ...]:
+        """Name and index of the torque (None where there is none) of each number that a drive yields."""
+        return (*((n, k) for n in LOADED for k in range(len(self.torque))), *((n, None) for n in FREE))
+
+    def stated(self, number: int) -> dict[str, str]:
+        """Return the varied values of a drive as a file has them."""
+        place = np.unravel_index(number, self.shape)
+        return {one.name: one.texts[k] for one, k in zip(self.vary, place, strict=True)}
+
+    def identity(self) -> dict[str, Any]:
+        """Return what tells this sweep from another, for a checkpoint."""
+        return {
+            "pair": self.pair.text,
+            "surface": self.surface.hash,
+            "vary": {one.name: list(one.texts) for one in self.vary},
+            "torque": list(self.torque),
+            "angles": self.angles,
+            "turns": self.turns,
+            "versions": versions(),
+            **({} if self.first_stage is None else {"first_stage": self.first_stage.text}),
+        }
+
+
+def check_sweep(sweep: Sweep) -> None:
+    """Refuse a sweep that can't be made.
+
+    Raises
+    ------
+    edge.InputError
+        If nothing varies, something twice, there are too many drives, a load is zero or missing, or no value at all
+        makes a drive.
+    """
+    names = [one.name for one in sweep.vary]
+    if not names:
+        raise edge.ArgumentError("vary", "is missing; a sweep varies at least one value")
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise edge.ArgumentError("vary", "it is varied twice", twice[0])
+    if math.prod(sweep.shape) > MOST:
+        raise edge.ArgumentError("vary", f"these are {math.prod(sweep.shape)} drives; a sweep has at most {MOST}")
+    if not sweep.torque:
+        raise edge.ArgumentError("torque", "is missing; give it, or state the pair's rated torque")
+    if 0.0 in sweep.torque:
+        raise edge.ArgumentError("torque", "a sweep's loads must not be zero; the play has its own figures", 0.0)
+    if len(set(sweep.torque)) != len(sweep.torque):
+        raise edge.ArgumentError("torque", "each load must be another one", edge.listed(map(str, sweep.torque)))
+    reason = ""
+    for number in range(math.prod(sweep.shape)):
+        try:
+            drive_with(sweep.pair, sweep.surface, sweep.stated(number))
+        except edge.InputError as problem:
+            reason = reason or str(problem).rstrip(".")
+        else:
+            return
+    shown = ", ".join(f"{one.name} {one.texts[0]} … {one.texts[-1]}" for one in sweep.vary)
+    raise edge.ArgumentError("vary", f"none of these values makes a drive; the first one: {reason}", shown)
+
+
+def figures_of(sweep: Sweep, number: int) -> tuple[Array, str]:
+    """Return the figures of one drive in the order of `Sweep.columns`, NaN where there are none, and why, or ""."""
+    loads = len(sweep.torque)
+    found: dict[str, Any] = {name: np.full(loads, math.nan) for name in LOADED} | dict.fromkeys(FREE, math.nan)
+    reasons: list[str] = []
+    try:
+        pair, surface = drive_with(sweep.pair, sweep.surface, sweep.stated(number))
+        angle = np.linspace(0.0, 2.0 * np.pi * sweep.turns, sweep.angles, endpoint=False)
+        found.update(free_figures(pair, surface, sweep.first_stage, angle))
+        if found["interference"] > 0.0:
+            reasons.append(f"no free position: interference of {found['interference'] * 1e6:.3g} um, so no backlash")
+            found["mean_backlash"] = found["backlash"] = math.nan
+        for k, torque in enumerate(sweep.torque):
+            try:
+                one = solve(
+                    pair, surface, sweep.first_stage, torque, angle, slices_needed(surface), with_play=False
+                )  # fmt: skip
+            except edge.InputError as problem:  # this load alone
+                reasons.append(str(problem).rstrip("."))
+                continue
+            figures = {
+                **loaded_figures(one), "ripple": one.transmission_error.std(axis=1),
+                "torsional_stiffness": one.torsional_stiffness.mean(axis=1),
+                "loaded_pins": one.contact_count.mean(axis=1) / (pair.discs * pair.pins),
+            }  # fmt: skip
+            for name, values in figures.items():
+                found[name][k] = values[0]
+    except edge.InputError as problem:
+        reasons.append(str(problem).rstrip("."))
+    return np.array([found[n] if k is None else found[n][k] for n, k in sweep.columns]), "; ".join(reasons)
+
+
+def _task(wanted: dict[str, str], sweep: Sweep, first: int, nothing: Array) -> Solved:
+    """Solve one drive wherever this runs."""
+    check_versions(wanted)
+    values, reason = figures_of(sweep, first)
+    return Solved(first, values[None], (reason,))
+
+
+class Interrupted(KeyboardInterrupt):
+    """A sweep was interrupted; the text says what is kept."""
+
+
+def run(
+    sweep: Sweep,
+    output: str | os.PathLike[str] | None = None,
+    *,
+    workers: int = 1,
+    progress: Callable[[int], None] = lambda drives: None,
+) -> xr.Dataset:
+    """Solve a sweep.
+
+    Parameters
+    ----------
+    output
+        The file that `sweep_files.conduct` is going to write: until then one with `.checkpoint` behind its name keeps
+        the drives that are solved, and the same sweep goes on from there.
+    workers
+        Processes; the result does not depend on them.
+    progress
+        Told how many drives were just finished, first those of the checkpoint.
+
+    Raises
+    ------
+    edge.InputError
+        If the sweep can't be made or the checkpoint is of another one.
+    Interrupted
+        At a KeyboardInterrupt; its text says what is kept.
+    """
+    check_sweep(sweep)
+    size = math.prod(sweep.shape)
+    kept = None if output is None else Checkpoint(checkpoint_of(output), sweep)
+    tasks = {number: np.empty((1, 0)) for number in range(size)}
+    done: dict[int, Solved] = {}
+    try:
+        complete(sweep, tasks, done, _task, kept, workers=workers, progress=progress)
+    except KeyboardInterrupt:
+        where = "nothing is kept without an output"
+        if kept is not None:
+            where = f"{kept.path} keeps them; the same sweep goes on from there"
+        raise Interrupted(f"Interrupted: {len(done)} of {size} drives are done; {where}.") from None
+    order = [done[number] for number in range(size)]
+    return _dataset(sweep, np.concatenate([one.values for one in order]), [one.notes[0] for one in order])
+
+
+def checkpoint_of(output: str | os.PathLike[str]) -> Path:
+    """Return the file that keeps the solved drives of a sweep until its output is written."""
+    return Path(f"{os.fspath(output)}.checkpoint")
+
+
+def _dataset(sweep: Sweep, values: Array, reasons: list[str]) -> xr.Dataset:
+    import xarray as xr
+
+    names = [one.name for one in sweep.vary]
+    data: dict[str, Any] = {}
+    for name, (unit, text) in {**LOADED, **FREE}.items():
+        columns = [i for i, (n, _) in enumerate(sweep.columns) if n == name]
+        figure = values[:, columns].reshape(*sweep.shape, len(columns))
+        dims = (*names, "torque") if name in LOADED else tuple(names)
+        data[name] = (dims, figure if name in LOADED else figure[..., 0], {"units": unit, "long_name": text})
+    reason = np.array(reasons, dtype=object).reshape(sweep.shape)
+    data["reason"] = (names, reason, {"long_name": "why figures are missing, empty where none are"})
+    places: dict[str, Any] = {"torque": ("torque", list(sweep.torque), {
+        "units": "N*m", "long_name": "torque of the environment on the output"
+    })}  # fmt: skip
+    for one in sweep.vary:
+        places[one.name] = (one.name, list(one.values), {"units": one.si, "shown_units": one.unit})
+    about = {name: value for name, value in sweep.identity().items() if name in ("pair", "surface", "first_stage")}
+    return xr.Dataset(data, places, {"format": FORMAT, "angles": sweep.angles, "turns": sweep.turns, **about})
+
+
+def vary_of(given: Mapping[str, str | Iterable[float | str]]) -> tuple[Varied, ...]:
+    """Return what varies, of {name: its values}; an `edge.InputError` says what is wrong with them."""
+    return tuple(varied(name, values) for name, values in given.items())

@@ -1,0 +1,264 @@
+"""The verdicts on one drive: what is solved beyond a sweep so that every stated limit that can be judged is judged."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu import edge
+from cycloid_fmu.contact.transmission import Transmission, slices_needed
+from cycloid_fmu.geometry.pair import ANGLES, Pair
+from cycloid_fmu.reducer.first_stage import FirstStage
+from cycloid_fmu.reducer.transmission import solve
+from cycloid_fmu.studies import limits as judging
+from cycloid_fmu.studies.limits import DutyLoad, Requirements, Verdict
+from cycloid_fmu.supports.figures import DutyLife, bearing_loads, lives_over_duty
+from cycloid_fmu.surfaces.surface import ErrorSurface
+from cycloid_fmu.wear.friction import Sliding, sliding_of
+from cycloid_fmu.wear.life import WearRun
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+Array = NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True)
+class Judged:
+    """What was found of a drive against what an application asks.
+
+    Attributes
+    ----------
+    verdicts
+        One for each limit that could be judged; none without limits.
+    not_judged
+        Limits that are stated and that this does not judge.
+    lives
+        Bearings over the duty; none without speeds or supports.
+    crank_angle
+        Shape (angles,), rad, of `sliding`.
+    sliding
+        Each row of the duty that turns under load, and how its pins slide.
+    """
+
+    verdicts: tuple[Verdict, ...]
+    not_judged: tuple[str, ...]
+    lives: tuple[DutyLife, ...]
+    crank_angle: Array
+    sliding: tuple[tuple[DutyLoad, Sliding], ...]
+
+    @property
+    def met(self) -> bool:
+        """Whether every limit that was judged is met."""
+        return judging.all_met(self.verdicts)
+
+    def numbers(self) -> dict[str, Any]:
+        """Return everything for scripts, SI; of what slides the largest of each pin."""
+        sliding = [
+            {
+                "torque": load.torque, "output_speed": load.output_speed,
+                **{name: values.max(axis=(0, 1)) for name, values in found._asdict().items() if values.size},
+            }
+            for load, found in self.sliding
+        ]  # fmt: skip
+        return {
+            "verdicts": [one.numbers() for one in self.verdicts], "not_judged": list(self.not_judged),
+            "bearing_lives": [dataclasses.asdict(one) for one in self.lives], "sliding": sliding,
+        }  # fmt: skip
+
+    def labelled(self, data: xr.Dataset) -> xr.Dataset:
+        """Return a sweep's dataset with the verdicts as an attribute, and what slides over `duty`, its rows that turn.
+
+        `sliding_speed`, `friction_power` and `friction_power_density` are over duty, crank angle, disc and pin;
+        `duty_torque`, `duty_output_speed` and `duty_share` state the rows.
+        """
+        data = data.assign_attrs(verdicts="\n".join(judging.line_of(one) for one in self.verdicts))
+        if not self.sliding:
+            return data
+        for name, unit in (("torque", "N*m"), ("output_speed", "rad/s"), ("share", "1")):
+            data[f"duty_{name}"] = ("duty", [getattr(load, name) for load, _ in self.sliding], {"units": unit})
+        for name, (unit, text) in _LABELS.items():
+            values = [getattr(found, name) for _, found in self.sliding]
+            if values[0].size:
+                label = {"units": unit, "long_name": text}
+                data[name] = (("duty", "crank_angle", "disc", "pin"), np.stack(values), label)
+        return data
+
+
+_LABELS = {
+    "sliding_speed": ("m/s", "sliding speed of the flank on each pin that carries load"),
+    "friction_power": ("W", "friction power of each pin"),
+    "friction_power_density": ("W/m^2", "friction power of each pin over its contact's area"),
+}
+
+
+def loads_of(requirements: Requirements, torque: Sequence[float] | None) -> list[float]:
+    """Return the torques to solve, N·m: those given, and those of the duty that are not among them.
+
+    Raises
+    ------
+    edge.InputError
+        If there are none.
+    """
+    found = list(dict.fromkeys([*(torque or ()), *(load.torque for load in requirements.duty)]))
+    if not found:
+        raise edge.ArgumentError("torque", "is missing; give it, or state [[duty]] in the requirements")
+    return found
+
+
+def check(requirements: Requirements, pair: Pair, source: str, pair_source: str) -> None:
+    """Refuse, with an `edge.InputError`, limits that the pair lacks something for; it names both files."""
+    limits = requirements.limits
+    if limits.lost_motion is not None and pair.rated_torque is None:
+        raise edge.InputError(
+            f"{pair_source}: [pair] rated_torque is missing; state it: [limits] lost_motion of {source} is taken at a "
+            "share of it."
+        )
+    if limits.bearing_life is not None:
+        supports = pair.supports
+        bearings = () if supports is None else (supports.turning_arm, supports.crank_shaft, supports.main)
+        if all(one.dynamic_capacity is None for one in bearings):
+            raise edge.InputError(
+                f"{pair_source}: no bearing of [supports] states its dynamic_capacity, from which [limits] "
+                f"bearing_life of {source} is taken; state it, or remove the limit."
+            )
+
+
+def judge_sweep(
+    pair: Pair,
+    surface: ErrorSurface,
+    first_stage: FirstStage | None,
+    requirements: Requirements,
+    found: Transmission,
+    workers: int = 1,
+) -> Judged:
+    """Judge a sweep that was solved at the torques of `loads_of`.
+
+    Parameters
+    ----------
+    pair, surface, first_stage
+        The drive.
+    requirements
+        What is asked of it, checked by `check`.
+    found
+        Its sweep, with play and stiffness.
+    workers
+        Threads for the lost motion, which is solved here where it has a limit.
+    """
+    data: dict[str, Any] = {**vars(found), "backlash": found.backlash}
+    if requirements.limits.lost_motion is not None:
+        loads, slices = pair.lost_motion_loads, slices_needed(surface)
+        up, down = solve(
+            pair, surface, first_stage, loads, found.crank_angle, slices, with_play=False, with_stiffness=False,
+            workers=workers,
+        ).transmission_error  # fmt: skip
+        data["lost_motion"] = up - down
+    verdicts = judging.judge(requirements.limits, pair, data)
+    lives, sliding = list[DutyLife](), list[tuple[DutyLoad, Sliding]]()
+    duty = [load for load in requirements.duty if load.output_speed > 0.0]
+    row = [int(np.flatnonzero(found.torque == load.torque)[0]) for load in duty]
+    speed = [load.output_speed * abs(pair.ratio) for load in duty]
+    if duty and pair.supports is not None:
+        lives = lives_over_duty(
+            [bearing_loads(pair, found, k) for k in row], speed, [load.share for load in duty]
+        )  # fmt: skip
+        verdicts += judging.judge_lives(requirements.limits, lives)
+    for load, k, turning in zip(duty, row, speed, strict=True):
+        slides = sliding_of(
+            pair, found.crank_angle, found.pin_force[k], found.pin_pressure[k], turning,
+            requirements.friction_coefficient,
+        )  # fmt: skip
+        sliding.append((load, slides))
+    if sliding:
+        figures = {
+            name: np.stack([getattr(slides, name) for _, slides in sliding])
+            for name in ("sliding_speed", "friction_power_density")
+        }
+        verdicts += judging.judge_sliding(requirements.limits, duty, found.crank_angle, figures)
+    missing = judging.not_judged(requirements.limits, verdicts)
+    return Judged(tuple(verdicts), tuple(missing), tuple(lives), found.crank_angle, tuple(sliding))
+
+
+def judge_drive(
+    pair: Pair,
+    surface: ErrorSurface,
+    first_stage: FirstStage | None,
+    requirements: Requirements,
+    torque: Sequence[float] | None,
+    crank_angle: Array,
+    *,
+    workers: int = 1,
+    progress: Callable[[int], None] = lambda angles: None,
+) -> Judged:
+    """Solve a drive at the torques given and those of the duty, and judge it.
+
+    Raises
+    ------
+    edge.InputError
+        If there is no torque, or the pair lacks something that a limit needs.
+    """
+    check(requirements, pair, "the requirements", "the pair")
+    loads = loads_of(requirements, torque)
+    found = solve(
+        pair, surface, first_stage, loads, crank_angle, slices_needed(surface), workers=workers, progress=progress
+    )
+    return judge_sweep(pair, surface, first_stage, requirements, found, workers)
+
+
+def judge_worn(
+    run: WearRun, requirements: Requirements, *, workers: int = 1, progress: Callable[[int], None] = lambda angles: None
+) -> Judged:
+    """Judge a drive at the end of a wear run, at the loads of its life and of the duty, and how deep it is worn.
+
+    Bearings, which wear does not know, are not judged.
+    """
+    model, last = run.model, run.states[-1]
+    torque = list(dict.fromkeys(load.torque for load in model.loads if load.torque != 0.0))
+    angle = np.linspace(0.0, 2.0 * np.pi, ANGLES, endpoint=False)
+    judged = judge_drive(
+        model.pair, run.surface, None, requirements.of_wear, torque, angle, workers=workers, progress=progress
+    )
+    turns = np.array([state.crank_turns for state in run.states])
+    deepest = np.array([state.depth.largest for state in run.states])
+    worn = judging.judge_wear(requirements.limits, last.depth.gear, last.depth.pin, turns, deepest)
+    verdicts = (*judged.verdicts, *worn)
+    missing = judging.not_judged(requirements.limits, verdicts)
+    return dataclasses.replace(judged, verdicts=verdicts, not_judged=tuple(missing))
+
+
+LIVES_HEAD = ("bearing", "equivalent", "L10h (ISO 281)")
+SLIDING_HEAD = ("load", "sliding speed", "friction power of a pin", "over its contact", "pin, crank angle")
+
+
+def life_rows(judged: Judged) -> list[list[str]]:
+    """Return the bearings' lives over the duty as people read them, columns `LIVES_HEAD`."""
+
+    def shown(life: float) -> str:
+        return "-" if math.isnan(life) else "unlimited" if math.isinf(life) else f"{life / 3600.0:.4g} h"
+
+    return [[one.bearing, f"{one.equivalent:.0f} N", shown(one.life)] for one in judged.lives]
+
+
+def sliding_rows(judged: Judged) -> list[list[str]]:
+    """Return the largest of what slides at each row of the duty as people read it, columns `SLIDING_HEAD`.
+
+    The place is that of the largest friction power, or of the largest speed without a friction coefficient.
+    """
+    rows = []
+    for load, found in judged.sliding:
+        power = found.friction_power
+        values = power if power.size else found.sliding_speed
+        angle, _, pin = np.unravel_index(values.argmax(), values.shape)
+        rows.append(
+            [f"{load.torque:g} N·m, {load.output_speed * 30.0 / math.pi:.4g} rpm",
+             f"{found.sliding_speed.max():.3g} m/s",
+             f"{power.max():.3g} W" if power.size else "",
+             f"{found.friction_power_density.max() * 1e-6:.3g} W/mm²" if power.size else "",
+             f"{pin}, {math.degrees(judged.crank_angle[angle]):.2f}°"]
+        )  # fmt: skip
+    return rows
