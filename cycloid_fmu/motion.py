@@ -306,7 +306,7 @@ def _press(problem: contact.Problem, rows: contact.Rows) -> None:
 
 
 def _fitting(motion: Motion) -> float:
-    largest = float(motion.nearest.max())
+    largest = float(np.abs(motion.nearest).max())  # where bodies interfere it is drawn so many times as well
     if not largest * LARGEST_FACTOR > motion.room:
         return LARGEST_FACTOR
     return max(1.0, round_number(motion.room / largest))

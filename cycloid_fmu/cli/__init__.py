@@ -19,6 +19,7 @@ app = commands.command_line(
         "tolerance",
         "sweep",
         "design",
+        "desk",
         "profile",
     ),
 )  # fmt: skip

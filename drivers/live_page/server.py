@@ -5,29 +5,19 @@ It reads the file that the recorder writes, in a process of its own: nothing it 
 
 from __future__ import annotations
 
-import base64
 import collections
-import contextlib
 import dataclasses
-import functools
-import hashlib
-import hmac
-import http.server
-import importlib.resources
-import ipaddress
 import math
 import os
-import re
 import secrets
-import socket
 import threading
 import time
-import urllib.parse
 from typing import Any
 
 import numpy as np
 
 from cycloid_fmu import edge
+from cycloid_fmu.edge.page_server import PageHandler, PageServer, is_loopback
 from drivers.recording_format import MARKS, FloatArray, RecordingReader, Samples
 
 REFRESH_SECONDS = 0.2
@@ -35,9 +25,6 @@ WINDOW = 1 << 17  # samples of each channel that are looked at
 _POINTS = 1000  # that are drawn
 _TURNS = 16  # crank turns of the spectrum at most
 _ORDERS = 100
-_LOCAL = ("localhost", "127.0.0.1", "[::1]")
-_CONNECTIONS = 16  # at a time: each is a thread
-_REQUEST_SECONDS = 10.0  # for a whole request and its answer
 _STREAM_SECONDS = 600.0  # of a stream of data; a browser asks for the next one by itself
 
 
@@ -174,32 +161,17 @@ class _Newest:
             return self._number, self._text
 
 
-class WatchServer(http.server.ThreadingHTTPServer):
+class WatchServer(PageServer):
     """The page and its data over HTTP; it serves from the beginning, and is a context manager that ends it.
 
     Port 0 takes a free one. A client must show the `token`; None: only clients that call this machine by a local name
-    are answered. There are 16 connections at a time; one whose request is not answered after ten seconds is closed.
+    are answered.
     """
 
-    daemon_threads = True
-    request_queue_size = 2 * _CONNECTIONS  # a client beyond them is refused at once
-
     def __init__(self, watcher: Watcher, host: str, port: int, token: str | None) -> None:
-        self._ends: dict[socket.socket, float] = {}
-        self._counting = threading.Lock()
-        super().__init__((host, port), _Handler)
-        self.token, self.newest = token, _Newest()
-        self._watcher = watcher
-        self._stopping = threading.Event()
-        for work in (self._read, functools.partial(self.serve_forever, 0.05)):
-            threading.Thread(target=work, name="watch", daemon=True).start()
-
-    @property
-    def url(self) -> str:
-        """What to open in the browser."""
-        host, port = self.server_address[:2]
-        query = "" if self.token is None else f"?token={self.token}"
-        return f"http://{host if isinstance(host, str) else host.decode()}:{port}/{query}"
+        self.newest, self._watcher = _Newest(), watcher
+        super().__init__(_Handler, host, port, token)
+        threading.Thread(target=self._read, name="watch", daemon=True).start()
 
     def _read(self) -> None:
         while not self._stopping.is_set():
@@ -209,49 +181,6 @@ class WatchServer(http.server.ThreadingHTTPServer):
                 data = {"problem": f"{type(problem).__name__}: {problem}"}
             self.newest.put(edge.json_text(data).replace("\n", ""))
             self._stopping.wait(REFRESH_SECONDS)
-
-    def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer in a thread of its own, or close the connection where there are too many."""
-        with self._counting:
-            welcome = len(self._ends) < _CONNECTIONS
-            if welcome:
-                self._ends[request] = time.monotonic() + _REQUEST_SECONDS
-        if welcome:
-            super().process_request(request, client_address)
-        else:
-            self.shutdown_request(request)
-
-    def keep(self, request: socket.socket, seconds: float) -> None:
-        """Let a connection last so long from now on."""
-        with self._counting:
-            self._ends[request] = time.monotonic() + seconds
-
-    def service_actions(self) -> None:
-        """End the connections whose time is over: what their threads wait for then fails."""
-        with self._counting:
-            for request, end in self._ends.items():
-                if time.monotonic() > end:
-                    with contextlib.suppress(OSError):
-                        request.shutdown(socket.SHUT_RDWR)
-
-    def shutdown_request(self, request: Any) -> None:
-        """Close a connection, whose place is free then."""
-        with self._counting:
-            self._ends.pop(request, None)
-        super().shutdown_request(request)
-
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        """Say nothing of a client that went: the terminal belongs to the recording."""
-
-    def wait(self) -> None:
-        """Wait until the server is closed."""
-        self._stopping.wait()
-
-    def server_close(self) -> None:
-        """Stop reading and listening."""
-        self._stopping.set()
-        self.shutdown()
-        super().server_close()
 
 
 def watch(recording: str | os.PathLike[str], *, host: str = "127.0.0.1", port: int = 0) -> WatchServer:
@@ -286,7 +215,7 @@ def watch(recording: str | os.PathLike[str], *, host: str = "127.0.0.1", port: i
     True
     """
     try:
-        local = ipaddress.ip_address(host).is_loopback
+        local = is_loopback(host)
     except ValueError:
         raise edge.ArgumentError("host", "write an address, such as 127.0.0.1 or 0.0.0.0", host) from None
     try:
@@ -295,66 +224,15 @@ def watch(recording: str | os.PathLike[str], *, host: str = "127.0.0.1", port: i
         raise edge.ArgumentError("port", f"{host} can't be listened on: {problem.strerror}", port) from None
 
 
-@functools.cache
-def _page() -> tuple[str, str]:
-    """Return the page and the policy that lets its own script and style act, and nothing else."""
-    page = importlib.resources.files("drivers.live_page").joinpath("page.html").read_text(encoding="utf-8")
-    own = {}
-    for tag in ("script", "style"):
-        (text,) = re.findall(f"<{tag}>(.*?)</{tag}>", page, re.DOTALL)
-        own[tag] = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
-    allowed = [f"{tag}-src 'sha256-{digest}'" for tag, digest in own.items()]
-    none = [f"{what} 'none'" for what in ("default-src", "frame-ancestors", "base-uri", "form-action")]
-    return page, "; ".join([*none, *allowed, "connect-src 'self'"])
-
-
-class _Handler(http.server.BaseHTTPRequestHandler):
+class _Handler(PageHandler):
     server: WatchServer
-    timeout = _REQUEST_SECONDS  # of a client that takes nothing
+    package = "drivers.live_page"
+    name = "cycloid-bench"
 
-    def do_GET(self) -> None:
-        """Answer the page or the stream of its data."""
-        try:
-            parts = urllib.parse.urlsplit(self.path)
-            query = urllib.parse.parse_qs(parts.query, max_num_fields=8)
-        except ValueError:
-            self.send_error(400)
-            return
-        if not self._allowed(query):
-            self.send_error(403)
-        elif parts.path == "/":
-            page = _page()[0].encode()
-            self.send_response(200)
-            self.send_header("Content-Type", "text/html; charset=utf-8")
-            self.send_header("Content-Length", str(len(page)))
-            self.end_headers()
-            self.wfile.write(page)
-        elif parts.path == "/data":
-            self._stream()
-        else:
-            self.send_error(404)
-
-    def _allowed(self, query: dict[str, list[str]]) -> bool:
-        if self.server.token is not None:
-            return hmac.compare_digest(query.get("token", [""])[0].encode(), self.server.token.encode())
-        # A foreign page may have its own name resolved to this machine; the name it calls gives it away.
-        name = (self.headers.get("Host") or "").rsplit(":", 1)[0]
-        return name in _LOCAL
-
-    def end_headers(self) -> None:
-        """Say with every answer that nobody may frame, keep, guess at or refer to it."""
-        self.send_header("Content-Security-Policy", _page()[1])
-        self.send_header("X-Content-Type-Options", "nosniff")
-        self.send_header("X-Frame-Options", "DENY")
-        self.send_header("Referrer-Policy", "no-referrer")
-        self.send_header("Cache-Control", "no-store")
-        super().end_headers()
-
-    def version_string(self) -> str:
-        """Return the server's name without Python's version."""
-        return "cycloid-bench"
-
-    def _stream(self) -> None:
+    def answer(self, path: str) -> bool:
+        """Answer the stream of the page's data."""
+        if path != "/data":
+            return False
         self.send_response(200)
         self.send_header("Content-Type", "text/event-stream")
         self.end_headers()
@@ -366,6 +244,4 @@ class _Handler(http.server.BaseHTTPRequestHandler):
                 self.wfile.write(f"data: {text}\n\n".encode())
         except OSError:  # the client went, or took nothing for `timeout`
             self.close_connection = True
-
-    def log_message(self, format: str, *args: Any) -> None:
-        """Say nothing: the terminal belongs to the recording."""
+        return True

@@ -137,6 +137,14 @@ def test_a_drive_that_interferes_presses_without_load():
     assert abs(moment.sum()) < 1e-6 * np.abs(moment).sum()
 
 
+def test_interference_is_exaggerated_within_the_picture_too():
+    """Of a pair whose pins all press, the outline stays as near to the pins as gaps have room."""
+    motion = cy.Drive(cy.Pair(**SIZES, modification={"isometric": "-60 um"})).motion(181.0, [0.4])
+    assert motion.nearest.max() < 0.0
+    moved = motion.outline(0, 0, 0) - motion.outline(0, 0, 0, 1.0)
+    assert 0.1 * motion.room < np.abs(moved).max() < 1.05 * motion.room
+
+
 def test_rigid_supports_change_nothing():
     bare = PAIRS["two discs"]
     held = bare.replace(supports={"kind": "cranks", "count": 3, "circle_radius": "36 mm"})

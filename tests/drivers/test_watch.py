@@ -13,6 +13,9 @@ import urllib.request
 import numpy as np
 import pytest
 
+import drivers
+from cycloid_fmu import edge
+from cycloid_fmu.edge import page_server
 from drivers.live_page import server as server_module
 from drivers.live_page.server import Watcher, WatchServer, order_spectrum
 from drivers.recording_format import Channel, Event, Header, RecordingWriter, Samples
@@ -98,6 +101,15 @@ def test_who_may_see_the_page(tmp_path, serve):
     bare = secret.url.split("?")[0]
     assert status_of(secret.url) == 200
     assert status_of(bare) == status_of(bare + "?token=guess") == status_of(bare + "data") == 403
+
+
+def test_a_port_in_use_is_a_sentence(tmp_path, serve):
+    path = tmp_path / "run.arrows"
+    with RecordingWriter(path, HEADER):
+        pass
+    port = serve(Watcher(path)).server_address[1]
+    with pytest.raises(edge.InputError, match=f"port = {port}: 127.0.0.1 can't be listened on"):
+        drivers.watch(path, port=port)
 
 
 def test_a_slow_client_skips_to_the_newest(tmp_path, serve):
@@ -195,7 +207,7 @@ def test_an_odd_request_is_refused_and_nothing_is_printed(tmp_path, serve, capfd
 
 
 def test_clients_that_are_slow_or_many_are_let_go(tmp_path, serve, monkeypatch):
-    monkeypatch.setattr(server_module, "_REQUEST_SECONDS", 0.5)
+    monkeypatch.setattr(page_server, "REQUEST_SECONDS", 0.5)
     with RecordingWriter(tmp_path / "run.arrows", HEADER):
         pass
     server = serve(Watcher(tmp_path / "run.arrows"))

@@ -1,0 +1,33 @@
+"""`cycloid-fmu desk`."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cycloid_fmu.cli.shared import PairFile
+
+
+def desk(
+    pair_file: PairFile,
+    limits_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--limits", metavar="REQUIREMENTS.toml", help="What is asked of the drive (cycloid-requirements/1)."
+        ),
+    ] = None,
+) -> None:
+    """Change a pair's values in the browser and see drawing, transmission error, backlash, pressure and verdicts.
+
+    Example: [cyan]cycloid-fmu desk pair.toml --limits requirements.toml[/]
+
+    The page is for this machine only. It saves pair files in the folder of the one that is given.
+    """
+    from cycloid_fmu.desk.server import DeskServer
+
+    with DeskServer(pair_file, limits_file) as server, contextlib.suppress(KeyboardInterrupt):
+        typer.echo(f"Open {server.url} (Ctrl-C ends it)")
+        server.wait()

@@ -1,0 +1,350 @@
+"""What the desk shows for the values that stand in its fields: figures, curves, pictures, verdicts, or sentences."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+import os
+import re
+from collections.abc import Mapping
+from typing import Any, NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu import edge
+from cycloid_fmu.contact.transmission import LARGEST_PRESSURE, Transmission, notes, slices_needed, statistics
+from cycloid_fmu.draw.drive_picture import CloseUp, caption_of, close_up
+from cycloid_fmu.draw.drive_svg import drive_svg, tooth_svg
+from cycloid_fmu.edge.quantities import EXAMPLES
+from cycloid_fmu.geometry.pair import ANGLES, FORMAT, Modification, Pair, pair_of_tables
+from cycloid_fmu.motion import Motion, motion_of
+from cycloid_fmu.reducer.transmission import solve
+from cycloid_fmu.studies.limits import Requirements, Verdict, flank_curvature_radius, read_requirements, row_of
+from cycloid_fmu.studies.verdicts import Judged, check, judge_sweep, loads_of
+from cycloid_fmu.surfaces.structured import dimensions
+from cycloid_fmu.surfaces.surface import surface_of_pair
+
+Array = NDArray[np.float64]
+_TABLES = ("modification", "material", "supports", "temperature", "expansion", "errors")
+_PLACE = re.compile(r"(\[(?:pair|modification)\] )?(\w+)(?: = | is missing)")
+
+
+class Field(NamedTuple):
+    """One field of the desk.
+
+    Attributes
+    ----------
+    key
+        `pair.eccentricity`: table and name in the pair file; `torque` and `crank_angle` are in no file.
+    label
+        What stands before it.
+    hint
+        What an empty field means, or how it is written.
+    choices
+        The words that it may have; empty where it is written.
+    """
+
+    key: str
+    label: str
+    hint: str
+    choices: tuple[str, ...] = ()
+
+
+_EMPTY = {
+    "gear_teeth": "a whole number", "discs": "1", "rated_torque": "not stated",
+    "pressure_limit": f"{LARGEST_PRESSURE * 1e-9:g} GPa", "isometric": "0 mm", "offset": "0 mm",
+}  # fmt: skip
+
+
+def _fields() -> dict[str, Field]:
+    found = {}
+    for table, model in (("pair", Pair), ("modification", Modification)):
+        for name, field in model.model_fields.items():
+            if table == "pair" and name in ("pins", *_TABLES):
+                continue
+            key, unit = f"{table}.{name}", edge.unit_of_field(field)
+            choices = get_args(field.annotation) if isinstance(field.default, str) else ()
+            hint = _EMPTY.get(name) or (f"such as {EXAMPLES[unit]}" if unit else "")
+            found[key] = Field(key, name.replace("_", " "), hint, choices)
+    return found
+
+
+FIELDS = _fields()
+"""Those of the pair file, by their keys; the number of pins follows from the teeth."""
+_WHOLE = ("pair.gear_teeth", "pair.discs")
+
+
+@dataclasses.dataclass(frozen=True)
+class Desk:
+    """What lies on the desk and is not changed there.
+
+    Attributes
+    ----------
+    source
+        Name of the pair file, for sentences.
+    tables
+        Its tables as they are in the file.
+    requirements, limits_source
+        What is asked of the drive, and its file's name; None where nothing is.
+    """
+
+    source: str
+    tables: Mapping[str, Any]
+    requirements: Requirements | None = None
+    limits_source: str = ""
+
+    @property
+    def values(self) -> dict[str, str]:
+        """The text of every field as the file has it, empty where it leaves one out."""
+        found = {}
+        for key, field in FIELDS.items():
+            table, name = key.split(".")
+            found[key] = str(self.tables.get(table, {}).get(name, field.choices[0] if field.choices else ""))
+        return {**found, "torque": "", "crank_angle": "0 deg"}
+
+    @property
+    def kept(self) -> list[str]:
+        """Tables of the file that no field shows; they are part of the drive and of what is saved."""
+        return [name for name in self.tables if name in _TABLES and name != "modification"]
+
+
+def open_desk(path: str | os.PathLike[str], limits: str | os.PathLike[str] | None = None) -> Desk:
+    """Return the desk of a pair file, with what a requirements file asks of the drive.
+
+    Raises
+    ------
+    edge.InputError
+        If a file can't be read, holds no possible pair, or the pair lacks something that a limit needs.
+
+    Examples
+    --------
+    >>> import cycloid_fmu as cy
+    >>> from cycloid_fmu.desk.view import look, open_desk
+    >>> pair = cy.Pair(
+    ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm"
+    ... )
+    >>> cy.Drive(pair).write("pair.toml")
+    >>> desk = open_desk("pair.toml")
+    >>> desk.values["pair.eccentricity"]
+    '1.3 mm'
+    >>> view = look(desk, {**desk.values, "pair.eccentricity": "1.7 mm", "torque": "181 N*m"})
+    >>> list(view.problems), view.problems["pair.eccentricity"][-32:]
+    (['pair.eccentricity'], 'the eccentricity below "1.6 mm".')
+    """
+    tables = edge.toml_table(edge.read_text(path), FORMAT, str(path))
+    pair = pair_of_tables(tables, str(path))
+    dimensions(pair, surface_of_pair(pair), f"{path}: errors")
+    if limits is None:
+        return Desk(str(path), tables)
+    asked = read_requirements(limits)
+    check(asked, pair, str(limits), str(path))
+    return Desk(str(path), tables, asked, str(limits))
+
+
+@dataclasses.dataclass(frozen=True)
+class View:
+    """What the desk shows; with problems nothing else.
+
+    Attributes
+    ----------
+    problems
+        A sentence for each field whose value can't be used, by its key; "" for what no field has.
+    pair
+        The drive's, None with problems.
+    torque
+        That the curves and pictures are for, N·m.
+    crank_angle, transmission_error, backlash, pressure
+        Curves over a crank turn, shape (angles,): rad, rad, rad (NaN without a free position) and the largest contact
+        pressure of any pin, Pa.
+    figures
+        Names and values as people read them.
+    verdicts, not_judged
+        One for each limit that could be judged, and the limits that this does not judge.
+    notes
+        Where results lie outside what the model is made for.
+    drive, tooth
+        SVG pictures.
+    caption, close_up
+        What is said of the drive, and the tooth's title and curves.
+    """
+
+    problems: Mapping[str, str]
+    pair: Pair | None = None
+    torque: float = math.nan
+    crank_angle: Array = dataclasses.field(default_factory=lambda: np.zeros(0))
+    transmission_error: Array = dataclasses.field(default_factory=lambda: np.zeros(0))
+    backlash: Array = dataclasses.field(default_factory=lambda: np.zeros(0))
+    pressure: Array = dataclasses.field(default_factory=lambda: np.zeros(0))
+    figures: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    verdicts: tuple[Verdict, ...] = ()
+    not_judged: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    drive: str = ""
+    tooth: str = ""
+    caption: str = ""
+    close_up: CloseUp | None = None
+
+    def numbers(self) -> dict[str, Any]:
+        """Return what the page draws: angles in degrees, errors and play in arcsec, pressure in MPa."""
+        curves = {
+            "transmission_error": self.transmission_error * edge.ARCSEC, "backlash": self.backlash * edge.ARCSEC,
+            "pressure": self.pressure * 1e-6,
+        }  # fmt: skip
+        return {
+            "problems": dict(self.problems), "torque": f"{self.torque:g} N·m", "figures": list(self.figures.items()),
+            "crank_angle": np.degrees(self.crank_angle).round(3),
+            "curves": {name: values.round(5) for name, values in curves.items()},
+            "verdicts": [{"met": one.met, "cells": row_of(one)} for one in self.verdicts],
+            "not_judged": [name.replace("_", " ") for name in self.not_judged], "notes": list(self.notes),
+            "drive": self.drive, "tooth": self.tooth, "caption": self.caption,
+            "tooth_title": "" if self.close_up is None else self.close_up.title,
+            "tooth_curves": [] if self.close_up is None else [
+                {"label": one.label, "colour": one.colour, "dashed": one.dashed} for one in self.close_up.curves
+            ],
+        }  # fmt: skip
+
+
+def pair_of(desk: Desk, values: Mapping[str, str]) -> Pair:
+    """Return the pair of a desk with the values of its fields, as its file would state it.
+
+    Parameters
+    ----------
+    desk
+        Of everything that no field has.
+    values
+        Text of fields by their keys, with units; an empty one is left out of the file.
+
+    Raises
+    ------
+    edge.InputError
+        As reading such a file does, each sentence with the table and the name.
+    """
+    tables = {
+        **desk.tables,
+        "pair": dict(desk.tables["pair"]),
+        "modification": dict(desk.tables.get("modification", {})),
+    }
+    tables["pair"].pop("pins", None)  # one more than teeth
+    for key in FIELDS:
+        table, name = key.split(".")
+        text = values.get(key, "").strip()
+        tables[table].pop(name, None)
+        if text:
+            tables[table][name] = int(text) if key in _WHOLE and re.fullmatch(r"\d{1,9}", text, re.ASCII) else text
+    pair = pair_of_tables(tables, desk.source)
+    dimensions(pair, surface_of_pair(pair), f"{desk.source}: errors")
+    return pair
+
+
+def placed(desk: Desk, problem: edge.InputError) -> dict[str, str]:
+    """Return the sentences of a problem by the fields that they name; "" for those that name none."""
+    keys = {key.split(".")[-1]: key for key in (*FIELDS, "torque", "crank_angle")}
+    found = dict[str, str]()
+    for line in str(problem).split("\n"):
+        said = line.removeprefix(f"{desk.source}: ")
+        place = _PLACE.match(said)
+        key = keys.get(place[2], "") if place is not None else ""
+        if place is not None and key:
+            said = said[len(place[1] or "") :]
+        found[key] = f"{found[key]}\n{said}" if key in found else said
+    return found
+
+
+def _quantity(values: Mapping[str, str], key: str, si: str) -> float:
+    try:
+        return edge.parse_quantity(values[key].strip(), si)
+    except ValueError as problem:
+        raise edge.ArgumentError(key, str(problem), values[key]) from None
+
+
+def look(desk: Desk, values: Mapping[str, str]) -> View:
+    """Return what the desk shows for the values in its fields.
+
+    Parameters
+    ----------
+    desk
+        What lies on it.
+    values
+        Text of fields by their keys, with units: those of `FIELDS`, `torque` of the environment on the output (empty
+        for the rated torque, or else the first of the duty) and `crank_angle` of the drawing. Figures and curves are
+        those of `Drive.analyze` of the pair file with these values.
+    """
+    problems, torque, angle, pair = dict[str, str](), list[float](), 0.0, None
+    try:
+        angle = _quantity(values, "crank_angle", "rad") if values.get("crank_angle", "").strip() else 0.0
+    except edge.InputError as problem:
+        problems |= placed(desk, problem)
+    try:
+        torque = [_quantity(values, "torque", "N*m")] if values.get("torque", "").strip() else []
+    except edge.InputError as problem:
+        problems |= placed(desk, problem)
+    try:
+        pair = pair_of(desk, values)
+        if desk.requirements is not None:
+            check(desk.requirements, pair, desk.limits_source, desk.source)
+    except edge.InputError as problem:
+        problems |= placed(desk, problem)
+    if problems or pair is None:
+        return View(problems)
+    try:
+        return _solved(desk, pair, torque, angle)
+    except edge.InputError as problem:
+        return View(placed(desk, problem))
+
+
+def _solved(desk: Desk, pair: Pair, torque: list[float], angle: float) -> View:
+    asked = Requirements() if desk.requirements is None else desk.requirements
+    if not torque and not asked.duty:
+        if pair.rated_torque is None:
+            raise edge.ArgumentError("torque", 'is missing; write one, such as "181 N*m", or state a rated torque')
+        torque = [pair.rated_torque]
+    loads = tuple(loads_of(asked, torque))
+    found, judged = _swept(pair, asked, loads)
+    motion = motion_of(pair, surface_of_pair(pair), loads[:1], angle)
+    return View(
+        {}, pair, loads[0], found.crank_angle, found.transmission_error[0], found.backlash,
+        found.pin_pressure[0].max(axis=(1, 2)),
+        _figures(pair, found), judged.verdicts, judged.not_judged, tuple(notes(pair, found)), drive_svg(motion),
+        tooth_svg(motion), _caption(motion), close_up(motion),
+    )  # fmt: skip
+
+
+@functools.lru_cache(maxsize=4)  # turning the crank solves nothing again
+def _swept(pair: Pair, asked: Requirements, loads: tuple[float, ...]) -> tuple[Transmission, Judged]:
+    surface, workers = surface_of_pair(pair), os.cpu_count() or 1
+    turn = np.linspace(0.0, 2.0 * np.pi, ANGLES, endpoint=False)
+    found = solve(pair, surface, None, loads, turn, slices_needed(surface), workers=workers)
+    return found, judge_sweep(pair, surface, None, asked, found, workers)
+
+
+def _caption(motion: Motion) -> str:
+    highest = motion.pressure.max() * 1e-6
+    colours = f" Colours: contact pressure, the darkest {highest:.0f} MPa." if highest > 0.0 else ""
+    return caption_of(motion) + colours
+
+
+def _figures(pair: Pair, found: Transmission) -> dict[str, str]:
+    """The figures of a sweep at its first torque."""
+    of = {name: values[0] for name, values in statistics({**vars(found), "backlash": found.backlash[None]}).items()}
+    deepest, count = found.interference.max(), found.contact_count[0]
+    play = {
+        "backlash, mean": f"{of['MB'] * edge.ARCSEC:.3f}″", "backlash, peak to peak": f"{of['PPB'] * edge.ARCSEC:.3f}″"
+    }  # fmt: skip
+    if deepest > 0.0:
+        play = {"interference": f"{deepest * 1e6:.3f} µm"}
+    figures = {
+        "ratio": f"{pair.ratio:g}",
+        "pins": f"{pair.pins}",
+        "shortening coefficient": f"{pair.shortening:.4f}",
+        "smallest convex flank radius": f"{flank_curvature_radius(pair) * 1e3:.3f} mm",
+        "TE, mean": f"{of['MTE'] * edge.ARCSEC:.3f}″",
+        "TE, peak to peak": f"{of['PPTE'] * edge.ARCSEC:.4f}″",
+        **play,
+        "largest contact pressure": f"{of['MCS'] * 1e-6:.1f} MPa",
+        "pins in contact": f"{count.min()} to {count.max()}",
+    }
+    if found.torque[0] != 0.0:
+        figures["torsional stiffness, mean"] = f"{found.torsional_stiffness[0].mean() / edge.ARCMIN:.1f} N·m/arcmin"
+    return figures

@@ -1,0 +1,193 @@
+"""A page in the browser of this machine: who may see it, what it may load, and when a connection ends.
+
+The pages that commands serve share it. Each is one HTML file with its own script and style, which loads nothing else.
+"""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import functools
+import hashlib
+import hmac
+import http.server
+import importlib.resources
+import ipaddress
+import re
+import socket
+import threading
+import time
+import urllib.parse
+from typing import Any, ClassVar
+
+CONNECTIONS = 16  # at a time: each is a thread
+REQUEST_SECONDS = 10.0  # for a whole request and its answer
+_LOCAL = ("localhost", "127.0.0.1", "[::1]")
+
+
+def is_loopback(host: str) -> bool:
+    """Whether an address is this machine's own; a `ValueError` where it is no address."""
+    return ipaddress.ip_address(host).is_loopback
+
+
+class PageServer(http.server.ThreadingHTTPServer):
+    """A page and its data over HTTP; it serves from the beginning, and is a context manager that ends it.
+
+    There are 16 connections at a time; one whose request is not answered after ten seconds is closed.
+
+    Parameters
+    ----------
+    handler
+        What answers.
+    host, port
+        Address to listen on; port 0 takes a free one. On an address of this machine alone, only clients that call it by
+        a local name are answered.
+    token
+        What a client must show; None asks for none.
+
+    Raises
+    ------
+    OSError
+        If the address can't be listened on.
+    """
+
+    daemon_threads = True
+    request_queue_size = 2 * CONNECTIONS  # a client beyond them is refused at once
+
+    def __init__(self, handler: type[PageHandler], host: str, port: int, token: str | None) -> None:
+        self._ends: dict[socket.socket, float] = {}
+        self._counting = threading.Lock()
+        self._stopping = threading.Event()
+        self._serving: threading.Thread | None = None
+        self.token, self.local = token, is_loopback(host)
+        super().__init__((host, port), handler)
+        self._serving = threading.Thread(target=self.serve_forever, args=(0.05,), name="page", daemon=True)
+        self._serving.start()
+
+    @property
+    def url(self) -> str:
+        """What to open in the browser."""
+        host, port = self.server_address[:2]
+        query = "" if self.token is None else f"?token={self.token}"
+        return f"http://{host if isinstance(host, str) else host.decode()}:{port}/{query}"
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Answer in a thread of its own, or close the connection where there are too many."""
+        with self._counting:
+            welcome = len(self._ends) < CONNECTIONS
+            if welcome:
+                self._ends[request] = time.monotonic() + REQUEST_SECONDS
+        if welcome:
+            super().process_request(request, client_address)
+        else:
+            self.shutdown_request(request)
+
+    def keep(self, request: socket.socket, seconds: float) -> None:
+        """Let a connection last so long from now on."""
+        with self._counting:
+            self._ends[request] = time.monotonic() + seconds
+
+    def service_actions(self) -> None:
+        """End the connections whose time is over: what their threads wait for then fails."""
+        with self._counting:
+            for request, end in self._ends.items():
+                if time.monotonic() > end:
+                    with contextlib.suppress(OSError):
+                        request.shutdown(socket.SHUT_RDWR)
+
+    def shutdown_request(self, request: Any) -> None:
+        """Close a connection, whose place is free then."""
+        with self._counting:
+            self._ends.pop(request, None)
+        super().shutdown_request(request)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Say nothing of a client that went: the terminal belongs to the command."""
+
+    def wait(self) -> None:
+        """Wait until the server is closed."""
+        self._stopping.wait()
+
+    def server_close(self) -> None:
+        """Stop serving and listening."""
+        self._stopping.set()
+        if self._serving is not None:  # else the address could not be listened on
+            self.shutdown()
+        super().server_close()
+
+
+@functools.cache
+def _page(package: str) -> tuple[bytes, str]:
+    """Return a package's page and the policy that lets its own script and style act, and nothing else."""
+    page = importlib.resources.files(package).joinpath("page.html").read_text(encoding="utf-8")
+    own = {}
+    for tag in ("script", "style"):
+        (text,) = re.findall(f"<{tag}>(.*?)</{tag}>", page, re.DOTALL)
+        own[tag] = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+    allowed = [f"{tag}-src 'sha256-{digest}'" for tag, digest in own.items()]
+    none = [f"{what} 'none'" for what in ("default-src", "frame-ancestors", "base-uri", "form-action")]
+    return page.encode(), "; ".join([*none, *allowed, "connect-src 'self'"])
+
+
+class PageHandler(http.server.BaseHTTPRequestHandler):
+    """Answers the page at `/`; what else there is to get is `answer`'s."""
+
+    server: PageServer
+    timeout = REQUEST_SECONDS  # of a client that takes nothing
+    package: ClassVar[str]
+    """The package with `page.html`."""
+    name: ClassVar[str]
+    """The command, as the server's name."""
+
+    def do_GET(self) -> None:
+        """Answer the page or what it asks for."""
+        path = self.welcome()
+        if path == "/":
+            self.send(_page(self.package)[0], "text/html; charset=utf-8")
+        elif path is not None and not self.answer(path):
+            self.send_error(404)
+
+    def answer(self, path: str) -> bool:
+        """Answer what is at a path beside the page; False where there is nothing."""
+        return False
+
+    def welcome(self) -> str | None:
+        """Return the path that a client may have; None where it was refused."""
+        try:
+            parts = urllib.parse.urlsplit(self.path)
+            query = urllib.parse.parse_qs(parts.query, max_num_fields=8)
+        except ValueError:
+            self.send_error(400)
+            return None
+        token = self.server.token
+        known = token is None or hmac.compare_digest(query.get("token", [""])[0].encode(), token.encode())
+        # A foreign page may have its own name resolved to this machine; the name it calls gives it away.
+        called = (self.headers.get("Host") or "").rsplit(":", 1)[0]
+        if not known or (self.server.local and called not in _LOCAL):
+            self.send_error(403)
+            return None
+        return parts.path
+
+    def send(self, content: bytes, kind: str) -> None:
+        """Send an answer whole; `kind` is its content type."""
+        self.send_response(200)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(content)))
+        self.end_headers()
+        self.wfile.write(content)
+
+    def end_headers(self) -> None:
+        """Say with every answer that nobody may frame, keep, guess at or refer to it."""
+        self.send_header("Content-Security-Policy", _page(self.package)[1])
+        self.send_header("X-Content-Type-Options", "nosniff")
+        self.send_header("X-Frame-Options", "DENY")
+        self.send_header("Referrer-Policy", "no-referrer")
+        self.send_header("Cache-Control", "no-store")
+        super().end_headers()
+
+    def version_string(self) -> str:
+        """Return the server's name without Python's version."""
+        return self.name
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Say nothing: the terminal belongs to the command."""
