@@ -18,7 +18,8 @@ from cycloid_fmu.contact.transmission import LARGEST_PRESSURE, Transmission, not
 from cycloid_fmu.draw.drive_picture import CloseUp, caption_of, close_up
 from cycloid_fmu.draw.drive_svg import drive_svg, tooth_svg
 from cycloid_fmu.edge.quantities import EXAMPLES
-from cycloid_fmu.geometry.pair import ANGLES, FORMAT, Modification, Pair, pair_of_tables
+from cycloid_fmu.geometry import ANGLES
+from cycloid_fmu.geometry.pair import FORMAT, Modification, Pair, pair_of_tables
 from cycloid_fmu.motion import Motion, motion_of
 from cycloid_fmu.reducer.transmission import solve
 from cycloid_fmu.studies.limits import Requirements, Verdict, flank_curvature_radius, read_requirements, row_of
