@@ -24,11 +24,18 @@ SAMPLINGS = ((24.0, 1), (24.0, 2), (24.37, 1), (24.37, 2), (24.37, 6), (24.37, 1
 SMALL = {"gear_teeth": 11, "pins": 12, "pin_circle_radius": 50e-3, "pin_radius": 5e-3, "eccentricity": 2.5e-3}
 
 
+def structured(pair, generator, share=0.3):
+    """Random structured errors, standard deviation a share of their tolerance: {name: m}.
+
+    Of errors that move the curves alike one is the drive's; the others stay as they are.
+    """
+    names = [n for n in errors_of(pair) if not n.startswith(("misalignment", "isometric", "offset", "pin_radial_1"))]
+    return dict(zip(names, generator.normal(0.0, share, len(names)) * tolerances_of(names), strict=True))
+
+
 def random_drive(pair, generator, scatter):
     """A drive with structured errors within half their tolerance and a scatter of every pin that none of them holds."""
-    # Of errors that move the curves alike one is the drive's; the others stay as they are.
-    names = [n for n in errors_of(pair) if not n.startswith(("misalignment", "isometric", "offset", "pin_radial_1"))]
-    values = dict(zip(names, generator.normal(0.0, 0.3, len(names)) * tolerances_of(names), strict=True))
+    values = structured(pair, generator)
     surface = with_structured(pair, surface_of_pair(pair), values)
     scattered = {
         name: surface.errors[name] + generator.normal(0.0, scatter, pair.pins)

@@ -1,14 +1,12 @@
 """A simulated campaign of a drive whose disc floats on its crank bearing, and what a model of six conditions predicts.
 
-`python tests/simulated_campaign.py` prints the table of docs/identify.md. The generator shares nothing with the
-product's kernels: a pin's gap is the signed distance of its centre from the closed trochoid
-c(s) = (R - e exp(is)) exp(is/z_c), the disc has three degrees of freedom, Hertz' approach is inverted by Newton steps,
-all angles at once in plain NumPy.
+`python tests/simulated_campaign.py` prints the table of docs/identify.md. Its physics is that of `second_drive`.
 """
 
 import dataclasses
 
 import numpy as np
+import second_drive
 
 import fitting
 from cycloid_fmu.drive import Drive
@@ -18,15 +16,15 @@ from fitting.figures.spectrum import order_name, significant, spectrum
 ARCSEC = np.pi / 648000
 TEETH, PINS = 11, 12
 SIZES = {"pin_circle_radius": 50e-3, "pin_radius": 5e-3, "eccentricity": 2.5e-3}
-WIDTH, YOUNG, POISSON = 10e-3, 206e9, 0.3
+WIDTH = 10e-3
 ISOMETRIC = 10e-6
 BEARING = 1.5e9  # N/m, in every direction
 STEEL, ALUMINIUM = 11.5e-6, 23.1e-6  # 1/K
-ERRORS = {
-    "eccentricity": 2.0e-6, "centre_distance_x": 4.0e-6, "centre_distance_y": -3.0e-6,
-    "pin_radial": [3.0e-6 * np.cos(2.0 * 2.0 * np.pi * i / PINS - 0.7) for i in range(PINS)],
-    "pin_tangential": [2.0e-6 * np.cos(2.0 * np.pi * i / PINS + 0.4) for i in range(PINS)],
-}  # fmt: skip
+ERRORS = {"eccentricity": 2.0e-6, "centre_distance_x": 4.0e-6, "centre_distance_y": -3.0e-6}
+PATTERNS = {
+    "pin_radial": 3.0e-6 * np.cos(2.0 * 2.0 * np.pi * np.arange(PINS) / PINS - 0.7),
+    "pin_tangential": 2.0e-6 * np.cos(2.0 * np.pi * np.arange(PINS) / PINS + 0.4),
+}
 LOADS, WARM = (40.0, 80.0, 120.0, 160.0), (20.0, 35.0, 50.0)  # N·m, °C
 CALIBRATION = [(load, way, 20.0) for load in (40.0, 80.0, 160.0) for way in (1, -1)]
 RIG = {1: (40.0, 1.0), 2: (6.0, 0.3), 3: (3.0, -0.5), 64: (0.8, 1.0)}  # order: amplitude in arcsec, phase
@@ -35,82 +33,23 @@ NOISE = 0.3 * ARCSEC
 EACH, TURNS = 24.37, 2
 
 
-def _force(depth, curvature, radius):
-    """Force (N) at which bodies approach by `depth` (m); curvature of the flank (1/m), convex positive."""
-    give = 2.0 * (1.0 - POISSON**2) / YOUNG
-    equivalent = 1.0 / np.abs(1.0 / radius + curvature)
-    flank = np.minimum(1.0 / np.maximum(np.abs(curvature), 1e-9), SIZES["pin_circle_radius"])
-    force = np.maximum(depth, 0.0) * WIDTH * YOUNG / 4.0 + 1e-9
-    for _ in range(40):
-        half = np.sqrt(4.0 * force * equivalent * give / (np.pi * WIDTH))
-        factor = give / (np.pi * WIDTH)
-        logs = np.log(4.0 * flank / half) + np.log(4.0 * radius / half) - 1.0
-        found = factor * force * logs
-        force = np.maximum(force - (found - depth) / (factor * (logs - 1.0)), 0.3 * force)
-    return np.where(depth > 0.0, force, 0.0)
-
-
-def _loads_of(theta, psi, shift, warm):
-    """Moment about the disc's centre and force (complex, fixed frame) that all pins put on the disc."""
+def body(warm, bearing=BEARING):
+    """The drive as made, at a temperature (°C)."""
     grown = {"disc": STEEL, "ring": ALUMINIUM, "pin": ALUMINIUM, "crank": STEEL}
     grown = {name: 1.0 + alpha * (warm - 20.0) for name, alpha in grown.items()}
-    big, throw = SIZES["pin_circle_radius"] * grown["disc"], SIZES["eccentricity"] * grown["disc"]
-    radius = SIZES["pin_radius"]
-    beta = 2.0 * np.pi * np.arange(PINS) / PINS
-    pins = SIZES["pin_circle_radius"] * grown["ring"] + np.array(ERRORS["pin_radial"])
-    pins = pins * np.exp(1j * (beta + np.array(ERRORS["pin_tangential"]) / SIZES["pin_circle_radius"]))
-    crank = SIZES["eccentricity"] * grown["crank"] + ERRORS["eccentricity"]
-    centre = crank * np.exp(1j * theta) + ERRORS["centre_distance_x"] + 1j * ERRORS["centre_distance_y"] + shift
-    turned = np.exp(1j * (-theta / TEETH + psi))[:, None]
-    seen = (pins - centre[:, None]) / turned
-    s = theta[:, None] - beta + 2.0 * np.pi * np.arange(PINS)
-    for _ in range(6):
-        curve, slope, bend = _trochoid(s, big, throw)
-        off = curve - seen
-        s = s - np.real(off * np.conj(slope)) / (np.abs(slope) ** 2 + np.real(off * np.conj(bend)))
-    curve, slope, bend = _trochoid(s, big, throw)
-    outward = -1j * slope / np.abs(slope)
-    gap = (
-        np.real((seen - curve) * np.conj(outward)) + ISOMETRIC * grown["disc"] + radius * (grown["disc"] - grown["pin"])
-    )
-    path = np.imag(np.conj(slope) * bend) / np.abs(slope) ** 3
-    flank = 1.0 / (1.0 / path - radius * grown["disc"] - ISOMETRIC)
-    pushed = _force(-gap, flank, radius * grown["pin"]) * -outward
-    return np.imag(np.conj(curve) * pushed).sum(axis=1), (pushed * turned).sum(axis=1)
-
-
-def _trochoid(s, big, throw):
-    """Path of a pin's centre in the frame of the gear, and its first two derivatives."""
-    first, second = 1j / TEETH, 1j * PINS / TEETH
-    a, b = big * np.exp(first * s), -throw * np.exp(second * s)
-    return a + b, first * a + second * b, first**2 * a + second**2 * b
+    cold = second_drive.body({"gear_teeth": TEETH, **SIZES, "face_width": WIDTH}, ERRORS, PATTERNS, bearing=bearing)
+    disc = SIZES["pin_radius"] + ISOMETRIC
+    ring = SIZES["pin_circle_radius"] * (grown["ring"] - 1.0) * cold.pins / np.abs(cold.pins)
+    return dataclasses.replace(
+        cold, cut=tuple(one * grown["disc"] for one in (SIZES["pin_circle_radius"], disc, SIZES["eccentricity"])),
+        pins=cold.pins + ring, pin_radius=cold.pin_radius * grown["pin"],
+        throw=cold.throw + SIZES["eccentricity"] * (grown["crank"] - 1.0),
+    )  # fmt: skip
 
 
 def transmission_error(theta, torque, warm=20.0, bearing=BEARING):
     """Rotation (rad) of the disc beyond the ideal one, with its centre held by the bearing's springs."""
-    state = np.zeros((3, theta.size))
-    state[0] = np.sign(torque) * 1e-3
-    steps = np.array([1e-8, 1e-9, 1e-9])
-    scale = np.array([1.0, 30.0, 30.0])
-
-    def left(x):
-        moment, force = _loads_of(theta, x[0], x[1] + 1j * x[2], warm)
-        return np.array([moment + torque, *(np.array([force.real, force.imag]) - bearing * x[1:]) / scale[1:, None]])
-
-    for _ in range(60):
-        now = left(state)
-        if np.abs(now).max() < 1e-5 * abs(torque):
-            break
-        slope = np.array(
-            [(left(state + steps[:, None] * (np.arange(3) == k)[:, None]) - now) / steps[k] for k in range(3)]
-        )
-        slope[0, 0] -= 1e3  # where no pin touches yet
-        move = -np.linalg.solve(slope.transpose(2, 1, 0), now.T[:, :, None])[:, :, 0].T
-        most = np.array([2e-4, 5e-6, 5e-6])[:, None]
-        state = state + np.clip(move, -most, most)
-    else:
-        raise ArithmeticError(f"no balance at {torque:g} N·m: {np.abs(left(state)).max():g} left")
-    return state[0]
+    return second_drive.transmission_error(body(warm, bearing), theta, torque)
 
 
 def recorded(load, way, warm, *, bearing=BEARING, rig=True):

@@ -106,7 +106,7 @@ def _tooth(motion: Motion) -> dict[str, Any]:
 def motion_page(motion: Motion, load: int = 0, angle: int = 0) -> str:
     """Return the page; `load` and `angle` are those it begins with."""
     page = importlib.resources.files("cycloid_fmu.draw").joinpath("drive.html").read_text(encoding="utf-8")
-    data = json.dumps(page_data(motion, load, angle), separators=(",", ":"), allow_nan=False)
+    data = json.dumps(page_data(motion, load, angle), separators=(",", ":"), allow_nan=False, ensure_ascii=False)
     return page.replace("/*DATA*/", data.replace("<", "\\u003c"))
 
 

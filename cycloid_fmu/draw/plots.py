@@ -29,8 +29,8 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
     Parameters
     ----------
     result
-        What `Drive.analyze`, `motion`, `study`, `sweep`, `wear`, `profile` or `budget` returned, a drive or an
-        error surface.
+        What `Drive.analyze`, `motion`, `study`, `sweep`, `wear`, `profile` or `budget` returned, a drive or an error
+        surface.
     path
         `.png` or `.pdf`; of a motion also `.svg`, or `.html` for a page that moves.
 

@@ -25,20 +25,39 @@ LAG_NAME = f"{MISFIT}_{LAG}_0"
 _TOLD = 0.1  # share of a bearing's variance that the data must take away for it to be told
 
 
-def moved_by_held(pair: Pair, fit: Estimate) -> Array:
-    """What the errors that are held, being as large as is usual, would change of the bearings: standard deviations.
+def moved_by_held(pair: Pair, fit: Estimate, names: Sequence[str]) -> Array:
+    """What errors that are held, being as large as is usual, would change of all that is fitted.
 
-    A held error moves the curves as fitted ones do, but what these lack of it is the bearings' to take. Considered in
+    A held error moves the curves as fitted ones do, but what these lack of it is others' to take. Considered in
     the sense of Schmidt (Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, chapter 8).
+
+    Parameters
+    ----------
+    pair, fit
+        The nominal pair and where the fit ended.
+    names
+        The errors that are held.
+
+    Returns
+    -------
+    moved
+        Shape (unknowns, names), SI: each for one standard deviation of an error.
     """
     problem = Problem(pair, fit.observed, fit.chosen)
     own = problem.columns(fit.observed, fit.linear)
     information = own.T @ own + np.diag(problem.precision(fit.scatter))
-    names = [n for n in fit.observed.errors if n not in fit.chosen]
     held = fit.linear.structured[:, [fit.observed.errors.index(n) for n in names]]
     held = held * tolerances_of(names, fit.observed.profile) * fit.observed.weight[:, None]
-    moved = linalg.solve(information, own.T @ held, assume_a="pos")[problem.bearings]
-    found: Array = np.sqrt((moved**2).sum(axis=1)) * problem.scale[problem.bearings]
+    size = np.sqrt(np.diag(information))
+    moved = linalg.solve(information / np.outer(size, size), (own.T @ held) / size[:, None], assume_a="pos")
+    found: Array = moved / size[:, None] * problem.scale[:, None]
+    return found
+
+
+def _inverse(information: Array) -> Array:
+    """Invert information about unknowns that are known to very unlike degrees."""
+    size = np.sqrt(np.diag(information))
+    found: Array = linalg.inv(information / np.outer(size, size)) / np.outer(size, size)
     return found
 
 
@@ -55,12 +74,12 @@ def moved_by_form(pair: Pair, fit: Estimate, form: float) -> Array:
     precision = np.concatenate([problem.precision(fit.scatter), np.ones(beside.shape[1])])
     information = columns.T @ columns + np.diag(precision)
     left = observed.weight * left_of(observed, fit.linear, fit.state)
-    covariance = linalg.inv(information)
+    covariance = _inverse(information)
     slope = columns.T @ left
     # The fit has ended, so that its own unknowns have no slope.
     slope[: own.shape[1]] = 0.0
     moved = covariance @ slope
-    alone = linalg.inv(information[: own.shape[1], : own.shape[1]])
+    alone = _inverse(information[: own.shape[1], : own.shape[1]])
     grown = np.diag(covariance)[:count] - np.diag(alone)[:count] + moved[:count] ** 2
     found: Array = np.sqrt(np.maximum(grown, 0.0)) * problem.scale[:count]
     return found

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from cycloid_fmu import edge
 from cycloid_fmu.errors.kinds import LARGEST_DEVIATION, LARGEST_MISALIGNMENT
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import profile_names, structured_value, unit_of, with_structured
@@ -310,8 +311,13 @@ def fit(
         step = np.maximum(step, problem.lowest - unknowns)
         while not problem.is_possible(unknowns + step) and np.abs(step).max() > 0.0:
             step *= 0.5
-        then = problem.normal(unknowns + step, observed, limit)
         done += 1
+        try:
+            then = problem.normal(unknowns + step, observed, limit)
+        except edge.InputError:
+            # So far away no contacts balance the load.
+            damping = max(10.0 * damping, 1e-2)
+            continue
         gained = misfit - _misfit(then, limit) - float(precision @ (away + step) ** 2)
         idle = idle + 1 if gained < gain else 0
         if gained > 0.0:

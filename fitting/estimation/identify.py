@@ -12,10 +12,12 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import os
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 from threadpoolctl import threadpool_limits
 
 from cycloid_fmu import edge
@@ -23,13 +25,14 @@ from cycloid_fmu.drive import Drive
 from cycloid_fmu.errors.kinds import wave_of
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.sampling import Tolerances, read_tolerances
-from cycloid_fmu.surfaces.structured import structured_value, with_structured
+from cycloid_fmu.surfaces.structured import profile_names, structured_value, with_structured
 from cycloid_fmu.surfaces.surface import DEVIATIONS, ErrorSurface, surface_of_pair
 from fitting.arguments import positive
 from fitting.estimation.fit import NO_SCATTER, OUTLYING, TURNS, Estimate, fit
 from fitting.estimation.result import Identification, is_uneven, result_of
 from fitting.estimation.validation import (
     HeldOut,
+    Likely,
     Residual,
     Verdict,
     likely_causes,
@@ -46,6 +49,7 @@ from fitting.model.observations import (
     MISFIT,
     NO_CREEP,
     PIN_RADIUS,
+    PROFILE_ORDERS,
     Linear,
     LinearisationPoint,
     Observations,
@@ -116,9 +120,9 @@ def identify(
     held_out
         Whether a load or direction is first kept from the fit and predicted.
     form
-        What a form that all flanks share may be, standard deviation of each of its first four half waves, m: errors
-        that the curves can't tell from it have intervals that allow for it. 0 where the flanks' form is known; that
-        which tolerances state is fitted instead.
+        What a form that all flanks share may be, standard deviation of each of its first four half waves, m. It is
+        fitted where the curves show one; elsewhere errors that the curves can't tell from it have intervals that allow
+        for it. 0 where the flanks' form is known; that which tolerances state is always fitted.
     progress
         Called with what is being done.
 
@@ -188,7 +192,9 @@ def identify(
             )
     try:
         # The kernel's threads keep the processor busy; those of linear algebra would spin beside them.
-        with threadpool_limits(limits=1, user_api="blas"):
+        with threadpool_limits(limits=1, user_api="blas"), warnings.catch_warnings():
+            # What is all but singular is so to the last digit of a double: no interval from it is worth stating.
+            warnings.simplefilter("error", linalg.LinAlgWarning)
             kept, start = kept_back(running) if held_out else (), None
             predicted = None
             rest = [*(c for i, c in enumerate(running) if i not in kept), *loops]
@@ -199,7 +205,9 @@ def identify(
                 predicted = _predicted(pair, start, [running[i] for i in kept])
                 if predicted.residual > _MISPREDICTED * start.noise or is_uneven(start):
                     start = None
-            found, verdict = _validated([*running, *loops], pair, start, prior, progress)
+            shape = 0.0 if prior.profile or pair.supports is not None else shape
+            found, verdict = _validated([*running, *loops], pair, start, prior, shape, progress)
+            shape = 0.0 if found.observed.profile else shape
             if predicted is not None and verdict.state == "explained" and _is_mispredicted(predicted):
                 # The first fit may have ended beside its best optimum, which the whole one has found.
                 progress("fitting without the curves kept back, from there")
@@ -208,10 +216,9 @@ def identify(
             found, others = _described_otherwise(pair, found, prior, progress)
             verdict = dataclasses.replace(verdict, descriptions=1 + len(others), disagreeing=found.disagreeing)
             result = result_of(
-                pair, found, verdict, predicted, prior.scatter, profiled, bootstrap, _GAIN, others,
-                0.0 if prior.profile or pair.supports is not None else shape, progress,
+                pair, found, verdict, predicted, prior.scatter, profiled, bootstrap, _GAIN, others, shape, progress,
             )  # fmt: skip
-    except np.linalg.LinAlgError:
+    except (np.linalg.LinAlgError, linalg.LinAlgWarning):
         raise edge.InputError(
             "the equations of the fit are singular, as they are where curves have no noise; add some to simulated ones."
         ) from None
@@ -343,21 +350,37 @@ def _validated(
     pair: Pair,
     start: Estimate | None,
     known: Prior,
+    form: float,
     progress: Callable[[str], None],
 ) -> tuple[Estimate, Verdict]:
-    """Fit curves, and where the errors do not explain them fit what most likely does beside them."""
+    """Fit curves, and where the errors do not explain them fit what most likely does beside them.
+
+    That flanks may have a form in common, each of its orders as large as `form` (m), is one such cause.
+    """
+    formed = False
+
+    def looks_like(found: Estimate, likely: Likely | None = None) -> Likely:
+        state = found.state if form and not formed else None
+        columns = causes(pair, found.observed, found.linear, state)
+        return likely_causes(Residual(pair, found), columns, likely)
+
     found = _fitted(curves, pair, start, known, progress)
     progress("testing what is left")
-    likely = likely_causes(Residual(pair, found), causes(pair, found.observed, found.linear))
-    first = verdict_of(pair, found, likely)
+    likely = looks_like(found)
+    if likely.formed:
+        known, formed = _with_form(known, form), True
+        progress("fitting the form of the flanks")
+        found = _fitted(curves, pair, _without_scatter(pair, found), known, progress)
+        likely = looks_like(found)
+    first = verdict_of(pair, found, likely, formed)
     if (likely.columns or first.state == "not explained") and first.residual < _BESIDE * first.noise:
         # It may be that a better minimum leaves nothing.
         other = _fitted(curves, pair, found, known, progress, searched=True)
         if other.unlikelihood < found.unlikelihood - _GAIN:
             found = other
             progress("testing what is left")
-            likely = likely_causes(Residual(pair, found), causes(pair, found.observed, found.linear))
-            first = verdict_of(pair, found, likely)
+            likely = looks_like(found)
+            first = verdict_of(pair, found, likely, formed)
     if likely.columns:
         # The scatter has swallowed what it could of the causes.
         found = _without_scatter(pair, found)
@@ -367,7 +390,7 @@ def _validated(
         taken = 0.0 if give is None else likely.columns[GIVE] @ coefficients
         misfit = likely.columns, give, taken
         found = _fitted(curves, pair, found, known, progress, misfit)
-        verdict = verdict_of(pair, found, likely)
+        verdict = verdict_of(pair, found, likely, formed)
         before = give
         part = found.observed.estimated.get(f"{MISFIT}_{GIVE}")
         if part is not None:
@@ -376,7 +399,9 @@ def _validated(
         if give is None or (before is not None and (np.abs(give - before) < _SETTLED).all()):
             if verdict.state != "not explained":
                 break
-            likely = likely_causes(Residual(pair, found), causes(pair, found.observed, found.linear), likely)
+            likely = looks_like(found, likely)
+            if likely.formed:
+                known, formed = _with_form(known, form), True
         else:
             # Supports that gave way have moved the contacts: what more of it does is taken there.
             moved = dataclasses.replace(found.observed, give=give)
@@ -387,12 +412,17 @@ def _validated(
         again = _fitted(curves, pair, None, known, progress, misfit)
         better = again.unlikelihood < found.unlikelihood + _GAIN
         found = again if better else dataclasses.replace(found, disagreeing=again.disagreeing)
-        verdict = verdict_of(pair, found, likely)
+        verdict = verdict_of(pair, found, likely, formed)
     return found, verdict or first
 
 
 def _observed(curves: Sequence[Curve], pair: Pair, known: Prior) -> Observations:
     return observations(curves, pair, profile=known.profile, first_stage=known.first_stage)
+
+
+def _with_form(known: Prior, form: float) -> Prior:
+    """What is known, with a form of the flanks among the errors: contacts move along a flank as its form has it."""
+    return dataclasses.replace(known, profile=dict.fromkeys(profile_names(PROFILE_ORDERS), form))
 
 
 def _fitted(
@@ -414,10 +444,6 @@ def _fitted(
     observed = dataclasses.replace(observed, weight=weight).with_sizes(scatter)
     rough = dataclasses.replace(rough, state=state, scatter=scatter)
     estimate = _settled(pair, observed, rough, linear, known, progress)
-    if not known.scatter and len(_chosen(estimate.observed, estimate.linear, pair, {})) > len(estimate.chosen):
-        # A scatter that does what errors would hides them.
-        again = _settled(pair, observed, _without_scatter(pair, estimate), None, known, progress)
-        estimate = min(estimate, again, key=lambda e: e.unlikelihood)
     return dataclasses.replace(estimate, disagreeing=rough.disagreeing)
 
 
@@ -443,14 +469,14 @@ def _settled(
     """
     state, scatter, before = start.state, start.scatter, list(start.chosen)
     linear = linearise(pair, observed, state) if linear is None else linear
-    chosen = _chosen(observed, linear, pair, scatter)
+    chosen = _chosen(observed, linear, pair)
     for _ in range(_CHOICES):
         carried = _carried_over(pair, observed, linear, state, before, chosen)
         progress(f"fitting {len(chosen)} errors and the scatter of pins and teeth")
         there = linear if carried is state else None
         estimate = fit(pair, observed, chosen, carried, scatter, gain=_GAIN, linear=there, known=known.scatter)
         state, scatter, linear, before = estimate.state, estimate.scatter, estimate.linear, chosen
-        chosen = _chosen(estimate.observed, linear, pair, scatter)
+        chosen = _chosen(estimate.observed, linear, pair)
         if chosen == before:
             break
     return estimate
@@ -478,8 +504,10 @@ def _carried_over(
                                bench=state.bench + share[size.size :])  # fmt: skip
 
 
-def _chosen(observed: Observations, linear: Linear, pair: Pair, scatter: Mapping[str, float]) -> list[str]:
-    chosen = chosen_errors(observed, linear, observed.errors, spread_of(pair, scatter))
+def _chosen(observed: Observations, linear: Linear, pair: Pair) -> list[str]:
+    # Without what single pins and teeth do, which widens the intervals: a scatter that took what held errors did would
+    # keep them held, and others that move the curves nearly as these do would take the rest.
+    chosen = chosen_errors(observed, linear, observed.errors, spread_of(pair, {}))
     if not chosen:
         raise edge.InputError("the data tell none of the structured errors apart; record more loads or more turns.")
     return chosen
@@ -524,12 +552,20 @@ def _starting_estimate(
 
     def ended(
         part: Observations, state: State, scatter: Mapping[str, float], around: LinearisationPoint | None
-    ) -> Estimate:
-        state, linear = zeroed(part, state, around)
-        chosen = _chosen(part, linear, pair, {})
-        # Radii could do here what other errors do.
-        return fit(pair, part, chosen, state, scatter, gain=_START_GAIN, around=around, linear=linear,
-                   evaluations=_START_EVALUATIONS, known={PIN_RADIUS: NO_SCATTER})  # fmt: skip
+    ) -> Estimate | None:
+        try:
+            state, linear = zeroed(part, state, around)
+            chosen = _chosen(part, linear, pair)
+            # Radii could do here what other errors do: they scatter later.
+            one = fit(pair, part, chosen, state, scatter, gain=_START_GAIN, around=around, linear=linear,
+                      evaluations=_START_EVALUATIONS, known={PIN_RADIUS: 1e-2 * NO_SCATTER})  # fmt: skip
+            return dataclasses.replace(one, scatter={**one.scatter, PIN_RADIUS: NO_SCATTER})
+        except edge.InputError:
+            # To first order a fit may end where no contacts balance the load.
+            return None
+
+    def take(one: Estimate | None) -> None:
+        found.extend([] if one is None else [one])
 
     # To first order from the prior, and from there once more; a crank whose zero is unknown and discs that float need
     # the exact model.
@@ -538,7 +574,10 @@ def _starting_estimate(
     found: list[Estimate] = []
 
     def around(surface: ErrorSurface) -> LinearisationPoint | None:
-        return None if nominal is None else linearisation_point(pair, surface, few)
+        try:
+            return None if nominal is None else linearisation_point(pair, surface, few)
+        except edge.InputError:
+            return None
 
     def agree() -> bool:
         """Put the best first; whether the next ended there too."""
@@ -552,22 +591,28 @@ def _starting_estimate(
         part = high if number == 1 else all_of_them
         progress(f"finding a start ({len(found) + 1})")
         one = ended(fewer.some(part), state, unknown, None if nominal is None else nominal.some(part))
-        found.append(ended(few, one.state, one.scatter, around(one.state.surface)))
+        on = None if one is None else ended(few, one.state, one.scatter, around(one.state.surface))
+        take(on or ended(few, state, unknown, None))
         alike = agree() and not is_uneven(found[0])
         if alike:
             break
     if start is not None:
-        found.append(ended(few, start.state, start.scatter, around(start.state.surface)))
+        take(ended(few, start.state, start.scatter, around(start.state.surface)))
+    if not found:
+        raise edge.InputError(
+            "no errors were found with which the pair's contacts carry the loads of these curves; check counts per "
+            "turn, directions and the pair file."
+        )
     for order in (1, 3) if pair.discs == 2 else ():
         # Two discs see the product of odd orders round the ring alone: each pair of them may come out negated.
         progress(f"finding a start ({len(found) + 1})")
         state = _negated(pair, found[0].state, order, found[0].chosen)
-        found.append(ended(few, state, unknown, around(found[0].state.surface)))
+        take(ended(few, state, unknown, around(found[0].state.surface)))
         agree()
     # On bearings another disc as the first makes nearly the same curves: a minimum beside the best one.
     for surface in other_descriptions(pair, found[0].state.surface) if pair.supports is not None else ():
         progress(f"finding a start ({len(found) + 1})")
-        found.append(ended(few, _described_by(pair, found[0], surface), found[0].scatter, None))
+        take(ended(few, _described_by(pair, found[0], surface), found[0].scatter, None))
         agree()
     # In a minimum beside the best one pins that lie side by side stand wrong, one for the other; most is left there.
     searching = not alike
@@ -576,8 +621,9 @@ def _starting_estimate(
         near = around(best.state.surface)
         for pin, reach in itertools.product(_suspects(pair, best), _REACHES):
             progress(f"finding a start ({len(found) + 1})")
-            found.append(ended(few, _put_back(pair, best.state, pin, reach), best.scatter, near))
-            if found[-1].unlikelihood < best.unlikelihood - _AGREE * few.measured.size:
+            one = ended(few, _put_back(pair, best.state, pin, reach), best.scatter, near)
+            take(one)
+            if one is not None and one.unlikelihood < best.unlikelihood - _AGREE * few.measured.size:
                 searching = True
                 break
         alike = agree()

@@ -246,7 +246,7 @@ class _Foretold:
         numbers = [self.runs.index(one) for one in runs] + loop * with_loop
         observed, linear = self._some(self.observed, numbers)
         chosen = chosen_errors(observed, linear, self.names, self.spread)
-        _, _, reasons = weakness(observed, linear, self.names, chosen)
+        _, _, reasons, _ = weakness(observed, linear, self.names, chosen)
         information = self.before + sum(self.told[n] for n in numbers)
         covariance = covariance_from(information, observed, self.names, chosen, self.spread)
         error = np.sqrt(np.diag(covariance)[: len(chosen)])

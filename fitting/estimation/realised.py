@@ -98,7 +98,7 @@ def gauge(pair: Pair) -> Array:
     >>> from fitting.estimation.realised import gauge
     >>> pair = cy.Pair(gear_teeth=9, pin_circle_radius=0.04, pin_radius=0.004, eccentricity=0.002, face_width=0.01)
     >>> directions = gauge(pair)
-    >>> directions.shape, bool(np.allclose(directions.T @ directions, np.eye(5)))
+    >>> directions.shape, bool(np.allclose(directions.T @ directions, np.eye(6)))
     ((39, 6), True)
     """
     parts = estimated_parts(pair)

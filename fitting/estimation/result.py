@@ -257,15 +257,22 @@ def result_of(
         # What the turns' scatter adds to the noise that the covariance holds already.
         added = np.maximum(turns**2 - (inflation * white) ** 2, 0.0)
         every[np.diag_indices(len(chosen))] += added
+    quantiles = stdtrit(freedom(pair, fit, every, known), 0.5 + 0.5 * CONFIDENCE)
+    singular, combinations, reasons, beside = weakness(observed, linear, names, chosen)
+    # Held errors that no fitted one stands for have been as large as is usual, and what is stated allows for it.
+    moved_by = moved_by_held(pair, fit, beside)
+    every += moved_by @ moved_by.T
     # The scatter of pins and teeth stands behind the errors and the bench.
     stated = _stated(found, every[: -spread.size, : -spread.size], observed.profile)
     own = observed.bearing_names
     bench = {n: p.value for n, p in stated.items() if n not in names and n not in own}
     deviations = np.array([stated[n].stderr for n in own], dtype=float)
-    deviations = np.hypot(deviations, moved_by_held(pair, fit)) if own else deviations
+    if own:
+        moved_by = moved_by_held(pair, fit, [n for n in names if n not in (*chosen, *beside)])
+        at = slice(len(every) - spread.size - len(own), len(every) - spread.size)
+        deviations = np.hypot(deviations, np.linalg.norm(moved_by[at], axis=1))
     bearings = bearings_found(pair, observed, state.bearings, deviations)
     made = pair_with(pair, state.bearings)
-    quantiles = stdtrit(freedom(pair, fit, every, known), 0.5 + 0.5 * CONFIDENCE)
     lasting = np.r_[: len(chosen), len(every) - spread.size : len(every)]
     every = every[np.ix_(lasting, lasting)]
     covariance = every[: len(chosen), : len(chosen)]
@@ -275,7 +282,6 @@ def result_of(
     lag = None
     if LAG_NAME in bench:
         lag = clock_lag_found(observed, linear, bench[LAG_NAME], float(stated[LAG_NAME].stderr or 0.0))
-    singular, combinations, reasons = weakness(observed, linear, names, chosen)
     moved = dict(zip(chosen, moved_by_form(pair, fit, form) if form else np.zeros(len(chosen)), strict=True))
     parameters = []
     for name, tolerance in zip(names, tolerances_of(names, observed.profile), strict=True):

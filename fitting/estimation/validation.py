@@ -17,9 +17,10 @@ from scipy import linalg, special
 
 from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.structured import structured_value
 from fitting.estimation.fit import Estimate, Problem
-from fitting.model.discrepancy import SENTENCES, is_whole, waves, way
-from fitting.model.observations import MISFIT, Observations, left_of
+from fitting.model.discrepancy import FORM, SENTENCES, is_whole, waves, way
+from fitting.model.observations import CREEP, MISFIT, Observations, left_of, with_scatter
 
 Array = NDArray[np.float64]
 
@@ -31,8 +32,10 @@ _ORDERS = 12  # most orders that are named
 _HIGHEST = 4096  # order of the output that is looked at
 _REPEATED = 100  # points of a curve with several turns that tell its noise
 _ALIKE = 0.8  # of the best cause's gain: one that gains as much can't be told from it
-_SMALL = 0.01  # of the largest cause: what adds less is not stated
+_SMALL = 0.01  # of the largest cause, or of the noise: what adds less is not stated
 _WHOLE = 0.15  # of what the turns resolve: an order so near a whole number is one
+_PULLED = {"chain_compliance": "compliance", "friction_torque": "friction"}  # the cause, where it is far from its prior
+_FREE = 0.9  # of a prior's variance: where the data leave more, they do not tell how far from it the unknown is
 _NAMED = 4  # causes and orders that a sentence names
 
 
@@ -138,6 +141,9 @@ def mispredicted(verdict: Verdict, predicted: HeldOut) -> Verdict:
 class Residual:
     """What is left of a fit in units of its noise, and what moving any unknown would change of it.
 
+    `pulls` states of causes that unknowns of the bench stand for the chance that these are so far from zero, and by how
+    much it lowers -2 log likelihood to take the cause instead.
+
     Parameters
     ----------
     pair, estimate
@@ -155,7 +161,18 @@ class Residual:
         self._factor = linalg.cho_factor(self.information)
         # The fit ends where a step gains little; the tests stand at the optimum.
         slope = self.columns.T @ self.left - precision * problem.unknowns(estimate.state)
-        self.left = self.left - self.columns @ linalg.cho_solve(self._factor, slope)
+        step = linalg.cho_solve(self._factor, slope)
+        self.left = self.left - self.columns @ step
+        self.pulls = _creeps_with_load(estimate)
+        for name, cause in _PULLED.items():
+            at = problem.names.index(name)
+            unit = np.zeros(step.size)
+            unit[at] = 1.0
+            taken = 1.0 / precision[at] - float(linalg.cho_solve(self._factor, unit)[at])
+            if taken > (1.0 - _FREE) / precision[at]:
+                square = float(problem.unknowns(estimate.state)[at] + step[at]) ** 2 / taken
+                pull = float(special.chdtrc(1, square)), square
+                self.pulls[cause] = min(pull, self.pulls.get(cause, pull))
 
     def beyond(self, columns: Array) -> Array:
         """What the unknowns of the fit can't do of columns, in units of the noise, shape (points, columns)."""
@@ -192,6 +209,11 @@ class Residual:
         self._factor = linalg.cho_factor(self.information)
         self.left = self.left - part
 
+    def is_zero(self, numbers: Sequence[int], values: Array) -> bool:
+        """Whether unknowns of the fit, in their scale, may as well be zero (Wald)."""
+        covariance = linalg.cho_solve(self._factor, np.eye(len(self.information))[:, numbers])[list(numbers)]
+        return float(special.chdtrc(values.size, float(values @ np.linalg.solve(covariance, values)))) > _FALSE
+
     def contradicts(self, numbers: Sequence[int]) -> float:
         """Chance that noise alone makes some curves and the others disagree as much about the fit's unknowns."""
         places = np.split(np.arange(self.left.size), self.observed.ends)
@@ -205,6 +227,27 @@ class Residual:
         told = values > _TOLD
         slopes = (vectors.T @ (score / size))[told]
         return float(special.chdtrc(max(np.count_nonzero(told), 1), float(slopes**2 @ (1.0 / values[told]))))
+
+
+def _creeps_with_load(estimate: Estimate) -> dict[str, tuple[float, float]]:
+    """Whether recordings' zeros stand on a line over the torque, which is what gives way and no creep.
+
+    The line may step where the torque changes its side: by the play that errors held back do not make.
+    """
+    part = estimate.observed.estimated.get(CREEP)
+    if part is None or part.stop - part.start < 5:
+        return {}
+    zero, torque = estimate.state.bench[part], np.array([
+        np.mean(np.concatenate([c.torque_at_points for c in estimate.observed.curves])[column > 0.0])
+        for column in estimate.observed.bench[:, part].T
+    ])  # fmt: skip
+    line = np.column_stack([np.ones_like(torque), torque, np.sign(torque)])
+    left = float(np.sum((zero - line @ np.linalg.lstsq(line, zero, rcond=None)[0]) ** 2))
+    every, free = float(np.sum((zero - zero.mean()) ** 2)), zero.size - 3
+    if not every > left > 0.0:
+        return {}
+    chance = float(special.fdtrc(2, free, 0.5 * free * (every / left - 1.0)))
+    return {"compliance": (chance, zero.size * float(np.log(every / left)))}
 
 
 def order_powers(observed: Observations, left: Array) -> tuple[int, list[Array]]:
@@ -304,11 +347,15 @@ def failures(residual: Residual, left: Array) -> tuple[list[str], Array]:
 
 @dataclass(frozen=True)
 class Likely:
-    """Causes that what is left looks like: {cause: columns}, what can't be told from each, orders of "orders"."""
+    """Causes that what is left looks like: {cause: columns}, what can't be told from each, orders of "orders".
+
+    `formed` says whether a form of the flanks may be among them, which is no column: it joins the errors.
+    """
 
     columns: dict[str, Array]
     alike: dict[str, tuple[str, ...]]
     orders: tuple[float, ...]
+    formed: bool = False
 
 
 def likely_causes(residual: Residual, columns: Mapping[str, Array], known: Likely | None = None) -> Likely:
@@ -324,14 +371,19 @@ def likely_causes(residual: Residual, columns: Mapping[str, Array], known: Likel
         Those that are part of the fit already.
     """
     found = {name: columns[name] for name in known.columns if name in columns} if known else {}
+    pulls, formed = residual.pulls, False
     alike = dict(known.alike) if known else {}
     rest = {name: one for name, one in columns.items() if name not in found}
     while rest:
         scores = {name: residual.score(one) for name, one in rest.items()}
-        told = [n for n, (chance, _) in scores.items() if chance * len(columns) < _FALSE]
+        chances = {n: min(chance, pulls.get(n, (1.0, 0.0))[0]) for n, (chance, _) in scores.items()}
+        told = [n for n, chance in chances.items() if chance * len(columns) < _FALSE]
+        formed = formed or FORM in told
+        told = [n for n in told if n != FORM]
         if not told:
             break
-        gains = {name: float(residual.left @ scores[name][1]) - rest[name].shape[1] for name in told}
+        gains = {n: max(float(residual.left @ scores[n][1]) - rest[n].shape[1], pulls.get(n, (1.0, 0.0))[1])
+                 for n in told}  # fmt: skip
         best = max(told, key=lambda n: gains[n])
         alike[best] = tuple(n for n in told if n != best and gains[n] > _ALIKE * gains[best])
         found[best] = rest.pop(best)
@@ -345,10 +397,22 @@ def likely_causes(residual: Residual, columns: Mapping[str, Array], known: Likel
         residual.take(waves(residual.observed, order))
     if orders:
         found["orders"] = np.hstack([waves(residual.observed, order) for order in orders])
-    return Likely(found, alike, tuple(orders))
+    return Likely(found, alike, tuple(orders), formed)
 
 
-def verdict_of(pair: Pair, estimate: Estimate, likely: Likely) -> Verdict:
+def _form_of(pair: Pair, estimate: Estimate, residual: Residual) -> float:
+    """Size of a form that all flanks share, rms of what it adds, rad; 0 where the data need none."""
+    observed = estimate.observed
+    surface = with_scatter(pair, estimate.state.surface, -estimate.state.scatter)
+    values = np.array([structured_value(pair, surface, name) for name in observed.profile])
+    if residual.is_zero([estimate.chosen.index(n) for n in observed.profile], values / [*observed.profile.values()]):
+        return 0.0
+    columns = estimate.linear.structured[:, [observed.errors.index(n) for n in observed.profile]]
+    used = (observed.weight > 0.0) & ~observed.of_loops
+    return float(np.sqrt(np.mean((columns[used] @ values) ** 2)))
+
+
+def verdict_of(pair: Pair, estimate: Estimate, likely: Likely, formed: bool = False) -> Verdict:
     """Return the verdict on a fit.
 
     Parameters
@@ -357,6 +421,8 @@ def verdict_of(pair: Pair, estimate: Estimate, likely: Likely) -> Verdict:
         The nominal pair and where the fit ended, with the causes among its unknowns.
     likely
         The causes that are.
+    formed
+        Whether the errors have a form of the flanks among them that nobody stated.
     """
     observed, residual = estimate.observed, Residual(pair, estimate)
     failed, yardstick = failures(residual, residual.left)
@@ -367,9 +433,11 @@ def verdict_of(pair: Pair, estimate: Estimate, likely: Likely) -> Verdict:
         if cause in likely.columns:
             size = float(np.sqrt(np.mean((observed.bench[used, part] @ estimate.state.bench[part]) ** 2)))
             misfits.append(Misfit(cause, size, likely.alike.get(cause, ()), likely.orders if cause == "orders" else ()))
+    if formed and (size := _form_of(pair, estimate, residual)):
+        misfits.append(Misfit(FORM, size))
+    noise = float(np.exp(np.mean(np.log(yardstick * estimate.noises[observed.running]))))
     largest = max((m.size for m in misfits), default=0.0)
-    misfits = [m for m in misfits if m.size > _SMALL * largest]
+    misfits = [m for m in misfits if m.size > _SMALL * max(largest, noise)]
     state = "not explained" if failed else "explained but for" if misfits else "explained"
     rms = float(np.sqrt(np.mean((residual.left[used] / observed.weight[used]) ** 2)))
-    noise = float(np.exp(np.mean(np.log(yardstick * estimate.noises[observed.running]))))
     return Verdict(state, tuple(misfits), noise, rms, tuple(failed))

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cycloid_fmu.geometry.pair import Pair
-from fitting.model.observations import GIVES, Linear, Observations
+from fitting.model.observations import GIVES, Linear, Observations, State, form_columns
 from fitting.transmission_error.curve import Curve
 
 Array = NDArray[np.float64]
 
-GIVE, LAG = "support_give", "clock_lag"
+GIVE, LAG, FORM = "support_give", "clock_lag", "flank_form"
 RUN_OUT = (1, 2, 3)  # orders of a shaft that its encoder and couplings make
 _SLOW = 6  # degree of what a zero drifts over a recording
 _CRANK = 100.0  # rad of the crank for one of the transmission error
@@ -28,24 +28,28 @@ SENTENCES = {
     "friction": "friction that grows with the load",
     "torque_ripple": "torque that the sensor does not see",
     "run_out": "run-out of a shaft or its encoder",
+    FORM: "a form that all flanks share",
     "drift": "a zero that drifts within a recording",
     LAG: "one angle's clock that is late",
 }
 
 
-def causes(pair: Pair, observed: Observations, linear: Linear) -> dict[str, Array]:
+def causes(pair: Pair, observed: Observations, linear: Linear, formed: State | None = None) -> dict[str, Array]:
     """Return what each cause may add to the transmission error, near a state of the model.
 
     Parameters
     ----------
     pair, observed, linear
         The nominal pair, the observations, and the model at the state.
+    formed
+        The state, where a form that all flanks share is not known and so among the causes: to first order, enough to
+        suspect it.
 
     Returns
     -------
     columns
-        {cause as in `SENTENCES`: shape (points, columns)}, each near 1, so that its coefficient is rad. A cause that
-        these recordings can't show is left out.
+        {cause as in `SENTENCES`: shape (points, columns)}, each near 1, so that its coefficient is rad; of a form, m. A
+        cause that these recordings can't show is left out.
     """
     curves = observed.curves
     sizes = [c.input_angle.size for c in curves]
@@ -75,8 +79,10 @@ def causes(pair: Pair, observed: Observations, linear: Linear) -> dict[str, Arra
     late = by_lag(observed, linear)
     if late.any():
         found[LAG] = [late]
+    if formed is not None:
+        found[FORM] = list(form_columns(pair, observed, formed, linear).T)
     every = {
-        name: np.column_stack(columns if name == GIVE else [_unit(one) for one in columns])
+        name: np.column_stack(columns if name in (GIVE, FORM) else [_unit(one) for one in columns])
         for name, columns in found.items()
         if columns
     }
@@ -90,7 +96,7 @@ def by_lag(observed: Observations, linear: Linear) -> Array:
     zero there, and where no speed is known.
     """
     lags = [np.zeros(c.input_angle.size) if c.speed is None else _changing(c.speed) for c in observed.curves]
-    found: Array = -np.concatenate(lags) * (1.0 / observed.curves[0].ratio + linear.by_crank)
+    found: Array = -np.concatenate(lags) * (1.0 / observed.curves[0].ratio + np.nan_to_num(linear.by_crank))
     return found
 
 
@@ -99,7 +105,8 @@ def _give(pair: Pair, observed: Observations, linear: Linear) -> list[Array]:
     shifts = [linear.structured[:, observed.errors.index(n)] for n in GIVES]
     # A disc on a crank that gives way leads or lags it, as if the crank stood elsewhere.
     growth = _growth(observed, np.concatenate([c.torque_at_points for c in observed.curves]))
-    each = zip((*shifts, linear.by_crank), _units(pair), strict=True)
+    # At a corner a curve has no slope.
+    each = zip((*shifts, np.nan_to_num(linear.by_crank)), _units(pair), strict=True)
     return [shift * unit * of for shift, unit in each for of in growth]
 
 

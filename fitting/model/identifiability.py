@@ -23,6 +23,7 @@ PREFERENCE = (
     "isometric", "offset", "misalignment_xz", "misalignment_yz",
 )  # fmt: skip
 UNKNOWN = 1e-6  # precision of what has no prior, so that what these curves do not see at all can stay where it is
+_STOOD_FOR = 2e-3  # of what an error moves: where others leave less, they stand for it wholly
 KNOWN = 0.2  # an error counts as known where the data leave less than this share of its tolerance
 
 
@@ -74,7 +75,9 @@ def chosen_errors(observed: Observations, linear: Linear, names: Sequence[str], 
     own = np.flatnonzero([*free, *np.zeros(len(information) - len(names), bool)])
     other = np.setdiff1d(np.arange(len(information)), own)
     # What scatter, form and nuisances leave of the information about the errors.
-    blurred = linalg.solve(information[np.ix_(other, other)], information[np.ix_(other, own)], assume_a="pos")
+    size = np.sqrt(np.diag(information)[other])
+    among = information[np.ix_(other, other)] / np.outer(size, size)
+    blurred = linalg.solve(among, information[np.ix_(other, own)] / size[:, None], assume_a="pos") / size[:, None]
     left = information[np.ix_(own, own)] - information[np.ix_(own, other)] @ blurred
     found = choose(0.5 * (left + left.T), [n for n, one in zip(names, free, strict=True) if one])
     return [n for n in names if n in found or n in observed.profile]
@@ -117,7 +120,7 @@ def known_before(observed: Observations, linear: Linear, names: Sequence[str], s
 
 def weakness(
     observed: Observations, linear: Linear, names: Sequence[str], chosen: Sequence[str]
-) -> tuple[Array, tuple[str, ...], dict[str, str]]:
+) -> tuple[Array, tuple[str, ...], dict[str, str], tuple[str, ...]]:
     """Say what the data cannot tell.
 
     Returns
@@ -129,6 +132,9 @@ def weakness(
         is not chosen.
     reasons
         {name: why} of every error that is not chosen.
+    beside
+        Those of them that move the curves otherwise than the chosen ones do, if only a little: held where they are,
+        they may have moved these. Of a set that moves the curves alike the first stands for all.
     """
     weight = observed.weight[:, None]
     nuisances, priors = nuisance_columns(observed, linear)
@@ -145,6 +151,7 @@ def weakness(
     singular = np.linalg.svd(columns, compute_uv=False)
     keep = [list(names).index(n) for n in chosen]
     weak, reasons = [], {}
+    beside: list[str] = []
     for i, name in enumerate(names):
         if i in keep:
             continue
@@ -162,7 +169,11 @@ def weakness(
         else:
             reasons[name] = f"the data leave it too uncertain beside {alike}"
         weak.append(_in_words(name, [(float(share[j]), chosen[j]) for j in leading]))
-    return singular, tuple(weak), reasons
+        others = columns[:, [*keep, *(list(names).index(n) for n in beside)]]
+        rest = columns[:, i] - others @ np.linalg.lstsq(others, columns[:, i], rcond=None)[0]
+        if float(np.linalg.norm(rest)) > _STOOD_FOR * length:
+            beside.append(name)
+    return singular, tuple(weak), reasons, tuple(beside)
 
 
 def posterior_covariance(

@@ -15,7 +15,9 @@ from fitting.estimation.identify import identify
 def test_the_campaigns_disc_on_a_rigid_bearing_is_the_products(warm):
     angle = np.arange(40) * 2.0 * np.pi / 24.37
     found = campaign.transmission_error(angle, 80.0, warm, bearing=1e15)
-    made = campaign.warmed(campaign.drive().replace(errors=campaign.ERRORS), warm)
+    made = campaign.warmed(
+        campaign.drive().replace(errors={**campaign.ERRORS, **{n: list(p) for n, p in campaign.PATTERNS.items()}}), warm
+    )
     wanted = made.analyze(80.0, crank_angle=angle).transmission_error.values[0]
     assert found == pytest.approx(wanted, abs=0.01 * campaign.ARCSEC)
     floating = campaign.transmission_error(angle, 80.0, warm)
