@@ -69,7 +69,7 @@ def moved_by_form(pair: Pair, fit: Estimate, form: float) -> Array:
     """
     problem, observed, count = Problem(pair, fit.observed, fit.chosen), fit.observed, len(fit.chosen)
     own = problem.columns(observed, fit.linear)
-    beside = form * observed.weight[:, None] * form_columns(pair, observed, fit.state, fit.linear)
+    beside = form * observed.weight[:, None] * form_columns(pair, observed, fit.state, fit.linear, form)
     columns = np.hstack([own, beside])
     precision = np.concatenate([problem.precision(fit.scatter), np.ones(beside.shape[1])])
     information = columns.T @ columns + np.diag(precision)

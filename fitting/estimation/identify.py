@@ -159,8 +159,11 @@ def identify(
     prior = prior_of(pair, tolerances) if isinstance(tolerances, Tolerances) else tolerances or Prior()
     prior, beside = dataclasses.replace(prior, first_stage=drive.first_stage), []
     if pair.supports is not None and prior.profile:
+        shape = max(prior.profile.values())
         prior = dataclasses.replace(prior, profile={})
-        beside.append("The form of the flanks is not fitted on bearings: where there is any, intervals are too narrow.")
+        beside.append(
+            f"The form of the flanks is not fitted on bearings: the intervals allow for {shape * 1e6:.2g} µm."
+        )
     if bootstrap < 0:
         raise edge.ArgumentError("bootstrap", "it must not be below zero", bootstrap)
     for curve in curves if bootstrap else ():
@@ -205,8 +208,10 @@ def identify(
                 predicted = _predicted(pair, start, [running[i] for i in kept])
                 if predicted.residual > _MISPREDICTED * start.noise or is_uneven(start):
                     start = None
-            shape = 0.0 if prior.profile or pair.supports is not None else shape
-            found, verdict = _validated([*running, *loops], pair, start, prior, shape, progress)
+            shape = 0.0 if prior.profile else shape
+            # The model on bearings fits no form: intervals allow for it, and the verdict does not name it.
+            cause = 0.0 if pair.supports is not None else shape
+            found, verdict = _validated([*running, *loops], pair, start, prior, cause, progress)
             shape = 0.0 if found.observed.profile else shape
             if predicted is not None and verdict.state == "explained" and _is_mispredicted(predicted):
                 # The first fit may have ended beside its best optimum, which the whole one has found.

@@ -151,7 +151,7 @@ def plan(
         What places of single pins and teeth do beyond the structured errors, standard deviation, m; single pins' radii
         as much, 0.3 µm at most. The derivatives are those of a ring that is drawn with it.
     form
-        What a form that all flanks share may be, m, as in `fitting.identify`; drives with supports have none.
+        What a form that all flanks share may be, m, as in `fitting.identify`.
     loop
         Torque up to which a hysteresis loop goes, N·m, the crank locked at pin 0: the first and the last set come with
         it too.
@@ -175,7 +175,7 @@ def plan(
     loads = {positive(one, "N*m", "torque") for one in given}
     level = positive(noise, "rad", "noise")
     spread = positive(scatter, "m", "scatter", zero=True)
-    shape = 0.0 if drive.pair.supports is not None else positive(form, "m", "form", zero=True)
+    shape = positive(form, "m", "form", zero=True)
     peak = None if loop is None else positive(loop, "N*m", "loop")
     if not loads:
         raise edge.ArgumentError("torque", "is missing")
@@ -234,7 +234,7 @@ class _Foretold:
         self.linear = joined([once, once])
         whole = self.observed
         if form > 0.0:
-            columns = form_columns(pair, self.observed.some(range(self.second)), state, once)
+            columns = form_columns(pair, self.observed.some(range(self.second)), state, once, form)
             whole = whole.with_form(np.vstack([columns, columns]), form)
         self.told = [information_of_points(*self._some(whole, [n]), self.names, self.spread)
                      for n in range(2 * self.second)]  # fmt: skip

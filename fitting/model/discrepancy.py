@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 
 GIVE, LAG, FORM = "support_give", "clock_lag", "flank_form"
 RUN_OUT = (1, 2, 3)  # orders of a shaft that its encoder and couplings make
+_FORM_STEP = 1e-6  # m: over which differences by a form are taken, where it has no derivatives
 _SLOW = 6  # degree of what a zero drifts over a recording
 _CRANK = 100.0  # rad of the crank for one of the transmission error
 _STEADY = 1e-3  # of the speed: what changes less shows no lag
@@ -80,7 +81,7 @@ def causes(pair: Pair, observed: Observations, linear: Linear, formed: State | N
     if late.any():
         found[LAG] = [late]
     if formed is not None:
-        found[FORM] = list(form_columns(pair, observed, formed, linear).T)
+        found[FORM] = list(form_columns(pair, observed, formed, linear, _FORM_STEP).T)
     every = {
         name: np.column_stack(columns if name in (GIVE, FORM) else [_unit(one) for one in columns])
         for name, columns in found.items()

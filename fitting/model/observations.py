@@ -489,20 +489,31 @@ def linearised_curve(
                   share * by_crank, share * s * against * by_torque)  # fmt: skip
 
 
-def form_columns(pair: Pair, observed: Observations, state: State, linear: Linear) -> Array:
+def form_columns(pair: Pair, observed: Observations, state: State, linear: Linear, size: float) -> Array:
     """Return derivatives by the `PROFILE_ORDERS` of a form that all flanks share, shape (points, orders), rad/m.
 
-    `linear` is the model at the state. The pair has no supports: the model on bearings has no form.
+    `linear` is the model at the state. On bearings, where contacts open and close with a form and the discs follow, they
+    are differences over ± `size`, m.
     """
     names = profile_names(PROFILE_ORDERS)
     s = share_of(observed.first_stage, pair)
     is_solved = observed.first_stage is None and observed.give is None
+    floating = None if pair.supports is None else pair_with(pair, state.bearings)
 
     def one(curve: Curve, model: Array) -> Array:
         angle = curve.input_angle + state.crank_offset
+        torque = np.where(curve.torque_at_points == 0.0, _LEAST_TORQUE * curve.torque, curve.torque_at_points)
+        if floating is not None:
+
+            def moved(name: str, by: float) -> Array:
+                values = {name: structured_value(pair, state.surface, name) + by}
+                formed = with_structured(pair, state.surface, values)
+                error: Array = solve(floating, formed, s * torque[None], angle, with_play=False).transmission_error[0]
+                return error
+
+            return s * np.column_stack([(moved(n, size) - moved(n, -size)) / (2.0 * size) for n in names])
         if is_solved:
             return form_sensitivity(pair, state.surface, model, angle, names)
-        torque = np.where(curve.torque_at_points == 0.0, _LEAST_TORQUE * curve.torque, curve.torque_at_points)
         return s * error_sensitivity(pair, state.surface, s * torque, angle, names)[1]
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
