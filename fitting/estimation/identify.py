@@ -162,7 +162,7 @@ def identify(
         shape = max(prior.profile.values())
         prior = dataclasses.replace(prior, profile={})
         beside.append(
-            f"The form of the flanks is not fitted on bearings: the intervals allow for {shape * 1e6:.2g} µm."
+            f"On bearings the form of the flanks is not fitted: the intervals allow for {shape * 1e6:.2g} µm."
         )
     if bootstrap < 0:
         raise edge.ArgumentError("bootstrap", "it must not be below zero", bootstrap)

@@ -492,8 +492,8 @@ def linearised_curve(
 def form_columns(pair: Pair, observed: Observations, state: State, linear: Linear, size: float) -> Array:
     """Return derivatives by the `PROFILE_ORDERS` of a form that all flanks share, shape (points, orders), rad/m.
 
-    `linear` is the model at the state. On bearings, where contacts open and close with a form and the discs follow, they
-    are differences over ± `size`, m.
+    `linear` is the model at the state. On bearings, where contacts open and close with a form and the discs follow,
+    they are differences over ± `size`, m.
     """
     names = profile_names(PROFILE_ORDERS)
     s = share_of(observed.first_stage, pair)
