@@ -63,6 +63,7 @@ def error_of(drive):
     return drive.analyze(TORQUE, crank_angle=[ANGLE]).transmission_error.item()
 
 
+@pytest.mark.slow(7)
 def test_each_draw_is_the_drive_that_the_ensemble_draws(identified, of_draw):
     drawn = fitting.ensemble(identified, 150, seed=4)
     assert of_draw(0) == pytest.approx(error_of(identified), abs=1e-6 * ARCSEC)

@@ -37,6 +37,7 @@ def test_turns_out_of_step_do_not_bias(small):
     assert np.mean(np.abs(found) < 1.0) > 0.88
 
 
+@pytest.mark.slow(6)
 def test_pins_that_stand_one_for_the_other_are_found(nominal):
     """Pins 15 to 17 of this drive stood up to 4 µm wrong where both starts ended, the noise an eighth too large."""
     generator = np.random.default_rng(14)

@@ -14,8 +14,9 @@ from fitting.estimation.result import as_json
 from fitting.reports.report import report
 
 # Of the first the fit once held seven errors, whose part the scatter and the centre distances took: 24 standard errors.
-# The second's zeros seemed to creep, the third's supports to give way.
-QUICK = {"none": 2, "soft chain, 20″ at 200 N·m": 4, "flank form 1 µm": 0}
+# The second's supports seemed to give way, the third's zeros to creep.
+QUICK = {"none": 2, "flank form 1 µm": 0}
+SOFT_CHAIN = pytest.param("soft chain, 20″ at 200 N·m", 4, marks=pytest.mark.slow(6))
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +29,7 @@ def floating(small):
     return identified("disc and cranks on bearings", small, 0, turns=1)[0]
 
 
-@pytest.mark.parametrize(("effect", "seed"), QUICK.items())
+@pytest.mark.parametrize(("effect", "seed"), [*QUICK.items(), SOFT_CHAIN])
 def test_a_cause_is_named_and_the_intervals_allow_for_it(effect, seed):
     one = outcome(effect, seed)
     assert is_right(one)
