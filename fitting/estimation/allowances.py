@@ -20,6 +20,7 @@ from fitting.model.prior import tolerances_of
 
 Array = NDArray[np.float64]
 
+_SINGULAR = 1e16  # condition of equations that tell nothing: what noise-free curves leave
 _WIDE, _WIDEST = 2.0, 4  # times as wide for a form of the flanks: what a note names, and how many
 LAG_NAME = f"{MISFIT}_{LAG}_0"
 _TOLD = 0.1  # share of a bearing's variance that the data must take away for it to be told
@@ -55,9 +56,18 @@ def moved_by_held(pair: Pair, fit: Estimate, names: Sequence[str]) -> Array:
 
 
 def _inverse(information: Array) -> Array:
-    """Invert information about unknowns that are known to very unlike degrees."""
+    """Invert information about unknowns that are known to very unlike degrees.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If it is singular to the last digit.
+    """
     size = np.sqrt(np.diag(information))
-    found: Array = linalg.inv(information / np.outer(size, size)) / np.outer(size, size)
+    scaled = information / np.outer(size, size)
+    if np.linalg.cond(scaled) > _SINGULAR:
+        raise np.linalg.LinAlgError("singular")
+    found: Array = linalg.inv(scaled) / np.outer(size, size)
     return found
 
 

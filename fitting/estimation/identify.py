@@ -12,12 +12,10 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import os
-import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 from threadpoolctl import threadpool_limits
 
 from cycloid_fmu import edge
@@ -195,9 +193,7 @@ def identify(
             )
     try:
         # The kernel's threads keep the processor busy; those of linear algebra would spin beside them.
-        with threadpool_limits(limits=1, user_api="blas"), warnings.catch_warnings():
-            # What is all but singular is so to the last digit of a double: no interval from it is worth stating.
-            warnings.simplefilter("error", linalg.LinAlgWarning)
+        with threadpool_limits(limits=1, user_api="blas"):
             kept, start = kept_back(running) if held_out else (), None
             predicted = None
             rest = [*(c for i, c in enumerate(running) if i not in kept), *loops]
@@ -223,7 +219,7 @@ def identify(
             result = result_of(
                 pair, found, verdict, predicted, prior.scatter, profiled, bootstrap, _GAIN, others, shape, progress,
             )  # fmt: skip
-    except (np.linalg.LinAlgError, linalg.LinAlgWarning):
+    except np.linalg.LinAlgError:
         raise edge.InputError(
             "the equations of the fit are singular, as they are where curves have no noise; add some to simulated ones."
         ) from None
@@ -553,6 +549,8 @@ def _starting_estimate(
     high, all_of_them = np.flatnonzero(loads > 0.7 * loads.max()), np.arange(loads.size)
     # A scatter that grows from nothing as the data ask for it leads past most of the wrong minima.
     unknown = {**dict.fromkeys(observed.estimated, _MISFIT), **_no_scatter(pair)}
+    # Radii of single pins could do before the errors are found what these do: from the prior they scatter later.
+    same_radius = {PIN_RADIUS: 1e-2 * NO_SCATTER} if start is None else {}
     pitch = 2.0 * np.pi / pair.pins if observed.fit_crank else 0.0
 
     def ended(
@@ -561,10 +559,9 @@ def _starting_estimate(
         try:
             state, linear = zeroed(part, state, around)
             chosen = _chosen(part, linear, pair)
-            # Radii could do here what other errors do: they scatter later.
             one = fit(pair, part, chosen, state, scatter, gain=_START_GAIN, around=around, linear=linear,
-                      evaluations=_START_EVALUATIONS, known={PIN_RADIUS: 1e-2 * NO_SCATTER})  # fmt: skip
-            return dataclasses.replace(one, scatter={**one.scatter, PIN_RADIUS: NO_SCATTER})
+                      evaluations=_START_EVALUATIONS, known=same_radius)  # fmt: skip
+            return dataclasses.replace(one, scatter={**one.scatter, **dict.fromkeys(same_radius, NO_SCATTER)})
         except edge.InputError:
             # To first order a fit may end where no contacts balance the load.
             return None
