@@ -48,7 +48,7 @@ def _front(axes: Axes, found: Sequence[Design], task: DesignTask) -> None:
         axes.plot(a, b, "o" if one.met else "x", color="C0" if one.met else "tab:red", zorder=2)
         axes.annotate(f" {number}", (a, b), fontsize=8)
     missed = "; red: a limit is missed" if not all(one.met for one in found) else ""
-    axes.set(xlabel=_label(first), ylabel=_label(second), title=f"best by one goal for each of the other{missed}")
+    axes.set(xlabel=_label(first), ylabel=_label(second), title=f"Pareto front{missed}")
 
 
 def _margins(axes: Axes, one: Design) -> None:
@@ -75,7 +75,7 @@ def _ranges(axes: Axes, found: Sequence[Design], task: DesignTask) -> None:
               for n in names]  # fmt: skip
     axes.set_yticks(at, labels, fontsize=8)
     axes.set(
-        xlabel="place in the range [%]", xlim=(-5.0, 105.0), ylim=(len(names) - 0.5, -0.7), title="what was searched"
+        xlabel="place in the range [%]", xlim=(-5.0, 105.0), ylim=(len(names) - 0.5, -0.7), title="searched values"
     )
     if len(found) > 1:
         axes.legend(title="design", fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))

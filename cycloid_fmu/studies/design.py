@@ -37,13 +37,13 @@ from cycloid_fmu.studies.limits import (
     flank_curvature_radius,
     static_safety,
 )
-from cycloid_fmu.studies.tolerance import Study, check_study, surface_of
+from cycloid_fmu.studies.tolerance import Study, check_study, shares_kept, surface_of
 from cycloid_fmu.studies.tolerance import points as points_of
 from cycloid_fmu.studies.verdicts import check, judge_drive, loads_of
 from cycloid_fmu.supports.figures import bearing_loads, lives_over_duty
 from cycloid_fmu.surfaces.sampling import Tolerances, read_tolerances
 from cycloid_fmu.surfaces.structured import profile_names, profile_wave
-from cycloid_fmu.surfaces.surface import DEVIATIONS, ErrorSurface, surface_of_pair
+from cycloid_fmu.surfaces.surface import ErrorSurface, surface_of_pair
 from cycloid_fmu.wear.friction import sliding_of
 
 Array = NDArray[np.float64]
@@ -199,11 +199,6 @@ class Candidate:
 
     pair: Pair
     surface: ErrorSurface
-
-    @property
-    def has_form(self) -> bool:
-        """Whether a pair file alone does not hold it."""
-        return any(getattr(self.surface, name) is not None for name in DEVIATIONS)
 
 
 def candidate(pair: Pair, values: Mapping[str, float]) -> Candidate:
@@ -657,19 +652,6 @@ def allowances(task: DesignTask, drawn: Mapping[str, float], figures: Mapping[st
     return dict(zip(names, level.tolist(), strict=True))
 
 
-def yields_of(limits: Mapping[str, float], figures: Mapping[str, Array]) -> dict[str, dict[str, float]]:
-    """Return the share of drives that keep each limit, and "all", with its Clopper-Pearson interval at 95 %."""
-    from scipy.stats import binomtest
-
-    kept = {n: v >= limits[n] if n in LOWER else v <= limits[n] for n, v in figures.items()}
-    kept["all"] = np.logical_and.reduce([*kept.values()])
-    found = {}
-    for name, good in kept.items():
-        interval = binomtest(int(good.sum()), good.size).proportion_ci()
-        found[name] = {"share": float(good.mean()), "low": float(interval.low), "high": float(interval.high)}
-    return found
-
-
 def search(
     pair: Pair,
     task: DesignTask,
@@ -793,7 +775,8 @@ def _designed(
     goals = {n: max(figures[n], 0.0) for n in task.goals}
     seen: dict[str, dict[str, float]] = {}
     if tolerances is not None and search.limits:
-        seen = yields_of(search.limits, sampled_figures(task, one.pair, one.surface, tolerances, seed + 1, workers))
+        fresh, limits = sampled_figures(task, one.pair, one.surface, tolerances, seed + 1, workers), search.limits
+        seen = shares_kept({n: v >= limits[n] if n in LOWER else v <= limits[n] for n, v in fresh.items()})
     return Design(
         one.pair, one.surface, values, goals, judged.verdicts,
         search.binding(place, task.goals[0], levels), dict(search.allowance), seen,

@@ -12,7 +12,7 @@ import functools
 import json
 import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -495,16 +495,25 @@ def demand(study: Study, values: Array) -> dict[str, Array]:
 
 
 def yields(result: Result) -> dict[str, dict[str, float]]:
-    """Return the share of drives that keep each limit, and "all" of them, with its Clopper-Pearson interval at 95 %.
+    """Return the shares of drives that keep the study's limits, as `shares_kept` does.
 
     Evenly spread points err less than the interval says, which is that of independent ones.
     """
+    return shares_kept({n: d[result.independent] <= 1.0 for n, d in demand(result.study, result.values).items()})
+
+
+def shares_kept(kept: Mapping[str, NDArray[np.bool_]]) -> dict[str, dict[str, float]]:
+    """Return the share of drives that keep each limit, and "all" of them, with its Clopper-Pearson interval at 95 %.
+
+    Parameters
+    ----------
+    kept
+        {limit: shape (drives,)}, at least one.
+    """
     from scipy.stats import binomtest
 
-    kept = {n: d[result.independent] <= 1.0 for n, d in demand(result.study, result.values).items()}
-    kept["all"] = np.logical_and.reduce([*kept.values()])
     found = {}
-    for name, good in kept.items():
+    for name, good in {**kept, "all": np.logical_and.reduce([*kept.values()])}.items():
         interval = binomtest(int(good.sum()), good.size).proportion_ci()
         found[name] = {"share": float(good.mean()), "low": float(interval.low), "high": float(interval.high)}
     return found
