@@ -99,3 +99,22 @@ def test_on_bearings(benchmark, case):
     each = benchmark.stats.stats.median / ANGLES.size
     benchmark.extra_info["µs a crank angle"] = round(each * 1e6, 2)
     benchmark.extra_info["times rigid bearings"] = round(each / plain, 2)
+
+
+@pytest.mark.parametrize("case", ["cranks-linear", "cranks-rollers-clearance", "rollers"])
+def test_play_on_bearings(benchmark, case):
+    """Both ends of the play at one in a thousand of the rated torque, beside a crank angle at that torque itself."""
+    pair = read_pair(DATA / "supports-cases" / f"{case}.toml")
+    surface = surface_of_pair(pair)
+
+    def seconds(torque, with_play):
+        begin = time.process_time()
+        on_bearings(pair, surface, torque, ANGLES[::10], with_play=with_play)
+        return time.process_time() - begin
+
+    seconds(pair.rated_torque, False)
+    loaded = np.median([seconds(pair.rated_torque, False) for _ in range(5)])
+    both = np.median([seconds(pair.rated_torque, True) for _ in range(5)]) - loaded
+    benchmark(on_bearings, pair, surface, [], ANGLES[::10])
+    benchmark.extra_info["µs a crank angle"] = round(both / 360 * 1e6)
+    benchmark.extra_info["times a loaded crank angle"] = round(float(both / loaded), 1)

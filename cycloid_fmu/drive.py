@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from cycloid_fmu.cad.profile import Profile
+    from cycloid_fmu.compensation.compensator import Compensator
+    from cycloid_fmu.fmu.friction_file import Friction
     from cycloid_fmu.fmu.variables import Interface
     from cycloid_fmu.motion import Motion
     from cycloid_fmu.reducer.description import Reducer
@@ -44,11 +46,15 @@ _FIELD_UNITS = {
 }  # fmt: skip
 
 
-def _torque(given: Any) -> float:
+def _quantity(name: str, given: Any, unit: str) -> float:
     try:
-        return edge.quantity(given, "N*m")
+        return edge.quantity(given, unit)
     except ValueError as problem:
-        raise edge.ArgumentError("torque", str(problem), given) from None
+        raise edge.ArgumentError(name, str(problem), given) from None
+
+
+def _torque(given: Any) -> float:
+    return _quantity("torque", given, "N*m")
 
 
 def _tolerances(given: Tolerances | str | os.PathLike[str]) -> Tolerances:
@@ -284,10 +290,7 @@ class Drive:
         if exaggeration is not None and not 1.0 <= exaggeration <= LARGEST_FACTOR:
             raise edge.ArgumentError("exaggeration", f"it must be between 1 and {LARGEST_FACTOR:g}", exaggeration)
         if isinstance(crank_angle, str):
-            try:
-                crank_angle = edge.quantity(crank_angle, "rad")
-            except ValueError as problem:
-                raise edge.ArgumentError("crank_angle", str(problem), crank_angle) from None
+            crank_angle = _quantity("crank_angle", crank_angle, "rad")
         if not np.isfinite(crank_angle).all():
             raise edge.ArgumentError("crank_angle", "it must be finite", crank_angle)
         given = [torque] if isinstance(torque, str) or np.ndim(torque) == 0 else list(torque)  # type: ignore[arg-type]
@@ -795,6 +798,89 @@ class Drive:
 
             build_fmu(self, path, interface=interface, fmi_version=fmi_version, draws=draws, seed=seed)
 
+    def compensator(
+        self,
+        *,
+        friction: Friction | None = None,
+        stiffness: float | str | None = None,
+        series_compliance: float = 0.0,
+        temperatures: tuple[float | str, float | str] | None = None,
+        torque_accuracy: float | str | None = None,
+        torque_share: float = 0.05,
+        largest_torque: float | str | None = None,
+        residual: float | str = "0.5 arcsec",
+        sensor: float | str = "1 arcsec",
+        workers: int | None = None,
+        total: Callable[[int], None] = lambda angles: None,
+        progress: Callable[[int], None] = lambda angles: None,
+    ) -> Compensator:
+        """Return the compensator of the drive: the motor angles at which the output stands where it should.
+
+        Parameters
+        ----------
+        friction
+            At the output: the torque through the teeth is the load without it.
+        stiffness, series_compliance
+            Of the whole drive (N·m/rad), or of what stands in series with it (rad/(N·m)), as of an `Interface`.
+        temperatures
+            Between which the table knows the drive, all bodies alike, K or text with a unit; where None it is the
+            drive at the pair's own temperatures throughout.
+        torque_accuracy
+            Standard deviation of the load torque that the controller will state, N·m; 1 % of the rated torque where
+            None. Over it the flank changes.
+        torque_share
+            Standard deviation of that torque's scale, 1; what it makes of the wind-up goes into the band.
+        largest_torque
+            How far the table reaches, N·m; 2.5 times the rated torque where None.
+        residual
+            Largest error of the table, rad: the smallest one that keeps it is made.
+        sensor
+            Standard deviation of an output encoder, rad.
+        workers, total, progress
+            Threads; called with the number of solutions to come, and of those that were just finished.
+
+        Returns
+        -------
+        cycloid_fmu.compensation.compensator.Compensator
+            Its method `step` is one step of a controller.
+
+        Raises
+        ------
+        edge.InputError
+            If there is no rated torque for what is left open, a number is out of range or the drive repeats too late.
+
+        Examples
+        --------
+        >>> import cycloid_fmu as cy
+        >>> pair = cy.Pair(
+        ...     gear_teeth=39, pin_circle_radius="64 mm", pin_radius="3 mm", eccentricity="1.3 mm", face_width="10 mm",
+        ...     rated_torque="181 N*m",
+        ... )
+        >>> drive = cy.Drive(pair).replace(offset="-20 um", errors={"eccentricity": "5 um"})
+        >>> compensator = drive.compensator()
+        >>> memory = compensator.start()
+        >>> command = compensator.step(memory, 0.1, 0.0, load_torque=100.0, temperature=293.15)
+        >>> found = drive.analyze(100.0, crank_angle=[command.motor_angle])
+        >>> output = command.motor_angle / drive.ratio + float(found.transmission_error[0, 0])
+        >>> bool(abs(output - 0.1) < 0.5 / 206265)
+        True
+        """
+        from cycloid_fmu.compensation.build import drive_compensator
+
+        given = {"stiffness": (stiffness, "N*m/rad"), "torque_accuracy": (torque_accuracy, "N*m"),
+                 "largest_torque": (largest_torque, "N*m"), "residual": (residual, "rad"),
+                 "sensor": (sensor, "rad")}  # fmt: skip
+        values = {
+            name: None if value is None else _quantity(name, value, unit) for name, (value, unit) in given.items()
+        }
+        between = temperatures and tuple(_quantity("temperatures", one, "K") for one in temperatures)
+        return drive_compensator(
+            self.pair, self.surface, self.first_stage, self.ratio, friction=friction, temperatures=between,
+            series_compliance=series_compliance, torque_share=torque_share, workers=workers or os.cpu_count() or 1,
+            total=total,
+            progress=progress, **values,
+        )  # fmt: skip
+
     def profile(self, *, disc: int = 0, chord_error: float | str = 1e-7) -> Profile:
         """Return a disc as made for CAD, CAM and measuring machines: its outline in arcs, holes, pins and pin circle.
 
@@ -828,11 +914,7 @@ class Drive:
         """
         from cycloid_fmu.cad.profile import profile_of
 
-        try:
-            limit = edge.quantity(chord_error, "m")
-        except ValueError as problem:
-            raise edge.ArgumentError("chord_error", str(problem), chord_error) from None
-        return profile_of(self.pair, self.surface, disc, limit)
+        return profile_of(self.pair, self.surface, disc, _quantity("chord_error", chord_error, "m"))
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the drive: a pair file (`.toml`) or an error surface (`.nc`), which holds form and wear as well.

@@ -164,6 +164,7 @@ def motion_of(
     crank_angle: ArrayLike,
     exaggeration: float | None = None,
     *,
+    with_curve: bool = True,
     progress: Callable[[int], None] = lambda angles: None,
 ) -> Motion:
     """Solve a drive at torques and crank angles, and find where every body and every contact is.
@@ -178,6 +179,8 @@ def motion_of(
         rad, shape (angles,).
     exaggeration
         Of gaps; None for the largest round number with which all of them have room.
+    with_curve
+        Whether to solve the transmission error over a crank turn, besides that at the crank angles; empty otherwise.
     progress
         Called with the number of crank angles (times loads) that were just finished.
 
@@ -188,7 +191,7 @@ def motion_of(
     """
     loads, theta = np.array(torque, dtype=float, ndmin=1), np.array(crank_angle, dtype=float, ndmin=1)
     slices = slices_needed(surface)
-    turn = np.linspace(0.0, 2.0 * np.pi, ANGLES)
+    turn = np.linspace(0.0, 2.0 * np.pi, ANGLES if with_curve else 0)
     curve = solve(pair, surface, loads, turn, slices, with_play=False).transmission_error
     found = solve(pair, surface, loads, theta, slices, with_play=False)
     problem = (mesh_of if pair.supports is None else problem_of)(pair, surface, slices)

@@ -37,7 +37,13 @@ html_theme_options = {
     "header_links_before_dropdown": 2,
     "secondary_sidebar_items": {"**": ["page-toc"], "generated/variables": [], "measured": []},
 }
-ALONE = [*(page.stem for page in HERE.glob("*.md")), "tutorials/*", "generated/*", "reference/commands"]
+ALONE = [
+    *(page.stem for page in HERE.glob("*.md")),
+    "tutorials/*",
+    "development/*",
+    "generated/*",
+    "reference/commands",
+]
 html_sidebars = {page: [] for page in ALONE}  # pages that are their whole section
 html_static_path = ["_static"]
 html_css_files = ["site.css"]

@@ -21,6 +21,7 @@ from cycloid_fmu.wear import law as wear_law
 from drivers.encoder import protocols
 from drivers.recorder import bench, sequence
 from drivers.simulated import faults
+from fitting.ageing import history
 from fitting.figures import conformity, instruments
 from fitting.recordings import mapping
 from fitting.recordings import read_head as coaxiality
@@ -34,6 +35,7 @@ FILES = (
     ("Search for a drive", design.FORMAT, design.DesignTask, "design.toml"),
     ("Friction", friction_file.FORMAT, friction_file._FrictionFile, "friction.toml"),
     ("Wear law", wear_law.FORMAT, wear_law._WearFile, "wear.toml"),
+    ("History of a drive", history.FORMAT, history.History, None),
     ("Bench wiring", bench.BENCH_FORMAT, bench._BenchFile, None),
     ("Guided sequence", sequence.FORMAT, sequence.SequenceFile, None),
     ("Scripted faults", faults.FORMAT, faults._FaultFile, None),

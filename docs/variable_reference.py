@@ -1,5 +1,6 @@
 """The reference of the FMU's variables, from the table that every FMU is made of."""
 
+import dataclasses
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
@@ -9,7 +10,7 @@ from cycloid_fmu.fmu.build import with_damping
 from cycloid_fmu.fmu.friction_file import Friction
 from cycloid_fmu.fmu.variables import UNITS, Interface, Variable, from_tables, variables
 from cycloid_fmu.geometry.pair import read_pair
-from cycloid_fmu.surfaces.surface import Life, nominal_surface
+from cycloid_fmu.surfaces.surface import Ageing, Life, nominal_surface
 
 EXAMPLE = "drive-39-40.toml"
 WARM = Friction(temperature_coefficient=0.01)
@@ -54,7 +55,8 @@ INTRODUCTION = f"""# FMU variables
 What an FMU of `cycloid-fmu build` has, in each [interface](../fmu.md): the causality of each variable, – where the
 interface lacks it. *Inertia inside* is the compliant interface with `--output-inertia`, *both inside* with
 `--crank-inertia` as well. `support` is there with `--support-flange` alone,
-`draw` with `--draws` (here 20). FMI 2.0 and 3.0 have the same names and value references. In the FMU of an RV reducer
+`draw` with `--draws` (here 20), `age` and `wear_factor` in the [twin of a forecast](../ageing.md) in place of
+`crank_turns_worn`. FMI 2.0 and 3.0 have the same names and value references. In the FMU of an RV reducer
 `flange_a` is the sun. What a [native FMU](../native.md) has in its tables is a
 *constant* there: it can be read but not set.
 
@@ -71,8 +73,13 @@ def tables() -> Iterator[tuple[str, tuple[Variable, ...]]]:
     worn = {"gear_deviation": flanks, "pin_deviation": pins, "gear_curvature": flanks, "pin_curvature": pins}
     life = Life(np.array([0.0, 1e6]), **worn)
     surface = nominal_surface(pair).replace(life=life, **{name: states[-1] for name, states in worn.items()})
+    ageing = Ageing(25.0, 3.6e4, 3.6e4, 0.9, 1.1)
+    twin = surface.replace(life=dataclasses.replace(life, ageing=ageing))
     for name, interface in INTERFACES.items():
-        yield name, variables(pair, surface, with_damping(interface, pair, nominal_surface(pair)), "3.0", draws=20)
+        damped = with_damping(interface, pair, nominal_surface(pair))
+        table, aged = (variables(pair, one, damped, "3.0", draws=20) for one in (surface, twin))
+        known = {v.name for v in table}
+        yield name, (*table, *(v for v in aged if v.name not in known))
 
 
 def in_native(variable: Variable) -> str:

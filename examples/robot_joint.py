@@ -4,6 +4,9 @@
 An RV reducer with friction and temperature between a motor and an arm, moved to and fro by a servo controller: the
 FMU, with both inertias inside, at 1 ms, against the same joint integrated by SciPy's stiff solver at 1e-10.
 
+A third run moves the joint with a compensator: its servo follows the motor angle at which the drive's output stands
+where it should.
+
 The reference takes from an FMU what teeth and first stage hold at given angles of both flanges, and nothing else; the
 motion of motor and arm, mesh damping and friction are stated here once more.
 """
@@ -57,6 +60,11 @@ class Run:
         return ARM * np.diff(self.arm_speed) / STEP - WEIGHT
 
     @property
+    def off(self) -> Array:
+        """How far the arm is from where it should be, rad."""
+        return self.arm - np.array([path(float(at))[0] for at in self.time])
+
+    @property
     def resonance(self) -> float:
         """Frequency at which the arm swings once the motor stands, Hz, from where its speed turns round."""
         at = (self.time > MOVE + 0.005) & (self.time < MOVE + REST)
@@ -76,12 +84,39 @@ def path(at: float) -> tuple[float, float, float]:
     return WAY * (back + sign * way), sign * WAY * speed, sign * WAY * acceleration
 
 
-def controller(at: float, angle: float, speed: float, ratio: float) -> float:
+Target = Callable[[float], tuple[float, float]]
+"""Angle and speed of the motor that a servo controller follows."""
+
+
+def at_ratio(ratio: float) -> Target:
+    """The motor's angle of an ideal drive."""
+
+    def target(at: float) -> tuple[float, float]:
+        wanted, speed, _ = path(at)
+        return ratio * wanted, ratio * speed
+
+    return target
+
+
+def compensated(drive: cy.Drive, temperature: float) -> Target:
+    """The motor's angle that a compensator of the drive gives, for the torque that the motion takes."""
+    compensator = drive.compensator(friction=OUTPUT, stiffness=STIFFNESS, largest_torque=400.0, residual="2 arcsec")
+    memory = compensator.start()
+
+    def target(at: float) -> tuple[float, float]:
+        wanted, speed, acceleration = path(at)
+        command = compensator.step(memory, wanted, speed, WEIGHT - ARM * acceleration, temperature)
+        return command.motor_angle, command.motor_speed
+
+    return target
+
+
+def controller(at: float, angle: float, speed: float, ratio: float, target: Target) -> float:
     """Torque of the motor for the next step, N·m: what the motion takes, and a proportional-differential controller."""
-    wanted, wanted_speed, _ = path(at)
+    wanted, wanted_speed = target(at)
     _, _, acceleration = path(at + 0.5 * STEP)
     forward = MOTOR * ratio * acceleration + (ARM * acceleration - WEIGHT) / ratio
-    return forward + 5.0 * (ratio * wanted - angle) + 0.15 * (ratio * wanted_speed - speed)
+    return forward + 5.0 * (wanted - angle) + 0.15 * (wanted_speed - speed)
 
 
 class Instance:
@@ -113,7 +148,7 @@ class Instance:
         self.slave.freeInstance()
 
 
-def moved(fmu: Path, ratio: float, temperature: float) -> tuple[Run, Array]:
+def moved(fmu: Path, ratio: float, temperature: float, target: Target | None = None) -> tuple[Run, Array]:
     """Move the joint's FMU; also what motor and weight have done, what moves, is stored and lost, and all work, J."""
     with tempfile.TemporaryDirectory() as folder:
         joint = Instance(fmu, folder, **{"flange_b.tau": WEIGHT, "temperature": temperature})
@@ -122,8 +157,9 @@ def moved(fmu: Path, ratio: float, temperature: float) -> tuple[Run, Array]:
         energies = joint.reader("elastic_energy", "dissipated_energy")
         times = STEP * np.arange(round(END / STEP) + 1)
         rows, torques, held, work = [get()], [], [energies()], [(0.0, 0.0)]
+        target = target or at_ratio(ratio)
         for at in times[:-1]:
-            torques.append(controller(float(at), rows[-1][0], rows[-1][1], ratio))
+            torques.append(controller(float(at), rows[-1][0], rows[-1][1], ratio, target))
             put((torques[-1],))
             joint.slave.doStep(float(at), STEP)
             rows.append(get())
@@ -172,7 +208,7 @@ def reference(law: Instance, ratio: float, rated: float, damping: float, begin: 
     times = STEP * np.arange(round(END / STEP) + 1)
     states, torques = [np.array([*begin, *np.zeros(10)])], []
     for at in times[:-1]:
-        torques.append(controller(float(at), states[-1][0], states[-1][1], ratio))
+        torques.append(controller(float(at), states[-1][0], states[-1][1], ratio, at_ratio(ratio)))
         solved = solve_ivp(
             change, (0.0, STEP), states[-1], method="LSODA", rtol=1e-10, atol=1e-10, args=(torques[-1],),
         )  # fmt: skip
@@ -216,18 +252,27 @@ def main() -> None:
     missed = np.abs(done - kinetic - elastic - lost).max()
     print(f"energy: {passed[-1]:.1f} J passed, {lost[-1]:.2f} J lost; the balance misses {missed:.0e} J at most")
     print(f"at {COLD - 273.15:.0f} °C {cold[3, -1]:.2f} J are lost")
+    drive = cy.read_drive(HERE / "rv-20e.toml")
+    exactly, _ = moved(OUT / "joint.fmu", drive.ratio, WARM, compensated(drive, WARM))
+    off = {"motor at ratio times the desired angle": warm.off, "compensated": exactly.off}
+    for name, one in off.items():
+        rms, end = np.sqrt(np.mean(one**2)) * cy.ARCMIN, one[-1] * cy.ARCMIN
+        print(f"{name}: the arm is {rms:.2f}′ off, rms, and {end:+.2f}′ where it stands at the end")
 
-    figure = Figure(figsize=(9.0, 8.0), layout="constrained")
-    axes = figure.subplots(3, sharex=True)
+    figure = Figure(figsize=(9.0, 10.0), layout="constrained")
+    axes = figure.subplots(4, sharex=True)
     middle = (warm.time[:-1] + 0.5 * STEP) * 1e3
     axes[0].plot(middle, exact.on_arm, color="0.6", lw=3.0, label="SciPy, LSODA at 1e-10")
     axes[0].plot(middle, warm.on_arm, lw=1.0, label="FMU, steps of 1 ms")
     axes[0].set(ylabel="torque on the arm [N·m]")
-    axes[1].plot(warm.time * 1e3, (warm.arm - exact.arm) * cy.ARCSEC, lw=1.0, label="FMU less SciPy, arm's angle")
+    axes[1].plot(warm.time * 1e3, (warm.arm - exact.arm) * cy.ARCSEC, lw=1.0, label="FMU minus SciPy, arm's angle")
     axes[1].set(ylabel="difference [arcsec]")
+    for color, (name, one) in zip(("0.6", "C0"), off.items(), strict=True):
+        axes[2].plot(warm.time * 1e3, one * cy.ARCMIN, color=color, lw=1.0, label=name)
+    axes[2].set(ylabel="arm − desired [arcmin]")
     for temperature, one in ((WARM, lost), (COLD, cold[3])):
-        axes[2].plot(warm.time * 1e3, one, lw=1.0, label=f"{temperature - 273.15:.0f} °C")
-    axes[2].set(xlabel="time [ms]", ylabel="energy lost [J]")
+        axes[3].plot(warm.time * 1e3, one, lw=1.0, label=f"{temperature - 273.15:.0f} °C")
+    axes[3].set(xlabel="time [ms]", ylabel="energy lost [J]")
     for axis in axes:
         axis.grid(alpha=0.3)
         axis.legend(fontsize="small")

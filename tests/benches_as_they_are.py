@@ -271,8 +271,9 @@ def is_right(one):
 def table(every, effects):
     """Lines of the table of docs/identify.md."""
     yield (
-        "| what the model does not hold | explained | but for its cause | but for another "
-        "| not explained, its cause named | not explained | intervals that hold | farthest, standard errors |"
+        "| effect outside the model | explained | but for its cause | but for another "
+        "| not explained, its cause named | not explained | intervals that contain the truth "
+        "| farthest, standard errors |"
     )
     yield "| --- | --- | --- | --- | --- | --- | --- | --- |"
     kinds = [("explained", None), ("explained but for", True), ("explained but for", False), ("not explained", True),
@@ -287,10 +288,14 @@ def table(every, effects):
     alarms = sum(one["state"] != "explained" for one in quiet)
     silent = [one for one in every if one["state"] == "explained"]
     yield ""
-    yield f"All intervals that are stated: {_coverage(every)}, farthest {_farthest(every)} standard errors."
-    yield f"Of drives that are called explained: {_coverage(silent)}, farthest {_farthest(silent)} standard errors."
+    yield f"All stated intervals: {_coverage(every)}, farthest {_farthest(every)} standard errors."
+    yield (
+        f'Intervals of drives with the verdict "explained": {_coverage(silent)}, '
+        f"farthest {_farthest(silent)} standard errors."
+    )
     yield f"Right verdicts: {sum(map(is_right, every))} of {len(every)}."
-    yield f"False alarms where the model holds everything: {alarms} of {len(quiet)}, {alarms / max(len(quiet), 1):.1%}."
+    share = alarms / max(len(quiet), 1)
+    yield f"False alarms where the model includes everything: {alarms} of {len(quiet)}, {share:.1%}."
 
 
 def _away(every):

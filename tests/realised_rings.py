@@ -99,7 +99,10 @@ def table(drives, first=0):
         every.append(figures_of(found, distance, bound))
         words = ", ".join(f"{n} {d * 1e6:.4f} ({d / b:.2f} bounds, {i}/{c})" for n, (d, b, i, c) in every[-1].items())
         yield f"{number}: {found.verdict.state}, {found.residual / ARCSEC:.3f}″, {words}"
-    yield "| each | rms distance from the truth, µm | worst ring | times the Cramér–Rao bound | intervals that hold |"
+    yield (
+        "| element | rms distance from the truth, µm | worst ring | times the Cramér–Rao bound "
+        "| intervals that contain the truth |"
+    )
     yield "| --- | --- | --- | --- | --- |"
     for name in estimated_parts(pair):
         distance, bound, inside, count = np.array([one[name] for one in every]).T

@@ -85,7 +85,7 @@ def coverage(pair, each, turns, drives, *, loads=LOADS, scatter=0.3e-6, seed=0):
 def table(drives):
     """Lines of the table of docs/identify.md."""
     nominal = read_pair(Path(__file__).parent.parent / "examples" / "drive-39-40.toml")
-    yield "| samples a crank turn | output turns | intervals that hold the truth | farthest, standard errors |"
+    yield "| samples a crank turn | output turns | intervals that contain the truth | farthest, standard errors |"
     yield "| --- | --- | --- | --- |"
     for each, turns in SAMPLINGS:
         found = np.concatenate([[*one.values()] for one in coverage(nominal, each, turns, drives)])

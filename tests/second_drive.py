@@ -146,10 +146,11 @@ def _hertz(depth, curvature, radius, made):
     return depth / (factor * far), 1.0 / (factor * (far - 1.0))
 
 
-def _pushed(made, theta, state, shift):
+def _pushed(made, theta, state, shift, told=None):
     """What the pins push on the discs: moments and forces against, shape (points, 1 + 2 discs), and their derivative.
 
-    `state` has the rotation beyond the ideal one, and two shifts of every disc.
+    `state` has the rotation beyond the ideal one, and two shifts of every disc. A list `told` gets a tuple for each
+    disc and side: (point, pin, tooth, parameter on it, force, curvature of the flank, place against the disc's centre).
     """
     points, discs, pins = theta.size, len(made.turned), made.pins.size
     size = state.shape[1]
@@ -194,6 +195,11 @@ def _pushed(made, theta, state, shift):
             touch = (gap < 0.0) & (within >= 0.0) & (within < 2.0 * np.pi)
             row, outward = row[touch], outward[touch]
             force, stiffness = _hertz(-gap[touch], bend[touch], radius[touch], made)
+            if told is not None:
+                reached = (curve[touch] - made.cut[1] * (-1j * first[touch] / np.abs(first[touch]))) * np.exp(
+                    1j * made.turned[disc, of[touch] % made.teeth]
+                )
+                told.append((row, pin[touch], of[touch], within[touch], force, bend[touch], reached * turn[row]))
             # The tooth's own frame turns back into the plane.
             back = turn[row] * np.exp(1j * made.turned[disc, of[touch] % made.teeth])
             normal = outward * back
@@ -256,6 +262,15 @@ def transmission_error(made, theta, torque, shift=0.0):
             return state[:, 0] + made.windup * torque
     state[now] = np.nan
     return state[:, 0] + made.windup * torque
+
+
+def contacts(made, theta, torque):
+    """Contacts of a body on rigid bearings as arrays of one length: what `_pushed` says of each (see there)."""
+    theta = np.asarray(theta, float)
+    deviation = transmission_error(made, theta, torque) - made.windup * np.asarray(torque)
+    told = []
+    _pushed(made, theta, deviation[:, None], np.zeros(theta.shape), told)
+    return tuple(np.concatenate(parts) for parts in zip(*told, strict=True))
 
 
 def sizes_of(pair):

@@ -31,13 +31,14 @@ from cycloid_fmu.studies.checkpoint import Checkpoint
 from cycloid_fmu.studies.limits import read_requirements
 from cycloid_fmu.studies.tolerance import Study
 from cycloid_fmu.surfaces.measuring import measured_surface, read_points
-from cycloid_fmu.surfaces.surface import surface_of_pair
+from cycloid_fmu.surfaces.surface import Ageing, Life, surface_of_pair
 from cycloid_fmu.wear.law import read_duty_cycle, read_wear_law
 from drivers.recorder.bench import read_bench
 from drivers.recorder.sequence import read_sequence
 from drivers.recording_format import RecordingWriter, Samples
 from drivers.recording_format.repair import repair
 from drivers.simulated.faults import read_faults
+from fitting.ageing.history import History, measured, read_history
 from fitting.estimation.result import read_lmfit_parameters
 from fitting.figures.comparison import read_figures
 from fitting.recordings.inspection import inspect
@@ -109,6 +110,25 @@ direction = -1
 [torque]
 column = "torque"
 """
+HISTORY = """format = "cycloid-history/1"
+crank_turns_per_hour = 9e4
+torque = "-20 N*m"
+in_service = 2026-01-05
+hours_per_day = 16
+[limits]
+lost_motion = "1.6 arcmin"
+[bearing]
+name = "turning_arm"
+clearance_growth = "5 um"
+within = "10000 h"
+[[recorded]]
+date = 2026-02-10
+lost_motion = ["1.26 arcmin", "0.02 arcmin"]
+[[recorded]]
+age = "900 h"
+figures = "f.json"
+"""
+HISTORY_OF_FILE = History(crank_turns_per_hour=9e4, recorded=[{"age": "1 h", "figures": "f.json"}])
 FIGURE = {
     "value": 1e-4, "uncertainty": None, "unit": "rad", "definition": "as the standard says", "interval": [0.0, 20.0],
     "interval_unit": "N*m", "turns": 1, "forward": {
@@ -142,6 +162,22 @@ def surface(folder):
     drive = cy.Drive(SMALL).replace(errors={"pin_radius": "-1 um"})
     drive.write(folder / "made.nc")
     return folder / "made.nc"
+
+
+def twin(folder):
+    """A surface whose life passes with age."""
+    shapes = {"gear_deviation": (1, 6, 1, 1), "pin_deviation": (7, 1, 1)}
+    flat = {**shapes, "gear_curvature": shapes["gear_deviation"], "pin_curvature": shapes["pin_deviation"]}
+    states = [np.zeros((2, *shape)) for shape in flat.values()]
+    life = Life(np.array([0.0, 1e6]), *states, ageing=Ageing(25.0, 1e4, 3e4))
+    made = {name: values[-1] for name, values in zip(flat, states, strict=True)}
+    cy.Drive(SMALL, surface_of_pair(SMALL).replace(**made, life=life, origin="worn")).write(folder / "twin.nc")
+    return folder / "twin.nc"
+
+
+def dated_figures(folder):
+    figures = {"format": "cycloid-figures/1", "lost_motion": {**FIGURE, "uncertainty": 1e-6}}
+    return text_file("f.json", json.dumps(figures))(folder)
 
 
 def table(folder):
@@ -291,6 +327,9 @@ READERS = {
         read_losses,
     ),
     "surface": (surface, cy.read_surface),
+    "twin": (twin, cy.read_surface),
+    "history": (text_file("history.toml", HISTORY), read_history),
+    "dated figures": (dated_figures, lambda path: measured(HISTORY_OF_FILE, cy.Drive(SMALL), path.parent)),
     "points": (points, lambda path: measured_surface(SMALL, read_points(path))),
     "motion": (table, lambda path: read_motion(path, {"flange_a.phi": "rad", "flange_b.phi": "rad"})),
     "FMU": (fmu, lambda path: (stated_drive(path), units_of(path, "output"))),

@@ -23,7 +23,8 @@ from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.native.build import this_platform
 
 ROOT = EXAMPLES.parent
-PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "tutorials").glob("*.md")])
+FOLDERS = (ROOT / "docs", ROOT / "docs" / "tutorials", ROOT / "docs" / "development")
+PAGES = sorted([ROOT / "README.md", *(page for folder in FOLDERS for page in folder.glob("*.md"))])
 BLOCK = re.compile(r"^```(?P<info>[^\n`]*)\n(?P<body>.*?)^```$", re.MULTILINE | re.DOTALL)
 # A study as long as a page has it is for users: here it is so short that it still goes through all that it does.
 SHORTER = (
@@ -31,7 +32,7 @@ SHORTER = (
     (r"( tolerance .*--samples )\d{3,}( --angles \d+)?(?!.* saltelli)", r"\g<1>32 --angles 20"),
     (r"( analyze .*--limits \S+)", r"\g<1> --angles 30"),
     (r"( budget .*)", r"\g<1> --samples 100"),
-    (r"--crank-turns \S+", "--crank-turns 2e4"),
+    (r"( wear .*--crank-turns) \S+", r"\g<1> 2e4"),
 )
 SIMULATE = "cycloid-bench simulate --fmu as-made.fmu --ratio -39 --noise '0.5 arcsec'"
 RUNS = f"""
@@ -65,15 +66,26 @@ covariance_of=('eccentricity',))).write('identified.nc')
 # What a page takes as given: your files, and your bench.
 GIVEN = {
     "README": f"""{RUNS}{LOOP}
-        PYTHONPATH={ROOT}/tests/cycloid_fmu:{ROOT} python -c "{CMM}"
         {SIMULATE} --torque '-20 N*m' --channel 239.74.163.78 --write-bench bench.toml &
     """,
+    "ageing": "cp examples/drive-39-40.toml pair.toml",
     "bench_figures": f"""{RUNS}{LOOP}
         cp examples/instruments.toml examples/certificate.toml .
         cycloid-bench export 200Nm-forward.arrows -o run.csv
         python -c "{TDMS}"
         cycloid-fit metrics run.csv --pair drive.toml -o new.json
         cycloid-fit metrics 200Nm-backward.arrows --pair drive.toml -o worn.json
+    """,
+    "compensation": f"""
+        cp examples/drive-39-40.toml drive.toml
+        cp examples/friction.toml .
+        python -c "{FITTED}"
+    """,
+    "controller": f"""{RUNS}
+        cp examples/drive-39-40-as-made.toml as-made.toml
+        {SIMULATE} --torque '-20 N*m' --bus virtual -o 20Nm-forward.arrows
+        cycloid-fit identify 20Nm-forward.arrows 20Nm-backward.arrows 200Nm-forward.arrows 200Nm-backward.arrows \
+            --pair drive.toml --surface identified.nc
     """,
     "design": """
         cp examples/drive-39-40.toml pair.toml
@@ -95,9 +107,20 @@ GIVEN = {
         sed '/^\\[limits/,/^\\[costs/{/^\\[costs/!d}' drawn.toml > tolerances.toml
     """,
     "native": "cp examples/drive-39-40.toml drive.toml\ncycloid-fmu surface nominal drive.toml -o identified.nc",
-    "tolerances": """
+    "recalibrate": f"""{RUNS}
+        cycloid-fit identify 20Nm-*.arrows 200Nm-*.arrows --pair drive.toml --surface identified.nc
+        sed '/^.errors./,$ s/^pin_radius = .*/pin_radius = "-2 um"/' examples/drive-39-40-as-made.toml > worn.toml
+        cycloid-fmu build worn.toml -o as-made.fmu
+        {SIMULATE} --torque '20 N*m' --direction backward --bus virtual -o visit-20-backward.arrows
+        {SIMULATE} --torque '-20 N*m' --bus virtual -o visit-20-forward.arrows
+        {SIMULATE} --torque '200 N*m' --direction backward --bus virtual -o visit-200-backward.arrows
+        {SIMULATE} --torque '-200 N*m' --bus virtual -o visit-200-forward.arrows
+    """,
+    "tolerances": f"""
         cp examples/drive-39-40.toml pair.toml
-        sed '/^\\[gear_profile/,/^\\[gear_pitch/{/^\\[gear_pitch/!d}' examples/tolerances.toml > tolerances.toml
+        cp examples/rv-20e.toml rv.toml
+        PYTHONPATH={ROOT}/tests/cycloid_fmu:{ROOT} python -c "{CMM}"
+        sed '/^\\[gear_profile/,/^\\[gear_pitch/{{/^\\[gear_pitch/!d}}' examples/tolerances.toml > tolerances.toml
     """,
     "wear": "cp examples/wear-39-40.toml pair.toml\ncp examples/wear.toml wear.toml",
 }
@@ -164,9 +187,21 @@ def shell(command, tmp_path):
         assert started.returncode == 0, said
 
 
+def install(folder):
+    """Leave beside a `pyproject.toml` what `pip install -e .` does, so that its entry points are found from there."""
+    project = tomllib.loads((folder / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    name, version = project["name"], project["version"]
+    metadata = folder / f"{name.replace('-', '_')}-{version}.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n", encoding="utf-8")
+    groups = project["entry-points"].items()
+    lines = [f"[{group}]\n" + "".join(f"{k} = {v}\n" for k, v in points.items()) for group, points in groups]
+    (metadata / "entry_points.txt").write_text("\n".join(lines), encoding="utf-8")
+
+
 @pytest.mark.slow(60)
 @pytest.mark.parametrize("page", [p for p in PAGES if "```sh" in p.read_text(encoding="utf-8")], ids=lambda p: p.stem)
-def test_a_page_s_commands_do_what_it_says(page, tmp_path, shell):
+def test_a_page_s_commands_do_what_it_says(page, tmp_path, shell, monkeypatch):
     """A tutorial from nothing, the others from what they take as given: the commands in order, in one empty folder."""
     shutil.copytree(EXAMPLES, tmp_path / "examples", ignore=shutil.ignore_patterns("*.py", "__pycache__"))
     for line in lines_of(GIVEN.get(page.stem, "")):
@@ -175,6 +210,9 @@ def test_a_page_s_commands_do_what_it_says(page, tmp_path, shell):
     for language, caption, body in blocks(page):
         if caption:
             (tmp_path / caption).write_text(body, encoding="utf-8")
+            if caption == "pyproject.toml":
+                install(tmp_path)
+                monkeypatch.syspath_prepend(tmp_path)
         elif language == "python":
             subprocess.run([sys.executable, "-c", body], cwd=tmp_path, check=True, timeout=600)
         elif language == "sh" and not elsewhere.search(body):
@@ -185,6 +223,25 @@ def test_a_page_s_commands_do_what_it_says(page, tmp_path, shell):
                 for long, short in SHORTER:
                     line = re.sub(long, short, line)
                 shell(line)
+
+
+# A quantity that is measured: the number before its unit, or after a label that begins with it.
+MEASURED_UNIT = r"(?:ns|µs|ms|s|kB|MB|GB|″|%)(?![\w·])"
+CLAIM = re.compile(rf"(\d+(?:\.\d+)?)(?: to (\d+(?:\.\d+)?))?\s?({MEASURED_UNIT})")
+LABELLED = re.compile(rf"(?<!\w)({MEASURED_UNIT})[^:;|]*: (\d+(?:\.\d+)?)")
+
+
+def test_each_measured_number_of_the_readme_is_one_of_the_measured_figures():
+    readme = BLOCK.sub("", (ROOT / "README.md").read_text(encoding="utf-8"))
+    page = (ROOT / "docs" / "measured.md").read_text(encoding="utf-8")
+    measured = [(number, unit) for low, high, unit in CLAIM.findall(page) for number in (low, high) if number]
+    measured += [(number, unit) for unit, number in LABELLED.findall(page)]
+    claims = CLAIM.findall(readme)
+    assert claims
+    for low, high, unit in claims:
+        for number in filter(None, (low, high)):
+            digits = len(number.partition(".")[2])
+            assert any(round(float(n), digits) == float(number) for n, of in measured if of == unit), (number, unit)
 
 
 def test_the_api_reference_has_every_public_name_and_every_room():

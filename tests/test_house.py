@@ -1,5 +1,6 @@
 """How the house is built: who imports whom, what loads when, and what the changelog looks like."""
 
+import cmath
 import importlib
 import re
 import shutil
@@ -139,3 +140,52 @@ def test_benchmarks_can_be_collected():
         [sys.executable, "-m", "pytest", "--collect-only", "-q", "benchmarks"], cwd=ROOT, capture_output=True, text=True
     )
     assert found.returncode == 0, found.stdout
+
+
+def test_the_drawing_of_the_rooms_has_every_folder_and_the_stated_layers(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    import rooms
+
+    drawn = (ROOT / "docs" / "_static" / "rooms.svg").read_text(encoding="utf-8")
+    assert drawn == rooms.drawing(), "draw it again: python docs/rooms.py"
+    names = set(re.findall(r'<rect id="([\w.]+)"', drawn))
+    folders = {
+        f"{p.parent.parent.name}.{p.parent.name}" for name in PACKAGES for p in (ROOT / name).glob("*/__init__.py")
+    }
+    modules = {f"cycloid_fmu.{p.stem}" for p in (ROOT / "cycloid_fmu").glob("*.py") if p.stem != "__init__"}
+    assert names == folders | modules
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    ways = page.split("\n## ")[1:4]
+    for steps, way in zip(rooms.WAYS.values(), ways, strict=True):
+        assert tuple(re.findall(r"^\d\. `([\w.]+)`", way, re.MULTILINE)) == steps
+        assert set(steps) <= names
+
+
+def test_the_drawing_of_signs_shows_where_pins_and_teeth_are(monkeypatch):
+    """Pin i at 2 pi i / z_p from +x, the middle of tooth j at (2 pi (j + 1/2) - theta) / z_c about the gear."""
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    import signs
+
+    drawn = (ROOT / "docs" / "_static" / "signs.svg").read_text(encoding="utf-8")
+    assert drawn == signs.signs(), "draw it again: python docs/signs.py"
+    numbers = re.findall(r'<text x="([\d.]+)" y="([\d.]+)" fill="(#\w+)"[^>]*>(\d+)</text>', drawn)
+    pins, teeth = signs.PAIR.pins, signs.PAIR.gear_teeth
+    centre = signs.at(signs.PAIR.eccentricity * cmath.exp(1j * signs.THETA))
+    for colour, middle, count, first in (
+        ("#111", signs.MIDDLE, pins, 0.0), (signs.BLUE, centre, teeth, (cmath.pi - signs.THETA) / teeth),
+    ):  # fmt: skip
+        places = {int(n): complex(float(x), float(y)) - middle for x, y, fill, n in numbers if fill == colour}
+        assert sorted(places) == list(range(count))
+        for number, place in places.items():
+            turned = place.conjugate() * cmath.exp(-1j * (first + 2.0 * cmath.pi * number / count))
+            assert abs(cmath.phase(turned)) < 0.01
+
+
+def test_the_forge_s_workflows_run_what_every_machine_runs_with_pinned_actions():
+    workflows = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
+    text = "".join(path.read_text(encoding="utf-8") for path in workflows)
+    assert ".ci/run" in text
+    used = re.findall(r"uses: (\S+)(.*)", text)
+    assert used
+    assert all(re.fullmatch(r"[\w-]+/[\w-]+@[0-9a-f]{40}", name) and " # v" in note for name, note in used)
+    assert "permissions:\n  contents: read" in text

@@ -31,7 +31,7 @@ def analyze(
     output: Annotated[Path | None, commands.output_option((".nc",), "OUT.nc", "Write the dataset (netCDF).")] = None,
     surface_file: SurfaceFile = None,
     angles: Annotated[int, typer.Option(min=1, help="Crank angles, evenly from 0, end excluded.")] = ANGLES,
-    turns: Annotated[int, typer.Option(min=1, help="Crank turns that they span.")] = 1,
+    turns: Annotated[int, typer.Option(min=1, help="Crank turns covered by the crank angles.")] = 1,
     slices: Annotated[
         int | None,
         typer.Option(
@@ -42,7 +42,7 @@ def analyze(
         str | None,
         typer.Option(
             metavar='"ring = 50 degC, discs = 60 degC"',
-            help="Temperatures of ring, pins, discs, carrier and crank, or one of all; else those of the pair file.",
+            help="Temperatures of ring, pins, discs, carrier and crank, or one for all. Default: the pair file's.",
         ),
     ] = None,
     limits_file: LimitsFile = None,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cycloid_fmu import edge
-from cycloid_fmu.cli.shared import SurfaceFile
+from cycloid_fmu.cli.shared import SurfaceFile, with_measured
 from cycloid_fmu.edge import commands
 
 if TYPE_CHECKING:
@@ -46,7 +46,9 @@ def build(
     ] = 0.0,
     support_flange: Annotated[
         bool,
-        typer.Option("--support-flange", help="A housing that turns: its motion in, the torque on it out."),
+        typer.Option(
+            "--support-flange", help="For a rotating housing: its motion is an input, the torque on it an output."
+        ),
     ] = False,
     losses: Annotated[
         Path | None,
@@ -72,12 +74,13 @@ def build(
         Path | None,
         typer.Option(
             metavar="FIGURES.json",
-            help="Stiffness and dry friction of a measured loop, as cycloid-fit metrics -o writes its figures.",
+            help="Stiffness and dry friction from a measured loop: the figures that cycloid-fit metrics -o writes.",
         ),
     ] = None,
     fmi_version: Annotated[str, commands.choice_option(("2.0", "3.0"), "FMI version.", "--fmi")] = "2.0",
     native: Annotated[
-        bool, typer.Option("--native", help="An FMU that needs no Python: C around tables of the contact model.")
+        bool,
+        typer.Option("--native", help="Build an FMU that needs no Python: C code with tables of the contact model."),
     ] = False,
     largest_torque: Annotated[
         float | None,
@@ -89,7 +92,7 @@ def build(
         int,
         typer.Option(
             min=0,
-            help="Drives that the FMU holds besides an identified one, drawn from its fit; the parameter draw chooses.",
+            help="Drives drawn from the fit of an identified drive and added to the FMU; parameter draw selects one.",
             show_default=False,
         ),
     ] = 0,
@@ -128,9 +131,7 @@ def build(
         table = read_losses(losses)
     if loop is not None:
         stiffness, coulomb = read_loop(loop)
-        if friction.output.coulomb > 0.0:
-            raise edge.InputError("--loop: it has a dry friction; remove coulomb from [friction.output].")
-        friction = friction.replace(output=friction.output.replace(coulomb=coulomb))
+        friction = friction.replace(output=with_measured(friction.output, coulomb, "--loop"))
     kind: Any = interface
     offered = Interface(
         kind, output_inertia, table, crank_inertia=crank_inertia, stiffness=stiffness, support_flange=support_flange,

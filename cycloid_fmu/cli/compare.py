@@ -19,7 +19,7 @@ def compare(
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
-    """Run two FMUs, or an FMU and the drive of a recording, through the same motion and report the differences.
+    """Run two FMUs, or an FMU and a recorded drive, through the same motion and report the differences.
 
     A recording (CSV, as `cycloid-bench export` and `simulate -o` write it) has the motion itself.
 

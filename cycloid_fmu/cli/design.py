@@ -20,21 +20,21 @@ def design(
     design_file: Annotated[
         Path, typer.Argument(metavar="DESIGN.toml", help="Drive, ranges, goals and limits (cycloid-design/1).")
     ],
-    starts: Annotated[int, typer.Option(min=0, help="Places to start from beside the drive itself.")] = 4,
-    points: Annotated[int, typer.Option(min=3, help="Drives of a Pareto front, where there are two goals.")] = 7,
+    starts: Annotated[int, typer.Option(min=0, help="Number of starting points besides the drive itself.")] = 4,
+    points: Annotated[int, typer.Option(min=3, help="Number of drives on the Pareto front, with two goals.")] = 7,
     seed: Annotated[int, typer.Option(min=0, help="The same seed finds the same drive.")] = 1,
     workers: Annotated[int, typer.Option(min=1, help="Threads that solve sampled drives.")] = os.cpu_count() or 1,
     output: Annotated[
         Path | None,
         typer.Option(
             "--output", "-o", metavar="FOLDER", file_okay=False,
-            help="Write each drive as a pair file, where its flanks have form a surface file too, and designs.json.",
+            help="Folder for a pair file of each drive, a surface file if its flanks have a form, and designs.json.",
         ),
     ] = None,
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:  # fmt: skip
-    """Search geometry and modification that keep an application's limits and are best by a goal, or by two.
+    """Search geometry and modification that meet an application's limits and are best for one goal, or for two.
 
     Example: [cyan]cycloid-fmu design design.toml -o found --plot found.png[/]
     """

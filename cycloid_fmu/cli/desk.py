@@ -16,7 +16,7 @@ def desk(
     limits_file: Annotated[
         Path | None,
         typer.Option(
-            "--limits", metavar="REQUIREMENTS.toml", help="What is asked of the drive (cycloid-requirements/1)."
+            "--limits", metavar="REQUIREMENTS.toml", help="Requirements of the application (cycloid-requirements/1)."
         ),
     ] = None,
 ) -> None:

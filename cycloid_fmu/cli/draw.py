@@ -36,12 +36,12 @@ def draw(
     exaggeration: Annotated[
         float | None,
         typer.Option(
-            help="How many times larger gaps between discs and pins are drawn; 1 is to scale.",
+            help="Enlargement of the gaps between discs and pins; 1 is to scale.",
             show_default="a round number that fits",
         ),
     ] = None,
 ) -> None:
-    """Draw discs, pins, contacts and forces, with gaps exaggerated; as a page with a crank turn to play.
+    """Draw discs, pins, contacts and forces, with enlarged gaps: a picture, or a page that plays a crank turn.
 
     With one torque a page also has its half, none, and both against it. One tooth is drawn close up, with its
     modification and its deviations, worn ones too.

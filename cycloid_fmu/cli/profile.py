@@ -24,7 +24,9 @@ def profile(
     disc: Annotated[int, typer.Option(help="Number of the disc, from 0.")] = 0,
     chord_error: Annotated[
         float,
-        commands.quantity_option("m", "Largest distance of the flank from what is written.", show_default="0.1 um"),
+        commands.quantity_option(
+            "m", "Largest distance between the flank and the written outline.", show_default="0.1 um"
+        ),
     ] = 1e-7,
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,

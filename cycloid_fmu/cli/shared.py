@@ -12,13 +12,14 @@ from cycloid_fmu import edge
 from cycloid_fmu.edge import commands
 
 if TYPE_CHECKING:
+    from cycloid_fmu.fmu.friction_file import Friction
     from cycloid_fmu.studies.limits import Verdict
     from cycloid_fmu.studies.verdicts import Judged
 
 PairFile = Annotated[Path, typer.Argument(metavar="PAIR.toml", help="The gear pair (format cycloid-pair/1).")]
 SurfaceFile = Annotated[
     Path | None,
-    typer.Option("--surface", metavar="S.nc", help="Error surface; without it the errors that the pair file states."),
+    typer.Option("--surface", metavar="S.nc", help="Error surface. Default: the errors in the pair file."),
 ]
 FmuFile = Annotated[Path, commands.zip_argument("DRIVE.fmu", "FMU", "An FMU made by cycloid-fmu build.")]
 MotionFile = Annotated[
@@ -26,7 +27,7 @@ MotionFile = Annotated[
     typer.Option(
         "--input",
         metavar="MOTION.csv",
-        help="The inputs over time: time \\[s] and a column each, such as flange_a.phi \\[rad]; a recording will do.",
+        help="The inputs over time: time \\[s] and a column each, such as flange_a.phi \\[rad]; or a recording.",
     ),
 ]
 LimitsFile = Annotated[
@@ -34,12 +35,19 @@ LimitsFile = Annotated[
     typer.Option(
         "--limits",
         metavar="REQUIREMENTS.toml",
-        help="What is asked of the drive (cycloid-requirements/1): which limits are met; status 4 where one is not.",
+        help="Requirements of the application (cycloid-requirements/1): judge each limit; status 4 if one is not met.",
     ),
 ]
 TolerancesFile = Annotated[
     Path, typer.Option("--tolerances", metavar="T.toml", help="Tolerances, limits and costs (cycloid-tolerances/1).")
 ]
+
+
+def with_measured(friction: Friction, coulomb: float, option: str) -> Friction:
+    """Return friction at the output with the dry friction (N·m) that an option's file has; only one may state it."""
+    if friction.coulomb > 0.0:
+        raise edge.InputError(f"{option}: it has a dry friction; remove coulomb from [friction.output].")
+    return friction.replace(coulomb=coulomb)
 
 
 def print_verdicts(title: str, verdicts: Sequence[Verdict], not_judged: Sequence[str]) -> None:

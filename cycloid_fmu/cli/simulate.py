@@ -15,7 +15,7 @@ from cycloid_fmu.edge import commands
 def simulate(
     fmu_file: FmuFile,
     torque: Annotated[float | None, commands.quantity_option("N*m", 'Torque on the output, such as "100 N*m".')] = None,
-    turns: Annotated[float, typer.Option(help="Crank turns; below zero turns backwards.")] = 1.0,
+    turns: Annotated[float, typer.Option(help="Crank turns; a negative number turns backwards.")] = 1.0,
     speed: Annotated[
         float, commands.quantity_option("rad/s", "Crank speed.", show_default="600 rpm")
     ] = edge.parse_quantity("600 rpm", "rad/s"),

@@ -33,7 +33,7 @@ def _write(made: ErrorSurface, output: Path, plot: Path | None) -> None:
 
 @surface.command()
 def nominal(pair_file: PairFile, output: SurfaceOutput, plot: commands.PlotFile = None) -> None:
-    """Write the surface that the pair file itself describes: nominal flanks with the errors it states.
+    """Write the surface described by the pair file: nominal flanks with the errors in the file.
 
     Example: [cyan]cycloid-fmu surface nominal pair.toml -o surface.nc[/]
     """
@@ -53,7 +53,7 @@ def sampled(
     angle: Angle = 100,
     plot: commands.PlotFile = None,
 ) -> None:
-    """Draw one drive that the tolerances allow; the errors that the pair file itself states are not part of it.
+    """Draw one random drive within the tolerances; the errors in the pair file are not included.
 
     Example: [cyan]cycloid-fmu surface sampled pair.toml --tolerances tolerances.toml --seed 1 -o surface.nc[/]
     """
@@ -82,7 +82,7 @@ def measured(
     angle: Angle = 25,
     plot: commands.PlotFile = None,
 ) -> None:
-    """Fit an error surface to the points of a coordinate measuring machine: aligned, outliers left out, averaged.
+    """Fit an error surface to the points of a coordinate measuring machine: aligned, without outliers, averaged.
 
     Example: [cyan]cycloid-fmu surface measured pair.toml --points cmm.csv -o surface.nc --plot surface.png[/]
     """
@@ -107,7 +107,7 @@ def measured(
     commands.print_table(points_file.name, ["figure", *(a.body for a in found)], rows)
     for outlier in report.outliers:
         typer.echo(
-            f"{points_file.name}: line {outlier.line}: {outlier.place} lies {outlier.distance * 1e6:.1f} µm off its "
+            f"{points_file.name}: line {outlier.line}: {outlier.place} is {outlier.distance * 1e6:.1f} µm off its "
             "neighbours and was left out."
         )
     for note in report.notes:

@@ -24,7 +24,7 @@ def sweep(
         list[str],
         typer.Option(
             metavar='"NAME=2.5:3.5:11 mm"',
-            help="A value of the pair file, and the values that it takes: a range with their number, or a list "
+            help="A value of the pair file with its range and number of steps, or a list "
             '"NAME=2.5, 3 mm"; may be repeated.',
         ),
     ],
@@ -34,12 +34,14 @@ def sweep(
     output: Annotated[
         Path | None,
         commands.output_option(
-            (".csv", ".parquet", ".nc"), "TABLE.csv|parquet|nc", "Write it; what is done is kept beside it until then."
+            (".csv", ".parquet", ".nc"),
+            "TABLE.csv|parquet|nc",
+            "Write it; until then partial results are kept beside it.",
         ),
     ] = None,
     surface_file: SurfaceFile = None,
     angles: Annotated[int, typer.Option(min=20, help="Crank angles, evenly from 0, end excluded.")] = ANGLES,
-    turns: Annotated[int, typer.Option(min=1, help="Crank turns that they span.")] = 1,
+    turns: Annotated[int, typer.Option(min=1, help="Crank turns covered by the crank angles.")] = 1,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = os.cpu_count() or 1,
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,

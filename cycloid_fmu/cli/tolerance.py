@@ -35,25 +35,23 @@ def tolerance(
         ),
     ] = "sobol",
     angles: Annotated[int, typer.Option(min=20, help="Crank angles, evenly from 0, end excluded.")] = ANGLES,
-    turns: Annotated[int, typer.Option(min=1, help="Crank turns that they span.")] = 1,
+    turns: Annotated[int, typer.Option(min=1, help="Crank turns covered by the crank angles.")] = 1,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = os.cpu_count() or 1,
     scheduler: Annotated[
         str | None, typer.Option(metavar="tcp://HOST:PORT", help="Use a dask cluster instead of this machine's cores.")
     ] = None,
     screen: Annotated[
         float | None,
-        typer.Option(metavar="SHARE", help="Solve to first order and confirm this share by the exact kernel."),
+        typer.Option(metavar="SHARE", help="Solve all drives to first order, and this share with the exact kernel."),
     ] = None,
     target: Annotated[
         float | None,
-        typer.Option(
-            "--allocate", metavar="YIELD", help="Find the cheapest tolerances that reach this share of good drives."
-        ),
+        typer.Option("--allocate", metavar="YIELD", help="Find the cheapest tolerances that reach this yield."),
     ] = None,
     output: Annotated[
         Path | None,
         commands.output_option(
-            (".nc",), "STUDY.nc", "Write the study (netCDF); what is done is kept beside it until then."
+            (".nc",), "STUDY.nc", "Write the study (netCDF); until then partial results are kept beside it."
         ),
     ] = None,
     limits_file: LimitsFile = None,

@@ -21,7 +21,7 @@ def wear(
         float | None, commands.quantity_option("N*m", 'Torque on the output, such as "-400 N*m".')
     ] = None,
     crank_turns: Annotated[
-        float | None, typer.Option(help="Crank turns; without them those of the duty cycle.", show_default=False)
+        float | None, typer.Option(help="Crank turns. Default: those of the duty cycle.", show_default=False)
     ] = None,
     duty_file: Annotated[
         Path | None,
@@ -95,7 +95,7 @@ def _print(figures: dict[str, Any], name: str) -> None:
     rows = [
         [f"{body}, {text}", *(f"{figures[kind][f'{body}_depth_{key}'] * 1e6:.3f} µm" for kind in kinds)]
         for body in ("gear", "pin")
-        for key, text in (("max", "deepest"), ("mean", "mean of what is worn"))
+        for key, text in (("max", "deepest"), ("mean", "mean of the worn area"))
     ]
     commands.print_table(f"{name}, {figures['crank_turns']:g} crank turns", ["wear depth", *kinds.values()], rows)
     life = figures["life"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from cycloid_fmu.contact.compiling import compiled, part, spliced
+from cycloid_fmu.contact.compiling import compiled, part
 from cycloid_fmu.contact.equilibrium import to_touch
 from cycloid_fmu.contact.local_frame import local_frame
 from cycloid_fmu.contact.placement import CLEAR, place
@@ -91,7 +91,18 @@ def play(problem: Problem, theta: float, x: float, contacts: Rows, cold: bool) -
     return low, _first_touch(problem, theta, x, contacts, cold, 1.0), 0.0
 
 
-@spliced
+@part
+def end_beside(problem: Problem, theta: float, x: float, contacts: Rows, cold: bool, direction: float) -> float:
+    """End of the free rotation in `direction` (±1) of nominal flanks, from that of a neighbouring crank angle, x.
+
+    Pins that were clear there stay clear for certain (docs/theory/contact.md), so that few are solved. Where there is
+    no free position both ends are found all the same, the lower above the upper.
+    """
+    place(problem, theta, x, contacts, cold, CLEAR, math.inf)
+    return _first_touch(problem, theta, x, contacts, cold, direction)
+
+
+@part
 def _first_touch(problem: Problem, theta: float, x: float, contacts: Rows, cold: bool, direction: float) -> float:
     # What a flank with deviations predicts reaches no farther than its next element.
     clear = CLEAR if problem.deviations is None else math.inf

@@ -14,7 +14,7 @@ from cycloid_fmu.contact.equilibrium import equilibrium, load, rotational_stiffn
 from cycloid_fmu.contact.load_sharing import ContactLines, load_sharing, write_contact_lines
 from cycloid_fmu.contact.local_frame import local_frame
 from cycloid_fmu.contact.placement import BOUNDED, CLEAR, place
-from cycloid_fmu.contact.play import play
+from cycloid_fmu.contact.play import end_beside, play
 from cycloid_fmu.contact.problem import Problem
 from cycloid_fmu.contact.rows import Rows, contact_rows, disc_slice_pin
 from cycloid_fmu.contact.sensitivity import sensitivities
@@ -107,10 +107,19 @@ def sweep_play(problem: Problem, thetas: Array, first: int, last: int, low: Arra
 
 @spliced
 def _solve_play(problem: Problem, thetas: Array, first: int, last: int, low: Array, high: Array, gap: Array) -> None:
-    contacts = contact_rows(problem)
+    contacts, at_low, at_high = contact_rows(problem), contact_rows(problem), contact_rows(problem)
+    followed = False
     for i in range(first, last):
         cold = i == first or math.isnan(low[i - 1])
         x = 0.0 if cold else 0.5 * (low[i - 1] + high[i - 1])
+        if problem.deviations is None and not cold:
+            low[i] = end_beside(problem, thetas[i], low[i - 1], at_low, not followed, -1.0)
+            high[i] = end_beside(problem, thetas[i], high[i - 1], at_high, not followed, 1.0)
+            followed = low[i] < high[i]
+            if followed:
+                gap[i] = 0.0
+                continue
+            cold = True
         low[i], high[i], gap[i] = play(problem, thetas[i], x, contacts, cold)
 
 

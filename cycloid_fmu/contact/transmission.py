@@ -504,7 +504,7 @@ def notes(pair: Pair, found: Transmission) -> list[str]:
             "A modification that removes material is an isometric above zero or an offset below zero."
         )
     if missing := missing_for_clearances(pair):
-        said.append(f"Clearances stay as drawn at these temperatures for what is not stated: {', '.join(missing)}.")
+        said.append(f"Clearances stay as drawn at these temperatures; not stated are: {', '.join(missing)}.")
     return said
 
 

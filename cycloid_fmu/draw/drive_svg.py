@@ -26,9 +26,8 @@ def pressure_colour(part: float) -> str:
 def _path(points: Points, closed: bool = False) -> str:
     """Points, m, as an SVG path in mm."""
     places = (points * 1e3).ravel()
-    return (
-        "M" + "L".join(f"{x:.3f} {y:.3f}" for x, y in zip(places.real, places.imag, strict=True)) + "Z" * closed
-    )  # fmt: skip
+    # One format of all points takes half as long as one of each.
+    return "M" + "L".join(["%.3f %.3f"] * places.size) % tuple(places.view(float).tolist()) + "Z" * closed
 
 
 def _circle(centre: complex, radius: float, fill: str, more: str = "", inside: str = "") -> str:

@@ -70,7 +70,7 @@ class _Group(typer.core.TyperGroup):
         except ArgumentError as problem:
             raise InputError(problem.named(_flag(ctx.meta["cycloid.command"], problem.argument))) from problem
         except KeyboardInterrupt as interrupt:
-            _say(str(interrupt) or "Interrupted; what was finished is kept.")
+            _say(str(interrupt) or "Interrupted; finished results are kept.")
             raise typer.Exit(getattr(interrupt, "exit_status", INTERRUPTED)) from None
 
 
@@ -215,7 +215,7 @@ def run(app: typer.Typer) -> NoReturn:
         sys.exit(BAD_INPUT)
     except (KeyboardInterrupt, typer.Abort) as problem:
         ended = isinstance(problem.__cause__, EOFError)
-        _say("The input ended." if ended else "Interrupted; what was finished is kept.")
+        _say("The input ended." if ended else "Interrupted; finished results are kept.")
         sys.exit(FAILED if ended else INTERRUPTED)
     except Exception as problem:
         if debug:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import numbers
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Self, TypeVar, get_args
 
@@ -77,6 +78,16 @@ PressureViscosity = Annotated[float, *_in_unit("1/Pa")]
 WearCoefficient = Annotated[float, *_in_unit("m^2/N")]
 
 
+_COUNT = re.compile(r"\w+ should have (at \w+ \d+) items? after validation, not (\d+)")
+_LIST = "a list in square brackets"
+_NUMBER = "a number without quotes"
+_WORDS = {
+    "list_type": _LIST, "tuple_type": _LIST, "dict_type": "a table", "model_type": "a table",
+    "float_type": _NUMBER, "float_parsing": _NUMBER, "string_type": "text in quotes",
+}  # fmt: skip
+"""What pydantic's kinds of problems ask for, in words of the file."""
+
+
 class Config(pydantic.BaseModel, metaclass=_Construction):
     """Base of everything read from TOML: unknown keys are refused, values can't be changed afterwards.
 
@@ -138,15 +149,25 @@ def _sentence(error: Any, model: type[pydantic.BaseModel], source: str) -> str:
         near = did_you_mean(str(place[-1]), _keys(model, place[:-1])) or "check its spelling or remove it."
         return f"{source}: {field} is not a key known here; {near}"
     message = message.removeprefix("Value error, ").removeprefix("Input should be ").removesuffix(".")
+    message = _WORDS.get(kind, message)
+    if counted := _COUNT.fullmatch(message):
+        entries = "entry" if counted[1].endswith(" 1") else "entries"
+        return f"{source}: {field} must have {counted[1]} {entries}, not {counted[2]}."
     if kind not in ("value_error", "assertion_error"):
         message = f"it should be {message}"
+    message += "" if message.endswith("?") else "."
     if not field:
-        return f"{source}: {message}."
-    return f"{source}: {field} = {shown(error['input'])}: {message}."
+        return f"{source}: {message}"
+    if isinstance(error["input"], Mapping):  # a table: what is in it is seen in the file
+        return f"{source}: [{cut('.'.join(map(str, place)), 100)}]: {message}"
+    return f"{source}: {field} = {shown(error['input'])}: {message}"
 
 
 def _input_error(problems: pydantic.ValidationError, model: type[pydantic.BaseModel], source: str) -> InputError:
     found = problems.errors(include_url=False, include_context=False)
+    # Entries that can't be used don't count, for pydantic, but that there are too few of them is no news.
+    entries = {e["loc"][:-1] for e in found if e["loc"]} | {e["loc"][:-2] for e in found if len(e["loc"]) > 1}
+    found = [e for e in found if not (e["type"] == "too_short" and e["loc"] in entries)]
     said = [_sentence(e, model, source) for e in found[:5]]
     if len(found) > 5:
         said.append(f"{source}: {len(found) - 5} more problems.")

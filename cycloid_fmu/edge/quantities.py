@@ -163,7 +163,7 @@ def unit_scale(unit: str, si: str) -> float:
     if zero != 0.0:
         raise ValueError(f"the unit {shown(unit)} has an offset; use one such as {example}")
     if not 0.0 < one < math.inf:
-        raise ValueError(f"the unit {shown(unit)} is beyond what numbers hold; use one such as {example}")
+        raise ValueError(f"the unit {shown(unit)} is beyond the range of numbers; use one such as {example}")
     return one
 
 

@@ -135,13 +135,15 @@ def build_fmu(
         }
         if draws > 0:
             numbers["draws"] = draws
+        if surface.life is not None and surface.life.ageing is not None:
+            numbers["ageing"] = vars(surface.life.ageing)
         if first_stage is not None:
             numbers["first_stage"] = json.loads(first_stage.text)
         (place / NUMBERS).write_text(json.dumps(numbers, indent=1), encoding="utf-8")
         with (place / SURFACE).open("wb") as file:
             arrays = {**surface.errors, **{name: getattr(surface, name) for name in DEVIATIONS}}
             if surface.life is not None:
-                arrays.update({f"life_{n}": a for n, a in vars(surface.life).items()})
+                arrays.update({f"life_{n}": a for n, a in surface.life.arrays.items()})
             np.savez(file, allow_pickle=False, **{n: a for n, a in arrays.items() if a is not None})
         if draws > 0:
             np.savez(place / DRAWS, allow_pickle=False, **displacements_of(surface, drawn))
@@ -173,7 +175,7 @@ def surfaces_of_draws(pair: Pair, surface: ErrorSurface, draws: int, seed: int) 
         raise ArgumentError("draws", f"it must lie between 0 and {MOST_DRAWS}", draws)
     if draws > 0 and surface.covariance is None:
         raise ArgumentError(
-            "draws", "the drive's errors have no covariance of a fit to draw from; give what identify found", draws
+            "draws", "the drive's errors have no covariance of a fit to draw from; give a surface of identify", draws
         )  # fmt: skip
     return drawn_surfaces(pair, surface, draws, seed) if draws > 0 else []
 

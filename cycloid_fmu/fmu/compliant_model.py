@@ -40,8 +40,8 @@ from cycloid_fmu.surfaces.surface import ErrorSurface
 
 # What a quasi-static drive at the same place has of the state.
 _SHARED = (
-    "errors", "pin_arrays", "_crank_turns_worn", "_draw", "crank_angle", "crank_speed", "series_compliance",
-    "backlash_on",
+    "errors", "pin_arrays", "_crank_turns_worn", "_age", "_wear_factor", "_draw", "crank_angle", "crank_speed",
+    "series_compliance", "backlash_on",
 )  # fmt: skip
 
 

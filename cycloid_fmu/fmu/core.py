@@ -33,11 +33,11 @@ from cycloid_fmu.fmu.reducer_model import CompliantReducer, ReducerModel
 from cycloid_fmu.fmu.variables import ABSOLUTE, ATTRIBUTES, Interface, Kind, Variable, stiffness_text, variables
 from cycloid_fmu.geometry.pair import Pair, parse_pair
 from cycloid_fmu.reducer.first_stage import FirstStage
-from cycloid_fmu.surfaces.surface import ErrorSurface, Life
+from cycloid_fmu.surfaces.surface import Ageing, ErrorSurface, Life
 
 NUMBERS, SURFACE, DRAWS, SUMS = "pair.json", "surface.npz", "draws.npz", "SHA256SUMS"
 FORMAT = 3  # of these files
-MAGIC, STATE_VERSION = b"cycloid state\0\0\0", 6
+MAGIC, STATE_VERSION = b"cycloid state\0\0\0", 7
 # Phases of an instance, as messages name them; the native FMU's are the same (native/sources/instance.c).
 INSTANTIATED, INITIALIZING, STEPPING, TERMINATED = (
     "before initialization", "during initialization", "while stepping", "after termination",
@@ -151,7 +151,8 @@ class Core:
             values: dict[str, Any] = {n: arrays[n] if arrays[n].shape else float(arrays[n]) for n in arrays.files}
             states = {n.removeprefix("life_"): values.pop(n) for n in arrays.files if n.startswith("life_")}
         pair, stage = parse_pair(numbers["pair"], "the FMU's drive"), numbers.get("first_stage")
-        surface = ErrorSurface(pair, **values, life=Life(**states) if states else None)
+        ageing = None if "ageing" not in numbers else Ageing(**numbers["ageing"])
+        surface = ErrorSurface(pair, **values, life=Life(**states, ageing=ageing) if states else None)
         self.interface = interface = interface_from(numbers["interface"])
         self.model = model_of(pair, surface, interface, None if stage is None else FirstStage(**stage))
         if DRAWS in files:

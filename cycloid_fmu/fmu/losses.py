@@ -63,9 +63,9 @@ def check_losses(rows: Sequence[Row]) -> None:
         if not (speed == 0.0 if i == 1 else rows[i - 2][0] < speed < math.inf):
             raise ValueError(f"loss_table[{i},1] = {speed:g}: speeds must ascend from 0")
         if not 0.0 < forward <= 1.0:
-            raise ValueError(f"loss_table[{i},2] = {forward:g}: an efficiency lies above 0 and not above 1")
+            raise ValueError(f"loss_table[{i},2] = {forward:g}: an efficiency must be above 0 and not above 1")
         if not 0.0 <= backward <= 1.0:
-            raise ValueError(f"loss_table[{i},3] = {backward:g}: an efficiency lies between 0 and 1")
+            raise ValueError(f"loss_table[{i},3] = {backward:g}: an efficiency must be between 0 and 1")
         for j, torque in enumerate(torques, start=4):
             if not 0.0 <= torque < math.inf:
                 raise ValueError(f"loss_table[{i},{j}] = {torque:g}: a friction torque must not be below 0")

@@ -23,7 +23,7 @@ from cycloid_fmu.fmu.variables import LOSSLESS
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.posterior import displaced
 from cycloid_fmu.surfaces.structured import structured_value, with_structured
-from cycloid_fmu.surfaces.surface import ErrorSurface, surface_after
+from cycloid_fmu.surfaces.surface import Ageing, ErrorSurface, surface_after
 
 _Kind = TypeVar("_Kind")
 Teeth = ContactTeeth | SupportedTeeth
@@ -80,6 +80,8 @@ class State:
     _support_angle: float = 0.0  # of the housing, whose axes all other angles are in, rad
     _support_speed: float = 0.0
     _crank_turns_worn: float = 0.0
+    _age: float = 0.0  # s, of a surface with a forecast
+    _wear_factor: float = 1.0
     _draw: int = 0
     _theta: float = 0.0  # the crank's angle, reduced, rad
     _x: float = 0.0  # deviation of the flange that the teeth alone make, rad
@@ -147,6 +149,9 @@ class SteppedModel(State, FrictionState):
         self.errors = dict(self._stated)
         self.draws: Mapping[str, NDArray[np.float64]] = {}
         self._crank_turns_worn = 0.0 if surface.life is None else float(surface.life.crank_turns[-1])
+        if (ageing := self._ageing) is not None:
+            self._age, self._wear_factor = ageing.age, 1.0
+            self._crank_turns_worn = ageing.age * ageing.crank_turns_per_second
         self._ratio = pair.ratio
         # Everything repeats after one turn of the gear in the ring; a reduced angle keeps its digits.
         self._period = 2.0 * math.pi * (pair.gear_teeth if pair.output == "gear" else pair.pins)
@@ -174,7 +179,7 @@ class SteppedModel(State, FrictionState):
         surface = displaced(with_structured(self.pair, worn, self._changed()), self.draws, self._draw)
         slices = slices_needed(surface)
         if self.pair.supports is not None:
-            return SupportedTeeth(self.pair, surface, slices)
+            return SupportedTeeth(self._aged(self.pair), surface, slices)
         return ContactTeeth(drive_of(self.pair, surface, slices), (self.pair.discs, self.pair.pins))
 
     def _forget(self) -> None:
@@ -257,6 +262,46 @@ class SteppedModel(State, FrictionState):
         if turns != self._crank_turns_worn:
             surface_after(self.surface, turns)
             self._crank_turns_worn = turns
+            self._rebuild()
+
+    @property
+    def _ageing(self) -> Ageing | None:
+        return None if self.surface.life is None else self.surface.life.ageing
+
+    def _aged(self, pair: Pair) -> Pair:
+        """The pair with the clearance of the bearing that wears as it is at this age."""
+        ageing = self._ageing
+        if ageing is None or not ageing.bearing or pair.supports is None:
+            return pair
+        return pair.replace(supports=pair.supports.grown(ageing.bearing, ageing.clearance_per_second * self._age))
+
+    @property
+    def age(self) -> float:
+        """Running time of the drive since new, s, of a surface with a forecast: from the next step on."""
+        return self._age
+
+    @age.setter
+    def age(self, seconds: float) -> None:
+        self._grow_old(seconds, self._wear_factor)
+
+    @property
+    def wear_factor(self) -> float:
+        """Wear coefficient over the forecast's median: from the next step on."""
+        return self._wear_factor
+
+    @wear_factor.setter
+    def wear_factor(self, factor: float) -> None:
+        self._grow_old(self._age, factor)
+
+    def _grow_old(self, seconds: float, factor: float) -> None:
+        life, ageing = self.surface.life, self._ageing
+        if life is None or ageing is None:
+            raise ValueError("age and wear_factor belong to a surface with a forecast")
+        if (seconds, factor) != (self._age, self._wear_factor):
+            # Rounding must not lead beyond the life's end.
+            turns = min(seconds * ageing.crank_turns_per_second * factor, float(life.crank_turns[-1]))
+            surface_after(self.surface, turns)
+            self._age, self._wear_factor, self._crank_turns_worn = seconds, factor, turns
             self._rebuild()
 
     @property
@@ -420,7 +465,7 @@ class SteppedModel(State, FrictionState):
         """Return to a state given by `state`."""
         if state["pin_arrays"] != self.pin_arrays:
             self._put_pin_errors(state["pin_arrays"])
-        errors = ("errors", "pin_arrays", "_crank_turns_worn", "_draw")
+        errors = ("errors", "pin_arrays", "_crank_turns_worn", "_age", "_wear_factor", "_draw")
         remade = any(state[name] != getattr(self, name) for name in errors)
         if remade:
             for name in errors:

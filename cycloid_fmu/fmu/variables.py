@@ -62,7 +62,7 @@ UNITS: dict[str, tuple[dict[str, int], dict[str, float]]] = {
     "m": ({"m": 1}, {"um": 1e6, "mm": 1e3}),
     "K": ({"K": 1}, {}),
     "1/K": ({"K": -1}, {"%/K": 100.0}),
-    "s": ({"s": 1}, {"ms": 1e3}),
+    "s": ({"s": 1}, {"ms": 1e3, "h": 1.0 / 3600.0}),
     "1": ({}, {"%": 100.0}),
 }
 
@@ -233,7 +233,7 @@ def _flanges(pair: Pair, interface: Interface) -> list[Variable]:
     given += [] if inside else [torque("b", tau_b, "output", depends=every)]
     crank = () if moved else ("flange_a.phi",)
     given += [
-        Variable("transmission_error", f"output angle less {driven} angle/ratio", "output", unit="rad",
+        Variable("transmission_error", f"output angle minus {driven} angle/ratio", "output", unit="rad",
                  display="arcsec", nominal=1e-4, depends=placed),
         Variable("backlash", f"free rotation of the output with the {driven} locked; 0 where there is none", "output",
                  unit="rad", display="arcsec", least=0.0, nominal=1e-4, depends=crank),
@@ -263,7 +263,14 @@ def _parameters(pair: Pair, surface: ErrorSurface, interface: Interface) -> list
         Variable("series_compliance", "compliance of the rest of the chain", "parameter", "tunable", "rad/(N.m)",
                  "arcsec/(N.m)", 0.0, nominal=1e-6, start=interface.series_compliance),
     ]  # fmt: skip
-    if surface.life is not None:
+    if surface.life is not None and (ageing := surface.life.ageing) is not None:
+        found += [
+            Variable("age", "running time of the drive since new: how far it is worn", "parameter", "tunable", "s", "h",
+                     0.0, ageing.largest_age, ageing.largest_age, ageing.age, baked=True),
+            Variable("wear_factor", "wear coefficient over the forecast's median", "parameter", "tunable",
+                     least=ageing.smallest_wear_factor, most=ageing.largest_wear_factor, start=1.0, baked=True),
+        ]  # fmt: skip
+    elif surface.life is not None:
         turns = float(surface.life.crank_turns[-1])
         found.append(Variable(
             "crank_turns_worn", "crank turns since new: how far the drive is worn", "parameter", "tunable",
@@ -365,8 +372,8 @@ def _friction(interface: Interface) -> list[Variable]:
             ))  # fmt: skip
     if interface.warms:
         found.append(Variable(
-            "temperature", "temperature of what rubs", "input", unit="K", least=173.15, most=573.15, nominal=300.0,
-            start=REFERENCE_TEMPERATURE,
+            "temperature", "temperature of the sliding parts", "input", unit="K", least=173.15, most=573.15,
+            nominal=300.0, start=REFERENCE_TEMPERATURE,
         ))  # fmt: skip
     return found
 
@@ -451,8 +458,8 @@ def variables(
         ]
     if draws > 0:
         found.append(Variable(
-            "draw", "0: the most likely drive; above: one drawn from the fit's distribution, whose errors differ from "
-            "those stated by what it adds", "parameter", "fixed", least=0.0, most=float(draws), start=0.0,
+            "draw", "0: the most likely drive; above 0: a drive drawn from the fit's distribution, whose errors are "
+            "added to those stated", "parameter", "fixed", least=0.0, most=float(draws), start=0.0,
             kind="integer",
         ))  # fmt: skip
     shape = next(v.depends for v in found if v.name == "transmission_error")
@@ -542,7 +549,7 @@ def exchanged(kept: dict[int, Variable], interface: Interface, version: Literal[
         add("flange_a.a", f"{interface.driven} acceleration", "rad/s2", "flange_a.w", 1e3,
             (*moving, *crank, "flange_a.tau"))  # fmt: skip
     if inside:
-        add("transmission_error_rate", f"output speed less {interface.driven} speed/ratio", "rad/s",
+        add("transmission_error_rate", f"output speed minus {interface.driven} speed/ratio", "rad/s",
             "transmission_error", 0.1, ("flange_a.w", "flange_b.w"))  # fmt: skip
         add("flange_b.a", "output acceleration", "rad/s2", "flange_b.w", 100.0, (*moving, *output, "flange_b.tau"))
     for flange, law, end in zip(FLANGES if dynamic else (), interface.laws, "ab", strict=False):

@@ -27,7 +27,7 @@ from cycloid_fmu.geometry.temperature import Expansions, Temperatures
 FORMAT = "cycloid-pair/1"
 LOST_MOTION_LOAD = 0.03  # of the rated torque (GB/T 40731)
 _SHARE = f"{100.0 * LOST_MOTION_LOAD:g} %"
-LOST_MOTION = f"output angle at +{_SHARE} of the rated torque less that at -{_SHARE} (GB/T 40731)"
+LOST_MOTION = f"output angle at +{_SHARE} of the rated torque minus that at -{_SHARE} (GB/T 40731)"
 
 
 def _positive(value: float) -> float:
@@ -318,7 +318,7 @@ def _contradictions(pair: Pair) -> list[tuple[str, str]]:
         teeth = pair.gear_teeth
         sentence = f"pins = {pair.pins}: a gear of gear_teeth = {teeth} needs one pin more, {teeth + 1}"
         if pair.pins > teeth:
-            why = "with more, flanks of neighbouring teeth cross, and contact on what is left of the cut tips"
+            why = "with more, flanks of neighbouring teeth cross, and contact on the rest of the cut tips"
             sentence += f"; {why} is not modelled"
         elif pair.pins < teeth:
             why = "with fewer pins than lobes (hypocycloid) the flanks lie around the pins, in a ring, which"

@@ -26,6 +26,7 @@ def _clearance(value: float) -> float:
 
 _SMALL_CLEARANCE = 2e-4  # m, allowed of any size: bearings of the drives that catalogues show have a tenth of it
 _CLEARANCE_SHARE = 5e-3  # of the circle's radius, allowed of large drives
+BEARINGS = ("turning_arm", "crank_shaft", "main", "output_roller")
 Clearance = Annotated[Length, pydantic.AfterValidator(_clearance)]
 PositiveForce = Annotated[edge.Force, pydantic.AfterValidator(_positive)]
 TorsionalStiffness = Annotated[edge.TorsionalStiffness, pydantic.AfterValidator(_positive)]
@@ -188,7 +189,9 @@ class Supports(Config):
             stated = getattr(self, name)
             if stated is not None and stated.clearance > self.largest_clearance:
                 given, most = (f"{value * 1e3:.6g} mm" for value in (stated.clearance, self.largest_clearance))
-                raise ValueError(f"[supports.{name}] clearance is {given}; it lies between 0 and {most} in this size")
+                raise ValueError(
+                    f"[supports.{name}] clearance is {given}; it must be between 0 and {most} in this size"
+                )
         return self
 
     @property
@@ -200,3 +203,20 @@ class Supports(Config):
     def cranks(self) -> int:
         """Crank shafts: the count of them, or the one of output rollers."""
         return self.count if self.kind == "cranks" else 1
+
+    def grown(self, bearing: str, growth: float) -> Supports:
+        """Return the supports with the diametral clearance of a bearing larger by `growth`, m.
+
+        Raises
+        ------
+        edge.InputError
+            If they state no such bearing, it is rigid, or its clearance leaves what may be stated.
+        """
+        stated = getattr(self, bearing, None) if bearing in BEARINGS else None
+        if stated is None or stated.is_rigid:
+            raise edge.ArgumentError(
+                "bearing",
+                f"[supports] must state it, with a stiffness or rollers; it may be {', '.join(BEARINGS)}",
+                bearing,
+            )
+        return self.replace(**{bearing: stated.replace(clearance=stated.clearance + growth)})

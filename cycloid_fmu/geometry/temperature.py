@@ -38,13 +38,13 @@ _AROUND = {
 
 def _in_range(value: float) -> float:
     if not _COLDEST <= value <= _HOTTEST:
-        raise ValueError("a temperature lies between -60 degC and 200 degC")
+        raise ValueError("a temperature must be between -60 degC and 200 degC")
     return value
 
 
 def _expansion(value: float) -> float:
     if not 0.0 < value <= _LARGEST_EXPANSION:
-        raise ValueError(f"an expansion coefficient lies above 0 and at most at {_LARGEST_EXPANSION:g} 1/K")
+        raise ValueError(f"an expansion coefficient must be above 0 and at most {_LARGEST_EXPANSION:g} 1/K")
     return value
 
 

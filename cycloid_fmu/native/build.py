@@ -14,7 +14,7 @@ import struct
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
@@ -45,7 +45,7 @@ SOURCES = (
     "fmi2.c", "fmi3.c", "instance.c", "drive.c", "kinematic.c", "reducer.c", "compliant.c", "exchange.c",
     "derivatives.c", "teeth.c", "friction.c", "losses.c", "table.c", "table_file.c", "uri.c",
 )  # fmt: skip
-_SOURCES = Path(__file__).with_name("sources")
+SOURCE_FOLDER = Path(__file__).with_name("sources")
 _FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off", "-s")
 MOST_BYTES = 1_000_000_000  # of the tables of an FMU with draws
 _UCRT = Path(__file__).with_name("windows") / "ucrt.c"
@@ -83,6 +83,22 @@ def platforms_of(version: Version) -> tuple[str, ...]:
     """Return the platforms of an FMI version; FMI 2.0's macOS binary holds both processors."""
     place = ("2.0", "3.0").index(version)
     return tuple(name for name, one in PLATFORMS.items() if one.folders[place])
+
+
+def checked_platforms(platforms: Sequence[str], version: Version) -> tuple[str, ...]:
+    """Return platforms once each, all of an FMI version where there are none.
+
+    Raises
+    ------
+    edge.InputError
+        If one can't be built for.
+    """
+    names = tuple(dict.fromkeys(platforms)) or platforms_of(version)
+    for name in names:
+        _compiler(name)
+        if name not in platforms_of(version):
+            raise ArgumentError("platforms", f"FMI {version} does not know it, FMI 3.0 does", name)
+    return names
 
 
 def this_platform() -> str:
@@ -141,14 +157,28 @@ def windows_runtime(*more: str) -> list[str]:
 
 def _source_files() -> dict[str, bytes]:
     """Return what is compiled, by name: our sources and FMI's headers."""
-    files = (*sorted(_SOURCES.glob("*.[ch]")), *sorted(headers().glob("fmi[23]*.h")))
+    files = (*sorted(SOURCE_FOLDER.glob("*.[ch]")), *sorted(headers().glob("fmi[23]*.h")))
     return {**{path.name: path.read_bytes() for path in files}, "constants.h": constants_header()}
 
 
 def binary(name: str) -> bytes:
-    """Return the shared library for a platform, compiled unless that was done before.
+    """Return the shared library for a platform, which depends on no drive, as `library` does."""
+    return library(name, _source_files(), SOURCES)
 
-    The library depends on no drive: it is kept in the user's cache folder under the hash of its source and compiler.
+
+def library(name: str, files: Mapping[str, bytes], sources: Sequence[str]) -> bytes:
+    """Return a shared library for a platform, compiled unless that was done before.
+
+    It is kept in the user's cache folder under the hash of its source and compiler.
+
+    Parameters
+    ----------
+    name
+        A key of `PLATFORMS`.
+    files
+        Sources and headers, by name.
+    sources
+        Which of them are compiled.
 
     Raises
     ------
@@ -160,7 +190,6 @@ def binary(name: str) -> bytes:
     import platformdirs
 
     command = [*_compiler(name), *_FLAGS]
-    files = _source_files()
     zig = "ziglang" in command
     runtime = ["-Wl,--no-entry", *windows_runtime()] if zig and name.endswith("windows") else ["-lm"]
     # Where zig and its headers lie says nothing: another environment with the same ones finds the library here.
@@ -177,7 +206,7 @@ def binary(name: str) -> bytes:
             for file, data in files.items():
                 (place / file).write_bytes(data)
             done = subprocess.run(
-                [*command, "-o", made.name, *SOURCES, *runtime], cwd=place, capture_output=True, text=True, check=False
+                [*command, "-o", made.name, *sources, *runtime], cwd=place, capture_output=True, text=True, check=False
             )  # fmt: skip
             if done.returncode != 0:
                 raise RuntimeError(f"the compiler for {name} failed: {done.stderr.strip().splitlines()[-1:]}")
@@ -197,19 +226,21 @@ def universal(parts: dict[str, bytes]) -> bytes:
     return head.ljust(page, b"\0") + body
 
 
-def _binaries(version: Version, names: Sequence[str], done: Callable[[str], None]) -> dict[str, bytes]:
-    """Return the libraries by their path in the FMU."""
+def binaries(
+    version: Version, names: Sequence[str], done: Callable[[str], None], identifier: str, of: Callable[[str], bytes]
+) -> dict[str, bytes]:
+    """Return the libraries `of` platforms by their path in an FMU with a model identifier."""
     place, made = ("2.0", "3.0").index(version), {}
     for name in names:
-        made[name] = binary(name)
+        made[name] = of(name)
         done(name)
     found = {}
     for name, data in made.items():
         one = PLATFORMS[name]
-        found[f"binaries/{one.folders[place]}/{IDENTIFIER}{one.suffix}"] = data
+        found[f"binaries/{one.folders[place]}/{identifier}{one.suffix}"] = data
     apple = {n: d for n, d in made.items() if n.endswith("darwin")}
     if version == "2.0" and len(apple) > 1:
-        found[f"binaries/darwin64/{IDENTIFIER}.dylib"] = universal(apple)
+        found[f"binaries/darwin64/{identifier}.dylib"] = universal(apple)
     return found
 
 
@@ -250,7 +281,7 @@ def _description(
                 SubElement(files, "File", name=source)
     root.append(unit_definitions(told))
     categories = SubElement(root, "LogCategories")
-    for name, why in (("logStatusWarning", "torques beyond the tables"), ("logStatusError", "what was refused")):
+    for name, why in (("logStatusWarning", "torques beyond the tables"), ("logStatusError", "refused values")):
         SubElement(categories, "Category", name=name, description=why)
     SubElement(root, "DefaultExperiment", startTime="0.0", stopTime="1.0", stepSize=repr(interface.step))
     root.append(model_variables(told, version, tuple(kept)))
@@ -258,17 +289,18 @@ def _description(
     return root
 
 
-def _xml(root: Element) -> bytes:
+def xml_bytes(root: Element) -> bytes:
+    """Return an XML file."""
     indent(root)
     return bytes(tostring(root, encoding="utf-8", xml_declaration=True))
 
 
-def _build_description() -> Element:
+def build_description(identifier: str, sources: Sequence[str]) -> Element:
     """Return `sources/buildDescription.xml` of FMI 3.0."""
     root = Element("fmiBuildDescription", fmiVersion="3.0")
-    configuration = SubElement(root, "BuildConfiguration", modelIdentifier=IDENTIFIER)
+    configuration = SubElement(root, "BuildConfiguration", modelIdentifier=identifier)
     files = SubElement(configuration, "SourceFileSet", language="C99")
-    for name in SOURCES:
+    for name in sources:
         SubElement(files, "SourceFile", name=name)
     return root
 
@@ -339,19 +371,19 @@ def build_native(
         can't be made or would take more than `MOST_BYTES`.
     """
     pair, surface, first_stage = whole_drive(drive, surface)
+    if (ageing := None if surface.life is None else surface.life.ageing) and ageing.bearing and pair.supports:
+        # The tables are those of one age, the surface's own.
+        supports = pair.supports.grown(ageing.bearing, ageing.clearance_per_second * ageing.age)
+        pair = pair.replace(supports=supports)
     interface = completed(interface, pair, surface, first_stage)
     if len(interface.losses) > MOST_LOSS_ROWS:
         raise ArgumentError("losses", f"has {len(interface.losses)} rows; a native FMU has {MOST_LOSS_ROWS} at most")
-    names = tuple(dict.fromkeys(platforms)) or platforms_of(fmi_version)
-    for name in names:
-        _compiler(name)
-        if name not in platforms_of(fmi_version):
-            raise ArgumentError("platforms", f"FMI {fmi_version} does not know it, FMI 3.0 does", name)
+    names = checked_platforms(platforms, fmi_version)
     if largest_torque is not None and not 0.0 < largest_torque < math.inf:
         raise ArgumentError("largest_torque", "it must be finite and above zero (N*m)", largest_torque)
     drawn = surfaces_of_draws(pair, surface, draws, seed)
     with edge.written_whole(path) as temporary:
-        libraries = _binaries(fmi_version, names, compiled)
+        libraries = binaries(fmi_version, names, compiled, IDENTIFIER, binary)
         kept = from_tables(variables(pair, surface, interface, fmi_version, ratio_of(pair, first_stage), draws))
         kept = exchanged(kept, interface, fmi_version)
         files = []
@@ -369,7 +401,7 @@ def build_native(
         assert made is not None
         token = token_of(__version__ + hashlib.sha256(b"".join(files)).hexdigest())
         contents = {
-            "modelDescription.xml": _xml(
+            "modelDescription.xml": xml_bytes(
                 _description(fmi_version, token, kept, interface, made, stiffness_text(pair, interface))
             ),
             **{
@@ -382,6 +414,6 @@ def build_native(
             **reference_files(pair, surface, interface, first_stage),
         }
         if fmi_version == "3.0":
-            contents["sources/buildDescription.xml"] = _xml(_build_description())
+            contents["sources/buildDescription.xml"] = xml_bytes(build_description(IDENTIFIER, SOURCES))
         write_archive(temporary, contents)
     return made

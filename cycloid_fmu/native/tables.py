@@ -444,7 +444,7 @@ def compute(
     """
     if largest_load is None:
         if pair.rated_torque is None:
-            raise ValueError("the pair has no rated_torque, which says how far the tables reach")
+            raise ValueError("the pair has no rated_torque, which determines the range of the tables")
         largest_load = LARGEST_LOAD * pair.rated_torque
     g = pair
     pitches = mesh_pitches(pair, surface)

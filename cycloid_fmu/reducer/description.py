@@ -88,7 +88,7 @@ class Deviations(Config):
     pin_tangential
         δt, circumferential position of the pins; the contact model takes it with alternating sign.
     tooth_cumulative_pitch
-        ΔF_p, largest less smallest tooth position; the contact model takes it as one wave round the gear.
+        ΔF_p, largest minus smallest tooth position; the contact model takes it as one wave round the gear.
     crank_bearing_clearance
         Δu, diametral clearance.
     """

@@ -359,7 +359,7 @@ def remarks(reducer: Reducer, found: Mapping[str, Mapping[str, float]]) -> dict[
         elif name == "tooth_cumulative_pitch":
             text += ": the closed form is only a bound"
         elif name == "eccentricity":
-            text += ": second order, less play whatever its sign"
+            text += ": second order, reduces the play whatever its sign"
         elif a * b < 0.0:
             text += ": the other sign"
         else:

@@ -264,7 +264,7 @@ def allocate(
         if narrower * scale.max() < NARROWEST:
             raise edge.InputError(
                 f"target = {target:g}: no tolerances of {source}, narrowed to {NARROWEST:g} of their width, reach "
-                "it; widen a limit or ask for less."
+                "it; widen a limit or ask for a lower yield."
             )
     others = dataclasses.replace(study, seed=study.seed + 1)
     while True:

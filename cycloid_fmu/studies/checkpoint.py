@@ -66,7 +66,7 @@ class Checkpoint:
                 values = "" if long else f": {theirs} there, {mine} here"
                 raise edge.InputError(
                     f"{self.path}: this checkpoint belongs to another study, its {name} differs{values}; finish that "
-                    "study, or remove the file to start anew."
+                    "study, or remove the file to start again."
                 )
 
     def add(self, first: int, values: Array, notes: Sequence[str] = ()) -> None:

@@ -1,11 +1,14 @@
 """Drives that keep an application's limits: geometry and modification searched within ranges, for one goal or two.
 
-The search is sequential quadratic programming (SciPy's SLSQP; Kraft, DFVLR-FB 88-28, 1988) from several starts. Largest
-and smallest values over loads, crank angles and pins are replaced by the Kreisselmeier-Steinhauser envelope (IFAC
-Proc. 12 (1979) 113), which is never below the largest one: a design that keeps a limit by it keeps it exactly.
-Derivatives are central differences of the exact kernel. Where a yield is asked for, limits are tightened by how much
-worse than the drawn drive sampled ones are, and the search is repeated from there until that changes no more
-(sequential optimisation and reliability assessment; Du and Chen, J. Mech. Design 126 (2004) 225).
+The search is sequential quadratic programming in a trust region, on quadratic models of goal and limits that need no
+derivatives (SciPy's COBYQA; Ragonneau, thesis, Hong Kong 2022), from several starts. Largest and smallest values over
+loads, crank angles and pins are replaced by the Kreisselmeier-Steinhauser envelope (IFAC Proc. 12 (1979) 113), which is
+never below the largest one: a design that keeps a limit by it keeps it exactly. Where a yield is asked for, limits are
+tightened by how much worse than the drawn drive sampled ones are, and the search is repeated from there until that
+changes no more (sequential optimisation and reliability assessment; Du and Chen, J. Mech. Design 126 (2004) 225).
+
+Isometric and offset modification take each other's place, so that goals and limits are long curved valleys. There a
+method that sees the limits' slopes alone (SLSQP) ended after its last iteration, far from the best drive.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import pydantic
@@ -31,6 +34,7 @@ from cycloid_fmu.reducer.transmission import solve
 from cycloid_fmu.studies.limits import (
     LOWER,
     SHOWN,
+    DutyLoad,
     Limits,
     Requirements,
     Verdict,
@@ -65,12 +69,13 @@ _ELEMENTS = 50  # along the profile of a form: its orders are low
 _NOTICED = {"m": 1e-6, "rad": 5e-6}  # of a figure whose limit is 0
 _ANGLES = 90  # crank angles of a sampled drive
 _PITCH_ANGLES = 24  # crank angles over one pitch of the pins, which is all that a drive without errors shows
-_SHARPNESS = (60.0, 400.0, 2500.0)  # of the envelope, times its values' size: the search ends at the last
+_SHARPNESS = 2500.0  # of the envelope, times its values' size
+_FIRST_STEP, _LAST_STEP = 0.2, 1e-5  # of a range: steps of a search
+_EVALUATIONS = 200  # at most in a search, for each value that varies
 _STEP = 1e-3  # of a range, for differences
 _SPARE = 1e-4  # of a limit: what the search keeps of it, which ends a little beside
 _BINDS = 5e-3  # of a limit: kept by less, it binds
 _ROUNDS, _SETTLED = 6, 0.02  # of tightening, and the share of a limit by which it may still change
-_ITERATIONS = 60
 _GIVEN_WAY = 1e-3
 
 
@@ -101,6 +106,8 @@ class DesignTask(Requirements):
     drive
         Pair file of everything that does not change, and the first start; beside this file where the path is relative.
         In Python the drive is given by itself.
+    duty
+        Of a requirements file; the search is at its torques.
     goals
         One figure of `GOALS` or size that should be as good as it can be, or two for a Pareto front.
     vary
@@ -110,6 +117,7 @@ class DesignTask(Requirements):
     """
 
     drive: str = ""
+    duty: tuple[DutyLoad, ...] = pydantic.Field(min_length=1)
     goals: tuple[str, ...] = pydantic.Field(min_length=1, max_length=2)
     vary: dict[str, tuple[float, float]] = pydantic.Field(min_length=1)
     robust: Robust | None = None
@@ -129,20 +137,21 @@ class DesignTask(Requirements):
     @classmethod
     def _ranges(cls, given: Any, info: pydantic.ValidationInfo) -> dict[str, tuple[float, float]]:
         if not isinstance(given, Mapping):
-            raise ValueError("it must be a table of ranges")  # pydantic's own sentence is worse
+            raise ValueError("it must be a table of ranges")
         found = {}
         for name, ends in given.items():
             if name not in VARIABLES:
                 near = edge.did_you_mean(str(name), VARIABLES) or f"give one of {', '.join(VARIABLES)}"
                 raise ValueError(f"{name} can't be varied; {near}")
+            stated = f"{name} = {edge.shown(ends)}"
             if not isinstance(ends, Sequence) or isinstance(ends, str) or len(ends) != 2:
-                raise ValueError(f'{name} must be two ends, such as ["-40 um", "0 um"]')
+                raise ValueError(f'{stated}: it must be two ends, such as ["-40 um", "0 um"]')
             try:
                 low, high = (edge.quantity(end, VARIABLES[name], info) for end in ends)
             except ValueError as problem:
-                raise ValueError(f"{name}: {problem}") from None
+                raise ValueError(f"{stated}: {problem}") from None
             if not low < high:
-                raise ValueError(f"{name}: the first end must be below the second")
+                raise ValueError(f"{stated}: the first end must be below the second")
             found[str(name)] = (low, high)
         return found
 
@@ -161,6 +170,9 @@ def read_design_task(path: str | os.PathLike[str]) -> tuple[Pair, DesignTask, To
         raise edge.InputError(f"{source}: drive is missing.")
     if task.robust is not None and not task.robust.tolerances:
         raise edge.InputError(f"{source}: [robust] tolerances is missing.")
+    for key, name in (("drive", task.drive), ("[robust] tolerances", task.robust.tolerances if task.robust else "")):
+        if not (beside / name).exists():
+            raise edge.InputError(f'{source}: {key} = "{name}": there is no {beside / name}.')
     pair, surface, first_stage = parts_of_file(beside / task.drive)
     if first_stage is not None:
         raise edge.InputError(f'{source}: drive = "{task.drive}": a whole reducer is not searched; give its gear pair.')
@@ -169,6 +181,10 @@ def read_design_task(path: str | os.PathLike[str]) -> tuple[Pair, DesignTask, To
             f'{source}: drive = "{task.drive}": it states errors; a design is searched as drawn; remove them.'
         )
     check(task, pair, source, str(beside / task.drive))
+    try:
+        _check(pair, task)
+    except edge.InputError as problem:
+        raise edge.InputError(f"{source}: {problem}") from None
     return pair, task, None if task.robust is None else read_tolerances(beside / task.robust.tolerances)
 
 
@@ -395,6 +411,7 @@ class Search:
         self.limits = {n: v for n, v in task.limits.stated().items() if n in GOALS}
         self.angles = np.linspace(0.0, 2.0 * np.pi / pair.pins, _PITCH_ANGLES, endpoint=False)
         self.evaluations = 0
+        self.refused = ""  # why the first drive that can't be was none
         self._kept: dict[tuple[bytes, float], dict[str, float] | None] = {}
 
     def values_at(self, place: Array) -> dict[str, float]:
@@ -422,8 +439,8 @@ class Search:
                 found = {n: worst_of(n, swept[n], sharpness) for n in names}
                 found |= {n: getattr(one.pair, n) for n in self.task.goals if n in SIZES}
                 self._kept[key] = found if all(map(math.isfinite, found.values())) else None
-            except edge.InputError:
-                self._kept[key] = None
+            except edge.InputError as problem:
+                self._kept[key], self.refused = None, self.refused or str(problem)
         return self._kept[key]
 
     def exact(self, place: Array) -> dict[str, float]:
@@ -445,9 +462,9 @@ class Search:
         """Return a limit as the drive as drawn has to keep it."""
         return limit + self.allowance.get(name, 0.0) * (1.0 if name in LOWER else -1.0)
 
-    def gradients(self, place: Array, sharpness: float, of: Callable[[Mapping[str, float]], Array]) -> Array:
+    def gradients(self, place: Array, of: Callable[[Mapping[str, float]], Array]) -> Array:
         """Return central differences of some figures' values, shape (values, names); one-sided beside what can't be."""
-        here = self.figures(place, sharpness)
+        here = self.figures(place, _SHARPNESS)
         assert here is not None
         columns = []
         for k in range(place.size):
@@ -455,53 +472,39 @@ class Search:
             for way in (1.0, -1.0):
                 beside = place.copy()
                 beside[k] = np.clip(place[k] + way * _STEP, 0.0, 1.0)
-                figures = self.figures(beside, sharpness)
+                figures = self.figures(beside, _SHARPNESS)
                 ends.append((place[k], of(here)) if figures is None else (beside[k], of(figures)))
             (up, above), (down, below) = ends
             columns.append((above - below) / (up - down) if up > down else np.zeros_like(above))
         return np.array(columns).T
 
     def minimised(self, start: Array, goal: str, levels: Mapping[str, float]) -> Array | None:
-        """Return where SLSQP ends from a start, None where the start is no drive."""
-        from scipy.optimize import minimize
+        """Return where the search ends from a start, None where the start is no drive."""
+        from scipy.optimize import NonlinearConstraint, minimize
 
-        place = start
-        for sharpness in _SHARPNESS:
-            first = self.figures(place, sharpness)
-            if first is None:
-                return None
-            size = max(abs(first[goal]), 1e-12)
-            sign = -1.0 if goal in LOWER else 1.0
+        first = self.figures(start, _SHARPNESS)
+        if first is None:
+            return None
+        size, sign = max(abs(first[goal]), _NOTICED.get(_unit_of(goal), 1e-12)), -1.0 if goal in LOWER else 1.0
 
-            def fun(x: Array, sharpness: float = sharpness, size: float = size, sign: float = sign) -> float:
-                found = self.figures(x, sharpness)
-                return 1e3 if found is None else sign * found[goal] / size
+        def fun(x: Array) -> float:
+            found = self.figures(x, _SHARPNESS)
+            return 1e3 if found is None else sign * found[goal] / size
 
-            def fun_slope(x: Array, sharpness: float = sharpness, size: float = size, sign: float = sign) -> Array:
-                if self.figures(x, sharpness) is None:
-                    return np.zeros_like(x)
-                slope: Array = self.gradients(x, sharpness, lambda f: np.array([sign * f[goal] / size]))[0]
-                return slope
+        def kept(x: Array) -> Array:
+            found = self.figures(x, _SHARPNESS)
+            if found is None:
+                return np.full(len(self.limits) + len(levels), -1e3)
+            return self.margins(found, levels) - _SPARE
 
-            def kept(x: Array, sharpness: float = sharpness) -> Array:
-                found = self.figures(x, sharpness)
-                if found is None:
-                    return np.full(len(self.limits) + len(levels), -1e3)
-                return self.margins(found, levels) - _SPARE
-
-            def kept_slope(x: Array, sharpness: float = sharpness) -> Array:
-                if self.figures(x, sharpness) is None:
-                    return np.zeros((len(self.limits) + len(levels), x.size))
-                return self.gradients(x, sharpness, lambda f: self.margins(f, levels))
-
-            constraints = [{"type": "ineq", "fun": kept, "jac": kept_slope}] if self.limits or levels else []
-            found = minimize(
-                fun, place, jac=fun_slope, bounds=[(0.0, 1.0)] * place.size, constraints=constraints, method="SLSQP",
-                options={"maxiter": _ITERATIONS, "ftol": 1e-7},
-            )  # fmt: skip
-            if self.figures(found.x, sharpness) is not None:
-                place = np.clip(found.x, 0.0, 1.0)
-        return place
+        end = minimize(
+            fun, start, bounds=[(0.0, 1.0)] * start.size, method="COBYQA",
+            constraints=[NonlinearConstraint(kept, 0.0, np.inf)] if self.limits or levels else [],
+            options={
+                "initial_tr_radius": _FIRST_STEP, "final_tr_radius": _LAST_STEP, "maxfev": _EVALUATIONS * start.size
+            },
+        ).x  # fmt: skip
+        return start if self.figures(end, _SHARPNESS) is None else np.clip(end, 0.0, 1.0)
 
     def rank(self, place: Array, goal: str, levels: Mapping[str, float]) -> tuple[float, float]:
         """Return what ranks places: by how much limits are missed, then the goal; smaller is better."""
@@ -523,7 +526,7 @@ class Search:
         if not ends:
             raise edge.InputError(
                 "vary: nowhere within these ranges was a gear found that can be made and carries the torques; give "
-                "ranges about the drive."
+                f"ranges about the drive ({self.refused.rstrip('.')})."
             )
         return min(ends, key=lambda end: self.rank(end, goal, levels))
 
@@ -535,17 +538,16 @@ class Search:
         """
         from scipy.optimize import nnls
 
-        sharpness = _SHARPNESS[-1]
-        figures = self.figures(place, sharpness)
+        figures = self.figures(place, _SHARPNESS)
         if figures is None:
             return ()
         sign = -1.0 if goal in LOWER else 1.0
-        slope = self.gradients(place, sharpness, lambda f: np.array([sign * f[goal]]))[0]
+        slope = self.gradients(place, lambda f: np.array([sign * f[goal]]))[0]
         names = [*self.limits, *levels]
         held = self.margins(figures, levels)
         rows, labels = [], list[tuple[str, str, float, float]]()
         if names:
-            slopes = self.gradients(place, sharpness, lambda f: self.margins(f, levels))
+            slopes = self.gradients(place, lambda f: self.margins(f, levels))
             for name, margin, row in zip(names, held, slopes, strict=True):
                 if margin < _BINDS:
                     limit = levels.get(name, self.limits.get(name, 0.0))
@@ -593,7 +595,7 @@ def _starts(search: Search, count: int, seed: int) -> list[Array]:
     for place in qmc.Sobol(len(search.names), rng=np.random.default_rng(seed)).random(16 * count):
         if len(found) > count:
             break
-        if search.figures(place, _SHARPNESS[0]) is not None:
+        if search.figures(place, _SHARPNESS) is not None:
             found.append(place)
     return found
 
@@ -730,17 +732,21 @@ def _words(name: str) -> str:
 
 def _check(pair: Pair, task: DesignTask) -> None:
     if task.limits.wear_depth is not None:
-        raise edge.ArgumentError("limits", "a search does not know wear; remove wear_depth")
-    asked = {name: 1.0 for name in task.goals if name in GOALS}
+        raise edge.InputError("[limits] wear_depth: a search does not know wear; remove it.")
+
+    def refuse(needed: str) -> NoReturn:
+        raise edge.ArgumentError("goals", needed, list(task.goals))
+
+    asked = [name for name in task.goals if name in GOALS]
     if "lost_motion" in asked and pair.rated_torque is None:
-        raise edge.ArgumentError("goals", "lost_motion needs the pair's rated_torque")
+        refuse("lost_motion needs the pair's rated_torque")
     for name in ("bearing_life", "sliding_speed", "friction_power_density"):
         if name in asked and not any(load.output_speed > 0.0 for load in task.duty):
-            raise edge.ArgumentError("goals", f"{name} needs speeds; state [[duty]] with an output_speed above 0")
+            refuse(f"{name} needs speeds; state [[duty]] with an output_speed above 0")
     if "friction_power_density" in asked and task.friction_coefficient is None:
-        raise edge.ArgumentError("goals", "friction_power_density needs friction_coefficient")
+        refuse("friction_power_density needs friction_coefficient")
     if "bearing_life" in asked and pair.supports is None:
-        raise edge.ArgumentError("goals", "bearing_life needs the pair's supports")
+        refuse("bearing_life needs the pair's [supports]")
 
 
 def _tightened_best(

@@ -35,7 +35,7 @@ class Limits(sampling.Limits):
     Attributes
     ----------
     angular_transmission_error
-        Largest allowed; largest less smallest transmission error over the crank angles, rad; at every load.
+        Largest allowed; largest minus smallest transmission error over the crank angles, rad; at every load.
     backlash, lost_motion
         Largest allowed over the crank angles, rad.
     interference

@@ -43,7 +43,7 @@ PLAY_STEP = 10  # play and lost motion, which cost most and vary slowly, are tak
 FORM = Elements(profile=50, width=5, angle=25)  # of sampled form deviations
 PER_TORQUE = ("angular_transmission_error", "mean_transmission_error", "max_contact_pressure")
 FIGURES = {
-    "angular_transmission_error": ("rad", "largest less smallest transmission error over the crank angles"),
+    "angular_transmission_error": ("rad", "largest minus smallest transmission error over the crank angles"),
     "mean_transmission_error": ("rad", "mean transmission error over the crank angles"),
     "max_contact_pressure": ("Pa", "largest contact pressure over the crank angles"),
     "mean_backlash": ("rad", "mean backlash over the crank angles, 0 where there is no free position"),

@@ -418,6 +418,23 @@ def _direction(problem: Problem, assembly: Assembly, work: Work) -> float:
     return 0.0
 
 
+@part
+def _between(work: Work, share: float, now: float, low: float, high: float) -> float:
+    """Return where along a step the work should vanish: by Newton's method, or between the ends that are known.
+
+    Contacts that close make the work's slope grow along the step, so that Newton's method comes down from beyond to
+    where they close, and seldom passes it.
+    """
+    step, slope = work.step, 0.0
+    for i in range(step.size):
+        for j in range(step.size):
+            slope += step[i] * work.jacobian[i, j] * step[j]
+    found = share - now / slope if slope > 0.0 else low
+    if low < found < high:
+        return found
+    return low + (0.1 if low == 0.0 else 0.5) * (high - low)
+
+
 @spliced
 def balance(
     problem: Problem, assembly: Assembly, theta: float, pull: Load, centring: float, q: Array, contacts: Rows,
@@ -425,7 +442,9 @@ def balance(
 ) -> int:  # fmt: skip
     """Solve the balance from q, which is overwritten; returns the number of steps, 0 where it was not found.
 
-    A step is shortened where the work along it has turned round: energies are convex but for small turns.
+    A step that leads to where the work along it has turned round is shortened to where that work is at most half as
+    large, either way: energies are convex but for small turns. Short of that a contact that closes on the way would not
+    be met, and the next step would lead beyond it too.
     """
     assemble(problem, assembly, theta, pull, centring, q, contacts, work)
     for iteration in range(iterations):
@@ -443,6 +462,7 @@ def balance(
         for i in range(step.size):
             work.before[i] = q[i]
             downhill += step[i] * work.residual[i]
+        low, high = 0.0, math.inf
         for _ in range(12):
             for i in range(step.size):
                 q[i] = work.before[i] + share * step[i]
@@ -450,9 +470,13 @@ def balance(
             now = 0.0
             for i in range(step.size):
                 now += step[i] * work.residual[i]
-            if now <= -0.5 * downhill:
+            if now > -0.5 * downhill:
+                high = share
+            elif now < 0.5 * downhill and high < math.inf:
+                low = share
+            else:
                 break
-            share *= min(max(downhill / (downhill - now), 0.1), 0.5)
+            share = _between(work, share, now, low, high)
         if iterations == _LAST_ITERATIONS and share * longest < _JUMP and share < 1e-3 * whole:
             return iteration + 1
     return 0

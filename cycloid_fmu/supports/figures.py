@@ -160,7 +160,7 @@ def bearing_loads(pair: Pair, found: Transmission, load: int = 0) -> list[Bearin
     """
     supports = pair.supports
     if supports is None:
-        raise edge.InputError("the pair has no [supports]: it has no bearings whose load could be told.")
+        raise edge.InputError("the pair has no [supports]: it has no bearings whose load could be computed.")
     assert isinstance(found, OnBearings)
     # Turns of the inner ring against the outer for each turn of the crank.
     in_disc = 1.0 + 1.0 / pair.gear_teeth

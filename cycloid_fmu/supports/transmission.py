@@ -270,7 +270,7 @@ def play_loads(pair: Pair) -> list[float]:
     """Return the torques on whose tangents the ends of the play lie, N·m; an `edge.InputError` without a rated one."""
     if pair.rated_torque is None:
         raise edge.InputError(
-            f"rated_torque is missing; with [supports] the play is what {PLAY_LOAD:g} of it leaves at no torque."
+            f"rated_torque is missing; with [supports] the play at no torque is computed at {PLAY_LOAD:g} of it."
         )
     return [-PLAY_LOAD * pair.rated_torque, PLAY_LOAD * pair.rated_torque]
 
@@ -405,5 +405,5 @@ def labelled(pair: Pair, surface: ErrorSurface, found: Transmission, slices: int
                 one = "crank" in dimensions and pair.supports is not None and pair.supports.kind == "output_rollers"
                 data[name] = (each[:-1], values[..., 0]) if one else (each, values)
                 data[name].attrs.update(units=unit, long_name=text)
-        data["backlash"].attrs["long_name"] = f"play: what {PLAY_LOAD:g} of the rated torque leaves at no torque"
+        data["backlash"].attrs["long_name"] = f"play at no torque, computed at {PLAY_LOAD:g} of the rated torque"
     return data

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from typing import Any
 
@@ -11,9 +12,10 @@ from cycloid_fmu import edge
 from cycloid_fmu.errors.kinds import FIRST_KINDS, KINDS
 from cycloid_fmu.geometry.pair import parse_pair
 from cycloid_fmu.surfaces.structured import unit_of
-from cycloid_fmu.surfaces.surface import DEVIATION_TEXTS, DEVIATIONS, ErrorSurface, Life
+from cycloid_fmu.surfaces.surface import DEVIATION_TEXTS, DEVIATIONS, Ageing, ErrorSurface, Life
 
 FORMAT = "cycloid-surface/1"
+_AGEING = "life_ageing"
 _DIMENSIONS = {
     "drive": (), "pin": ("pin",), "tooth": ("disc", "tooth"), "hole": ("disc", "support"), "crank": ("support",),
     "roller": ("support",), "eccentric": ("disc", "crank"), "roller_hole": ("disc", "support"),
@@ -29,7 +31,7 @@ def write_surface(surface: ErrorSurface, path: str | os.PathLike[str]) -> None:
         if (elements := getattr(surface, name)) is not None:
             data[name] = (dimensions, elements)
     if surface.life is not None:
-        for name, values in vars(surface.life).items():
+        for name, values in surface.life.arrays.items():
             data[f"life_{name}"] = (("state", *DEVIATIONS.get(name, ())), values)
     coordinates: dict[str, Any] = {}
     if surface.covariance is not None:
@@ -44,6 +46,8 @@ def write_surface(surface: ErrorSurface, path: str | os.PathLike[str]) -> None:
             dataset[f"life_{name}"].attrs.update(units=unit_of(name), long_name=f"{text}; over life")
     if surface.life is not None:
         dataset["life_crank_turns"].attrs.update(units="1", long_name="crank turns since new")
+        if surface.life.ageing is not None:
+            dataset.attrs[_AGEING] = json.dumps(vars(surface.life.ageing))
     dataset.attrs.update(surface.attributes, format=FORMAT, origin=surface.origin, pair=surface.pair.text)
     edge.write_netcdf(dataset, path, {str(n): {"zlib": True} for n in dataset.data_vars if str(n).startswith("life_")})
 
@@ -97,7 +101,7 @@ def read_surface(path: str | os.PathLike[str]) -> ErrorSurface:
             origin=str(data.attrs.get("origin")),
             covariance_of=names,
             covariance=covariance,
-            attributes={k: v for k, v in data.attrs.items() if k not in ("format", "origin", "pair")},
+            attributes={k: v for k, v in data.attrs.items() if k not in ("format", "origin", "pair", _AGEING)},
         )
     except edge.InputError as problem:
         raise edge.InputError(f"{path}: {problem}") from None
@@ -111,4 +115,12 @@ def _life_of(data: Any, source: str) -> Life | None:
             raise edge.InputError(
                 f"{source}: life_{name} is missing or its shape is not that of {name} for each state."
             )
-    return Life(*(data[f"life_{name}"].values.astype(float) for name in ("crank_turns", *DEVIATIONS)))
+    stated, ageing = data.attrs.get(_AGEING), None
+    if stated is not None:
+        try:
+            given = json.loads(stated)
+            bearing = str(given.pop("bearing", ""))
+            ageing = Ageing(**{name: float(value) for name, value in given.items()}, bearing=bearing)
+        except (AttributeError, TypeError, ValueError):
+            raise edge.InputError(f"{source}: {_AGEING} is damaged; write the file again.") from None
+    return Life(**{n: data[f"life_{n}"].values.astype(float) for n in ("crank_turns", *DEVIATIONS)}, ageing=ageing)

@@ -432,7 +432,7 @@ def _measured_disc(pair: Pair, points: MeasuredPoints, mask: Booleans, disc: int
         far = int(np.abs(pitch).argmax())
         off = float(np.abs(pitch[far]))
         raise edge.InputError(
-            f"{points.source}: tooth {far} of disc {disc} lies {_length(off)} off its place: check its points' number."
+            f"{points.source}: tooth {far} of disc {disc} is {_length(off)} off its place: check its points' number."
         )
     outlier, distance = outlying(tooth, arc_parts(pair, alpha) * length, z, deviation)
     kept = ~outlier

@@ -42,7 +42,7 @@ def drawn_surfaces(pair: Pair, surface: ErrorSurface, count: int, seed: int) -> 
         If the surface has no covariance.
     """
     if surface.covariance is None:
-        raise edge.ArgumentError("drive", "has no covariance of a fit; give what identify found")
+        raise edge.ArgumentError("drive", "has no covariance of a fit; give a surface that identify wrote")
     # Eigenvectors also serve where a displacement has no variance at all.
     values, vectors = np.linalg.eigh(surface.covariance)
     normal = np.random.default_rng(seed).standard_normal((count, values.size))

@@ -106,7 +106,7 @@ class PitchErrors(Config):
         single = others.data.get("single", 0.0)
         if cumulative < single:
             raise ValueError(
-                "it is below what is possible: one pitch off by the single tolerance is a cumulative deviation as "
+                "it is below the possible minimum: one pitch off by the single tolerance is a cumulative deviation as "
                 f'large, so it must be at least "{single * 1e6:.6g} um"'
             )
         return cumulative

@@ -21,6 +21,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.errors.kinds import KINDS, ErrorKind, by_file_key, kinds_of
 from cycloid_fmu.errors.stated import Errors, values_of
 from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.geometry.supports import BEARINGS
 from cycloid_fmu.geometry.temperature import Expansions
 
 Array = NDArray[np.float64]
@@ -58,10 +59,38 @@ class Elements:
 
 
 @dataclass(frozen=True)
+class Ageing:
+    """How fast a life passes: what a forecast adds to the states of a wear run.
+
+    Attributes
+    ----------
+    crank_turns_per_second
+        Of the life's crank turns in a second of age.
+    age, largest_age
+        That of the surface's own deviations, and up to which the life reaches at any wear factor, s.
+    smallest_wear_factor, largest_wear_factor
+        Of the wear coefficient over its median: how far its interval goes to both sides.
+    clearance_per_second
+        Growth of the diametral clearance of the bearing below, m/s.
+    bearing
+        Which one of `[supports]`; empty where none wears.
+    """
+
+    crank_turns_per_second: float
+    age: float
+    largest_age: float
+    smallest_wear_factor: float = 1.0
+    largest_wear_factor: float = 1.0
+    clearance_per_second: float = 0.0
+    bearing: str = ""
+
+
+@dataclass(frozen=True)
 class Life:
     """Deviations of a wearing drive over its life; each array's first axis is the state.
 
-    `crank_turns` (states,) grows from 0; the others are as an `ErrorSurface` has them.
+    `crank_turns` (states,) grows from 0; the others are as an `ErrorSurface` has them. `ageing` says how fast the turns
+    pass, in the life of a forecast.
     """
 
     crank_turns: Array
@@ -69,6 +98,12 @@ class Life:
     pin_deviation: Array
     gear_curvature: Array
     pin_curvature: Array
+    ageing: Ageing | None = dataclasses.field(default=None, kw_only=True)
+
+    @property
+    def arrays(self) -> dict[str, Array]:
+        """The states, by name."""
+        return {name: values for name, values in vars(self).items() if name != "ageing"}
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -97,7 +132,7 @@ class ErrorSurface:
         Curvature that wear adds at the same places, > 0 convex, shapes as the deviations', 1/m; or None, where the
         deviations leave the curvature as it is (form and roughness of a scale that contact does not follow).
     life
-        Of a worn surface: its states from new to the one that the deviations hold; else None.
+        Of a worn surface: its states from new to the one that the deviations hold, of a forecast beyond it; else None.
     origin
         One of `ORIGINS`.
     covariance_of, covariance
@@ -228,7 +263,11 @@ class ErrorSurface:
         return digest.hexdigest()[:16]
 
     def _values(self) -> dict[str, Any]:
-        life = {} if self.life is None else {f"life_{n}": v for n, v in vars(self.life).items()}
+        life: dict[str, Any] = {}
+        if self.life is not None:
+            life = {f"life_{n}": v for n, v in self.life.arrays.items()}
+            if self.life.ageing is not None:
+                life["life_ageing"] = [v for v in vars(self.life.ageing).values() if not isinstance(v, str)]
         return {**self.errors, **{n: getattr(self, n) for n in DEVIATIONS}, **life}
 
     def __eq__(self, other: object) -> bool:
@@ -328,6 +367,25 @@ def _check_life(surface: ErrorSurface) -> None:
             raise edge.InputError(f"life_{name} is missing or its shape is not that of {name} for each state.")
         if not np.isfinite(given).all():
             raise edge.InputError(f"life_{name} holds a value that is not finite.")
+    if life.ageing is not None:
+        _check_ageing(life.ageing, float(turns[-1]))
+
+
+def _check_ageing(ageing: Ageing, crank_turns: float) -> None:
+    """Refuse an ageing that leads out of its life."""
+    numbers = [v for v in vars(ageing).values() if not isinstance(v, str)]
+    given = ageing.largest_age * ageing.crank_turns_per_second * ageing.largest_wear_factor
+    low, high = ageing.smallest_wear_factor, ageing.largest_wear_factor
+    if not (
+        np.isfinite(numbers).all()
+        and ageing.crank_turns_per_second > 0.0
+        and 0.0 <= ageing.age <= ageing.largest_age
+        and 0.0 < low <= 1.0 <= high
+        and ageing.clearance_per_second >= 0.0
+        and ageing.bearing in ("", *BEARINGS)
+        and given <= crank_turns * (1.0 + 1e-9)
+    ):
+        raise edge.InputError("life_ageing: its ages and wear factors must be finite and lie within the life's states.")
 
 
 def nominal_surface(pair: Pair) -> ErrorSurface:

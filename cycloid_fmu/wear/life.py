@@ -127,7 +127,7 @@ def surface_of_run(model: WearModel, states: list[WearState], half_width: float)
     chosen = np.unique(np.linspace(0, len(states) - 1, LARGEST_LIFE).round().astype(int))
     surfaces = [worn_surface(model, states[k].depth, half_width) for k in chosen]
     turns = np.array([states[k].crank_turns for k in chosen])
-    life = Life(turns, **{name: np.stack([getattr(s, name) for s in surfaces]) for name in DEVIATIONS})
+    life = Life(turns, *(np.stack([getattr(s, name) for s in surfaces]) for name in DEVIATIONS))
     loads = ", ".join(f"{load.torque:g} N*m x {load.crank_turns:g}" for load in model.loads)
     notes = {"crank_turns": float(turns[-1]), "pins": model.law.pins, "loads": loads}
     return surfaces[-1].replace(life=life, attributes={**model.surface.attributes, **notes})
@@ -207,4 +207,4 @@ def coefficient_warning(coefficient: float, model: WearModel, source: str) -> st
     else:
         given = ", ".join(f"{n} = {v:g}" for n, v in law.regression.model_dump().items())
         field = f"[wear.regression] {given} (SI) gives k_0 up to {coefficient:.3g} m²/N; it"
-    return f"{source}: {field} lies outside {low:g} … {high:g} m²/N, where wear coefficients are; check its units."
+    return f"{source}: {field} is outside {low:g} … {high:g} m²/N, the range of wear coefficients; check its units."

@@ -77,7 +77,7 @@ class PlcHub:
             return EncoderSetupError(f'{self._where} has no variable "{self.config.ring}".')
         said = str(problem).removeprefix("ADSError: ").strip().rstrip(".")
         return EncoderSetupError(
-            f"{self._where} does not answer ({said}); does it run, and has it a route to this machine?"
+            f"{self._where} does not answer ({said}); is it running, and does it have a route to this machine?"
         )
 
     def _symbol(self) -> tuple[int, int, int]:
@@ -176,7 +176,7 @@ class PlcHub:
         except Exception as problem:  # the reader must say why it ends: nobody else sees it
             said = str(problem).removeprefix("ADSError: ").strip().rstrip(".")
             own = isinstance(problem, EncoderProtocolError)
-            failure = EncoderConnectionError(str(problem) if own else f"{self._where} broke: {said}.")
+            failure = EncoderConnectionError(str(problem) if own else f"{self._where} failed: {said}.")
             with self._lock:
                 self._failure = failure
                 self.broken = True

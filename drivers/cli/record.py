@@ -16,7 +16,7 @@ def record(
     bench: Annotated[Path, typer.Argument(metavar="BENCH.toml", help="The wiring: buses, ports and channels.")],
     output: Annotated[Path, output_option((".arrows",), "RUN.arrows", "New file to record to.")],
     duration: Annotated[float | None, quantity_option("s", "Stop after this time.")] = None,
-    idle: Annotated[float | None, quantity_option("s", "Stop when nothing came for this time.")] = None,
+    idle: Annotated[float | None, quantity_option("s", "Stop after this time of silence.")] = None,
     allow: Allowed = None,
 ) -> None:
     """Record all channels of a bench until Ctrl-C, the duration or silence.

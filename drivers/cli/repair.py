@@ -15,9 +15,11 @@ from drivers.cli.shown import bytes_of
 
 def repair(
     recording: Annotated[Path, typer.Argument(metavar="RUN.arrows", help="The recording.")],
-    output: Annotated[Path | None, output_option((".arrows",), "WHOLE.arrows", "Write what it holds here.")] = None,
+    output: Annotated[
+        Path | None, output_option((".arrows",), "WHOLE.arrows", "Write the recovered recording here.")
+    ] = None,
 ) -> None:
-    """Report what a torn or damaged recording still holds, and write that as a whole one if asked.
+    """Report the contents of a torn or damaged recording, and write them as a whole one if asked.
 
     Example: [cyan]cycloid-bench repair torn.arrows -o whole.arrows[/]
 

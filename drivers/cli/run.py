@@ -20,7 +20,7 @@ def run(
     sequence: Annotated[Path, typer.Argument(metavar="SEQUENCE.toml", help="Speeds, loads, directions, loops.")],
     allow: Allowed = None,
 ) -> None:
-    """Run a test sequence: prompt for or drive each step, check that it was reached, write one recording a step.
+    """Run a test sequence: prompt for or drive each step, check it, and write one recording for each step.
 
     Example: [cyan]cycloid-bench run sequence.toml[/]
 

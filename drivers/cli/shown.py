@@ -24,7 +24,7 @@ Allowed = Annotated[
     list[str] | None,
     typer.Option(
         "--allow", metavar="KIND",
-        help="Kind of line that the bench file may open besides devices, socket:// and CAN buses: rfc2217.",
+        help="Kind of connection that the bench file may open besides devices, socket:// and CAN buses: rfc2217.",
     ),
 ]  # fmt: skip
 

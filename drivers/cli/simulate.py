@@ -16,9 +16,9 @@ _BUS = "CAN interface of python-can; loopback: other processes of this machine."
 
 
 def simulate(
-    torque: Annotated[float, quantity_option("N*m", "Torque on the output; the sign counts.")],
+    torque: Annotated[float, quantity_option("N*m", "Signed torque on the output.")],
     drive: Annotated[
-        Path | None, typer.Option("--fmu", metavar="DRIVE.fmu", help="The drive; without it an ideal one.")
+        Path | None, typer.Option("--fmu", metavar="DRIVE.fmu", help="The drive. Default: an ideal one.")
     ] = None,
     ratio: Annotated[float | None, typer.Option(help="Signed ratio input/output, such as -39.")] = None,
     turns: Annotated[int, typer.Option(min=1, help="Crank turns.")] = 39,
@@ -41,19 +41,26 @@ def simulate(
     ] = None,
     clock_drift: Annotated[
         float,
-        typer.Option(help="Of the clock of ASCII counter, CAN bus or PLC, relative, such as 50e-6."),
+        typer.Option(help="Relative drift of the clock of ASCII counter, CAN bus or PLC, such as 50e-6."),
     ] = 0.0,
     hysteresis: Annotated[
-        bool, typer.Option("--hysteresis", help="Lock the input; the torque goes 0, +T, 0, -T, 0, as often as --turns.")
+        bool,
+        typer.Option(
+            "--hysteresis", help="Lock the input; the torque runs through 0, +T, 0, -T, 0, once for each of --turns."
+        ),
     ] = False,
-    faults: Annotated[Path | None, typer.Option(metavar="FAULTS.toml", help="What goes wrong and when.")] = None,
+    faults: Annotated[
+        Path | None, typer.Option(metavar="FAULTS.toml", help="Faults to simulate, with their times.")
+    ] = None,
     speed_factor: Annotated[
-        float | None, typer.Option(help="1: at the crank's own speed; default: as fast as the bus carries.")
+        float | None, typer.Option(help="1: at the crank's own speed. Default: as fast as the bus permits.")
     ] = None,
     write_bench: Annotated[Path, output_option((".toml",), "BENCH.toml", "Wiring to write.", "--write-bench")] = Path(
         "BENCH.toml"
     ),
-    output: Annotated[Path | None, output_option((".arrows",), "RUN.arrows", "Record it here at once.")] = None,
+    output: Annotated[
+        Path | None, output_option((".arrows",), "RUN.arrows", "Record the simulated run here directly.")
+    ] = None,
 ) -> None:
     """Simulate a bench: wait for a recorder, then send a motion as real encoders and transducers do.
 

@@ -14,11 +14,11 @@ import drivers
 def watch(
     recording: Annotated[Path, typer.Argument(metavar="RUN.arrows", help="The recording, finished or growing.")],
     host: Annotated[
-        str, typer.Option(help="Address to listen on; not a local one: a token is asked for.")
+        str, typer.Option(help="Address to listen on. A non-local address requires a token.")
     ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=0, max=65535, help="0: any that is free.")] = 0,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="0: any free port.")] = 0,
 ) -> None:
-    """Show a recording in the browser while it grows: transmission error, spectrum, health.
+    """Show a recording in the browser while it grows: transmission error, spectrum, state of the channels.
 
     Example: [cyan]cycloid-bench watch run.arrows[/]
 

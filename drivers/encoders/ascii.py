@@ -89,7 +89,7 @@ class AsciiConfig(AngleConfig):
             raise ValueError(f"{{skip}} may stand in it {_MOST_SKIPS} times, and not twice in a row")
         twice = [f for f in _FIELDS if fields.count(f) > 1]
         if twice:
-            raise ValueError(f"the field {{{twice[0]}}} stands in it twice")
+            raise ValueError(f"the field {{{twice[0]}}} is in it twice")
         return value
 
 

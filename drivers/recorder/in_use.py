@@ -133,7 +133,7 @@ def check_at_rest(wiring: Wiring, nodes: dict[str, set[int]]) -> None:
         if moving:
             raise EncoderSetupError(
                 f"The CAN bus {config.place} is in use: node {moving[0]} moves before the command of this step was "
-                "started; stop what drives the bench, such as the command of a run that was killed, and run again."
+                "started; stop the program that drives the bench, such as the command of a killed run, and run again."
             )
         if synced and config.sync_period is not None:
             raise EncoderSetupError(

@@ -123,7 +123,7 @@ class RecordingInterrupted(KeyboardInterrupt):
     """A signal ended a recording, whose file is whole: `recorded` is what it got, `exit_status` 128 plus the signal."""
 
     def __init__(self, recorded: Recorded) -> None:
-        super().__init__(f"Interrupted by {recorded.ended}; {recorded.path} holds what came until then.")
+        super().__init__(f"Interrupted by {recorded.ended}; {recorded.path} has the data until then.")
         self.recorded = recorded
         self.exit_status = 128 + signal.Signals[recorded.ended]
 
@@ -235,7 +235,9 @@ class _Session:
         """Return what to say where the disk takes no more: what the file holds."""
         kept = ", ".join(f"{n} {name}" for name, n in self.writer.counts.items())
         said = problem.strerror or problem
-        return RecordingError(f"{self.path}: the disk takes no more ({said}); all written before is kept: {kept}.")
+        return RecordingError(
+            f"{self.path}: the disk is full or failed ({said}); all data written before are kept: {kept}."
+        )
 
     def take_all(self) -> bool:
         """Read what waits on buses and ports by now, and write it; return whether there were samples."""

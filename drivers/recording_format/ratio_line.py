@@ -328,7 +328,7 @@ class Line:
             self._away = _Away(before - self._wide, before + self._wide, (role,), before, value)
             marks[role][max(0, at - run + 1) : at + 1] = True
             since = given.time[at - run + 1] if at >= run else np.nextafter(self._stood[place][0], np.inf)
-            text = f"{role} stands still at {math.degrees(value):.6g} deg for {run + 1} samples while {other} moves"
+            text = f"{role} is constant at {math.degrees(value):.6g} deg for {run + 1} samples while {other} moves"
             if at >= run:
                 text += f" by {math.degrees(moved):.3g} deg"
             return Finding(float(since), (role,), text)

@@ -7,15 +7,14 @@ import json
 import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
-import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pydantic
 
 from cycloid_fmu import edge
 from drivers.recording_format.clocks import Alignment, Clock, clocks_of
+from drivers.recording_format.decoding import Batch, decoded, decoded_together
 from drivers.recording_format.schema import (
     COLUMNS,
     FORMAT,
@@ -25,7 +24,6 @@ from drivers.recording_format.schema import (
     FloatArray,
     Header,
     Samples,
-    batch_checksum,
     header_checksum,
     joined,
     recording_metadata,
@@ -106,79 +104,6 @@ def _header(metadata: Mapping[bytes, bytes] | None, source: str) -> tuple[Header
     ]
 
 
-def _decoded(
-    batches: Sequence[tuple[pa.RecordBatch, Mapping[bytes, bytes] | None]], names: Sequence[str]
-) -> Iterator[tuple[int, Samples, tuple[Event, ...]] | Exception]:
-    """Yield sequence number, samples and events of each batch, or why it can't be trusted.
-
-    Their columns are taken together: a batch is a twentieth of a second, and to ask Arrow for each one's costs more
-    than what is in it.
-    """
-    sound: list[pa.RecordBatch] = []
-    problems: dict[int, Exception] = {}
-    for place, (batch, _) in enumerate(batches):
-        try:
-            batch.validate()
-        except pa.ArrowException as problem:
-            problems[place] = problem
-        else:
-            sound.append(batch)
-    if not sound:
-        yield from problems.values()
-        return
-    ends = np.cumsum([0, *(batch.num_rows for batch in sound)])
-    table = pa.Table.from_batches(sound)
-    arrays: dict[str, npt.NDArray[Any]] = {}
-    gaps: dict[str, list[bool]] = {}
-    for name, (_, dtype, _) in COLUMNS.items():
-        column = table.column(name)
-        missing = np.asarray(column.is_null()) if column.null_count else np.zeros(len(column), bool)
-        nulls = np.concatenate([[0], np.cumsum(missing)])
-        gaps[name] = (np.diff(nulls[ends]) > 0).tolist()
-        arrays[name] = np.asarray(column.fill_null(0) if column.null_count else column, dtype)
-    # By the number, as the header counts its channels: a damaged dictionary names them wrongly.
-    numbers = pa.chunked_array([batch.column(0).indices for batch in sound], pa.int16())
-    rows = np.asarray(numbers.fill_null(-1) if numbers.null_count else numbers)
-    changes = np.flatnonzero(np.diff(rows)) + 1
-    mixed = (np.searchsorted(changes, ends[1:]) > np.searchsorted(changes, ends[:-1], "right")).tolist()
-    spans = zip(mixed, *gaps.values(), ends[:-1].tolist(), ends[1:].tolist(), strict=True)
-    for place, (_, metadata) in enumerate(batches):
-        if place in problems:
-            yield problems[place]
-            continue
-        mixes, *null, begin, end = next(spans)
-        columns = {
-            name: None if absent else array[begin:end]
-            for (name, array), absent in zip(arrays.items(), null, strict=True)
-        }
-        try:
-            if mixes:
-                raise ValueError("it mixes channels")
-            yield _checked(metadata or {}, columns, int(rows[begin]) if end > begin else None, names)
-        except (ValueError, TypeError, KeyError, RecursionError) as problem:
-            yield problem
-
-
-def _checked(
-    metadata: Mapping[bytes, bytes], columns: Mapping[str, Any], number: int | None, names: Sequence[str]
-) -> tuple[int, Samples, tuple[Event, ...]]:
-    """Return sequence number, samples and events of a batch of channel `number`; ValueError says why not."""
-    try:
-        number_said, said, crc = (metadata[key] for key in (b"sequence", b"events", b"crc32"))
-    except KeyError:
-        raise ValueError("it has no sequence number, events or CRC-32") from None
-    sequence, text = int(number_said), said.decode()
-    events = () if text == "[]" else tuple(Event(**e) for e in json.loads(text))
-    if number is not None and not 0 <= number < len(names):
-        raise ValueError("its channel is none of the header's")
-    # An empty batch has no row that names its channel: it is the one the CRC-32 fits.
-    for name in [names[number]] if number is not None else names:
-        samples = Samples(name, **columns)
-        if batch_checksum(sequence, text, samples).encode() == crc:
-            return sequence, samples, events
-    raise ValueError("its CRC-32 is wrong")
-
-
 class RecordingReader:
     """A recording read batch by batch, at constant memory; it may be torn, damaged or still growing.
 
@@ -239,19 +164,31 @@ class RecordingReader:
     ) -> None:
         self._file.close()
 
-    def batches(self, *, growing: bool = False) -> Iterator[tuple[Samples, tuple[Event, ...]]]:
+    def batches(self, *, growing: bool = False, together: bool = False) -> Iterator[tuple[Samples, tuple[Event, ...]]]:
         """Yield samples and events of every batch not yet yielded.
 
         Parameters
         ----------
         growing
             The end is where the recorder is just now, not a cut: it is no problem, and a later call goes on there.
+        together
+            The batches of a channel in a few megabytes of the file are one, where all are sound: 1.3 times as fast
+            as one by one, and what takes them has fewer to take.
         """
         while True:
             batches, ends = self._sound()
-            for decoded, end in zip(_decoded(batches, self._names), ends, strict=True):
+            alike = decoded_together(batches, self._names, self._next_sequence) if together and batches else None
+            if alike is not None:
+                self._number += len(batches)
+                self.complete += len(batches)
+                self._next_sequence += len(batches)
+                self._offset = self._good_end = ends[-1]
+                for samples, said in alike:
+                    yield self._marked(samples), said
+                continue
+            for one, end in zip(decoded(batches, self._names), ends, strict=True):
                 self._offset = end
-                if (taken := self._judged(decoded)) is not None:
+                if (taken := self._judged(one)) is not None:
                     yield taken
             # What is read many at a time stops at the end, at damage and where a piece is cut: one by one from there.
             size = self._path.stat().st_size
@@ -295,12 +232,16 @@ class RecordingReader:
         self._number += 1
         self._good_end, self._next_sequence = self._offset, sequence + 1
         self.complete += 1
-        if len(samples) and samples.channel in self._lost:
-            status = samples.status.copy()
-            status[0] |= GAP
-            samples = dataclasses.replace(samples, status=status)
-            self._lost.discard(samples.channel)
-        return samples, said
+        return self._marked(samples), said
+
+    def _marked(self, samples: Samples) -> Samples:
+        """Return samples with the first marked where some of the channel may be lost before it."""
+        if not len(samples) or samples.channel not in self._lost:
+            return samples
+        self._lost.discard(samples.channel)
+        status = samples.status.copy()
+        status[0] |= GAP
+        return dataclasses.replace(samples, status=status)
 
     def _left_out(self, problem: Exception) -> None:
         self.problems.append(f"{self.source}: batch {self._number} was left out: {problem}.")
@@ -308,11 +249,11 @@ class RecordingReader:
         self._number += 1
         self._next_sequence += 1
 
-    def _sound(self) -> tuple[list[tuple[pa.RecordBatch, Mapping[bytes, bytes] | None]], list[int]]:
+    def _sound(self) -> tuple[list[Batch], list[int]]:
         """Return the next batches and the byte where each ends, as far as one piece of the file holds them."""
         begin = self._offset - len(self._preamble)
         source = pa.BufferReader(self._preamble + self._bytes(self._offset, _PIECE_BYTES))
-        batches: list[tuple[pa.RecordBatch, Mapping[bytes, bytes] | None]] = []
+        batches: list[Batch] = []
         ends: list[int] = []
         with pa.ipc.open_stream(source) as reader:
             reader.read_next_batch()
@@ -356,7 +297,7 @@ class RecordingReader:
         try:
             with pa.ipc.open_stream(pa.BufferReader(self._preamble + data)) as reader:
                 reader.read_next_batch()
-                return next(_decoded([reader.read_next_batch_with_custom_metadata()], self._names))
+                return next(decoded([reader.read_next_batch_with_custom_metadata()], self._names))
         except (ValueError, OSError, pa.ArrowException, StopIteration) as problem:  # OSError of lengths beyond the end
             return problem
 
@@ -413,7 +354,7 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
     with RecordingReader(path) as reader:
         blocks: dict[str, list[Samples]] = {c.name: [] for c in reader.header.channels}
         events: list[Event] = []
-        for samples, said in reader.batches():
+        for samples, said in reader.batches(together=True):
             events.extend(said)
             if len(samples):
                 blocks[samples.channel].append(samples)
@@ -438,7 +379,7 @@ def read_clocks(path: str | os.PathLike[str], channels: Collection[str]) -> dict
     events: list[Event] = []
     with RecordingReader(path) as reader:
         devices = {c.name: _clock_device(c.time_source) for c in reader.header.channels}
-        for samples, said in reader.batches():
+        for samples, said in reader.batches(together=True):
             events.extend(said)
             if len(samples) and samples.channel in channels:
                 first.setdefault(samples.channel, samples)

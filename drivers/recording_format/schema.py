@@ -20,7 +20,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -185,11 +185,16 @@ COLUMN_DTYPES: Mapping[str, str] = {name: kind for name, (_, kind, _) in COLUMNS
 
 def batch_checksum(sequence: int, events: str, samples: Samples) -> str:
     """Return the CRC-32 of a batch as eight hexadecimal digits; the module's text defines the bytes."""
-    crc = zlib.crc32(f"{sequence}{events}{samples.channel}".encode())
-    for name, kind in _BYTES_OF:
-        array = getattr(samples, name)
-        if array is not None:
-            crc = zlib.crc32(np.ascontiguousarray(array, kind).data, crc)
+    arrays = ((getattr(samples, name), kind) for name, kind in _BYTES_OF)
+    parts = [np.ascontiguousarray(array, kind).data for array, kind in arrays if array is not None]
+    return bytes_checksum(sequence, events, samples.channel, parts)
+
+
+def bytes_checksum(sequence: int, events: str, channel: str, parts: Iterable[memoryview]) -> str:
+    """Return `batch_checksum` of the bytes of a batch's columns, those that are not null."""
+    crc = zlib.crc32(f"{sequence}{events}{channel}".encode())
+    for part in parts:
+        crc = zlib.crc32(part, crc)
     return f"{crc:08x}"
 
 

@@ -15,15 +15,15 @@ from fitting.cli import options
 def ensemble(
     surface: Annotated[Path, typer.Argument(metavar="S.nc", help="An identified error surface.")],
     drive: options.PairFile,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Where the surfaces go.")],
-    count: Annotated[int, typer.Option(min=1, max=10000, help="How many.")] = 20,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Folder for the surfaces.")],
+    count: Annotated[int, typer.Option(min=1, max=10000, help="Number of surfaces.")] = 20,
     seed: Annotated[int, typer.Option(min=0, help="The same seed draws the same surfaces.")] = 0,
     torque: Annotated[
         float | None, commands.quantity_option("N*m", "Torque at which --plot draws the transmission errors' band.")
     ] = None,
     plot: commands.PlotFile = None,
 ) -> None:
-    """Draw error surfaces that the fit cannot tell from the identified one: FMUs built from them make a band.
+    """Draw error surfaces that agree with the measurement as well as the identified one; their FMUs give a band.
 
     Example: [cyan]cycloid-fit ensemble s.nc --pair pair.toml -o drawn --torque "100 N*m" --plot band.png[/]
     """

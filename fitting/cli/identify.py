@@ -28,15 +28,17 @@ def identify(
         Path | None,
         typer.Option(
             metavar="TOL.toml",
-            help="Prior of single pins and teeth, and of the form that all teeth share.",
+            help="Prior of single pins and teeth, and of the form shared by all teeth.",
         ),
     ] = None,
     profiled: Annotated[
         list[str] | None,
-        typer.Option("--profile", metavar="ERROR", help="Find this error's interval by its profile; repeatable."),
+        typer.Option(
+            "--profile", metavar="ERROR", help="Find this error's interval by its likelihood profile; repeatable."
+        ),
     ] = None,
     form: Annotated[
-        str, typer.Option(metavar="LENGTH", help="What a form that all flanks share may be; 0 um where it is known.")
+        str, typer.Option(metavar="LENGTH", help="Expected size of a form shared by all flanks; 0 um if it is known.")
     ] = "1 um",
     bootstrap: Annotated[int, typer.Option(min=0, help="Number of bootstrap resamples of output turns.")] = 0,
     report: Annotated[
@@ -45,7 +47,7 @@ def identify(
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
-    """Fit the drive's errors to recordings at one or more loads, and list what the data cannot resolve.
+    """Fit the drive's errors to recordings at one or more loads, and list the errors that the data cannot resolve.
 
     Hysteresis loops with the input locked may be among them: they tell the play apart from friction.
 

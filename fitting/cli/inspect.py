@@ -12,7 +12,7 @@ from fitting.cli import options
 
 
 def inspect(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A bench file of any kind that is read.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A bench file in any supported format.")],
     dbc: Annotated[Path | None, typer.Option(help="The DBC of a CAN log.")] = None,
     output: Annotated[
         Path | None, commands.output_option((".toml",), "MAP.toml", "Write the proposed mapping (TOML).")
@@ -20,7 +20,7 @@ def inspect(
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
-    """Show what is in a file, propose which channel is what, and draw the channels.
+    """Show the contents of a file, propose a mapping of its channels, and draw them.
 
     Example: [cyan]cycloid-fit inspect run.tdms -o map.toml --plot channels.png[/], then check map.toml and give it as
     [cyan]--mapping map.toml[/]

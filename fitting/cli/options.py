@@ -14,13 +14,14 @@ from cycloid_fmu.edge import commands
 if TYPE_CHECKING:
     from fitting.figures.metrics import Figures
 
-Recordings = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings of any kind that is read.")]
+Recordings = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings in any supported format.")]
 PairFile = Annotated[Path, typer.Option("--pair", metavar="PAIR.toml", help="The nominal gear pair.")]
 MaybePair = Annotated[Path | None, typer.Option("--pair", metavar="PAIR.toml", help="The nominal gear pair.")]
 HeadFile = Annotated[
-    Path | None, typer.Option(metavar="HEAD.toml", help="Free the output angle of its single head's coaxiality error.")
+    Path | None,
+    typer.Option(metavar="HEAD.toml", help="Correct the output angle for the coaxiality error of a single read head."),
 ]
-Ratio = Annotated[float | None, typer.Option(help="Signed ratio input/output, such as -39, in place of a pair.")]
+Ratio = Annotated[float | None, typer.Option(help="Signed ratio input/output, such as -39, instead of a pair.")]
 RatedTorque = Annotated[float | None, commands.quantity_option("N*m", "Rated torque at the output.")]
 InstrumentsFile = Annotated[
     Path | None,
@@ -31,10 +32,10 @@ StiffnessLimits = Annotated[
     typer.Option(
         "--stiffness-limits",
         metavar="TORQUES",
-        help='Torques between which stiffness is given as K1, K2, ..., such as "5 N*m, 25 N*m, 80 N*m, 167 N*m".',
+        help='Torque limits of the stiffness ranges K1, K2, ..., such as "5 N*m, 25 N*m, 80 N*m, 167 N*m".',
     ),
 ]
-MappingFile = Annotated[Path | None, typer.Option(metavar="MAP.toml", help="Which channel is what; see inspect.")]
+MappingFile = Annotated[Path | None, typer.Option(metavar="MAP.toml", help="Mapping of the channels; see inspect.")]
 FIELD_UNITS = {"m": (1e6, "µm"), "rad": (1e3, "mrad"), "1": (1.0, "of the stated")}
 
 

@@ -14,9 +14,7 @@ from fitting.cli import options
 
 def plan(
     drive: Annotated[Path, typer.Argument(metavar="PAIR.toml", help="The nominal gear pair.")],
-    torque: Annotated[
-        list[float], commands.quantity_option("N*m", "A torque that the bench can hold; repeat it for each.")
-    ],
+    torque: Annotated[list[float], commands.quantity_option("N*m", "Torque that the bench can apply; repeatable.")],
     turns: Annotated[float, typer.Option(min=0.05, help="Output turns of each run.")] = 2.0,
     samples: Annotated[int, typer.Option(min=6, help="Samples in a crank turn.")] = 24,
     noise: Annotated[
@@ -32,7 +30,7 @@ def plan(
         ),
     ] = 0.3e-6,
     form: Annotated[
-        str, typer.Option(metavar="LENGTH", help="What a form that all flanks share may be; 0 um where it is known.")
+        str, typer.Option(metavar="LENGTH", help="Expected size of a form shared by all flanks; 0 um if it is known.")
     ] = "1 um",
     loop: Annotated[
         float | None,
@@ -41,7 +39,7 @@ def plan(
     plot: commands.PlotFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
-    """List before anything is measured which loads and directions would identify which errors, and how well.
+    """Predict before any measurement the errors that each set of loads and directions identifies, and how well.
 
     With every set of runs comes the run that would then tell most of every pin and tooth.
 
@@ -67,7 +65,7 @@ def plan(
     for name in plans[-1].realised:
         rows.append([f"{name}, each [µm]", *(f"{p.realised[name] * 1e6:.3f}" for p in plans)])
     labels = [chr(ord("A") + i) for i in range(len(plans))]
-    commands.print_table("Standard error of what each set of runs would identify", ["error", *labels], rows)
+    commands.print_table("Standard error of the errors that each set of runs would identify", ["error", *labels], rows)
     for label, one in zip(labels, plans, strict=True):
         typer.echo(f"{label}: {one.runs}; next {one.next_runs[0].run}")
     further = [[n.run, *(f"{error * 1e6:.3f}" for error in n.realised.values())] for n in plans[-1].next_runs]

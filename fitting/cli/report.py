@@ -26,7 +26,7 @@ def report(
     mapping: options.MappingFile = None,
     as_json: commands.AsJson = False,
 ) -> None:
-    """A report to hand on: figures, curves, orders, loops, what was left out and why. One file, HTML or PDF.
+    """Write a report: figures, curves, orders, loops, excluded data with the reason. One file, HTML or PDF.
 
     Example: [cyan]cycloid-fit report loop.csv *.arrows --pair pair.toml -o report.html[/]
     """

@@ -113,8 +113,9 @@ def form_note(parameters: Sequence[Parameter], form: float) -> list[str]:
         return []
     named = ", ".join(f"{n} {times[n]:.2g}" for n in wide[:_WIDEST]) + " and others" * (len(wide) > _WIDEST)
     return [
-        f"The curves can't tell a form of the flanks of {form * 1e6:g} µm from these errors, whose intervals are wider "
-        f"for it (times): {named}. Where the flanks' form is known, state it: form, or gear_profile of the tolerances."
+        f"The curves cannot separate a form of the flanks of {form * 1e6:g} µm from these errors, whose intervals are "
+        f"therefore wider (times): {named}. Where the flanks' form is known, state it: form, or gear_profile of "
+        "the tolerances."
     ]
 
 
@@ -131,7 +132,7 @@ def bearings_found(
         interval = (value * math.exp(-reach), value * math.exp(reach)) if is_share else (
             max(value - reach, 0.0), value + reach)  # fmt: skip
         share = max(1.0 - (sigma / before) ** 2, 0.0)
-        why = None if share > _TOLD else "these curves do not tell it from the errors: it goes with them"
+        why = None if share > _TOLD else "these curves do not separate it from the errors"
         found.append(Parameter(name, unit_of_bearing(name), float(value), scale * sigma, interval, share, why))
     return found
 

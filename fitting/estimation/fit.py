@@ -22,7 +22,7 @@ from cycloid_fmu import edge
 from cycloid_fmu.errors.kinds import LARGEST_DEVIATION, LARGEST_MISALIGNMENT
 from cycloid_fmu.geometry.pair import Pair
 from cycloid_fmu.surfaces.structured import profile_names, structured_value, unit_of, with_structured
-from cycloid_fmu.surfaces.surface import LARGEST_ELEMENT, surface_of_pair
+from cycloid_fmu.surfaces.surface import LARGEST_ELEMENT, ErrorSurface, surface_of_pair
 from fitting.model.identifiability import UNKNOWN
 from fitting.model.observations import (
     KNOWN_SIZES,
@@ -126,13 +126,21 @@ class _Normal:
 
 
 class Problem:
-    """Everything that a fit may change as one vector: errors, nuisances, scatter, each in units of a usual size."""
+    """Everything that a fit may change as one vector: errors, nuisances, scatter, each in units of a usual size.
+
+    What is not fitted is as in `prior`, by default the pair file's errors.
+    """
 
     def __init__(
-        self, pair: Pair, observed: Observations, chosen: Sequence[str], around: LinearisationPoint | None = None
+        self,
+        pair: Pair,
+        observed: Observations,
+        chosen: Sequence[str],
+        around: LinearisationPoint | None = None,
+        prior: ErrorSurface | None = None,
     ) -> None:
         self.pair, self.chosen, self.around = pair, list(chosen), around
-        self.prior = surface_of_pair(pair)
+        self.prior = surface_of_pair(pair) if prior is None else prior
         self.bounds = [stated_range(name) for name in chosen]
         self.columns_of_chosen = [observed.errors.index(n) for n in chosen]
         known = np.isfinite(observed.bench_prior)

@@ -366,7 +366,7 @@ def _validated(
         return likely_causes(Residual(pair, found), columns, likely)
 
     found = _fitted(curves, pair, start, known, progress)
-    progress("testing what is left")
+    progress("testing the residual")
     likely = looks_like(found)
     if likely.formed:
         known, formed = _with_form(known, form), True
@@ -379,7 +379,7 @@ def _validated(
         other = _fitted(curves, pair, found, known, progress, searched=True)
         if other.unlikelihood < found.unlikelihood - _GAIN:
             found = other
-            progress("testing what is left")
+            progress("testing the residual")
             likely = looks_like(found)
             first = verdict_of(pair, found, likely, formed)
     if likely.columns:
@@ -510,7 +510,7 @@ def _chosen(observed: Observations, linear: Linear, pair: Pair) -> list[str]:
     # keep them held, and others that move the curves nearly as these do would take the rest.
     chosen = chosen_errors(observed, linear, observed.errors, spread_of(pair, {}))
     if not chosen:
-        raise edge.InputError("the data tell none of the structured errors apart; record more loads or more turns.")
+        raise edge.InputError("the data separate none of the structured errors; record more loads or more turns.")
     return chosen
 
 

@@ -28,11 +28,12 @@ Array = NDArray[np.float64]
 
 ORDERS_STATED = 5  # of pins and teeth, from 0 up
 GAUGE = (
-    "Pins turned all alike, and teeth turned all alike, are the output angle's zero: both means are zero here.",
-    "Pins further out all alike are pin_circle_radius, thicker ones pin_radius: both means are zero here.",
-    "A ring shifted as a whole is centre_distance: of order 1 only what is no shift is stated here.",
-    "A thicker pin and one further in move the curves nearly alike: pin_radial is that of a pin of the mean radius "
-    "with the same effect. The pin's own place is that plus radius_lever times its pin_radius_deviation.",
+    "An equal turn of all pins, or of all teeth, is the zero of the output angle: both means are zero here.",
+    "An equal radial shift of all pins is pin_circle_radius, an equal thickness pin_radius: both means are zero here.",
+    "A ring shifted as a whole is centre_distance: only the part of order 1 that is not a shift is stated here.",
+    "A thicker pin and a pin further inwards have nearly the same effect on the curves: pin_radial is that of a pin of "
+    "the mean radius with the same effect. The pin's own place is that plus radius_lever times its "
+    "pin_radius_deviation.",
 )
 _MEASURED = 3.0  # times the scatter, or _SMALL: what the data tell of a pin or tooth by itself must be more exact
 _SMALL = 1e-6  # m

@@ -49,7 +49,10 @@ from fitting.model.first_stage import share_of, with_play
 from fitting.model.identifiability import weakness
 from fitting.model.loops import LoopFit, play_of
 from fitting.model.observations import (
+    CHAIN,
+    MISFIT,
     PIN_RADIUS,
+    Observations,
     estimated_parts,
     left_of,
     scatter_columns,
@@ -193,7 +196,7 @@ def is_uneven(fit: Estimate) -> bool:
     return bool(noises.max() > _LEFT * np.median(noises))
 
 
-def _inflation(residuals: Sequence[Array]) -> float:
+def inflation_of(residuals: Sequence[Array]) -> float:
     """By how much the standard error of a mean of these residuals exceeds that of white noise of the same size.
 
     The square root of the integrated autocorrelation time, summed to the first lag that noise could make.
@@ -244,7 +247,7 @@ def result_of(
     names, chosen, spread = list(fit.observed.errors), list(fit.chosen), spread_of(pair, fit.scatter)
     whitened = fit.observed.weight * left_of(fit.observed, fit.linear, fit.state)
     each = np.split(whitened, fit.observed.ends)
-    inflation = _inflation([each[i] for i in fit.observed.running])
+    inflation = inflation_of([each[i] for i in fit.observed.running])
     observed = dataclasses.replace(fit.observed, weight=fit.observed.weight / inflation)
     progress("confirming the optimum")
     optimum, found, every = confirmed(pair, dataclasses.replace(fit, observed=observed), gain)
@@ -266,6 +269,7 @@ def result_of(
     stated = _stated(found, every[: -spread.size, : -spread.size], observed.profile)
     own = observed.bearing_names
     bench = {n: p.value for n, p in stated.items() if n not in names and n not in own}
+    bench[CHAIN] = _chain_compliance(observed, bench)
     deviations = np.array([stated[n].stderr for n in own], dtype=float)
     if own:
         moved_by = moved_by_held(pair, fit, [n for n in names if n not in (*chosen, *beside)])
@@ -370,9 +374,9 @@ def _of_discs(others: int) -> list[str]:
     if others == 0:
         return []
     return [
-        f"The curves do not tell which disc is the first: seen from another disc {others} other set"
+        f"The curves do not determine which disc is the first: seen from another disc {others} other set"
         f"{'s' * (others > 1)} of errors make{'s' * (others == 1)} the same curves (other_descriptions in the file); "
-        "stated is the one nearest to the pair file. What is known of the parts tells them apart: state it there."
+        "the result is the one nearest to the pair file. State any known error of the parts there to decide."
     ]
 
 
@@ -428,16 +432,16 @@ def _ambiguity(pair: Pair, fit: Estimate) -> list[str]:
         noises = fit.noises[fit.observed.running]
         notes.append(
             f"{curves[int(np.argmax(noises))].source}: its noise comes out as {noises.max() * ARCSEC:.2f}″, the "
-            f"others' as {np.median(noises) * ARCSEC:.2f}″; where the bench is as quiet there, the fit has ended "
-            "beside the best one and the intervals are too narrow."
+            f"others' as {np.median(noises) * ARCSEC:.2f}″; if the bench has equal noise there, the fit has "
+            "missed the best optimum and the intervals are too narrow."
         )
     unknown = sum(p.stop - p.start for n, p in scatter_parts(pair).items()
                   if n in ("pin_radial", "pin_tangential") and fit.scatter[n] > NO_SCATTER)  # fmt: skip
     seen = sum(np.unique(np.rint(c.input_angle / (2.0 * np.pi) * _ANGLES) % _ANGLES).size for c in curves)
     if seen < _TOLD * unknown:
         notes.append(
-            f"The curves see {seen} angles of the crank in all, too few to tell the {unknown} displacements by which "
-            f"single pins scatter: the fit may end beside the best one; record at least "
+            f"The curves see {seen} angles of the crank in all, too few for the {unknown} displacements of single "
+            f"pins: the fit may miss the best optimum; record at least "
             f"{math.ceil(_TOLD * unknown / len(curves))} samples a crank turn, not in step with it."
         )
     return notes
@@ -451,8 +455,8 @@ def _notes(pair: Pair, fit: Estimate, verdict: Verdict) -> tuple[str, ...]:
     sizes = np.array([abs(c.torque) for c in curves])
     if np.ptp(sizes) < 0.05 * sizes.max():
         notes.append(
-            f"There is one load only, {sizes.mean():.4g} N·m: what gives way elsewhere and what stands off can't be "
-            "told apart; record a second one, ten times smaller."
+            f"There is one load only, {sizes.mean():.4g} N·m: compliance elsewhere cannot be separated from "
+            "clearances; record a second one, ten times smaller."
         )
     if len({np.sign(c.torque) for c in curves}) == 1:
         notes.append(
@@ -460,13 +464,13 @@ def _notes(pair: Pair, fit: Estimate, verdict: Verdict) -> tuple[str, ...]:
         )
     if len({c.direction for c in curves}) == 1:
         notes.append(
-            "The crank turned one way only, so friction can't be told from what gives way; record the other direction."
+            "The crank turned one way only, so friction and compliance cannot be separated; record the other direction."
         )
     for curve in curves:
         turns = float(np.ptp(curve.input_angle)) / (2.0 * np.pi * abs(curve.ratio))
         if turns < 0.95:
             notes.append(
-                f"{curve.source}: it covers {turns:.2f} of an output turn; pins and teeth are less well resolved."
+                f"{curve.source}: it covers {turns:.2f} of an output turn; pins and teeth are resolved less well."
             )
     if verdict.state == "not explained":
         notes.append("Is this the drive of the pair file, and are counts per turn and directions right?")
@@ -537,6 +541,36 @@ def as_json(result: Identification) -> dict[str, Any]:
         "implausible": result.implausible,
         "notes": list(result.notes),
     }
+
+
+def _chain_compliance(observed: Observations, bench: Mapping[str, float]) -> float:
+    """What gives way beside the gear pair, rad/(N·m): as a nuisance, and as a cause where it is softer than usual."""
+    of = [i for i, n in enumerate(observed.bench_names) if n == CHAIN or n.startswith(f"{MISFIT}_compliance_")]
+    if len(of) == 1:
+        return bench[CHAIN]
+    turned = observed.bench[:, of] @ [bench[observed.bench_names[i]] for i in of]
+    torque = np.concatenate([c.torque_at_points for c in observed.curves])
+    return float(turned @ torque / (torque @ torque)) if torque.any() else bench[CHAIN]
+
+
+def read_chain(path: str | os.PathLike[str]) -> tuple[float, float]:
+    """Return what an identification file found beside the gear: series compliance (rad/(N·m)) and dry friction (N·m).
+
+    Neither is below zero.
+
+    Raises
+    ------
+    edge.InputError
+        If the file is no identification or has none of the two.
+    """
+    bench = edge.json_table(path, FORMAT, "identification").get("bench")
+    found = []
+    for name in (CHAIN, "friction_torque"):
+        value = bench.get(name) if isinstance(bench, dict) else None
+        if not isinstance(value, int | float) or not math.isfinite(value):
+            raise edge.InputError(f"{path}: bench has no {name}; identify once more.")
+        found.append(max(float(value), 0.0))
+    return found[0], found[1]
 
 
 def read_lmfit_parameters(path: str | os.PathLike[str]) -> lmfit.Parameters:

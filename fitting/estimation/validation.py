@@ -96,10 +96,11 @@ class Verdict:
         named = ", ".join(_in_words(m) for m in self.misfits[:_NAMED])
         several = f" {self.descriptions} sets of errors make these curves." if self.descriptions > 1 else ""
         if self.disagreeing:
-            several += f" But no two of {self.disagreeing} starts ended alike: a better optimum may have been missed."
+            several += f" But no two of {self.disagreeing} starts reached the same optimum: "
+            several += "a better one may have been missed."
         if self.state == "explained":
             return (
-                f"Explained: what is left of the curves, {self.residual * ARCSEC:.2f}″, is their noise, at every "
+                f"Explained: the residual of the curves, {self.residual * ARCSEC:.2f}″, is their noise, at every "
                 f"order, load and direction.{several}"
             )
         if self.state == "explained but for":
@@ -332,12 +333,12 @@ def failures(residual: Residual, left: Array) -> tuple[list[str], Array]:
     failed = []
     order = peak(observed, left)
     if order is not None:
-        failed.append(f"order {order:.4g} of the output stands out of the noise")
+        failed.append(f"order {order:.4g} of the output is above the noise")
     yardstick = yardsticks(observed, left)
     excess = float(np.exp(-np.mean(np.log(np.maximum(yardstick, 1e-9)))))
     # A median of n squares of noise is uncertain by 1.44/√n of it.
     if excess > max(_MORE, np.exp(4.0 * 0.72 / np.sqrt(0.5 * np.count_nonzero(~observed.of_loops)))):
-        failed.append(f"{excess:.2g} times the noise is left")
+        failed.append(f"the residual is {excess:.2g} times the noise")
     groups = groups_of(observed)
     contradicting = [name for name, one in groups.items() if residual.contradicts(one) * len(groups) < _FALSE]
     if contradicting:

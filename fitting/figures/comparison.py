@@ -11,7 +11,7 @@ from typing import Any
 
 from cycloid_fmu import edge
 from cycloid_fmu.drive import Drive
-from fitting.figures.figure import DEFINITIONS, Figure, in_field_units
+from fitting.figures.figure import Figure, in_field_units
 from fitting.figures.metrics import FORMAT, Figures, metrics
 from fitting.recordings.sources import Source
 
@@ -126,10 +126,8 @@ def changes_between(before: Mapping[str, Figure], after: Mapping[str, Figure]) -
     """Return the changes of figures that both sides have, and a sentence for each that can't be compared."""
     changes: list[Change] = []
     notes = []
-    for name in DEFINITIONS:
+    for name in dict.fromkeys((*before, *after)):
         one, other = before.get(name), after.get(name)
-        if one is None and other is None:
-            continue
         if one is None or other is None:
             notes.append(f"{name}: only {'the second' if one is None else 'the first'} has it.")
             continue
@@ -179,9 +177,10 @@ def read_figures(path: str | os.PathLike[str]) -> dict[str, Figure]:
     """
     data = edge.json_table(path, FORMAT, "figures")
     with edge.parsed_by_others(path, "a figure lacks something or is no number"):
-        return {name: _figure(data[name]) for name in DEFINITIONS if name in data}
+        return {name: _figure(one) for name, one in data.items() if isinstance(one, dict) and name not in _SOURCES}
 
 
+_SOURCES = ("data", "implausible")  # tables of the file that are no figures
 _COUNTED = ("loops", "turns", "starts")
 
 

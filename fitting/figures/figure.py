@@ -16,7 +16,7 @@ from cycloid_fmu.geometry.pair import LOST_MOTION
 DEFINITIONS = {
     "hysteresis_loss": "distance of the two unloading branches, each extrapolated to zero torque by a straight line "
     "over the interval on its own side (Nabtesco)",
-    "backlash": "hysteresis loss less twice the dry friction torque over the stiffness: less the mean distance of "
+    "backlash": "hysteresis loss minus twice the dry friction torque over the stiffness: minus the mean distance of "
     "loading and unloading branch at ±50 % of the rated torque",
     "lost_motion": f"{LOST_MOTION}, mean of loading and unloading branch (Nabtesco)",
     "torsional_stiffness": "torque over windup along the loading branches in the interval, mean of both sides",
@@ -24,11 +24,11 @@ DEFINITIONS = {
     "turned 1 degree, mean of the starts (no-load starting torque)",
     "back_driving_torque": "largest torque on the output, while it drives, from a standstill until the crank has "
     "turned 1 degree, mean of the starts (overhauling starting torque)",
-    "angular_transmission_error": "largest less smallest value over one output turn, in one direction, of the curve "
-    "averaged over turns and made of the orders that stand out of the noise (GB/T 35089); the largest of the runs",
+    "angular_transmission_error": "largest minus smallest value over one output turn, in one direction, of the curve "
+    "averaged over turns and made of the orders above the noise (GB/T 35089); the largest of the runs",
     "angular_transmission_error_without_rig": "angular transmission error of the curve without the orders of the rig: "
-    "1, 2 and 3 of the output turn, run-out and couplings; what the drive "
-    "has at these orders is left out with them",
+    "1, 2 and 3 of the output turn, run-out and couplings; the drive's "
+    "own part in these orders is removed too",
 }
 UNITS = {
     "hysteresis_loss": "rad", "backlash": "rad", "lost_motion": "rad", "torsional_stiffness": "N*m/rad",

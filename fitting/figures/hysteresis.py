@@ -563,7 +563,7 @@ def _loop_notes(
     loss = abs(values["hysteresis_loss"][0][0])
     if drift is None:
         notes.append(
-            f"{data.source}: whether the windup drifts can't be told: a branch has fewer than four samples between "
+            f"{data.source}: a drift of the windup cannot be determined: a branch has fewer than four samples between "
             f"{100.0 * DRIFT[0]:g} and {100.0 * DRIFT[1]:g} % of its peak."
         )
     else:
@@ -572,19 +572,19 @@ def _loop_notes(
         length = data.time[ends[1].unloading.stop - 1] - data.time[ends[0].loading.start]
         moved, uncertain = drift.rate * length * edge.ARCSEC, 1.96 * drift.uncertainty * length * edge.ARCSEC
         if abs(moved) > 1.5 * uncertain and abs(moved) > 0.02 * loss * edge.ARCSEC:
-            by = "branches that were passed again" if drift.repeated else (
-                "loading and unloading branch of the two sides, whose friction is taken to be alike but for a constant"
+            by = "repeated branches" if drift.repeated else (
+                "loading and unloading branch of the two sides, whose friction is assumed equal except for a constant"
             )  # fmt: skip
             notes.append(
-                f"{data.source}: the windup drifts by {moved:.3g} ± {uncertain:.2g}″ a loop, as {by} show; it is taken "
-                "off, linear in time, and what is not known of it is in the uncertainties."
+                f"{data.source}: the windup drifts by {moved:.3g} ± {uncertain:.2g}″ a loop, as {by} show; it is "
+                "subtracted, linear in time, and its uncertainty is in those of the figures."
             )
     if not data.steady and not _closed(freed):
         notes.append(
-            f"{data.source}: there is only a virgin loop, whose first branch depends on where in play and friction it "
-            "began; record a loop before it that is not counted (preconditioning, GB/T 40731)."
+            f"{data.source}: there is only a virgin loop, whose first branch depends on its start within play and "
+            "friction; record a loop before it that is not counted (preconditioning, GB/T 40731)."
             + (
-                " Lost motion is taken from the two branches behind the first, friction being alike on both sides."
+                " Lost motion is taken from the two branches after the first, assuming equal friction on both sides."
                 if band
                 else ""
             )
@@ -593,8 +593,8 @@ def _loop_notes(
         known = "" if friction is None else f", whose half width is {friction:.3g} N·m in the mean"
         notes.append(
             f"{data.source}: ±{100.0 * LOST_MOTION_LOAD:g} % of the rated torque, "
-            f"±{LOST_MOTION_LOAD * data.rated_torque:.3g} N·m, lies inside the friction band{known}: lost motion there "
-            "need not hold the play; backlash does."
+            f"±{LOST_MOTION_LOAD * data.rated_torque:.3g} N·m, is inside the friction band{known}: lost motion there "
+            "may not include the play; backlash does."
         )
     return notes
 

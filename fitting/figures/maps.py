@@ -76,7 +76,7 @@ def maps(
     -------
     xarray.Dataset
         `cycloid-maps/1`, over (torque N·m, speed rad/s, temperature K, direction), SI; NaN where nothing was recorded:
-        `angular_transmission_error`, largest less smallest value of the orders that stand out of the noise, and
+        `angular_transmission_error`, largest minus smallest value of the orders that stand out of the noise, and
         `angular_transmission_error_without_rig`, the same without `RIG_ORDERS`, which a rig's run-out makes;
         `order_amplitude` of each `order`, with its `order_name`; `mean_transmission_error`; `gap`, mean of forward less
         that of backward, and `torsional_stiffness` (N·m/rad), the slope of torque over mean transmission error. A gap

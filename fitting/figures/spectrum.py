@@ -23,6 +23,8 @@ RIG_ORDERS = (1, 2, 3)
 them: the pins have it too, and run-out of the input is divided by the ratio."""
 _WINDOW = 101  # orders around one whose median is its noise floor
 _HOLES = 0.02  # share of a turn's points that may be empty
+_COARSER = 8  # times, of the points among which a curve's top is looked for first
+_MANY = 1 << 18  # points from which that is less work
 _REDRAWN = 200  # spectra drawn with the noise found, for the uncertainty of a largest and a smallest value
 
 
@@ -186,7 +188,7 @@ def order_name(order: int, ratio: float, pair: Pair | None) -> str:
 
 
 def range_of_orders(orders: Spectrum) -> float:
-    """Return largest less smallest value of the curve of the orders that stand out of the noise, rad.
+    """Return largest minus smallest value of the curve of the orders that stand out of the noise, rad.
 
     Unlike `angular_transmission_error`, what noise in these orders adds is not taken off; it takes a thousandth of the
     time.
@@ -242,15 +244,63 @@ def angular_transmission_error(curve: Curve, orders: Spectrum, runaway: float = 
 
 
 def range_of(coefficient: NDArray[np.complex128], points: int) -> Array:
-    """Return largest minus smallest value, each at the top of a parabola through it and its neighbours."""
-    curve = np.atleast_2d(synthesised(coefficient, points))
-    rows = np.arange(curve.shape[0])
+    """Return largest minus smallest value at even points, each at the top of a parabola through it and its neighbours.
 
-    def top(values: Array) -> Array:
-        at = np.argmax(values, axis=-1)
-        before, peak, after = (values[rows, (at + step) % points] for step in (-1, 0, 1))
-        bend = np.minimum(before - 2.0 * peak + after, -1e-300)
-        found: Array = peak - (before - after) ** 2 / (8.0 * bend)
-        return found
+    Parameters
+    ----------
+    coefficient
+        Complex amplitudes from order 0, shape (orders,) or (curves, orders).
+    points
+        Even points of a turn among which the largest and the smallest value are looked for.
+    """
+    rows = np.atleast_2d(coefficient)
+    if rows.shape[1] * _COARSER * 4 > points or points < _MANY:
+        curve = synthesised(rows, points)
+        return _top(curve) + _top(-curve)
+    # Every eighth point, and the others where they can reach beyond these: 2 to 5 times as fast as all of 2^20 points.
+    coarse = points // _COARSER
+    curve = synthesised(rows, coarse)
+    order = np.arange(rows.shape[1])
+    bend = np.abs(synthesised(-(order**2) * rows, coarse)).max(axis=1)
+    # Bernstein: between points that are h apart no wave of order n is more than (nh)²/8 of its largest value higher.
+    half = (np.pi * order[-1] / coarse) ** 2 / 2.0
+    reach = bend / (1.0 - half) * (np.pi / coarse) ** 2 / 2.0
+    found = np.empty(len(rows))
+    for at, (wave, values, beyond) in enumerate(zip(rows, curve, reach, strict=True)):
+        found[at] = sum(
+            _top_near(sign * wave, np.flatnonzero(sign * values >= (sign * values).max() - beyond), points)
+            for sign in (1.0, -1.0)
+        )
+    return found
 
-    return top(curve) + top(-curve)
+
+def _top(curve: Array) -> Array:
+    """Return the largest value of each row, at the top of a parabola through it and its neighbours around the turn."""
+    rows, points = np.arange(curve.shape[0]), curve.shape[1]
+    at = np.argmax(curve, axis=-1)
+    return _parabola_top(*(curve[rows, (at + step) % points] for step in (-1, 0, 1)))
+
+
+def _parabola_top(before: Array, peak: Array, after: Array) -> Array:
+    bend = np.minimum(before - 2.0 * peak + after, -1e-300)
+    found: Array = peak - (before - after) ** 2 / (8.0 * bend)
+    return found
+
+
+def _top_near(coefficient: NDArray[np.complex128], coarse: NDArray[np.int64], points: int) -> float:
+    """Return what `_top` gives for one curve whose largest value lies next to some of every eighth of its points."""
+    around = np.arange(-_COARSER - 1, _COARSER + 2)
+    place = np.unique(_COARSER * coarse[:, None] + around)
+    if place.size > points // 512:
+        return float(_top(synthesised(coefficient[None], points))[0])
+    # The sum over orders k = 128 i + j as two: as many products as orders, but few sines.
+    blocks = -(-coefficient.size // 128)
+    table = np.zeros((blocks, 128), complex)
+    table.ravel()[: coefficient.size] = coefficient
+    angle = place * (2.0 * np.pi / points)
+    # No matrix product: BLAS wakes all processors for these few numbers, which took ten times as long.
+    inner = np.einsum("pj,ij->pi", np.exp(1j * np.multiply.outer(angle, np.arange(128))), table)
+    values = (inner * np.exp(1j * np.multiply.outer(angle, 128 * np.arange(blocks)))).sum(axis=1).real
+    # Neighbours of a place that are not among those taken lie below it: at the largest one both are.
+    at = 1 + int(np.argmax(values[1:-1]))
+    return float(_parabola_top(*values[at - 1 : at + 2]))

@@ -86,7 +86,7 @@ def starting_torques(recording: Recording, ratio: float | None) -> tuple[list[St
         return [], [f"{recording.source}: the torque on the input starts the crank nowhere from a standstill."]
     if ratio is None:
         return [], [
-            f"{recording.source}: starting_torque could not be given: no ratio says whether the output is loaded."
+            f"{recording.source}: no starting_torque: without a ratio it is unknown whether the output is loaded."
         ]
     free = [s for s in starts if float(np.abs(recording.torque[s.part]).max()) < _UNLOADED * abs(ratio) * s.torque]
     if len(free) == len(starts):

@@ -45,6 +45,7 @@ PROFILE_ORDERS = (1, 2, 3, 4)  # of the profile deviation that all teeth share, 
 OUTPUT_ENCODER, INPUT_ENCODER = 2e-4, 5e-5
 DRIFT = 5e-5  # rad an output turn: how far the angles' zeros may creep while the bench warms up
 CREEP = "output_angle_creep"  # what a common zero has moved from one recording to the next; how far, the fit estimates
+CHAIN = "chain_compliance"  # of what stands in series with the gear pair
 MISFIT = "misfit"  # what the model does not hold, by cause; how large, the fit estimates
 GIVES = ("centre_distance_x", "centre_distance_y", "eccentricity")  # what moves where supports give way
 NO_CREEP = 1e-8  # rad
@@ -264,7 +265,7 @@ def observations(
         priors.append(DRIFT)
     largest = max(float(np.abs(torque).max()), 1e-9)
     nominal = solve(pair, surface_of_pair(pair), largest, np.linspace(0.0, 2.0 * np.pi, 40), with_play=False)
-    names.append("chain_compliance")
+    names.append(CHAIN)
     columns.append(torque)
     priors.append(COMPLIANCE_SHARE / float(nominal.torsional_stiffness.mean()))
     return Observations(

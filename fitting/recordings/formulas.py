@@ -50,7 +50,7 @@ Part = Callable[[Array], Array]
 
 @dataclass(frozen=True)
 class Formula:
-    """A formula of one variable, X or X1: numbers, + - * / **, brackets and the usual functions.
+    """A formula of one variable, X or X1: numbers, ``+ - * / **``, brackets and the usual functions.
 
     Parameters
     ----------

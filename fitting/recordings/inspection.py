@@ -296,7 +296,7 @@ def _channel_lines(one: Look, role: str) -> list[str]:
     if one.channel.unit:
         return [*lines, f"unit = {_quoted(unit_text(one.channel.unit))}"]
     if stated := stated_unit(one):
-        return [*lines, f"unit = {_quoted(stated)}               # as its name says"]
+        return [*lines, f"unit = {_quoted(stated)}               # from its name"]
     finite = one.values[np.isfinite(one.values)]
     if role.endswith("angle"):
         low, high = float(finite.min()), float(finite.max())

@@ -130,7 +130,7 @@ def _check_within(channel: Any, group: Any) -> None:
     marked = getattr(channel, "flags", 0) & _MAY_BE_INVALID
     within, marks = 8 * group.samples_byte_nr, 8 * getattr(group, "invalidation_bytes_nr", 0)
     if first + channel.bit_count > within or (marked and channel.pos_invalidation_bit >= marks):
-        raise ValueError("it lies outside of its records")
+        raise ValueError("it is outside of its records")
 
 
 def _records_held(group: Any, size: int) -> int:
@@ -249,7 +249,9 @@ class TdmsFile(BenchFile):
         self.problems += refused
         status = getattr(self._file, "file_status", None)
         if status is not None and status.incomplete_final_segment:
-            self.problems.append(f"{source}: it is cut; its last segment is not complete and what it holds was read.")
+            self.problems.append(
+                f"{source}: it is cut; its last segment is incomplete, and the data before its end were read."
+            )
 
     def pieces(self, names: Sequence[str]) -> Iterator[Piece]:
         """Yield pieces of these channels in the order of time."""

@@ -188,7 +188,7 @@ def _check_channels(mapping: FileMapping, source: str) -> None:
             raise edge.InputError(f"{source}: {name} is missing; a recording needs it.")
     if mapping.last_row_first and mapping.time is not None and mapping.time.column is not None:
         raise edge.InputError(
-            f"{source}: last_row_first: the [time] column says which sample came first; leave one of the two out."
+            f"{source}: last_row_first: the [time] column determines the first sample; leave one of the two out."
         )
     if mapping.transmission_error is not None and mapping.input_angle is not None:
         raise edge.InputError(
@@ -281,8 +281,7 @@ def scales_of(file: BenchFile, mapping: FileMapping) -> dict[str, tuple[str, flo
     if not file.timed and not (mapping.time is None and mapping.transmission_error is not None):
         if mapping.time is None:
             raise edge.InputError(
-                f"{file.source}: nothing says the samples' time; name a channel as [time] column in the mapping, or a "
-                "rate."
+                f"{file.source}: the samples have no time; name a channel as [time] column in the mapping, or a rate."
             )
         if mapping.time.column is not None:
             roles["time"] = mapping.time

@@ -171,7 +171,7 @@ def name_patterns(path: str | Path) -> dict[str, tuple[str, str, str]]:
 def _behind(name: str, matches: list[re.Match[str]], unit: str, role: str, hyphens: int) -> tuple[str, str, str]:
     if len(matches) > 1:
         several = ", ".join(m[0] for m in matches)
-        return "", unit, f"the name has {several}: which of them? Write what stands around it, {{}} for the number"
+        return "", unit, f"the name has {several}: which of them? Write the text around it, with {{}} for the number"
     number, behind = matches[0][1], matches[0][2]
     at = matches[0].start()
     prefix = re.match(r"[ _]?([kmMµu]?)N", behind) if role == "torque" else None

@@ -39,11 +39,11 @@ class RecorderFile(BenchFile):
             return Piece(alignments[name].time(samples), {name: samples.value}, samples.status)
 
         with RecordingReader(self.source) as reader:
-            for samples, _ in reader.batches():
+            for samples, _ in reader.batches(together=True):
                 if samples.channel in waiting and len(samples):
                     silent.discard(samples.channel)
                     waiting[samples.channel].append(samples)
-                    # A batch is a twentieth of a second; to take each by itself costs more than what is in it.
+                    # Where batches are damaged they come one by one: a twentieth of a second each.
                     gathered[samples.channel] += len(samples)
                     if gathered[samples.channel] >= _GATHERED:
                         yield piece(samples.channel)

@@ -15,6 +15,7 @@ from cycloid_fmu import edge
 from fitting.recordings.formats import PIECE, BenchFile, Piece, RawChannel, name_and_unit, numbers_of, unique, unit_text
 
 _NUMERIC = re.compile(r"\s*[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?\s*")
+_ROWS = 4 * PIECE  # of a Parquet file that are read together
 _NOT_A_NUMBER = {"", "nan", "inf", "-inf", "n/a", "na", "null"}
 
 
@@ -225,5 +226,23 @@ class ParquetFile(BenchFile):
     def pieces(self, names: Sequence[str]) -> Iterator[Piece]:
         """Yield pieces of these channels in the order of time."""
         stored = dict(zip((c.name for c in self.channels), self._names.values(), strict=True))
-        for batch in self._file.iter_batches(batch_size=PIECE, columns=[stored[n] for n in names]):
-            yield Piece(None, {n: numbers_of(batch.column(stored[n])) for n in names})
+        columns = [stored[n] for n in names]
+        for groups in self._row_groups():
+            for batch in self._file.iter_batches(batch_size=PIECE, row_groups=groups, columns=columns):
+                yield Piece(None, {n: numbers_of(batch.column(stored[n])) for n in names})
+
+    def _row_groups(self) -> Iterator[list[int]]:
+        """Yield neighbouring row groups, a few pieces together.
+
+        Arrow keeps what it read of a file until the last of the row groups that it was asked for: of two hours at 4 kHz
+        half the memory of the process.
+        """
+        groups, rows = [], 0
+        for number in range(self._file.num_row_groups):
+            groups.append(number)
+            rows += self._file.metadata.row_group(number).num_rows
+            if rows >= _ROWS:
+                yield groups
+                groups, rows = [], 0
+        if groups:
+            yield groups

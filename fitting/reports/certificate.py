@@ -12,7 +12,7 @@ from cycloid_fmu import edge
 from fitting.figures.budget import BUDGET_HEAD, field_factor
 from fitting.figures.conformity import RULES, Certificate, Decision, decisions_of, verdict_of
 from fitting.figures.metrics import Figures
-from fitting.reports.figures_report import BUDGETS, SOURCES, TITLES, budget_tables, sources_of
+from fitting.reports.figures_report import BUDGETS, SOURCES, budget_tables, sources_of, title_of
 from fitting.reports.page import html_page, made_now
 from fitting.reports.panels import Panel, Trace
 
@@ -99,7 +99,7 @@ def _results(found: Figures, decisions: list[Decision]) -> list[list[str]]:
         factor, unit = field_factor(one.unit)
         expanded = one.expanded * factor
         rows.append(
-            [TITLES[one.figure], _shown(one.value * factor, expanded),
+            [title_of(one.figure), _shown(one.value * factor, expanded),
              "not known" if math.isnan(expanded) else _shown(expanded, expanded),
              "" if math.isnan(expanded) else f"{one.coverage_factor:.2f}", unit,
              "" if math.isinf(one.low) else f"{one.low * factor:.6g}",
@@ -110,7 +110,7 @@ def _results(found: Figures, decisions: list[Decision]) -> list[list[str]]:
         if name not in limited:
             factor, unit = field_factor(budget.unit)
             expanded = budget.expanded * factor
-            rows.append([TITLES[name], _shown(budget.value * factor, expanded), _shown(expanded, expanded),
+            rows.append([title_of(name), _shown(budget.value * factor, expanded), _shown(expanded, expanded),
                          f"{budget.coverage_factor:.2f}", unit, "", "", ""])  # fmt: skip
     return rows
 
@@ -135,5 +135,5 @@ def _limit_panels(decisions: list[Decision]) -> list[Panel]:
     if not shown:
         return []
     caption = "Per cent of the largest value that is allowed, or of the smallest where there is no largest."
-    names = tuple(TITLES[one.figure] for one in shown)
+    names = tuple(title_of(one.figure) for one in shown)
     return [Panel("Figures and their limits", "share of the limit [%]", "", tuple(traces), caption, y_names=names)]

@@ -13,13 +13,17 @@ import numpy as np
 
 from cycloid_fmu import __version__, edge
 from fitting.figures.budget import BUDGET_HEAD, budget_rows
-from fitting.figures.figure import DEFINITIONS, Figure, in_field_units
+from fitting.figures.figure import Figure, in_field_units
 from fitting.figures.metrics import Figures
 from fitting.reports.page import html_page, made_now
 from fitting.reports.panels import Panel, panels_of
 
 FORMATS = (".html", ".pdf")
-TITLES = {name: name.replace("_", " ").capitalize() for name in DEFINITIONS}
+
+
+def title_of(name: str) -> str:
+    """Return a figure's name as a heading."""
+    return name.replace("_", " ").capitalize()
 
 
 def write_figures_report(found: Figures, path: str | os.PathLike[str]) -> None:
@@ -37,7 +41,7 @@ def figure_rows(found: Figures) -> list[dict[str, str]]:
     """Return the figures' table, one row a figure and one, with `part`, for each of its parts and runs."""
     rows = []
     for name, figure in found.figures.items():
-        rows.append(_row(TITLES[name], figure, definition=figure.definition))
+        rows.append(_row(title_of(name), figure, definition=figure.definition))
         rows += [_row(part, one, part="yes") for part, one in figure.shown.items()]
     return rows
 
@@ -90,7 +94,7 @@ BUDGETS = """{% for title, table in budgets %}{% if loop.first %}<h2>Uncertainty
 
 def budget_tables(found: Figures) -> list[tuple[str, list[list[str]]]]:
     """Return title and rows of each budget."""
-    return [(TITLES[name], budget_rows(budget)) for name, budget in found.budgets.items()]
+    return [(title_of(name), budget_rows(budget)) for name, budget in found.budgets.items()]
 
 
 _FIGURES = (
@@ -175,8 +179,8 @@ def _text_pages(found: Figures) -> list[Any]:
             source, kind, distribution, uncertainty, sensitivity, contribution, degrees = cells
             text = f"{source:<32} {kind:<4} {distribution:<12} {uncertainty:<20} {sensitivity:>11} {contribution:>20}"
             lines.append((f"{text} {degrees:>8.7}", {**mono, "fontsize": 6.5}))
-    lines += [("", {}), ("What was left out, and what to know", heading)]
-    for note in found.notes or ("Nothing was left out.",):
+    lines += [("", {}), ("Excluded data and notes", heading)]
+    for note in found.notes or ("No data were excluded.",):
         lines += [(one, {}) for one in textwrap.wrap(note, 112, subsequent_indent="    ")]
     lines += [("", {}), ("Recordings", heading)]
     for s in sources_of(found):

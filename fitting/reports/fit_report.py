@@ -45,7 +45,7 @@ def fit_panels(result: Identification) -> list[Panel]:
               f"{result.residual / _ARC:.3f}″ rms are left; the noise of a point is {result.noise / _ARC:.3f}″. "
               "A click on a curve's name hides it, a double click all others."),
     ]  # fmt: skip
-    orders = spectra_panel(rest, [spectrum(c) for c in rest], result.pair, "Orders of what is left")
+    orders = spectra_panel(rest, [spectrum(c) for c in rest], result.pair, "Orders of the residual")
     loops = [panel for one in result.loops for panel in _loop_panels(one)]
     ring = ring_panel(result.realised)
     return [*panels, *([orders] if orders is not None else []), *loops, _intervals(result.parameters), ring]
@@ -159,11 +159,11 @@ def _ring_tables(ring: Realised) -> list[dict[str, Any]]:
         orders.append([order, *row])
     return [
         {"id": "realised-orders", "of": "Order", "columns": columns, "rows": orders,
-         "caption": "Amplitude of this ring's own orders, µm, at their phase, with half of the 95 % interval. What the "
-         "table of errors states of an order is the mean of rings that scatter as much, and less exact."},
+         "caption": "Amplitude of this ring's own orders, µm, at their phase, with half of the 95 % interval. The "
+         "table of errors states the mean order of rings with the same scatter, which is known less exactly."},
         {"id": "realised", "of": "Pin or tooth", "columns": columns, "rows": elements,
-         "caption": "µm, with half of the 95 % interval; in brackets where a pin or tooth hardly carries load in these "
-         "curves and is bounded by its neighbours."},
+         "caption": "µm, with half of the 95 % interval; in brackets where a pin or tooth carries almost no load in "
+         "these curves and is bounded by its neighbours."},
     ]  # fmt: skip
 
 

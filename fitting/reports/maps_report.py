@@ -91,7 +91,7 @@ def write_maps_report(found: xr.Dataset, path: str | os.PathLike[str]) -> None:
         "size": "Torque is the load's size: its sign goes with the direction.",
         "signed": "Torque is signed, of the environment on the output.",
     }
-    axis = f"{signs[found.attrs['torque_is']]} Forward: the crank's angle grows. The gap is forward less backward."
+    axis = f"{signs[found.attrs['torque_is']]} Forward: the crank's angle grows. The gap is forward minus backward."
     text = html_page(
         "Maps of a drive", f"ratio {found.attrs['ratio']:g}, {made_now()}", _ABOVE, map_panels(found), _BELOW,
         curves=found.attrs["curves"], axis=axis, notes=[n for n in found.attrs["notes"].split("\n") if n],

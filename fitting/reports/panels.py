@@ -195,7 +195,7 @@ def spectra_panel(
         title, "order of the output turn", "amplitude [arcsec]", tuple(traces),
         "Pin: errors of pins and ring; tooth: errors of the gear's teeth; mesh: both; rig: coaxiality and couplings "
         "(large errors of pins and teeth beat at order 1 too). "
-        "Dashed: what noise alone has. An amplitude's 95 % interval is ± 1.4 times the dashed line.",
+        "Dashed: noise alone. An amplitude's 95 % interval is ± 1.4 times the dashed line.",
         log_y=True, log_x=True,
     )  # fmt: skip
 

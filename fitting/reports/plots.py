@@ -17,6 +17,7 @@ from cycloid_fmu.draw.figure import new_figure, save, show_legend
 from cycloid_fmu.drive import Drive
 from cycloid_fmu.edge import ARCSEC
 from cycloid_fmu.surfaces.structured import unit_of
+from fitting.ageing.forecast import Forecast
 from fitting.estimation.plan import Plan
 from fitting.estimation.realised import Realised
 from fitting.estimation.result import Identification
@@ -24,7 +25,11 @@ from fitting.figures.comparison import Change, Comparison
 from fitting.figures.maps import FORMAT as MAPS
 from fitting.figures.metrics import Figures
 from fitting.model.prior import TOLERANCE
+from fitting.recalibration.plan import PlannedVisit
+from fitting.recalibration.recalibrate import Recalibration
 from fitting.recordings.inspection import Inspection, Look
+from fitting.reports.forecast_plot import plot_forecast
+from fitting.reports.life_plots import plot_recalibration, plot_visits
 from fitting.reports.maps_report import map_panels
 from fitting.reports.panels import Panel, label_of, names_above, panels_of, x_range
 from fitting.reports.ring import ring_panel
@@ -47,8 +52,8 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
     Parameters
     ----------
     result
-        What `fitting.curves`, `metrics`, `maps`, `compare`, `identify`, `plan` or `inspect` returned, or what an
-        identification says of every pin and tooth, `result.realised`.
+        What `fitting.curves`, `metrics`, `maps`, `compare`, `identify`, `plan`, `inspect`, a forecast or
+        `fitting.recalibration` returned, or what an identification says of every pin and tooth, `result.realised`.
     path
         `.png` or `.pdf`.
 
@@ -69,7 +74,8 @@ def plot(result: object, path: str | os.PathLike[str] | None = None) -> Figure:
         (Figures, lambda found: plot_panels(panels_of(found))), (Comparison, lambda found: plot_changes(found.changes)),
         (Identification, plot_identification), (Realised, plot_ring),
         (Inspection, lambda found: plot_channels(found.looks, found.roles)),
-        (Curve, plot_curves), (Plan, plot_plans),
+        (Curve, plot_curves), (Plan, plot_plans), (Forecast, plot_forecast), (Recalibration, plot_recalibration),
+        (PlannedVisit, plot_visits),
     ]  # fmt: skip
     one = result[0] if isinstance(result, list | tuple) and result else result
     draw = next((draw for kind, draw in pictures if isinstance(one, kind)), None)
@@ -302,7 +308,7 @@ def plot_plans(plans: Sequence[Plan]) -> Figure:
         share = [found.get(n, np.nan) / TOLERANCE["m" if n in each else unit_of(n)] for n in names]
         beside = 0.5 * (number - 0.5 * (len(plans) - 1)) / len(plans)  # equal values are all seen
         axis.plot(share, np.arange(len(names)) + beside, "o", ms=4.5, color=f"C{number}", label=plan.runs)
-    axis.set(xscale="log", xlabel="standard error as a share of what the error may be unmeasured; left is better")
+    axis.set(xscale="log", xlabel="standard error as a share of its prior; left is better")
     axis.set_yticks(np.arange(len(names)), [_readable(n) for n in names], fontsize=8)
     axis.set_ylim(len(names) - 0.4, -0.6)
     if unknown:

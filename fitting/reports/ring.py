@@ -61,6 +61,6 @@ def ring_panel(ring: Realised) -> Panel:
     return Panel(
         f"Every pin and tooth: grey circles are {step:g} µm apart", "", "", tuple(traces),
         "Drawn outwards from the dashed circle where above zero; > 0 is outwards, or "
-        "counter-clockwise of tangential places and of teeth. What is removed of them stands above the table.",
+        "counter-clockwise of tangential places and of teeth. The part removed from them is stated above the table.",
         round=True,
     )  # fmt: skip

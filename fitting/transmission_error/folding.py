@@ -116,9 +116,10 @@ class _Fold:
         self.samples += angle.size
         error = error - self._reference
         t = beside[0] - self._torque_reference
-        self._torque += np.array([t.sum(), t @ t])
+        # No `t @ t`: it wakes all processors for less than they then take; the fold takes a third of the time without.
+        self._torque += np.array([t.sum(), (t * t).sum()])
         x = angle - self._origin
-        self._line += np.array([angle.size, x.sum(), error.sum(), x @ x, x @ error])
+        self._line += np.array([angle.size, x.sum(), error.sum(), (x * x).sum(), (x * error).sum()])
         travel = self.direction * (angle - self._begins) + 0.5 * self._spacing
         turn = np.maximum(np.minimum(travel / self._turn + 1e-9, _FAR).astype(np.int64), self._open_turn)
         place = np.mod(angle - self.shift, self._turn) / self._spacing + 1e-9
@@ -126,13 +127,19 @@ class _Fold:
         inside = (place - (point + 0.5)) * self._spacing
         point += self._whole * ((turn + self._turns) % self._apart)
         last = int(turn.max()) - self._open_turn
-        key = np.concatenate([self._open_points, point + (turn - self._open_turn) * self.whole])
-        key, at = np.unique(key, return_inverse=True)
-        values = (np.ones(angle.size), error, inside, inside * inside, t, beside[1], travel + self._travelled)
-        self._furthest = float(values[-1][-1])
+        if last or self._open_turn:
+            point += (turn - self._open_turn) * self.whole
+        # Neighbours at one point are added up first, so that few are sorted: twice as fast where a point has five.
+        begins = np.concatenate([[True], point[1:] != point[:-1]])
+        run = np.cumsum(begins) - 1
+        values = (error, inside, inside * inside, t, beside[1], travel)
+        self._furthest = float(travel[-1]) + self._travelled
+        sums = [np.bincount(run).astype(float), *(np.bincount(run, v) for v in values)]
+        sums[-1] += self._travelled * sums[0]
+        key, at = np.unique(np.concatenate([self._open_points, point[begins]]), return_inverse=True)
         found = np.array([
             np.bincount(at, np.concatenate([before, now]), key.size)
-            for before, now in zip(self._open, values, strict=True)
+            for before, now in zip(self._open, sums, strict=True)
         ])  # fmt: skip
         closed = int(np.searchsorted(key, last * self.whole))
         self._close(key[:closed], found[:, :closed])

@@ -345,6 +345,22 @@ def test_the_play_ends_where_flanks_touch(case, output):
     assert math.isnan(contact.touch_rate(drive, 0.7, 0.0, rows, 1.0))
 
 
+@pytest.mark.parametrize("output", ["gear", "ring"])
+@pytest.mark.parametrize(("case", "larger"), [("errors-39-40", 8e-6), ("nearly-conformal-13-14", 4e-6)])
+def test_play_followed_from_angle_to_angle_is_that_of_each_angle_alone(case, larger, output):
+    """Where it comes and goes too: pins larger by this interfere at some crank angles."""
+    _, drive, rows = drive_and_rows(case, output)
+    angles = np.linspace(0.0, 2.0 * np.pi, 73)[:-1]
+    for by in (0.0, larger):
+        one = drive._replace(pin_radius=drive.pin_radius + by)
+        found = np.empty((3, angles.size))
+        contact.sweep_play(one, angles, 0, angles.size, *found)
+        assert np.isnan(found[0]).any() == (by > 0.0)
+        assert np.isfinite(found[0]).any()
+        alone = np.array([contact.play(one, theta, 0.0, rows, True) for theta in angles]).T
+        assert found == pytest.approx(alone, rel=0.0, abs=1e-13, nan_ok=True)
+
+
 def test_interference_is_told_by_its_depth():
     """Pins that are too large by more than the play: the gap that is left at the rotation where it is largest."""
     _, drive, rows = drive_and_rows("interference-21-22", "gear")

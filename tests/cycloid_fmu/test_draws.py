@@ -145,7 +145,7 @@ def test_without_a_covariance_and_beyond_the_most_it_is_refused(command, tmp_pat
     run = command("cycloid-fmu", "build", EXAMPLES / "drive-39-40.toml", "--draws", "3", "-o", "none.fmu")
     assert run.returncode == 2
     assert (
-        "--draws = 3: the drive's errors have no covariance of a fit to draw from; give what identify found"
+        "--draws = 3: the drive's errors have no covariance of a fit to draw from; give a surface of identify"
         in run.stderr
     )
     assert not (tmp_path / "none.fmu").exists()

@@ -147,7 +147,7 @@ def test_clearances_are_limited_by_the_size(size, clearance, allowed):
     if allowed:
         a_pair(np.random.default_rng(0), 39, size, supports=supports)
     else:
-        with pytest.raises(edge.InputError, match=r"turning_arm\] clearance is 0.21 mm; it lies between 0 and 0.2 mm"):
+        with pytest.raises(edge.InputError, match=r"turning_arm\] clearance is 0.21 mm; it must be between 0 and 0.2"):
             a_pair(np.random.default_rng(0), 39, size, supports=supports)
 
 

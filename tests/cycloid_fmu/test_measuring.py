@@ -306,7 +306,7 @@ def test_measured_from_the_command_line(command, tmp_path):
     run = command(*words, "-o", "s.nc", "--plot", "s.png", *sizes)
     assert run.returncode == 0, run.stderr
     assert "gear, disc 1" in run.stdout
-    assert "cmm.csv: line 42: gear, disc 0, tooth 1 lies" in run.stdout
+    assert "cmm.csv: line 42: gear, disc 0, tooth 1 is" in run.stdout
     assert read_surface(tmp_path / "s.nc").gear_deviation.shape == (2, 12, 6, 2)
     assert (tmp_path / "s.png").stat().st_size > 20000
     write_csv(tmp_path / "cmm.csv", rows, scale=1.0)

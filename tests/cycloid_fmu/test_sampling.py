@@ -209,7 +209,10 @@ def test_discs_and_sizes_are_the_pair_s_and_the_caller_s():
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ('[gear_pitch]\nsingle = "3 um"\ncumulative = "2 um"', ("gear_pitch", "cumulative", "below what is possible")),
+        (
+            '[gear_pitch]\nsingle = "3 um"\ncumulative = "2 um"',
+            ("gear_pitch", "cumulative", "below the possible minimum"),
+        ),
         ('[gear_profile]\ntolerance = "4 um"\ncorrelation = "some"', ("gear_profile", "correlation", '"none"')),
         ('[gear_profile]\ntolerance = "4 um"\ncorrelation = { profile = 0 }', ("correlation", "profile = 0")),
         ('[isometric]\ntolerance = "-1 um"', ("isometric", "between 0 and 1 mm")),

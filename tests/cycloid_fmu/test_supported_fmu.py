@@ -180,7 +180,7 @@ def test_rigid_bearings_are_the_drive_without_them():
 
 def test_without_a_rated_torque_it_is_refused(tmp_path):
     pair = drive("cranks-linear")[0].replace(rated_torque=None)
-    with pytest.raises(edge.InputError, match=r"rated_torque is missing; with \[supports\] the play is"):
+    with pytest.raises(edge.InputError, match=r"rated_torque is missing; with \[supports\] the play"):
         build_fmu(pair, tmp_path / "drive.fmu")
 
 

@@ -277,6 +277,18 @@ def test_a_drive_that_hangs_in_its_clearances_is_balanced():
     assert found.pin_force.max() > 0.1
 
 
+def test_play_on_bearings_is_the_same_from_any_neighbour():
+    """The balance at the play's small torque does not depend on where its search began: a near angle, a far or none."""
+    pair = read_pair(EXAMPLES / "drive-39-40-bearings.toml")
+    angles = np.linspace(0.0, 2.0 * np.pi, 360, endpoint=False)[:60]
+    near, far = solved(pair, [], angles), solved(pair, [], angles[::6])
+    alone = [solved(pair, [], angles[k : k + 1]) for k in range(0, 60, 12)]
+    for name in ("play_low", "play_high"):
+        wanted = getattr(near, name)
+        assert getattr(far, name) == pytest.approx(wanted[::6], abs=1e-4 * ARCSEC)
+        assert np.concatenate([getattr(one, name) for one in alone]) == pytest.approx(wanted[::12], abs=1e-4 * ARCSEC)
+
+
 def test_contact_lines_lie_where_the_discs_then_stand():
     """Rigid bearings have those of the rigid drive; on bearings they add up to the pins' forces, by any threads."""
     pair = cy.Pair(**SIZES, discs=2, supports={"kind": "cranks", "count": 3, "circle_radius": "36 mm"})

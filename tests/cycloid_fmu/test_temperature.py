@@ -173,7 +173,7 @@ def test_a_clearance_without_its_raceway_stays_and_results_say_so():
     pair = cy.Pair(**SIZES, supports={**CRANKS, "turning_arm": arm}, temperature={"discs": "30 degC"})
     assert pair.at_temperature.supports.turning_arm.clearance == 8e-6
     notes = cy.Drive(pair).analyze(100.0, angles=3).attrs["notes"]
-    assert notes.endswith("for what is not stated: turning_arm.raceway_diameter.")
+    assert notes.endswith("not stated are: turning_arm.raceway_diameter.")
     alike = pair.replace(temperature={"discs": "30 degC", "crank": "30 degC", "carrier": "30 degC", "ring": "30 degC"})
     assert cy.Drive(alike).analyze(100.0, angles=3).attrs["notes"] == ""
 
@@ -217,12 +217,12 @@ def test_a_warm_drive_is_another_drive_of_the_same_parts():
         ("[temperature]\nring = '50'", "one number with a decimal point, a space and a unit, such as \"20 degC\""),
         ("[temperature]\nring = '50 mm'", "measures something else"),
         ("[temperature]\nring = '50 degF'", "has an offset"),
-        ("[temperature]\nring = '-300 degC'", "a temperature lies between -60 degC and 200 degC"),
-        ("[temperature]\ncrank = '900 degC'", "a temperature lies between -60 degC and 200 degC"),
+        ("[temperature]\nring = '-300 degC'", "a temperature must be between -60 degC and 200 degC"),
+        ("[temperature]\ncrank = '900 degC'", "a temperature must be between -60 degC and 200 degC"),
         ("[temperature]\ndisc = '50 degC'", "did you mean discs"),
-        ("[expansion]\nring = '0 1/K'", "an expansion coefficient lies above 0"),
-        ("[expansion]\nring = '-23e-6 1/K'", "an expansion coefficient lies above 0"),
-        ("[expansion]\nring = '23.1 1/K'", "at most at 0.0003 1/K"),
+        ("[expansion]\nring = '0 1/K'", "an expansion coefficient must be above 0"),
+        ("[expansion]\nring = '-23e-6 1/K'", "an expansion coefficient must be above 0"),
+        ("[expansion]\nring = '23.1 1/K'", "at most 0.0003 1/K"),
         ("[supports.turning_arm]\nraceway_diameter='22 mm'\nstiffness='400 N/um'\n[temperature]\ncrank='60 degC'",
          "the clearance of turning_arm falls to -10.1 um; no preload is in the model"),
         ("[temperature]\ncarrier='60 degC'", "turning_arm is rigid, but carrier and discs grow unlike each other"),
@@ -241,7 +241,7 @@ def test_temperatures_that_can_not_be_are_refused_in_a_sentence(tables, sentence
     ("text", "sentence"),
     [
         ("60", 'temperature = "60": write one number with a decimal point, a space and a unit, such as "20 degC".'),
-        ("ring = -300 degC", 'temperature = "ring = -300 degC": a temperature lies between -60 degC and 200 degC.'),
+        ("ring = -300 degC", 'temperature = "ring = -300 degC": a temperature must be between -60 degC and 200 degC.'),
         (
             "rotor = 30 degC",
             'temperature = "rotor = 30 degC": it states one of ring, pins, discs, carrier, crank, each',
@@ -272,4 +272,4 @@ def test_analyze_takes_temperatures_and_names_them(command, tmp_path):
     assert "all at 50 °C" in done.stdout
     done = command("cycloid-fmu", "analyze", *words, "ring = 900 degC")
     assert done.returncode == 2
-    assert '--temperature = "ring = 900 degC": a temperature lies between' in done.stderr
+    assert '--temperature = "ring = 900 degC": a temperature must be between' in done.stderr

@@ -117,7 +117,7 @@ def test_a_cut_shorter_than_the_ring_loses_nothing(tmp_path, host, monkeypatch):
         done, recording = record(tmp_path, bench)
     assert set(done.samples.values()) == {1600}
     assert recording.samples["input_angle"].value == pytest.approx(moved.input_angle, abs=1e-6)
-    assert any("broke" in text for text in told(recording))
+    assert any("failed" in text for text in told(recording))
     assert not any("missing" in text for text in told(recording))
 
 

@@ -127,7 +127,7 @@ def test_a_recorder_that_is_stopped_keeps_what_came(tmp_path, number, code):
         out, err = recorder.communicate(timeout=60)
         assert recorder.returncode == code, err
         if code > 0:
-            assert f"Interrupted by {number.name}; {path} holds what came until then." in err
+            assert f"Interrupted by {number.name}; {path} has the data until then." in err
             told = {name: int(n) for n, name in re.findall(r"(\d+) (\w+)[,;]", out.splitlines()[0])}
             assert told == {name: len(s) for name, s in read_recording(path).samples.items()}
     finally:

@@ -287,8 +287,8 @@ def test_disk_full(tmp_path):
     )
     assert run.returncode == 0, run.stderr
     *counts, said = run.stdout.splitlines()
-    assert "run.arrows: the disk takes no more (" in said
-    assert "all written before is kept" in said
+    assert "run.arrows: the disk is full or failed (" in said
+    assert "all data written before are kept" in said
     acknowledged = [int(n) for n in counts[-1].split()]
     recording = read_recording(tmp_path / "run.arrows")
     assert recording.problems[0].endswith("batches were read.")

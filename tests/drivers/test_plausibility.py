@@ -131,7 +131,7 @@ def a_stuck_encoder_is_marked_from_where_it_stands_still(run, cuts, at, role, lo
     assert len(found) >= 1
     assert found[0].roles == (role,)
     assert run.time[begin] <= found[0].time <= run.time[begin + 2]
-    assert "stands still" in found[0].text
+    assert "is constant" in found[0].text
     if not cuts:
         assert marks[begin + 3 : shown].all(), "a whole recording is marked from the beginning of it"
 
@@ -237,7 +237,7 @@ def test_a_stuck_encoder_is_marked_while_it_is_recorded(tmp_path, bus_name, trig
     output = recording.samples["output_angle"].status & IMPLAUSIBLE != 0
     assert np.flatnonzero(output).max() <= 1710
     assert output[740:1700].sum() > 0.9 * 960 if trigger == "controller" else output.any()
-    said = [e for e in recording.events if e.text.startswith("implausible: output_angle stands still at ")]
+    said = [e for e in recording.events if e.text.startswith("implausible: output_angle is constant at ")]
     assert len(said) == 1
     sample = recording.samples["output_angle"].time_host
     assert sample[699] <= said[0].time <= sample[705]
@@ -245,7 +245,7 @@ def test_a_stuck_encoder_is_marked_while_it_is_recorded(tmp_path, bus_name, trig
     assert f"{output.sum()} implausible" in shown[-1]
     page = Watcher(done.path).refresh()
     assert page["channels"][1]["marks"]["implausible"] == output.sum()
-    assert any("stands still" in e["text"] for e in page["events"])
+    assert any("is constant" in e["text"] for e in page["events"])
 
 
 @pytest.mark.parametrize("hysteresis", [False, True])

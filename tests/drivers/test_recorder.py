@@ -224,7 +224,7 @@ def test_a_disk_that_takes_no_more_leaves_what_was_written(tmp_path, monkeypatch
         real(self, samples, events)
 
     monkeypatch.setattr(session.RecordingWriter, "write", full)
-    with pytest.raises(session.RecordingError, match=r"a\.arrows: the disk takes no more \(No space left on device\)"):
+    with pytest.raises(session.RecordingError, match=r"a\.arrows: the disk is full or failed \(No space"):
         record_encoders([one], tmp_path / "a.arrows", stop=exhausted(one))
     assert len(read_recording(tmp_path / "a.arrows").samples["input_angle"]) == 8
 
@@ -269,7 +269,7 @@ def test_what_is_told_after_a_full_disk_is_what_the_file_holds(tmp_path, monkeyp
             live.samples["input_angle"]))  # fmt: skip
     held = len(read_recording(tmp_path / "a.arrows").samples["input_angle"])
     assert 0 < held < 18
-    assert str(problem.value).endswith(f"all written before is kept: {held} input_angle.")
+    assert str(problem.value).endswith(f"all data written before are kept: {held} input_angle.")
     assert counted[-1] == held
 
 

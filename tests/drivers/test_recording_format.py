@@ -17,7 +17,17 @@ from hypothesis import strategies as st
 
 from cycloid_fmu import edge
 from drivers import recording_format as rf
-from drivers.recording_format import Channel, Event, Header, RecordingWriter, Samples, read_recording, schema
+from drivers.recording_format import (
+    Channel,
+    Event,
+    Header,
+    RecordingReader,
+    RecordingWriter,
+    Samples,
+    joined,
+    read_recording,
+    schema,
+)
 from drivers.recording_format.repair import repair
 
 NAMES = ("input_angle", "output_angle", "torque")
@@ -120,6 +130,34 @@ def test_a_flipped_bit_in_the_data_costs_its_batch_alone_and_is_stated(tmp_path)
     assert recording.samples["torque"].time_host.tolist() == [0, 1, 2, 3, 2000, 2001, 2002, 2003]
     assert recording.samples["torque"].status.tolist() == [0, 0, 0, 0, rf.GAP, 0, 0, 0]
     assert "batch 1 was left out: its CRC-32 is wrong" in recording.problems[0]
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    sizes=st.lists(st.tuples(st.sampled_from(NAMES), st.integers(0, 4), st.booleans()), max_size=12),
+    alike=st.booleans(),
+    flips=st.lists(st.tuples(st.floats(0.0, 1.0), st.integers(0, 7)), max_size=2),
+)
+def test_batches_taken_together_are_those_taken_one_by_one(tmp_path_factory, sizes, alike, flips):
+    path = tmp_path_factory.mktemp("r") / "run.arrows"
+    with RecordingWriter(path, HEADER) as writer:
+        for number, (name, rows, counted) in enumerate(sizes):
+            samples = block(name, 10 * number, rows + alike)
+            if not (counted or alike):
+                samples = dataclasses.replace(samples, counts=None)
+            writer.write(samples, [Event(float(number), name, "said")] * (number % 2))
+    begin, data = len(write(path.with_name("empty.arrows"), []).read_bytes()) - 8, bytearray(path.read_bytes())
+    for share, bit in flips:
+        data[begin + int(share * (len(data) - begin - 1))] ^= 1 << bit
+    path.write_bytes(data)
+    found = []
+    for together in (False, True):
+        with RecordingReader(path) as reader:
+            taken = list(reader.batches(together=together))
+        whole = [joined(name, [s for s, _ in taken if s.channel == name], fill=True) for name in NAMES]
+        columns = [[None if c is None else c.tolist() for c in list(vars(one).values())[1:]] for one in whole]
+        found.append((str(columns), [e for _, said in taken for e in said], reader.problems, reader.complete))
+    assert found[0] == found[1]
 
 
 def test_a_missing_batch_is_stated(tmp_path):

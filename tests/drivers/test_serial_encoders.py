@@ -231,7 +231,7 @@ def test_whatever_stands_between_good_lines_no_wrong_count_is_accepted(given_lin
         ({"line": "{time}"}, r"line = .*write one of the fields \{counts\} and \{value\}"),
         ({"line": "{counts}{value}"}, "write one of the fields"),
         ({"line": "{count}"}, r"there is no field \{count\}; there are counts, value"),
-        ({"line": "{counts},{counts}"}, r"the field \{counts\} stands in it twice"),
+        ({"line": "{counts},{counts}"}, r"the field \{counts\} is in it twice"),
     ],
 )
 def test_a_bad_description_is_refused(keys, said):

@@ -164,7 +164,7 @@ def test_a_transmission_error_needs_the_ratio(tmp_path):
         ('torque = {file_name = "Nm", unit = "N*m"}', "Nm"),
         ('torque = {file_name = "{}Nm"}', "unit"),
         ('input_angle = {column = "b"}', "one of the two"),
-        ("last_row_first = true\ntime = {column = 't'}", "which sample came first"),
+        ("last_row_first = true\ntime = {column = 't'}", r"the \[time\] column determines the first sample"),
         ("[[runs]]\nname = 'a'\n[[runs]]\nname = 'a'", "name of its own"),
     ],
 )

@@ -111,7 +111,7 @@ def test_too_few_crank_angles_for_the_pins_scatter_are_said(nominal, each, said)
         curves.append(dataclasses.replace(one, transmission_error=noisy, source=f"{load:g}"))
     found = identify(curves, Drive(pair), held_out=False)
     # Those of which the fit finds some: radial and tangential ones, or one of both.
-    few = rf"The curves see {4 * each} angles of the crank in all, too few to tell the [24]0 displacements"
+    few = rf"The curves see {4 * each} angles of the crank in all, too few for the [24]0 displacements"
     assert any(re.match(few, n) and re.search("at least (8|15) samples a crank turn", n) for n in found.notes) == said
     assert said or not any("angles of the crank" in n for n in found.notes)
 
@@ -142,7 +142,7 @@ def test_starts_that_end_apart_are_said(measured, nominal, monkeypatch):
     tried = sum(step.startswith("finding a start") for step in said)
     assert tried > 10
     assert any(f"No two of {tried} starts ended in the same optimum" in n for n in found.notes)
-    assert f"no two of {tried} starts ended alike" in found.verdict.sentence
+    assert f"no two of {tried} starts reached the same optimum" in found.verdict.sentence
     assert found.residual < 0.6 * ARCSEC
 
 

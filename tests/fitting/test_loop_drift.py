@@ -149,7 +149,7 @@ def test_too_few_samples_to_tell_a_drift_are_said():
     windup = wound(torque, 0.5, COULOMB)
     kept = (np.abs(torque) < 0.2 * RATED) | (np.abs(torque) > 0.85 * RATED)
     found, _ = figures(torque[kept], windup[kept])
-    assert any("whether the windup drifts can't be told" in note for note in found.notes)
+    assert any("a drift of the windup cannot be determined" in note for note in found.notes)
 
 
 def test_stiffness_by_segments_is_that_of_the_spring_there():

@@ -11,7 +11,7 @@ import fitting
 from fitting.figures.figure import Figure, in_field_units
 from fitting.figures.hysteresis import find_lobes, fit_line, loop_marks
 from fitting.figures.metrics import figures_of
-from fitting.figures.spectrum import Spectrum, angular_transmission_error, spectrum
+from fitting.figures.spectrum import Spectrum, angular_transmission_error, range_of, spectrum, synthesised
 from fitting.figures.starts import back_driving_torques, starting_torques, starts_of
 from fitting.figures.survey import survey
 from fitting.recordings.recording import Recording, RecordingStream
@@ -573,7 +573,7 @@ def test_what_keeps_a_start_from_being_one_is_said():
     angle, given = started_at((-0.03,))
     made = recording(np.arange(given.size) * 1e-3, angle, angle / -39, 0.0, ratio=None)
     made = dataclasses.replace(made, input_torque=given)
-    assert "no ratio says whether the output is loaded" in starting_torques(made, None)[1][0]
+    assert "without a ratio it is unknown whether the output is loaded" in starting_torques(made, None)[1][0]
     still = dataclasses.replace(made, input_angle=0.0 * angle)
     assert "starts the crank nowhere from a standstill" in starting_torques(still, -39.0)[1][0]
     assert starting_torques(recording(made.time, angle, angle / -39, 0.0), -39.0) == ([], [])
@@ -595,3 +595,19 @@ def test_the_input_s_torque_is_read_from_a_table_and_survives_an_overview(comman
     found = figures_of([surveyed], -39.0, None)
     assert found.figures["starting_torque"].value == pytest.approx(0.04, rel=0.02)
     assert any("means of 2 samples" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02, 1.0])
+def test_the_range_is_that_of_all_points_where_only_some_are_looked_at(noise):
+    rng = np.random.default_rng(3)
+    waves = noise * (rng.normal(size=(3, 5001)) + 1j * rng.normal(size=(3, 5001)))
+    waves[:, 39], waves[:, 40] = 20.0, -9.0j
+    points = 1 << 18
+    rows = np.arange(3)
+    expected = 0.0
+    for sign in (1.0, -1.0):
+        every = synthesised(sign * waves, points)
+        at = every.argmax(axis=1)
+        left, peak, right = every[rows, at - 1], every[rows, at], every[rows, (at + 1) % points]
+        expected = expected + peak + (left - right) ** 2 / (8.0 * (2.0 * peak - left - right))
+    assert range_of(waves, points) == pytest.approx(expected, rel=1e-11)

@@ -34,7 +34,7 @@ def test_a_stuck_encoder_moves_no_curve_and_is_said():
     assert curve.implausible == 999
     assert np.ptp(curve.transmission_error) == pytest.approx(np.ptp(clean.transmission_error), rel=1e-3)
     (note,) = [n for n in curve.notes if "implausible" in n]
-    assert note.startswith("run: 999 of 8000 samples are implausible and were left out: output_angle stands still at ")
+    assert note.startswith("run: 999 of 8000 samples are implausible and were left out: output_angle is constant at ")
     assert note.endswith("(from 3.001 s).")
     data = curves_json([curve])
     assert data["implausible"].tolist() == [999]

@@ -106,7 +106,7 @@ def test_a_table_without_header_or_time_needs_a_mapping_that_says_so(tmp_path):
         f'[{role}]\ncolumn = "column {i}"\nunit = "{unit}"\n'
         for i, (role, unit) in enumerate((("input_angle", "rad"), ("output_angle", "rad"), ("torque", "N*m")), start=1)
     )
-    with pytest.raises(edge.InputError, match="nothing says the samples' time"):
+    with pytest.raises(edge.InputError, match="the samples have no time"):
         RecordingStream(path, mapping(tmp_path, columns)).read()
     same(RecordingStream(path, mapping(tmp_path, "[time]\nrate = 1000.0\n" + columns)).read())
 

@@ -18,6 +18,8 @@ from drivers.recording_format import (
 )
 from fitting.figures.metrics import figures_of
 from fitting.figures.survey import survey
+from fitting.recordings.formats import Piece
+from fitting.recordings.one_clock import OneClock
 from fitting.recordings.recording import RecordingStream
 
 ARCSEC = np.pi / 648000
@@ -277,3 +279,31 @@ def test_timers_of_their_own_on_one_interface_are_put_on_the_host_s_clock_once(t
 def test_without_a_clock_of_its_own_only_the_first_samples_are_read(tmp_path):
     path = arrows(tmp_path / "a.arrows", samples=5000)
     assert read_clocks(path, ["input_angle", "output_angle", "torque"]) == {}
+
+
+@given(sizes=st.lists(st.tuples(st.integers(0, 2), st.integers(1, 9000)), max_size=20), lacks=st.booleans())
+def test_channels_taken_at_the_same_instants_come_through_as_they_are(sizes, lacks):
+    roles = ("input_angle", "output_angle", "torque")
+    whole = 40_000
+    time = np.arange(whole) / 4000.0
+    values = {role: np.sin((place + 1) * time) for place, role in enumerate(roles)}
+    status = {"input_angle": np.arange(whole) % 2, "output_angle": np.arange(whole) % 3 // 2 * 4, "torque": time > 5}
+    merge = OneClock({role: (role, 1.0, 0.0) for role in roles}, None, dict.fromkeys(roles, (0.0, 0.0)))
+    came, found = dict.fromkeys(roles, 0), []
+    for which, size in [*sizes, *((place, whole) for place in range(3))]:
+        role, part = roles[which], slice(came[roles[which]], min(came[roles[which]] + size, whole))
+        keep = np.flatnonzero(~((np.arange(whole)[part] == 20_000) & lacks & (role == "output_angle"))) + part.start
+        if part.stop > part.start:
+            bits = (status[role][keep] * (128 if role == "torque" else 1)).astype(np.uint8)
+            found += merge.add(Piece(time[keep], {role: values[role][keep]}, bits))
+        came[role] = part.stop
+    found += merge.finish()
+    expected = np.flatnonzero(~((np.arange(whole) == 20_000) & lacks))
+    np.testing.assert_array_equal(np.concatenate([table["time"] for table, _ in found]), time[expected])
+    for role in roles:
+        np.testing.assert_array_equal(np.concatenate([table[role] for table, _ in found]), values[role][expected])
+    bits = np.concatenate([bits for _, bits in found])
+    marks = status["input_angle"] | status["output_angle"] | (128 * status["torque"])
+    gap = expected == 20_001 if lacks else np.zeros(expected.size, bool)
+    np.testing.assert_array_equal(bits | gap, marks[expected] | gap)
+    assert len(merge.notes()) == lacks

@@ -37,6 +37,12 @@ def test_a_cause_is_named_and_the_intervals_allow_for_it(effect, seed):
     assert np.abs([*one["away"].values()]).max() < 4.0
 
 
+@pytest.mark.slow(10)
+def test_a_soft_chain_is_stated_as_a_compliance(small):
+    found, _ = identified(*SOFT_CHAIN.values[:1], small, 4)
+    assert found.bench["chain_compliance"] == pytest.approx(20.0 * ARCSEC / 200.0, rel=0.01)
+
+
 def test_an_error_that_is_held_widens_those_that_do_nearly_the_same(small):
     """One load can't tell pin circle radius, which is held, from pin radius: neither is known to a micrometre."""
     found, values = identified("none", small, 1, loads=(200.0, -200.0))

@@ -940,7 +940,7 @@ def test_no_constant_of_the_models_is_copied_into_c_by_hand():
     header = constants_header().decode()
     assert {n for n in named if f"#define {n} " in header} == set(named)
     told = {v: n for n, v in named.items() if not float(v).is_integer() or v > 100}
-    for path in native_build._SOURCES.glob("*.[ch]"):
+    for path in native_build.SOURCE_FOLDER.glob("*.[ch]"):
         code = re.sub(r"/\*.*?\*/|\"(\\.|[^\"])*\"", "", path.read_text(), flags=re.DOTALL)
         copied = {
             told[float(number)] for number in re.findall(r"(?<![\w.])(?:\d+\.?\d*(?:[eE][-+]?\d+)?)(?![\w.])", code)

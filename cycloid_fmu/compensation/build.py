@@ -1,0 +1,147 @@
+"""From a drive to its compensator."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu.compensation.compensator import Compensator
+from cycloid_fmu.compensation.inverse import Inverse, Model, inverse_of
+from cycloid_fmu.edge import ArgumentError, InputError
+from cycloid_fmu.fmu.chain import with_chain
+from cycloid_fmu.fmu.constants import LARGEST_LOAD
+from cycloid_fmu.fmu.friction import Law, factor
+from cycloid_fmu.fmu.friction_file import Friction
+from cycloid_fmu.fmu.variables import Interface
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.geometry.temperature import BODIES, Temperatures
+from cycloid_fmu.reducer.first_stage import FirstStage
+from cycloid_fmu.surfaces.posterior import drawn_surfaces
+from cycloid_fmu.surfaces.surface import ErrorSurface
+
+Array = NDArray[np.float64]
+DRAWS = 40  # of the fit, for the band
+_BAND_ANGLES = 60
+_SPEEDS = 3.5 * np.linspace(0.0, 1.0, 25)  # of the Stribeck speed: beyond, 5e-6 of its extra are left
+_UNLIMITED = (253.15, 373.15)  # K: friction's temperatures where none are stated
+_WARMTHS = 25
+_TORQUE_ACCURACY = 0.01  # of the rated torque
+_TEMPERATURES = 3  # at which the table knows the drive
+
+
+def drive_compensator(
+    pair: Pair, surface: ErrorSurface, first_stage: FirstStage | None, ratio: float, *, friction: Friction | None,
+    stiffness: float | None, series_compliance: float, temperatures: Sequence[float] | None,
+    torque_accuracy: float | None, largest_torque: float | None, workers: int, **options: Any,
+) -> Compensator:  # fmt: skip
+    """Return the compensator of a drive; parameters are those of `Drive.compensator` and `compensator_of`."""
+    for name, value in (("torque_accuracy", torque_accuracy), ("largest_torque", largest_torque)):
+        if value is None and pair.rated_torque is None:
+            raise InputError(f"rated_torque is missing: {name} follows from it; state either of them.")
+    rated = pair.rated_torque or 0.0
+    chain = Interface(stiffness=stiffness, series_compliance=series_compliance)
+    compliance = with_chain(chain, pair, surface, first_stage).series_compliance
+    # What gives way at the cranks is in the chain then.
+    rigid = None if first_stage is None else dataclasses.replace(first_stage, crank_stiffness=math.inf)
+    if temperatures is None:
+        models = [Model(0.0, pair, surface, rigid, workers)]
+    else:
+        low, high = temperatures
+        if not low < high:
+            raise ArgumentError("temperatures", "the first must be below the second", f"{low:g} K, {high:g} K")
+        models = []
+        for at in np.linspace(low, high, _TEMPERATURES):
+            warm = pair.replace(temperature=Temperatures(**dict.fromkeys(BODIES, float(at))))
+            models.append(Model(float(at), warm, surface.replace(pair=warm), rigid, workers))
+    return compensator_of(
+        models, (friction or Friction()).law(1), compliance, ratio,
+        largest_torque=LARGEST_LOAD * rated if largest_torque is None else largest_torque,
+        torque_accuracy=_TORQUE_ACCURACY * rated if torque_accuracy is None else torque_accuracy, **options,
+    )  # fmt: skip
+
+
+def compensator_of(
+    models: Sequence[Model],
+    law: Law,
+    compliance: float,
+    ratio: float,
+    *,
+    largest_torque: float,
+    torque_accuracy: float,
+    torque_share: float,
+    residual: float,
+    sensor: float,
+    total: Callable[[int], None] = lambda angles: None,
+    progress: Callable[[int], None] = lambda angles: None,
+) -> Compensator:
+    """Return what a controller needs of a drive.
+
+    Parameters
+    ----------
+    models
+        The drive at each temperature, ascending; the first one's surface may have the covariance of a fit.
+    law
+        Friction at the output.
+    compliance
+        In series with the drive, rad/(N·m).
+    ratio
+        Of the motor's rotation to the output's.
+    largest_torque, torque_accuracy, residual, total, progress
+        As of `inverse_of`.
+    torque_share
+        Of the torque itself: more of its standard deviation, which goes into the band.
+    sensor
+        Standard deviation of an output encoder, rad.
+
+    Raises
+    ------
+    edge.InputError
+        As `inverse_of`, or if a number is out of range.
+    """
+    for name, value in (("torque_accuracy", torque_accuracy), ("residual", residual), ("sensor", sensor)):
+        if not 0.0 < value < math.inf:
+            raise ArgumentError(name, "it must be finite and above zero", value)
+    if not 0.0 <= torque_share < 1.0:
+        raise ArgumentError("torque_share", "it must be between 0 and 1", torque_share)
+    if not 0.0 < largest_torque < math.inf:
+        raise ArgumentError("largest_torque", "it must be finite and above zero (N*m)", largest_torque)
+    inverse = inverse_of(
+        models, largest_torque=largest_torque, torque_accuracy=torque_accuracy, residual=residual, total=total,
+        progress=progress,
+    )  # fmt: skip
+    first, last = (inverse.temperature[0], inverse.temperature[-1]) if len(models) > 1 else _UNLIMITED
+    warmth = np.linspace(first, last, _WARMTHS) if law.temperature_coefficient else np.zeros(1)
+    table = inverse.residual**2 / 9.0  # largest of as good as normal errors: three standard deviations
+    give = compliance + np.gradient(inverse.mean, inverse.torque, axis=1)
+    stated = (compliance * torque_accuracy) ** 2 + (give * torque_share * inverse.torque) ** 2
+    return Compensator(
+        ratio=ratio, crank_ratio=models[0].pair.ratio, inverse=inverse, compliance=compliance, coulomb=law.coulomb,
+        load_share=law.load_share, stribeck=law.stribeck, viscous=law.viscous, presliding_angle=law.presliding_angle,
+        stribeck_speed=law.stribeck_speed * _SPEEDS, stribeck_share=np.exp(-(_SPEEDS**2)), warmth_temperature=warmth,
+        warmth=np.array([factor(law, t) for t in warmth]) if law.temperature_coefficient else np.ones(1),
+        variance=inverse.spread + stated + _fit_variance(models[0], inverse) + table,
+        ripple_variance=inverse.ripple_variance, sensor=sensor,
+    )  # fmt: skip
+
+
+def _fit_variance(model: Model, inverse: Inverse) -> Array:
+    """Variance that the fit leaves to the deviation at each torque, mean over the crank angle; 0 without a fit, rad².
+
+    The play's ends stand for no torque.
+    """
+    if model.surface.covariance is None:
+        return np.zeros(inverse.torque.size)
+    crank = np.sort(np.random.default_rng(3).uniform(0.0, inverse.period, _BAND_ANGLES))
+    torque = inverse.torque
+    some = np.unique(np.round(np.linspace(0, torque.size - 1, 9)).astype(int))
+    some = some[torque[some] != 0.0]
+    found = np.zeros(some.size)
+    best = model.solved(torque[some], crank)
+    for drawn in drawn_surfaces(model.pair, model.surface, DRAWS, 0):
+        found += np.mean((model._replace(surface=drawn).solved(torque[some], crank) - best) ** 2, axis=1)
+    return np.asarray(np.interp(torque, torque[some], found / DRAWS))

@@ -1,0 +1,147 @@
+"""FMUs of a compensator: its C99 source in FMI 2.0 or 3.0, for Co-Simulation, a step each communication step."""
+
+from __future__ import annotations
+
+import hashlib
+import html
+import os
+from collections.abc import Callable, Sequence
+from xml.etree.ElementTree import Element, SubElement
+
+from cycloid_fmu import __version__, edge
+from cycloid_fmu.compensation.compensator import Compensator
+from cycloid_fmu.compensation.forms.c_source import SOURCES, c_source
+from cycloid_fmu.compensation.forms.numbers import about
+from cycloid_fmu.fmu.constants import REFERENCE_TEMPERATURE
+from cycloid_fmu.fmu.description import Version, model_structure, model_variables, token_of, unit_definitions
+from cycloid_fmu.fmu.parts import licences, write_archive
+from cycloid_fmu.fmu.variables import Variable
+from cycloid_fmu.native import build as native
+
+IDENTIFIER = "CycloidCompensator"
+_COMPILED = ("compensator.c", "instance.c", "fmi2.c", "fmi3.c")
+_STEP = 1e-3  # s, of the default experiment
+_INPUTS = (
+    Variable("desired_angle", "of the output", "input", unit="rad", display="deg", start=0.0),
+    Variable("desired_speed", "of the output", "input", unit="rad/s", display="rev/min", start=0.0),
+    Variable("load_torque", "of the environment on the output, inertia's too", "input", unit="N.m", start=0.0),
+    Variable("temperature", "of the drive", "input", unit="K", start=REFERENCE_TEMPERATURE),
+    Variable("motor_angle_measured", "what the motor's encoder shows", "input", unit="rad", display="deg", start=0.0),
+    Variable("output_angle_measured", "what the output's encoder shows", "input", unit="rad", display="deg", start=0.0),
+    Variable("output_measured", "whether both encoders show something now", "input", "discrete", start=0.0,
+             kind="boolean"),
+    Variable("index_known", "else what depends on the crank angle is left alone", "input", "discrete", start=1.0,
+             kind="boolean"),
+)  # fmt: skip
+_INDEX = Variable(
+    "index", "crank angle of the model where the desired output angle is 0", "parameter", "fixed", unit="rad",
+    display="deg", start=0.0,
+)  # fmt: skip
+_OUTPUTS = (
+    ("motor_angle", "at which the output stands where it should", "rad", "deg"),
+    ("motor_speed", "that belongs to it", "rad/s", "rev/min"),
+    ("band", "standard deviation of the output angle from the desired one", "rad", "arcsec"),
+    ("gain", "of what the crank angle makes of the deviation, 0 to 2", "1", None),
+)
+
+
+def variables(version: Version) -> tuple[Variable, ...]:
+    """Return the FMU's variables, in the order of `sources/instance.h`; the place is the value reference."""
+    time = () if version == "2.0" else (Variable("time", "time", "independent", unit="s"),)
+    known = {"depends": tuple(v.name for v in _INPUTS), "initially": ("index",)}
+    outputs = [Variable(name, text, "output", unit=unit, display=display, **known)  # type: ignore[arg-type]
+               for name, text, unit, display in _OUTPUTS]  # fmt: skip
+    holds = Variable("holds", "whether the model holds", "output", "discrete", kind="boolean", **known)  # type: ignore[arg-type]
+    return (*_INPUTS, _INDEX, *outputs, holds, *time)
+
+
+def build_compensator_fmu(
+    compensator: Compensator,
+    path: str | os.PathLike[str],
+    *,
+    fmi_version: Version = "2.0",
+    platforms: Sequence[str] = (),
+    compiled: Callable[[str], None] = lambda name: None,
+) -> None:
+    """Write a compensator's FMU, which needs no Python and reads no file, whole or not at all.
+
+    Parameters
+    ----------
+    compensator, path
+        What is written, and where to.
+    fmi_version, platforms, compiled
+        As of `cycloid_fmu.native.build.build_native`.
+
+    Raises
+    ------
+    edge.InputError
+        If the folder does not exist or a platform can't be built for.
+    """
+    names = native.checked_platforms(platforms, fmi_version)
+    source, header = c_source(compensator, "compensator")
+    place = native.SOURCE_FOLDER
+    files = {
+        "compensator.c": source.encode(), "compensator.h": header.encode(),
+        **{name: (SOURCES / name).read_bytes() for name in ("instance.c", "instance.h")},
+        **{name: (place / name).read_bytes() for name in ("fmi2.c", "fmi3.c", "format.h")},
+        **{one.name: one.read_bytes() for one in sorted(native.headers().glob("fmi[23]*.h"))},
+    }  # fmt: skip
+    token = token_of(__version__ + hashlib.sha256(repr(sorted(files.items())).encode()).hexdigest())
+    constants = f'#define TOKEN "{token}"\n#define START_TEMPERATURE {REFERENCE_TEMPERATURE!r}\n'
+    files["token.h"] = constants.encode()
+    table = variables(fmi_version)
+    with edge.written_whole(path) as temporary:
+        libraries = native.binaries(
+            fmi_version, names, compiled, IDENTIFIER, lambda name: native.library(name, files, _COMPILED)
+        )
+        contents = {
+            "modelDescription.xml": native.xml_bytes(_description(compensator, fmi_version, token, table)),
+            **{f"sources/{name}": data for name, data in files.items()},
+            **libraries,
+            "documentation/index.html": _page(compensator, table).encode(),
+            "documentation/licenses/license.txt": licences(()).encode(),
+        }
+        if fmi_version == "3.0":
+            contents["sources/buildDescription.xml"] = native.xml_bytes(native.build_description(IDENTIFIER, _COMPILED))
+        write_archive(temporary, contents)
+
+
+def _description(c: Compensator, version: Version, token: str, table: Sequence[Variable]) -> Element:
+    root = Element("fmiModelDescription", {
+        "fmiVersion": version, "modelName": IDENTIFIER, "guid" if version == "2.0" else "instantiationToken": token,
+        "description": about(c), "author": "cycloid-fmu", "version": __version__, "license": "MIT",
+        "generationTool": f"cycloid-fmu {__version__}", "variableNamingConvention": "structured",
+    })  # fmt: skip
+    state = "FMUstate" if version == "2.0" else "FMUState"
+    offered = SubElement(root, "CoSimulation", {
+        "modelIdentifier": IDENTIFIER, f"canGetAndSet{state}": "true", f"canSerialize{state}": "true",
+        "canHandleVariableCommunicationStepSize": "true",
+        **({"canNotUseMemoryManagementFunctions": "true"} if version == "2.0" else {}),
+    })  # fmt: skip
+    if version == "2.0":
+        files = SubElement(offered, "SourceFiles")
+        for name in _COMPILED:
+            SubElement(files, "File", name=name)
+    root.append(unit_definitions(table))
+    categories = SubElement(root, "LogCategories")
+    SubElement(categories, "Category", name="logStatusError", description="what was refused")
+    SubElement(root, "DefaultExperiment", startTime="0.0", stopTime="1.0", stepSize=repr(_STEP))
+    root.append(model_variables(table, version))
+    root.append(model_structure(table, version))
+    return root
+
+
+def _page(c: Compensator, table: Sequence[Variable]) -> str:
+    rows = "".join(
+        f"<tr><td><code>{v.name}</code><td>{v.causality}<td>{v.unit or ''}<td>{html.escape(v.description)}</tr>\n"
+        for v in table
+    )
+    return f"""<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><title>Compensator</title></head><body>
+<h1>Compensator of a cycloid drive</h1>
+<p>{html.escape(about(c))} Made by cycloid-fmu {__version__}.</p>
+<p>Each communication step is one step of the compensator with the inputs that stand when it is made, whatever its
+length. Until the first step the outputs are those of a step that is not remembered.</p>
+<table><tr><th>name<th>causality<th>unit<th>meaning</tr>
+{rows}</table></body></html>
+"""

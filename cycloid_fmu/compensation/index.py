@@ -1,0 +1,142 @@
+"""Finding the index: which crank angle of the model belongs to the zero of a controller's angles."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import minimize_scalar
+
+from cycloid_fmu.compensation.compensator import CORRELATION, Compensator, Memory, torque_of_teeth
+from cycloid_fmu.edge import ArgumentError
+
+Array = NDArray[np.float64]
+LEAST_WAY = 2.0 * math.pi  # rad of the crank
+_FINE = 0.25  # of the spacing of the finest spline's knots: distance of candidates where any angle may be the index
+_MOST = 10000  # candidates of a spacing
+_BLOCK = 256  # candidates at a time
+
+
+class Index(NamedTuple):
+    """What a search found.
+
+    Attributes
+    ----------
+    angle
+        Crank angle of the model where the output angle is 0, rad, 0 to the model's period.
+    probability
+        That it is this one and no other candidate; above 0.99 take it, else go farther or load the drive more.
+    residual
+        What it leaves of the measured deviation, rms, rad.
+    rival
+        What the best candidate elsewhere leaves, rms, rad.
+    """
+
+    angle: float
+    probability: float
+    residual: float
+    rival: float
+
+
+def find_index(
+    compensator: Compensator, motor_angle: ArrayLike, output_angle: ArrayLike, load_torque: ArrayLike,
+    temperature: float, *, spacing: float | None = None,
+) -> Index:  # fmt: skip
+    """Find the index from a slow motion of a crank turn or more with both angles measured.
+
+    Each candidate's ripple is held against the measured deviation, with the zero, the play and the gain of wind-up
+    free. What the model leaves is taken for independent from radian to radian of the crank, so that candidates' odds
+    are their residuals' ratio to the power of the way.
+
+    Parameters
+    ----------
+    compensator
+        Of this drive.
+    motor_angle, output_angle, load_torque
+        In order of time, of one shape (samples,), rad, rad and N·m.
+    temperature
+        Of the drive, K.
+    spacing
+        Crank angle between two candidates, rad: 2π where the motor's encoder knows its turn but not which; any angle
+        where None.
+
+    Raises
+    ------
+    edge.ArgumentError
+        If the crank turns by less than `LEAST_WAY`, the arrays are not of one shape or no numbers, or the compensator's
+        table has no ripple.
+
+    Examples
+    --------
+    >>> import cycloid_fmu as cy, numpy as np
+    >>> from cycloid_fmu.compensation.index import find_index
+    >>> pair = cy.Pair(
+    ...     gear_teeth=11, pin_circle_radius=0.03, pin_radius=0.0025, eccentricity=0.001, face_width=0.008,
+    ...     rated_torque=40.0,
+    ... )
+    >>> drive = cy.Drive(pair).replace(offset="-15 um", errors={"eccentricity": "4 um", "pin_radial": {1: ("3 um", 0)}})
+    >>> crank = np.linspace(1.0, 12.0, 300)
+    >>> output = crank / drive.ratio + drive.analyze(30.0, crank_angle=crank).transmission_error.values[0]
+    >>> compensator = drive.compensator(residual="1 arcsec")
+    >>> found = find_index(compensator, crank - 2.5, output - 2.5 / drive.ratio, 30.0, 293.15)
+    >>> round(found.angle, 2), found.probability > 0.99
+    (2.5, True)
+    """
+    c = compensator
+    if not c.inverse.steps:
+        raise ArgumentError(
+            "compensator", "its table has no ripple to find the index by; make it with a smaller residual"
+        )
+    try:
+        motor, output, load = np.broadcast_arrays(
+            *(np.asarray(v, float) for v in (motor_angle, output_angle, load_torque))
+        )
+    except ValueError:
+        raise ArgumentError("output_angle", "it must have as many samples as motor_angle and load_torque") from None
+    if motor.ndim != 1 or not all(np.isfinite(v).all() for v in (motor, output, load)):
+        raise ArgumentError("output_angle", "angles and torques must be finite and of shape (samples,)")
+    way = float(np.abs(np.diff(output)).sum()) * abs(c.crank_ratio)
+    if way < LEAST_WAY:
+        raise ArgumentError("output_angle", f"the crank must turn by {LEAST_WAY:.3g} rad or more", f"{way:.3g} rad")
+    memory = Memory()
+    torque = np.array([torque_of_teeth(c, memory, a, 0.0, t, temperature) for a, t in zip(output, load, strict=True)])
+    mean, _ = c.inverse.at(output, torque, temperature)
+    wound = c.compliance * torque
+    free = np.column_stack([np.ones(output.size), np.interp(torque, c.inverse.torque, c.inverse.flank), wound + mean])
+    basis = np.linalg.qr(free / np.linalg.norm(free, axis=0))[0]
+    crank = c.crank_ratio * (output - wound)
+    measured = output - motor / c.ratio
+
+    def left(index: Array) -> Array:
+        ripple = c.inverse.at(crank + index[:, None], torque, temperature)[1]
+        off = measured - ripple
+        off = off - (off @ basis) @ basis.T
+        return np.asarray(np.sqrt(np.mean(off**2, axis=1)))
+
+    period = c.inverse.period
+    knots = max(len(steps) for steps in c.inverse.steps)
+    if spacing is None:
+        count = math.ceil(knots / _FINE)
+        index: Array = np.arange(float(count)) * (period / count)
+    elif 0.0 < spacing < math.inf:
+        count = Fraction(spacing / period).limit_denominator(_MOST).denominator
+        index = np.arange(float(count)) * spacing % period
+    else:
+        raise ArgumentError("spacing", "it must be finite and above zero (rad)", spacing)
+    residual = np.concatenate([left(index[i : i + _BLOCK]) for i in range(0, count, _BLOCK)])
+    best = int(residual.argmin())
+    apart = np.abs((index - index[best] + 0.5 * period) % period - 0.5 * period)
+    other = apart > (CORRELATION if spacing is None else 0.0)
+    rival = float(residual[other].min()) if other.any() else math.inf
+    odds = (residual[best] / residual[other]) ** (way / CORRELATION)
+    angle = float(index[best])
+    if spacing is None:
+        near = period / count
+        angle = float(
+            minimize_scalar(lambda at: left(np.array([at]))[0], bounds=(angle - near, angle + near), method="bounded").x
+        )
+    each = 1.0 if spacing is not None else min(1.0, CORRELATION * count / period)
+    return Index(angle % period, 1.0 / (1.0 + float(odds.sum()) / each), float(residual[best]), rival)

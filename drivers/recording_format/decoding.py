@@ -1,0 +1,161 @@
+"""The batches of a recording, decoded by columns and held against their checksums."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from drivers.recording_format.schema import COLUMNS, Event, Samples, batch_checksum, bytes_checksum
+
+# A batch and its own metadata: sequence number, events and CRC-32.
+Batch: TypeAlias = tuple[pa.RecordBatch, Mapping[bytes, bytes] | None]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Columns:
+    """Batches as one table: columns, channel numbers of the rows, where each batch begins and ends.
+
+    Of each batch also which columns it lacks, and whether it mixes channels.
+    """
+
+    arrays: dict[str, npt.NDArray[Any]]
+    rows: npt.NDArray[np.int16]
+    ends: npt.NDArray[np.int64]
+    absent: dict[str, npt.NDArray[np.bool_]]
+    mixed: npt.NDArray[np.bool_]
+
+
+def _columns(sound: Sequence[pa.RecordBatch]) -> _Columns:
+    ends = np.cumsum([0, *(batch.num_rows for batch in sound)])
+    table = pa.Table.from_batches(sound)
+    arrays: dict[str, npt.NDArray[Any]] = {}
+    absent: dict[str, npt.NDArray[np.bool_]] = {}
+    for name, (_, dtype, _) in COLUMNS.items():
+        column = table.column(name)
+        missing = np.asarray(column.is_null()) if column.null_count else np.zeros(len(column), bool)
+        nulls = np.concatenate([[0], np.cumsum(missing)])
+        absent[name] = np.diff(nulls[ends]) > 0
+        arrays[name] = np.asarray(column.fill_null(0) if column.null_count else column, dtype)
+    # By the number, as the header counts its channels: a damaged dictionary names them wrongly.
+    numbers = pa.chunked_array([batch.column(0).indices for batch in sound], pa.int16())
+    rows = np.asarray(numbers.fill_null(-1) if numbers.null_count else numbers)
+    changes = np.flatnonzero(np.diff(rows)) + 1
+    mixed = np.searchsorted(changes, ends[1:]) > np.searchsorted(changes, ends[:-1], "right")
+    return _Columns(arrays, rows, ends, absent, mixed)
+
+
+def decoded_together(
+    batches: Sequence[Batch], names: Sequence[str], sequence: int
+) -> list[tuple[Samples, tuple[Event, ...]]] | None:
+    """Return the samples of each channel in all batches, as one; None unless all can be trusted and are alike.
+
+    Batch by batch is the way where one is empty or wrong, or lacks a column that others of its channel have.
+    """
+    try:
+        for batch, _ in batches:
+            batch.validate()
+    except pa.ArrowException:
+        return None
+    found = _columns([batch for batch, _ in batches])
+    begins = found.ends[:-1]
+    if not batches or found.mixed.any() or (np.diff(found.ends) == 0).any():
+        return None
+    numbers = found.rows[begins]
+    if numbers.min() < 0 or numbers.max() >= len(names):
+        return None
+    lacking = {}
+    for number in np.unique(numbers).tolist():
+        lacks = {name: absent[numbers == number] for name, absent in found.absent.items()}
+        if any(one.any() != one.all() for one in lacks.values()):
+            return None
+        lacking[number] = {name for name, one in lacks.items() if one.any()}
+    views = {name: (array.view(np.uint8).data, array.itemsize) for name, array in found.arrays.items()}
+    held = {number: [view for name, view in views.items() if name not in lacks] for number, lacks in lacking.items()}
+    events: list[Event] = []
+    spans = zip(numbers.tolist(), begins.tolist(), found.ends[1:].tolist(), strict=True)
+    try:
+        for (_, metadata), (number, begin, end) in zip(batches, spans, strict=True):
+            if metadata is None or int(metadata[b"sequence"]) != sequence:
+                return None
+            text = metadata[b"events"].decode()
+            parts = (view[begin * size : end * size] for view, size in held[number])
+            if bytes_checksum(sequence, text, names[number], parts).encode() != metadata[b"crc32"]:
+                return None
+            if text != "[]":
+                events += (Event(**e) for e in json.loads(text))
+            sequence += 1
+    except (ValueError, TypeError, KeyError, RecursionError):
+        return None
+    taken: list[tuple[Samples, tuple[Event, ...]]] = []
+    for number, null in lacking.items():
+        mine = found.rows == number
+        columns: dict[str, Any] = {n: None if n in null else array[mine] for n, array in found.arrays.items()}
+        taken.append((Samples(names[number], **columns), () if taken else tuple(events)))
+    return taken
+
+
+def decoded(
+    batches: Sequence[Batch], names: Sequence[str]
+) -> Iterator[tuple[int, Samples, tuple[Event, ...]] | Exception]:
+    """Yield sequence number, samples and events of each batch, or why it can't be trusted.
+
+    Their columns are taken together: a batch is a twentieth of a second, and to ask Arrow for each one's costs more
+    than what is in it.
+    """
+    sound: list[pa.RecordBatch] = []
+    problems: dict[int, Exception] = {}
+    for place, (batch, _) in enumerate(batches):
+        try:
+            batch.validate()
+        except pa.ArrowException as problem:
+            problems[place] = problem
+        else:
+            sound.append(batch)
+    if not sound:
+        yield from problems.values()
+        return
+    found = _columns(sound)
+    arrays, rows, ends = found.arrays, found.rows, found.ends
+    gaps = [absent.tolist() for absent in found.absent.values()]
+    spans = zip(found.mixed.tolist(), *gaps, ends[:-1].tolist(), ends[1:].tolist(), strict=True)
+    for place, (_, metadata) in enumerate(batches):
+        if place in problems:
+            yield problems[place]
+            continue
+        mixes, *null, begin, end = next(spans)
+        columns = {
+            name: None if absent else array[begin:end]
+            for (name, array), absent in zip(arrays.items(), null, strict=True)
+        }
+        try:
+            if mixes:
+                raise ValueError("it mixes channels")
+            yield _checked(metadata or {}, columns, int(rows[begin]) if end > begin else None, names)
+        except (ValueError, TypeError, KeyError, RecursionError) as problem:
+            yield problem
+
+
+def _checked(
+    metadata: Mapping[bytes, bytes], columns: Mapping[str, Any], number: int | None, names: Sequence[str]
+) -> tuple[int, Samples, tuple[Event, ...]]:
+    """Return sequence number, samples and events of a batch of channel `number`; ValueError says why not."""
+    try:
+        number_said, said, crc = (metadata[key] for key in (b"sequence", b"events", b"crc32"))
+    except KeyError:
+        raise ValueError("it has no sequence number, events or CRC-32") from None
+    sequence, text = int(number_said), said.decode()
+    events = () if text == "[]" else tuple(Event(**e) for e in json.loads(text))
+    if number is not None and not 0 <= number < len(names):
+        raise ValueError("its channel is none of the header's")
+    # An empty batch has no row that names its channel: it is the one the CRC-32 fits.
+    for name in [names[number]] if number is not None else names:
+        samples = Samples(name, **columns)
+        if batch_checksum(sequence, text, samples).encode() == crc:
+            return sequence, samples, events
+    raise ValueError("its CRC-32 is wrong")

@@ -1,0 +1,231 @@
+"""The life of one drive so far: its duty, what is known of its wear, and its dated recordings (`cycloid-history/1`)."""
+
+from __future__ import annotations
+
+import datetime
+import math
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Annotated, Literal
+
+import pydantic
+
+from cycloid_fmu import edge
+from cycloid_fmu.drive import Drive
+from cycloid_fmu.geometry.pair import PositiveLength
+from fitting.ageing.life import FIGURES
+from fitting.ageing.posterior import Measured
+from fitting.figures.comparison import read_figures
+from fitting.figures.figure import Figure
+from fitting.figures.metrics import metrics
+from fitting.recordings.mapping import FileMapping
+from fitting.recordings.sources import read_recordings
+
+FORMAT = "cycloid-history/1"
+HOUR = 3600.0
+_NORMAL = 1.959964  # standard errors in half a 95 % interval; of few loops that is wider, and stays so
+_ABOVE_ZERO = pydantic.Field(gt=0.0, allow_inf_nan=False)
+_PositiveAngle = Annotated[edge.Angle, _ABOVE_ZERO]
+_PositiveTime = Annotated[edge.Seconds, _ABOVE_ZERO]
+_Age = Annotated[edge.Seconds, pydantic.Field(ge=0.0, allow_inf_nan=False)]
+_Factor = Annotated[float, pydantic.Field(gt=1.0, le=1000.0)]
+
+
+class PerFigure(edge.Config):
+    """A value for each figure that a forecast knows.
+
+    Attributes
+    ----------
+    lost_motion, backlash, angular_transmission_error
+        rad; None where none is stated.
+    """
+
+    lost_motion: _PositiveAngle | None = None
+    backlash: _PositiveAngle | None = None
+    angular_transmission_error: _PositiveAngle | None = None
+
+    def stated(self) -> dict[str, float]:
+        """Return those that are stated, by name."""
+        return {name: value for name in FIGURES if (value := getattr(self, name)) is not None}
+
+
+class WornBearing(edge.Config):
+    """A bearing of `[supports]` whose clearance grows, evenly with the crank's turns.
+
+    Attributes
+    ----------
+    name
+        Which one.
+    clearance_growth, within
+        Median of what the diametral clearance grows by (m) within a time of running (s).
+    factor
+        With a probability of 95 % it grows by the median over this to the median times this.
+    """
+
+    name: Literal["turning_arm", "crank_shaft", "main", "output_roller"]
+    clearance_growth: PositiveLength
+    within: _PositiveTime
+    factor: _Factor = 10.0
+
+
+class Recorded(edge.Config):
+    """What was recorded at one age: a file of figures, recordings, or the figures themselves.
+
+    Attributes
+    ----------
+    age
+        Running time of the drive since new, s; or:
+    date
+        The day, counted from `in_service`.
+    figures
+        What `cycloid-fit metrics -o` wrote, beside the history's file.
+    recordings
+        Recordings of which the figures are computed.
+    lost_motion, backlash, angular_transmission_error
+        The figure and half its 95 % interval, rad.
+    """
+
+    age: _Age | None = None
+    date: datetime.date | None = None
+    figures: str | None = None
+    recordings: tuple[str, ...] = ()
+    lost_motion: tuple[edge.Angle, _PositiveAngle] | None = None
+    backlash: tuple[edge.Angle, _PositiveAngle] | None = None
+    angular_transmission_error: tuple[edge.Angle, _PositiveAngle] | None = None
+
+    @pydantic.model_validator(mode="after")
+    def _dated_once(self) -> Recorded:
+        if (self.age is None) == (self.date is None):
+            raise ValueError('either age = "1200 h" or date = 2026-03-01 is needed')
+        own = any(getattr(self, name) is not None for name in FIGURES)
+        if (self.figures is not None) + bool(self.recordings) + own != 1:
+            raise ValueError("state one of figures, recordings, or the figures themselves")
+        return self
+
+
+class History(edge.Config):
+    """The life of one drive so far.
+
+    Attributes
+    ----------
+    crank_turns_per_hour
+        Of running; ages are running times.
+    torque
+        On the output, N·m: the load that wears the drive, in place of `[[wear.duty]]` of the wear file.
+    coefficient_factor
+        Prior of the wear coefficient: with a probability of 95 % it lies between the wear file's over this and times
+        this.
+    load_scatter, load_period
+        Loads scatter: relative standard deviation of the wear in one such time (s), independent of the others.
+    in_service, hours_per_day
+        The day on which the drive was new and the hours that it runs a day, for recordings with a date.
+    limits
+        Largest allowed figures, for the remaining life.
+    offsets
+        Standard deviation of what the bench's figure and the model's differ by, the same at every age.
+    bearing
+        The bearing that wears, if one does.
+    recorded
+        The dated recordings.
+    """
+
+    crank_turns_per_hour: float = pydantic.Field(gt=0.0, le=1e7)
+    torque: edge.Torque | None = None
+    coefficient_factor: _Factor = 10.0
+    load_scatter: float = pydantic.Field(default=0.1, ge=0.0, le=1.0)
+    load_period: _PositiveTime = 100.0 * HOUR
+    in_service: datetime.date | None = None
+    hours_per_day: float | None = pydantic.Field(default=None, gt=0.0, le=24.0)
+    limits: PerFigure = PerFigure()
+    offsets: PerFigure = PerFigure()
+    bearing: WornBearing | None = None
+    recorded: tuple[Recorded, ...] = ()
+
+    @pydantic.model_validator(mode="after")
+    def _ages_known(self) -> History:
+        dated = [one.date for one in self.recorded if one.date is not None]
+        if not dated:
+            return self
+        if self.in_service is None or self.hours_per_day is None:
+            raise ValueError("recordings with a date need in_service and hours_per_day")
+        if early := next((day for day in dated if day < self.in_service), None):
+            raise ValueError(f"recorded date {early} is before in_service {self.in_service}")
+        return self
+
+    def age_of(self, one: Recorded) -> float:
+        """Return the running time of the drive when something was recorded, s."""
+        if one.age is not None:
+            return one.age
+        assert one.date is not None
+        assert self.in_service is not None
+        assert self.hours_per_day is not None
+        return (one.date - self.in_service).days * self.hours_per_day * HOUR
+
+
+def read_history(path: str | os.PathLike[str]) -> History:
+    """Return the history that a file states; an `edge.InputError` names what is wrong in it."""
+    return edge.validated(History, edge.toml_table(edge.read_text(path), FORMAT, str(path)), str(path))
+
+
+def measured(
+    history: History,
+    drive: Drive,
+    folder: str | os.PathLike[str] = ".",
+    *,
+    mapping: FileMapping | str | os.PathLike[str] | None = None,
+    source: str = "history",
+    progress: Callable[[str], None] = lambda step: None,
+) -> list[Measured]:
+    """Return the figures of all recordings, by age.
+
+    Parameters
+    ----------
+    history, drive
+        The history, and the drive, for ratio and rated torque.
+    folder
+        That of the history's file, from which its names count.
+    mapping
+        Which channel is what, of recordings of another bench.
+    source
+        The history's file, for messages.
+    progress
+        Called with what is being read.
+
+    Raises
+    ------
+    edge.InputError
+        If a file can't be read, or has none of the figures with an uncertainty.
+    """
+    found: list[Measured] = []
+    for number, one in enumerate(history.recorded):
+        turns = history.age_of(one) / HOUR * history.crank_turns_per_hour
+        where = f"{source}: recorded[{number}]"
+        if one.figures is not None:
+            where = str(Path(folder) / one.figures)
+            rows = _rows(read_figures(where))
+        elif one.recordings:
+            files = [Path(folder) / name for name in one.recordings]
+            where = ", ".join(str(file) for file in files)
+            rows = _rows(metrics(read_recordings(files, mapping), drive, progress=progress).figures)
+        else:
+            given = {name: getattr(one, name) for name in FIGURES}
+            rows = [(n, pair[0], pair[1] / _NORMAL) for n, pair in given.items() if pair is not None]
+        if not rows:
+            raise edge.InputError(
+                f"{where}: none of {', '.join(FIGURES)} is there with an uncertainty; record three turns or loops."
+            )
+        found += [Measured(turns, name, value, error, where) for name, value, error in rows]
+    return sorted(found, key=lambda m: m.crank_turns)
+
+
+def _rows(figures: Mapping[str, Figure]) -> list[tuple[str, float, float]]:
+    """Names, values and standard errors of the figures that a forecast knows.
+
+    A budget's further uncertainty is the instruments', which is the same at every age: part of the offset.
+    """
+    return [
+        (name, one.value, one.uncertainty / _NORMAL)
+        for name in FIGURES
+        if (one := figures.get(name)) is not None and 0.0 < one.uncertainty < math.inf and math.isfinite(one.value)
+    ]

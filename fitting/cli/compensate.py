@@ -1,0 +1,165 @@
+"""`cycloid-fit compensate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cycloid_fmu import edge
+from cycloid_fmu.cli.shared import SurfaceFile, with_measured
+from cycloid_fmu.edge import ARCSEC, commands
+
+if TYPE_CHECKING:
+    from cycloid_fmu.fmu.description import Version
+    from cycloid_fmu.fmu.friction_file import Friction
+
+ENDINGS = (".c", ".h", ".st", ".csv", ".fmu")
+
+
+def compensate(
+    drive_file: Annotated[Path, typer.Argument(metavar="DRIVE.toml", help="The gear pair, or an RV reducer.")],
+    output: Annotated[
+        Path,
+        commands.output_option(
+            ENDINGS, "OUT.c|st|csv|fmu", "C99 source with header, IEC 61131-3 Structured Text, look-up table or FMU."
+        ),
+    ],
+    surface_file: SurfaceFile = None,
+    fit: Annotated[
+        Path | None,
+        typer.Option(metavar="FIT.json", help="Series compliance and dry friction as identify found them."),
+    ] = None,
+    friction_file: Annotated[
+        Path | None,
+        typer.Option("--friction", metavar="FRICTION.toml", help="Friction at the output (cycloid-friction/1)."),
+    ] = None,
+    stiffness: Annotated[
+        float | None,
+        commands.quantity_option(
+            "N*m/rad", "Of the whole drive: what this one gives way less is in series.", show_default=False
+        ),
+    ] = None,
+    loop: Annotated[
+        Path | None,
+        typer.Option(metavar="FIGURES.json", help="Stiffness and dry friction of a measured loop (metrics -o)."),
+    ] = None,
+    temperatures: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TEMPERATURES",
+            help='Between which the drive works, such as "10 degC, 60 degC"; the pair\'s if none.',
+        ),
+    ] = None,
+    torque_accuracy: Annotated[
+        float | None,
+        commands.quantity_option(
+            "N*m", "Standard deviation of the torque that the controller knows; 1 % of the rated.", show_default=False
+        ),
+    ] = None,
+    torque_share: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Standard deviation of that torque's scale, for the band.")
+    ] = 0.05,
+    largest_torque: Annotated[
+        float | None,
+        commands.quantity_option("N*m", "How far the tables reach; 2.5 times rated_torque.", show_default=False),
+    ] = None,
+    residual: Annotated[
+        float,
+        commands.quantity_option(
+            "rad", "Largest error of the tables; the smallest tables within it are made.", show_default="0.5 arcsec"
+        ),
+    ] = 0.5 / ARCSEC,
+    sensor: Annotated[
+        float,
+        commands.quantity_option("rad", "Standard deviation of an output encoder.", show_default="1 arcsec"),
+    ] = 1.0 / ARCSEC,
+    fmi_version: Annotated[str, commands.choice_option(("2.0", "3.0"), "FMI version of an FMU.", "--fmi")] = "2.0",
+    platforms: Annotated[
+        list[str] | None,
+        typer.Option("--platform", help="Of an FMU: x86_64-linux, aarch64-darwin, ...; all by default. Repeatable."),
+    ] = None,
+    plot: commands.PlotFile = None,
+) -> None:
+    """Write a compensator: motor angles at which the output of a known drive stands where it should.
+
+    Example: [cyan]cycloid-fit compensate drive.toml --surface identified.nc --fit fit.json -o joint.c[/]
+    """
+    from cycloid_fmu.compensation.compensator import Memory, step
+    from cycloid_fmu.compensation.forms.numbers import name_of
+    from cycloid_fmu.compensation.forms.write import write_compensator
+    from cycloid_fmu.drive import read_drive
+    from cycloid_fmu.fmu.constants import LARGEST_LOAD
+
+    given = [
+        name for name, value in (("--fit", fit), ("--stiffness", stiffness), ("--loop", loop)) if value is not None
+    ]
+    if len(given) > 1:
+        raise edge.InputError(f"{given[1]}: {given[0]} says too how much gives way in series; give one of the two.")
+    names: tuple[str, ...] = ()
+    if output.suffix == ".fmu":
+        from cycloid_fmu.native.build import checked_platforms
+
+        version: Version = fmi_version  # type: ignore[assignment]
+        names = checked_platforms(platforms or (), version)
+    elif platforms or fmi_version != "2.0":
+        raise edge.InputError(f"{'--platform' if platforms else '--fmi'}: only an FMU has one: name it .fmu.")
+    elif output.suffix != ".csv":
+        name_of(output, "output")
+    drive = read_drive(drive_file, surface_file)
+    friction, stiffness, compliance = _chain(fit, friction_file, stiffness, loop)
+    between = None if temperatures is None else tuple(one.strip() for one in temperatures.split(","))
+    if between is not None and len(between) != 2:
+        raise edge.ArgumentError(
+            "temperatures", 'give two with a comma between, such as "10 degC, 60 degC"', temperatures
+        )
+    with commands.Bar("crank angles", None) as bar:
+        made = drive.compensator(
+            friction=friction, stiffness=stiffness, series_compliance=compliance,
+            temperatures=None if between is None else (between[0], between[1]), torque_accuracy=torque_accuracy,
+            torque_share=torque_share,
+            largest_torque=largest_torque, residual=residual, sensor=sensor,
+            total=lambda count: bar.update(completed=0, total=count), progress=bar.advance,
+        )  # fmt: skip
+        if names:
+            bar.update(completed=0, total=len(names), description="compiling")
+        files = write_compensator(
+            made, output, fmi_version=fmi_version,  # type: ignore[arg-type]
+            platforms=names, compiled=lambda name: bar.advance(),
+        )  # fmt: skip
+    rated = drive.pair.rated_torque or float(made.inverse.torque[-1]) / LARGEST_LOAD
+    warm = 0.5 * float(made.inverse.temperature[0] + made.inverse.temperature[-1])
+    bands = [step(made, Memory(), 0.0, 0.0, sign * rated, warm).band * ARCSEC for sign in (1.0, -1.0)]
+    if plot is not None:
+        from cycloid_fmu.draw.figure import save
+        from fitting.reports.compensation_plot import plot_compensator
+
+        save(plot_compensator(made, rated), plot)
+    found = made.inverse.residual * ARCSEC
+    typer.echo(
+        f"{' and '.join(map(str, files))}: tables of {made.size} bytes; largest difference from the model found: "
+        f"{found:.3g}″; band (standard deviation) at ±{rated:.4g} N·m: {bands[0]:.3g}″ and {bands[1]:.3g}″."
+    )
+    if made.inverse.residual > residual:
+        typer.echo(f"A finer table does not reach the {residual * ARCSEC:.3g}″ asked for.", err=True)
+
+
+def _chain(
+    fit: Path | None, friction_file: Path | None, stiffness: float | None, loop: Path | None
+) -> tuple[Friction, float | None, float]:
+    """Friction at the output, stiffness of the whole drive and compliance in series, from what was given."""
+    from cycloid_fmu.fmu.chain import read_loop
+    from cycloid_fmu.fmu.friction_file import FrictionTables, read_friction
+    from fitting.estimation.result import read_chain
+
+    friction = (FrictionTables() if friction_file is None else read_friction(friction_file)).output
+    compliance, option = 0.0, "--fit"
+    if fit is not None:
+        compliance, coulomb = read_chain(fit)
+    elif loop is not None:
+        option = "--loop"
+        stiffness, coulomb = read_loop(loop)
+    else:
+        return friction, stiffness, 0.0
+    return with_measured(friction, coulomb, option), stiffness, compliance

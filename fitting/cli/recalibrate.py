@@ -1,0 +1,176 @@
+"""`cycloid-fit recalibrate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cycloid_fmu import edge
+from cycloid_fmu.edge import ARCSEC, commands
+from fitting.cli import options
+
+if TYPE_CHECKING:
+    from fitting.recalibration.measured import LostMotion
+    from fitting.recalibration.plan import PlannedVisit
+    from fitting.recalibration.recalibrate import Recalibration
+
+_SHOWN = 4  # errors that are better known now
+_NAMES = {
+    "backlash": "backlash, mean",
+    "lost_motion": "lost motion at ± 3 %, mean",
+    "transmission_error": "transmission error at rated torque, peak to peak",
+}
+
+
+def recalibrate(
+    drive: options.PairFile,
+    before: Annotated[Path, typer.Option(metavar="S.nc", help="The surface that identify or recalibrate wrote last.")],
+    crank_turns: Annotated[float, typer.Option(min=0.0, help="Crank turns since that date.")],
+    files: Annotated[
+        list[Path] | None, typer.Argument(metavar="[FILE...]", help="Recordings against the joint's output encoder.")
+    ] = None,
+    after: Annotated[
+        Path | None, typer.Option(metavar="LAST.json", help="The last recalibration, whose history goes on.")
+    ] = None,
+    mapping: options.MappingFile = None,
+    bits: Annotated[
+        int | None, typer.Option(min=8, max=32, help="Resolution of the output encoder, bits a turn.")
+    ] = None,
+    lost_motion: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar='"58 arcsec +- 6 arcsec at 5 N*m"',
+            help="A measured lost motion, its 95 % interval and the torque on either flank; repeatable.",
+        ),
+    ] = None,
+    drift: Annotated[
+        float,
+        commands.quantity_option("m", "Uniform wear in 10^7 crank turns, standard deviation.", show_default="1 um"),
+    ] = 1e-6,
+    torque_share: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Standard deviation of the torque's scale, as a share.")
+    ] = 0.05,
+    output: Annotated[
+        Path | None, commands.output_option((".json",), "NOW.json", "Write the recalibration (JSON).")
+    ] = None,
+    surface: Annotated[
+        Path | None, commands.output_option((".nc",), "NOW.nc", "Write the surface as it is now.", "--surface")
+    ] = None,
+    plan: Annotated[
+        list[float] | None,
+        commands.quantity_option("N*m", "Plan only: a load that the joint can be moved under; repeat it.", "--plan"),
+    ] = None,
+    wanted: Annotated[
+        float | None,
+        commands.quantity_option("rad", "With --plan: half of the 95 % interval that the backlash should have."),
+    ] = None,
+    mark: Annotated[
+        float | None,
+        commands.quantity_option("rad", "With --plan: standard deviation of one passing of an index mark."),
+    ] = None,
+    plot: commands.PlotFile = None,
+    as_json: commands.AsJson = False,
+) -> None:
+    """Bring a drive's model up to date from what its joint measures in place, and say whether it still holds.
+
+    The status is 4 where it does not: the drive is then kept as it was.
+
+    Example: [cyan]cycloid-fit recalibrate *.csv --pair pair.toml --before s.nc --crank-turns 1e7 --bits 17 -o now.json
+    --surface now.nc --plot now.png[/]
+    """
+    import fitting
+    from cycloid_fmu.drive import read_drive
+    from fitting.recalibration.files import as_json as content
+    from fitting.recalibration.files import read_recalibration, write_recalibration
+    from fitting.recalibration.plan import plan_visit
+    from fitting.recalibration.recalibrate import recalibrate
+
+    known = read_drive(drive, before)
+    last = known if after is None else read_recalibration(after, known)
+    if plan:
+        if bits is None:
+            raise edge.InputError("--plan needs --bits: the resolution of the output encoder.")
+        visits = plan_visit(
+            last, plan, crank_turns=crank_turns, bits=bits, wanted=wanted, mark=mark, drift=drift,
+            torque_share=torque_share,
+        )  # fmt: skip
+        if plot is not None:
+            fitting.plot(visits, plot)
+        if as_json:
+            commands.print_json([vars(one) for one in visits])
+        else:
+            _print_plan(visits, wanted)
+        return
+    if wanted is not None or mark is not None:
+        raise edge.InputError("--wanted and --mark belong to --plan.")
+    result = recalibrate(
+        last,
+        fitting.read_recordings(files, mapping) if files else (),
+        lost_motions=[_lost_motion(text) for text in lost_motion or ()],
+        crank_turns=crank_turns,
+        bits=bits,
+        drift=drift,
+        torque_share=torque_share,
+    )
+    if output is not None:
+        write_recalibration(result, output)
+    if surface is not None:
+        result.drive.write(surface)
+    if plot is not None:
+        fitting.plot(result, plot)
+    if as_json:
+        commands.print_json(content(result))
+    else:
+        _print(result)
+        options.print_notes(result.notes)
+    if result.alarm:
+        raise typer.Exit(edge.NOT_MET)
+
+
+def _lost_motion(text: str) -> LostMotion:
+    """Return a lost motion from its words."""
+    from fitting.estimation.parameter import NORMAL
+    from fitting.recalibration.measured import LostMotion
+
+    value, _, rest = text.replace("±", "+-").partition("+-")
+    spread, _, torque = rest.partition(" at ")
+    try:
+        found = [edge.parse_quantity(one.strip(), si) for one, si in ((value, "rad"), (spread, "rad"), (torque, "N*m"))]
+        return LostMotion(found[0], found[1] / NORMAL, found[2])
+    except (ValueError, edge.InputError):
+        raise edge.ArgumentError(
+            "lost_motion", 'write value, interval and torque, such as "58 arcsec +- 6 arcsec at 5 N*m"', text
+        ) from None
+
+
+def _print(result: Recalibration) -> None:
+    typer.echo(result.alarm or "The model holds: what was measured is what wear since the last date and noise allow.")
+    rows = []
+    for name, label in _NAMES.items():
+        if name in result.figures:
+            was, now = (one.figures[name] for one in result.history[-2:])
+            low, high = (end * ARCSEC for end in now.interval)
+            rows.append([label, f"{was.value * ARCSEC:.2f}", f"{now.value * ARCSEC:.2f}", f"{low:.2f} … {high:.2f}"])
+    commands.print_table("Figures [arcsec]", ["figure", "last date", "now", "95 % interval"], rows)
+    if result.alarm:
+        return
+    if result.better_known:
+        more = len(result.better_known) - _SHOWN
+        beside = f" and {more} more, as in --output" if more > 0 else ""
+        typer.echo(f"Better known now (standard deviations): {'; '.join(result.better_known[:_SHOWN])}{beside}.")
+    typer.echo(
+        f"{result.told.size - result.remaining} combinations of errors are told by these measurements, "
+        f"{result.remaining} stay known as before."
+    )
+
+
+def _print_plan(visits: list[PlannedVisit], wanted: float | None) -> None:
+    turns = [*visits[0].half_width]
+    rows = []
+    for one in visits:
+        enough = [] if wanted is None else ["–" if one.turns is None else str(one.turns)]
+        rows.append([one.runs, *(f"{width * ARCSEC:.2f}" for width in one.half_width.values()), *enough])
+    head = ["runs", *(str(t) for t in turns), *([] if wanted is None else ["turns needed"])]
+    commands.print_table("Half of the backlash's 95 % interval [arcsec] by output turns", head, rows)

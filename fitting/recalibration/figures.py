@@ -1,0 +1,111 @@
+"""Figures of a drive that is known by a normal distribution: backlash, lost motion and transmission error."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu.drive import Drive
+from cycloid_fmu.geometry.pair import LOST_MOTION_LOAD
+from fitting.estimation.parameter import NORMAL
+from fitting.model.observations import State, linearise, scatter_names
+from fitting.recalibration.known import Known
+from fitting.recalibration.measured import Field, LostMotion, field_of
+from fitting.transmission_error.curve import Curve
+
+Array = NDArray[np.float64]
+
+_NO_TORQUE = 1e-2  # N·m: one flank touches on either side, and hardly gives way
+_EACH = 12  # angles of a crank turn at which the transmission error is looked at
+_DRAWS = 200
+
+
+@dataclass(frozen=True)
+class FigureOfDrive:
+    """A figure of a drive: value, 95 % interval and standard deviation, rad at the output."""
+
+    value: float
+    interval: tuple[float, float]
+    standard_error: float
+
+
+class Gradient:
+    """Play, lost motion and transmission error of a drive, and their derivatives by everything that is known of it.
+
+    Attributes
+    ----------
+    values
+        {figure: rad}: `backlash`, the mean play over the output's turn, and with a rated torque `lost_motion` at ± 3 %
+        of it, a mean too.
+    gradients
+        {figure: by errors and scatter, as a surface's covariance has them}.
+    error, by_error
+        With a rated torque the transmission error there over a turn of the output, rad, shape (angles,), and its
+        derivatives.
+    """
+
+    def __init__(self, drive: Drive, known: Known) -> None:
+        pair, rated = drive.pair, drive.pair.rated_torque
+        wanted = [LostMotion(0.0, 1.0, _NO_TORQUE)]
+        turn = _turn(drive) if rated is not None else []
+        if rated is not None:
+            wanted.append(LostMotion(0.0, 1.0, LOST_MOTION_LOAD * rated))
+        field = field_of(turn, wanted, drive, known.errors, noise=[1.0] * len(turn))
+        observed = field.observed
+        surface = drive.surface.replace(covariance=None, covariance_of=())
+        state = State(surface, np.zeros(len(scatter_names(pair))), np.zeros(len(observed.bench_names)))
+        linear = linearise(pair, observed, state)
+        structured = linear.structured[:, [observed.errors.index(n) for n in known.errors]]
+        columns = np.hstack([structured, linear.scatter])
+        running = field.running
+        value, slope = _plain(field, linear.model), _plain(field, columns)
+        names = ("backlash", "lost_motion")[: len(wanted)]
+        self.values = {n: max(float(v), 0.0) for n, v in zip(names, value[running:], strict=True)}
+        self.gradients = dict(zip(names, slope[running:], strict=True))
+        self.error, self.by_error = value[:running], slope[:running]
+
+
+def _plain(field: Field, points: Array) -> Array:
+    """Rows in rad, not in units of a noise."""
+    ones = tuple(dataclasses.replace(one, standard_error=1.0) for one in field.lost_motions)
+    return Field(field.observed, ones).reduced(points)
+
+
+def _turn(drive: Drive) -> list[Curve]:
+    """One turn of the output at rated torque."""
+    pair = drive.pair
+    assert pair.rated_torque is not None
+    angle = np.arange(_EACH * pair.gear_teeth) * 2.0 * np.pi / _EACH
+    return [Curve(
+        input_angle=angle, transmission_error=np.zeros(angle.size), standard_error=np.full(angle.size, np.nan),
+        sample_count=np.ones(angle.size, dtype=np.int64), torque=pair.rated_torque, torque_deviation=0.0, direction=1,
+        ratio=pair.ratio, common_zero=True, known_index=True, source="figures", checksum="",
+    )]  # fmt: skip
+
+
+def figures_of(drive: Drive, known: Known, gradient: Gradient | None = None) -> dict[str, FigureOfDrive]:
+    """Return a drive's figures with their intervals.
+
+    `backlash` and, of a pair with a rated torque, `lost_motion` at ± 3 % of it, means over the output's turn, and
+    `transmission_error`, peak to peak at rated torque over a turn of the output: median and interval of drives drawn
+    from what is known. All rad.
+    """
+    gradient = gradient or Gradient(drive, known)
+    covariance = known.of_surface()
+    found = {}
+    for name, value in gradient.values.items():
+        slope = gradient.gradients[name]
+        sigma = float(np.sqrt(max(slope @ covariance @ slope, 0.0)))
+        found[name] = FigureOfDrive(value, (max(value - NORMAL * sigma, 0.0), value + NORMAL * sigma), sigma)
+    if gradient.error.size:
+        values, vectors = np.linalg.eigh(covariance)
+        normal = np.random.default_rng(0).standard_normal((_DRAWS, values.size))
+        drawn = gradient.error + normal @ (gradient.by_error @ (vectors * np.sqrt(np.maximum(values, 0.0)))).T
+        sizes = np.ptp(drawn, axis=1)
+        # What single pins may do beyond the most likely drive makes every drive's peak higher than that one's.
+        low, middle, high = (float(q) for q in np.quantile(sizes, (0.025, 0.5, 0.975)))
+        found["transmission_error"] = FigureOfDrive(middle, (low, high), float(sizes.std()))
+    return found

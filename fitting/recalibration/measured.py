@@ -1,0 +1,270 @@
+"""What a joint in the field measures: curves against a coarse output reference, and values of the lost motion."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cycloid_fmu import edge
+from cycloid_fmu.drive import Drive
+from cycloid_fmu.geometry.pair import Pair
+from cycloid_fmu.surfaces.structured import profile_wave
+from fitting.arguments import positive
+from fitting.model.observations import (
+    COMPLIANCE_SHARE,
+    Observations,
+    State,
+    linearise,
+    observations,
+    spread_of,
+)
+from fitting.transmission_error.curve import Curve, noise_of
+
+Array = NDArray[np.float64]
+
+POINTS = 4000  # into which all samples are gathered: their number is what an update takes its time for
+_LEAST, _FINER = 12, 2  # of them in a crank turn; times as many at which the drive as known is taken off before
+_AVERAGED = 1.3  # times as many points as steps at least are averaged
+TORQUE_SHARE = 0.05
+"""Standard deviation of the scale of a torque that is known from the motor's current or the load's weight."""
+FRICTION_SHARE = 0.01  # of the rated torque, or the largest measured: friction at the output that no sensor shows
+_OWN_FRICTION = 0.5  # of it: by how much that of a single run is another
+_REFERENCE_ORDERS = (2, 3, 4)  # of the output turn: an encoder's own errors beside its eccentricity, which is order 1
+_REFERENCE = 1e-4  # rad: how large each of them may be
+_FORM = 1e-6  # m: scale of the profile deviation's orders
+_ANGLES = 24  # of every crank turn of an output turn over which a mean lost motion is taken
+
+
+@dataclass(frozen=True)
+class LostMotion:
+    """A measured lost motion: what the output turns with the motor at rest while the torque changes its side.
+
+    Attributes
+    ----------
+    value, standard_error
+        rad at the output, ≥ 0 and > 0; the standard error holds the reference's own hysteresis.
+    torque
+        On either flank, N·m, > 0: what friction or load holds the flanks together by.
+    crank_angle
+        Where the crank stood, rad, or None of a mean over many angles.
+
+    Examples
+    --------
+    >>> from fitting.recalibration.measured import LostMotion
+    >>> LostMotion(value="58 arcsec", standard_error="3 arcsec", torque="5 N*m").torque
+    5.0
+    """
+
+    value: float
+    standard_error: float
+    torque: float
+    crank_angle: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, unit, zero in (("value", "rad", True), ("standard_error", "rad", False), ("torque", "N*m", False)):
+            object.__setattr__(self, name, positive(getattr(self, name), unit, name, zero=zero))
+
+
+def averaged(curve: Curve, each: int) -> Curve:
+    """Average a curve's points in equal steps of the crank angle; one with fewer points, or a loop's, stays as is."""
+    if not _is_dense(curve, each):
+        return curve
+    of, count = _steps(curve, each)
+
+    def mean(values: Array) -> Array:
+        return np.asarray(np.bincount(of, curve.sample_count * values) / count)
+
+    def mean_of(values: Array | None) -> Array | None:
+        return None if values is None else mean(values)
+
+    return dataclasses.replace(
+        curve, input_angle=mean(curve.input_angle), transmission_error=mean(curve.transmission_error),
+        standard_error=np.full(count.size, np.nan), sample_count=np.rint(count).astype(np.int64),
+        torque_each=mean_of(curve.torque_each), travel=mean_of(curve.travel), speed=mean_of(curve.speed),
+        angle_variance=None, each_turn=None, grid=(0, 0.0),
+    )  # fmt: skip
+
+
+def _is_dense(curve: Curve, each: int) -> bool:
+    """Whether a curve has more points than so many in a crank turn; a branch of a loop never has."""
+    turns = float(np.ptp(curve.input_angle)) / (2.0 * np.pi)
+    return not curve.branch and curve.input_angle.size > _AVERAGED * each * turns
+
+
+def _steps(curve: Curve, each: int) -> tuple[NDArray[np.int64], Array]:
+    """Return in which step of the crank angle each point lies, those with points counted, and samples in each."""
+    place = np.floor(curve.input_angle / (2.0 * np.pi) * each).astype(np.int64)
+    _, of = np.unique(place, return_inverse=True)
+    return of.astype(np.int64), np.bincount(of, curve.sample_count).astype(float)
+
+
+def gathered(curve: Curve, model: Array, each: int) -> Curve:
+    """Gather what a curve deviates from a model in equal steps of the crank angle, each at the point amid it.
+
+    The model's corners and its high orders are not averaged away: only what the drive is other than the model is taken
+    for even within a step.
+
+    Parameters
+    ----------
+    curve, model
+        A curve and the transmission error that is expected at its points, rad.
+    """
+    if not _is_dense(curve, each):
+        return curve
+    of, count = _steps(curve, each)
+    beyond = np.bincount(of, curve.sample_count * (curve.transmission_error - model)) / count
+    order = np.argsort(of, kind="stable")
+    begins = np.searchsorted(of[order], np.arange(count.size))
+    # Sorted by step and within it by angle.
+    order = np.lexsort((curve.input_angle, of))
+    amid = order[begins + (np.bincount(of) - 1) // 2]
+    one = curve.points(amid)
+    return dataclasses.replace(
+        one, transmission_error=model[amid] + beyond, sample_count=np.rint(count).astype(np.int64)
+    )
+
+
+def quantised(curve: Curve, bits: int) -> float:
+    """Noise that a reference of so many bits a turn leaves in a point of a curve, rad.
+
+    The step's uniform error is averaged over the samples of a point, but over no more than steps pass within it: two
+    samples on one step err alike.
+    """
+    step = 2.0 * np.pi / 2**bits
+    samples = float(np.median(curve.sample_count))
+    passed = float(np.ptp(curve.input_angle)) / abs(curve.ratio) / max(curve.input_angle.size - 1, 1) / step
+    return float(step / np.sqrt(12.0) / np.sqrt(max(min(samples, max(passed, 1.0) * max(curve.turns, 1.0)), 1.0)))
+
+
+@dataclass(frozen=True)
+class Field:
+    """Measurements as observations of a pair, curves first, and behind them those of which only a difference counts.
+
+    Attributes
+    ----------
+    observed
+        All of it; weights of points whose difference counts are 1.
+    lost_motions
+        The values in the order of their curves, the last ones of `observed.curves`.
+    own_friction
+        By how much friction at the output is another in a single run, standard deviation, N·m.
+    """
+
+    observed: Observations
+    lost_motions: tuple[LostMotion, ...]
+    own_friction: float = 0.0
+
+    @property
+    def running(self) -> int:
+        """How many points are rows by themselves."""
+        count = len(self.observed.curves) - len(self.lost_motions)
+        return int(sum(c.input_angle.size for c in self.observed.curves[:count]))
+
+    def reduced(self, points: Array) -> Array:
+        """Return rows from points: those of a lost motion become one, in units of its standard error."""
+        rows = [points[: self.running]]
+        at = self.running
+        for one, curve in zip(self.lost_motions, self.observed.curves[-len(self.lost_motions) or None :], strict=False):
+            half = curve.input_angle.size // 2
+            there = points[at : at + 2 * half]
+            rows.append((there[:half] - there[half:]).mean(axis=0, keepdims=True) / one.standard_error)
+            at += 2 * half
+        return np.concatenate(rows)
+
+
+def sides(pair: Pair, torque: float, crank_angle: float | None, number: int, ratio: float) -> Curve:
+    """Return the points of a lost motion: the output loaded one way, then the other, N·m, at the same crank angles."""
+    every = np.arange(_ANGLES * pair.gear_teeth) * 2.0 * np.pi / _ANGLES
+    angle = every if crank_angle is None else np.array([crank_angle])
+    count = angle.size
+    return Curve(
+        input_angle=np.tile(angle, 2), transmission_error=np.zeros(2 * count),
+        standard_error=np.full(2 * count, np.nan), sample_count=np.ones(2 * count, dtype=np.int64), torque=0.0,
+        torque_deviation=0.0, direction=1, ratio=ratio, common_zero=False, known_index=True,
+        source=f"lost motion {number + 1}", checksum="", torque_each=np.repeat([torque, -torque], count),
+        branch="lost motion",
+    )  # fmt: skip
+
+
+def _gathered(curves: Sequence[Curve], drive: Drive) -> list[Curve]:
+    """The same with about `POINTS` points in all."""
+    turns = sum(float(np.ptp(c.input_angle)) for c in curves if not c.branch) / (2.0 * np.pi)
+    each = max(_LEAST, round(POINTS / max(turns, 1.0)))
+    fine = [averaged(c, _FINER * each) for c in curves]
+    if not any(_is_dense(c, each) for c in fine):
+        return fine
+    pair = drive.pair
+    observed = observations(fine, pair, [1e-6] * len(fine))
+    state = State(drive.surface, np.zeros(spread_of(pair, {}).size), np.zeros(len(observed.bench_names)))
+    model = linearise(pair, observed, state).model
+    return [gathered(c, m, each) for c, m in zip(fine, np.split(model, observed.ends), strict=True)]
+
+
+def field_of(
+    curves: Sequence[Curve],
+    lost_motions: Sequence[LostMotion],
+    drive: Drive,
+    errors: Sequence[str],
+    *,
+    bits: int | None = None,
+    torque_share: float = TORQUE_SHARE,
+    noise: Sequence[float] | None = None,
+) -> Field:
+    """Return measurements as observations.
+
+    Parameters
+    ----------
+    curves, lost_motions
+        What was measured, one of either at least.
+    drive, errors
+        The drive as it is known, and the structured errors of which something is known.
+    bits
+        Of the output reference a turn; None where the noise that the curves show is all.
+    torque_share
+        Standard deviation of the torque's scale.
+    noise
+        Of a sample of each curve, rad, where it is known before anything is measured.
+    """
+    pair = drive.pair
+    means, shown = list(curves), []
+    if noise is None:
+        noise = [noise_of(c) * np.sqrt(np.median(c.sample_count)) for c in curves]
+        means = _gathered(curves, drive)
+    for curve, white in zip(means, noise, strict=True):
+        coarse = 0.0 if bits is None or curve.branch else quantised(curve, bits)
+        shown.append(max(white / np.sqrt(np.median(curve.sample_count)), coarse, 1e-9))
+    ratio = pair.ratio if not means else means[0].ratio
+    pseudo = [sides(pair, one.torque, one.crank_angle, i, ratio) for i, one in enumerate(lost_motions)]
+    if not means and not pseudo:
+        raise edge.InputError("nothing was measured: give recordings or a lost motion.")
+    level = float(np.median(shown)) if shown else 1e-6
+    profile = {n: _FORM for n in errors if profile_wave(n, 1) is not None}
+    every = [*shown, *[level] * len(pseudo)]
+    observed = observations([*means, *pseudo], pair, every, profile)
+    count = sum(c.input_angle.size for c in means)
+    weight = observed.weight.copy()
+    weight[count:] = 1.0
+    angle = np.concatenate([c.input_angle for c in observed.curves]) / abs(ratio)
+    names, columns = [], []
+    for order in _REFERENCE_ORDERS if means else ():
+        names += [f"output_encoder_order_{order}_{part}" for part in ("cos", "sin")]
+        columns += [np.cos(order * angle), np.sin(order * angle)]
+    extra = np.array(columns).T if columns else np.zeros((angle.size, 0))
+    # A lost motion is measured at one place of the reference, whose errors are the same on either side.
+    bench = np.hstack([observed.bench, extra])
+    at_chain = observed.bench_names.index("chain_compliance")
+    others = [i for i in range(bench.shape[1]) if i != at_chain]
+    bench[np.ix_(range(count, len(bench)), others)] = 0.0
+    prior = np.concatenate([observed.bench_prior, np.full(len(names), _REFERENCE)])
+    prior[at_chain] *= np.hypot(COMPLIANCE_SHARE, torque_share) / COMPLIANCE_SHARE
+    torques = [abs(c.torque) for c in means] or [0.0]
+    friction = max(observed.friction_prior, FRICTION_SHARE * (pair.rated_torque or max(torques)))
+    whole = dataclasses.replace(
+        observed, weight=weight, bench=bench, bench_prior=prior, bench_names=(*observed.bench_names, *names),
+        friction_prior=friction,
+    )  # fmt: skip
+    return Field(whole, tuple(lost_motions), _OWN_FRICTION * friction)

@@ -1,0 +1,164 @@
+"""Which excitation brings the backlash to a wanted interval: planned runs and index marks, judged by what is known."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+from threadpoolctl import threadpool_limits
+
+from cycloid_fmu import edge
+from cycloid_fmu.drive import Drive
+from fitting.arguments import positive
+from fitting.estimation.parameter import NORMAL
+from fitting.estimation.plan import planned_curve
+from fitting.recalibration.figures import Gradient
+from fitting.recalibration.known import DRIFT, Known, drifted, known_of
+from fitting.recalibration.measured import TORQUE_SHARE, LostMotion, field_of, quantised
+from fitting.recalibration.recalibrate import Recalibration
+from fitting.recalibration.update import Rows
+
+Array = NDArray[np.float64]
+
+TURNS = (1, 2, 5, 10, 20, 50, 100)
+"""Output turns, or passings of an index mark each way, that are tried."""
+_EACH = 12  # points of a crank turn at which a planned run is looked at
+_SAMPLES = 100  # of a crank turn: 1 kHz at 600 rpm
+
+
+@dataclass(frozen=True)
+class PlannedVisit:
+    """What a set of runs would make of the backlash.
+
+    Attributes
+    ----------
+    runs
+        The runs in words.
+    half_width
+        {output turns of each run, or passings of the mark each way: half the 95 % interval of the backlash, rad}.
+    turns
+        The fewest that reach the wanted half width, None where none of `TURNS` does or none is wanted.
+    """
+
+    runs: str
+    half_width: dict[int, float]
+    turns: int | None
+
+
+def plan_visit(
+    before: Drive | Recalibration,
+    torque: Sequence[float | str],
+    *,
+    crank_turns: float,
+    bits: int,
+    wanted: float | str | None = None,
+    mark: float | str | None = None,
+    drift: float | str = DRIFT,
+    torque_share: float = TORQUE_SHARE,
+) -> list[PlannedVisit]:
+    """Return what runs would tell of the backlash in place, before anything is measured; the last date is the prior.
+
+    Planned are each load one way and both ways, all loads both ways, and the smallest load's lost motion at an index
+    mark.
+
+    Parameters
+    ----------
+    before, crank_turns, bits, drift, torque_share
+        As `fitting.recalibration.recalibrate.recalibrate` has them.
+    torque
+        Loads that the joint can be moved under, N·m: the smallest is what friction holds the flanks together by.
+    wanted
+        Half of the 95 % interval that the backlash should have, rad.
+    mark
+        Standard deviation of one passing of an index mark, rad at the output; without it none is planned.
+
+    Returns
+    -------
+    visits
+        The one that tells most with one turn first.
+
+    Raises
+    ------
+    edge.InputError
+        If an argument is wrong, or the drive has no covariance.
+
+    Examples
+    --------
+    >>> import cycloid_fmu as cy, numpy as np
+    >>> from fitting.recalibration.plan import plan_visit
+    >>> sizes = dict(gear_teeth=9, pin_circle_radius=0.04, pin_radius=0.004, eccentricity=0.002, face_width=0.01)
+    >>> pair = cy.Pair(**sizes, rated_torque=20.0)
+    >>> fitted = cy.Drive(pair).replace(errors={"pin_radius": "-2 um"}).surface
+    >>> fitted = fitted.replace(covariance=np.array([[1e-14]]), covariance_of=("pin_radius",))
+    >>> best, *_ = plan_visit(cy.Drive(pair, fitted), ["1 N*m", "20 N*m"], crank_turns=1e7, bits=17)
+    >>> best.runs
+    '20 and 1 N·m both ways'
+    """
+    loads = sorted({positive(one, "N*m", "torque") for one in torque}, reverse=True)
+    if not loads:
+        raise edge.ArgumentError("torque", "is missing")
+    turns = positive(crank_turns, "1", "crank_turns", zero=True)
+    walked, share = positive(drift, "m", "drift", zero=True), positive(torque_share, "1", "torque_share", zero=True)
+    goal = None if wanted is None else positive(wanted, "rad", "wanted")
+    passing = None if mark is None else positive(mark, "rad", "mark")
+    if not 8 <= bits <= 32:
+        raise edge.ArgumentError("bits", "it must be from 8 to 32", bits)
+    drive, known = (before.drive, before.known) if isinstance(before, Recalibration) else (before, known_of(before))
+    known = drifted(known, drive.pair, turns, walked)
+    sets: dict[str, tuple[list[tuple[float, int]], float | None]] = {}
+    for load in loads:
+        sets[f"{load:g} N·m one way"] = [(load, 1)], None
+        sets[f"{load:g} N·m both ways"] = [(load, 1), (load, -1)], None
+    if len(loads) > 1:
+        words = f"{', '.join(f'{t:g}' for t in loads[:-1])} and {loads[-1]:g} N·m both ways"
+        sets[words] = [(t, way) for t, way in itertools.product(loads, (1, -1))], None
+    if passing is not None:
+        sets[f"an index mark passed both ways at {loads[-1]:g} N·m"] = [], passing
+    with threadpool_limits(limits=1, user_api="blas"):
+        gradient = Gradient(drive, known).gradients["backlash"]
+        found = [
+            _visit(drive, known, gradient, words, runs, at, loads[-1], bits, share, goal)
+            for words, (runs, at) in sets.items()
+        ]
+    return sorted(found, key=lambda one: one.half_width[TURNS[0]])
+
+
+def _visit(
+    drive: Drive,
+    known: Known,
+    gradient: Array,
+    words: str,
+    runs: Sequence[tuple[float, int]],
+    mark: float | None,
+    least: float,
+    bits: int,
+    share: float,
+    goal: float | None,
+) -> PlannedVisit:
+    """What one set of runs would make of the backlash with ever more turns."""
+    ratio = drive.pair.ratio
+    thick = round(_SAMPLES / _EACH)
+    curves = [planned_curve(ratio, way * load, way, 1.0, _EACH) for load, way in runs]
+    curves = [dataclasses.replace(c, sample_count=np.full_like(c.sample_count, thick)) for c in curves]
+    # A mark stands at one place; which it is hardly matters to what it tells of the mean.
+    marks = [] if mark is None else [LostMotion(0.0, mark * np.sqrt(2.0), least, 0.0)]
+    noise = [quantised(c, bits) * np.sqrt(thick) for c in curves]
+    field = field_of(curves, marks, drive, known.errors, torque_share=share, noise=noise)
+    rows = Rows(drive, known, field)
+    _, columns = rows.evaluated(np.zeros(len(rows.names)))
+    slope = np.zeros(len(rows.names))
+    own = [i for i, n in enumerate(rows.lasting) if n not in rows.bench]
+    slope[own] = gradient
+    slope = slope @ rows.factor
+    information = columns.T @ columns
+    widths = {}
+    for count in TURNS:
+        spread = linalg.cho_solve(linalg.cho_factor(count * information + np.eye(len(rows.names))), slope)
+        widths[count] = float(NORMAL * np.sqrt(slope @ spread))
+    reached = [count for count, width in widths.items() if goal is not None and width <= goal]
+    return PlannedVisit(words, widths, reached[0] if reached else None)

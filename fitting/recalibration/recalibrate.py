@@ -1,0 +1,302 @@
+"""Bring a drive's model up to date from what a joint in the field measures; raise an alarm where it no longer holds."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+from threadpoolctl import threadpool_limits
+
+from cycloid_fmu import edge
+from cycloid_fmu.drive import Drive
+from cycloid_fmu.edge import ARCSEC
+from cycloid_fmu.surfaces.structured import unit_of
+from fitting.arguments import positive
+from fitting.estimation.result import inflation_of
+from fitting.model.loops import observed_curves
+from fitting.recalibration.figures import FigureOfDrive, figures_of
+from fitting.recalibration.known import DRIFT, Known, drifted, known_of
+from fitting.recalibration.measured import TORQUE_SHARE, Field, LostMotion, field_of
+from fitting.recalibration.update import Updated, updated
+from fitting.recordings.sources import Source
+from fitting.transmission_error.curve import Curve
+
+Array = NDArray[np.float64]
+
+FALSE_ALARM = 1e-3
+"""How often each of the two tests, of the drift and of what is left, alarms on a drive that only wears."""
+_HARMONICS = 8  # of the pins' and the teeth's order in the output at which what is left is looked at
+_NAMED = 3  # errors and orders that a sentence names
+_WEAK = 1.0  # information below which a combination stays known as before, more than by what was measured
+
+
+@dataclass(frozen=True)
+class Dated:
+    """A drive's figures at one date: crank turns since the fit, {figure: value and interval}, and the alarm or ""."""
+
+    crank_turns: float
+    figures: Mapping[str, FigureOfDrive]
+    alarm: str = ""
+
+
+@dataclass(frozen=True)
+class Recalibration:
+    """The result of a recalibration.
+
+    Attributes
+    ----------
+    drive
+        The drive as it is now, its surface with its covariance. With an alarm it is the drive as it was before, what is
+        known of it widened by its wear alone.
+    alarm
+        "" where the model holds; else a sentence that says what does not fit.
+    history
+        Figures of every date so far, this one last; the first is the drive as it was given.
+    moved
+        {name: (by how much, m or rad, and that in standard deviations of what its drift allows)} of every error, single
+        pin and tooth. With an alarm what they would have moved.
+    told
+        Information about each combination of errors in units of what was known before, largest first: from 1 on these
+        measurements told more than was known.
+    better_known
+        Errors, pins and teeth of which the standard deviation has fallen below 0.7 of what it was, in words.
+    remaining
+        How many combinations stay known as before, their information below 1.
+    drift_chance, left_chance
+        Chance that a drive which only wears goes so far, and that noise alone leaves so much.
+    known
+        What is known for the next date.
+    notes
+        What a reader should know.
+    """
+
+    drive: Drive
+    alarm: str
+    history: tuple[Dated, ...]
+    moved: Mapping[str, tuple[float, float]]
+    told: Array
+    better_known: tuple[str, ...]
+    remaining: int
+    drift_chance: float
+    left_chance: float
+    known: Known
+    notes: tuple[str, ...]
+
+    @property
+    def figures(self) -> Mapping[str, FigureOfDrive]:
+        """Figures at this date: `backlash`, `lost_motion` and `transmission_error`, rad."""
+        return self.history[-1].figures
+
+
+def recalibrate(
+    before: Drive | Recalibration,
+    recordings: Source | Curve | Iterable[Source | Curve] = (),
+    *,
+    lost_motions: Sequence[LostMotion] = (),
+    crank_turns: float,
+    bits: int | None = None,
+    drift: float | str = DRIFT,
+    torque_share: float = TORQUE_SHARE,
+) -> Recalibration:
+    """Update what is known of a drive by what its joint measures, motor angle against a coarse output reference.
+
+    Parameters
+    ----------
+    before
+        The drive that `identify` found, or the last recalibration.
+    recordings
+        As `fitting.identify` takes them: runs under load, both directions, and loops. Their torque may be one that is
+        estimated from the motor's current or the load's weight.
+    lost_motions
+        Measured values of the lost motion, as from an index mark passed both ways.
+    crank_turns
+        Made since the last date, ≥ 0.
+    bits
+        Resolution of the output reference, bits a turn; None where the noise that the curves show is all.
+    drift
+        How far uniform wear may go in 10^7 crank turns, standard deviation, m.
+    torque_share
+        How exactly the torque's scale is known, standard deviation as a share.
+
+    Raises
+    ------
+    edge.InputError
+        If a recording can't be read or is of another drive, an argument is wrong, the drive has no covariance, or
+        nothing was measured.
+
+    Examples
+    --------
+    A drive whose backlash has grown by 20″ since it was identified, as an index mark shows:
+
+    >>> import cycloid_fmu as cy, fitting, numpy as np
+    >>> from fitting.recalibration.measured import LostMotion
+    >>> from fitting.recalibration.recalibrate import recalibrate
+    >>> pair = cy.Pair(gear_teeth=9, pin_circle_radius=0.04, pin_radius=0.004, eccentricity=0.002, face_width=0.01)
+    >>> fitted = cy.Drive(pair).replace(errors={"pin_radius": "-2 um"}).surface
+    >>> fitted = fitted.replace(covariance=np.array([[1e-14]]), covariance_of=("pin_radius",))
+    >>> drive = cy.Drive(pair, fitted)
+    >>> first = recalibrate(drive, lost_motions=[LostMotion("65 arcsec", "5 arcsec", "1 N*m")], crank_turns=1e7)
+    >>> first.alarm, first.drive.surface.pin_radius < drive.surface.pin_radius
+    ('', True)
+    """
+    if isinstance(before, Recalibration):
+        drive, known, history = before.drive, before.known, before.history
+    else:
+        drive, known = before, known_of(before)
+        history = (Dated(0.0, figures_of(drive, known)),)
+    turns = positive(crank_turns, "1", "crank_turns", zero=True)
+    walked = positive(drift, "m", "drift", zero=True)
+    share = positive(torque_share, "1", "torque_share", zero=True)
+    if bits is not None and not 8 <= bits <= 32:
+        raise edge.ArgumentError("bits", "it must be from 8 to 32", bits)
+    with threadpool_limits(limits=1, user_api="blas"):
+        curves = observed_curves(recordings, drive)
+        for curve in curves:
+            if abs(curve.ratio / drive.pair.ratio - 1.0) > 1e-9:
+                raise edge.InputError(
+                    f"{curve.source}: its ratio is {curve.ratio:g}, the pair's {drive.pair.ratio:g}; it is of another "
+                    "drive."
+                )
+            if not curve.known_index:
+                raise edge.InputError(
+                    f"{curve.source}: where the crank stands at an input angle of zero is not known, so its errors "
+                    "can't be held against those known; of a motor encoder that keeps its zero state zero_reference = "
+                    '"absolute" of [input_angle] in the mapping, or known_index of a Run.'
+                )
+        field = field_of(curves, lost_motions, drive, known.errors, bits=bits, torque_share=share)
+        known = drifted(known, drive.pair, turns, walked)
+        found = updated(drive, known, field)
+        whitened = _white(field, found)
+        if whitened is not field:
+            field, found = whitened, updated(drive, known, whitened)
+        chance, sentences = left_over(field, found)
+        alarm = alarm_of(found, sentences)
+        surface = drive.surface.replace(
+            covariance=known.of_surface(), covariance_of=_names(found.drive),
+        )  # fmt: skip
+        kept = (Drive(drive.pair, surface), known) if alarm else (found.drive, found.known)
+        figures = figures_of(*kept)
+    return Recalibration(
+        drive=kept[0],
+        alarm=alarm,
+        history=(*history, Dated(history[-1].crank_turns + turns, figures, alarm)),
+        moved=found.moved,
+        told=found.told,
+        better_known=_better_known(known, found),
+        remaining=int(np.count_nonzero(found.told < _WEAK)),
+        drift_chance=found.drift_chance,
+        left_chance=chance,
+        known=kept[1],
+        notes=_notes(curves, found, field),
+    )
+
+
+def _names(drive: Drive) -> tuple[str, ...]:
+    return drive.surface.covariance_of
+
+
+def _white(field: Field, found: Updated) -> Field:
+    """The same with the noise as large as what is left, which is not white, makes it; itself where it is white."""
+    observed = field.observed
+    if not observed.running:
+        return field
+    parts = np.split(found.left[: field.running], observed.ends[: len(observed.curves) - len(field.lost_motions) - 1])
+    times = inflation_of([parts[i] for i in observed.running])
+    if times < 1.05:
+        return field
+    weight = observed.weight.copy()
+    weight[: field.running] /= times
+    return dataclasses.replace(field, observed=dataclasses.replace(observed, weight=weight))
+
+
+def left_over(field: Field, found: Updated) -> tuple[float, list[str]]:
+    """Return the chance that noise alone leaves so much, at the gear's own orders, and what stands out in words.
+
+    What is left at other orders of the output is the reference's own, which is coarse, and is not held against the
+    drive.
+    """
+    observed = field.observed
+    sizes = [c.input_angle.size for c in observed.curves[: len(observed.curves) - len(field.lost_motions)]]
+    parts = np.split(found.left[: field.running], np.cumsum(sizes)[:-1]) if sizes else []
+    teeth = round(abs(observed.curves[0].ratio))
+    # Pins repeat every turn of the crank, teeth once more or once less in a turn of the output.
+    cogs = {abs(teeth + 1), teeth} if observed.curves[0].ratio < 0 else {teeth, abs(teeth - 1)}
+    orders = sorted({k * one for one in cogs for k in range(1, _HARMONICS + 1)})
+    chances: dict[str, float] = {}
+    if observed.running:
+        power = np.zeros(len(orders))
+        for i in observed.running:
+            turned = observed.curves[i].input_angle / abs(observed.curves[i].ratio)
+            power += np.abs(np.exp(-1j * np.outer(orders, turned)) @ parts[i]) ** 2 / turned.size
+        for order, one in zip(orders, special.gammaincc(len(observed.running), power), strict=True):
+            chances[f"order {order} of the output"] = float(one)
+    for i, one in enumerate(field.lost_motions):
+        square = found.left[field.running + i] ** 2 / found.row_variance[field.running + i]
+        chances[f"the lost motion of {one.value * ARCSEC:.1f}″ at {one.torque:.3g} N·m"] = float(
+            special.chdtrc(1, square)
+        )
+    if not chances:
+        return 1.0, []
+    least = min(1.0, min(chances.values()) * len(chances))
+    standing = sorted((c, name) for name, c in chances.items() if c * len(chances) < FALSE_ALARM)
+    return least, [name for _, name in standing[:_NAMED]]
+
+
+def alarm_of(found: Updated, standing: Sequence[str]) -> str:
+    """Return the alarm in words, "" where the model holds."""
+    parts = []
+    if found.drift_chance < FALSE_ALARM:
+        worst = sorted(found.moved.items(), key=lambda item: -abs(item[1][1]))[:_NAMED]
+        named = ", ".join(f"{n} by {_sized(n, by)}, {abs(times):.1f} times" for n, (by, times) in worst)
+        parts.append(
+            f"the drive would have moved further than its wear since the last date allows (mainly {named} the standard "
+            "deviation of what can be expected)"
+        )
+    if standing:
+        parts.append(f"what is left is more than noise: {', '.join(standing)}")
+    if not parts:
+        return ""
+    return (
+        f"The model no longer holds: {'; '.join(parts)}. Was a part exchanged or broken, or is a torque or an angle "
+        "wrong? The drive is kept as it was; record again, and identify it where it stays so."
+    )
+
+
+def _sized(name: str, value: float) -> str:
+    unit = "m" if "_at_" in name else unit_of(name)
+    return f"{value * 1e6:+.2f} µm" if unit == "m" else f"{value * 1e3:+.3f} mrad"
+
+
+def _better_known(known: Known, found: Updated) -> tuple[str, ...]:
+    """Say which errors these measurements told more of than was known before, those they told most of first."""
+    names = list(found.moved)
+    scale = np.sqrt(np.diag(known.of_surface()))
+    after = np.sqrt(np.diag(found.known.of_surface()))
+    ratio = np.divide(after, scale, out=np.ones_like(scale), where=scale > 0.0)
+    best = np.argsort(ratio)
+    return tuple(
+        f"{names[i]}: {_sized(names[i], after[i])[1:]} instead of {_sized(names[i], scale[i])[1:]}"
+        for i in best
+        if ratio[i] < np.sqrt(0.5)
+    )
+
+
+def _notes(curves: Sequence[Curve], found: Updated, field: Field) -> tuple[str, ...]:
+    notes = [note for one in curves for note in one.notes]
+    if found.left_out:
+        notes.append(f"{found.left_out} of {field.running} points lie far off and were left out.")
+    running = [c for c in curves if not c.branch]
+    if len(running) > 1 and not all(c.common_zero for c in running):
+        notes.append(
+            "The recordings have no zero in common, so how far apart the output stands in both directions is not seen: "
+            'where its encoder is absolute, state zero_reference = "absolute" of [output_angle] in the mapping.'
+        )
+    if not field.lost_motions and len({np.sign(c.torque) for c in running}) == 1 and len(running) == len(curves):
+        notes.append(
+            "All torques have one sign, so the play was not crossed: backlash is known by what flanks of one side tell."
+        )
+    return tuple(dict.fromkeys(notes))

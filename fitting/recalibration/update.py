@@ -1,0 +1,284 @@
+"""The update: the most likely drive by what was known and what was measured, and how far both agree.
+
+Gauss-Newton steps on the exact contact model with the fit's own derivatives, as the iterated extended Kalman filter
+takes them (Bell and Cathey, IEEE Trans. Autom. Control 38 (1993) 294). Unknowns are measured in what was known of them,
+by a factor of their covariance, so that what is known exactly stays exactly where it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, special
+
+from cycloid_fmu import edge
+from cycloid_fmu.drive import Drive
+from cycloid_fmu.surfaces.surface import ErrorSurface
+from fitting.estimation.fit import OUTLYING, Problem
+from fitting.model.observations import State, left_of, linearise, scatter_names
+from fitting.recalibration.known import Known
+from fitting.recalibration.measured import Field
+
+Array = NDArray[np.float64]
+
+_STEPS, _HALVED = 8, 4  # evaluations on the way to the most likely drive, and how often a step is halved
+_SETTLED = (
+    1.0  # of the sum of squares in units of the noise: a step that gains less is the last, taken in the linear model
+)
+_FLAT = 1e-9  # of the largest singular value: zeros that others stand for
+_OUTLYING_SHARE = 0.01  # of the points: when more lie far off they are no outliers
+_TOLD = 0.1  # information in units of what was known: combinations that are told less are not tested
+_LOCAL = ("output_angle_offset", "loop_angle_offset", "output_angle_drift", "output_angle_creep", "friction", "loop_fr")
+
+
+@dataclass(frozen=True)
+class Updated:
+    """Where an update ended.
+
+    Attributes
+    ----------
+    drive
+        The drive, its surface with its covariance.
+    known
+        What is known of it.
+    moved
+        {name: (by how much, m or rad, and that in standard deviations of what could be expected)} of every error,
+        single pin and tooth.
+    told
+        Information about each combination in units of what was known before, largest first: 1 halves a variance.
+    drift_square, drift_chance
+        χ² of the way that the told combinations went, and the chance that a drive that only wears goes so far.
+    left, row_variance
+        What is left of each row in units of its noise, and what its square should be.
+    left_out
+        Points that lie far off and were left out.
+    evaluations
+        How often the model was evaluated.
+    """
+
+    drive: Drive
+    known: Known
+    moved: dict[str, tuple[float, float]]
+    told: Array
+    drift_square: float
+    drift_chance: float
+    left: Array
+    row_variance: Array
+    left_out: int
+    evaluations: int
+
+
+class Rows:
+    """Rows of measurements and their derivatives by all unknowns, in units of what is known of these before.
+
+    Parameters
+    ----------
+    drive, known, field
+        The drive before, what is known of it then, and what was measured.
+    """
+
+    def __init__(self, drive: Drive, known: Known, field: Field) -> None:
+        self.drive, self.field = drive, field
+        observed = field.observed
+        self.problem = Problem(drive.pair, observed, known.errors, prior=_plain(drive.surface))
+        single = scatter_names(drive.pair)
+        names = self.problem.names
+        own = [n for n in names[len(known.errors) : len(names) - len(single)] if not n.startswith(_LOCAL)]
+        self.bench = [*known.bench, *(n for n in own if n not in known.bench)]
+        lasting = [*known.errors, *self.bench, *single]
+        # What of the bench lasts and these measurements do not see takes part nevertheless.
+        self.lasting = lasting
+        own = [f"torque_of_{i}" for i in observed.running]
+        # Zeros of angles are unknown: they are taken out of all rows, not estimated.
+        flat = [n for n, one in zip(observed.bench_names, observed.bench_prior, strict=True) if np.isinf(one)]
+        taken = {*lasting, *flat}
+        self.names = [*lasting, *(n for n in names if n not in taken), *own]
+        columns = observed.weight[:, None] * observed.bench[:, [observed.bench_names.index(n) for n in flat]]
+        self.zeros = field.reduced(columns)
+        covariance = np.zeros((len(lasting), len(lasting)))
+        was = [*known.errors, *known.bench, *single]
+        at = [lasting.index(n) for n in was]
+        covariance[np.ix_(at, at)] = known.covariance
+        scale = dict(zip(names, self.problem.scale, strict=True))
+        deviation = {n: scale[n] / np.sqrt(k) for n, k in zip(names, self.problem.known, strict=True)}
+        deviation |= dict.fromkeys(own, field.own_friction)
+        for name in self.bench:
+            if name not in known.bench:
+                covariance[lasting.index(name), lasting.index(name)] = deviation[name] ** 2
+        local = np.array([deviation[n] for n in self.names[len(lasting) :]])
+        self.factor = linalg.block_diag(_factor(covariance), np.diag(local))
+        self.estimated = [i for i, n in enumerate(names) if n not in flat]
+        self.place = [self.names.index(names[i]) for i in self.estimated]
+        mean = dict(zip(known.bench, known.bench_mean, strict=True))
+        bench = np.array([mean.get(n, 0.0) for n in observed.bench_names])
+        # Friction opposes the motion: it is as large as it may vary, not zero.
+        self.start = State(drive.surface, np.zeros(len(single)), bench, friction=observed.friction_prior)
+        self.mean = self.problem.unknowns(self.start) * self.problem.scale
+        self.before = np.array([mean.get(n, 0.0) for n in self.bench])
+
+    def state(self, z: Array) -> State:
+        """Return the state of unknowns in units of what was known."""
+        unknowns = self.mean.copy()
+        unknowns[self.estimated] += (self.factor @ z)[self.place]
+        return self.problem.state(np.maximum(unknowns / self.problem.scale, self.problem.lowest))
+
+    def evaluated(self, z: Array) -> tuple[Array, Array]:
+        """Return what is left of each row at unknowns, and the rows' derivatives by these."""
+        problem, observed, running = self.problem, self.field.observed, self.field.running
+        state = self.state(z)
+        linear = linearise(self.drive.pair, observed, state)
+        columns = problem.columns(observed, linear) / problem.scale
+        # The torques of a lost motion are those between the flanks: friction is in them already.
+        first = len(problem.chosen) + len(observed.bench_names)
+        columns[running:, first : first + len(observed.friction_names)] = 0.0
+        parts = np.split(np.arange(observed.measured.size), observed.ends)
+        own = np.zeros((observed.measured.size, len(observed.running)))
+        for column, number in enumerate(observed.running):
+            part = parts[number]
+            own[part, column] = (observed.weight * linear.by_friction)[part]
+        friction = (self.factor @ z)[len(self.names) - own.shape[1] :]
+        left = self.field.reduced(observed.weight * left_of(observed, linear, state) - own @ friction)
+        left[running:] += [one.value / one.standard_error for one in self.field.lost_motions]
+        by_all = np.zeros((columns.shape[0], len(self.names)))
+        by_all[:, self.place] = columns[:, self.estimated]
+        by_all[:, len(self.names) - own.shape[1] :] = own
+        return self.without_zeros(left), self.without_zeros(self.field.reduced(by_all) @ self.factor)
+
+    def without_zeros(self, rows: Array, keep: NDArray[np.bool_] | slice = slice(None)) -> Array:
+        """Take out of some of the rows what zeros of the angles can do of them."""
+        found = rows[keep]
+        base, size, _ = np.linalg.svd(self.zeros[keep], full_matrices=False)
+        base = base[:, size > _FLAT * size.max(initial=0.0)]
+        return np.asarray(found - base @ (base.T @ found))
+
+
+def _plain(surface: ErrorSurface) -> ErrorSurface:
+    return surface.replace(covariance=None, covariance_of=())
+
+
+def _factor(covariance: Array) -> Array:
+    """Return F with F Fᵀ the covariance, which may be singular."""
+    size = np.sqrt(np.diag(covariance))
+    scale = np.where(size > 0.0, size, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    # What does not vary at all stays so beyond rounding.
+    found: Array = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    return found
+
+
+def updated(drive: Drive, known: Known, field: Field) -> Updated:
+    """Update a drive by measurements.
+
+    Parameters
+    ----------
+    drive, known
+        The drive and what is known of it at the date of the measurements, wear since the last one allowed for.
+    field
+        What was measured.
+
+    Raises
+    ------
+    edge.InputError
+        If no errors near those known carry the measured loads.
+    """
+    rows = Rows(drive, known, field)
+    size = len(rows.names)
+    try:
+        left, columns = rows.evaluated(np.zeros(size))
+    except edge.InputError:
+        raise edge.InputError(
+            "the drive as it is known carries these loads at no position of its contacts; check torques and signs."
+        ) from None
+    z, done = np.zeros(size), 1
+    while done < _STEPS:
+        step = _solved(columns, left + columns @ z)[0] - z
+        square = float(left @ left + z @ z)
+        if square - float(np.sum((left - columns @ step) ** 2) + (z + step) @ (z + step)) < _SETTLED:
+            break
+        for _ in range(_HALVED):
+            try:
+                then, by = rows.evaluated(z + step)
+                done += 1
+            except edge.InputError:
+                # So far away no contacts balance the load.
+                step = 0.5 * step
+                continue
+            if float(then @ then + (z + step) @ (z + step)) <= square:
+                z, left, columns = z + step, then, by
+                break
+            step = 0.5 * step
+        else:
+            break
+    # The last step is so small that the model there is its linear one.
+    keep = _near(left, field.running)
+    if not keep.all():
+        left, columns = left * keep, columns * keep[:, None]
+        left[keep], columns[keep] = rows.without_zeros(left, keep), rows.without_zeros(columns, keep)
+    moved, inverse = _solved(columns, left + columns @ z)
+    left, z = left - columns @ (moved - z), moved
+    return _result(rows, known, z, inverse, columns, left, keep, done)
+
+
+def _solved(columns: Array, left: Array) -> tuple[Array, Array]:
+    """Return the most likely unknowns in units of what was known, and their covariance."""
+    information = columns.T @ columns + np.eye(columns.shape[1])
+    # Some are told a million times better than others.
+    size = np.sqrt(np.diag(information))
+    solved = linalg.cho_factor(information / np.outer(size, size))
+    inverse = linalg.cho_solve(solved, np.eye(size.size)) / np.outer(size, size)
+    return np.asarray(linalg.cho_solve(solved, columns.T @ left / size) / size), 0.5 * (inverse + inverse.T)
+
+
+def _near(left: Array, running: int) -> NDArray[np.bool_]:
+    """Which rows count: single points far off do not, unless so many are that they are no accident."""
+    far = np.abs(left) > OUTLYING * max(1.0, 1.4826 * float(np.median(np.abs(left))))
+    far[running:] = False
+    return ~far if np.count_nonzero(far) <= _OUTLYING_SHARE * left.size else np.ones(left.size, bool)
+
+
+def _result(
+    rows: Rows,
+    known: Known,
+    z: Array,
+    inverse: Array,
+    columns: Array,
+    left: Array,
+    keep: NDArray[np.bool_],
+    done: int,
+) -> Updated:
+    lasting, drive, state = len(rows.lasting), rows.drive, rows.state(z)
+    whole = rows.factor[:lasting, :lasting]
+    after = inverse[:lasting, :lasting]
+    covariance = whole @ after @ whole.T
+    covariance = 0.5 * (covariance + covariance.T)
+    count, single = len(known.errors), len(scatter_names(drive.pair))
+    shift = (rows.factor @ z)[:lasting]
+    bench_mean = rows.before + shift[count : lasting - single]
+    found = Known(known.errors, tuple(rows.bench), bench_mean, covariance)
+    surface = state.surface.replace(
+ origin="identified", covariance_of=(*known.errors, *scatter_names(drive.pair)),
+        covariance=found.of_surface(),
+    )  # fmt: skip
+    # Before measuring z would have been distributed with the unit matrix less what stays unknown.
+    went = np.eye(lasting) - after
+    values, vectors = np.linalg.eigh(0.5 * (went + went.T))
+    order = np.argsort(-values)
+    values, vectors = np.clip(values[order], 0.0, 1.0), vectors[:, order]
+    told = values / np.maximum(1.0 - values, 1e-15)
+    tested = told > _TOLD
+    ways = vectors.T[tested] @ z[:lasting]
+    drift = float(ways**2 @ (1.0 / values[tested]))
+    expected = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", whole, went, whole), 0.0))
+    moved = {
+        name: (float(by), float(by / one) if one > 0.0 else 0.0)
+        for name, by, one in zip(rows.lasting, shift, expected, strict=True)
+        if name not in rows.bench
+    }
+    variance = 1.0 - np.einsum("ij,jk,ik->i", columns[rows.field.running :], inverse, columns[rows.field.running :])
+    return Updated(
+        Drive(drive.pair, surface), found, moved, told, drift,
+        float(special.chdtrc(max(np.count_nonzero(tested), 1), drift)), left,
+        np.concatenate([np.ones(rows.field.running), np.maximum(variance, 1e-9)]), int(np.count_nonzero(~keep)), done,
+    )  # fmt: skip
