@@ -26,7 +26,7 @@ _LONGEST = 25e-6  # m: a step is no longer than this
 _REACH = 4e-6  # m: pins nearer than this are solved at every step, the others once the discs have moved as far
 HELD = 1e-3  # N/m: keeps a rotation in reach that nothing holds yet; it pulls to where the step began
 _ITERATIONS = 60
-_JUMP = 1e-10  # m: where no longer step leads on, forces jump, as where a pin leaves the second of two teeth at a root
+_JUMP = 1e-10  # m: where steps end at the same place twice, forces jump, as where a pin leaves one of two teeth at a root
 _LAST_ITERATIONS = 600  # a drive that hangs in its clearances finds its place in small steps
 
 
@@ -53,8 +53,8 @@ class Work(NamedTuple):
 
     Attributes
     ----------
-    place, residual, step, before
-        Shape (unknowns,); the place is where the last solution ended.
+    place, residual, step, before, jump
+        Shape (unknowns,); the place is where the last solution ended, the jump where a step last met one.
     jacobian, matrix
         Shape (unknowns, unknowns).
     bearing
@@ -70,6 +70,7 @@ class Work(NamedTuple):
     residual: Array
     step: Array
     before: Array
+    jump: Array
     jacobian: Array
     matrix: Array
     bearing: Array
@@ -80,10 +81,10 @@ class Work(NamedTuple):
 
 def work_of(unknowns: int, discs: int) -> Work:
     """Return empty arrays to solve in."""
-    place, residual, step, before = np.zeros((4, unknowns))
+    place, residual, step, before, jump = np.zeros((5, unknowns))
     jacobian, matrix = np.zeros((2, unknowns, unknowns))
     return Work(
-        place, residual, step, before, jacobian, matrix, np.zeros((2, 8)), np.zeros(8), np.zeros((discs, 3)),
+        place, residual, step, before, jump, jacobian, matrix, np.zeros((2, 8)), np.zeros(8), np.zeros((discs, 3)),
         np.full(1, np.inf),
     )  # fmt: skip
 
@@ -457,13 +458,12 @@ def balance(
         step, longest = work.step, _longest(problem, assembly, work.step, 1.0)
         if longest < _EXACT:
             return iteration + 1
-        whole = share
         downhill = 0.0
         for i in range(step.size):
             work.before[i] = q[i]
             downhill += step[i] * work.residual[i]
-        low, high = 0.0, math.inf
-        for _ in range(12):
+        low, high, met = 0.0, math.inf, True
+        for _ in range(36 if iterations == _LAST_ITERATIONS else 12):
             for i in range(step.size):
                 q[i] = work.before[i] + share * step[i]
             assemble(problem, assembly, theta, pull, centring, q, contacts, work)
@@ -475,10 +475,15 @@ def balance(
             elif now < 0.5 * downhill and high < math.inf:
                 low = share
             else:
+                met = False
                 break
             share = _between(work, share, now, low, high)
-        if iterations == _LAST_ITERATIONS and share * longest < _JUMP and share < 1e-3 * whole:
-            return iteration + 1
+        if met and iterations == _LAST_ITERATIONS:
+            # From one side of a jump a step may lead back to the other for ever.
+            for i in range(step.size):
+                work.before[i], work.jump[i] = q[i] - work.jump[i], q[i]
+            if _longest(problem, assembly, work.before, 1.0) < _JUMP:
+                return iteration + 1
     return 0
 
 
