@@ -26,7 +26,7 @@ _LONGEST = 25e-6  # m: a step is no longer than this
 _REACH = 4e-6  # m: pins nearer than this are solved at every step, the others once the discs have moved as far
 HELD = 1e-3  # N/m: keeps a rotation in reach that nothing holds yet; it pulls to where the step began
 _ITERATIONS = 60
-_JUMP = 1e-10  # m: where steps end at the same place twice, forces jump, as where a pin leaves one of two teeth at a root
+_JUMP = 1e-10  # m: where steps end twice forces jump, as where a pin leaves the second of two teeth at a root
 _LAST_ITERATIONS = 600  # a drive that hangs in its clearances finds its place in small steps
 
 
