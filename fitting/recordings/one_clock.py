@@ -139,11 +139,10 @@ class OneClock:
             status |= (statuses[after] | np.where(exact, 0, statuses[before]).astype(np.uint8)) & np.uint8(IMPLAUSIBLE)
             table[role] = np.interp(time, other, theirs)
         keep = chosen & ~left_out
-        if left_out.any():
-            marked = np.flatnonzero(keep & np.concatenate([[self._mark_next], (left_out & chosen)[:-1]]))
-            status[marked] |= GAP
-        if chosen.any():
-            self._mark_next = bool(left_out[np.flatnonzero(chosen)[-1]])
+        gone = np.cumsum(np.concatenate([[self._mark_next], left_out & chosen]))  # samples left out before each
+        kept = np.flatnonzero(keep)
+        status[kept[np.diff(gone[kept], prepend=0) > 0]] |= GAP
+        self._mark_next = bool(gone[-1] > (gone[kept[-1]] if kept.size else 0))
         if keep.any():
             yield (
                 {"time": time[keep], self._master: value[keep], **{r: v[keep] for r, v in table.items()}},
@@ -197,6 +196,7 @@ class OneClock:
                 self._usual_step(role, other)
                 status |= statuses[part] if role == "output_angle" else statuses[part] & np.uint8(IMPLAUSIBLE)
                 table[role] = theirs[part]
+        status[0] |= GAP if self._mark_next else 0
         self._mark_next = False
         self._keep(joined, until)
         return table, status
