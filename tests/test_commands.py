@@ -140,7 +140,7 @@ def test_errors_name_the_argument_in_python_and_the_option_in_a_command(ran):
         study(1.0, -1)
     for words, sentence in (
         (["--output-torque", "3 Nm", "--seed", "-1"], "--seed = -1: it must not be negative."),
-        (["--output-torque", "0 Nm"], "--output-torque = 0.0: it must not be zero."),
+        (["--output-torque", "0 Nm"], '--output-torque = "0 Nm": it must not be zero.'),
         (["--output-torque", "3 kg"], '--output-torque = "3 kg": the unit "kg" measures something else; '
                                       "use one such as N*m."),
         (["--output-torque", "3 Nm", "--kind", "sobl"], '--kind = "sobl": it must be one of sobol, saltelli; '
@@ -240,7 +240,7 @@ def test_a_command_says_which_option_the_library_objects_to(command, tmp_path):
     words = ["cycloid-fmu", "tolerance", "pair.toml", "--tolerances", "t.toml", "--samples", "2", "--angles", "20"]
     for more, sentence in (
         ([], "--torque is missing; give it, or state [pair] rated_torque in pair.toml."),
-        (["--torque", "0 Nm"], "--torque = 0.0: a study's loads must not be zero; the play has its own figures."),
+        (["--torque", "0 Nm"], '--torque = "0 Nm": a study\'s loads must not be zero; the play has its own figures.'),
         (["--torque", "9 Nm", "--screen", "2"], "--screen = 2.0: the share must be between 0 and 1."),
         (["--design", "sobl"],
          '--design = "sobl": it must be one of sobol, latin-hypercube, saltelli; did you mean sobol?'),

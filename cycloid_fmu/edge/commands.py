@@ -20,6 +20,7 @@ import warnings
 from collections.abc import Callable, Collection, Iterator, MutableMapping, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
@@ -61,14 +62,17 @@ class _Group(typer.core.TyperGroup):
             near = did_you_mean(args[0], self.commands)
             raise InputError(f"{args[0]} is not a command; {near or f'see {ctx.command_path} --help.'}")
         name, command, rest = super().resolve_command(ctx, args)
-        ctx.meta["cycloid.command"] = command
+        ctx.meta["cycloid.command"], ctx.meta["cycloid.words"] = command, (*rest,)
         return name, command, rest
 
     def invoke(self, ctx: Any) -> Any:
         try:
             return super().invoke(ctx)
         except ArgumentError as problem:
-            raise InputError(problem.named(_flag(ctx.meta["cycloid.command"], problem.argument))) from problem
+            flag = _flag(ctx.meta["cycloid.command"], problem.argument)
+            if isinstance(problem.value, float):
+                problem.value = _typed(ctx.meta["cycloid.words"], flag) or problem.value
+            raise InputError(problem.named(flag)) from problem
         except KeyboardInterrupt as interrupt:
             _say(str(interrupt) or "Interrupted; finished results are kept.")
             raise typer.Exit(getattr(interrupt, "exit_status", INTERRUPTED)) from None
@@ -81,6 +85,13 @@ def _flag(command: Any, argument: str) -> str:
         if argument == parameter.name or "--" + argument.replace("_", "-") in options:
             return options[0] if options else parameter.metavar or argument
     return argument
+
+
+def _typed(words: Sequence[str], flag: str) -> str | None:
+    """Return the text with a unit that an option was given once; None for other options."""
+    given = [after for word, after in pairwise(words) if word == flag]
+    given += [word.removeprefix(f"{flag}=") for word in words if word.startswith(f"{flag}=")]
+    return given[0] if len(given) == 1 and given[0][-1:].isalpha() else None
 
 
 class _Lazy(MutableMapping[str, Any]):

@@ -210,7 +210,7 @@ def test_plan_and_ensemble_from_the_command_line(command, found, nominal, tmp_pa
     assert run.returncode == 0, run.stderr
     assert len(list((tmp_path / "drawn").iterdir())) == 3
     for words, said in (
-        (("plan", "pair.toml", "--torque", "-20 N*m"), "--torque = -20.0: it must be above zero"),
+        (("plan", "pair.toml", "--torque", "-20 N*m"), '--torque = "-20 N*m": it must be above zero'),
         (
             ("ensemble", "drawn/s-0000.nc", "--pair", "pair.toml", "-o", "again"),
             "--pair has no covariance of a fit",
