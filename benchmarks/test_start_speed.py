@@ -59,6 +59,8 @@ def test_from_nothing_to_the_first_result(benchmark, tmp_path):
     found["result once the kernels are compiled"] = spent(run, command, *analyze)
     found[" and ".join(BARE) + " alone installed"] = bare = spent(fresh_environment, tmp_path / "bare", *BARE)
     benchmark.extra_info.update({name: shown(*used) for name, used in found.items()})
+    files = (file.lstat().st_size for file in (tmp_path / "ours").rglob("*"))
+    benchmark.extra_info["MB installed, with bytecode"] = round(sum(files) / 1e6)
     benchmark.extra_info["installed, times those alone"] = round(found["installed"][1] / bare[1], 2)
 
 

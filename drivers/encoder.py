@@ -378,6 +378,8 @@ def encoder_class(protocol: object, channel: str, source: str) -> type[Encoder]:
     owner = "".join(owners) or known[protocol].value
     try:
         loaded = known[protocol].load()
+    except edge.InputError as problem:  # an extra that is not installed
+        raise edge.InputError(f"{where}: {problem}") from None
     except Exception as problem:  # a plug-in's module may raise anything
         said = str(problem).rstrip(".") or type(problem).__name__
         raise edge.InputError(f"{where}: the package {owner} that has it does not load: {said}.") from problem

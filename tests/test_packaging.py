@@ -3,27 +3,29 @@
 import hashlib
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
 import tarfile
 import tomllib
+import venv
 import zipfile
+from importlib import metadata
 from pathlib import Path
 
 import fmpy
 import pytest
-from common import ARCSEC, BENCH, CASES
+from common import ARCSEC, BENCH, CASES, EXAMPLES
 
 ROOT = Path(__file__).parent.parent
-VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+VERSION = PROJECT["version"]
 PYTHONS = [
     python
     for python in (shutil.which(f"python3.{minor}") for minor in (11, 12, 13))
     if python and subprocess.run([python, "-c", ""], capture_output=True).returncode == 0
 ]
-
-pytestmark = pytest.mark.slow
 
 
 def build(source, folder, *kinds):
@@ -47,6 +49,7 @@ def files_of_wheel(path):
         return {name: hashlib.sha256(wheel.read(name)).hexdigest() for name in wheel.namelist()}
 
 
+@pytest.mark.slow
 def test_the_index_would_take_both(published):
     run = subprocess.run(
         [sys.executable, "-m", "twine", "check", "--strict", *map(str, published)], capture_output=True, text=True
@@ -54,6 +57,7 @@ def test_the_index_would_take_both(published):
     assert run.returncode == 0, run.stdout + run.stderr
 
 
+@pytest.mark.slow
 def test_the_source_archive_is_the_repository(published):
     known = subprocess.run(
         ["git", "ls-files", "--cached", "--others", "--exclude-standard"], cwd=ROOT, capture_output=True, text=True
@@ -65,6 +69,7 @@ def test_the_source_archive_is_the_repository(published):
     assert {"tests/test_packaging.py", "CITATION.cff", ".ci/run", "docs/index.md", "examples/bench_to_fmu.py"} <= held
 
 
+@pytest.mark.slow
 def test_archive_and_repository_build_the_same_wheel(published, tmp_path):
     build(ROOT, tmp_path, "--wheel")
     assert files_of_wheel(tmp_path / published[1].name) == files_of_wheel(published[1])
@@ -117,3 +122,150 @@ def test_the_wheel_alone_runs_the_three_commands(published, python, tmp_path):
     curves = run("cycloid-fit", "curve", BENCH / "30Nm-forward.csv", "--pair", BENCH / "pair.toml", "--json")
     assert json.loads(curves)
     assert run("cycloid-bench", "list").startswith("protocols: ads, amt21, ascii, canopen, dbc, modbus\n")
+
+
+@pytest.fixture
+def licences(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    import licences
+
+    return licences
+
+
+def test_the_page_lists_every_extra_with_its_packages(licences):
+    page = (ROOT / "docs" / "install.md").read_text(encoding="utf-8")
+    listed = {
+        extra: re.findall(r"[\w-]+", packages)
+        for extra, packages in re.findall(r"^\| `([\w-]+)` \| (.*?) \|", page, re.M)
+    }
+    stated = {
+        extra: [re.split("[>=<~]", one)[0] for one in asked]
+        for extra, asked in PROJECT["optional-dependencies"].items()
+        if extra not in licences.OURS
+    }
+    assert listed == stated
+
+
+@pytest.fixture(scope="module")
+def core(tmp_path_factory):
+    """A fresh environment's Python, with the package and what it asks for without any extra.
+
+    What the suite is run with is linked into it: nothing is downloaded.
+    """
+    sys.path.insert(0, str(ROOT / "docs"))
+    import licences
+
+    sys.path.remove(str(ROOT / "docs"))
+    folder = tmp_path_factory.mktemp("core") / "environment"
+    venv.create(folder, symlinks=True)
+    (place,) = folder.glob("lib/python3.*/site-packages")
+    for name in ("cycloid-fmu", *(one for one, extra in licences.needed().items() if not extra)):
+        one = metadata.distribution(name)
+        for top in {file.parts[0] for file in one.files or []} - {"..", "__pycache__"}:
+            if not (place / top).exists():
+                (place / top).symlink_to(one.locate_file(top))
+    return folder / "bin" / "python"
+
+
+def run_core(core, folder, *words):
+    """Run Python code, or one of the commands, in the fresh environment."""
+    code = words[0]
+    if code.startswith("cycloid-"):
+        (entry,) = metadata.entry_points(group="console_scripts", name=code)
+        code = (
+            f"import sys; sys.argv[0] = {words[0]!r}; from {entry.module} import {entry.attr}; sys.exit({entry.attr}())"
+        )
+    return subprocess.run(
+        [str(core), "-c", code, *map(str, words[1:])], cwd=folder, capture_output=True, text=True, timeout=300
+    )
+
+
+DOORS = """
+import importlib
+from typer.main import get_command
+from typer.testing import CliRunner
+
+def pages(app, command, path):
+    below = getattr(command, "commands", {})
+    done = CliRunner().invoke(app, [*path, "--help"])
+    assert done.exit_code == 0 and "Usage" in done.output, (path, done.output)
+    return 1 + sum(pages(app, one, [*path, name]) for name, one in below.items())
+
+for door in ("cycloid_fmu", "fitting", "drivers"):
+    module = importlib.import_module(door)
+    assert [name for name in module.__all__ if getattr(module, name) is None] == []
+    app = importlib.import_module(f"{door}.cli").app
+    print(door, pages(app, get_command(app), []))
+"""
+
+
+@pytest.mark.slow(10)
+def test_front_doors_and_help_pages_need_no_extra(core, tmp_path):
+    done = run_core(core, tmp_path, DOORS)
+    assert done.returncode == 0, done.stderr
+    assert {line.split()[0]: int(line.split()[1]) > 7 for line in done.stdout.splitlines()} == {
+        "cycloid_fmu": True, "fitting": True, "drivers": True,
+    }  # fmt: skip
+
+
+CAN = '[bus.can0]\ninterface = "virtual"\nchannel = "c"\n[channel.torque]\nbus = "can0"\n'
+LINE = '[port.tty]\nurl = "/dev/null"\n[channel.input_angle]\nport = "tty"\ncounts_per_turn = 4096\n'
+PLC = (
+    '[plc.plc1]\nnet_id = "127.0.0.1.1.1"\nring = "Ring"\n[channel.input_angle]\nplc = "plc1"\ncounts_per_turn = 4096\n'
+)
+DRIVE, TOLERANCES = EXAMPLES / "drive-39-40.toml", EXAMPLES / "tolerances.toml"
+RECORD = ("cycloid-bench", "record", "bench.toml", "-o", "run.arrows")
+SIMULATE = ("cycloid-bench", "simulate", "--ratio", "-39", "--torque", "20 N*m")
+STUDY = ("cycloid-fmu", "tolerance", DRIVE, "--tolerances", TOLERANCES, "--samples", "64", "-o", "study.nc")
+# What takes an extra: files that it finds, the package that is missing, and the command.
+TAKES = {
+    "ads": [({"bench.toml": PLC + 'protocol = "ads"\ncolumn = 1\n'}, "pyads", RECORD)],
+    "bench-files": [
+        ({"run.tdms": "x"}, "nptdms", ("cycloid-fit", "inspect", "run.tdms")),
+        ({"run.mf4": "x"}, "asammdf", ("cycloid-fit", "inspect", "run.mf4")),
+    ],
+    "cad": [({}, "ezdxf", ("cycloid-fmu", "profile", DRIVE, "-o", "disc.dxf"))],
+    "canopen": [
+        ({"bench.toml": CAN + 'protocol = "canopen"\nnode = 1\n'}, "canopen", RECORD),
+        ({}, "canopen", (*SIMULATE, "--bus", "virtual", "-o", "run.arrows")),
+    ],
+    "dbc": [
+        (
+            {"bench.toml": CAN + 'protocol = "dbc"\nfile = "a.dbc"\nmessage = "m"\nsignal = "s"\n'},
+            "cantools",
+            RECORD,
+        ),
+        ({"run.asc": "x"}, "cantools", ("cycloid-fit", "inspect", "run.asc")),
+    ],
+    "distributed": [({}, "distributed", (*STUDY, "--scheduler", "tcp://127.0.0.1:1"))],
+    "modbus": [
+        ({"bench.toml": LINE + 'protocol = "modbus"\nregister = 0\n'}, "pymodbus", RECORD),
+        ({}, "pymodbus", (*SIMULATE, "--serial", "modbus")),
+    ],
+    "native": [
+        ({}, "ziglang", ("cycloid-fmu", "build", DRIVE, "--native", "--platform", "x86_64-windows", "-o", "drive.fmu"))
+    ],
+    "reports": [
+        ({}, "plotly", ("cycloid-fit", "report", BENCH / "30Nm-forward.csv", "--ratio", "-39", "-o", "r.html"))
+    ],
+    "sensitivity": [({}, "SALib", (*STUDY, "--design", "saltelli"))],
+    "step": [({}, "OCP", ("cycloid-fmu", "profile", DRIVE, "-o", "disc.step"))],
+}
+
+
+def test_each_extra_is_tried_without_its_packages(licences):
+    assert set(TAKES) == set(PROJECT["optional-dependencies"]) - licences.OURS
+
+
+@pytest.mark.slow(25)
+@pytest.mark.parametrize("extra", TAKES)
+def test_what_takes_an_extra_names_it(core, tmp_path, extra):
+    for files, package, words in TAKES[extra]:
+        for name, text in files.items():
+            (tmp_path / name).write_text(
+                'format = "cycloid-bench/1"\n' * name.endswith(".toml") + text, encoding="utf-8"
+            )
+        done = run_core(core, tmp_path, *words)
+        assert (done.returncode, done.stdout) == (2, "")
+        assert f"this needs the package {package}: pip install 'cycloid-fmu[{extra}]'" in done.stderr
+        assert done.stderr.count("\n") == 1, done.stderr

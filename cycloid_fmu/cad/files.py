@@ -41,12 +41,9 @@ def write(profile: Profile, path: str | os.PathLike[str]) -> None:
 
 def check_library(module: str, extra: str, target: Path) -> None:
     """Refuse, with an `edge.ArgumentError` that names the extra, a format whose library is missing."""
-    try:
+    other = "; .svg and .csv need nothing more" if extra == "cad" else "; .dxf and .svg do without it"
+    with edge.needs_extra(extra, lambda said: edge.ArgumentError("path", said + other, target)):
         importlib.import_module(module)
-    except ImportError:
-        other = "; .svg and .csv need nothing more" if extra == "cad" else "; .dxf and .svg do without it"
-        problem = f"this needs {module}: pip install 'cycloid-fmu[{extra}]'{other}"
-        raise edge.ArgumentError("path", problem, target) from None
 
 
 def _write_csv(profile: Profile, path: Path) -> None:

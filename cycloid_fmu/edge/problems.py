@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import difflib
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 DONE, FAILED, BAD_INPUT, SILENT, NOT_MET, INTERRUPTED = 0, 1, 2, 3, 4, 130
 _NOTHING = object()
@@ -79,6 +79,36 @@ def parsed_by_others(source: object, problem: str) -> Iterator[None]:
         raise
     except Exception as failure:  # a parser raises whatever it trips over: no list of classes is complete
         raise InputError(f"{source}: {problem} ({first_line(failure)}).") from None
+
+
+def missing_package(package: str, extra: str) -> str:
+    """Return the sentence, without its full stop, that names the extra with a package that is not installed."""
+    return f"this needs the package {package}: pip install 'cycloid-fmu[{extra}]'"
+
+
+@contextlib.contextmanager
+def needs_extra(
+    extra: str, refuse: Callable[[str], InputError] = lambda said: InputError(f"{said}.")
+) -> Iterator[None]:
+    """Import, inside, packages of an extra; one that is not installed is refused in one sentence that names the extra.
+
+    Parameters
+    ----------
+    extra
+        Name of the extra in `pyproject.toml`.
+    refuse
+        Makes the error of the sentence of `missing_package`.
+
+    Raises
+    ------
+    InputError
+        As `refuse` makes it.
+    """
+    try:
+        yield
+    except ImportError as problem:
+        package = (problem.name or str(problem)).partition(".")[0]
+        raise refuse(missing_package(package, extra)) from None
 
 
 def first_line(problem: BaseException) -> str:

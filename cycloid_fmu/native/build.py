@@ -19,7 +19,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from cycloid_fmu import __version__, edge
-from cycloid_fmu.edge import ArgumentError
+from cycloid_fmu.edge import ArgumentError, missing_package
 from cycloid_fmu.fmu.build import AnyDrive, completed, ratio_of, surfaces_of_draws, whole_drive
 from cycloid_fmu.fmu.constants import EVENT_INDICATORS, MOST_LOSS_ROWS
 from cycloid_fmu.fmu.description import Version, model_structure, model_variables, token_of, unit_definitions
@@ -126,9 +126,7 @@ def _compiler(name: str) -> list[str]:
     if own:
         return [str(system)]
     other = f" (or give {this_platform()} alone)" if system else ""
-    raise ArgumentError(
-        "platforms", f"to compile for it, install the extra: pip install 'cycloid-fmu[native]'{other}", name
-    )
+    raise ArgumentError("platforms", missing_package("ziglang", "native") + other, name)
 
 
 def windows_headers() -> Path:

@@ -48,11 +48,8 @@ def check_versions(wanted: dict[str, str]) -> None:
 
 def _connected(scheduler: str) -> Any:
     """Return a client of a dask scheduler whose workers are there."""
-    try:
+    with edge.needs_extra("distributed", lambda said: edge.ArgumentError("scheduler", said, scheduler)):
         from distributed import Client
-    except ImportError:
-        problem = "this needs dask: pip install 'cycloid-fmu[distributed]'"
-        raise edge.ArgumentError("scheduler", problem, scheduler) from None
     try:
         client = Client(scheduler, timeout=5, set_as_default=False)
     except (OSError, ValueError) as failure:

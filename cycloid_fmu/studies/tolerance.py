@@ -155,11 +155,8 @@ def points(study: Study) -> Array:
 
     size = len(study.factors)
     if study.design == "saltelli":
-        try:
+        with edge.needs_extra("sensitivity", lambda said: edge.ArgumentError("design", said, study.design)):
             from SALib.sample import sobol
-        except ImportError:
-            problem = "this needs SALib: pip install 'cycloid-fmu[sensitivity]'"
-            raise edge.ArgumentError("design", problem, study.design) from None
         base = saltelli_base(study)
         return np.asarray(sobol.sample(_problem(study), base, calc_second_order=False, seed=study.seed))
     if study.design == "latin-hypercube":

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from cycloid_fmu import edge
 from drivers.ads.ring import HEAD_BYTES, Block, Head, read_head, whole_samples
 from drivers.ads.ring import spans as spans_of
 from drivers.encoder import (
@@ -34,11 +35,10 @@ class PlcHub:
         self.config = config
         self.broken = False
         try:
-            import pyads
-        except ImportError:
-            raise EncoderSetupError(
-                f"The PLC {config.place} needs the package pyads: pip install 'cycloid-fmu[ads]'."
-            ) from None
+            with edge.needs_extra("ads", lambda said: EncoderSetupError(f"PLC {config.place}: {said}.")):
+                import pyads
+        except EncoderSetupError:
+            raise
         except Exception as problem:  # on Windows pyads looks for TwinCAT's library
             raise EncoderSetupError(
                 f"The PLC {config.place} needs TwinCAT's ADS router on this machine ({problem})."

@@ -7,15 +7,18 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 import numpy.typing as npt
 import pydantic
-from pymodbus.framer import FramerRTU
-from pymodbus.pdu import DecodePDU
-from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadInputRegistersRequest
 
+from cycloid_fmu import edge
 from drivers.counts import UnseenTurns, counts_to_value, extract_bits, unwrap
 from drivers.encoder import AngleConfig, EncoderProtocolError, EncoderSetupError, PortConfig, channel_of
 from drivers.recording_format import ROLLOVER, FloatArray, IntArray, Samples
 from drivers.serial.polled import PolledEncoder
 from drivers.serial.port import MIDDLE, PortHub, ask
+
+with edge.needs_extra("modbus"):
+    from pymodbus.framer import FramerRTU
+    from pymodbus.pdu import DecodePDU
+    from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadInputRegistersRequest
 
 _REQUESTS = {"holding": ReadHoldingRegistersRequest, "input": ReadInputRegistersRequest}
 

@@ -147,10 +147,8 @@ def _netcdf(reader: RecordingReader, path: Path, progress: Progress) -> int:
 
 def _mdf(reader: RecordingReader, path: Path, progress: Progress) -> int:
     """Write a channel group for each channel, the time since the start as its master."""
-    try:
+    with edge.needs_extra("bench-files", lambda said: edge.InputError(f"{path}: {said}.")):
         from asammdf import MDF, Signal
-    except ImportError:
-        raise edge.InputError("MDF4 needs the extra bench-files: pip install 'cycloid-fmu[bench-files]'.") from None
 
     rows, events = 0, []  # type: tuple[int, list[Event]]
     described = {c.name: c for c in reader.header.channels}

@@ -16,9 +16,6 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from pymodbus.framer import FramerRTU
-from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
-from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadHoldingRegistersResponse
 
 from cycloid_fmu import edge
 from drivers.encoders.amt21 import check_bits
@@ -240,6 +237,8 @@ class SimulatedModbusBench(_PtyBench):
         baud_rate: int = 115_200,
         faults: Sequence[Fault] = (),
     ) -> None:
+        with edge.needs_extra("modbus"):
+            import pymodbus  # noqa: F401  # `_run` has no one to tell that it is missing
         super().__init__(motion, speed_factor=speed_factor, baud_rate=baud_rate, faults=faults)
         self.devices, self.counts_per_turn = devices, counts_per_turn
         self.answered: dict[int, list[int]] = {d: [] for d in devices}
@@ -251,6 +250,10 @@ class SimulatedModbusBench(_PtyBench):
         return {name: f"device = {device}\n{keys}" for name, device in angles}
 
     def _run(self) -> None:
+        from pymodbus.framer import FramerRTU
+        from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
+        from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadHoldingRegistersResponse
+
         angles = (self.motion.input_angle, self.motion.output_angle)
         words = {d: quantised(a, self.counts_per_turn) % (1 << 32) for d, a in zip(self.devices, angles, strict=True)}
         framer = FramerRTU(DecodePDU(True))

@@ -57,6 +57,7 @@ def identify(
     from cycloid_fmu.drive import read_drive
     from fitting.estimation.result import as_json as content
 
+    options.check_report(report)
     nominal = read_drive(drive)
     recordings = fitting.read_recordings(files, mapping, read_head)
     with commands.status() as progress:

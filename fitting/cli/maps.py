@@ -34,6 +34,7 @@ def maps(
 
     if (drive is None) == (ratio is None):
         raise edge.InputError("--pair or --ratio: give one of the two.")
+    options.check_report(report)
     nominal = read_drive(drive) if drive is not None else float(ratio or 0.0)
     if not nominal:
         raise edge.ArgumentError("ratio", "give the signed ratio input/output, such as -39", ratio)

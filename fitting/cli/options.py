@@ -39,6 +39,14 @@ MappingFile = Annotated[Path | None, typer.Option(metavar="MAP.toml", help="Mapp
 FIELD_UNITS = {"m": (1e6, "µm"), "rad": (1e3, "mrad"), "1": (1.0, "of the stated")}
 
 
+def check_report(target: Path | None) -> None:
+    """Refuse a report in HTML, before anything is computed, where the package that it takes is missing."""
+    if target is not None and target.suffix.lower() == ".html":
+        from fitting.reports.page import script
+
+        script()
+
+
 def print_notes(notes: Iterable[str]) -> None:
     """Print notes for people on standard error."""
     for note in notes:

@@ -33,6 +33,7 @@ def report(
     import fitting
     from cycloid_fmu.drive import read_drive
 
+    options.check_report(output)
     nominal = None if drive is None else read_drive(drive)
     recordings = fitting.read_recordings(files, mapping)
     with commands.status() as progress:

@@ -17,10 +17,6 @@ from fitting.recordings.formats import PIECE, Array, BenchFile, Piece, RawChanne
 from fitting.recordings.formulas import Formula
 
 
-def _extra(package: str, extra: str, source: str) -> edge.InputError:
-    return edge.InputError(f"{source}: reading this needs the package {package}: pip install 'cycloid-fmu[{extra}]'.")
-
-
 def _drop(problem: BaseException | None) -> None:
     """Free what a failed constructor left behind, without its destructor's complaints about what it lacks."""
     hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
@@ -36,10 +32,8 @@ class MdfFile(BenchFile):
     """An ASAM MDF 4 file."""
 
     def __init__(self, source: str, dbc: object = None) -> None:
-        try:
+        with edge.needs_extra("bench-files", lambda said: edge.InputError(f"{source}: {said}.")):
             from asammdf import MDF
-        except ImportError:
-            raise _extra("asammdf", "bench-files", source) from None
         try:
             # Given a name it reads in C, which believes what a damaged file says of its blocks; not so an open file.
             self._open = Path(source).open("rb")  # noqa: SIM115
@@ -230,10 +224,8 @@ class TdmsFile(BenchFile):
     """A LabVIEW TDMS file."""
 
     def __init__(self, source: str, dbc: object = None) -> None:
-        try:
+        with edge.needs_extra("bench-files", lambda said: edge.InputError(f"{source}: {said}.")):
             from nptdms import TdmsFile
-        except ImportError:
-            raise _extra("npTDMS", "bench-files", source) from None
         self._file = TdmsFile.open(source)
         self._found, refused = [], []
         for group in self._file.groups():

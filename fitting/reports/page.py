@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from cycloid_fmu import __version__
+from cycloid_fmu import __version__, edge
 from fitting.reports.panels import Panel, Trace, names_above, x_range
 
 COLOURS = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b", "#e377c2")
@@ -69,13 +69,26 @@ def html_page(title: str, facts: str, above: str, panels: Sequence[Panel], below
     """
     import jinja2
     from markupsafe import Markup
-    from plotly.offline import get_plotlyjs
 
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     data = json.dumps([_plotly(p) for p in panels]).replace("<", "\\u003c")  # no name ends the script, or begins one
     return environment.from_string(_HEAD + above + _PANELS + below + _TAIL).render(
-        title=title, facts=facts, panels=panels, plotly=Markup(get_plotlyjs()), data=Markup(data), **values
+        title=title, facts=facts, panels=panels, plotly=Markup(script()), data=Markup(data), **values
     )
+
+
+def script() -> str:
+    """Return the JavaScript of plotly.
+
+    Raises
+    ------
+    edge.InputError
+        If plotly is not installed; it names the extra.
+    """
+    with edge.needs_extra("reports", lambda said: edge.InputError(f"report in HTML: {said}.")):
+        from plotly.offline import get_plotlyjs
+
+    return str(get_plotlyjs())
 
 
 def _packed(values: Any) -> dict[str, str]:

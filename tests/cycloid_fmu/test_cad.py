@@ -370,7 +370,9 @@ def test_a_missing_library_is_named_with_its_extra(command, monkeypatch, ending,
     monkeypatch.setitem(sys.modules, module, None)
     done = command("cycloid-fmu", "profile", str(CRANKS), "-o", f"d.{ending}")
     assert done.returncode == 2
-    assert done.stderr.startswith(f"--output = d.{ending}: this needs {module}: pip install 'cycloid-fmu[{extra}]'")
+    assert done.stderr.startswith(
+        f"--output = d.{ending}: this needs the package {module}: pip install 'cycloid-fmu[{extra}]'"
+    )
 
 
 def test_a_hole_that_cuts_the_flank_is_refused():
