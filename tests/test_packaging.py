@@ -208,7 +208,6 @@ def test_front_doors_and_help_pages_need_no_extra(core, tmp_path):
     }  # fmt: skip
 
 
-CAN = '[bus.can0]\ninterface = "virtual"\nchannel = "c"\n[channel.torque]\nbus = "can0"\n'
 LINE = '[port.tty]\nurl = "/dev/null"\n[channel.input_angle]\nport = "tty"\ncounts_per_turn = 4096\n'
 PLC = (
     '[plc.plc1]\nnet_id = "127.0.0.1.1.1"\nring = "Ring"\n[channel.input_angle]\nplc = "plc1"\ncounts_per_turn = 4096\n'
@@ -225,18 +224,6 @@ TAKES = {
         ({"run.mf4": "x"}, "asammdf", ("cycloid-fit", "inspect", "run.mf4")),
     ],
     "cad": [({}, "ezdxf", ("cycloid-fmu", "profile", DRIVE, "-o", "disc.dxf"))],
-    "canopen": [
-        ({"bench.toml": CAN + 'protocol = "canopen"\nnode = 1\n'}, "canopen", RECORD),
-        ({}, "canopen", (*SIMULATE, "--bus", "virtual", "-o", "run.arrows")),
-    ],
-    "dbc": [
-        (
-            {"bench.toml": CAN + 'protocol = "dbc"\nfile = "a.dbc"\nmessage = "m"\nsignal = "s"\n'},
-            "cantools",
-            RECORD,
-        ),
-        ({"run.asc": "x"}, "cantools", ("cycloid-fit", "inspect", "run.asc")),
-    ],
     "distributed": [({}, "distributed", (*STUDY, "--scheduler", "tcp://127.0.0.1:1"))],
     "modbus": [
         ({"bench.toml": LINE + 'protocol = "modbus"\nregister = 0\n'}, "pymodbus", RECORD),

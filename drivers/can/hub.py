@@ -15,6 +15,7 @@ import time
 from typing import Any
 
 import can
+import canopen
 import numpy as np
 
 from drivers.can.bus import SYNC_ID, frame_key, open_bus
@@ -22,11 +23,6 @@ from drivers.counts import Pace, wraps
 from drivers.encoder import BusConfig, EncoderConnectionError, EncoderSetupError
 from drivers.hubs import BLOCK_SECONDS, BlockQueue, SharedHubs, drained, reason
 from drivers.recording_format import CLOCK_JUMP, Event, FloatArray, IntArray
-
-try:
-    import canopen
-except ImportError:  # it takes no part where all frames are a DBC's
-    canopen = None
 
 SYNC_COUNTER_MAX = 240
 BLOCK_FRAMES = 4096
@@ -81,7 +77,7 @@ class CanHub:
     Attributes
     ----------
     network
-        A `canopen.Network` for SDO, NMT, heartbeat and EMCY, fed by the reader; None without canopen.
+        A `canopen.Network` for SDO, NMT, heartbeat and EMCY, fed by the reader.
     gaps, sync, handed_on
         Gaps of the bus so far, the running number of the newest SYNC, and of the newest up to which all frames are in
         the queues.
@@ -93,7 +89,7 @@ class CanHub:
     def __init__(self, config: BusConfig) -> None:
         self.config = config
         self.bus = open_bus(config)
-        self.network: Any = canopen.Network(self.bus) if canopen else None
+        self.network = canopen.Network(self.bus)
         self.broken = False
         self._quantities: dict[int, set[str]] = {}
         self._queues: dict[int, list[BlockQueue[Frames]]] = {}
@@ -283,7 +279,7 @@ class CanHub:
         elif key != message.arbitration_id:
             numbers = {wanted & 0x1FFFFFFF for wanted in self._wanted}
             self._odd["frames like a channel's in another format"] += message.arbitration_id in numbers
-        elif not message.is_remote_frame and self.network is not None:
+        elif not message.is_remote_frame:
             with contextlib.suppress(Exception):  # a malformed service frame must not end the recording
                 stamp = time.time() if self._own_clock else message.timestamp
                 self.network.notify(message.arbitration_id, message.data, stamp)

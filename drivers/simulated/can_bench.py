@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 import can
+import canopen
 import numpy as np
+from canopen.objectdictionary import UNSIGNED8, UNSIGNED16, UNSIGNED32, ODRecord, ODVariable
 
 from cycloid_fmu import edge
 from drivers.can.bus import SYNC_ID, open_bus
@@ -22,10 +24,6 @@ from drivers.recording_format import FloatArray
 from drivers.simulated.bench import SimulatedBench
 from drivers.simulated.faults import NODE_FAULTS, Fault, Frame, faulty_frames
 from drivers.simulated.motion import Motion, quantised
-
-with edge.needs_extra("canopen"):
-    import canopen
-    from canopen.objectdictionary import UNSIGNED8, UNSIGNED16, UNSIGNED32, ODRecord, ODVariable
 
 _END_SECONDS = 2.0  # without any node operating: then nobody listens any more
 _UP_SECONDS = 1000.0  # since an interface with a clock of its own was powered

@@ -11,6 +11,7 @@ from cycloid_fmu import edge
 from drivers.arguments import in_si
 from drivers.simulated.ads_bench import SimulatedAdsBench
 from drivers.simulated.bench import SimulatedBench
+from drivers.simulated.can_bench import SimulatedCanBench
 from drivers.simulated.faults import read_faults
 from drivers.simulated.motion import OutputAngle, SimulatedRun, fmu_output_angle, simulate_hysteresis, simulate_motion
 from drivers.simulated.serial_bench import SERIAL_BENCHES
@@ -67,7 +68,7 @@ def simulate_bench(
         Lock the input and let the torque go 0, +T, 0, -T, 0.
     interface, channel, trigger
         The CAN bus as python-can names it ("loopback" reaches other processes of this machine, "virtual" this one), and
-        what makes its encoders send, see `SimulatedCanBench`; it needs the extra `canopen`, recording its torque `dbc`.
+        what makes its encoders send, see `SimulatedCanBench`.
     serial
         Encoders on a pseudo-terminal instead of CAN; "modbus" needs the extra `modbus`.
     plc
@@ -130,8 +131,6 @@ def simulate_bench(
             motion, host=plc, speed_factor=speed_factor or 1.0, clock_drift=clock_drift, faults=script
         )
     elif serial is None:
-        from drivers.simulated.can_bench import SimulatedCanBench  # it needs the extra `canopen`
-
         group = "239.74.163.2" if interface == "loopback" else "bench"
         bench = SimulatedCanBench(
             motion, interface=interface, channel=channel or group, trigger=trigger, speed_factor=speed_factor,

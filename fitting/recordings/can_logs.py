@@ -19,8 +19,7 @@ class CanLog(BenchFile):
     """A log of CAN frames; the channels are the signals of its DBC."""
 
     def __init__(self, source: str, dbc: str | os.PathLike[str] | None) -> None:
-        with edge.needs_extra("dbc", lambda said: edge.InputError(f"{source}: {said}.")):
-            import cantools
+        import cantools
 
         if dbc is None:
             raise edge.InputError(f"{source}: a CAN log needs the DBC of its frames; name it as dbc in the mapping.")
