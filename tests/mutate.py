@@ -1,8 +1,9 @@
 """How much of three parts the tests hold: `python tests/mutate.py metrics|recorder|contact [--sample 100]`.
 
-Cosmic Ray's operators change one operator, number or condition at a time; the part's own tests run against each
-change in a forked process, and a change that none of them notices survives. The sample is drawn by a fixed seed, and
-results are kept in `.mutation/`: the same command continues after an interruption, a changed module or test starts again.
+Cosmic Ray changes one operator, number or condition at a time; the part's own tests run against each
+change in a forked process, and a change that none of them detects survives. The sample is drawn with a fixed seed.
+Results are kept in `.mutation/`: the same command continues after an interruption; a changed module or test starts
+again.
 At the end docs/mutants.md is written from the results of all parts; `survivors.toml` gives the reason why a survivor
 may survive.
 """
@@ -249,7 +250,7 @@ def run(name: str, sample: int) -> None:
 def page() -> str:
     """Return the page of the results of all parts."""
     reasons = tomllib.loads(REASONS.read_text(encoding="utf-8"))
-    rows, survivors = ["| modules | possible changes | tried | detected | of these by timeout |", "| --- " * 5 + "|"], []
+    rows, survivors = ["| modules | possible changes | tried | detected | by timeout |", "| --- " * 5 + "|"], []
     for name, target in TARGETS.items():
         if not (KEPT / f"{name}.json").exists():
             continue
@@ -266,8 +267,8 @@ def page() -> str:
     return "\n\n".join(
         [
             "# Mutation tests",
-            "`python tests/mutate.py` changes one operator, number or condition of the code at a time and runs the tests "
-            f"of that code. The sample of all possible changes is drawn with the seed {SEED}.",
+            "`python tests/mutate.py` changes one operator, number or condition of the code at a time and runs the "
+            f"tests of that code. The sample of all possible changes is drawn with the seed {SEED}.",
             "\n".join(rows),
             "The changes that no test detected, and why none has to:",
             *survivors,

@@ -123,7 +123,7 @@ def plot_bearings(data: xr.Dataset, pair: Pair, shares: Sequence[Share]) -> Figu
     soft = {share.part: share.compliance * 1e6 for share in shares}
     left = math.nan if pair.supports is None else remaining(pair.supports, shares)
     if soft and not math.isnan(left):
-        soft["left to the catalogue's"] = left * 1e6
+        soft["rest to the catalogue"] = left * 1e6
     lost = {share.part: share.lost_motion * ARCMIN for share in shares}
     for axis, lengths, label in ((axes[4], soft, "compliance [µrad/(N·m)]"), (axes[5], lost, "lost motion [arcmin]")):
         axis.barh(list(lengths), list(lengths.values()), color="#4c78a8")

@@ -123,7 +123,7 @@ class Errors(Mapping[str, Any]):
         for key, given in ({} if problems else {**flat, **held}).items():
             if key not in kinds:
                 hint = edge.did_you_mean(str(key), kinds) or "check its spelling or remove it."
-                problems.append(f"{where}{key} is not a key known here; {hint}")
+                problems.append(f"{where}{key} is not a known key; {hint}")
                 continue
             try:
                 values[key] = _value(given, kinds[key], source is not None)

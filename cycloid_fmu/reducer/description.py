@@ -321,7 +321,7 @@ def parse_reducer(text: str, source: str) -> Reducer:
     else:
         raise edge.InputError(f"{source}: [errors]: a reducer's errors are its [deviations] and [errors.supports].")
     if "stage" in table:
-        raise edge.InputError(f"{source}: stage is not a key known here; check its spelling or remove it.")
+        raise edge.InputError(f"{source}: stage is not a known key; check its spelling or remove it.")
     pair = pair_of_tables(stage, source)
     if pair.output != "gear":
         raise edge.InputError(f'{source}: [pair] output = "ring": an RV reducer\'s pin ring is fixed; write "gear".')

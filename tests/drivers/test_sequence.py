@@ -202,7 +202,7 @@ def test_a_loop_that_is_not_reached_says_why(tmp_path, wiring):
             r"loads: 300000 N\*m is beyond the torque sensor, which measures -2",
         ),
         ("turns = 3", "turns = 0", "turns = 0: it should be greater than 0"),
-        ("turns = 3", "twists = 3", "twists is not a key known here"),
+        ("turns = 3", "twists = 3", "twists is not a known key"),
         ('["300 rpm"]', "[]", "loads and speeds belong together"),
         ("BENCH.toml", "none.toml", "none.toml: No such file"),
     ],
