@@ -143,11 +143,11 @@ def profile_of(pair: Pair, surface: ErrorSurface, disc: int = 0, chord_error: fl
         flank.
     """
     if not 0 <= disc < pair.discs:
-        allowed = f"it must lie between 0 and {pair.discs - 1}" if pair.discs > 1 else "the pair has one, 0"
+        allowed = f"it must be between 0 and {pair.discs - 1}" if pair.discs > 1 else "the pair has one, 0"
         raise edge.ArgumentError("disc", allowed, disc)
     if not _LEAST <= chord_error <= _MOST:
         given = edge.format_quantity(chord_error, "m", "um")
-        raise edge.ArgumentError("chord_error", "it must lie between 0.001 um and 100 um", given)
+        raise edge.ArgumentError("chord_error", "it must be between 0.001 um and 100 um", given)
     teeth = teeth_of(pair, surface, disc)
     cold = pair.replace(temperature=None)
     made = dimensions(cold, surface)

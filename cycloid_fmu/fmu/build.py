@@ -172,7 +172,7 @@ def surfaces_of_draws(pair: Pair, surface: ErrorSurface, draws: int, seed: int) 
         If there can't be so many, or the surface has no covariance.
     """
     if not 0 <= draws <= MOST_DRAWS:
-        raise ArgumentError("draws", f"it must lie between 0 and {MOST_DRAWS}", draws)
+        raise ArgumentError("draws", f"it must be between 0 and {MOST_DRAWS}", draws)
     if draws > 0 and surface.covariance is None:
         raise ArgumentError(
             "draws", "the drive's errors have no covariance of a fit to draw from; give a surface of identify", draws

@@ -64,7 +64,7 @@ def _deviation(given: Any) -> Any:
     if "tolerance" in table and tolerance <= 0.0:
         raise ValueError("a distribution needs a width: write a tolerance above zero, or the value alone")
     if abs(value) + tolerance > LARGEST_DEVIATION:
-        raise ValueError("deviations must lie between -1 mm and 1 mm")
+        raise ValueError("deviations must be between -1 mm and 1 mm")
     return table
 
 
@@ -108,7 +108,7 @@ class Deviations(Config):
 
 def _below_right_angle(value: float) -> float:
     if not 0.0 <= value < 0.25 * math.pi:
-        raise ValueError("it must lie between 0 and 45 deg")
+        raise ValueError("it must be between 0 and 45 deg")
     return value
 
 

@@ -200,7 +200,7 @@ def allocate(
     if not limits:
         raise edge.InputError(f"{source}: [limits] is missing; a yield needs at least one limit.")
     if not 0.0 < target < 1.0:
-        raise edge.InputError(f"target = {target:g}: the yield to reach must lie between 0 and 1.")
+        raise edge.InputError(f"target = {target:g}: the yield to reach must be between 0 and 1.")
     nominal = demand(study, figures_of(study, nominal_surface(study.pair))[None])
     for name, taken in nominal.items():
         if taken[0] > 1.0:
