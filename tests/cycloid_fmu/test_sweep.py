@@ -189,8 +189,8 @@ def test_every_number_of_a_pair_file_can_be_varied():
         ("pin_radius=3,3 mm", '--vary = "pin_radius=3 mm, 3 mm": the values must be different.'),
         ("gear_teeth=20:30:4", '--vary = "gear_teeth=20:30:4": this takes whole numbers.'),
         ("gear_teeth=20,30 mm", '--vary = "gear_teeth=20,30 mm": this is a number without a unit.'),
-        ("eccentricity=1.7,1.8 mm", '--vary = "eccentricity 1.7 mm … 1.8 mm": none of these values is a valid drive; the '
-         'first one: [pair] eccentricity = "1.7 mm"'),
+        ("eccentricity=1.7,1.8 mm", '--vary = "eccentricity 1.7 mm … 1.8 mm": none of these values is a valid drive; '
+         'the first one: [pair] eccentricity = "1.7 mm"'),
         ("supports.count=3,4", '--vary = "supports.count 3 … 4": none of these values is a valid drive; the first one: '
          "[supports] kind is missing."),
     ],
