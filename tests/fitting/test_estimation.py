@@ -325,6 +325,6 @@ def test_what_bench_runs_lack_is_said(simple, nominal):
     with pytest.raises(edge.InputError, match="turns again"):
         identify(curves, Drive(nominal), bootstrap=5)
     with pytest.raises(
-        edge.InputError, match='profiled = "eccentric": it is no error of this drive; did you mean eccentricity'
+        edge.InputError, match='profiled = "eccentric": it is not an error of this drive; did you mean eccentricity'
     ):
         identify(curves, Drive(nominal), profiled=["eccentric"])
