@@ -74,7 +74,7 @@ class SerialEncoder(HubEncoder[PortHub]):
 
     @property
     def lost(self) -> int:
-        """Readings that are known to be lost."""
+        """Number of lost readings."""
         return self._lost
 
     def taken(self, timeout: float) -> list[Exchange]:
